@@ -1,0 +1,142 @@
+"""Sightline: where an Earth-observation camera was looking, from its own images, with error bars.
+
+The public names are loaded when they are first used, so that ``import sightline`` stays quick.
+"""
+
+from __future__ import annotations
+
+import importlib
+from importlib.metadata import version as _installed_version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sightline.applications.line_of_sight import (
+        LineOfSight,
+        RecoverOptions,
+        recover_line_of_sight,
+    )
+    from sightline.errors import (
+        EstimationError,
+        FormatError,
+        GeometryError,
+        InputError,
+        SightlineError,
+        SpanError,
+        UnobservableBandWarning,
+    )
+    from sightline.execution import Executor, executor_from_name
+    from sightline.geometry.camera import Camera, FrameCamera, PushbroomCamera, Rays
+    from sightline.geometry.instrument import AreaDetector, Instrument, LineDetector
+    from sightline.geometry.pointing import FixedMount, Pointing
+    from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface
+    from sightline.geometry.trajectory import Motion, Pose, Trajectory
+    from sightline.imaging.source import ArrayImage, ImageSource
+    from sightline.io.acquisition import Acquisition, load_acquisition
+    from sightline.matching.match_images import match_images
+    from sightline.matching.matches import Matches
+    from sightline.motion.band import Band
+    from sightline.motion.differences import AngleDifferences
+    from sightline.motion.predict import predict_match
+    from sightline.simulate.scenarios import line_of_sight_case
+
+    __version__: str
+
+# Public name -> module that defines it, sorted; `tests/test_public_api.py` compares it with what is there.
+_MODULE_OF = {
+    "Acquisition": "sightline.io.acquisition",
+    "AngleDifferences": "sightline.motion.differences",
+    "AreaDetector": "sightline.geometry.instrument",
+    "ArrayImage": "sightline.imaging.source",
+    "Band": "sightline.motion.band",
+    "Camera": "sightline.geometry.camera",
+    "Dem": "sightline.geometry.surface",
+    "Ellipsoid": "sightline.geometry.surface",
+    "EstimationError": "sightline.errors",
+    "Executor": "sightline.execution",
+    "FixedMount": "sightline.geometry.pointing",
+    "FormatError": "sightline.errors",
+    "FrameCamera": "sightline.geometry.camera",
+    "GeometryError": "sightline.errors",
+    "ImageSource": "sightline.imaging.source",
+    "InputError": "sightline.errors",
+    "Instrument": "sightline.geometry.instrument",
+    "LineDetector": "sightline.geometry.instrument",
+    "LineOfSight": "sightline.applications.line_of_sight",
+    "Matches": "sightline.matching.matches",
+    "Motion": "sightline.geometry.trajectory",
+    "Plane": "sightline.geometry.surface",
+    "Pointing": "sightline.geometry.pointing",
+    "Pose": "sightline.geometry.trajectory",
+    "PushbroomCamera": "sightline.geometry.camera",
+    "Rays": "sightline.geometry.camera",
+    "RecoverOptions": "sightline.applications.line_of_sight",
+    "SightlineError": "sightline.errors",
+    "SpanError": "sightline.errors",
+    "Surface": "sightline.geometry.surface",
+    "Trajectory": "sightline.geometry.trajectory",
+    "UnobservableBandWarning": "sightline.errors",
+    "executor_from_name": "sightline.execution",
+    "line_of_sight_case": "sightline.simulate.scenarios",
+    "load_acquisition": "sightline.io.acquisition",
+    "match_images": "sightline.matching.match_images",
+    "predict_match": "sightline.motion.predict",
+    "recover_line_of_sight": "sightline.applications.line_of_sight",
+}
+
+__all__ = [
+    "Acquisition",
+    "AngleDifferences",
+    "AreaDetector",
+    "ArrayImage",
+    "Band",
+    "Camera",
+    "Dem",
+    "Ellipsoid",
+    "EstimationError",
+    "Executor",
+    "FixedMount",
+    "FormatError",
+    "FrameCamera",
+    "GeometryError",
+    "ImageSource",
+    "InputError",
+    "Instrument",
+    "LineDetector",
+    "LineOfSight",
+    "Matches",
+    "Motion",
+    "Plane",
+    "Pointing",
+    "Pose",
+    "PushbroomCamera",
+    "Rays",
+    "RecoverOptions",
+    "SightlineError",
+    "SpanError",
+    "Surface",
+    "Trajectory",
+    "UnobservableBandWarning",
+    "executor_from_name",
+    "line_of_sight_case",
+    "load_acquisition",
+    "match_images",
+    "predict_match",
+    "recover_line_of_sight",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Load the module that defines a public name, the first time it is asked for."""
+    if name == "__version__":
+        return _installed_version("sightline")
+    module = _MODULE_OF.get(name)
+    if module is None:
+        raise AttributeError(f"module 'sightline' has no attribute {name!r}")
+    value = getattr(importlib.import_module(module), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Public names, loaded or not."""
+    return sorted({*globals(), *_MODULE_OF, "__version__"})

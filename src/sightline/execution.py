@@ -1,0 +1,253 @@
+"""Where work runs: one process, several processes, or a dask cluster.
+
+The three give bitwise the same results: `map` returns them in the order of the items, and every caller
+reduces them in that order. Work is cut into items by its size, never by the number of workers.
+
+This file does not cut work into items: each caller knows its own.
+"""
+
+from __future__ import annotations
+
+import os
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
+
+from sightline.errors import InputError, SightlineError
+
+if TYPE_CHECKING:
+    from concurrent.futures import ProcessPoolExecutor
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+# Items submitted and not yet consumed, per worker: enough to keep all busy, few enough to bound memory.
+_IN_FLIGHT_PER_WORKER = 3
+
+
+class Executor(Protocol):
+    """Something that applies a function to many items and returns the results in order."""
+
+    @property
+    def workers(self) -> int:
+        """How many items are worked on at the same time."""
+        ...
+
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Results of ``function(item)``, in the order of the items.
+
+        `function` and each item must be picklable unless the executor is serial: a function defined at the
+        top of a module, or a `functools.partial` of one. The first failing item raises its exception.
+        """
+        ...
+
+    def close(self) -> None:
+        """Release processes and connections; the executor starts them anew if it is used again."""
+        ...
+
+    def __enter__(self) -> Self:
+        """Use as ``with``: closed at the end of the block."""
+        ...
+
+    def __exit__(self, *exc: object) -> None:
+        """Close."""
+        ...
+
+
+class _Closing:
+    """``with`` for an executor."""
+
+    def close(self) -> None:
+        """Nothing to release."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *exc: object) -> None:
+        self.close()
+
+
+class SerialExecutor(_Closing):
+    """Everything in the calling process, one item after another."""
+
+    @property
+    def workers(self) -> int:
+        """Always 1."""
+        return 1
+
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Results in order, each computed when it is asked for."""
+        return (function(item) for item in items)
+
+
+class ProcessExecutor(_Closing):
+    """Several fresh processes of this machine, started at the first `map` and kept until `close`.
+
+    Processes are spawned, not forked, so that threads and compiled code of the parent are never copied
+    half-way. A script that uses this at its top level therefore needs ``if __name__ == "__main__":``.
+    """
+
+    def __init__(self, workers: int) -> None:
+        """Keep the number of processes; start none yet."""
+        self._workers = _checked_workers(workers)
+        self._pool: ProcessPoolExecutor | None = None
+
+    @property
+    def workers(self) -> int:
+        """Number of processes."""
+        return self._workers
+
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Results in order; at most a few items per process are under way or waiting to be consumed."""
+        from concurrent.futures import ProcessPoolExecutor
+        from concurrent.futures.process import BrokenProcessPool
+        from multiprocessing import get_context
+
+        if self._pool is None:
+            self._pool = ProcessPoolExecutor(self._workers, mp_context=get_context("spawn"))
+        try:
+            yield from _in_order(self._pool.submit, function, items, self._workers)
+        except BrokenProcessPool as error:
+            self.close()
+            raise SightlineError(
+                f"a worker process ended without an answer: one of {self._workers} workers was stopped, most "
+                "often because memory ran out; use fewer workers, or `serial`"
+            ) from error
+
+    def close(self) -> None:
+        """End the processes."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+
+class DaskExecutor(_Closing):
+    """The workers of a running dask cluster, reached by the address of its scheduler."""
+
+    def __init__(self, address: str) -> None:
+        """Keep the address; connect at first use."""
+        self._address = address
+        self._connected: Any = None
+
+    def _client(self) -> Any:
+        if self._connected is None:
+            try:
+                from distributed import Client
+            except ImportError as error:
+                raise InputError(
+                    "the executor `dask` needs the package `distributed`, which is not installed; install "
+                    "`sightline[dask]`, or use `process`"
+                ) from error
+            try:
+                self._connected = Client(self._address)
+            except (OSError, ValueError) as error:
+                raise InputError(
+                    f"no dask scheduler answered at {self._address!r}: {error}; give the address printed by "
+                    "the scheduler, for example dask:tcp://10.0.0.5:8786"
+                ) from error
+        return self._connected
+
+    @property
+    def workers(self) -> int:
+        """Threads of all workers of the cluster, as it is now."""
+        return max(1, sum(self._client().nthreads().values()))
+
+    def map(self, function: Callable[[Item], Result], items: Iterable[Item]) -> Iterator[Result]:
+        """Results in order; at most a few items per worker thread are under way or waiting to be consumed."""
+        client = self._client()
+
+        def submit(function: Callable[[Item], Result], item: Item) -> Any:
+            return client.submit(function, item, pure=False)
+
+        return _in_order(submit, function, items, self.workers)
+
+    def close(self) -> None:
+        """Leave the cluster; its workers stay."""
+        if self._connected is not None:
+            self._connected.close()
+            self._connected = None
+
+
+def serial() -> SerialExecutor:
+    """Executor that does everything in the calling process."""
+    return SerialExecutor()
+
+
+def process(workers: int | None = None) -> ProcessExecutor:
+    """Executor of several processes on this machine.
+
+    Parameters
+    ----------
+    workers
+        Number of processes; None takes the number of processors this process may use.
+    """
+    return ProcessExecutor(available_processors() if workers is None else workers)
+
+
+def dask(address: str) -> DaskExecutor:
+    """Executor on a running dask cluster, for example ``tcp://10.0.0.5:8786``."""
+    return DaskExecutor(address)
+
+
+def executor_from_name(name: str, workers: int | None = None) -> Executor:
+    """Executor named as on the command line.
+
+    Parameters
+    ----------
+    name
+        ``serial``, ``process`` or ``dask:ADDRESS`` (the address of a dask scheduler).
+    workers
+        Number of processes for ``process``; None takes every processor this process may use.
+
+    Raises
+    ------
+    InputError
+        If the name is none of these, or `workers` is given where it has no meaning.
+    """
+    if name == "process":
+        return process(workers)
+    if name == "serial":
+        if workers not in (None, 1):
+            raise InputError(f"`workers` = {workers} with the executor serial, which has one; use `process`")
+        return serial()
+    kind, _, address = name.partition(":")
+    if kind == "dask" and address:
+        if workers is not None:
+            raise InputError(
+                f"`workers` = {workers} with a dask cluster, which knows its own workers; leave it out"
+            )
+        return dask(address)
+    raise InputError(f"unknown executor {name!r}; allowed are serial, process and dask:ADDRESS")
+
+
+def available_processors() -> int:
+    """Processors that this process may use."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
+def _checked_workers(workers: int) -> int:
+    if workers < 1:
+        raise InputError(f"`workers` must be 1 or more, got {workers}")
+    return int(workers)
+
+
+def _in_order(
+    submit: Callable[..., Any],
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    workers: int,
+) -> Iterator[Result]:
+    """Results of submitted items in order, with a bounded number under way."""
+    waiting: deque[Any] = deque()
+    try:
+        for item in items:
+            waiting.append(submit(function, item))
+            if len(waiting) >= _IN_FLIGHT_PER_WORKER * workers:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        for future in waiting:
+            future.cancel()

@@ -1,0 +1,98 @@
+"""Local polynomial interpolation of tables: four nodes around the place asked for.
+
+A cubic through the four nearest nodes needs no fit, so a long table costs nothing where it is not read, and a
+bad node spoils three intervals at most. Tables of fewer nodes use the polynomial that passes through them.
+
+Not here: which quantity is interpolated and where it ends (``trajectory.py``, ``camera.py``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from sightline.geometry.checks import Array
+
+#: Nodes of the local polynomial.
+POINTS = 4
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def unit_weights(x: float) -> tuple[float, float, float, float]:
+    """Lagrange weights at `x` of four nodes at 0, 1, 2, 3."""
+    a, b, c = x - 1.0, x - 2.0, x - 3.0
+    return -a * b * c / 6.0, 0.5 * x * b * c, -0.5 * x * a * c, x * a * b / 6.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def stencils(nodes: Array, t: Array) -> tuple[np.ndarray, np.ndarray, Array]:
+    """Where each `t` falls among `nodes`: its interval, the first node of its stencil, the weights there.
+
+    Parameters
+    ----------
+    nodes : (A,)
+        Strictly increasing.
+    t : (N,)
+        Where to interpolate; beyond the ends the end stencil is used.
+
+    Returns
+    -------
+    interval : (N,) int
+        Node at or before t (0 to A - 2; 0 when A = 1).
+    first : (N,) int
+        First node of the stencil.
+    weights : (N, min(4, A))
+        Lagrange weights of the nodes first, first + 1, ...
+    """
+    count = len(nodes)
+    points = min(POINTS, count)
+    interval = np.empty(len(t), np.int64)
+    first = np.empty(len(t), np.int64)
+    weights = np.empty((len(t), points))
+    for row in range(len(t)):
+        i = np.searchsorted(nodes, t[row], side="right") - 1
+        i = min(max(i, 0), max(count - 2, 0))
+        start = min(max(i - (points - 1) // 2, 0), count - points)
+        interval[row] = i
+        first[row] = start
+        for a in range(points):
+            weight = 1.0
+            for b in range(points):
+                if b != a:
+                    weight *= (t[row] - nodes[start + b]) / (nodes[start + a] - nodes[start + b])
+            weights[row, a] = weight
+    return interval, first, weights
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def interpolate(nodes: Array, values: Array, t: Array) -> Array:
+    """Values (A, K) known at `nodes` (A,), at the places `t` (N,): (N, K), by the local cubic."""
+    _, first, weights = stencils(nodes, t)
+    out = np.zeros((len(t), values.shape[1]))
+    for row in range(len(t)):
+        for a in range(weights.shape[1]):
+            for k in range(values.shape[1]):
+                out[row, k] += weights[row, a] * values[first[row] + a, k]
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def interpolate_hermite(nodes: Array, values: Array, slopes: Array, t: Array) -> Array:
+    """Like `interpolate`, through values and `slopes` (A, K) of the same nodes: degree 7 instead of 3."""
+    _, first, weights = stencils(nodes, t)
+    points = weights.shape[1]
+    out = np.zeros((len(t), values.shape[1]))
+    for row in range(len(t)):
+        start = first[row]
+        for a in range(points):
+            slope = 0.0  # derivative of the Lagrange weight at its own node
+            for b in range(points):
+                if b != a:
+                    slope += 1.0 / (nodes[start + a] - nodes[start + b])
+            step = t[row] - nodes[start + a]
+            square = weights[row, a] ** 2
+            for k in range(values.shape[1]):
+                out[row, k] += square * (
+                    (1.0 - 2.0 * step * slope) * values[start + a, k] + step * slopes[start + a, k]
+                )
+    return out

@@ -1,0 +1,106 @@
+"""What all tests share: real data, a browser, and the account of what was left out.
+
+A test that needs an optional thing asks a fixture for it and is skipped, with the reason, where it is
+missing. With ``SIGHTLINE_REQUIRE_ALL=1`` nothing may be left out: such a skip is then a failure.
+A skip whose reason begins with "not applicable" is one that no installation could change.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+from collections import Counter
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+REQUIRE_ALL = os.environ.get("SIGHTLINE_REQUIRE_ALL", "") not in ("", "0")
+ROOT = Path(__file__).resolve().parents[1]
+DATA = Path(os.environ.get("SIGHTLINE_DATA", ROOT / ".." / "shared" / "data")).resolve()
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Callable[[str], Path]:
+    """Folder of one real data set by its name, for example ``real_data("landsat7_everest")``."""
+
+    def folder(name: str) -> Path:
+        found = DATA / name
+        if not found.is_dir():
+            pytest.skip(f"real data set {name} not found; set SIGHTLINE_DATA to the folder that holds it")
+        return found
+
+    return folder
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[object]:
+    """A headless Chromium driven by playwright."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="the playwright package is not installed")
+    names = ("chromium", "chromium-browser", "google-chrome", "chrome")
+    found = next(filter(None, map(shutil.which, names)), None)
+    if found is None:
+        pytest.skip("no Chromium found to open report pages with")
+    with playwright.sync_playwright() as driver:
+        chromium = driver.chromium.launch(executable_path=found, args=["--no-sandbox"])
+        yield chromium
+        chromium.close()
+
+
+@pytest.fixture
+def open_page(browser) -> Iterator[Callable[[Path], tuple[object, list[str]]]]:
+    """Function that opens a local HTML file: the page, and every console error or request it made."""
+    contexts = []
+
+    def open_file(path: Path) -> tuple[object, list[str]]:
+        context = browser.new_context(viewport={"width": 1280, "height": 900})
+        contexts.append(context)
+        page, problems = context.new_page(), []
+        page.on("console", lambda said: problems.append(said.text) if said.type == "error" else None)
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        own = path.resolve().as_uri()
+        local = (own, "data:", "blob:", "about:")
+        page.on("request", lambda sent: None if sent.url.startswith(local) else problems.append(sent.url))
+        page.goto(own, wait_until="load")
+        return page, problems
+
+    yield open_file
+    for context in contexts:
+        context.close()
+
+
+def _refuse_skip(report) -> None:
+    """Make a skip of something optional a failure, where nothing may be left out."""
+    if REQUIRE_ALL and report.skipped and not hasattr(report, "wasxfail"):
+        reason = _reason(report)
+        if not reason.startswith("not applicable"):
+            report.outcome = "failed"
+            report.longrepr = f"left out, though SIGHTLINE_REQUIRE_ALL allows nothing to be: {reason}"
+
+
+def _reason(report) -> str:
+    said = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+    return said.removeprefix("Skipped: ")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item, call):
+    report = yield
+    _refuse_skip(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(collector):
+    report = yield
+    _refuse_skip(report)
+    return report
+
+
+def pytest_terminal_summary(terminalreporter) -> None:
+    """Name what was left out, and why."""
+    reasons = Counter(_reason(report) for report in terminalreporter.stats.get("skipped", ()))
+    if reasons:
+        terminalreporter.section("left out")
+        for reason, count in sorted(reasons.items()):
+            terminalreporter.line(f"{count} test{'s' if count > 1 else ''}: {reason}")

@@ -1,0 +1,197 @@
+"""The shape of the source tree: layers, no cycles, docstrings, nothing private crossing a file's border."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "src" / "sightline"
+
+# Each layer may import only itself and those before it.
+LAYERS = (
+    "errors execution geometry estimation imaging matching photogrammetry motion products simulate "
+    "applications evaluation io report cli"
+).split()
+
+# (who, what it never imports)
+BANS = [("applications", "sightline.simulate"), ("matching", "sightline.geometry.camera")]
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(SOURCE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+FILES = {module_name(path): path for path in sorted(SOURCE.rglob("*.py"))}
+TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
+MODULES = sorted(set(FILES) - {"sightline"})
+
+
+def layer(module: str) -> str:
+    return module.split(".")[1]
+
+
+def imports(module: str) -> Iterator[tuple[str, str, int]]:
+    """Every import of our own modules, wherever it stands: (module, name or "", line)."""
+    package = module if FILES[module].name == "__init__.py" else module.rpartition(".")[0]
+    for node in ast.walk(TREES[module]):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                if alias.name.split(".")[0] == "sightline":
+                    yield alias.name, "", node.lineno
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                parents = package.split(".")
+                base = ".".join([*parents[: len(parents) - node.level + 1], *filter(None, [base])])
+            if base.split(".")[0] == "sightline":
+                for alias in node.names:
+                    inner = f"{base}.{alias.name}"
+                    yield (inner, "", node.lineno) if inner in FILES else (base, alias.name, node.lineno)
+
+
+def public_definitions(tree: ast.Module) -> Iterator[tuple[str, ast.AST]]:
+    """Public classes, functions, methods and properties, with their dotted names."""
+    for node in tree.body:
+        if not isinstance(node, ast.ClassDef | ast.FunctionDef) or node.name.startswith("_"):
+            continue
+        yield node.name, node
+        if isinstance(node, ast.ClassDef):
+            for inner in node.body:
+                if isinstance(inner, ast.FunctionDef) and not inner.name.startswith("_"):
+                    yield f"{node.name}.{inner.name}", inner
+
+
+def test_every_file_belongs_to_a_layer():
+    assert {layer(module) for module in MODULES} <= set(LAYERS)
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_a_module_imports_only_its_own_layer_and_earlier_ones(module):
+    late = [
+        f"line {line}: {target}"
+        for target, _, line in imports(module)
+        if target != "sightline" and LAYERS.index(layer(target)) > LAYERS.index(layer(module))
+    ]
+    assert not late, f"{module} imports a later layer: {late}"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_no_module_imports_the_package_root(module):
+    # `from sightline import x` counts too, except for a layer that is a module, which is then named in full.
+    lines = [line for target, _, line in imports(module) if target == "sightline"]
+    assert not lines, f"{module} imports the package root on lines {lines}; name the module that defines it"
+
+
+@pytest.mark.parametrize(("who", "banned"), BANS)
+def test_banned_imports_do_not_happen(who, banned):
+    found = [
+        f"{module}, line {line}"
+        for module in MODULES
+        if layer(module) == who
+        for target, _, line in imports(module)
+        if target == banned or target.startswith(banned + ".")
+    ]
+    assert not found, f"{who} imports {banned}: {found}"
+
+
+def test_the_imports_have_no_cycle():
+    graph = {
+        module: sorted({target for target, _, _ in imports(module)} - {"sightline"}) for module in MODULES
+    }
+    done: set[str] = set()
+
+    def visit(module: str, path: tuple[str, ...]) -> None:
+        assert module not in path, f"imports go round: {' -> '.join([*path[path.index(module) :], module])}"
+        if module not in done:
+            for target in graph.get(module, ()):
+                visit(target, (*path, module))
+            done.add(module)
+
+    for module in MODULES:
+        visit(module, ())
+
+
+@pytest.mark.parametrize("module", sorted(FILES))
+def test_every_public_name_has_a_docstring(module):
+    tree = TREES[module]
+    bare = [name for name, node in public_definitions(tree) if not ast.get_docstring(node)]
+    if not ast.get_docstring(tree):
+        bare.insert(0, "the module")
+    assert not bare, f"{module}: no docstring on {bare}"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_no_module_takes_a_private_name_of_another(module):
+    private = [
+        f"line {line}: {name or target}"
+        for target, name, line in imports(module)
+        if (name or target.rpartition(".")[2]).startswith("_")
+    ]
+    assert not private, f"{module} imports private names: {private}; make them public where they live"
+
+
+def narrows_a_type(test: ast.expr) -> bool:
+    """True for ``x is not None`` and ``isinstance(x, ...)``: facts for the type checker."""
+    if isinstance(test, ast.Compare):
+        return isinstance(test.ops[0], ast.IsNot) and ast.unparse(test.comparators[0]) == "None"
+    return isinstance(test, ast.Call) and ast.unparse(test.func) == "isinstance"
+
+
+@pytest.mark.parametrize("module", MODULES)
+def test_assert_never_checks_input(module):
+    # An assert disappears under `python -O` and says nothing to the user.
+    lines = [
+        node.lineno
+        for node in ast.walk(TREES[module])
+        if isinstance(node, ast.Assert) and not narrows_a_type(node.test)
+    ]
+    assert not lines, f"{module}: assert on lines {lines}; raise one of sightline.errors"
+
+
+def test_packages_below_the_root_hold_no_code():
+    holding = [
+        name
+        for name, path in FILES.items()
+        if path.name == "__init__.py"
+        and name != "sightline"
+        and any(not isinstance(node, ast.Expr) for node in TREES[name].body)
+    ]
+    assert not holding, f"code in __init__.py of {holding}; give it a file with a name"
+
+
+def test_no_file_names_a_place_on_somebodys_machine():
+    absolute = re.compile(r"(?<![\w.~-])/(?:home|root|work|tmp|Users|private|mnt|opt|farm)/\w")
+    kept = (
+        [
+            path
+            for pattern in ("src", "tests", "examples", "docs", "benchmarks", "validation", "changelog.d")
+            for path in (ROOT / pattern).rglob("*")
+        ]
+        + list(ROOT.glob("*.*"))
+        + [ROOT / "Makefile", ROOT / ".ci" / "run"]
+    )
+    text = {".py", ".md", ".toml", ".txt", ".cff", ".yaml", ".yml", ".html", ".css", ".js", ".csv", ""}
+    found = [
+        f"{path.relative_to(ROOT)}:{number}"
+        for path in kept
+        if path.is_file() and path.suffix in text and "__pycache__" not in path.parts
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), 1)
+        if absolute.search(line)
+    ]
+    assert not found, f"absolute paths in {found}"
+
+
+def test_the_constraints_carry_hashes_and_no_address():
+    files = sorted(ROOT.glob("constraints*.txt"))
+    assert files
+    for path in files:
+        content = path.read_text(encoding="utf-8")
+        assert ":" + "//" not in content, f"{path.name} names an address"
+        pins = re.findall(r"^[a-z0-9][\w.-]*(?:\[[\w,]+\])?==", content, flags=re.MULTILINE)
+        assert pins and content.count("--hash=sha256:") >= len(pins)

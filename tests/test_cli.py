@@ -1,0 +1,169 @@
+"""The command line: exit statuses, one clear message, no traceback, nothing half-written."""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+
+import pytest
+
+from sightline.cli import main as command
+from sightline.cli.terminal import print_json, progress
+from sightline.errors import (
+    EstimationError,
+    FormatError,
+    GeometryError,
+    InputError,
+    SightlineError,
+    SpanError,
+    UnobservableBandWarning,
+)
+
+
+@pytest.fixture
+def failing_with(monkeypatch):
+    """Make `sightline version` raise an exception of one's choice."""
+
+    def arrange(error):
+        def fails(words, **options):
+            raise error
+
+        monkeypatch.setattr(command, "app", fails)
+
+    return arrange
+
+
+@pytest.mark.parametrize(
+    ("error", "status"),
+    [
+        (EstimationError("yaw is not observable"), 1),
+        (GeometryError("no ray meets the surface"), 1),
+        (SightlineError("a worker process ended"), 1),
+        (InputError("wrong shape"), 2),
+        (FormatError("a.toml: no such file"), 2),
+        (SpanError("line 12 is outside the span"), 2),
+        (PermissionError(13, "Permission denied", "a.tif"), 2),
+        (MemoryError(), 1),
+        (ZeroDivisionError("division by zero"), 70),
+    ],
+)
+def test_the_exit_status_says_whose_the_problem_is(failing_with, capsys, error, status):
+    failing_with(error)
+    assert command.run(["version"]) == status
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert len(said.err.splitlines()) == 1 and said.err.startswith("sightline: ")
+    assert "Traceback" not in said.err
+
+
+def test_a_message_of_ours_is_given_word_for_word(failing_with, capsys):
+    failing_with(InputError("`workers` must be 1 or more, got 0"))
+    command.run(["version"])
+    assert capsys.readouterr().err == "sightline: error: `workers` must be 1 or more, got 0\n"
+
+
+def test_with_debug_the_exception_itself_rises(failing_with):
+    failing_with(InputError("wrong shape"))
+    with pytest.raises(InputError, match="wrong shape"):
+        command.main(["version", "--debug"])
+
+
+def test_a_defect_of_ours_asks_for_a_report(failing_with, capsys):
+    failing_with(ZeroDivisionError("division by zero"))
+    command.run(["version"])
+    assert "ZeroDivisionError: division by zero; this is a fault of Sightline" in capsys.readouterr().err
+
+
+def test_an_interruption_is_no_error_of_anybody(failing_with, capsys):
+    failing_with(KeyboardInterrupt())
+    assert command.run(["version"]) == 130
+    assert "nothing was written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["recover"], "Missing argument 'ACQUISITION.toml'; see: sightline recover --help"),
+        (["recver"], "Did you mean 'recover'?"),
+        (["recover", "a.toml"], "Missing option '--out'"),
+        (["simulate", "line-of-sight", "--seed", "-1", "--out", "x"], "Invalid value for '--seed'"),
+    ],
+)
+def test_wrong_words_are_answered_with_where_to_read(capsys, words, message):
+    assert command.run(words) == 2
+    said = capsys.readouterr().err
+    assert message in said and len(said.splitlines()) == 1
+
+
+def test_warnings_are_one_line_without_a_place_in_the_code(monkeypatch, capsys):
+    def warns(words, **options):
+        warnings.warn("blind at 100 Hz, 200 Hz", UnobservableBandWarning, stacklevel=2)
+
+    monkeypatch.setattr(command, "app", warns)
+    assert command.run(["version"]) == 0
+    assert capsys.readouterr().err == "sightline: warning: blind at 100 Hz, 200 Hz\n"
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path, capsys):
+    missing = tmp_path / "strip.toml"
+    out = tmp_path / "result"
+    assert command.run(["recover", str(missing), "--out", str(out)]) == 2
+    assert f"{missing}: no such file" in capsys.readouterr().err
+    assert not out.exists()
+    assert command.run(["check", str(missing)]) == 2
+
+
+def test_an_output_folder_with_files_is_refused_before_any_work(tmp_path, capsys):
+    (tmp_path / "mine.txt").write_text("keep")
+    words = ["simulate", "line-of-sight", "--lines", "64", "--columns", "64", "--out", str(tmp_path)]
+    assert command.run(words) == 2
+    assert "holds mine.txt" in capsys.readouterr().err
+    assert [entry.name for entry in tmp_path.iterdir()] == ["mine.txt"]
+
+
+def test_version_and_schema_print_on_stdout(capsys):
+    assert command.run(["version"]) == 0
+    assert capsys.readouterr().out.strip().count(".") == 2
+    assert command.run(["schema", "acquisition"]) == 0
+    assert json.loads(capsys.readouterr().out)["properties"]["platform"]
+    assert command.run(["schema", "acquisitoin"]) == 2
+    assert "acquisition" in capsys.readouterr().err
+
+
+def test_json_has_no_numbers_that_json_does_not_know(capsys):
+    import numpy as np
+
+    print_json({"sigma": np.array([1.0, np.inf, np.nan]), "count": np.int64(3), "path": sys.executable})
+    assert json.loads(capsys.readouterr().out) == {
+        "sigma": [1.0, None, None],
+        "count": 3,
+        "path": sys.executable,
+    }
+
+
+def test_progress_is_silent_where_nobody_watches(capsys):
+    with progress() as report:
+        report("matching")
+    said = capsys.readouterr()
+    assert said.out == said.err == ""
+
+
+def test_a_simulated_strip_can_be_checked(tmp_path, capsys):
+    scene = tmp_path / "scene"
+    size = ["--lines", "400", "--columns", "64"]
+    assert command.run(["simulate", "line-of-sight", *size, "--out", str(scene), "--json"]) == 0
+    written = json.loads(capsys.readouterr().out)["files"]
+    assert sorted(entry.name for entry in scene.iterdir()) == sorted(written)
+    assert command.run(["check", str(scene / "acquisition.toml"), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    lags = {(pair["a"], pair["b"]): pair["lag"] for pair in said["pairs"]}
+    # The lag is the look-ahead's tangent times altitude over speed, as the case was laid out.
+    assert lags["PAN", "B1"] == pytest.approx(0.1500, abs=1e-6)
+    assert lags["B1", "B0"] == pytest.approx(0.0074, abs=1e-6)
+    blind = next(
+        pair["blind_frequencies"] for pair in said["pairs"] if (pair["a"], pair["b"]) == ("B1", "B0")
+    )
+    assert blind[0] == pytest.approx(1.0 / 0.0074, rel=1e-3)
+    assert command.run(["check", str(scene / "acquisition.toml")]) == 0
+    assert "blind at" in capsys.readouterr().out

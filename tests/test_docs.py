@@ -1,0 +1,82 @@
+"""The documents say what is there: files, keys, commands, tests."""
+
+from __future__ import annotations
+
+import ast
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+
+
+def quoted(page: Path) -> list[str]:
+    """Everything between single backticks outside code blocks."""
+    text = re.sub(r"```.*?```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
+    return re.findall(r"`([^`\n]+)`", text)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_every_path_that_a_page_names_exists(page):
+    roots = (ROOT, ROOT / "src" / "sightline", page.parent)
+    ours = re.compile(
+        r"^(?:src|tests|docs|examples|benchmarks|validation|changelog\.d|geometry|estimation|imaging|matching|"
+        r"motion|simulate|applications|evaluation|io|report|cli)/[\w./-]*$"
+    )
+    missing = [
+        word
+        for word in quoted(page)
+        if ours.match(word) and not any((root / word).exists() for root in roots)
+    ]
+    assert not missing, f"{page.name} names what does not exist: {missing}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_every_link_inside_the_repository_leads_somewhere(page):
+    links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
+    broken = [link for link in links if ":" not in link and not (page.parent / link).exists()]
+    assert not broken
+
+
+def test_every_convention_names_a_test_and_every_test_of_conventions_is_named():
+    named = set(re.findall(r"`(test_\w+)`", (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")))
+    tree = ast.parse((ROOT / "tests" / "test_conventions.py").read_text(encoding="utf-8"))
+    there = {
+        node.name for node in tree.body if isinstance(node, ast.FunctionDef) and node.name.startswith("test_")
+    }
+    assert named == there
+    rows = [
+        line for line in (ROOT / "docs" / "conventions.md").read_text().splitlines() if line.startswith("| ")
+    ]
+    assert all("test_" in row for row in rows[1:]), "a line of the table names no test"
+
+
+def test_every_key_of_the_acquisition_file_is_described():
+    from sightline.io.config import json_schema
+
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    schema = json_schema("acquisition")
+    sections = [schema, *schema["$defs"].values()]
+    keys = {key for section in sections for key in section.get("properties", {})}
+    undescribed = sorted(key for key in keys if not re.search(rf"[`\[.]{key}[`\] ]", text))
+    assert not undescribed
+
+
+def test_the_readme_lists_every_command():
+    from typer.main import get_command
+
+    from sightline.cli.main import app
+
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    commands = set(get_command(app).commands) - {"version"}
+    assert {name for name in commands if f"`sightline {name}" in text} == commands
+
+
+def test_versions_agree():
+    import tomllib
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert f"\nversion: {project['version']}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"## {project['version']}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")

@@ -1,0 +1,34 @@
+"""The examples and the README's own Python run as they stand."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+
+
+def run(code: list[str]) -> str:
+    done = subprocess.run([sys.executable, *code], capture_output=True, text=True, timeout=600, cwd=ROOT)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_runs_and_prints(path):
+    assert len(path.read_text(encoding="utf-8").splitlines()) < 60
+    assert run([str(path)])
+
+
+@pytest.mark.slow
+def test_the_python_of_the_readme_runs_and_prints_three_axes():
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "README.md").read_text(encoding="utf-8"), re.DOTALL)
+    assert len(blocks) == 1 and len([line for line in blocks[0].splitlines() if line.strip()]) <= 20
+    lines = run(["-c", blocks[0]]).splitlines()
+    assert [line.split()[0] for line in lines] == ["roll", "pitch", "yaw"]
