@@ -1,0 +1,184 @@
+"""An image seen in the geometry of another: resampled along a smooth map, window by window.
+
+Filters that reach over several lines see the same distortions in both images only when one is
+laid on the other first. The map is given at some columns of every line; between them positions
+are linear, and the kernel's weights are carried linearly with them.
+
+Not here: the kernel (``resample.py``), registered products.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sightline.imaging.resample import TAPS, fill_weights, kernel_table, sample_at
+from sightline.imaging.source import ImageSource
+
+Array = NDArray[np.float64]
+
+#: Half-width of what the kernel reads about a position, px.
+REACH = TAPS // 2
+#: Change of a position against the regular grid within one interval up to which the fast path serves, px.
+SLACK = 0.25
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _slow_interval(image, l0, l1, c0, c1, first, last, table, wy, wx, out):  # type: ignore[no-untyped-def]
+    """Pixels first .. last - 1 of one output row, weights for each pixel."""
+    rows, columns = image.shape
+    n = last - first
+    for j in range(n):
+        share = j / n
+        line, column = l0 + share * (l1 - l0), c0 + share * (c1 - c0)
+        if 3 <= line < rows - 4 and 3 <= column < columns - 4:
+            out[first + j] = sample_at(image, line, column, table, wy, wx)
+        else:
+            out[first + j] = np.nan
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out):  # type: ignore[no-untyped-def]
+    """The same where positions run almost with the pixels: lines first, then columns, weights carried linearly."""
+    rows, columns = image.shape
+    n = last - first
+    row = int(np.floor(0.5 * (l0 + l1)))
+    shift0, shift1 = c0, c1 - n
+    offset = int(np.floor(0.5 * (shift0 + shift1)))
+    if row < 3 or row + 4 >= rows or offset < 3 or offset + n + 4 >= columns:
+        return False
+    fill_weights(table, l0 - row, w[0])
+    fill_weights(table, l1 - row, w[1])
+    fill_weights(table, shift0 - offset, w[2])
+    fill_weights(table, shift1 - offset, w[3])
+    width = n + 7
+    scale = np.float32(1.0 / n)
+    for j in range(width):
+        v[0, j] = np.float32(0.0)
+        v[1, j] = np.float32(0.0)
+    for k in range(8):
+        a, b = w[0, k], w[1, k] - w[0, k]
+        for j in range(width):
+            pixel = image[row - 3 + k, offset - 3 + j]
+            v[0, j] += a * pixel
+            v[1, j] += b * pixel
+    for j in range(width):
+        v[0, j] += np.float32(j - 3) * scale * v[1, j]
+    for j in range(n):
+        v[1, j] = np.float32(0.0)
+        v[2, j] = np.float32(0.0)
+    for k in range(8):
+        a, b = w[2, k], w[3, k] - w[2, k]
+        for j in range(n):
+            value = v[0, j + k]
+            v[1, j] += a * value
+            v[2, j] += b * value
+    for j in range(n):
+        out[first + j] = v[1, j] + np.float32(j) * scale * v[2, j]
+    return True
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _warp(image, position, nodes, start, slack, table, out):  # type: ignore[no-untyped-def]
+    """Rows of `out` from positions (rows, nodes, 2) given at columns `nodes`; `start`: column of out[:, 0]."""
+    wy, wx = np.empty(8, np.float32), np.empty(8, np.float32)
+    w = np.empty((4, 8), np.float32)
+    longest = 0
+    for m in range(len(nodes) - 1):
+        longest = max(longest, nodes[m + 1] - nodes[m])
+    v = np.empty((3, longest + 8), np.float32)
+    for i in range(out.shape[0]):
+        for m in range(len(nodes) - 1):
+            first, last = nodes[m] - start, nodes[m + 1] - start
+            n = last - first
+            l0, l1 = position[i, m, 0], position[i, m + 1, 0]
+            c0, c1 = position[i, m, 1], position[i, m + 1, 1]
+            done = False
+            if abs(l1 - l0) <= slack and abs(c1 - c0 - n) <= slack:
+                done = _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out[i])
+            if not done:
+                _slow_interval(image, l0, l1, c0, c1, first, last, table, wy, wx, out[i])
+
+
+@dataclass(frozen=True, eq=False)
+class WarpedImage:
+    """An image resampled onto the grid of another.
+
+    Parameters
+    ----------
+    source : ImageSource
+        The image to resample.
+    mapping : callable
+        ``mapping(lines, columns)`` with (n,) and (M,) pixel positions of the grid gives (n, M, 2): where each lies
+        in `source`, (line, column); NaN where it does not.
+    shape : (lines, columns)
+        Of the grid.
+    spacing : int
+        Columns between the places where the map is evaluated.
+    """
+
+    source: ImageSource
+    mapping: Callable[[Array, Array], Array]
+    shape: tuple[int, int]
+    spacing: int = 64
+
+    def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.float32]:
+        """Resampled pixels, float32; NaN where the kernel would leave the source or meet an unusable pixel.
+
+        Parameters
+        ----------
+        lines, columns : (int, int)
+            First and one past the last line (column) of the grid.
+        """
+        out = np.full((lines[1] - lines[0], columns[1] - columns[0]), np.nan, dtype=np.float32)
+        inner = np.arange(columns[0], columns[1], self.spacing)
+        nodes = np.append(inner, columns[1])
+        position = self.mapping(np.arange(*lines, dtype=np.float64), nodes.astype(np.float64))
+        usable = np.isfinite(position)
+        if not usable.any():
+            return out
+        low, high = np.nanmin(position, axis=(0, 1)), np.nanmax(position, axis=(0, 1))
+        first = np.maximum(np.floor(low).astype(int) - REACH - 1, 0)
+        last = np.minimum(np.ceil(high).astype(int) + REACH + 2, self.source.shape)
+        if np.any(last - first < TAPS + 1):
+            return out
+        image, bad = self._piece((int(first[0]), int(last[0])), (int(first[1]), int(last[1])))
+        moved = np.where(usable.all(axis=2, keepdims=True), position, -1e6) - first
+        _warp(image, np.ascontiguousarray(moved), nodes.astype(np.int64), columns[0], SLACK, kernel_table(), out)
+        if bad is not None:
+            out[_hit(bad, moved, nodes - columns[0])] = np.nan
+        return out
+
+    def _piece(
+        self, lines: tuple[int, int], columns: tuple[int, int]
+    ) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:
+        """Pixels of the source made finite, and which of them must not be touched (None: all may)."""
+        image = self.source.read(lines, columns)
+        bad = self.source.mask(lines, columns)
+        finite = np.isfinite(image)
+        if not finite.all():
+            bad = ~finite if bad is None else bad | ~finite
+            image = np.where(finite, image, np.float32(image[finite].mean() if finite.any() else 0.0))
+        return np.ascontiguousarray(image), bad if bad is not None and bad.any() else None
+
+    def mask(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.bool_] | None:
+        """None: unusable pixels are NaN in `read`."""
+        return None
+
+
+def _hit(bad: NDArray[np.bool_], position: Array, nodes: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Pixels whose kernel meets a bad pixel."""
+    from scipy.ndimage import maximum_filter
+
+    near = maximum_filter(bad, size=TAPS + 1)
+    columns = np.arange(nodes[-1])
+    m = np.clip(np.searchsorted(nodes, columns, side="right") - 1, 0, len(nodes) - 2)
+    share = (columns - nodes[m]) / (nodes[m + 1] - nodes[m])
+    at = position[:, m] + share[None, :, None] * (position[:, m + 1] - position[:, m])
+    row = np.clip(np.rint(at[..., 0]).astype(int), 0, bad.shape[0] - 1)
+    column = np.clip(np.rint(at[..., 1]).astype(int), 0, bad.shape[1] - 1)
+    return np.asarray(near[row, column])

@@ -1,0 +1,155 @@
+"""Whole-pixel search by FFT, then the sub-pixel fit with its covariance.
+
+Not the cutting of images into blocks and patches: see `patches`.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["correlation_surface", "pair_covariances", "search_shift"]
+
+_BATCH_PIXELS = 1 << 20
+
+
+def correlation_surface(templates: NDArray[np.float32], regions: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Normalised correlation of templates with every place of larger regions.
+
+    Parameters
+    ----------
+    templates : (N, h, w) float32
+    regions : (N, H, W) float32
+        H >= h, W >= w.
+
+    Returns
+    -------
+    (N, H - h + 1, W - w + 1) float32, -1 to 1: entry [n, i, j] compares the template with
+    ``regions[n, i:i+h, j:j+w]``.
+    """
+    from scipy import fft
+
+    (h, w), (rows, columns) = templates.shape[1:], regions.shape[1:]
+    shape = (fft.next_fast_len(rows, True), fft.next_fast_len(columns, True))
+    t = templates - templates.mean(axis=(1, 2), keepdims=True)
+    g = regions - regions.mean(axis=(1, 2), keepdims=True)
+    spectrum = fft.rfft2(t, s=shape).conj()
+    spectrum *= fft.rfft2(g, s=shape)
+    cross = fft.irfft2(spectrum, s=shape)[:, : rows - h + 1, : columns - w + 1]
+
+    def boxes(values: NDArray[np.float32]) -> NDArray[np.float64]:
+        total = np.zeros((len(values), rows + 1, columns + 1))
+        np.cumsum(np.cumsum(values, axis=1, dtype=np.float64), axis=2, out=total[:, 1:, 1:])
+        lines = total[:, h:] - total[:, :-h]
+        return np.asarray(lines[:, :, w:] - lines[:, :, :-w])
+
+    energy = boxes(g * g) - boxes(g) ** 2 / (h * w)
+    own = (t.astype(np.float64) ** 2).sum(axis=(1, 2))[:, None, None]
+    return np.asarray(cross / np.sqrt(np.maximum(energy * own, 1e-30)), dtype=np.float32)
+
+
+def _peaks(surface: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Highest point of each surface with a parabola along each axis; True where it is not on the border."""
+    n, rows, columns = surface.shape
+    best = surface.reshape(n, -1).argmax(axis=1)
+    y, x = best // columns, best % columns
+    inner = (y > 0) & (y < rows - 1) & (x > 0) & (x < columns - 1)
+    peak = np.stack([y, x], axis=1).astype(np.float64)
+    k = np.flatnonzero(inner)
+    centre = surface[k, y[k], x[k]]
+    for axis, (dy, dx) in enumerate(((1, 0), (0, 1))):
+        low, high = surface[k, y[k] - dy, x[k] - dx], surface[k, y[k] + dy, x[k] + dx]
+        bend = np.minimum(low + high - 2 * centre, -1e-6)
+        peak[k, axis] += np.clip(0.5 * (low - high) / bend, -0.5, 0.5)
+    return peak, inner
+
+
+def search_shift(
+    fa: NDArray[np.float32],
+    fb: NDArray[np.float32],
+    corner: NDArray[np.int64],
+    centre: NDArray[np.float64],
+    size: tuple[int, int],
+    reach: tuple[int, int],
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Whole-pixel search around the predicted places, refined by a parabola.
+
+    Parameters
+    ----------
+    fa, fb : (lines, columns) float32
+        Filtered blocks.
+    corner : (N, 2)
+        First line and column of each window in `fa`.
+    centre : (N, 2)
+        Predicted place of the window's centre in `fb`.
+    size, reach : (int, int)
+        Window, and half-range of the search.
+
+    Returns
+    -------
+    shift : (N, 2) px, to add to `centre`
+    found : (N,) bool; False where the best place is on the border of the search
+    """
+    h, w = size
+    big = (h + 2 * reach[0] + 2, w + 2 * reach[1] + 2)
+    low = np.rint(centre - 0.5 * (np.array(size) - 1)).astype(np.int64)
+    offset = low + 0.5 * (np.array(size) - 1) - centre
+    low = low - np.array(reach) - 1
+    views_a = np.lib.stride_tricks.sliding_window_view(fa, size)
+    views_b = np.lib.stride_tricks.sliding_window_view(fb, big)
+    low = np.clip(low, 0, np.array(views_b.shape[:2]) - 1)
+    shift, found = np.zeros((len(corner), 2)), np.zeros(len(corner), bool)
+    batch = max(1, _BATCH_PIXELS // (big[0] * big[1]))
+    for first in range(0, len(corner), batch):
+        k = slice(first, first + batch)
+        surface = correlation_surface(views_a[corner[k, 0], corner[k, 1]], views_b[low[k, 0], low[k, 1]])
+        peak, found[k] = _peaks(surface)
+        shift[k] = peak - np.array(reach) - 1 + offset[k]
+    return shift, found
+
+
+def pair_covariances(fits: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Covariance of every fitted shift.
+
+    Parameters
+    ----------
+    fits : (N, kernels.COLUMNS)
+        What `kernels.refine_windows` gave for all windows of the pair.
+    kept : (N,) bool
+        Which of them are good; the rest do not teach the common factors.
+
+    Returns
+    -------
+    (N, 2, 2) px^2, NaN where there is no fit.
+
+    Notes
+    -----
+    Sandwich ``H^-1 V H^-1`` with ``V = K (s^2 G) K``: s^2 the window's residual variance, G the sum of the
+    outer products of the mean gradient, and K the pair's two factors (line, column) by which residuals that
+    are correlated from pixel to pixel make the variance of the score larger or smaller. K^2 is the variance
+    of the score between column blocks of a window (neighbours' products included, the share that the fit
+    removes restored) over s^2 G, averaged over the good windows.
+    """
+    n = len(fits)
+    covariance = np.full((n, 2, 2), np.nan)
+    done = fits[:, 14] > 0
+    f = fits[done]
+    if not len(f):
+        return covariance
+    good = kept[done]
+    factor = np.ones(2)
+    for axis, (g, q) in enumerate(((5, 10), (7, 12))):
+        rows = good & (f[:, g] > 0) & (f[:, 8] > 0)
+        if rows.sum() >= 8:
+            ratio = f[rows, q] / (f[rows, g] * f[rows, 8])
+            limit = np.quantile(ratio, 0.995)
+            share = f[rows, q + 1]
+            factor[axis] = np.sqrt(max(ratio[ratio <= limit].sum() / share[ratio <= limit].sum(), 1e-2))
+    h = np.empty((len(f), 2, 2))
+    h[:, 0, 0], h[:, 0, 1], h[:, 1, 0], h[:, 1, 1] = f[:, 2], f[:, 3], f[:, 3], f[:, 4]
+    v = np.empty_like(h)
+    v[:, 0, 0], v[:, 0, 1], v[:, 1, 0], v[:, 1, 1] = f[:, 5], f[:, 6], f[:, 6], f[:, 7]
+    v *= f[:, 8][:, None, None] * np.outer(factor, factor)
+    inverse = np.linalg.inv(h)
+    covariance[done] = inverse @ v @ inverse
+    return covariance

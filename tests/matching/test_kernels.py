@@ -1,0 +1,174 @@
+"""Each compiled kernel against plain numpy."""
+
+import numpy as np
+import pytest
+from scipy import ndimage, signal
+
+from sightline.imaging.resample import delay_weights, kernel_table
+from sightline.matching import kernels
+
+D = np.array([0.049232, -0.245878, 0.84406])  # taps 3, 2, 1 px away
+
+
+def plain(function):
+    """The Python body of a kernel, whether or not it is compiled."""
+    return getattr(function, "py_func", function)
+
+
+def full_taps(quadrant):
+    k = np.abs(np.arange(-6, 7))
+    return quadrant[np.ix_(k, k)]
+
+
+def test_the_filter_is_a_convolution_with_the_unfolded_quadrant():
+    rng = np.random.default_rng(0)
+    image, taps = rng.normal(size=(25, 40)).astype(np.float32), rng.normal(size=(7, 7)).astype(np.float32)
+    out = np.empty_like(image)
+    kernels.filter_image(image, taps, out)
+    expected = signal.convolve2d(image, full_taps(taps), mode="same")
+    assert np.abs(out - expected)[6:-6, 6:-6].max() < 1e-4 * np.abs(expected).max()
+    assert not out[:6].any() and not out[:, -6:].any()
+
+
+def test_the_derivative_taps_are_the_best_for_the_band_and_exact_at_low_frequency():
+    f = np.linspace(0, 0.30, 400)
+    columns = 2 * np.sin(2 * np.pi * np.outer(f, [1, 2, 3]))
+    slope = 2.0 * np.array([1, 2, 3])
+    system = np.block([[columns.T @ columns, slope[:, None]], [slope, np.zeros(1)]])
+    best = np.linalg.solve(system, np.r_[columns.T @ (2 * np.pi * f), 1.0])[:3]
+    assert np.abs(best - D[::-1]).max() < 1e-4
+
+
+def reference_fit(fa, fb, corner, centre, size, shift):
+    """One evaluation of the normal equations in float64, by other means: separable filters of scipy."""
+    h, w = size
+    i, j = corner
+    y, x = centre + shift - 0.5 * (np.array(size) - 1) - 3
+    iy, ix = int(np.floor(y)), int(np.floor(x))
+    wy, wx = delay_weights(np.array([y - iy, x - ix]))
+    region = fb[iy - 3 : iy + 5 + h + 5, ix - 3 : ix + 5 + w + 5].astype(float)
+    b = ndimage.correlate1d(ndimage.correlate1d(region, wy, axis=0, origin=-1), wx, axis=1, origin=-1)
+    b = b[3 : 3 + h + 6, 3 : 3 + w + 6]
+    a = fa[i - 3 : i + h + 3, j - 3 : j + w + 3].astype(float)
+    line = np.r_[-D, 0, D[::-1]]
+    inner = (slice(3, -3), slice(3, -3))
+    gradients = [[ndimage.correlate1d(p, line, axis=k)[inner].ravel() for k in (0, 1)] for p in (a, b)]
+    va, vb = a[inner].ravel(), b[inner].ravel()
+    va, vb = va - va.mean(), vb - vb.mean()
+    gain = np.sqrt((va @ va) / (vb @ vb))
+    ga, gb = np.array(gradients[0]), gain * np.array(gradients[1])
+    g, r = 0.5 * (ga + gb), va - gain * vb
+    h0 = 0.5 * (ga @ gb.T + gb @ ga.T)
+    offset, level = g.sum(axis=1), gain * g @ vb
+    curvature = h0 - np.outer(offset, offset) / len(va) - np.outer(level, level) / (va @ va)
+    return curvature, g @ r, g @ g.T, r @ r / (len(va) - 4), (va @ vb) / np.sqrt(va @ va * (vb @ vb))
+
+
+def refine(fa, fb, corner, centre, size, function=kernels.refine_windows, **options):
+    n = len(corner)
+    out = np.empty((n, kernels.COLUMNS))
+    none = np.zeros((0, 0), np.bool_)
+    function(
+        fa, fb, options.get("bad_a", none), options.get("bad_b", none), corner, centre,
+        options.get("linear", np.zeros((n, 2, 2))), np.zeros((n, 2)), size, kernel_table(),
+        options.get("parts", 1), 12, 0.01, 1.5, out,
+    )  # fmt: skip
+    return out
+
+
+@pytest.fixture(scope="module")
+def smooth_pair():
+    rng = np.random.default_rng(3)
+    fa = ndimage.gaussian_filter(rng.normal(size=(60, 160)), 1.2).astype(np.float32)
+    fb = ndimage.shift(fa.astype(float), (0.3, -0.2), order=5, mode="mirror") * 1.3 + 0.1
+    return fa, (fb + 0.003 * rng.normal(size=fb.shape)).astype(np.float32)
+
+
+@pytest.mark.parametrize("size", [(10, 100), (16, 16), (3, 41)])
+def test_the_fit_equals_the_plain_numpy_equations(smooth_pair, size):
+    fa, fb = smooth_pair
+    corner = np.array([[22, 25]])
+    centre = corner + 0.5 * (np.array(size) - 1) + np.array([0.1, 0.05])
+    got = refine(fa, fb, corner, centre, size)[0]
+    assert got[14] > 0
+    # the kernel's numbers belong to the last evaluation, before the final step: go back by that step
+    back = got[:2].copy()
+    for _ in range(3):
+        curvature, score, spread, variance, correlation = reference_fit(fa, fb, corner[0], centre[0], size, back)
+        back = got[:2] - np.linalg.solve(curvature, score)
+    scale = np.abs(curvature).max()
+    assert np.abs([[got[2], got[3]], [got[3], got[4]]] - curvature).max() < 2e-3 * scale
+    assert np.abs([[got[5], got[6]], [got[6], got[7]]] - spread).max() < 2e-3 * scale
+    assert got[8] == pytest.approx(variance, rel=0.02)
+    assert got[9] == pytest.approx(correlation, abs=2e-4)
+
+
+def test_the_compiled_fit_equals_its_python_body(smooth_pair):
+    # the same code without the compiler: what NUMBA_DISABLE_JIT would run
+    fa, fb = smooth_pair
+    corner = np.array([[22, 25]])
+    centre = corner + np.array([2.0, 11.5])
+    compiled = refine(fa, fb, corner, centre, (5, 24))
+    python = refine(fa, fb, corner, centre, (5, 24), function=plain(kernels.refine_windows))
+    assert np.abs(compiled[0, :2] - python[0, :2]).max() < 1e-4
+    assert np.allclose(compiled[0, 2:14], python[0, 2:14], rtol=5e-3, atol=1e-6)
+
+
+def test_column_parts_follow_an_affine_that_changes_along_the_window(smooth_pair):
+    # b is a, sheared: lines move by 0.003 px per column; the fit at the centre must not see it
+    fa, _ = smooth_pair
+    y, x = np.mgrid[0:60, 0:160].astype(float)
+    shear = 0.003
+    fb = ndimage.map_coordinates(fa.astype(float), [y - shear * (x - 79.5), x], order=5, mode="mirror")
+    linear = np.array([[[0.0, shear], [0.0, 0.0]]])
+    corner = np.array([[25, 30]])
+    centre = np.array([[29.5, 79.5]])
+    many = refine(fa, fb.astype(np.float32), corner, centre, (10, 100), linear=linear, parts=10)
+    # parts of 10.6 columns leave +-0.016 px inside a part; their effect averages out below a thousandth
+    assert np.abs(many[0, :2]).max() < 2e-3
+    assert many[0, 9] > refine(fa, fb.astype(np.float32), corner, centre, (10, 100))[0, 9]
+
+
+def test_masked_pixels_do_not_count(smooth_pair):
+    fa, fb = smooth_pair
+    corner, centre = np.array([[22, 25]]), np.array([[26.5, 74.5]])
+    good = refine(fa, fb, corner, centre, (10, 100))
+    spoilt = fb.copy()
+    spoilt[24:29, 60:66] += 5.0
+    bad = np.zeros(fb.shape, np.bool_)
+    bad[18:35, 54:72] = True  # what the spoilt pixels reach through interpolation and derivative
+    same = refine(fa, spoilt, corner, centre, (10, 100), bad_b=bad)
+    clean = refine(fa, fb, corner, centre, (10, 100), bad_b=bad)
+    # untouched pixels only: equal to float32 rounding
+    assert np.abs(same[0, :2] - clean[0, :2]).max() < 1e-4
+    assert np.abs(same[0, :2] - good[0, :2]).max() < 0.02
+
+
+def test_a_constant_window_has_no_texture_and_a_window_at_the_border_left_the_image(smooth_pair):
+    fa, fb = smooth_pair
+    flat = np.zeros_like(fa)
+    corner = np.array([[22, 25]])
+    assert refine(flat, fb, corner, np.array([[26.5, 74.5]]), (10, 100))[0, 14] == -2
+    assert refine(fa, fb, corner, np.array([[6.0, 74.5]]), (10, 100))[0, 14] == -1
+
+
+def test_warping_by_an_affine_equals_sampling_its_positions(smooth_pair):
+    fa, _ = smooth_pair
+    linear = np.array([[[0.05, -0.3], [0.28, -0.04]]])
+    out, outside = np.zeros((9, 11), np.float32), np.zeros((9, 11), np.bool_)
+    kernels.warp_windows(fa, np.array([[30.2, 80.7]]), linear, (9, 11), kernel_table(), out, outside)
+    uy, ux = np.mgrid[-4:5, -5:6].astype(float)
+    place = np.stack([30.2 + uy + 0.05 * uy - 0.3 * ux, 80.7 + ux + 0.28 * uy - 0.04 * ux])
+    expected = ndimage.map_coordinates(fa.astype(float), place, order=5)
+    assert not outside.any()
+    # two interpolators of a smooth image: each within a percent of its std (0.24)
+    assert np.abs(out - expected).max() < 0.01
+
+
+def test_window_curvature_is_the_sum_of_gradient_products():
+    rng = np.random.default_rng(2)
+    image = rng.normal(size=(20, 30)).astype(np.float32)
+    out = np.empty((1, 3))
+    kernels.window_curvature(image, np.array([[3, 4]]), (8, 12), out)
+    gy, gx = (g[3:11, 4:16] for g in np.gradient(image.astype(float)))
+    assert np.allclose(out[0], [(gy * gy).sum(), (gy * gx).sum(), (gx * gx).sum()], rtol=1e-4)

@@ -1,0 +1,240 @@
+"""Matching against exactly shifted textures: accuracy, bias, honesty of the covariance, refusals."""
+
+import numpy as np
+import pytest
+from matching.fourier_textures import information_bounds, shifted_pair
+
+from sightline.errors import EstimationError, InputError
+from sightline.imaging.source import ArrayImage
+from sightline.matching import matches
+from sightline.matching.match_images import match_images
+from sightline.matching.select import grid_points
+from sightline.matching.whitening import estimate_whitening
+
+SHAPE = (384, 512)
+SHIFT = np.array([0.37, -0.81])
+
+
+@pytest.fixture(scope="module")
+def pairs():
+    """Pairs made once: (same or cross band, SNR) -> images and their whitening."""
+    made = {}
+
+    def pair(cross=False, snr=100.0, seed=1):
+        key = (cross, snr, seed)
+        if key not in made:
+            a, b = (ArrayImage(x) for x in shifted_pair(SHAPE, tuple(SHIFT), snr=snr, seed=seed, cross=cross))
+            points = inner_points((16, 40))
+            made[key] = (a, b, estimate_whitening(a, b, points, points))
+        return made[key]
+
+    return pair
+
+
+def inner_points(window, margin=24):
+    inside = grid_points((SHAPE[0] - 2 * margin, SHAPE[1] - 2 * margin), window=window)
+    return inside + margin
+
+
+def errors(found, points, shift=SHIFT):
+    return (found.b - points - shift)[found.kept]
+
+
+@pytest.mark.parametrize(
+    ("cross", "snr", "window", "limit"),
+    [
+        (False, 100, (10, 100), 1.15),
+        (False, 200, (32, 32), 1.25),
+        (True, 100, (10, 100), 1.25),
+        (True, 100, (2, 100), 1.25),
+    ],
+)
+def test_the_error_reaches_the_bound_of_information(pairs, cross, snr, window, limit):
+    # rms of n independent errors has a relative standard deviation 1/sqrt(2 n): two axes of >= 132 windows
+    # give 4.4 %; the limit is met within two of these
+    a, b, whitening = pairs(cross, float(snr))
+    points = inner_points(window)
+    found = match_images(a, b, points, points + SHIFT, window=window, whitening=whitening)
+    e = errors(found, points)
+    assert len(e) == len(points)
+    bound = information_bounds(SHAPE, window[0] * window[1], snr=snr, cross=cross)
+    rms = np.sqrt((e**2).mean())
+    assert rms <= (limit + 2 / np.sqrt(2 * e.size)) * bound["coherence" if cross else "gradient"]
+
+
+@pytest.mark.parametrize(("cross", "window"), [(False, (10, 100)), (True, (10, 100)), (True, (2, 100))])
+def test_the_covariance_is_that_of_the_errors(pairs, cross, window):
+    a, b, whitening = pairs(cross)
+    points = inner_points(window)
+    found = match_images(a, b, points, points + SHIFT, window=window, whitening=whitening)
+    e = errors(found, points)
+    z = e / found.sigma_px[found.kept]
+    # 15 % is the requirement; 1/sqrt(2 n) is what the sample itself is uncertain by (two of these)
+    tolerance = 0.15 + 2 / np.sqrt(2 * len(e))
+    assert np.abs(np.sqrt((z**2).mean(axis=0)) - 1).max() < tolerance
+
+
+def test_there_is_no_bias_at_any_sub_pixel_phase():
+    # SNR 400: one window is good to about 2 mpx; the mean of 144 to 0.2 mpx, so 1 mpx is five sigma
+    for phase in (0.0, 0.25, 0.5, 0.75):
+        shift = np.array([phase, -phase])
+        a, b = (ArrayImage(x) for x in shifted_pair((256, 384), tuple(shift), snr=400.0, seed=7))
+        points = grid_points((208, 336), window=(12, 50)) + 24
+        found = match_images(a, b, points, np.rint(points + shift), window=(12, 50), whitening=None)
+        assert np.abs(errors(found, points, shift).mean(axis=0)).max() < 1e-3
+
+
+def test_the_search_finds_shifts_of_several_pixels(pairs):
+    a, b, whitening = pairs(True)
+    points = inner_points((10, 100))
+    rng = np.random.default_rng(0)
+    wrong = points + SHIFT + rng.integers(-4, 5, points.shape)
+    found = match_images(a, b, points, wrong, search_px=(5, 5), whitening=whitening)
+    exact = match_images(a, b, points, points + SHIFT, whitening=whitening)
+    assert found.kept.mean() > 0.98
+    both = found.kept & exact.kept
+    # the fits end within the tolerance of the last step (0.01 px, quadratic convergence) of each other
+    assert np.abs(found.b - exact.b)[both].max() < 2e-3
+
+
+def test_the_answer_does_not_depend_on_threads_nor_on_the_other_windows_of_the_call(pairs):
+    a, b, whitening = pairs(True)
+    points = inner_points((10, 100))
+    one = match_images(a, b, points, points, search_px=(2, 2), whitening=whitening, threads=1)
+    two = match_images(a, b, points, points, search_px=(2, 2), whitening=whitening, threads=2)
+    for name in ("b", "covariance_px", "score", "status"):
+        assert np.array_equal(getattr(one, name), getattr(two, name), equal_nan=name != "status")
+    part = match_images(a, b, points[40:60], points[40:60], search_px=(2, 2), whitening=whitening)
+    assert np.nanmax(np.abs(part.b - one.b[40:60])) < 1e-4
+
+
+def test_a_fractional_point_is_answered_for_itself(pairs):
+    a, b, whitening = pairs()
+    points = inner_points((10, 100))
+    moved = points + np.array([0.3, -0.45])
+    found = match_images(a, b, moved, moved + SHIFT, whitening=whitening)
+    exact = match_images(a, b, points, points + SHIFT, whitening=whitening)
+    assert np.abs((found.b - moved) - (exact.b - points)).max() < 1e-4
+
+
+def rotated(image, degrees, zoom):
+    """Another view of an image by spline interpolation: b(p) = a(matrix p + offset)."""
+    from scipy import ndimage
+
+    c, s = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+    matrix = np.array([[c, -s], [s, c]]) / zoom
+    centre = 0.5 * (np.array(image.shape) - 1)
+    offset = centre - matrix @ centre
+    return ndimage.affine_transform(image.astype(float), matrix, offset, order=5), matrix, offset
+
+
+@pytest.mark.parametrize(("degrees", "zoom"), [(2.0, 1.0), (25.0, 0.9), (-80.0, 1.1)])
+def test_large_affines_are_warped_and_the_covariance_is_in_pixels_of_b(degrees, zoom):
+    a, _ = shifted_pair((384, 384), (0.0, 0.0), snr=200.0, seed=4)
+    b, matrix, offset = rotated(a, degrees, zoom)
+    points = grid_points((200, 200), window=(24, 24)) + 92
+    to_b = np.linalg.inv(matrix)
+    truth = (points - offset) @ to_b.T
+    affine = np.broadcast_to(to_b, (len(points), 2, 2))
+    rng = np.random.default_rng(0)
+    found = match_images(
+        ArrayImage(a), ArrayImage(b), points, truth + rng.uniform(-0.4, 0.4, truth.shape), window=(24, 24),
+        affine=affine, whitening=None, search_px=(1, 1),
+    )  # fmt: skip
+    e = found.b - truth
+    assert found.kept.mean() > 0.98
+    # the second view shares the first one's noise, so only interpolation errs: a few thousandths
+    assert np.sqrt(np.nanmean(e**2)) < 0.005
+
+
+def test_every_refusal_has_its_reason():
+    rng = np.random.default_rng(5)
+    a, b = shifted_pair((200, 300), (0.2, 0.1), snr=100.0, seed=2)
+    a[40:80, 0:120] = 1000.0 + 10 * rng.standard_normal((40, 120))  # no texture: noise alone in both
+    b[40:80, 0:120] = 1000.0 + 10 * rng.standard_normal((40, 120))
+    a[100:130, 0:120] = 500.0  # constant
+    b[100:130, 150:290] = 4095.0  # saturated
+    unusable = np.zeros(a.shape, bool)
+    unusable[150:170, 0:120] = True
+    b[150:170, 170:290] = np.nan
+    points = np.array([
+        [20.0, 150.0], [2.0, 150.0], [60.0, 60.0], [115.0, 60.0], [115.0, 220.0], [160.0, 60.0], [160.0, 230.0],
+        [np.nan, 50.0],
+    ])  # fmt: skip
+    found = match_images(
+        ArrayImage(a, unusable), ArrayImage(b), points, points + (0.2, 0.1), whitening=None, saturation=4095.0
+    )
+    expected = [
+        {matches.KEPT}, {matches.OUTSIDE}, {matches.LOW_SCORE, matches.NO_CONVERGENCE, matches.TEXTURELESS},
+        {matches.TEXTURELESS}, {matches.SATURATED}, {matches.MASKED}, {matches.MASKED}, {matches.OUTSIDE},
+    ]  # fmt: skip
+    for status, allowed in zip(found.status, expected, strict=True):
+        assert status in allowed
+    assert np.isnan(found.b[[1, 3, 4, 5, 6, 7]]).all()
+
+
+def test_noise_without_texture_is_hardly_ever_kept():
+    rng = np.random.default_rng(8)
+    a, b = (ArrayImage(rng.normal(1000, 10, (400, 400)).astype(np.float32)) for _ in range(2))
+    for window in ((10, 100), (2, 100)):
+        points = grid_points((360, 400), window=window) + (20, 0)
+        found = match_images(a, b, points, points, window=window, whitening=None)
+        assert found.kept.mean() < 0.01
+
+
+def test_a_cloud_under_a_mask_does_not_move_the_windows_beside_it(pairs):
+    a, b, whitening = pairs(True)
+    cloudy = b.array.copy()
+    cloudy[150:200, 200:300] = 5000.0
+    mask = np.zeros(cloudy.shape, bool)
+    mask[150:200, 200:300] = True
+    points = inner_points((10, 100))
+    found = match_images(a, ArrayImage(cloudy, mask), points, points + SHIFT, whitening=whitening)
+    assert found.counts()["masked"] > 0
+    e = (found.b - points - SHIFT) / found.sigma_px
+    beside = found.kept & (np.abs(points[:, 0] - 175) < 40) & (np.abs(points[:, 1] - 250) < 160)
+    assert beside.sum() > 10
+    # NEES of n pairs of unit normals: mean 2, standard deviation 2 / sqrt(n)
+    assert (e[beside] ** 2).sum(axis=1).mean() < 2 + 6 / np.sqrt(beside.sum())
+
+
+def test_gain_and_offset_between_the_images_do_not_matter(pairs):
+    a, b, whitening = pairs()
+    points = inner_points((10, 100))
+    plain = match_images(a, b, points, points + SHIFT, whitening=whitening)
+    other = match_images(a, ArrayImage(0.25 * b.array + 300), points, points + SHIFT, whitening=whitening)
+    assert np.abs(plain.b - other.b).max() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"points_a": np.zeros((2, 5))}, "did you mean points_a.T"),
+        ({"predicted_b": np.zeros((4, 2))}, "same N for both"),
+        ({"window": (1, 100)}, "at least 2 lines and 8 columns"),
+        ({"affine": np.eye(2)}, "one matrix per point"),
+        ({"search_px": (-1, 0)}, "0 or more pixels"),
+        ({"whitening": "yes"}, '"auto", None or a Whitening'),
+    ],
+)
+def test_wrong_arguments_are_named_with_what_is_allowed(change, words):
+    image = ArrayImage(np.ones((50, 200)))
+    given = {"points_a": np.full((3, 2), 25.0), "predicted_b": np.full((3, 2), 25.0), "whitening": None}
+    given |= change
+    with pytest.raises(InputError, match=words):
+        match_images(image, image, given.pop("points_a"), given.pop("predicted_b"), **given)
+
+
+def test_whitening_that_cannot_be_estimated_says_why():
+    rng = np.random.default_rng(0)
+    a, b = (ArrayImage(rng.normal(size=(200, 400))) for _ in range(2))
+    points = grid_points((200, 400), window=(10, 50))
+    with pytest.raises(EstimationError, match="largest coherence"):
+        match_images(a, b, points, points)
+    with pytest.raises(EstimationError, match="at least 8"):
+        match_images(a, b, points[:3], points[:3])
+
+
+def test_no_points_give_no_matches():
+    image = ArrayImage(np.ones((50, 200)))
+    assert len(match_images(image, image, np.zeros((0, 2)), np.zeros((0, 2)), whitening=None)) == 0

@@ -1,0 +1,58 @@
+"""The whitening filter against the optimum computed from known spectra."""
+
+import numpy as np
+import pytest
+from matching.fourier_textures import shifted_pair
+
+from sightline.errors import InputError
+from sightline.imaging.source import ArrayImage
+from sightline.matching.select import grid_points
+from sightline.matching.whitening import Whitening, estimate_whitening
+
+SHAPE = (384, 512)
+
+
+@pytest.fixture(scope="module")
+def estimate():
+    def of(**options):
+        a, b = (ArrayImage(x) for x in shifted_pair(SHAPE, (0.4, -0.6), seed=3, **options))
+        points = grid_points((320, 440), window=(16, 30)) + 32
+        return estimate_whitening(a, b, points, points)
+
+    return of
+
+
+def test_two_noisy_images_of_one_band_are_compared_as_they_are(estimate):
+    # where the signal stands above the noise the best weight of white noise is flat
+    response = estimate(snr=100.0).response()
+    band = response[0, 4:20]  # 0.06 to 0.3 cycle/px
+    assert band.std() / band.mean() < 0.1
+    assert response[0, 31] < 0.5 * band.mean()
+
+
+def test_two_bands_are_whitened_down_to_the_noise(estimate):
+    # decorrelation has the spectrum of the texture: the weight undoes it, |f| / MTF
+    response = estimate(snr=200.0, cross=True).response()
+    f = np.fft.rfftfreq(64)[5:16]  # 0.08 to 0.25 cycle/px
+    wanted = f * np.exp(-np.log(0.15) * (f / 0.5) ** 2)
+    for line in (response[0, 5:16], response[5:16, 0]):
+        ratio = line / wanted
+        assert ratio.std() / ratio.mean() < 0.1
+
+
+def test_the_coherence_found_is_that_of_the_layers(estimate):
+    made = estimate(snr=200.0, cross=True)
+    # rho^2 = 0.9025, where the noise is negligible; 400 tiles of about 100 modes: far below 2 %
+    assert made.coherence[0, 6:14].mean() == pytest.approx(0.9025, abs=0.02)
+    assert made.tiles > 100
+
+
+def test_taps_reproduce_a_response_that_thirteen_taps_can_carry():
+    f = np.fft.fftfreq(64)[:, None]
+    wanted = np.exp(-(f**2 + np.fft.rfftfreq(64)[None, :] ** 2) / (2 * 0.15**2))
+    assert np.abs(Whitening.from_response(wanted).response() - wanted).max() < 0.03
+
+
+def test_taps_of_another_shape_are_refused():
+    with pytest.raises(InputError, match="quadrant of shape"):
+        Whitening(np.ones((13, 13)), np.ones((13, 13)))
