@@ -1,0 +1,1 @@
+"""Banded least squares, autoregressive priors, marginal likelihood: the arithmetic of every smoother."""

@@ -1,0 +1,247 @@
+"""Symmetric positive definite systems that are banded, or banded with a dense border.
+
+Every smoother of the package ends here: normal equations of a motion on a time grid (a band
+as wide as the longest lag) with a few constants beside it (the border: offsets, rotations).
+Factor once, then solve, take the determinant, and take the band of the inverse, which is the
+covariance of neighbouring epochs. All of it costs O(n b^2) for n unknowns and b subdiagonals.
+
+Band storage is "lower": ``band[d, j] = M[j + d, j]``, shape (b + 1, n), as scipy.linalg uses.
+
+Not here: where the rows come from (``prior.py``, ``series.py``).
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded, solve_triangular
+
+from sightline.errors import EstimationError, InputError
+
+Array = NDArray[np.float64]
+
+
+class BandedFactor:
+    """Cholesky factor of a symmetric positive definite banded matrix.
+
+    Parameters
+    ----------
+    band : array (b + 1, n)
+        Lower band storage, ``band[d, j] = M[j + d, j]``; the unused tail of each row is ignored.
+
+    Raises
+    ------
+    InputError
+        If `band` is not two-dimensional or holds values that are not finite.
+    EstimationError
+        If the matrix is not positive definite.
+
+    Examples
+    --------
+    >>> factor = BandedFactor(np.array([[2.0, 2.0], [1.0, 0.0]]))
+    >>> factor.solve(np.array([3.0, 3.0]))
+    array([1., 1.])
+    """
+
+    def __init__(self, band: Array) -> None:
+        band = np.asarray(band, dtype=np.float64)
+        if band.ndim != 2 or band.shape[1] == 0:
+            raise InputError(f"`band` must have shape (subdiagonals + 1, n) with n > 0, got {band.shape}")
+        # A band wider than the matrix holds nothing beyond the first n rows.
+        band = band[: band.shape[1]]
+        if not np.isfinite(band).all():
+            raise InputError("`band` holds values that are not finite; check the rows that were summed")
+        try:
+            self._lower: Array = cholesky_banded(band, lower=True, check_finite=False)
+        except np.linalg.LinAlgError as error:
+            raise EstimationError(
+                f"the normal equations are not positive definite ({error}); "
+                "give every unknown a prior or a measurement"
+            ) from None
+
+    @property
+    def n(self) -> int:
+        """Number of unknowns."""
+        return int(self._lower.shape[1])
+
+    @property
+    def subdiagonals(self) -> int:
+        """Width b of the band below the diagonal."""
+        return int(self._lower.shape[0]) - 1
+
+    @cached_property
+    def logdet(self) -> float:
+        """Natural logarithm of the determinant of the matrix."""
+        return 2.0 * float(np.sum(np.log(self._lower[0])))
+
+    def solve(self, rhs: Array) -> Array:
+        """Solution x of M x = rhs; `rhs` is (n,) or (n, k) and x has the same shape."""
+        return np.asarray(cho_solve_banded((self._lower, True), rhs, check_finite=False), dtype=np.float64)
+
+    def inverse_band(self, width: int) -> Array:
+        """Band of the inverse: ``out[d, j] = inv(M)[j + d, j]``, shape (width + 1, n).
+
+        Entries beyond the end of a column are zero.
+
+        Notes
+        -----
+        Takahashi's recursion from the last column to the first, in blocks. With the block
+        column J of the factor, the rows R under it and Z the inverse,
+
+            Z_RJ = -Z_RR L_RJ inv(L_JJ),   Z_JJ = inv(L_JJ)' (inv(L_JJ) - L_RJ' Z_RJ),
+
+        where Z_RR is the dense window of the inverse already known. It costs 2 n b^2 operations,
+        nearly all of them in one matrix product per block.
+        """
+        if width < 0:
+            raise InputError(f"`width` must be 0 or more, got {width}")
+        n, b = self.n, self.subdiagonals
+        keep = max(b, min(width, n - 1))  # size of the dense window of the inverse
+        block = int(np.clip(b, 24, 96))
+        result = np.zeros((width + 1, n))
+        copied = min(width, keep)
+        window = np.zeros((keep, keep))  # Z_RR; rows past the end of the matrix stay zero
+        for stop in range(n, 0, -block):
+            start = max(0, stop - block)
+            size = stop - start
+            below_start, below = _dense_columns(self._lower[:, start:stop], keep)
+            inverse = solve_triangular(
+                below_start, np.eye(size), lower=True, overwrite_b=True, check_finite=False
+            )
+            z = np.empty((size + keep, size), order="F")
+            np.matmul(window, below @ -inverse, out=z[size:])
+            corner = inverse.T @ (inverse - below.T @ z[size:])
+            z[:size] = 0.5 * (corner + corner.T)
+            _skewed(z, copied + 1)
+            result[: copied + 1, start:stop] = _skewed(z, copied + 1)
+            window = _shifted(window, z, size)
+        for d in range(1, copied + 1):
+            result[d, n - d :] = 0.0
+        return result
+
+
+class BorderedFactor:
+    """Factor of ``[[A, B], [B', D]]`` with A banded (n, n), B (n, q) dense and D (q, q) small.
+
+    Parameters
+    ----------
+    band : array (b + 1, n)
+        A in lower band storage.
+    border : array (n, q)
+        B; q may be 0.
+    corner : array (q, q)
+        D.
+
+    Raises
+    ------
+    InputError
+        If the shapes do not fit together.
+    EstimationError
+        If the whole matrix is not positive definite.
+    """
+
+    def __init__(self, band: Array, border: Array, corner: Array) -> None:
+        self._banded = BandedFactor(band)
+        border = np.asarray(border, dtype=np.float64)
+        corner = np.asarray(corner, dtype=np.float64)
+        n = self._banded.n
+        if border.ndim != 2 or border.shape[0] != n or corner.shape != (border.shape[1],) * 2:
+            raise InputError(
+                f"`border` must be (n, q) and `corner` (q, q) with n = {n}, "
+                f"got {border.shape} and {corner.shape}"
+            )
+        self._border = border
+        self._tied: Array = self._banded.solve(border) if border.shape[1] else np.zeros((n, 0))
+        schur = corner - border.T @ self._tied
+        # Unknowns of the border may have any unit: scale before factoring.
+        self._scale = np.sqrt(np.maximum(np.diag(corner), np.finfo(float).tiny))
+        scaled = schur / np.outer(self._scale, self._scale)
+        try:
+            self._schur = cho_factor(0.5 * (scaled + scaled.T), lower=True, check_finite=True)
+        except (np.linalg.LinAlgError, ValueError) as error:
+            raise EstimationError(
+                f"the constants beside the motion are not determined ({error}); "
+                "give each a finite prior sigma"
+            ) from None
+
+    @property
+    def n(self) -> int:
+        """Number of banded unknowns."""
+        return self._banded.n
+
+    @property
+    def q(self) -> int:
+        """Number of unknowns of the border."""
+        return int(self._border.shape[1])
+
+    @cached_property
+    def logdet(self) -> float:
+        """Natural logarithm of the determinant of the whole matrix."""
+        diagonal = np.log(np.diag(self._schur[0])) + np.log(self._scale)
+        return self._banded.logdet + 2.0 * float(np.sum(diagonal))
+
+    def _solve_schur(self, rhs: Array) -> Array:
+        scale = self._scale.reshape((-1,) + (1,) * (rhs.ndim - 1))
+        return np.asarray(cho_solve(self._schur, rhs / scale, check_finite=False) / scale, dtype=np.float64)
+
+    def solve(self, b: Array, d: Array) -> tuple[Array, Array]:
+        """Solution (x, y) of A x + B y = b, B' x + D y = d; `b` is (n,) or (n, k), `d` (q,) or (q, k)."""
+        if self.q == 0:
+            return self._banded.solve(b), np.zeros_like(d)
+        y = self._solve_schur(d - self._tied.T @ b)
+        return self._banded.solve(b) - self._tied @ y, y
+
+    def times(self, directions: Array) -> tuple[Array, Array]:
+        """Inverse times [directions; 0]: its (n, k) and (q, k) parts; `directions` is (n, k) or (n,)."""
+        return self.solve(directions, np.zeros((self.q, *directions.shape[1:])))
+
+    @cached_property
+    def border_covariance(self) -> Array:
+        """The (q, q) block of the inverse that belongs to the border."""
+        return self._solve_schur(np.eye(self.q))
+
+    @cached_property
+    def cross_covariance(self) -> Array:
+        """The (n, q) block of the inverse between banded unknowns and border."""
+        return np.asarray(-self._tied @ self.border_covariance, dtype=np.float64)
+
+    def covariance_band(self, width: int) -> Array:
+        """Band of the (n, n) block of the inverse, ``out[d, j]``, shape (width + 1, n)."""
+        result = self._banded.inverse_band(width)
+        if self.q:
+            half = solve_triangular(
+                self._schur[0], (self._tied / self._scale).T, lower=True, check_finite=False
+            ).T
+            n = self.n
+            for d in range(min(width, n - 1) + 1):
+                result[d, : n - d] += np.einsum("ij,ij->j", half.T[:, d:], half.T[:, : n - d])
+        return result
+
+
+def _dense_columns(lower: Array, keep: int) -> tuple[Array, Array]:
+    """Columns of a banded factor as dense blocks: on the diagonal (s, s) and below it (keep, s)."""
+    depth, size = lower.shape
+    dense = np.zeros((size + keep, size), order="F")
+    _skewed(dense, depth)[...] = lower
+    return dense[:size], dense[size:]
+
+
+def _skewed(dense: Array, depth: int) -> Array:
+    """View ``v[d, j] = dense[j + d, j]`` of a Fortran-ordered array at least `depth` rows taller."""
+    item = dense.itemsize
+    return as_strided(dense, (depth, dense.shape[1]), (item, dense.strides[1] + item))
+
+
+def _shifted(window: Array, z: Array, size: int) -> Array:
+    """Dense window of the inverse moved up by `size` columns, which `z` holds."""
+    keep = window.shape[0]
+    kept = max(0, keep - size)
+    moved = np.empty_like(window)
+    head = min(size, keep)
+    moved[:, :head] = z[:keep, :head]
+    moved[:head, head:] = z[head:keep, :head].T
+    moved[head:, head:] = window[:kept, :kept]
+    return moved

@@ -1,0 +1,372 @@
+"""What is believed of a motion before it is measured: its spectrum, and that as a banded precision.
+
+A motion is a sum of parts, each with a closed autocovariance: slow drift and broadband jitter
+(Matern), tones of instrument modes. On an even time grid the sum is approximated by an
+autoregression of finite order, whose precision matrix is banded; the first rows are exact, so
+there is no start-up error, and every row carries its own weight, so that a single step or the
+switch-on of a tone can be let through.
+
+Not here: which spectrum the data ask for (``likelihood.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sightline.errors import InputError
+
+Array = NDArray[np.float64]
+
+#: White variance added to every prior, as a fraction of its total variance. A very smooth prior
+#: on a fine grid is predictable to the last digit of a float64; this keeps its precision matrix
+#: 1e10 away from that, at the price of a white jitter 1e-5 times the size of the motion.
+NUGGET = 1e-10
+
+
+class Component(Protocol):
+    """One part of a motion's spectrum."""
+
+    def autocovariance(self, lags: Array) -> Array:
+        """Covariance of two values `lags` (s) apart, in the unit of the motion squared."""
+        ...
+
+    def psd(self, frequency: Array) -> Array:
+        """One-sided power spectral density at `frequency` (Hz), unit squared per Hz."""
+        ...
+
+
+def _positive(name: str, value: float, unit: str) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise InputError(f"`{name}` must be a positive number of {unit}, got {value}")
+
+
+@dataclass(frozen=True)
+class Matern:
+    """Stationary motion without a preferred frequency: drift or broadband jitter.
+
+    Parameters
+    ----------
+    sigma : float
+        Its standard deviation, in the unit of the motion.
+    timescale : float
+        s; the ``l`` of the Matern covariance. The spectrum is flat below the corner frequency
+        ``sqrt(2 nu) / (2 pi l)`` and falls as f^-4 ("3/2") or f^-6 ("5/2") above it.
+    order : "3/2" or "5/2"
+        The smoothness nu: one, or two, derivatives exist.
+
+    Examples
+    --------
+    >>> float(Matern(2.0, 1.0, "5/2").autocovariance(np.array([0.0]))[0])
+    4.0
+    """
+
+    sigma: float
+    timescale: float
+    order: Literal["3/2", "5/2"] = "3/2"
+
+    def __post_init__(self) -> None:
+        _positive("sigma", self.sigma, "motion units")
+        _positive("timescale", self.timescale, "seconds")
+        if self.order not in ("3/2", "5/2"):
+            raise InputError(f'`order` must be "3/2" or "5/2", got {self.order!r}')
+
+    @property
+    def corner(self) -> float:
+        """Hz; where the spectrum turns from flat to falling."""
+        return self._rate / (2.0 * math.pi)
+
+    @property
+    def _rate(self) -> float:
+        return math.sqrt(3.0 if self.order == "3/2" else 5.0) / self.timescale
+
+    def autocovariance(self, lags: Array) -> Array:
+        """Covariance of two values `lags` (s) apart."""
+        x = self._rate * np.abs(lags)
+        shape = 1.0 + x if self.order == "3/2" else 1.0 + x + x * x / 3.0
+        return np.asarray(self.sigma**2 * shape * np.exp(-x), dtype=np.float64)
+
+    def psd(self, frequency: Array) -> Array:
+        """One-sided power spectral density at `frequency` (Hz)."""
+        rate = self._rate
+        base = rate**2 + (2.0 * math.pi * np.asarray(frequency)) ** 2
+        two_sided = 4.0 * rate**3 / base**2 if self.order == "3/2" else 16.0 / 3.0 * rate**5 / base**3
+        return np.asarray(2.0 * self.sigma**2 * two_sided, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Tone:
+    """A narrow line of the spectrum: an instrument mode.
+
+    Parameters
+    ----------
+    sigma : float
+        Its standard deviation (amplitude over sqrt 2), in the unit of the motion.
+    frequency : float
+        Hz.
+    bandwidth : float
+        Hz, full width at half maximum of the line (Lorentzian); its phase wanders over a time
+        of ``1 / (pi bandwidth)``.
+    """
+
+    sigma: float
+    frequency: float
+    bandwidth: float
+
+    def __post_init__(self) -> None:
+        _positive("sigma", self.sigma, "motion units")
+        _positive("frequency", self.frequency, "hertz")
+        _positive("bandwidth", self.bandwidth, "hertz")
+
+    def autocovariance(self, lags: Array) -> Array:
+        """Covariance of two values `lags` (s) apart: a damped cosine."""
+        lags = np.abs(lags)
+        decay = np.exp(-math.pi * self.bandwidth * lags)
+        return np.asarray(
+            self.sigma**2 * decay * np.cos(2.0 * math.pi * self.frequency * lags), dtype=np.float64
+        )
+
+    def psd(self, frequency: Array) -> Array:
+        """One-sided power spectral density at `frequency` (Hz)."""
+        f = np.asarray(frequency)
+        half = 0.5 * self.bandwidth
+        lines = half / (half**2 + (f - self.frequency) ** 2) + half / (half**2 + (f + self.frequency) ** 2)
+        return np.asarray(self.sigma**2 / math.pi * lines, dtype=np.float64)
+
+
+@dataclass(frozen=True)
+class Spectrum:
+    """A motion's prior: the sum of independent parts.
+
+    Examples
+    --------
+    >>> spectrum = Spectrum((Matern(2.0, 1.0, "5/2"), Tone(0.3, 47.0, 0.2)))
+    >>> round(float(spectrum.autocovariance(np.array([0.0]))[0]), 12)
+    4.09
+    """
+
+    components: tuple[Matern | Tone, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "components", tuple(self.components))
+        if not self.components:
+            raise InputError("a Spectrum needs at least one component, got none")
+
+    @property
+    def tones(self) -> tuple[Tone, ...]:
+        """The narrow lines among the parts, by rising frequency."""
+        tones = [c for c in self.components if isinstance(c, Tone)]
+        return tuple(sorted(tones, key=lambda tone: tone.frequency))
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation of the whole motion."""
+        return math.sqrt(sum(c.sigma**2 for c in self.components))
+
+    def autocovariance(self, lags: Array) -> Array:
+        """Covariance of two values `lags` (s) apart."""
+        total = np.zeros(np.shape(lags))
+        for component in self.components:
+            total += component.autocovariance(np.asarray(lags, dtype=np.float64))
+        return total
+
+    def psd(self, frequency: Array) -> Array:
+        """One-sided power spectral density at `frequency` (Hz)."""
+        total = np.zeros(np.shape(frequency))
+        for component in self.components:
+            total += component.psd(np.asarray(frequency, dtype=np.float64))
+        return total
+
+    def scaled(self, factor: float) -> Spectrum:
+        """The same spectrum of a motion `factor` times as large (a change of unit)."""
+        parts: list[Matern | Tone] = []
+        for c in self.components:
+            if isinstance(c, Tone):
+                parts.append(Tone(c.sigma * factor, c.frequency, c.bandwidth))
+            else:
+                parts.append(Matern(c.sigma * factor, c.timescale, c.order))
+        return Spectrum(tuple(parts))
+
+    def autoregressive(self, step: float, order: int, n: int, *, nugget: float = NUGGET) -> Autoregressive:
+        """This prior on an even grid of `n` epochs `step` seconds apart; see `autoregressive`."""
+        _positive("step", step, "seconds")
+        order = max(0, min(order, n - 1))
+        return autoregressive(self.autocovariance(step * np.arange(order + 1.0)), order, n, nugget=nugget)
+
+
+@dataclass(frozen=True, eq=False)
+class Autoregressive:
+    """A stationary process of n epochs as an autoregression with exact start-up rows.
+
+    ``x[t] = sum_k a[k] x[t - 1 - k] + e[t]``, the e independent.
+
+    Attributes
+    ----------
+    n : int
+        Number of epochs.
+    coefficients : (order,)
+        The a of every row from `order` on.
+    startup : (order, order)
+        Row t holds the coefficients of epoch t < order: the best prediction from all t before it.
+    startup_variances : (order,)
+        Innovation variances of those rows.
+    variance : float
+        Innovation variance of all further rows.
+    """
+
+    n: int
+    coefficients: Array
+    startup: Array
+    startup_variances: Array
+    variance: float
+
+    @property
+    def order(self) -> int:
+        """Number of earlier epochs that a row looks back to; the precision has as many subdiagonals."""
+        return len(self.coefficients)
+
+    @property
+    def variances(self) -> Array:
+        """(n,) innovation variance of every row."""
+        out = np.full(self.n, self.variance)
+        out[: self.order] = self.startup_variances
+        return out
+
+    @property
+    def logdet(self) -> float:
+        """Natural logarithm of the determinant of the precision matrix (unit row weights)."""
+        inner = (self.n - self.order) * math.log(self.variance)
+        return float(-np.sum(np.log(self.startup_variances)) - inner)
+
+    def precision_band(self, weights: Array | None = None) -> Array:
+        """Lower band of the precision matrix, (order + 1, n).
+
+        Parameters
+        ----------
+        weights : array (n,), optional
+            Of the rows: each multiplies the inverse variance of one innovation. 1 is the plain
+            prior, near 0 lets the motion jump at that epoch; adds ``sum(log(weights))`` to `logdet`.
+        """
+        p, n = self.order, self.n
+        table = np.zeros((p + 1, p + 1))
+        table[:, 0] = 1.0
+        table[:p, 1:] = -self.startup
+        table[p, 1:] = -self.coefficients
+        if weights is not None:
+            weights = np.ascontiguousarray(weights, dtype=np.float64)
+            if weights.shape != (n,) or not (np.isfinite(weights).all() and (weights > 0.0).all()):
+                raise InputError(f"`weights` must be {n} positive finite numbers, got shape {weights.shape}")
+            return _sum_rows(table, weights / self.variances)
+        # Without weights all inner columns are alike: sum a short process and repeat its middle.
+        short = min(n, 2 * p + 1)
+        ends = _sum_rows(table, 1.0 / self.variances[:short])
+        if n <= 2 * p + 1:
+            return ends
+        out = np.empty((p + 1, n))
+        out[:, :p] = ends[:, :p]
+        out[:, p : n - p] = ends[:, p : p + 1]
+        out[:, n - p :] = ends[:, p + 1 :]
+        return out
+
+    def innovations(self, x: Array) -> Array:
+        """Innovations of a motion `x` (n,) in units of their sigma, (n,): white, of unit variance."""
+        x = np.asarray(x, dtype=np.float64)
+        if x.shape != (self.n,):
+            raise InputError(f"`x` must hold {self.n} epochs, got shape {x.shape}")
+        e = x.copy()
+        p = self.order
+        for t in range(1, p):
+            e[t] -= self.startup[t, :t] @ x[:t][::-1]
+        for k in range(p):
+            e[p:] -= self.coefficients[k] * x[p - 1 - k : self.n - 1 - k]
+        return np.asarray(e / np.sqrt(self.variances), dtype=np.float64)
+
+
+def autoregressive(
+    autocovariance: Array | Sequence[float], order: int, n: int, *, nugget: float = NUGGET
+) -> Autoregressive:
+    """Autoregression that keeps the first `order` + 1 autocovariances exactly.
+
+    Parameters
+    ----------
+    autocovariance : array (order + 1 or more,)
+        At lags 0, 1, 2 ... grid steps; unit of the motion squared.
+    order : int
+        Rows look back this far (at most n - 1).
+    n : int
+        Epochs of the grid.
+    nugget : float
+        White variance added, as a fraction of the total; see `NUGGET`.
+
+    Raises
+    ------
+    InputError
+        If there are too few lags, or they are no autocovariance (an innovation variance is not positive).
+
+    Notes
+    -----
+    Durbin-Levinson recursion; the coefficients of every order below the last are the start-up rows,
+    so the first `order` epochs have exactly the given covariance.
+    """
+    if n < 1:
+        raise InputError(f"`n` must be at least 1 epoch, got {n}")
+    if order < 0:
+        raise InputError(f"`order` must be 0 or more, got {order}")
+    order = min(order, n - 1)
+    r = np.array(autocovariance, dtype=np.float64)
+    if r.ndim != 1 or len(r) < order + 1 or not np.isfinite(r).all() or not r[0] > 0.0:
+        raise InputError(
+            f"`autocovariance` must hold {order + 1} finite lags, the first positive, got shape {r.shape}"
+        )
+    r = r[: order + 1]
+    r[0] *= 1.0 + nugget
+    table, variances = _levinson(r)
+    if not variances[-1] > 0.0 or not np.isfinite(variances).all():
+        raise InputError(
+            "`autocovariance` belongs to no stationary process: a prediction from the past has a variance of "
+            f"{variances.min():g}; check the lags or raise `nugget` (now {nugget:g})"
+        )
+    return Autoregressive(n, table[order].copy(), table[:order], variances[:order], float(variances[order]))
+
+
+@njit(cache=True)
+def _levinson(r):  # type: ignore[no-untyped-def]
+    """Prediction coefficients of all orders 0 .. p (rows) and their innovation variances."""
+    p = len(r) - 1
+    table = np.zeros((p + 1, p))
+    variances = np.full(p + 1, -1.0)
+    variances[0] = r[0]
+    for m in range(1, p + 1):
+        reflection = r[m]
+        for k in range(m - 1):
+            reflection -= table[m - 1, k] * r[m - 1 - k]
+        reflection /= variances[m - 1]
+        for k in range(m - 1):
+            table[m, k] = table[m - 1, k] - reflection * table[m - 1, m - 2 - k]
+        table[m, m - 1] = reflection
+        variances[m] = variances[m - 1] * (1.0 - reflection * reflection)
+        if not variances[m] > 0.0:
+            break
+    return table, variances
+
+
+@njit(cache=True)
+def _sum_rows(table, weights):  # type: ignore[no-untyped-def]
+    """Lower band of the sum over rows t of weight[t] * row row', row t = table[min(t, p)] read backwards."""
+    p = table.shape[0] - 1
+    n = len(weights)
+    out = np.zeros((p + 1, n))
+    for t in range(n):
+        m = min(t, p)
+        row = table[m]
+        for k in range(m + 1):
+            scaled = row[k] * weights[t]
+            for lower in range(k + 1):
+                out[k - lower, t - k] += scaled * row[lower]
+    return out

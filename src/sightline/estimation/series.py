@@ -1,0 +1,451 @@
+"""One axis of differences ``x(t + lag) - x(t)`` as normal equations on an even time grid.
+
+A measurement is a row of local interpolation weights at its own two times, averaged over the
+length of its matching window. Measurements of one patch of ground share the errors of the images
+they share: three images give three pairs but only two independent errors, so a pair that closes
+a triangle adds nothing (S1 sheet 6c) and is left out where it is exactly redundant.
+
+Not here: the prior (``prior.py``), the solution and its evidence (``evidence.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sightline.errors import InputError
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+#: Nodes of the local interpolation on the grid. Six (degree 5) keep the error of a sinusoid below
+#: 0.2 % down to 7 nodes per period; four would need 12.
+TAPS = 6
+#: A measurement whose error is explained by others of its patch to this fraction is redundant.
+REDUNDANT = 1e-6
+#: Variances beyond this multiple of the median carry no information and are left out.
+UNOBSERVED = 1e8
+
+
+@dataclass(frozen=True, eq=False)
+class DifferenceSeries:
+    """Measured differences of one scalar motion between the two images of one pair.
+
+    Attributes
+    ----------
+    t : (N,)
+        s; time in image a.
+    lag : (N,)
+        s; time in image b minus time in image a.
+    values : (N,)
+        ``x(t + lag) - x(t)``, each averaged over the window; any unit.
+    variance : (N,)
+        Of `values`; infinite where nothing was observed.
+    images : (int, int), optional
+        Which images a and b are. Series that name the same image share its error.
+    window : float
+        s; length over which the matching window averages the motion.
+    patch : (N,) of int, optional
+        Ground patch of each measurement: equal numbers in two series mean the same piece of ground.
+    """
+
+    t: Array
+    lag: Array
+    values: Array
+    variance: Array
+    images: tuple[int, int] | None = None
+    window: float = 0.0
+    patch: Index | None = None
+
+    def __post_init__(self) -> None:
+        shapes = {np.shape(a) for a in (self.t, self.lag, self.values, self.variance)}
+        if len(shapes) != 1 or len(shapes.pop()) != 1:
+            raise InputError(
+                "`t`, `lag`, `values` and `variance` must all have shape (N,), got "
+                f"{[np.shape(a) for a in (self.t, self.lag, self.values, self.variance)]}"
+            )
+        if self.patch is not None and np.shape(self.patch) != np.shape(self.t):
+            raise InputError(f"`patch` must have shape {np.shape(self.t)}, got {np.shape(self.patch)}")
+
+    @cached_property
+    def used(self) -> NDArray[np.bool_]:
+        """(N,) where the measurement is finite and says something."""
+        finite = np.isfinite(self.t) & np.isfinite(self.lag) & np.isfinite(self.values)
+        finite &= np.isfinite(self.variance) & (self.variance > 0.0)
+        if finite.any():
+            finite &= self.variance < UNOBSERVED * np.median(self.variance[finite])
+        return finite
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Even time grid of the unknown motion: nodes ``start + step * k`` (s), k = 0 .. count - 1."""
+
+    start: float
+    step: float
+    count: int
+
+    @property
+    def nodes(self) -> Array:
+        """(count,) s."""
+        return self.start + self.step * np.arange(self.count, dtype=np.float64)
+
+    @classmethod
+    def covering(cls, first: float, last: float, step: float) -> Grid:
+        """Grid with a node at `first` that reaches beyond `last` and holds enough nodes to interpolate."""
+        count = math.ceil((last - first) / step * (1.0 - 1e-12) - 1e-9) + 1
+        return cls(first, step, max(count, TAPS))
+
+    def weights(self, t: Array, window: float = 0.0) -> tuple[Index, Array]:
+        """First node (N,) and weights (N, K) that interpolate at `t` (N,), averaged over `window` (s)."""
+        t = np.ascontiguousarray(t, dtype=np.float64)
+        first = np.empty(len(t), dtype=np.int64)
+        weights = np.empty((len(t), _support(window, self.step, self.count)))
+        _fill_weights(t, float(window), self.start, self.step, self.count, first, weights)
+        return first, weights
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """What a set of series says about the motion on a grid, and about a constant per image.
+
+    With rows H (motion) and J (constants), measurements y and their covariance R:
+
+    Attributes
+    ----------
+    grid : Grid
+    band : (b + 1, n)
+        H' R^-1 H, lower band.
+    rhs : (n,)
+        H' R^-1 y.
+    border : (n, q), corner : (q, q), rhs_border : (q,)
+        H' R^-1 J, J' R^-1 J, J' R^-1 y; q is 0 where the constants are known.
+    misfit : float
+        y' R^-1 y.
+    logdet_noise : float
+        log det R of the independent measurements.
+    measurements : int
+        How many those are.
+    """
+
+    grid: Grid
+    band: Array
+    rhs: Array
+    border: Array
+    corner: Array
+    rhs_border: Array
+    misfit: float
+    logdet_noise: float
+    measurements: int
+
+
+def normal_equations(
+    series: Sequence[DifferenceSeries], grid: Grid, *, offsets: bool = False, independent: float = 0.0
+) -> NormalEquations:
+    """Sum all measurements of all series on `grid`.
+
+    Parameters
+    ----------
+    series : sequence of DifferenceSeries
+        All in one unit. Their times must lie on the grid.
+    grid : Grid
+        Of the unknown motion.
+    offsets : bool
+        Whether every image has an unknown constant of its own (a pair measures their difference);
+        a series without `images` has one for itself.
+    independent : float
+        Fraction of every pair's variance that it shares with no other pair (0: the errors of the
+        images explain all; measured on rendered scenes: about 0.1).
+
+    Raises
+    ------
+    InputError
+        If there is no usable measurement or one lies outside the grid.
+    """
+    flat = _flatten(series, independent)
+    last = grid.start + grid.step * (grid.count - 1)
+    times = np.concatenate([flat.t_a, flat.t_b])
+    if len(times) == 0:
+        raise InputError("no series holds a finite measurement; check the matches of every pair")
+    slack = 0.5 * grid.step + 0.5 * max(s.window for s in series)
+    if times.min() < grid.start - slack or times.max() > last + slack:
+        raise InputError(
+            f"measurements from {times.min():.6g} to {times.max():.6g} s lie outside the grid "
+            f"[{grid.start:.6g}, {last:.6g}] s; extend the grid or drop them"
+        )
+    support = _support(float(flat.window.max()), grid.step, grid.count)
+    reach = int(np.ceil(_longest_span(flat) / grid.step)) + support
+    band = np.zeros((min(reach, grid.count - 1) + 1, grid.count))
+    columns = flat.constants if offsets else 0
+    border = np.zeros((grid.count, columns))
+    corner = np.zeros((columns, columns))
+    rhs, rhs_border = np.zeros(grid.count), np.zeros(columns)
+    misfit, logdet, used = _accumulate(
+        flat.starts, flat.t_a, flat.t_b, flat.window, flat.values, flat.image_a, flat.image_b,
+        flat.variance_a, flat.variance_b, flat.variance_own, grid.start, grid.step, support,
+        band, rhs, border, corner, rhs_border,
+    )  # fmt: skip
+    return NormalEquations(grid, band, rhs, border, corner, rhs_border, misfit, logdet, used)
+
+
+@dataclass(frozen=True, eq=False)
+class _Flat:
+    """All measurements, those of one patch side by side; `starts` marks the patches."""
+
+    starts: Index
+    t_a: Array
+    t_b: Array
+    window: Array
+    values: Array
+    image_a: Index
+    image_b: Index
+    variance_a: Array  # of image a at this patch
+    variance_b: Array
+    variance_own: Array  # of this pair alone
+    constants: int
+
+
+def _flatten(series: Sequence[DifferenceSeries], independent: float) -> _Flat:
+    """Measurements of all series, grouped by patch, with their variance split over the images."""
+    shares = image_variances(series)
+    names = {image: k for k, image in enumerate(shares)}
+    constants = len(names)
+    patches = [np.max(s.patch, initial=0) for s in series if s.patch is not None]
+    next_patch = 1 + int(max(patches, default=0))
+    columns: list[list[NDArray[np.generic]]] = []
+    for s in series:
+        use = s.used
+        count = int(use.sum())
+        if s.images is None:  # two images of its own, shared with nobody
+            a, b, s_a, s_b = constants, constants + 1, 0.5, 0.5
+            constants += 2
+        else:
+            a, b = names[s.images[0]], names[s.images[1]]
+            s_a, s_b = shares[s.images[0]], shares[s.images[1]]
+        if s.patch is None or s.images is None:
+            patch = next_patch + np.arange(count)
+            next_patch += count
+        else:
+            patch = np.asarray(s.patch, dtype=np.int64)[use]
+        constant = np.broadcast_to([[s.window], [a], [b], [s_a], [s_b]], (5, count))
+        columns.append([patch, s.t[use], s.lag[use], s.values[use], s.variance[use], *constant])
+    patch, t, lag, values, variance, window, image_a, image_b, s_a_all, s_b_all = (
+        np.concatenate(parts) for parts in zip(*columns, strict=True)
+    )
+    order = np.argsort(patch, kind="stable")
+    starts = np.append(np.flatnonzero(np.diff(patch[order], prepend=-1)), len(patch))
+    expected = (s_a_all + s_b_all)[order]
+    shared, own = _split_variance(variance[order], expected, starts, independent)
+    return _Flat(
+        starts.astype(np.int64), t[order], (t + lag)[order], window[order], values[order],
+        image_a[order].astype(np.int64), image_b[order].astype(np.int64),
+        shared * s_a_all[order] / expected, shared * s_b_all[order] / expected, own, constants,
+    )  # fmt: skip
+
+
+def _split_variance(
+    variance: Array, expected: Array, starts: Index, independent: float
+) -> tuple[Array, Array]:
+    """Part of each variance that stems from the images, and part of this pair alone.
+
+    All pairs of a patch see the same texture, so one factor per patch scales the images' variances
+    (exact closure needs that). A pair far above it (x 3) keeps the excess to itself.
+    """
+    image_part = _patch_scale(variance / expected, starts) * expected
+    poor = variance > 3.0 * image_part
+    shared = (1.0 - independent) * image_part
+    own = np.where(poor, variance - shared, independent * image_part)
+    alone = np.repeat(np.diff(starts) == 1, np.diff(starts))
+    return np.where(alone, variance, shared), np.where(alone, 0.0, own)
+
+
+def _patch_scale(ratio: Array, starts: Index) -> Array:
+    """Per measurement, the median over its patch of measured over expected variance."""
+    sizes = np.diff(starts)
+    out = ratio.copy()
+    for size in np.unique(sizes):
+        if size == 1:
+            continue
+        rows = starts[:-1][sizes == size][:, None] + np.arange(size)
+        out[rows] = np.median(ratio[rows], axis=1)[:, None]
+    return out
+
+
+def image_variances(series: Sequence[DifferenceSeries]) -> dict[int, float]:
+    """Error variance of each named image, from those of the pairs.
+
+    A pair's variance is the sum of those of its images. With three or more images in closed
+    triangles that determines them; what stays open is shared evenly.
+    """
+    named = [s for s in series if s.images is not None and s.used.any()]
+    if not named:
+        return {}
+    images = sorted({i for s in named for i in s.images or ()})
+    column = {image: k for k, image in enumerate(images)}
+    variance = np.array([float(np.median(s.variance[s.used])) for s in named])
+    rows = np.zeros((len(named), len(images)))
+    for k, s in enumerate(named):
+        for image in s.images or ():
+            rows[k, column[image]] += 1.0
+    mean = 0.5 * float(np.mean(variance))
+    weak = 1e-3 * np.eye(len(images))
+    system = np.vstack([rows / variance[:, None] * mean, weak])
+    target = np.concatenate([np.full(len(named), 1.0), np.full(len(images), 1e-3)])
+    solution = mean * np.linalg.lstsq(system, target, rcond=None)[0]
+    return dict(zip(images, np.maximum(solution, 0.02 * mean).tolist(), strict=True))
+
+
+def _longest_span(flat: _Flat) -> float:
+    """Longest time between two instants that meet in one row or one patch (s)."""
+    low = np.minimum(flat.t_a, flat.t_b) - 0.5 * flat.window
+    high = np.maximum(flat.t_a, flat.t_b) + 0.5 * flat.window
+    starts = flat.starts[:-1]
+    return float(np.max(np.maximum.reduceat(high, starts) - np.minimum.reduceat(low, starts)))
+
+
+def _support(window: float, step: float, count: int) -> int:
+    """Nodes that one averaged interpolation may touch."""
+    return int(min(count, TAPS + (math.ceil(window / step - 1e-9) if window > 0.0 else 0)))
+
+
+@njit(cache=True)
+def _window_weights(t, window, start, step, count, support, weights):  # type: ignore[no-untyped-def]
+    """Interpolation weights at `t` averaged over `window`, into `weights`; returns the first node."""
+    first = math.floor((t - 0.5 * window - start) / step + 1e-6) - (TAPS // 2 - 1)
+    first = max(0, min(first, count - support))
+    for k in range(support):
+        weights[k] = 0.0
+    points = 1 if window <= 0.0 else 2 + 2 * math.ceil(window / step)
+    for p in range(points):
+        x = (t + window * ((p + 0.5) / points - 0.5) - start) / step
+        nearest = math.floor(x + 0.5)
+        if abs(x - nearest) < 1e-6:
+            x = nearest
+        node = math.floor(x) - (TAPS // 2 - 1)
+        node = max(first, min(node, first + support - TAPS))
+        for i in range(TAPS):
+            w = 1.0 / points
+            for j in range(TAPS):
+                if j != i:
+                    w *= (x - node - j) / (i - j)
+            weights[node - first + i] += w
+    return first
+
+
+@njit(cache=True)
+def _fill_weights(t, window, start, step, count, first, weights):  # type: ignore[no-untyped-def]
+    """Rows of interpolation weights for many instants."""
+    for k in range(len(t)):
+        first[k] = _window_weights(t[k], window, start, step, count, weights.shape[1], weights[k])
+
+
+@njit(cache=True)
+def _patch_weight(k0, m, image_a, image_b, var_a, var_b, var_own, lower, kept, weight):  # type: ignore[no-untyped-def]
+    """Inverse covariance of the measurements of a patch, less redundant ones; returns (kept, log det)."""
+    count, logdet = 0, 0.0
+    for k in range(m):
+        i = k0 + k
+        variance = var_a[i] + var_b[i] + var_own[i]
+        rest = variance
+        for j in range(count):
+            h = k0 + kept[j]
+            value = 0.0
+            if image_a[i] == image_a[h]:
+                value += math.sqrt(var_a[i] * var_a[h])
+            if image_b[i] == image_b[h]:
+                value += math.sqrt(var_b[i] * var_b[h])
+            if image_a[i] == image_b[h]:
+                value -= math.sqrt(var_a[i] * var_b[h])
+            if image_b[i] == image_a[h]:
+                value -= math.sqrt(var_b[i] * var_a[h])
+            for s in range(j):
+                value -= lower[count, s] * lower[j, s]
+            lower[count, j] = value / lower[j, j]
+            rest -= lower[count, j] ** 2
+        if rest > REDUNDANT * variance:
+            lower[count, count] = math.sqrt(rest)
+            logdet += math.log(rest)
+            kept[count] = k
+            count += 1
+    # weight = inv(L)' inv(L); the inverse of L is built in place, row by row.
+    for i in range(count):
+        for j in range(i):
+            value = 0.0
+            for s in range(j, i):
+                value += lower[i, s] * lower[s, j]
+            weight[i, j] = -value / lower[i, i]
+        for j in range(i):
+            lower[i, j] = weight[i, j]
+        lower[i, i] = 1.0 / lower[i, i]
+    for i in range(count):
+        for j in range(i + 1):
+            value = 0.0
+            for s in range(i, count):
+                value += lower[s, i] * lower[s, j]
+            weight[i, j] = value
+            weight[j, i] = value
+    return count, logdet
+
+
+@njit(cache=True)
+def _accumulate(  # type: ignore[no-untyped-def]
+    starts, t_a, t_b, window, y, image_a, image_b, var_a, var_b, var_own, start, step, support,
+    band, rhs, border, corner, rhs_border,
+):  # fmt: skip
+    """Sum the rows of all patches into the normal equations; returns (y'R^-1 y, log det R, rows kept)."""
+    count = band.shape[1]
+    patches = len(starts) - 1
+    largest = 1
+    for g in range(patches):
+        largest = max(largest, starts[g + 1] - starts[g])
+    columns = border.shape[1]
+    first = np.zeros((largest, 2), np.int64)
+    rows = np.zeros((largest, 2, support))
+    lower, weight = np.zeros((largest, largest)), np.zeros((largest, largest))
+    kept = np.zeros(largest, np.int64)
+    misfit, logdet, used = 0.0, 0.0, 0
+    for g in range(patches):
+        k0, m = starts[g], starts[g + 1] - starts[g]
+        independent, log_patch = _patch_weight(
+            k0, m, image_a, image_b, var_a, var_b, var_own, lower, kept, weight
+        )
+        used += independent
+        logdet += log_patch
+        for k in range(independent):
+            i = k0 + kept[k]
+            first[k, 0] = _window_weights(t_a[i], window[i], start, step, count, support, rows[k, 0])
+            first[k, 1] = _window_weights(t_b[i], window[i], start, step, count, support, rows[k, 1])
+        for k in range(independent):
+            i = k0 + kept[k]
+            for h in range(independent):
+                j = k0 + kept[h]
+                w = weight[k, h]
+                misfit += w * y[i] * y[j]
+                if columns:
+                    rhs_border[image_b[i]] += w * y[j]
+                    rhs_border[image_a[i]] -= w * y[j]
+                    corner[image_b[i], image_b[j]] += w
+                    corner[image_b[i], image_a[j]] -= w
+                    corner[image_a[i], image_b[j]] -= w
+                    corner[image_a[i], image_a[j]] += w
+                for p in range(2):
+                    for u in range(support):
+                        value = w * rows[k, p, u] * (2 * p - 1)
+                        if value == 0.0:
+                            continue
+                        gu = first[k, p] + u
+                        rhs[gu] += value * y[j]
+                        if columns:
+                            border[gu, image_b[j]] += value
+                            border[gu, image_a[j]] -= value
+                        for q in range(2):
+                            gq = first[h, q]
+                            for v in range(min(support, gu - gq + 1)):
+                                band[gu - gq - v, gq + v] += value * rows[h, q, v] * (2 * q - 1)
+    return misfit, logdet, used
