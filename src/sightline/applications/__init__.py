@@ -1,0 +1,1 @@
+"""The systems, one file each: what a user calls."""

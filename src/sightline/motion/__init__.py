@@ -1,0 +1,1 @@
+"""Matches and cameras to motion: prediction, differences, observability, estimators."""

@@ -1,0 +1,195 @@
+"""The banded maximum-likelihood smoother: posterior mean and sigma of each axis by itself.
+
+All pairs at once, each difference with its own two times, its window and the errors it shares with
+other pairs, under a prior spectrum that is given or found in the data. Cost grows linearly with the
+length of the strip. This is the fast special case of the joint estimate, for axes that do not mix.
+
+Not here: exact rays, band offsets tied to the geometry, relief (``motion/joint.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sightline.errors import InputError
+from sightline.estimation.evidence import Posterior, posterior
+from sightline.estimation.likelihood import FittedSpectrum, default_step, fit_spectrum, span
+from sightline.estimation.prior import Spectrum
+from sightline.estimation.series import TAPS, DifferenceSeries, Grid, normal_equations
+from sightline.geometry.checks import as_times
+from sightline.geometry.trajectory import Motion
+from sightline.motion.differences import AngleDifferences
+
+Array = NDArray[np.float64]
+
+#: Order of the autoregressive prior; against the exact prior the loss is below 0.5 % (S1 sheet, 6c).
+ORDER = 60
+AXES = ("roll", "pitch", "yaw")
+
+
+def smooth(
+    differences: Sequence[AngleDifferences],
+    t: ArrayLike,
+    *,
+    prior: Spectrum | FittedSpectrum | Sequence[Spectrum | FittedSpectrum] | None = None,
+    grid_step: float | None = None,
+    offset_sigma: float | None = None,
+    independent: float = 0.0,
+    order: int = ORDER,
+    innovation_weights: Array | None = None,
+) -> Motion:
+    """Motion with its covariance from the differences of all pairs.
+
+    Parameters
+    ----------
+    differences : sequence of AngleDifferences
+        Any number of pairs. Those that name the same image and patch share that image's error.
+    t : (N,)
+        s; where the motion is wanted. Gaps and the ends beyond the data are bridged by the prior.
+    prior : Spectrum or FittedSpectrum, one or three, optional
+        Of roll, pitch and yaw (rad). By default found in the data, tones included (`fit_spectra`).
+        A FittedSpectrum also scales the measurement variances.
+    grid_step : float, optional
+        s; step of the time grid, at most 1/7 period of the fastest motion. By default a seventh of
+        the shortest lag, within 1/5 to 1 sampling step of the differences.
+    offset_sigma : float, optional
+        rad; 1-sigma of an unknown constant angle of every image. By default the images' geometry is
+        taken as exact. With it, a linear drift is hidden as well as the constant.
+    independent : float
+        Fraction of each difference's variance that no other pair of the patch shares.
+    order : int
+        Of the autoregressive prior.
+    innovation_weights : (grid nodes,), optional
+        Below 1 where the motion may jump; see `Autoregressive.precision_band`.
+
+    Returns
+    -------
+    Motion
+        At `t`, less what the differences cannot see: each axis has mean zero over `t` (and no linear
+        trend when offsets are free), and its covariance is that of the motion so reduced. Axes are
+        estimated one by one, so that the covariance is diagonal.
+
+    Raises
+    ------
+    InputError
+        If no difference is usable, or `prior` is neither one spectrum nor three.
+
+    Notes
+    -----
+    S1, III, "filtering", in its optimal form: ``m = (Q + H' R^-1 H)^-1 H' R^-1 y`` with Q the banded
+    precision of the prior and H rows of local interpolation at t and t + lag.
+
+    Examples
+    --------
+    >>> t = np.arange(0.0, 1.0, 0.01)
+    >>> roll = 1e-5 * np.sin(2 * np.pi * 2.0 * t)
+    >>> angles = np.zeros((90, 3))
+    >>> angles[:, 0] = roll[10:] - roll[:-10]
+    >>> pair = AngleDifferences(t[:90], np.full(90, 0.1), angles, np.tile(1e-16 * np.eye(3), (90, 1, 1)))
+    >>> from sightline.estimation.prior import Matern
+    >>> motion = smooth([pair], t, prior=Spectrum((Matern(1e-5, 0.2, "5/2"),)))
+    >>> bool(np.abs(motion.angles[:, 0] - (roll - roll.mean())).max() < 2e-7)
+    True
+    """
+    times = as_times(t, "t", increasing=True)
+    series = [scalar_series(differences, axis) for axis in range(3)]
+    step = default_step(series[0]) if grid_step is None else grid_step
+    first, last = span(series[0])
+    margin = 0.5 * TAPS * step
+    grid = Grid.covering(min(first, times[0]) - margin, max(last, times[-1]) + margin, step)
+    if prior is None:
+        prior = fit_spectra(
+            differences, grid_step=grid_step, offset_sigma=offset_sigma, independent=independent
+        )
+    angles = np.empty((len(times), 3))
+    covariance = np.zeros((len(times), 3, 3))
+    for axis, believed in enumerate(_three(prior)):
+        equations = normal_equations(
+            series[axis], grid, offsets=offset_sigma is not None, independent=independent
+        )
+        now = posterior(
+            equations,
+            believed.spectrum.autoregressive(grid.step, order, grid.count),
+            noise_scale=believed.noise_scale,
+            offset_sigma=1.0 if offset_sigma is None else offset_sigma,
+            weights=innovation_weights,
+        )
+        angles[:, axis], covariance[:, axis, axis] = reduced(now, times, trend=offset_sigma is not None)
+    return Motion(times, angles, covariance)
+
+
+def fit_spectra(
+    differences: Sequence[AngleDifferences],
+    *,
+    grid_step: float | None = None,
+    offset_sigma: float | None = None,
+    independent: float = 0.0,
+    max_tones: int = 8,
+) -> tuple[FittedSpectrum, FittedSpectrum, FittedSpectrum]:
+    """Spectra of roll, pitch and yaw (rad) by marginal likelihood, tones found blind.
+
+    Parameters are those of `smooth`; `max_tones` limits the search for tones on each axis.
+    """
+    roll, pitch, yaw = (
+        fit_spectrum(
+            scalar_series(differences, axis),
+            step=grid_step,
+            offset_sigma=offset_sigma,
+            independent=independent,
+            max_tones=max_tones,
+        )
+        for axis in range(3)
+    )
+    return roll, pitch, yaw
+
+
+def scalar_series(differences: Sequence[AngleDifferences], axis: int) -> list[DifferenceSeries]:
+    """One axis (0 roll, 1 pitch, 2 yaw) of all pairs, its variance being the marginal one."""
+    if len(differences) == 0:
+        raise InputError("`differences` is empty; give the angle differences of at least one image pair")
+    return [
+        DifferenceSeries(
+            d.t, d.lag, d.angles[:, axis], d.covariance[:, axis, axis], d.images, d.window,
+            None if d.patch is None else np.asarray(d.patch, dtype=np.int64),
+        )
+        for d in differences
+    ]  # fmt: skip
+
+
+def reduced(now: Posterior, t: Array, *, trend: bool = False) -> tuple[Array, Array]:
+    """Mean and variance at `t` (N,) of the motion less its mean over `t`, or less its linear trend."""
+    grid = now.equations.grid
+    first, w = grid.weights(t)
+    nodes = first[:, None] + np.arange(w.shape[1])
+    u = np.linspace(-1.0, 1.0, len(t)) if len(t) < 2 else 2.0 * (t - t[0]) / (t[-1] - t[0]) - 1.0
+    shapes = np.stack([np.ones(len(t)), u], axis=1)[:, : 2 if trend and len(t) > 2 else 1]
+    hidden = np.linalg.qr(shapes)[0]
+    spread = np.zeros((grid.count, hidden.shape[1]))
+    for k in range(w.shape[1]):
+        np.add.at(spread, nodes[:, k], w[:, k, None] * hidden)
+    along = np.einsum("nk,nkh->nh", w, now.factor.times(spread)[0][nodes])
+    band = now.covariance_band(w.shape[1] - 1)
+    variance = np.zeros(len(t))
+    for k in range(w.shape[1]):
+        for h in range(k + 1):
+            pair = w[:, k] * w[:, h] * band[k - h, nodes[:, h]]
+            variance += pair if h == k else 2.0 * pair
+    variance += np.sum(hidden * (hidden @ (hidden.T @ along) - 2.0 * along), axis=1)
+    values = np.einsum("nk,nk->n", w, now.mean[nodes])
+    return values - hidden @ (hidden.T @ values), np.maximum(variance, 0.0)
+
+
+def _three(
+    prior: Spectrum | FittedSpectrum | Sequence[Spectrum | FittedSpectrum],
+) -> tuple[FittedSpectrum, ...]:
+    """One belief per axis."""
+    given = (prior,) * 3 if isinstance(prior, (Spectrum, FittedSpectrum)) else tuple(prior)
+    if len(given) != 3:
+        raise InputError(f"`prior` must be one spectrum or one for each of {AXES}, got {len(given)}")
+    return tuple(
+        p if isinstance(p, FittedSpectrum) else FittedSpectrum(p, 1.0, float("nan"), float("nan"))
+        for p in given
+    )

@@ -1,0 +1,185 @@
+"""Priors of the three axes, learned from the rows of the joint problem.
+
+Each row of windows is collapsed to one angle difference per pair, with what the present estimate
+already explains added back; the spectrum of each axis then follows by marginal likelihood
+(``estimation/likelihood.py``). The same rows serve S1's named estimators.
+
+Not here: the joint solution itself (``joint.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import EstimationError
+from sightline.estimation.likelihood import fit_spectrum
+from sightline.estimation.prior import Autoregressive, Matern, Spectrum
+from sightline.estimation.series import DifferenceSeries
+from sightline.motion.differences import AngleDifferences
+from sightline.motion.joint import JointEstimate
+from sightline.motion.normal_equations import TimeGrid
+from sightline.motion.observations import Star
+
+Array = NDArray[np.float64]
+
+#: Order of the autoregressive priors.
+ORDER = 40
+
+
+@dataclass(frozen=True)
+class PriorModel:
+    """Spectra of roll, pitch and yaw (rad)."""
+
+    spectra: tuple[Spectrum, Spectrum, Spectrum]
+
+    def scaled(self, pixel_angle: float, half_field: float) -> PriorModel:
+        """The model given in px (yaw: px at the field edge) as one in rad."""
+        yaw = pixel_angle / max(half_field, pixel_angle)
+        factors = (pixel_angle, pixel_angle, yaw)
+        roll, pitch, turn = (s.scaled(f) for s, f in zip(self.spectra, factors, strict=True))
+        return PriorModel((roll, pitch, turn))
+
+    def processes(self, grid: TimeGrid) -> tuple[Autoregressive, Autoregressive, Autoregressive]:
+        """Autoregressive processes on the grid."""
+        roll, pitch, yaw = (s.autoregressive(grid.step, ORDER, grid.count) for s in self.spectra)
+        return roll, pitch, yaw
+
+
+_WIDE = Spectrum((Matern(20.0, 1.0, "5/2"), Matern(0.5, 0.01, "3/2")))
+#: What is assumed before anything is known, in px: tens of px of slow drift, half a px of jitter.
+BROAD = PriorModel((_WIDE, _WIDE, _WIDE))
+
+
+def angle_differences(
+    stars: Sequence[Star], post_px: Sequence[Array], estimate: JointEstimate
+) -> list[AngleDifferences]:
+    """One difference of the three angles per row of windows and pair (S1 step b, about the present estimate).
+
+    Parameters
+    ----------
+    stars : sequence of Star
+    post_px : sequence of (G, K, 2)
+        Residuals after the estimate.
+    estimate : JointEstimate
+        Its motion is added back, so that the differences are those of the whole motion.
+
+    Returns
+    -------
+    list of AngleDifferences
+        One per star and pair.
+    """
+    out = []
+    patch_start = 0
+    for star, post in zip(stars, post_px, strict=True):
+        rows, blocks = star.shape
+        for k, image in enumerate(star.images):
+            part = _collapse(star, post, k)
+            good = part.t_hub == part.t_hub
+            if good.sum() < 8:
+                continue
+            at_hub = averaged(estimate.grid, estimate.nodes, part.t_hub[good], star.duration)
+            at_partner = averaged(estimate.grid, estimate.nodes, part.t[good], star.duration)
+            out.append(
+                AngleDifferences(
+                    t=part.t_hub[good],
+                    lag=part.t[good] - part.t_hub[good],
+                    angles=part.angles[good] + at_partner - at_hub,
+                    covariance=part.covariance[good],
+                    images=(star.hub, image),
+                    window=star.duration,
+                    patch=patch_start + np.flatnonzero(good),
+                )
+            )
+        patch_start += rows
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    t_hub: Array
+    t: Array
+    angles: Array
+    covariance: Array
+
+
+def _collapse(star: Star, post: Array, k: int) -> _Rows:
+    """Weighted least squares of the three angles per row of windows for pair k; NaN where too few."""
+    rows, blocks = star.shape
+    scale = star.correlation[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
+    factor = np.linalg.cholesky(star.covariance_px[:, k])
+    covariance = factor @ scale @ np.swapaxes(factor, 1, 2)
+    weight = np.linalg.inv(covariance)
+    seen = star.present[:, k]
+    weight = weight * np.where(seen, star.weight[:, k], 0.0)[:, None, None]
+    j = star.by_partner[:, k].astype(float)
+    y = np.where(seen[:, None], post[:, k], 0.0)
+    normal = np.einsum("gca,gcd,gdb->gab", j, weight, j).reshape(rows, blocks, 3, 3).sum(1)
+    right = np.einsum("gca,gcd,gd->ga", j, weight, y).reshape(rows, blocks, 3).sum(1)
+    w = np.where(seen, 1.0, 0.0).reshape(rows, blocks)
+    count = w.sum(1)
+    # a few counts of very weak information keep an axis that a row cannot see finite (sigma 0.1 rad)
+    inverse = np.linalg.inv(normal + 1e2 * np.eye(3))
+    angles = np.einsum("rab,rb->ra", inverse, right)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        t_hub = np.where(count > 0, (w * star.t_hub.reshape(rows, blocks)).sum(1) / count, np.nan)
+        t = np.nansum(w * np.nan_to_num(star.t[:, k]).reshape(rows, blocks), axis=1) / count
+    return _Rows(t_hub, t, angles, inverse)
+
+
+def averaged(grid: TimeGrid, nodes: Array, t: Array, duration: float) -> Array:
+    """Mean of the node motion over windows of `duration` about `t`: (N, C)."""
+    if duration <= 0.0:
+        return grid.interpolate(nodes, t)
+    points = 2 + int(np.ceil(duration / grid.step))
+    offsets = duration * ((np.arange(points) + 0.5) / points - 0.5)
+    return np.asarray(sum(grid.interpolate(nodes, t + o) for o in offsets) / points)
+
+
+def fit_prior_model(
+    stars: Sequence[Star],
+    post_px: Sequence[Array],
+    estimate: JointEstimate,
+    pixel: Array,
+    start: PriorModel | None = None,
+) -> PriorModel:
+    """Spectra of the three axes by marginal likelihood, tones found blind.
+
+    Parameters
+    ----------
+    stars, post_px, estimate
+        As for `angle_differences`.
+    pixel : (3,)
+        rad; one pixel of roll, pitch, and of yaw at the field edge: how far pairs may be offset.
+    start : PriorModel, optional
+        A model fitted before, to start from.
+    """
+    differences = angle_differences(stars, post_px, estimate)
+    if not differences:
+        raise EstimationError("no row of windows is seen by any pair; check that the bands overlap")
+    spectra = []
+    for axis in range(3):
+        fitted = fit_spectrum(
+            [scalar_series(d, axis) for d in differences],
+            start=None if start is None else start.spectra[axis],
+            offset_sigma=float(pixel[axis]),
+            fit_noise=False,
+        )
+        spectra.append(fitted.spectrum)
+    return PriorModel((spectra[0], spectra[1], spectra[2]))
+
+
+def scalar_series(differences: AngleDifferences, axis: int) -> DifferenceSeries:
+    """One axis of a set of differences (0 roll, 1 pitch, 2 yaw)."""
+    return DifferenceSeries(
+        differences.t,
+        differences.lag,
+        differences.angles[:, axis],
+        differences.covariance[:, axis, axis],
+        images=differences.images,
+        window=differences.window,
+        patch=differences.patch,
+    )

@@ -1,0 +1,268 @@
+"""The joint estimate: roll, pitch, yaw on one grid, static parameters and relief, with covariance.
+
+Maximum a posteriori by banded normal equations: the data's information (``normal_equations.py``)
+plus one autoregressive precision per axis. A free constant per axis and the static parameters
+form the border. The covariance is that of the motion less its hidden part: a constant per axis,
+and what free static parameters imitate.
+
+Not here: choosing the prior (``estimation/likelihood.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.estimation.banded import BorderedFactor
+from sightline.estimation.prior import Autoregressive
+from sightline.motion.normal_equations import NormalEquations, TimeGrid, band_times
+
+Array = NDArray[np.float64]
+
+#: 1-sigma of the constant of roll, pitch and yaw (rad). Roll and pitch constants are never seen by images of one
+#: strip and stay where the reference attitude puts them; that of yaw turns bands that look ahead sideways.
+CONSTANT_SIGMA = (3e-4, 3e-4, 1e-2)
+
+
+@dataclass(frozen=True, eq=False)
+class JointPrior:
+    """What is believed before the images are looked at.
+
+    Attributes
+    ----------
+    angles : three Autoregressive
+        Roll, pitch, yaw departures from a free constant, on the grid (rad).
+    statics_sigma : (Q,)
+        Of each static parameter, in its unit.
+    relief : two Autoregressive or None
+        Mean height and cross-track slope (at the field edge) of each row of ground (m).
+    innovation_weights : (count, 3) or None
+        Below 1 where the motion may jump.
+    constant_sigma : (3,)
+        rad; of the free constant of each axis.
+    """
+
+    angles: tuple[Autoregressive, Autoregressive, Autoregressive]
+    statics_sigma: Array
+    relief: tuple[Autoregressive, Autoregressive] | None = None
+    innovation_weights: Array | None = None
+    constant_sigma: tuple[float, float, float] = CONSTANT_SIGMA
+
+    def precision(self, grid: TimeGrid, block: int) -> Array:
+        """Lower band of the prior precision of all unknowns of the grid."""
+        processes = list(self.angles) + (list(self.relief) if self.relief is not None else [])
+        bands = []
+        for axis, process in enumerate(processes):
+            weights = None
+            if self.innovation_weights is not None and axis < 3:
+                weights = self.innovation_weights[:, axis]
+            bands.append(process.precision_band(weights))
+        width = max(len(b) for b in bands)
+        ab = np.zeros(((width - 1) * block + 1, block * grid.count))
+        for axis, band in enumerate(bands):
+            ab[: (len(band) - 1) * block + 1 : block, axis::block] = band
+        return ab
+
+
+@dataclass(frozen=True, eq=False)
+class JointEstimate:
+    """Posterior of the joint problem.
+
+    Attributes
+    ----------
+    grid : TimeGrid
+    nodes : (count, 3)
+        rad; roll, pitch, yaw.
+    relief : (count, 2) or None
+        m; mean height and slope (at the field edge).
+    statics : (Q,)
+        Estimates of the static parameters; `statics_sigma` their posterior sigmas.
+    """
+
+    grid: TimeGrid
+    nodes: Array
+    relief: Array | None
+    statics: Array
+    statics_sigma: Array
+    _data: NormalEquations
+    _prior: JointPrior
+
+    def unknowns(self) -> Array:
+        """Node values with relief where there is any, (count, 3 or 5)."""
+        return self.nodes if self.relief is None else np.concatenate([self.nodes, self.relief], axis=1)
+
+    def hidden_directions(self, *, drifts: bool) -> Array:
+        """Motions that leave every measurement as it is, (count, 3, H) rad; each of unit size at its own axis.
+
+        A constant per axis, and with `drifts` a linear drift per axis, each with what exact rays tie to it: the
+        change of the other axes and of the free static parameters that cancels its effect on the images.
+
+        Notes
+        -----
+        A seed h is completed to the hidden direction h + x by the least informative x:
+        ``(N + P) x = -N h``, N the data's information and P the prior's, so that h + x leaves the data alone.
+        """
+        data, grid = self._data, self.grid
+        u = np.linspace(-1.0, 1.0, grid.count)
+        seeds = []
+        for shape in [np.ones(grid.count), u] if drifts else [np.ones(grid.count)]:
+            for axis in range(3):
+                seed = np.zeros((grid.count, data.block))
+                seed[:, axis] = shape
+                seeds.append(seed.ravel())
+        h = np.stack(seeds, axis=1)
+        factor = _factor(data, self._prior, constants=False)
+        top, bottom = data.times(h)
+        x, _ = factor.solve(-top, -bottom)
+        completed = (h + x).reshape(grid.count, data.block, -1)[:, :3]
+        return _unmixed(completed, u)
+
+    def relative_covariance(self, t: Array, directions: Array, scale: Array) -> Array:
+        """Covariance (N, 3, 3) rad^2 of the motion at `t` after the hidden `directions` are fitted away.
+
+        Parameters
+        ----------
+        t : (N,)
+            s; instants at which the motion is given, evenly weighted in the fit.
+        directions : (N, 3, H)
+            Hidden directions at these instants.
+        scale : (3,)
+            rad; angle that counts as one in the fit, per axis (one pixel; for yaw one pixel at the field edge).
+        """
+        factor = _factor(self._data, self._prior, constants=False)
+        return projected_covariance(factor, self.grid, self._data.block, t, directions, scale)
+
+    def absolute_covariance(self, t: Array) -> Array:
+        """Covariance (N, 3, 3) rad^2 of the motion at `t`, its constants included."""
+        factor = _factor(self._data, self._prior, constants=True)
+        return marginal_covariance(factor, self.grid, self._data.block, t)
+
+    def innovations(self) -> Array:
+        """Scaled innovations of the estimated motion under the prior, (count, 3): about 1 where it fits."""
+        return np.stack([p.innovations(self.nodes[:, k] - self.nodes[:, k].mean()) for k, p in enumerate(self._prior.angles)], 1)
+
+
+def _unmixed(directions: Array, u: Array) -> Array:
+    """Directions recombined so that each holds the constant or drift of its own axis once and no other's."""
+    shapes = np.stack([np.ones_like(u), u], axis=1)[:, : directions.shape[2] // 3]
+    content = np.linalg.lstsq(shapes, directions.reshape(len(u), -1), rcond=None)[0]
+    content = content.reshape(shapes.shape[1] * 3, directions.shape[2])
+    return np.asarray(directions @ np.linalg.inv(content))
+
+
+def _factor(data: NormalEquations, prior: JointPrior, *, constants: bool) -> BorderedFactor:
+    """Factor of data + prior; the border holds the statics and, if asked, a free constant per axis."""
+    p = prior.precision(data.grid, data.block)
+    width = max(len(p), len(data.ab))
+    ab = np.zeros((width, p.shape[1]))
+    ab[: len(data.ab)] = data.ab
+    ab[: len(p)] += p
+    statics = len(prior.statics_sigma)
+    border, corner = data.border, data.corner + np.diag(1.0 / prior.statics_sigma**2)
+    if constants:
+        ones = np.zeros((p.shape[1], 3))
+        for axis in range(3):
+            ones[axis :: data.block, axis] = 1.0
+        pulled = band_times(p, ones)
+        border = np.concatenate([border, -pulled], axis=1)
+        grown = np.zeros((statics + 3, statics + 3))
+        grown[:statics, :statics] = corner
+        grown[statics:, statics:] = ones.T @ pulled + np.diag(1.0 / np.square(prior.constant_sigma))
+        corner = grown
+    return BorderedFactor(ab, border, corner)
+
+
+def solve_joint(data: NormalEquations, prior: JointPrior) -> JointEstimate:
+    """Posterior mean of motion, statics and relief for given data and prior."""
+    factor = _factor(data, prior, constants=True)
+    statics = len(prior.statics_sigma)
+    x, y = factor.solve(data.rhs, np.concatenate([data.rhs_static, np.zeros(3)]))
+    nodes = x.reshape(data.grid.count, data.block)
+    sigma = np.sqrt(np.diag(factor.border_covariance)[:statics])
+    relief = nodes[:, 3:].copy() if data.block == 5 else None
+    return JointEstimate(data.grid, nodes[:, :3].copy(), relief, y[:statics], sigma, data, prior)
+
+
+def _interpolated(band: Array, grid: TimeGrid, block: int, t: Array) -> Array:
+    """(N, 3, 3) covariance at `t` from the band of the grid's covariance."""
+    first, w = grid.weights(t)
+    taps = w.shape[1]
+    out = np.zeros((len(t), 3, 3))
+    for i in range(taps):
+        for j in range(taps):
+            weight = w[:, i] * w[:, j]
+            for p in range(3):
+                for q in range(3):
+                    row, column = (first + i) * block + p, (first + j) * block + q
+                    low, high = np.minimum(row, column), np.maximum(row, column)
+                    out[:, p, q] += weight * band[high - low, low]
+    return out
+
+
+def marginal_covariance(factor: BorderedFactor, grid: TimeGrid, block: int, t: Array) -> Array:
+    """(N, 3, 3) posterior covariance of the three angles at `t`."""
+    return _interpolated(factor.covariance_band(4 * block - 1), grid, block, t)
+
+
+def projected_covariance(
+    factor: BorderedFactor, grid: TimeGrid, block: int, t: Array, directions: Array, scale: Array
+) -> Array:
+    """(N, 3, 3) covariance at `t` of the motion with `directions` (N, 3, H) removed by one unweighted fit.
+
+    Notes
+    -----
+    With Q an orthonormal basis of the directions: ``C - Q Q'C - C Q Q' + Q (Q'CQ) Q'``, block diagonal only;
+    C Q comes from H solves with the factor.
+    """
+    n = len(t)
+    q3 = _orthonormal(directions, scale)
+    h = q3.shape[2]
+    on_grid = np.zeros((grid.count, block, h))
+    for axis in range(3):
+        on_grid[:, axis] = grid.spread(q3[:, axis] / scale[axis], t)
+    cq_grid, _ = factor.times(on_grid.reshape(-1, h))
+    cq = grid.interpolate(cq_grid.reshape(grid.count, block, h)[:, :3], t) / scale[None, :, None]
+    inner = q3.reshape(n * 3, h).T @ cq.reshape(n * 3, h)
+    c = marginal_covariance(factor, grid, block, t) / np.outer(scale, scale)
+    cross = np.einsum("nph,nqh->npq", cq, q3)
+    left = c - cross - cross.transpose(0, 2, 1) + np.einsum("nph,hk,nqk->npq", q3, inner, q3)
+    return np.asarray(left * np.outer(scale, scale))
+
+
+def _orthonormal(directions: Array, scale: Array) -> Array:
+    """Orthonormal basis (N, 3, H) of the directions in units of `scale`."""
+    n = len(directions)
+    q, _ = np.linalg.qr((directions / scale[None, :, None]).reshape(n * 3, -1))
+    return np.asarray(q.reshape(n, 3, -1))
+
+
+def remove_directions(values: Array, directions: Array, scale: Array) -> Array:
+    """`values` (N, 3) less their least-squares fit by `directions` (N, 3, H), every line and axis in units of `scale`."""
+    q = _orthonormal(directions, scale)
+    x = values / scale
+    return np.asarray((x - np.einsum("nph,h->np", q, np.einsum("nph,np->h", q, x))) * scale)
+
+
+def directions_at(grid: TimeGrid, directions: Array, t: Array) -> Array:
+    """Hidden directions given on the grid, at the instants `t`: (N, 3, H)."""
+    return grid.interpolate(directions, t)
+
+
+def angles_at(estimate: JointEstimate, t: Array) -> Array:
+    """Estimated angles (N, 3) rad at the instants `t`."""
+    return estimate.grid.interpolate(estimate.nodes, t)
+
+
+__all__: Sequence[str] = (
+    "JointEstimate",
+    "JointPrior",
+    "angles_at",
+    "directions_at",
+    "marginal_covariance",
+    "projected_covariance",
+    "remove_directions",
+    "solve_joint",
+)

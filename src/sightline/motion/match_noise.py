@@ -1,0 +1,109 @@
+"""How wrong the matches are, learned from their own scatter across the field.
+
+Within one row of windows the motion can only shift and tilt the residuals; what is left is
+error of matching. Its covariance between pairs (which share the hub's error) and from row to
+row (which share texture) is pooled over the strip, free of any belief about the motion.
+
+Not here: the matcher's own covariance of a single match (``matching/``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.motion.observations import Star, scale_residuals, shared_image_correlation
+
+Array = NDArray[np.float64]
+
+#: Rows of windows need this many blocks to tell error from motion.
+MIN_BLOCKS = 4
+#: Rows over which the correlation from row to row is followed.
+ROW_LAGS = 3
+#: Errors beyond this many sigmas lose weight, beyond REJECT they lose all.
+SOFT, REJECT = 3.0, 6.0
+
+
+def scatter(star: Star, post_px: Array) -> tuple[Array, Array]:
+    """Scaled residuals of each row with its shift and tilt removed.
+
+    Parameters
+    ----------
+    star : Star
+    post_px : (G, K, 2)
+        Residuals after the estimate, px.
+
+    Returns
+    -------
+    z : (rows, blocks, 2K)
+        NaN where absent, or where the row holds too few windows.
+    degrees : (rows, 2K)
+        Degrees of freedom left in the row.
+    """
+    rows, blocks = star.shape
+    pairs = star.t.shape[1]
+    z = scale_residuals(post_px, star.covariance_px).reshape(rows, blocks, 2 * pairs)
+    present = np.repeat(star.present.reshape(rows, blocks, pairs), 2, axis=2)
+    w = (present & np.isfinite(z)).astype(float)
+    x = star.field.reshape(rows, blocks)[:, :, None]
+    v = np.where(w > 0, z, 0.0)
+    s0, s1, s2 = w.sum(1), (w * x).sum(1), (w * x * x).sum(1)
+    y0, y1 = v.sum(1), (v * x).sum(1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        det = s0 * s2 - s1 * s1
+        slope = (s0 * y1 - s1 * y0) / det
+        mean = (y0 - slope * s1) / s0
+    degrees = np.where((s0 >= MIN_BLOCKS) & (det > 1e-9), s0 - 2.0, 0.0)
+    left = z - mean[:, None, :] - slope[:, None, :] * x
+    return np.where((w > 0) & (degrees[:, None, :] > 0), left, np.nan), degrees
+
+
+def estimate_correlation(star: Star, post_px: Array) -> Array:
+    """Error correlation (2K, 2K) of a star's pairs, rows' long-run correlation included.
+
+    Falls back to the shared-image start value where the rows hold too few windows.
+    """
+    pairs = star.t.shape[1]
+    z, degrees = scatter(star, post_px)
+    counted = float(degrees.sum())
+    if counted < 200 * pairs:
+        return shared_image_correlation(pairs)
+    clipped = np.clip(z, -REJECT, REJECT)
+    v = np.where(np.isfinite(clipped), clipped, 0.0)
+    seen = np.isfinite(clipped).astype(float)
+    # a row of n windows keeps n - 2 of its n squares
+    share = np.sqrt(np.where(degrees > 0, seen.sum(1) / np.maximum(degrees, 1.0), 0.0))
+    v = v * share[:, None, :]
+
+    def covariance(shift: int) -> Array:
+        first, second = v[: len(v) - shift], v[shift:]
+        both = np.einsum("rbi,rbj->ij", seen[: len(v) - shift], seen[shift:])
+        return np.asarray(np.einsum("rbi,rbj->ij", first, second) / np.maximum(both, 1.0))
+
+    total = covariance(0)
+    scale = np.sqrt(np.diag(total))
+    for shift in range(1, min(ROW_LAGS, len(v) - 1) + 1):
+        step = covariance(shift)
+        total = total + step + step.T
+    # long-run sums may fall below the plain variance by chance or by overlap; never trust more than half of it
+    values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
+    total = (vectors * np.maximum(values, 0.05)) @ vectors.T * np.outer(scale, scale)
+    return np.asarray(0.5 * (total + total.T))
+
+
+def robust_weights(star: Star, post_px: Array) -> Array:
+    """Weights (G, K) in [0, 1] from residuals after the estimate: 1 inside, falling beyond, 0 far out."""
+    pairs = star.t.shape[1]
+    z = scale_residuals(post_px, star.covariance_px).reshape(-1, pairs, 2)
+    finite = np.isfinite(z[..., 0])
+    out = np.zeros(finite.shape)
+    for k in range(pairs):
+        seen = finite[:, k] & (star.weight[:, k] > 0)
+        if not seen.any():
+            continue
+        # spread by the median, so that mismatches do not widen it
+        spread = np.maximum(1.4826 * np.median(np.abs(z[seen, k]), axis=0), 1e-6)
+        distance = np.sqrt(((z[:, k] / spread) ** 2).sum(axis=1) / 2.0)
+        weight = np.where(distance <= SOFT, 1.0, SOFT / np.maximum(distance, 1e-12))
+        out[:, k] = np.where(finite[:, k] & (distance <= REJECT), weight, 0.0)
+    return out

@@ -1,0 +1,104 @@
+"""Relief that is not in the surface: a process of its own beside the motion.
+
+Parallax of unknown heights looks like pitch (mean height of a row) and yaw (its slope across the
+field), grows with the lag and belongs to the ground, not to the time. Two processes per row carry
+it, so that the sigma of the motion owns what relief can hide, and pairs of several lags separate
+what they can (S1, relief nuisance A_h + j B_h).
+
+Not here: known relief, which is in the surface (``geometry/surface.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.estimation.prior import Autoregressive, autoregressive
+from sightline.motion.match_noise import scatter
+from sightline.motion.normal_equations import TimeGrid
+from sightline.motion.observations import Star
+
+Array = NDArray[np.float64]
+
+#: Order of the relief's autoregressions.
+ORDER = 40
+#: Positions across the field at which a row of ground is sampled.
+ROW_SAMPLES = 21
+
+
+def terrain_covariance(distance: Array, length: float) -> Array:
+    """Covariance of unit terrain at `distance` (m): Matern 3/2 of correlation length `length` (m)."""
+    r = np.sqrt(3.0) * distance / length
+    return np.asarray((1.0 + r) * np.exp(-r))
+
+
+def _row_functionals() -> tuple[Array, Array, Array]:
+    """Positions (-1 .. 1), and the weights that give mean and slope-at-the-edge of a row."""
+    x = np.linspace(-1.0, 1.0, ROW_SAMPLES)
+    return x, np.full(ROW_SAMPLES, 1.0 / ROW_SAMPLES), x / (x @ x)
+
+
+def row_processes(
+    sigma: float, length: float, half_width: float, ground_speed: float, grid: TimeGrid
+) -> tuple[Autoregressive, Autoregressive]:
+    """Mean height and cross-track slope of rows of terrain as processes on the time grid.
+
+    Parameters
+    ----------
+    sigma, length : float
+        m; of the terrain.
+    half_width : float
+        m; half of the swath.
+    ground_speed : float
+        m/s; along the track.
+    grid : TimeGrid
+    """
+    x, mean, slope = _row_functionals()
+    lags = grid.step * ground_speed * np.arange(ORDER + 1.0)
+    across = half_width * np.subtract.outer(x, x)
+    k = sigma**2 * terrain_covariance(np.hypot(across[None], lags[:, None, None]), length)
+    first, second = (np.einsum("i,lij,j->l", w, k, w) for w in (mean, slope))
+    return autoregressive(first, ORDER, grid.count), autoregressive(second, ORDER, grid.count)
+
+
+def detrended_share(length: float, half_width: float) -> float:
+    """Share of the terrain's variance left in a row after its mean and slope are taken out."""
+    x, mean, slope = _row_functionals()
+    k = terrain_covariance(half_width * np.abs(np.subtract.outer(x, x)), length)
+    keep = np.eye(len(x)) - np.outer(np.ones(len(x)), mean) - np.outer(x, slope)
+    return float(np.trace(keep @ k @ keep.T) / len(x))
+
+
+def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float, half_width: float) -> float:
+    """Correlation length (m) of unknown relief of known `sigma` (m), from the scatter within rows.
+
+    Notes
+    -----
+    What the pairs share along the lines beyond what they share across them is taken for relief: matching errs alike
+    on both axes (in units of its own sigma), relief moves points along the track only.
+    """
+    excess, weight = 0.0, 0.0
+    for star, post in zip(stars, post_px, strict=True):
+        z, _ = scatter(star, post)
+        pairs = star.t.shape[1]
+        flat = z.reshape(-1, 2 * pairs)
+        along = np.sqrt(star.covariance_px[..., 0, 0])
+        coefficient = np.abs(star.by_height[..., 0])
+        for j in range(pairs):
+            for k in range(j, pairs):
+                if pairs > 1 and j == k:
+                    continue
+                line = np.nanmean(flat[:, 2 * j] * flat[:, 2 * k])
+                column = np.nanmean(flat[:, 2 * j + 1] * flat[:, 2 * k + 1])
+                scale = np.nanmedian(along[:, j] * along[:, k])
+                gain = float(np.nanmedian(coefficient[:, j] * coefficient[:, k]))
+                if np.isfinite(line - column) and gain > 0:
+                    number = float(np.isfinite(flat[:, 2 * j] * flat[:, 2 * k]).sum())
+                    excess += number * gain * float((line - column) * scale)
+                    weight += number * gain**2
+    measured = max(excess / weight, 0.0) if weight > 0 else 0.0
+    lengths = half_width * np.geomspace(0.05, 100.0, 60)
+    shares = np.array([detrended_share(length, half_width) for length in lengths])
+    return float(lengths[int(np.argmin(np.abs(shares - measured / sigma**2)))])

@@ -1,0 +1,191 @@
+"""Matched windows of one hub image, gathered into a star of observations.
+
+S1's boxes 20 to 26 for a whole strip: lay windows, predict, match, residual. Which hubs are
+needed is decided here too: the first image serves all ground it sees, later images only what
+no earlier hub has seen, so that no pair is counted twice.
+
+Not here: what is done with the observations (``joint.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import EstimationError
+from sightline.geometry.surface import Dem, Surface
+from sightline.imaging.source import ImageSource
+from sightline.imaging.warp import WarpedImage
+from sightline.matching.match_images import match_images
+from sightline.matching.whitening import Whitening, estimate_whitening
+from sightline.motion.observations import Star, shared_image_correlation
+from sightline.motion.predict import MovingCamera, StaticParameter
+from sightline.motion.sampled_sensitivities import sampled_sensitivities
+from sightline.motion.windows import (
+    Predictions,
+    WindowGrid,
+    exposure_times,
+    field_positions,
+    predict_windows,
+    window_grid,
+)
+
+Array = NDArray[np.float64]
+
+#: Columns between the places where the map between two images is evaluated: over relief and over smooth surfaces.
+RELIEF_SPACING, SMOOTH_SPACING = 16, 64
+
+
+@dataclass(frozen=True, eq=False)
+class MatchingPlan:
+    """How one pass of matching looks.
+
+    Attributes
+    ----------
+    window : (lines, columns)
+        px.
+    step : int
+        Lines between rows of windows.
+    search_px : (lines, columns)
+        px; half-range of the integer search; (0, 0) trusts the prediction.
+    """
+
+    window: tuple[int, int]
+    step: int
+    search_px: tuple[int, int] = (0, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class StarRecord:
+    """A star with what the report shows of its matching.
+
+    Attributes
+    ----------
+    star : Star
+    status : (G, K) uint8
+        Why each match was kept or not (``matching.matches.STATUS_NAMES``).
+    score : (G, K)
+        Normalised correlation, 0 .. 1.
+    """
+
+    star: Star
+    status: NDArray[np.uint8]
+    score: Array
+
+
+def hub_windows(
+    cameras: Sequence[MovingCamera], surface: Surface, shapes: Sequence[tuple[int, int]], order: Sequence[int], plan: MatchingPlan
+) -> list[tuple[int, tuple[int, ...], WindowGrid]]:
+    """Which windows to cut from which image: (hub, partners, grid) for every hub in `order`."""
+    out = []
+    for place, hub in enumerate(order[:-1]):
+        partners = tuple(order[place + 1 :])
+        grid = window_grid(shapes[hub], plan.window, plan.step)
+        if place:
+            middle = grid.columns[len(grid.columns) // 2]
+            pixels = np.stack([grid.lines, np.full(len(grid.lines), middle)], axis=1)
+            ground = cameras[hub].locate(pixels, surface)
+            reach = plan.window[0] / 2
+            fresh = np.ones(len(pixels), dtype=bool)
+            for earlier in order[:place]:
+                line = cameras[earlier].project(ground)[:, 0]
+                fresh &= ~(np.isfinite(line) & (line > reach) & (line < shapes[earlier][0] - 1 - reach))
+            grid = WindowGrid(grid.window, grid.lines[fresh], grid.columns)
+        if len(grid.lines):
+            out.append((hub, partners, grid))
+    return out
+
+
+def match_star(
+    images: Sequence[ImageSource],
+    cameras: Sequence[MovingCamera],
+    surface: Surface,
+    hub: int,
+    partners: tuple[int, ...],
+    grid: WindowGrid,
+    statics: Sequence[StaticParameter],
+    plan: MatchingPlan,
+) -> StarRecord:
+    """Match one hub's windows in all its partners and write down what they say."""
+    predicted = predict_windows(cameras, hub, partners, surface, grid)
+    g, k = len(grid.centres), len(partners)
+    residual = np.full((g, k, 2), np.nan)
+    covariance = np.tile(np.eye(2), (g, k, 1, 1))
+    status = np.ones((g, k), dtype=np.uint8)
+    score = np.full((g, k), np.nan)
+    values = np.zeros((g, k, 2, 7 + len(statics)), dtype=np.float32)
+    for j, partner in enumerate(partners):
+        laid = laid_on(images, cameras, surface, hub, partner)
+        matches = match_images(
+            images[hub],
+            laid,
+            grid.centres,
+            grid.centres,
+            window=grid.window,
+            search_px=plan.search_px,
+            whitening=pair_whitening(images[hub], laid, predicted[j], grid),
+        )
+        values[:, j] = sampled_sensitivities(
+            cameras, hub, partner, surface, grid, np.isfinite(predicted[j].b[:, 0]), statics
+        )
+        good = matches.kept & np.isfinite(values[:, j]).all(axis=(1, 2)) & np.isfinite(predicted[j].b[:, 0])
+        turn = predicted[j].affine[good]
+        residual[good, j] = np.einsum("nij,nj->ni", turn, matches.b[good] - grid.centres[good])
+        covariance[good, j] = turn @ matches.covariance_px[good] @ np.swapaxes(turn, 1, 2)
+        status[:, j], score[:, j] = matches.status, matches.score
+    camera = cameras[hub]
+    star = Star(
+        hub=hub,
+        images=partners,
+        shape=grid.shape,
+        pixels=grid.centres,
+        t_hub=exposure_times(camera, grid.centres),
+        t=np.stack([p.t for p in predicted], axis=1),
+        duration=_duration(camera, grid),
+        residual_px=residual,
+        covariance_px=covariance,
+        by_hub=np.ascontiguousarray(values[..., 0:3]),
+        by_partner=np.ascontiguousarray(values[..., 3:6]),
+        by_static=np.ascontiguousarray(values[..., 7:]),
+        by_height=np.ascontiguousarray(values[..., 6]),
+        field=field_positions(grid.centres[:, 1], images[hub].shape[1]),
+        correlation=shared_image_correlation(k),
+        weight=np.ones((g, k)),
+    )
+    return StarRecord(star, status, score)
+
+
+def laid_on(
+    images: Sequence[ImageSource], cameras: Sequence[MovingCamera], surface: Surface, hub: int, partner: int
+) -> WarpedImage:
+    """The partner's image in the geometry of the hub, as far as the cameras know it."""
+    source, target = cameras[hub], cameras[partner]
+
+    def mapping(lines: Array, columns: Array) -> Array:
+        pixels = np.stack(np.meshgrid(lines, columns, indexing="ij"), axis=-1).reshape(-1, 2)
+        b = target.project(source.locate(pixels, surface))
+        return b.reshape(len(lines), len(columns), 2)
+
+    spacing = RELIEF_SPACING if isinstance(surface, Dem) else SMOOTH_SPACING
+    return WarpedImage(images[partner], mapping, images[hub].shape, spacing)
+
+
+def pair_whitening(image: ImageSource, laid: WarpedImage, predicted: Predictions, grid: WindowGrid) -> Whitening | None:
+    """Whitening filters of a pair; None where there is too little common ground to estimate them."""
+    points = grid.centres[np.isfinite(predicted.b[:, 0])]
+    try:
+        return estimate_whitening(image, laid, points, points)
+    except EstimationError:
+        return None
+
+
+def _duration(camera: MovingCamera, grid: WindowGrid) -> float:
+    """Length (s) of the boxcar that spreads as the window's h line centres do: sqrt(h^2 - 1) line periods."""
+    if len(grid.lines) < 2:
+        return 0.0
+    ends = exposure_times(camera, np.array([[grid.lines[0], 0.0], [grid.lines[-1], 0.0]]))
+    return float((ends[1] - ends[0]) / (grid.lines[-1] - grid.lines[0]) * math.sqrt(grid.window[0] ** 2 - 1.0))

@@ -1,0 +1,117 @@
+"""Static parameters of an instrument as unknowns: band offsets, strip rotations, camera constants.
+
+Each is a small change of the cameras with a prior sigma (``predict.StaticParameter``).
+
+Not here: their estimation (``joint.py``, ``frames.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.motion.predict import MovingCamera, StaticParameter
+
+Array = NDArray[np.float64]
+
+
+def band_statics(
+    names: Sequence[str], offset_sigma_px: Sequence[float], rotation_sigma: Sequence[float]
+) -> list[StaticParameter]:
+    """Offset along, offset across and rotation of each detector line; those with sigma 0 are left out.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the bands, in the order of the cameras.
+    offset_sigma_px : sequence of float
+        px; how well each line's place in the focal plane is known.
+    rotation_sigma : sequence of float
+        rad; how well its rotation is known.
+    """
+    out = []
+    for image, name in enumerate(names):
+        if offset_sigma_px[image] > 0.0:
+            sigma = float(offset_sigma_px[image])
+            out.append(StaticParameter(f"{name} offset along", "px", sigma, 0.5, _adjust(image, "line_px"), (image,)))
+            out.append(StaticParameter(f"{name} offset across", "px", sigma, 0.5, _adjust(image, "column_px"), (image,)))
+        if rotation_sigma[image] > 0.0:
+            out.append(
+                StaticParameter(f"{name} rotation", "rad", float(rotation_sigma[image]), 1e-3, _adjust(image, "rotation"), (image,))
+            )
+    return out
+
+
+def _adjust(image: int, key: str) -> Callable[[Sequence[MovingCamera], float], list[MovingCamera]]:
+    def apply(cameras: Sequence[MovingCamera], value: float) -> list[MovingCamera]:
+        out = list(cameras)
+        camera = out[image]
+        if isinstance(camera, PushbroomCamera):
+            out[image] = camera.with_detector(camera.detector.adjusted(**{key: value}))
+        return out
+
+    return apply
+
+
+def frame_statics(
+    names: Sequence[str],
+    *,
+    focal_length_sigma_px: float = 0.0,
+    principal_point_sigma_px: tuple[float, float] = (0.0, 0.0),
+    distortion_sigma: Sequence[float] = (),
+) -> list[StaticParameter]:
+    """Focal length, principal point and distortion of the one camera that took all frames.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Of the frames (all are touched).
+    focal_length_sigma_px, principal_point_sigma_px, distortion_sigma
+        1-sigma of what is believed beforehand; 0 keeps the value as given.
+    """
+    every = tuple(range(len(names)))
+    out = []
+    if focal_length_sigma_px > 0.0:
+        out.append(StaticParameter("focal length", "px", focal_length_sigma_px, 1.0, _replace_detector("focal_length_px"), every))
+    for k, axis in enumerate(("line", "column")):
+        if principal_point_sigma_px[k] > 0.0:
+            change = _replace_detector("principal_point_px", k)
+            out.append(StaticParameter(f"principal point {axis}", "px", principal_point_sigma_px[k], 0.5, change, every))
+    for k, sigma in enumerate(distortion_sigma):
+        if sigma > 0.0:
+            label = ("k1", "k2", "p1", "p2", "k3")[k]
+            out.append(StaticParameter(f"distortion {label}", "", sigma, 1e-3, _replace_detector("distortion", k), every))
+    return out
+
+
+def _replace_detector(field: str, part: int | None = None) -> Callable[[Sequence[MovingCamera], float], list[MovingCamera]]:
+    def apply(cameras: Sequence[MovingCamera], value: float) -> list[MovingCamera]:
+        out = list(cameras)
+        for k, camera in enumerate(cameras):
+            if isinstance(camera, FrameCamera):
+                old = getattr(camera.detector, field)
+                if part is None:
+                    new = old + value
+                else:
+                    padded = list(old) + [0.0] * (part + 1 - len(old))
+                    padded[part] += value
+                    new = tuple(padded)
+                out[k] = replace(camera, detector=replace(camera.detector, **{field: new}))
+        return out
+
+    return apply
+
+
+def apply_statics(
+    cameras: Sequence[MovingCamera], parameters: Sequence[StaticParameter], values: Array
+) -> list[MovingCamera]:
+    """The cameras with every static parameter `values` (Q,) away from nominal."""
+    out = list(cameras)
+    for parameter, value in zip(parameters, values, strict=True):
+        if value != 0.0:
+            out = parameter.apply(out, float(value))
+    return out

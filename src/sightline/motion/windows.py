@@ -1,0 +1,143 @@
+"""Windows laid on a hub image, predicted in the others: S1's boxes 20 and 22 for whole strips.
+
+A window's prediction is the mean over its lines of where they should be, so that motion
+faster than the window is already in it, with the local affine map of the window.
+
+Not here: matching them (``matching/``), what they say (``observations.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import EstimationError
+from sightline.geometry.camera import Camera, FrameCamera, PushbroomCamera
+from sightline.geometry.surface import Surface
+
+Array = NDArray[np.float64]
+MovingCamera = PushbroomCamera | FrameCamera
+
+
+@dataclass(frozen=True, eq=False)
+class WindowGrid:
+    """Windows of one size on a regular grid: centres (rows * blocks, 2) px, row by row."""
+
+    window: tuple[int, int]
+    lines: Array
+    columns: Array
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(rows, blocks)."""
+        return len(self.lines), len(self.columns)
+
+    @property
+    def centres(self) -> Array:
+        """(rows * blocks, 2) px, (line, column); at half pixels where the size is even."""
+        line, column = np.meshgrid(self.lines, self.columns, indexing="ij")
+        return np.stack([line.ravel(), column.ravel()], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Predictions:
+    """Where the windows of a hub should be in one partner.
+
+    Attributes
+    ----------
+    b : (G, 2)
+        px; mean over the window's lines; NaN where not seen.
+    affine : (G, 2, 2)
+        px/px; change of b with (line, column) in the hub.
+    t : (G,)
+        s; exposure of the partner.
+    """
+
+    b: Array
+    affine: Array
+    t: Array
+
+
+def window_grid(shape: tuple[int, int], window: tuple[int, int], step: int, *, columns_step: int | None = None) -> WindowGrid:
+    """Lay windows of (lines, columns) px on an image, `step` lines apart.
+
+    Parameters
+    ----------
+    shape : (lines, columns)
+        Of the image, px.
+    window : (lines, columns)
+        Of one window, px; cut to the image where it is larger.
+    step : int
+        Lines between rows of windows.
+    columns_step : int, optional
+        Columns between windows; the width by default (side by side).
+    """
+    height, width = min(window[0], shape[0]), min(window[1], shape[1])
+    columns_step = columns_step or width
+    blocks = max(1, (shape[1] - width) // columns_step + 1)
+    left = (shape[1] - (width + (blocks - 1) * columns_step)) // 2
+    columns = left + (width - 1) / 2 + columns_step * np.arange(blocks)
+    lines = (height - 1) / 2 + np.arange(0, shape[0] - height + 1, step)
+    return WindowGrid((height, width), lines.astype(float), columns.astype(float))
+
+
+def predict_windows(
+    cameras: Sequence[MovingCamera], hub: int, images: Sequence[int], surface: Surface, grid: WindowGrid
+) -> list[Predictions]:
+    """Predict all windows of a grid in each partner, with the best motion known to the cameras.
+
+    Notes
+    -----
+    The mean over the lines is taken by two-point quadrature (Gauss's nodes for evenly spaced lines: exact for a
+    motion cubic in time), whose two points also give the change along the lines; the change along the columns comes from the neighbours in the row
+    (or from two points inside the window when it is alone).
+    """
+    rows, blocks = grid.shape
+    centres = grid.centres
+    reach = math.sqrt(max(grid.window[0] ** 2 - 1, 1) / 12.0)
+    ground = [cameras[hub].locate(centres + np.array([side * reach, 0.0]), surface) for side in (-1.0, 1.0)]
+    sideways: list[Array] = []
+    if blocks == 1:
+        span = grid.window[1] / (2.0 * math.sqrt(3.0))
+        sideways = [cameras[hub].locate(centres + np.array([0.0, side * span]), surface) for side in (-1.0, 1.0)]
+    out = []
+    for image in images:
+        camera = cameras[image]
+        low, high = camera.project(ground[0]), camera.project(ground[1])
+        b = 0.5 * (low + high)
+        affine = np.empty((len(b), 2, 2))
+        affine[:, :, 0] = (high - low) / (2.0 * reach)
+        if blocks == 1:
+            affine[:, :, 1] = (camera.project(sideways[1]) - camera.project(sideways[0])) / (2.0 * span)
+        else:
+            table = b.reshape(rows, blocks, 2)
+            affine[:, :, 1] = np.gradient(table, grid.columns, axis=1).reshape(-1, 2)
+        bad = ~np.isfinite(affine[:, :, 1]).all(axis=1)
+        affine[bad, :, 1] = np.array([0.0, 1.0])
+        out.append(Predictions(b, affine, exposure_times(camera, b)))
+    return out
+
+
+def exposure_times(camera: Camera, pixels: Array) -> Array:
+    """Instants (N,) s at which `pixels` (N, 2) were exposed; NaN for NaN pixels."""
+    if isinstance(camera, PushbroomCamera):
+        out = np.full(len(pixels), np.nan)
+        seen = np.isfinite(pixels[:, 0])
+        out[seen] = camera.times(pixels[seen, 0])
+        return out
+    if isinstance(camera, FrameCamera):
+        fraction = 0.0
+        if camera.readout_time:
+            fraction = camera.readout_time * ((pixels[:, 0] + 0.5) / camera.detector.shape[0] - 0.5)
+        return np.asarray(camera.t + fraction + 0.0 * pixels[:, 0])
+    raise EstimationError(f"exposure times are not known for a camera of type {type(camera).__name__}")
+
+
+def field_positions(columns: Array, width: int) -> Array:
+    """Columns as positions across the field, -1 .. 1 from edge to edge."""
+    half = max((width - 1) / 2.0, 1.0)
+    return np.asarray((columns - half) / half)

@@ -1,0 +1,197 @@
+"""The joint estimate against a dense Gaussian solution written out here."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sightline.estimation.prior import Matern, Spectrum
+from sightline.motion.joint import (
+    CONSTANT_SIGMA,
+    JointPrior,
+    directions_at,
+    remove_directions,
+    solve_joint,
+)
+from sightline.motion.normal_equations import TimeGrid, modelled, normal_equations
+from sightline.motion.observations import Star, shared_image_correlation
+
+LAGS = (0.0741, 0.0233)
+COUNT, STEP = 80, 0.01
+
+
+def small_star(seed: int = 0, blocks: int = 3, duration: float = 0.0) -> Star:
+    rng = np.random.default_rng(seed)
+    rows, pairs = 40, len(LAGS)
+    g = rows * blocks
+    t_hub = np.repeat(np.linspace(0.02, 0.68, rows), blocks)
+    t = t_hub[:, None] + np.array(LAGS) + 1e-4 * rng.standard_normal((g, 1))
+    covariance = np.empty((g, pairs, 2, 2))
+    a = 0.02 * rng.standard_normal((g, pairs, 2, 2))
+    covariance[:] = a @ np.swapaxes(a, -1, -2) + 4e-4 * np.eye(2)
+    by_hub = rng.standard_normal((g, pairs, 2, 3)).astype(np.float32)
+    residual = 0.1 * rng.standard_normal((g, pairs, 2))
+    residual[5, 0] = np.nan
+    return Star(
+        hub=0,
+        images=(1, 2),
+        shape=(rows, blocks),
+        pixels=np.zeros((g, 2)),
+        t_hub=t_hub,
+        t=t,
+        duration=duration,
+        residual_px=residual,
+        covariance_px=covariance,
+        by_hub=by_hub,
+        by_partner=(-by_hub + 0.01 * rng.standard_normal(by_hub.shape)).astype(np.float32),
+        by_static=rng.standard_normal((g, pairs, 2, 2)).astype(np.float32),
+        by_height=0.1 * rng.standard_normal((g, pairs, 2)).astype(np.float32),
+        field=np.tile(np.linspace(-0.9, 0.9, blocks), rows),
+        correlation=shared_image_correlation(pairs),
+        weight=np.ones((g, pairs)),
+    )
+
+
+def lagrange(t: float) -> np.ndarray:
+    """Cubic Lagrange row on the grid, by the definition."""
+    row = np.zeros(COUNT)
+    first = min(max(int(np.floor(t / STEP)) - 1, 0), COUNT - 4)
+    nodes = (first + np.arange(4)) * STEP
+    for k in range(4):
+        others = np.delete(nodes, k)
+        row[first + k] = np.prod((t - others) / (nodes[k] - others))
+    return row
+
+
+def dense_rows(star: Star, relief: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Design, data and error covariance of a star, one row at a time."""
+    block = 5 if relief else 3
+    rows, data, groups = [], [], []
+    for g in range(len(star.t_hub)):
+        members = []
+        for k in range(len(LAGS)):
+            if not np.isfinite(star.residual_px[g, k, 0]):
+                continue
+            for c in range(2):
+                row = np.zeros((COUNT, block))
+                row[:, :3] += lagrange(star.t_hub[g])[:, None] * star.by_hub[g, k, c]
+                row[:, :3] += lagrange(star.t[g, k])[:, None] * star.by_partner[g, k, c]
+                if relief:
+                    row[:, 3] = lagrange(star.t_hub[g]) * star.by_height[g, k, c]
+                    row[:, 4] = row[:, 3] * star.field[g]
+                rows.append(np.concatenate([row.ravel(), star.by_static[g, k, c]]))
+                data.append(star.residual_px[g, k, c])
+                members.append((k, c))
+        groups.append(members)
+    total = np.zeros((len(rows), len(rows)))
+    at = 0
+    for g, members in enumerate(groups):
+        factors = np.zeros((2 * len(LAGS), 2 * len(LAGS)))
+        for k in range(len(LAGS)):
+            factors[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] = np.linalg.cholesky(star.covariance_px[g, k])
+        full = factors @ star.correlation @ factors.T
+        pick = [2 * k + c for k, c in members]
+        total[at : at + len(pick), at : at + len(pick)] = full[np.ix_(pick, pick)]
+        at += len(pick)
+    return np.array(rows), np.array(data), total
+
+
+def make_prior(relief: bool) -> tuple[JointPrior, list[np.ndarray]]:
+    spectra = [Spectrum((Matern(s, 0.2, "5/2"), Matern(0.3 * s, 0.02, "3/2"))) for s in (1.0, 0.7, 0.5, 2.0, 1.0)]
+    processes = [s.autoregressive(STEP, COUNT - 1, COUNT) for s in spectra]
+    lag = STEP * np.abs(np.subtract.outer(np.arange(COUNT), np.arange(COUNT)))
+    dense = [s.autocovariance(lag.ravel()).reshape(lag.shape) for s in spectra]
+    prior = JointPrior(tuple(processes[:3]), np.array([0.5, 0.8]), tuple(processes[3:]) if relief else None)
+    return prior, dense
+
+
+@pytest.mark.parametrize("relief", [False, True])
+def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool) -> None:
+    star = small_star()
+    prior, dense = make_prior(relief)
+    grid = TimeGrid(0.0, STEP, COUNT)
+    data = normal_equations([star], [star.residual_px], grid, delays=[0.0], relief=relief)
+    estimate = solve_joint(data, prior)
+
+    rows, y, noise = dense_rows(star, relief)
+    block = 5 if relief else 3
+    size = COUNT * block
+    k = np.zeros((size + 2, size + 2))
+    for axis in range(block):
+        k[axis:size:block, axis:size:block] = dense[axis] + (CONSTANT_SIGMA[axis] ** 2 if axis < 3 else 0.0)
+    k[size:, size:] = np.diag(prior.statics_sigma**2)
+    gain = k @ rows.T @ np.linalg.inv(rows @ k @ rows.T + noise)
+    mean = gain @ y
+    covariance = k - gain @ rows @ k
+    expected = mean[:size].reshape(COUNT, block)
+    sigma = np.sqrt(np.diag(covariance)[:size].reshape(COUNT, block)[:, :3])
+    # float32 sensitivities (1e-7) times the conditioning of the prior: far below a thousandth of sigma
+    np.testing.assert_allclose(estimate.nodes, expected[:, :3], atol=2e-3 * sigma.max())
+    np.testing.assert_allclose(estimate.statics, mean[size:], atol=2e-3)
+    np.testing.assert_allclose(estimate.statics_sigma, np.sqrt(np.diag(covariance)[size:]), rtol=1e-3)
+
+    t = grid.nodes[2:-2]
+    marginal = estimate.absolute_covariance(t)
+    np.testing.assert_allclose(np.sqrt(marginal[:, [0, 1, 2], [0, 1, 2]]), sigma[2:-2], rtol=2e-3)
+
+
+def test_the_relative_covariance_is_the_projected_dense_one() -> None:
+    star = small_star(1)
+    prior, dense = make_prior(False)
+    grid = TimeGrid(0.0, STEP, COUNT)
+    data = normal_equations([star], [star.residual_px], grid, delays=[0.0])
+    estimate = solve_joint(data, prior)
+    directions = directions_at(grid, estimate.hidden_directions(drifts=True), grid.nodes)
+    t = grid.nodes
+    scale = np.array([1.0, 2.0, 0.5])
+    relative = estimate.relative_covariance(t, directions, scale)
+
+    rows, _, noise = dense_rows(star, False)
+    size = COUNT * 3
+    k = np.zeros((size + 2, size + 2))
+    for axis in range(3):
+        k[axis:size:3, axis:size:3] = dense[axis]
+    k[size:, size:] = np.diag(prior.statics_sigma**2)
+    covariance = k - k @ rows.T @ np.linalg.inv(rows @ k @ rows.T + noise) @ rows @ k
+    units = np.tile(scale, COUNT)
+    flat = directions.reshape(size, -1) / units[:, None]
+    projector = units[:, None] * (np.eye(size) - flat @ np.linalg.pinv(flat)) / units
+    expected = projector @ covariance[:size, :size] @ projector.T
+    for p in range(3):
+        for q in range(3):
+            want = expected[p::3, q::3].diagonal()
+            np.testing.assert_allclose(relative[:, p, q], want, atol=2e-3 * expected.diagonal().max())
+
+
+def test_rows_read_what_the_model_says() -> None:
+    star = small_star(2)
+    grid = TimeGrid(0.0, STEP, COUNT)
+    rng = np.random.default_rng(3)
+    nodes, statics = rng.standard_normal((COUNT, 5)), rng.standard_normal(2)
+    rows, _, _ = dense_rows(star, True)
+    got = modelled(star, grid, nodes, statics)
+    seen = np.isfinite(star.residual_px)
+    np.testing.assert_allclose(got[seen], rows @ np.concatenate([nodes.ravel(), statics]), rtol=1e-5, atol=1e-5)
+
+
+def test_a_window_averages_the_motion_over_its_length() -> None:
+    # a parabola c t^2 averaged over a window of length d about t is c (t^2 + d^2 / 12); the midpoint rule with
+    # p points leaves c d^2 / (12 p^2), p = 2 + ceil(d / step) = 5
+    star = small_star(4, duration=0.03)
+    grid = TimeGrid(0.0, STEP, COUNT)
+    nodes = np.zeros((COUNT, 3))
+    nodes[:, 1] = grid.nodes**2
+    got = modelled(star, grid, nodes, np.zeros(2))
+    d = star.duration
+    extra = d**2 / 12 * (1 - 1 / 25)
+    inside = star.t.max(axis=1) + d < grid.nodes[-1]
+    want = star.by_hub[..., 1] * (star.t_hub**2 + extra)[:, None, None]
+    want = want + star.by_partner[..., 1] * (star.t**2 + extra)[:, :, None]
+    np.testing.assert_allclose(got[inside], want[inside], atol=1e-6)
+
+
+def test_fitting_directions_away_leaves_nothing_along_them() -> None:
+    rng = np.random.default_rng(0)
+    directions = rng.standard_normal((30, 3, 4))
+    left = remove_directions(rng.standard_normal((30, 3)), directions, np.ones(3))
+    np.testing.assert_allclose(np.einsum("nph,np->h", directions, left), 0.0, atol=1e-12)
