@@ -1,0 +1,57 @@
+"""``sightline demo``: the main job on a scene it renders, and the result against the truth."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sightline.cli.options import Json, Overwrite, Seed
+
+# Part of a strip: long enough for the tones and the longest lag, done in a minute or two.
+LINES, COLUMNS = 2000, 600
+
+
+def demo(
+    out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("demo"),
+    case: Annotated[
+        str, typer.Option("--case", help="As for `sightline simulate line-of-sight`.")
+    ] = "relief",
+    seed: Seed = 1,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Render a strip, recover its line of sight, and score the result against the truth."""
+    from sightline.cli.output import output_folder
+    from sightline.cli.recover import recover_into
+    from sightline.cli.terminal import print_json, progress
+    from sightline.evaluation.score import score
+    from sightline.simulate.files import write_strip
+    from sightline.simulate.scenarios import line_of_sight_case
+
+    with output_folder(out, overwrite=overwrite) as folder, progress() as report:
+        scene, result = folder / "scene", folder / "result"
+        scene.mkdir()
+        result.mkdir()
+        report(f"rendering a strip of 4 bands, case {case}, seed {seed}")
+        scenario = line_of_sight_case(case, seed, lines=LINES, columns=COLUMNS)
+        write_strip(scenario, scene, star_tracker=True, gyro=True)
+        summary = recover_into(result, scene / "acquisition.toml", report)
+        report("scoring against the truth")
+        scored = score(result, scene / "truth.csv")
+        (folder / "score.json").write_text(json.dumps(scored, indent=2) + "\n", encoding="utf-8")
+    if as_json:
+        print_json({"score": scored, "summary": summary, "report": out / "result" / "report.html"})
+    else:
+        _tell(out, scored)
+
+
+def _tell(out: Path, scored: dict[str, Any]) -> None:
+    """The score as a small table, and where to look next."""
+    from sightline.cli.terminal import say
+
+    say(json.dumps(scored, indent=2))
+    say(f"scene   {out / 'scene' / 'acquisition.toml'}")
+    say(f"report  {out / 'result' / 'report.html'}")

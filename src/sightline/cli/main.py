@@ -1,0 +1,118 @@
+"""The ``sightline`` command: gathers the commands, one file each, and turns errors into one clear message.
+
+Exit status: 0 done; 1 the data cannot give the answer; 2 wrong input or usage; 70 a defect of Sightline;
+130 interrupted.
+What a command does is in its own file, named like it.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated, Any
+
+import typer
+
+from sightline.cli import check, demo, recover, schema, score, simulate, version
+from sightline.cli.terminal import complain, warnings_as_messages
+from sightline.errors import EstimationError, GeometryError, SightlineError
+
+# Named through typer, because its newer versions carry a click of their own.
+_UsageError: Any = typer.BadParameter.__base__
+_ClickException: Any = _UsageError.__base__
+
+DATA_CANNOT_ANSWER = 1
+WRONG_INPUT = 2
+DEFECT = 70
+INTERRUPTED = 130
+
+app = typer.Typer(
+    name="sightline",
+    help="Recover where an Earth-observation camera was looking, from its own images, with an error bar on "
+    "every number.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+@app.callback()
+def options(
+    debug: Annotated[bool, typer.Option("--debug", help="On an error, show the whole traceback.")] = False,
+) -> None:
+    """Options of every command; ``main`` reads ``--debug`` wherever it stands."""
+
+
+app.command("demo")(demo.demo)
+app.add_typer(simulate.app, name="simulate")
+app.command("recover")(recover.recover)
+app.command("score")(score.score)
+app.command("check")(check.check)
+app.command("schema")(schema.schema)
+app.command("version")(version.version)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with its status.
+
+    Parameters
+    ----------
+    arguments
+        Words after ``sightline``; None takes those of the process.
+    """
+    words = sys.argv[1:] if arguments is None else arguments
+    debug = "--debug" in words
+    sys.exit(run([word for word in words if word != "--debug"], debug=debug))
+
+
+def run(words: list[str], *, debug: bool = False) -> int:
+    """Exit status of the command line `words`; messages of errors have gone to stderr.
+
+    With `debug`, exceptions are left to rise with their traceback.
+    """
+    try:
+        with warnings_as_messages():
+            status = app(words, prog_name="sightline", standalone_mode=False)
+    except _ClickException as error:
+        _say_usage(error)
+        return WRONG_INPUT
+    except (typer.Abort, KeyboardInterrupt):
+        complain("error", "interrupted; nothing was written")
+        return INTERRUPTED
+    except Exception as error:
+        if debug:
+            raise
+        return _status_of(error)
+    return status if isinstance(status, int) else 0
+
+
+def _say_usage(error: Any) -> None:
+    """Say what is wrong with the words of the command line; a command without any has printed its help."""
+    context = getattr(error, "ctx", None)
+    message = error.format_message()
+    if type(error).__name__ == "NoArgsIsHelpError":
+        if message:
+            print(message, file=sys.stderr)
+    else:
+        command = context.command_path if context else "sightline"
+        complain("error", f"{message.rstrip('.')}; see: {command} --help")
+
+
+def _status_of(error: Exception) -> int:
+    """Say what went wrong on stderr and give the exit status that belongs to it."""
+    if isinstance(error, SightlineError):
+        complain("error", str(error))
+        cannot_answer = isinstance(error, EstimationError | GeometryError) or type(error) is SightlineError
+        return DATA_CANNOT_ANSWER if cannot_answer else WRONG_INPUT
+    if isinstance(error, OSError):
+        place = f": {error.filename}" if error.filename else ""
+        complain("error", f"the system refused a file: {error.strerror or error}{place}")
+        return WRONG_INPUT
+    if isinstance(error, MemoryError):
+        complain("error", "memory ran out; use fewer workers, or a shorter strip")
+        return DATA_CANNOT_ANSWER
+    complain(
+        "defect",
+        f"{type(error).__name__}: {error}; this is a fault of Sightline, not of your input; run the same "
+        "command with --debug and report what it prints",
+    )
+    return DEFECT

@@ -1,0 +1,89 @@
+"""The folder a command writes: nothing half-written ever carries a final name.
+
+Files are made in ``DIR/.partial`` and move to their final names together, when all of them are there.
+This file writes no result itself: ``io`` and ``report`` do, into the folder given here.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from sightline.errors import InputError
+
+PARTIAL = ".partial"
+
+
+@contextmanager
+def output_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Folder to write into, whose files appear in `folder` when the block ends without an exception.
+
+    Parameters
+    ----------
+    folder
+        Where the results belong; created, with its parents, if it does not exist.
+    overwrite
+        Allow `folder` to hold something already. Files of the same names are replaced, at the very end;
+        all others stay as they are.
+
+    Yields
+    ------
+    Path
+        The empty folder ``.partial`` inside `folder`.
+
+    Raises
+    ------
+    InputError
+        If `folder` is a file, cannot be made, or holds something and `overwrite` is not given.
+    """
+    existed = folder.is_dir()
+    staging = _prepare(folder, overwrite)
+    try:
+        yield staging
+        for made in sorted(staging.iterdir()):
+            _replace(made, folder / made.name)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+        if not existed and not any(folder.iterdir()):
+            folder.rmdir()
+
+
+def check_output_folder(folder: Path, *, overwrite: bool = False) -> None:
+    """Refuse a folder that `output_folder` would refuse, without touching it.
+
+    For commands that work long before they write: a wrong ``--out`` is said at once.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise InputError(f"the output folder is a file: {folder}; give a folder with --out")
+    if folder.is_dir() and not overwrite:
+        held = sorted(entry.name for entry in folder.iterdir() if entry.name != PARTIAL)
+        if held:
+            shown = ", ".join(held[:3]) + (", ..." if len(held) > 3 else "")
+            raise InputError(
+                f"the output folder is not empty: {folder} holds {shown}; an empty or new folder is allowed; "
+                "add --overwrite to replace files of the same names, or give another --out"
+            )
+
+
+def _prepare(folder: Path, overwrite: bool) -> Path:
+    check_output_folder(folder, overwrite=overwrite)
+    staging = folder / PARTIAL
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if staging.exists():
+            shutil.rmtree(staging)
+        staging.mkdir()
+    except OSError as error:
+        raise InputError(
+            f"cannot write into the output folder: {folder} ({error.strerror}); give a folder you may write "
+            "with --out"
+        ) from error
+    return staging
+
+
+def _replace(made: Path, final: Path) -> None:
+    if final.is_dir() and not final.is_symlink():
+        shutil.rmtree(final)
+    made.replace(final)

@@ -1,0 +1,82 @@
+"""``sightline simulate``: scenes with known truth, in the files of the command they are made for."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sightline.cli.options import Json, Out, Overwrite, Seed
+from sightline.cli.output import check_output_folder, output_folder
+from sightline.cli.terminal import print_json, say
+
+app = typer.Typer(help="Render a scene whose truth is known.", no_args_is_help=True)
+
+_CASES = "nominal, relief, clouds, hard, real, other-family"
+_MOTIONS = "nominal, curve, real, other-family, ck, isd, none"
+
+
+@app.command("line-of-sight")
+def line_of_sight(
+    out: Out,
+    case: Annotated[str, typer.Option("--case", metavar="CASE", help=f"One of: {_CASES}.")] = "nominal",
+    seed: Seed = 0,
+    lines: Annotated[int | None, typer.Option("--lines", min=16, help="Lines of every band.")] = None,
+    columns: Annotated[int | None, typer.Option("--columns", min=16, help="Columns of every band.")] = None,
+    motion: Annotated[
+        str | None, typer.Option("--motion", metavar="NAME", help=f"In place of the case's: {_MOTIONS}.")
+    ] = None,
+    dem: Annotated[
+        bool, typer.Option("--dem/--no-dem", help="Write the relief, or only how rough it is.")
+    ] = True,
+    star_tracker: Annotated[bool, typer.Option("--star-tracker", help="Also write its table.")] = False,
+    gyro: Annotated[bool, typer.Option("--gyro", help="Also write its table.")] = False,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Bands of one pushbroom strip: ACQUISITION.toml for `recover`, and truth.csv for `score`."""
+    from sightline.simulate.files import write_strip
+    from sightline.simulate.scenarios import line_of_sight_case
+
+    check_output_folder(out, overwrite=overwrite)
+    begin = time.perf_counter()
+    given: dict[str, Any] = {"lines": lines, "columns": columns, "motion": motion}
+    scenario = line_of_sight_case(case, seed, **{k: v for k, v in given.items() if v is not None})
+    with output_folder(out, overwrite=overwrite) as folder:
+        names = list(write_strip(scenario, folder, dem=dem, star_tracker=star_tracker, gyro=gyro))
+    _say(out, names, time.perf_counter() - begin, as_json)
+
+
+@app.command("frames")
+def frames(
+    out: Out,
+    seed: Seed = 0,
+    count: Annotated[int, typer.Option("--count", min=2, help="Frames.")] = 10,
+    interval: Annotated[float, typer.Option("--interval", min=0.0, help="Seconds between frames.")] = 6.0,
+    relief_rms: Annotated[float, typer.Option("--relief-rms", min=0.0, help="Metres.")] = 0.0,
+    estimate_camera: Annotated[
+        bool, typer.Option("--estimate-camera", help="Leave focal length and distortion to be estimated.")
+    ] = False,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Frames of a matrix instrument: ACQUISITION.toml for `recover`, and truth.csv."""
+    from sightline.simulate.files import write_frames
+    from sightline.simulate.frames import frames_case
+
+    check_output_folder(out, overwrite=overwrite)
+    begin = time.perf_counter()
+    scenario = frames_case(seed, count=count, interval=interval, relief_rms=relief_rms)
+    with output_folder(out, overwrite=overwrite) as folder:
+        names = list(write_frames(scenario, folder, estimate_camera=estimate_camera))
+    _say(out, names, time.perf_counter() - begin, as_json)
+
+
+def _say(out: Path, names: list[str], seconds: float, as_json: bool) -> None:
+    if as_json:
+        print_json({"folder": out, "files": names, "wall_seconds": round(seconds, 3)})
+    else:
+        say(f"rendered in {seconds:.1f} s: {out / 'acquisition.toml'}")
+        say(f"next: sightline recover {out / 'acquisition.toml'} --out RESULT")

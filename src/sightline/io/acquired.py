@@ -1,0 +1,196 @@
+"""What an ACQUISITION.toml becomes: bands or frames with cameras, sensors, control points, hashes.
+
+Not here: reading the file (``acquisition.py``).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.geometry.surface import Surface
+from sightline.imaging.source import ImageSource
+from sightline.io.acquisition_schema import AcquisitionFile, MatchingSection
+from sightline.motion.band import Band, Frame, LensKnowledge
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class AttitudeSensor:
+    """Angles measured by something else than the camera, relative to the reference attitude.
+
+    Attributes
+    ----------
+    name, kind : str
+        Kind is ``"star-tracker"`` (angles at an instant) or ``"gyro"`` (increments over an interval).
+    t_start, t_end : (N,)
+        s; equal for a star tracker.
+    angles : (N, 3)
+        rad; roll, pitch, yaw.
+    sigma : (N,)
+        rad, 1-sigma of each angle.
+    alignment_sigma : float
+        rad; a constant error of the sensor's axes against the camera's.
+    bias_sigma : float
+        rad (star tracker) or rad/s (gyro); constant.
+    correlation_time : float
+        s; 0 = errors independent from row to row.
+    """
+
+    name: str
+    kind: str
+    t_start: Array
+    t_end: Array
+    angles: Array
+    sigma: Array
+    alignment_sigma: float
+    bias_sigma: float
+    correlation_time: float
+
+
+@dataclass(frozen=True, eq=False)
+class ControlPoints:
+    """Ground points of known coordinates and where they were seen.
+
+    Attributes
+    ----------
+    points : (N, 3)
+        m, world axes.
+    sigma : (N,)
+        m, per coordinate.
+    images : (N,) int
+        Number of the band or frame.
+    pixels : (N, 2)
+        (line, column).
+    """
+
+    points: Array
+    sigma: Array
+    images: NDArray[np.intp]
+    pixels: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Acquisition:
+    """Everything an ACQUISITION.toml says, ready for ``recover_line_of_sight``.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    name, epoch : str
+        Title; UTC instant of t = 0 or None.
+    bands, frames : tuple
+        One of the two is empty.
+    surface : Surface
+        What the lines of sight meet.
+    height_sigma : float
+        m; what is not known about it.
+    sensors : tuple of AttitudeSensor
+    control_points : ControlPoints or None
+    lens : LensKnowledge
+    matching : MatchingSection
+        ``window``, ``step``, ``search_px``; None where the default is wanted.
+    platform : str
+        Kind of ``[platform]``.
+    world : str
+        ``"local"`` (x east, y north, z up) or ``"earth-fixed"``.
+    inputs : tuple of Path
+        Every file that was read or will be.
+    """
+
+    path: Path
+    name: str
+    epoch: str | None
+    bands: tuple[Band, ...]
+    frames: tuple[Frame, ...]
+    surface: Surface
+    height_sigma: float
+    sensors: tuple[AttitudeSensor, ...]
+    control_points: ControlPoints | None
+    lens: LensKnowledge
+    matching: MatchingSection
+    platform: str
+    world: str
+    inputs: tuple[Path, ...] = field(repr=False)
+
+    @property
+    def images(self) -> tuple[ImageSource, ...]:
+        """Image sources of all bands or frames, in order."""
+        return (*(band.image for band in self.bands), *(frame.image for frame in self.frames))
+
+    @property
+    def cameras(self) -> tuple[PushbroomCamera | FrameCamera, ...]:
+        """Nominal cameras of all bands or frames, in order."""
+        return (*(band.camera for band in self.bands), *(frame.camera for frame in self.frames))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all bands or frames, in order."""
+        return (*(band.name for band in self.bands), *(frame.name for frame in self.frames))
+
+    @property
+    def ifov(self) -> float:
+        """rad (a tangent); mean step between neighbouring pixels of the first image."""
+        return field_of_view(self.cameras[0])[0]
+
+    @property
+    def half_field_px(self) -> float:
+        """px; from the middle of the field to its edge."""
+        return field_of_view(self.cameras[0])[1]
+
+    def input_hashes(self) -> dict[str, str]:
+        """SHA-256 of every input file, by its path relative to the TOML file (for ``summary.json``)."""
+        return {_relative(path, self.path.parent): sha256(path) for path in self.inputs}
+
+
+def field_of_view(camera: PushbroomCamera | FrameCamera) -> tuple[float, float]:
+    """IFOV (a tangent) and half field (px) of a camera."""
+    if isinstance(camera, FrameCamera):
+        return 1.0 / camera.detector.focal_length_px, (camera.detector.shape[1] - 1) / 2.0
+    directions = camera.detector.directions
+    tangents = directions[:, :2] / directions[:, 2:]
+    length = float(np.linalg.norm(tangents[-1] - tangents[0]))
+    return length / (len(tangents) - 1), (len(tangents) - 1) / 2.0
+
+
+def sha256(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file, read in pieces."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """The path as the TOML file would name it, or in full when it lies elsewhere."""
+    try:
+        return path.resolve().relative_to(folder.resolve()).as_posix()
+    except ValueError:
+        return str(path)
+
+
+class InputFolder:
+    """Paths relative to the TOML file, remembered as they are used."""
+
+    def __init__(self, toml: Path) -> None:
+        """Start with the TOML file itself."""
+        self.toml = toml
+        self.used: list[Path] = [toml]
+
+    def __call__(self, name: str) -> Path:
+        """The path behind a name in the file; it is listed among the inputs."""
+        path = self.toml.parent / name
+        if path not in self.used:
+            self.used.append(path)
+        return path
+
+
+def world_kind(config: AcquisitionFile) -> str:
+    """``"local"`` for level flight and for local axes without an origin, else ``"earth-fixed"``."""
+    local = config.world.frame == "local" and config.world.origin is None
+    return "local" if config.platform.kind == "level-flight" or local else "earth-fixed"

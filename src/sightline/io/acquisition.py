@@ -1,0 +1,139 @@
+"""An ACQUISITION.toml made ready to use: image sources, nominal cameras, the ground, sensors.
+
+Here is what the contract's words mean: units are already SI, defaults are filled in, files are
+opened and checked. Nothing is estimated.
+
+Not here: keys and allowed values (``acquisition_schema.py``), what comes out (``acquired.py``),
+trajectories and surfaces (``platform.py``, ``ground.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from sightline.errors import FormatError
+from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.io import tables
+from sightline.io.acquired import Acquisition, AttitudeSensor, ControlPoints, InputFolder, world_kind
+from sightline.io.acquisition_schema import AcquisitionFile, CameraModelPlatform, SensorSection
+from sightline.io.bands import build_bands
+from sightline.io.config import read_toml, validate
+from sightline.io.frames import build_frames, lens_knowledge
+from sightline.io.ground import build_surface, check_coverage, check_overlap, check_sampling
+from sightline.io.model_bands import build_model_bands
+from sightline.io.platform import to_world
+
+__all__ = ["Acquisition", "load_acquisition", "read_acquisition"]
+
+
+def read_acquisition(path: Path) -> AcquisitionFile:
+    """The validated content of an ACQUISITION.toml, no file it names opened."""
+    return validate(AcquisitionFile, read_toml(path), path)
+
+
+def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
+    """An ACQUISITION.toml as images, cameras, ground and sensors.
+
+    Parameters
+    ----------
+    path : path
+        The TOML file; the files it names are relative to it.
+    look : bool
+        Read a few lines of every image to find truncated, constant or saturated ones early.
+
+    Returns
+    -------
+    Acquisition
+
+    Raises
+    ------
+    FormatError
+        Names file, key, value, what is allowed.
+    SpanError
+        If positions or attitudes do not cover the images.
+    GeometryError
+        If the elevation raster does not cover the strip, or an image shares no ground with any other.
+    """
+    path = Path(path)
+    config = read_acquisition(path)
+    files = InputFolder(path)
+    modelled = isinstance(config.platform, CameraModelPlatform)
+    bands = (build_model_bands if modelled else build_bands)(config, files, look=look)
+    frames = build_frames(config, files, look=look)
+    cameras: list[PushbroomCamera | FrameCamera] = [
+        *(band.camera for band in bands),
+        *(frame.camera for frame in frames),
+    ]
+    names = [*(band.name for band in bands), *(frame.name for frame in frames)]
+    surface = build_surface(config, files, cameras)
+    check_coverage(path, surface, cameras)
+    check_sampling(path, surface, cameras, names)
+    check_overlap(path, surface, cameras, names)
+    return Acquisition(
+        path=path,
+        name=config.acquisition.name,
+        epoch=config.acquisition.epoch,
+        bands=bands,
+        frames=frames,
+        surface=surface,
+        height_sigma=config.surface.height_sigma,
+        sensors=tuple(read_sensor(entry, files) for entry in config.attitude_sensor),
+        control_points=read_control(config, files, names),
+        lens=lens_knowledge(config, frames[0].image.shape if frames else None),
+        matching=config.matching,
+        platform=config.platform.kind,
+        world=world_kind(config),
+        inputs=tuple(files.used),
+    )
+
+
+def read_sensor(entry: SensorSection, files: InputFolder) -> AttitudeSensor:
+    """The table of one ``[[attitude_sensor]]``."""
+    path = files(entry.table)
+    if entry.kind == "star-tracker":
+        t, angles, sigma = tables.read_star_tracker(path)
+        start, end = t, t
+    else:
+        start, end, angles, sigma = tables.read_gyro(path)
+    return AttitudeSensor(
+        name=entry.name or Path(entry.table).stem,
+        kind=entry.kind,
+        t_start=start,
+        t_end=end,
+        angles=angles,
+        sigma=sigma,
+        alignment_sigma=entry.alignment_sigma,
+        bias_sigma=entry.bias_sigma,
+        correlation_time=entry.correlation_time,
+    )
+
+
+def read_control(config: AcquisitionFile, files: InputFolder, names: Sequence[str]) -> ControlPoints | None:
+    """Control points of the file and of the table it names; None if there are none."""
+    listed = config.control_point
+    points = [(point.x, point.y, point.z) for point in listed]
+    sigma = [point.sigma for point in listed]
+    images = [point.image for point in listed]
+    pixels = [(point.line, point.column) for point in listed]
+    if config.acquisition.control_points is not None:
+        table = tables.read_control_points(files(config.acquisition.control_points))
+        points += [tuple(row) for row in table[0].tolist()]
+        sigma += table[1].tolist()
+        images += table[2]
+        pixels += [tuple(row) for row in table[3].tolist()]
+    if not points:
+        return None
+    unknown = [name for name in images if name not in names]
+    if unknown:
+        raise FormatError(
+            f"{files.toml}: a control point names the image {unknown[0]!r}; images are: {', '.join(names)}"
+        )
+    return ControlPoints(
+        to_world(np.array(points, dtype=np.float64), config),
+        np.array(sigma, dtype=np.float64),
+        np.array([names.index(name) for name in images], dtype=np.intp),
+        np.array(pixels, dtype=np.float64),
+    )

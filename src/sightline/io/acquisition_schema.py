@@ -1,0 +1,315 @@
+"""What an ACQUISITION.toml may hold: keys, types, defaults and allowed values.
+
+The contract of ``docs/formats.md`` as pydantic models. Every key has a description; the
+JSON Schema of ``sightline schema acquisition`` is generated from here.
+
+Not here: reading the file (``config.py``), opening what it names (``acquisition.py``).
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+Estimate = Literal["estimate"]
+Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+Sigma = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Quaternion = tuple[Finite, Finite, Finite, Finite]
+
+
+class Section(BaseModel):
+    """A table of the file; a key that is not listed is refused."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
+
+
+class HeaderSection(Section):
+    """``[acquisition]``: what this data set is called and when t = 0 was."""
+
+    name: str = Field(default="acquisition", description="Title of the report")
+    epoch: str | None = Field(
+        default=None, description="UTC instant of t = 0, ISO 8601; needed by CCSDS files and EXIF times"
+    )
+    control_points: str | None = Field(
+        default=None, description="CSV file x,y,z,sigma,image,line,column of ground control points"
+    )
+
+    @field_validator("epoch", mode="before")
+    @classmethod
+    def _epoch_as_text(cls, value: object) -> object:
+        """TOML's own date-times are taken as well as quoted ones."""
+        return value.isoformat() if isinstance(value, datetime) else value
+
+
+class LevelFlight(Section):
+    """``[platform]`` kind level-flight: straight and level over a flat Earth, flying north."""
+
+    kind: Literal["level-flight"]
+    altitude: Positive = Field(description="m above height 0")
+    ground_speed: Positive = Field(description="m/s")
+
+
+class EphemerisPlatform(Section):
+    """``[platform]`` kind ephemeris: positions and attitudes from tables."""
+
+    kind: Literal["ephemeris"]
+    positions: str = Field(description="CSV t,x,y,z or CCSDS OEM")
+    attitudes: str = Field(
+        default="along-track",
+        description='CSV t,qx,qy,qz,qw (world_from_body), CCSDS AEM, or "along-track" (z down, x ahead)',
+    )
+
+
+class CameraModelPlatform(Section):
+    """``[platform]`` kind camera-model: geometry from a sensor-model file."""
+
+    kind: Literal["camera-model"]
+    model: str | None = Field(
+        default=None, description="USGS CSM line-scan ISD (JSON); or one `model` per [[band]]"
+    )
+
+
+PlatformSection = Annotated[
+    LevelFlight | EphemerisPlatform | CameraModelPlatform, Field(discriminator="kind")
+]
+
+
+class LineGeometry(Section):
+    """Keys that `[instrument]` gives for all bands and a `[[band]]` may give for itself."""
+
+    ifov: Positive | None = Field(
+        default=None, description="Tangent of the angle of one pixel: pixel pitch / focal length"
+    )
+    columns: Annotated[int, Field(ge=2)] | None = Field(
+        default=None, description="Pixels of the detector line"
+    )
+    line_period: Positive | None = Field(default=None, description="s between image lines")
+    directions: str | None = Field(
+        default=None, description="CSV column,x,y,z of viewing directions in camera axes"
+    )
+
+
+class BandSection(LineGeometry):
+    """``[[band]]``: one detector line and its image."""
+
+    name: str = Field(min_length=1)
+    image: str = Field(description="Any GDAL raster, or .npy (lines, columns)")
+    image_band: Annotated[int, Field(ge=1)] = Field(default=1, description="Which band of the raster")
+    look_ahead: Annotated[float, Field(gt=-1.5, lt=1.5)] = Field(
+        default=0.0, description="Along-track viewing angle, rad, forward positive"
+    )
+    offset_px: tuple[Finite, Finite] = Field(
+        default=(0.0, 0.0),
+        description="The line looks this many pixels further (forward, toward larger columns) than nominal",
+    )
+    offset_sigma_px: Sigma = Field(default=1.0, description="How well the offset is known, px; 0 = exactly")
+    rotation: Annotated[float, Field(gt=-0.8, lt=0.8)] = Field(
+        default=0.0, description="rad; positive looks further forward at larger columns"
+    )
+    rotation_sigma: Sigma = Field(
+        default=3e-4, description="How well the rotation is known, rad; 0 = exactly"
+    )
+    first_line_time: Finite | None = Field(
+        default=None, description="s, centre of the exposure of line 0 (default 0)"
+    )
+    line_times: str | None = Field(
+        default=None, description="CSV line,t for uneven lines, in place of first_line_time"
+    )
+    mask: str | None = Field(default=None, description="Raster of the same size; non-zero: do not use")
+    model: str | None = Field(
+        default=None, description="Sensor-model file of this band, [platform] kind camera-model"
+    )
+
+
+class FrameSection(Section):
+    """``[[frame]]``: one exposure of an area detector."""
+
+    image: str = Field(description="Any GDAL raster (JPEG included), or .npy (lines, columns)")
+    name: str | None = Field(default=None, description="Default: the file name without ending")
+    image_band: Annotated[int, Field(ge=1)] | Literal["luminance"] = Field(
+        default="luminance", description='Which band of the raster, or "luminance": their mean'
+    )
+    time: Finite | str = Field(description='s from the epoch, an ISO 8601 UTC instant, or "exif"')
+    time_sigma: Sigma = Field(default=0.0, description="How well the time is known, s (0.29 for 1-s stamps)")
+    mask: str | None = Field(default=None, description="Raster of the same size; non-zero: do not use")
+
+    @field_validator("time", mode="before")
+    @classmethod
+    def _time_as_text(cls, value: object) -> object:
+        return value.isoformat() if isinstance(value, datetime) else value
+
+
+class StripSection(Section):
+    """``[[camera.strip]]``: lines of a frame that lie behind one filter."""
+
+    name: str = Field(min_length=1)
+    first_line: Annotated[int, Field(ge=0)]
+    lines: Annotated[int, Field(ge=1)]
+    axis_line: Finite | None = None
+
+
+class CameraSection(Section):
+    """``[camera]``: how the camera sits in the body and, for an area detector, its lens."""
+
+    mount: Literal["nominal"] = Field(default="nominal", description="Lines forward, columns left")
+    body_from_camera: Quaternion | None = Field(
+        default=None, description="[x, y, z, w] in place of the nominal mount"
+    )
+    shape: tuple[Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]] | None = Field(
+        default=None, description="(lines, columns) of a frame"
+    )
+    focal_length_px: Positive | Estimate | None = None
+    focal_length_sigma_px: Sigma = Field(default=0.0, description="0 = exactly")
+    principal_point_px: tuple[Finite, Finite] | Estimate | None = Field(
+        default=None, description="(line, column); default the centre of the frame"
+    )
+    principal_point_sigma_px: Sigma = Field(default=0.0, description="0 = exactly")
+    distortion: Annotated[list[Finite], Field(max_length=5)] | Estimate = Field(
+        default=[], description="k1, k2, p1, p2, k3 in normalised coordinates"
+    )
+    distortion_sigma: Sigma = Field(default=0.0, description="Of k1 (k2, k3 likewise); 0 = exactly")
+    readout_time: Finite = Field(
+        default=0.0, description="s from the first to the last line of a rolling shutter"
+    )
+    strip: list[StripSection] = []
+
+    @model_validator(mode="after")
+    def _sigma_needs_a_number(self) -> CameraSection:
+        for key in ("focal_length", "principal_point"):
+            if getattr(self, f"{key}_px") == "estimate" and getattr(self, f"{key}_sigma_px") > 0.0:
+                raise ValueError(
+                    f'{key}_px = "estimate" takes no {key}_sigma_px; give a number with its sigma, or '
+                    f'"estimate" alone'
+                )
+        if self.distortion == "estimate" and self.distortion_sigma > 0.0:
+            raise ValueError(
+                'distortion = "estimate" takes no distortion_sigma; give numbers with their sigma, or '
+                '"estimate" alone'
+            )
+        return self
+
+
+class SurfaceSection(Section):
+    """``[surface]``: what the lines of sight meet."""
+
+    kind: Literal["infinity"] | None = Field(
+        default=None, description="infinity: only directions matter (stars)"
+    )
+    height: Finite = Field(
+        default=0.0, description="m above the ellipsoid (above z = 0 for local axes); ignored with a dem"
+    )
+    dem: str | None = Field(default=None, description="Raster of heights in metres")
+    datum: Literal["ellipsoid", "geoid"] = Field(
+        default="ellipsoid", description="What the heights of the dem count from"
+    )
+    geoid: str | Finite | None = Field(
+        default=None, description="Height of the geoid above the ellipsoid: raster, or metres"
+    )
+    radii: tuple[Positive, Positive] | None = Field(
+        default=None, description="[equatorial, polar] of another body, m"
+    )
+    height_sigma: Sigma = Field(default=0.0, description="What is not known about the height, m")
+
+    @model_validator(mode="after")
+    def _datum_is_complete(self) -> SurfaceSection:
+        if self.datum == "geoid" and self.geoid is None:
+            raise ValueError('datum = "geoid" needs geoid = a raster of geoid heights, or a number in metres')
+        if self.datum == "ellipsoid" and self.geoid is not None:
+            raise ValueError(
+                'geoid is given but datum is "ellipsoid"; write datum = "geoid", or leave geoid out'
+            )
+        return self
+
+
+class WorldSection(Section):
+    """``[world]``: axes of every table of positions."""
+
+    frame: Literal["earth-fixed", "local", "lonlat"] = Field(
+        default="earth-fixed", description="lonlat: x, y, z hold longitude (deg), latitude (deg), height (m)"
+    )
+    origin: tuple[Finite, Finite, Finite] | None = Field(
+        default=None,
+        description="longitude (deg), latitude (deg), height (m) of the local axes (east, north, up)",
+    )
+
+
+class SensorSection(Section):
+    """``[[attitude_sensor]]``: angles measured by something else than the camera."""
+
+    kind: Literal["star-tracker", "gyro"]
+    table: str = Field(description="CSV t,roll,pitch,yaw,sigma (gyro: t_start,t_end,roll,pitch,yaw,sigma)")
+    name: str | None = None
+    alignment_sigma: Sigma = Field(
+        default=0.0, description="Constant error of its axes against the camera's, rad, 1-sigma"
+    )
+    bias_sigma: Sigma = Field(
+        default=0.0, description="star tracker: constant, rad; gyro: drift, rad/s; 1-sigma"
+    )
+    correlation_time: Sigma = Field(
+        default=0.0, description="s over which its errors stay alike; 0 = independent"
+    )
+
+
+class ControlPointSection(Section):
+    """``[[control_point]]``: a ground point of known coordinates, seen in one image."""
+
+    x: Finite
+    y: Finite
+    z: Finite
+    sigma: Positive
+    image: str = Field(description="Name of the band or frame")
+    line: Finite
+    column: Finite
+
+
+class MatchingSection(Section):
+    """``[matching]``: where the default choice is not wanted."""
+
+    window: tuple[Annotated[int, Field(ge=3)], Annotated[int, Field(ge=3)]] | None = Field(
+        default=None, description="(lines, columns) of a matching window"
+    )
+    step: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] | None = Field(
+        default=None, description="(lines, columns) between windows"
+    )
+    search_px: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None = Field(
+        default=None,
+        description="Half-range of the first search (lines, columns), beyond what the bands' sigmas ask for",
+    )
+
+
+class AcquisitionFile(Section):
+    """An ACQUISITION.toml: images of one strip (or frames), the instrument, the platform, the ground."""
+
+    acquisition: HeaderSection = HeaderSection()
+    platform: PlatformSection
+    instrument: LineGeometry = LineGeometry()
+    camera: CameraSection = CameraSection()
+    band: list[BandSection] = []
+    frame: list[FrameSection] = []
+    surface: SurfaceSection = SurfaceSection()
+    world: WorldSection = WorldSection()
+    attitude_sensor: list[SensorSection] = []
+    control_point: list[ControlPointSection] = []
+    matching: MatchingSection = MatchingSection()
+
+    @model_validator(mode="after")
+    def _images_are_enough(self) -> AcquisitionFile:
+        if self.band and self.frame:
+            raise ValueError(
+                "both [[band]] and [[frame]] are given; line detectors take [[band]], area detectors "
+                "[[frame]]"
+            )
+        count, table = (len(self.frame), "frame") if self.frame else (len(self.band), "band")
+        if count < 2:
+            raise ValueError(
+                f"{count} [[{table}]] given; motion is seen between two or more images of the same ground: "
+                f"add a [[{table}]]"
+            )
+        names = [item.name for item in self.band]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ValueError(f"two bands are called {repeated[0]!r}; every [[band]] needs a name of its own")
+        return self

@@ -1,0 +1,208 @@
+"""TOML files against their schema: one clear message for a wrong key or value.
+
+Not here: what the keys mean (``acquisition_schema.py``), opening the files they name
+(``acquisition.py``).
+"""
+
+from __future__ import annotations
+
+import difflib
+import tomllib
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from sightline.errors import FormatError
+from sightline.io.acquisition_schema import AcquisitionFile
+
+Model = TypeVar("Model", bound=BaseModel)
+
+#: The files that have a schema, by the name given to ``sightline schema``.
+SCHEMAS: dict[str, type[BaseModel]] = {"acquisition": AcquisitionFile}
+
+#: What a later version may do; said plainly instead of "unknown value".
+NOT_IN_THIS_VERSION = {
+    ("platform", "kind"): {"spin": "a spinning platform"},
+    ("pointing",): {"": "a scan mirror ([pointing])"},
+}
+
+
+def json_schema(name: str) -> dict[str, Any]:
+    """JSON Schema of one of our TOML files.
+
+    Parameters
+    ----------
+    name : str
+        ``"acquisition"``.
+
+    Returns
+    -------
+    dict
+        Ready for ``json.dumps``.
+
+    Raises
+    ------
+    FormatError
+        If there is no such schema; the message lists them.
+    """
+    if name not in SCHEMAS:
+        raise FormatError(
+            f"no schema is called {name!r}{_near(name, SCHEMAS)}; there are: {', '.join(sorted(SCHEMAS))}"
+        )
+    return SCHEMAS[name].model_json_schema()
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file; FormatError names the file and the line of a mistake."""
+    try:
+        text = path.read_bytes().decode("utf-8")
+    except FileNotFoundError:
+        raise FormatError(f"{path}: no such file; give the path of a TOML file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise FormatError(
+            f"{path}: cannot be read as text ({error}); a TOML file in UTF-8 is expected"
+        ) from None
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise FormatError(f"{path}: not valid TOML: {error}; correct it there") from None
+
+
+def validate(model: type[Model], data: dict[str, Any], path: Path) -> Model:
+    """`data` as a `model`; FormatError names file, key, value and what is allowed.
+
+    Parameters
+    ----------
+    model : type
+        A pydantic model that forbids extra keys.
+    data : dict
+        Tables of the file.
+    path : Path
+        Named in messages.
+
+    Returns
+    -------
+    Model
+    """
+    _refuse_later_versions(data, path)
+    unknown = next(_unknown_keys(model, data, ()), None)
+    if unknown is not None:
+        raise FormatError(f"{path}: {unknown}")
+    try:
+        return model.model_validate(data)
+    except ValidationError as error:
+        first = error.errors()[0]
+        more = error.error_count() - 1
+        tail = f" (and {more} more)" if more else ""
+        raise FormatError(f"{path}: {_explain(first)}{tail}") from None
+
+
+def _refuse_later_versions(data: dict[str, Any], path: Path) -> None:
+    """Say so when the file asks for something this version does not do."""
+    for keys, values in NOT_IN_THIS_VERSION.items():
+        node: Any = data
+        for key in keys:
+            node = node.get(key) if isinstance(node, dict) else None
+        for value, words in values.items():
+            if node is not None and (value == "" or node == value):
+                raise FormatError(
+                    f"{path}: {words} is not handled by this version; remove it or use a later one"
+                )
+
+
+def _near(word: str, allowed: Sequence[str] | dict[str, Any]) -> str:
+    """``"; did you mean X?"`` when something allowed looks like `word`."""
+    close = difflib.get_close_matches(word.lower(), list(allowed), n=1, cutoff=0.6)
+    return f"; did you mean {close[0]}?" if close else ""
+
+
+def _unknown_keys(
+    model: type[BaseModel], data: dict[str, Any], where: tuple[str | int, ...]
+) -> Iterator[str]:
+    """Every key of `data` that `model` does not have, in words."""
+    fields = model.model_fields
+    for key, value in data.items():
+        if key not in fields:
+            owner = _table(where) or "the file"
+            hint = _near(key, list(fields)) or ";"
+            yield f"unknown key {_key((*where, key))!r}{hint} {owner} takes: {', '.join(fields)}"
+            continue
+        items = value if isinstance(value, list) else [value]
+        for index, item in enumerate(items):
+            if isinstance(item, dict):
+                inner = _model_of(fields[key].annotation, item)
+                if inner is not None:
+                    place = (*where, key, index) if isinstance(value, list) else (*where, key)
+                    yield from _unknown_keys(inner, item, place)
+
+
+def _model_of(annotation: Any, item: dict[str, Any]) -> type[BaseModel] | None:
+    """The pydantic model that a table is checked against; of several, the one whose `kind` it names."""
+    models = list(_models_in(annotation))
+    if len(models) <= 1:
+        return models[0] if models else None
+    for model in models:
+        if item.get("kind") in get_args(model.model_fields["kind"].annotation):
+            return model
+    return None
+
+
+def _models_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Pydantic models inside a type such as ``list[X]`` or ``Annotated[X | Y, ...]``."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _models_in(inner)
+
+
+def _table(where: Sequence[str | int]) -> str:
+    """``("band", 1)`` as ``[[band]] number 2``."""
+    words = ""
+    for part in where:
+        if isinstance(part, int):
+            words = f"[[{words.strip('[]')}]] number {part + 1}"
+        else:
+            words = f"{words} {part}" if words.endswith(tuple("0123456789")) else f"[{part}]"
+    return words
+
+
+def _key(where: Sequence[str | int]) -> str:
+    """``("band", 1, "ifov")`` as ``band[2].ifov`` (counted from one, as a reader counts)."""
+    text = ""
+    for part in where:
+        text += f"[{part + 1}]" if isinstance(part, int) else (f".{part}" if text else part)
+    return text
+
+
+def _explain(error: Any) -> str:
+    """One pydantic complaint in our form: key, value, what is allowed."""
+    tags = {"level-flight", "ephemeris", "camera-model"}
+    where = tuple(part for part in error["loc"] if part not in tags and not _is_type_tag(part))
+    key, kind, given = _key(where), error["type"], error["input"]
+    context = error.get("ctx", {})
+    if kind == "missing":
+        return f"key {key!r} is missing; add it"
+    if kind == "union_tag_not_found":
+        return f"key {_key((*where, 'kind'))!r} is missing; allowed: {', '.join(sorted(tags))}"
+    if kind == "union_tag_invalid":
+        tag, allowed = str(context["tag"]), str(context["expected_tags"])
+        options = [word.strip(" '") for word in allowed.split(",")]
+        kinds = ", ".join(options)
+        return f"{_key((*where, 'kind'))} = {tag!r} is not known{_near(tag, options)}; allowed: {kinds}"
+    if kind == "value_error":
+        place = f"{key}: " if key else ""
+        return f"{place}{context['error']}"
+    if kind == "literal_error":
+        return f"{key} = {given!r} is not known; allowed: {context['expected']}"
+    shown = repr(given) if not isinstance(given, dict) else "a table"
+    return f"{key} = {shown} is not allowed: {error['msg'][0].lower()}{error['msg'][1:]}"
+
+
+def _is_type_tag(part: object) -> bool:
+    """Pydantic adds the tried type of a union to the place (``float``, ``literal['estimate']``, ...)."""
+    return isinstance(part, str) and (
+        part in {"float", "int", "str", "constrained-float", "constrained-int", "constrained-str"}
+        or part.startswith(("literal[", "tuple[", "list[", "function-"))
+    )

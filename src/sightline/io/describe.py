@@ -1,0 +1,186 @@
+"""An acquisition in plain words: what was understood, what is missing, what will be observable.
+
+Geometry alone speaks: no image is matched. Behind ``sightline check``.
+
+Not here: reading the file (``acquisition.py``); what a recovery really saw (``summary.json``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from sightline.geometry.camera import PushbroomCamera
+from sightline.io.acquisition import Acquisition
+from sightline.motion.observability import blind_frequencies, passbands
+
+# Lines at which a pair is looked for, as parts of the image: the middle first.
+_PLACES = (0.5, 0.3, 0.7, 0.1, 0.9)
+# Blind frequencies named per pair; the rest are their multiples.
+_NAMED = 4
+# Frames are many: each is described with so many that follow it.
+_FRAMES_APART = 2
+
+
+@dataclass(frozen=True)
+class PairGeometry:
+    """What the nominal cameras say of one pair of images.
+
+    Attributes
+    ----------
+    a, b : str
+        Names of the images.
+    lag : float or None
+        s; time in b minus time in a, of the same ground; None where the two see no common ground.
+    parallax : float or None
+        px in b per metre of height.
+    """
+
+    a: str
+    b: str
+    lag: float | None
+    parallax: float | None
+
+
+def pair_geometry(acquisition: Acquisition, first: int, second: int) -> PairGeometry:
+    """Lag and parallax of two images of an acquisition, at the first place where both see the ground."""
+    a, b = acquisition.cameras[first], acquisition.cameras[second]
+    names = acquisition.names[first], acquisition.names[second]
+    shape = acquisition.images[first].shape
+    pixels = np.array([[part * (shape[0] - 1), 0.5 * (shape[1] - 1)] for part in _PLACES])
+    ground = a.locate(pixels, acquisition.surface)
+    seen = b.project(ground)
+    both = np.flatnonzero(np.isfinite(seen).all(axis=1))
+    if not both.size:
+        return PairGeometry(*names, None, None)
+    place = both[:1]
+    lag = float(b.rays(seen[place]).t[0] - a.rays(pixels[place]).t[0])
+    raised = b.project(a.locate(pixels[place], acquisition.surface.raised(1.0)))
+    parallax = float(np.linalg.norm(raised[0] - seen[place[0]]))
+    return PairGeometry(*names, lag, parallax if np.isfinite(parallax) else None)
+
+
+def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
+    """An acquisition in words and numbers.
+
+    Returns
+    -------
+    dict
+        ``understood``, ``missing``, ``observable``: lists of sentences. ``pairs``: a, b, lag (s),
+        blind_frequencies (Hz), parallax (px per metre). ``passbands``: (low, high) in Hz, where the pairs
+        together leave at least half of a motion ten times stronger (in power) than the noise.
+    """
+    reach = len(acquisition.bands) or _FRAMES_APART
+    indices = combinations(range(len(acquisition.names)), 2)
+    pairs = [pair_geometry(acquisition, i, j) for i, j in indices if j - i <= reach]
+    lags = [pair.lag for pair in pairs if pair.lag]
+    upper = _highest_frequency(acquisition)
+    bands = passbands(lags, upper) if lags else ()
+    return {
+        "understood": _understood(acquisition),
+        "missing": _missing(acquisition, pairs),
+        "observable": _observable(acquisition, pairs, bands, upper),
+        "pairs": [
+            {
+                "a": pair.a,
+                "b": pair.b,
+                "lag": pair.lag,
+                "parallax": pair.parallax,
+                "blind_frequencies": blind_frequencies(pair.lag, upper) if pair.lag else [],
+            }
+            for pair in pairs
+        ],
+        "passbands": bands,
+        "highest_frequency": upper,
+    }
+
+
+def _highest_frequency(acquisition: Acquisition) -> float:
+    """Hz: a quarter of the line rate, as S1 advises; for frames, half their rate."""
+    cameras = acquisition.cameras
+    if isinstance(cameras[0], PushbroomCamera):
+        return 0.25 / cameras[0].detector.line_period
+    times = np.sort([camera.t for camera in cameras if not isinstance(camera, PushbroomCamera)])
+    return float(0.5 / np.median(np.diff(times)))
+
+
+def _understood(acquisition: Acquisition) -> list[str]:
+    """What the file says, in the words of the conventions."""
+    kind = "bands" if acquisition.bands else "frames"
+    epoch = f"t = 0 at {acquisition.epoch}" if acquisition.epoch else "no epoch"
+    lines = [
+        f"{acquisition.name}: {len(acquisition.names)} {kind}, platform {acquisition.platform}, "
+        f"world {acquisition.world}, {epoch}"
+    ]
+    for name, image, camera in zip(acquisition.names, acquisition.images, acquisition.cameras, strict=True):
+        if isinstance(camera, PushbroomCamera):
+            start, end = camera.times(np.array([0.0, camera.lines - 1.0]))
+            when = f"exposed from t = {start:.4f} to {end:.4f} s"
+        else:
+            when = f"exposed at t = {camera.t:.4f} s"
+        lines.append(f"{name}: {image.shape[0]} lines x {image.shape[1]} columns, {when}")
+    ifov = acquisition.ifov * 1e6
+    lines.append(
+        f"one pixel is {ifov:.4g} urad; the field reaches {acquisition.half_field_px:.0f} px from its middle"
+    )
+    lines.append(
+        f"ground: {type(acquisition.surface).__name__}, height known to {acquisition.height_sigma:g} m"
+    )
+    lines += [f"{sensor.kind} {sensor.name}: {len(sensor.t_start)} rows" for sensor in acquisition.sensors]
+    if acquisition.control_points is not None:
+        lines.append(f"{len(acquisition.control_points.sigma)} control points")
+    return lines
+
+
+def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
+    """What would make the result better, or is needed for some of the files."""
+    lines = [
+        f"{pair.a} and {pair.b} see no common ground; check times and viewing angles"
+        for pair in pairs
+        if pair.lag is None
+    ]
+    lines += [
+        f"{pair.a} and {pair.b} see the same ground at the same time: they tell nothing"
+        for pair in pairs
+        if pair.lag == 0.0
+    ]
+    if acquisition.epoch is None:
+        lines.append("[acquisition] epoch: without it no CCSDS file can be written")
+    if not acquisition.sensors and acquisition.control_points is None:
+        lines.append("attitude sensors or control points: without them sigma_absolute is infinite")
+    if acquisition.height_sigma > 0.0:
+        lines.append("a DEM: the height's sigma widens that of pitch")
+    free = [band.name for band in acquisition.bands if band.offset_sigma_px > 0.0]
+    if free:
+        lines.append(f"exact focal-plane offsets of {', '.join(free)}: a steady drift is hidden by them")
+    return lines
+
+
+def _observable(
+    acquisition: Acquisition, pairs: list[PairGeometry], bands: tuple[tuple[float, float], ...], upper: float
+) -> list[str]:
+    """What the pairs can see, alone and together."""
+    lines = []
+    for pair in pairs:
+        if pair.lag:
+            blind = blind_frequencies(pair.lag, upper)
+            named = ", ".join(f"{f:.4g}" for f in blind[:_NAMED]) + (", ..." if len(blind) > _NAMED else "")
+            lines.append(
+                f"{pair.a} - {pair.b}: lag {_seconds(pair.lag)}, blind at "
+                + (f"{named} Hz" if named else f"no frequency below {upper:.4g} Hz")
+                + (f", 100 m of height displace by {100.0 * pair.parallax:.3g} px" if pair.parallax else "")
+            )
+    if bands:
+        shown = ", ".join(f"{low:.4g}-{high:.4g}" for low, high in bands)
+        lines.append(f"together, up to {upper:.4g} Hz: {shown} Hz")
+    edge = 1e6 / acquisition.half_field_px
+    lines.append(f"yaw: {edge:.5g} urad move the edge of the field by one pixel")
+    return lines
+
+
+def _seconds(lag: float) -> str:
+    """A lag in the unit in which it is read most easily."""
+    return f"{lag:.4g} s" if abs(lag) >= 1.0 else f"{lag * 1e3:.4g} ms"

@@ -1,0 +1,188 @@
+"""Time and place that a camera wrote into the EXIF of a photograph; positions table from a series.
+
+EXIF gives times to the second and places to what the writer rounded to: enough to start from.
+
+Not here: pixels (``images.py``).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import FormatError
+from sightline.io.ccsds import seconds_from_epoch
+from sightline.io.images import must_exist, raster_errors
+from sightline.io.tables import write_positions
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Exif:
+    """What EXIF says about one photograph.
+
+    Attributes
+    ----------
+    time : str
+        ISO 8601, as the camera's clock had it (taken as UTC), to the second.
+    longitude_deg, latitude_deg : float or None
+        Degrees, east and north positive; None where the file has no GPS entry.
+    height : float or None
+        m; None where the file has none.
+    """
+
+    time: str
+    longitude_deg: float | None
+    latitude_deg: float | None
+    height: float | None
+
+
+def read_exif(path: Path) -> Exif:
+    """Time and place of a photograph.
+
+    Parameters
+    ----------
+    path : Path
+        JPEG or another format whose EXIF the raster library exposes.
+
+    Returns
+    -------
+    Exif
+
+    Raises
+    ------
+    FormatError
+        If there is no time, or a value cannot be understood.
+    """
+    import warnings
+
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    must_exist(path)
+    with raster_errors(path), warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path) as dataset:
+            tags: dict[str, str] = {**dataset.tags(), **dataset.tags(ns="EXIF")}
+    stamp = tags.get("EXIF_DateTimeOriginal") or tags.get("EXIF_DateTime")
+    if stamp is None:
+        raise FormatError(f"{path}: has no EXIF time; give time = seconds or a UTC instant in its [[frame]]")
+    match = re.fullmatch(r"(\d{4}):(\d\d):(\d\d) (\d\d:\d\d:\d\d)", stamp.strip())
+    if match is None:
+        raise FormatError(
+            f"{path}: the EXIF time {stamp!r} is not of the form YYYY:MM:DD hh:mm:ss; give time by hand"
+        )
+    year, month, day, clock = match.groups()
+    altitude = _numbers(tags.get("EXIF_GPSAltitude"))
+    return Exif(
+        f"{year}-{month}-{day}T{clock}Z",
+        _degrees(tags, "EXIF_GPSLongitude", "W"),
+        _degrees(tags, "EXIF_GPSLatitude", "S"),
+        altitude[0] if altitude else None,
+    )
+
+
+def _numbers(text: str | None) -> list[float]:
+    """All decimal numbers of a tag such as ``(31) (12) (5.3)``."""
+    return [float(word) for word in re.findall(r"-?\d+(?:\.\d+)?", text or "")]
+
+
+def _degrees(tags: dict[str, str], name: str, negative: str) -> float | None:
+    """Degrees from a tag of degrees, minutes, seconds; None if there is none."""
+    values = _numbers(tags.get(name))
+    if not values:
+        return None
+    whole = sum(value / 60.0**k for k, value in enumerate(values[:3]))
+    return -whole if tags.get(f"{name}Ref", "").strip().upper() == negative else whole
+
+
+def positions_from_exif(paths: Sequence[Path], epoch: str, height: float) -> tuple[Array, Array]:
+    """A table of positions in longitude and latitude from a series of photographs.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Photographs with EXIF time and GPS, in the order of their times.
+    epoch : str
+        UTC of t = 0.
+    height : float
+        m above the ellipsoid, for photographs that do not say.
+
+    Returns
+    -------
+    t : (N,)
+        s from the epoch.
+    positions : (N, 3)
+        Longitude, latitude (degrees), height (m): what ``[world] frame = "lonlat"`` expects, ready for
+        `sightline.io.tables.write_positions`.
+    """
+    t, rows = [], []
+    for path in paths:
+        entry = read_exif(path)
+        if entry.longitude_deg is None or entry.latitude_deg is None:
+            raise FormatError(f"{path}: has no EXIF position; give positions = FILE")
+        t.append(seconds_from_epoch(entry.time, epoch, str(path)))
+        rows.append(
+            (entry.longitude_deg, entry.latitude_deg, height if entry.height is None else entry.height)
+        )
+    return np.array(t), np.array(rows, dtype=np.float64)
+
+
+def write_photo_acquisition(
+    paths: Sequence[Path],
+    folder: Path,
+    *,
+    height: float,
+    body_from_camera: Sequence[float] | None = None,
+    time_sigma: float = 0.29,
+) -> Path:
+    """An ``acquisition.toml`` and its ``positions.csv`` for photographs that carry EXIF time and place.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Photographs in the order of their times; they stay where they are.
+    folder : Path
+        Exists; receives the two files.
+    height : float
+        m above the ellipsoid of the platform, where EXIF does not say.
+    body_from_camera : (4,), optional
+        Quaternion x, y, z, w; nominal (lines forward) if not given.
+    time_sigma : float
+        s; 0.29 is that of a stamp cut to the second.
+
+    Returns
+    -------
+    Path
+        The TOML file. The lens is left to be estimated, the attitude is along the track.
+    """
+    epoch = read_exif(paths[0]).time
+    t, positions = positions_from_exif(paths, epoch, height)
+    write_positions(folder / "positions.csv", t, positions)
+    lines = [
+        "[acquisition]",
+        f'name = "{paths[0].parent.name}"',
+        f'epoch = "{epoch}"',
+        "[platform]",
+        'kind = "ephemeris"',
+        'positions = "positions.csv"',
+        'attitudes = "along-track"',
+        "[world]",
+        'frame = "lonlat"',
+        "[camera]",
+        'focal_length_px = "estimate"',
+        'distortion = "estimate"',
+    ]
+    if body_from_camera is not None:
+        lines.append(f"body_from_camera = {[float(value) for value in body_from_camera]}")
+    for path in paths:
+        lines += ["[[frame]]", f"image = '{path.resolve()}'", 'time = "exif"', f"time_sigma = {time_sigma}"]
+    toml = folder / "acquisition.toml"
+    toml.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return toml

@@ -1,0 +1,265 @@
+"""``[surface]`` → a Surface, and whether it covers what the cameras see.
+
+Not here: reading the elevation raster (``dem.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import GeometryError
+from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.geometry.earth import WGS84, to_geodetic
+from sightline.geometry.surface import Dem, Ellipsoid, Infinity, Plane, Surface
+from sightline.io.acquired import InputFolder, world_kind
+from sightline.io.acquisition_schema import AcquisitionFile, CameraModelPlatform
+from sightline.io.dem import Bounds, read_dem
+
+Array = NDArray[np.float64]
+MovingCamera = PushbroomCamera | FrameCamera
+
+#: Pixels per side of the grid that stands for an image.
+GRID = 9
+#: Share of an image that may look beside the ground or the DEM before the whole is refused.
+UNCOVERED_SHARE = 0.02
+#: Largest ratio between the ground step of a line and the ground size of a pixel (either way).
+LARGEST_STEP_RATIO = 100.0
+#: Lines and columns of the grid with which common ground is looked for.
+OVERLAP_GRID = (65, 5)
+#: Heights (m) between which the ground of a large DEM is looked for.
+SEARCH_HEIGHTS = (-500.0, 9000.0)
+
+
+def build_surface(config: AcquisitionFile, files: InputFolder, cameras: Sequence[MovingCamera]) -> Surface:
+    """What ``[surface]`` describes: plane, ellipsoid, elevation raster, or infinity.
+
+    Parameters
+    ----------
+    config : AcquisitionFile
+    files : InputFolder
+        Finds the rasters.
+    cameras : sequence of cameras
+        Say which part of a large raster is needed.
+
+    Returns
+    -------
+    Surface
+    """
+    surface, local = config.surface, world_kind(config) == "local"
+    if surface.kind == "infinity":
+        return Infinity()
+    radii = body_radii(config, files)
+    if surface.dem is None:
+        return Plane(surface.height) if local else Ellipsoid(*(radii or WGS84), surface.height)
+    geoid = files(surface.geoid) if isinstance(surface.geoid, str) else surface.geoid
+    return read_dem(
+        files(surface.dem),
+        datum=surface.datum if "datum" in surface.model_fields_set else None,
+        geoid=geoid,
+        local=local,
+        radii=radii,
+        bounds=_bounds(cameras, local, radii or WGS84),
+    )
+
+
+def body_radii(config: AcquisitionFile, files: InputFolder) -> tuple[float, float] | None:
+    """Radii of the body: of the file, else of the sensor model; None for the Earth."""
+    if config.surface.radii is not None:
+        return config.surface.radii
+    if isinstance(config.platform, CameraModelPlatform):
+        from sightline.io.isd import read_line_scan_model
+
+        name = config.platform.model or config.band[0].model
+        if name is not None:
+            return read_line_scan_model(files(name)).radii
+    return None
+
+
+def image_grid(camera: MovingCamera) -> Array:
+    """Pixels (GRID * GRID, 2) spread evenly over an image, corners included."""
+    lines, columns = camera.shape
+    grid = np.meshgrid(np.linspace(0, lines - 1, GRID), np.linspace(0, columns - 1, GRID), indexing="ij")
+    return np.stack(grid, axis=-1).reshape(-1, 2)
+
+
+def _bounds(cameras: Sequence[MovingCamera], local: bool, radii: tuple[float, float]) -> Bounds | None:
+    """Box around everything the cameras can see between the heights that exist."""
+    boxes = []
+    for camera in cameras:
+        for height in SEARCH_HEIGHTS:
+            surface: Surface = Plane(height) if local else Ellipsoid(*radii, height)
+            boxes.append(_horizontal(camera.locate(image_grid(camera), surface), local, radii))
+    points = np.concatenate(boxes)
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points) or (not local and np.ptp(points[:, 0]) > 180.0):
+        return None
+    (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
+    return Bounds(west, south, east, north)
+
+
+def _horizontal(points: Array, local: bool, radii: tuple[float, float]) -> Array:
+    """Points (N, 3) as x, y (m) or longitude, latitude (degrees), (N, 2)."""
+    return points[:, :2] if local else np.degrees(to_geodetic(points, radii)[:, :2])
+
+
+def check_coverage(path: Path, surface: Surface, cameras: Sequence[MovingCamera]) -> None:
+    """Refuse a ground that the cameras look past, or an elevation raster that ends inside the strip.
+
+    Parameters
+    ----------
+    path : Path
+        The TOML file, named in the message.
+    surface : Surface
+    cameras : sequence of cameras
+
+    Raises
+    ------
+    GeometryError
+        Names the uncovered share and both extents.
+    """
+    base = base_surface(surface)
+    local = isinstance(base, Plane)
+    points = [camera.locate(image_grid(camera), base) for camera in cameras]
+    missed = [float(np.mean(~np.isfinite(p[:, 0]))) for p in points]
+    worst = int(np.argmax(missed))
+    if missed[worst] > UNCOVERED_SHARE:
+        raise GeometryError(
+            f"{path}: {100 * missed[worst]:.0f} % of image number {worst + 1} looks past the ground; check "
+            f"the attitudes "
+            "(quaternions qx,qy,qz,qw of world_from_body, scalar last), the positions and the mount"
+        )
+    if not isinstance(surface, Dem):
+        return
+    ground = np.concatenate(points)
+    ground = ground[np.isfinite(ground[:, 0])]
+    outside = 1.0 - float(np.mean(inside_raster(surface, ground)))
+    if outside > UNCOVERED_SHARE:
+        radii = surface.radii
+        raise GeometryError(
+            f"{path}: the DEM does not cover the strip: {100 * outside:.0f} % of it lies outside; "
+            f"the strip spans {_extent(_horizontal(ground, local, radii), local)}, "
+            f"the DEM {_extent(_horizontal(raster_corners(surface), local, radii), local)}; "
+            "give a larger DEM or crop the images"
+        )
+
+
+def base_surface(surface: Surface) -> Surface:
+    """The smooth surface at the middle height of a Dem; any other surface itself."""
+    if not isinstance(surface, Dem):
+        return surface
+    middle = float(np.mean(surface.height_range))
+    return Plane(middle) if surface.crs is None else Ellipsoid(*surface.radii, middle)
+
+
+def inside_raster(dem: Dem, points: Array) -> NDArray[np.bool_]:
+    """Whether points (N, 3) lie within the raster's rectangle, over voids or not."""
+    solid = Dem(np.zeros(dem.heights.shape), dem.transform, dem.crs, None, dem.radii)
+    return solid.covers(points)
+
+
+def raster_corners(dem: Dem) -> Array:
+    """The four corners of a raster as points (4, 3) of the world, at height 0."""
+    rows, columns = dem.heights.shape
+    a, b, c, d, e, f = dem.transform
+    column, row = np.array([0.0, columns, columns, 0.0]), np.array([0.0, 0.0, rows, rows])
+    x, y = a * column + b * row + c, d * column + e * row + f
+    if dem.crs is None:
+        return np.column_stack([x, y, np.zeros(4)])
+    from sightline.geometry.earth import from_geodetic
+
+    if dem.crs != "lonlat":
+        from pyproj import CRS, Transformer
+
+        crs = CRS.from_user_input(dem.crs)
+        if crs.is_compound:
+            crs = crs.sub_crs_list[0]
+        x, y = Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True).transform(x, y)
+    return from_geodetic(np.column_stack([np.radians(x), np.radians(y), np.zeros(4)]), dem.radii)
+
+
+def _extent(xy: Array, local: bool) -> str:
+    """The box around points in words."""
+    (x0, y0), (x1, y1) = xy.min(axis=0), xy.max(axis=0)
+    if local:
+        return f"x {x0:.0f} to {x1:.0f} m, y {y0:.0f} to {y1:.0f} m"
+    return f"longitude {x0:.4f} to {x1:.4f}, latitude {y0:.4f} to {y1:.4f} degrees"
+
+
+def check_sampling(
+    path: Path, surface: Surface, cameras: Sequence[MovingCamera], names: Sequence[str]
+) -> None:
+    """Refuse line periods, angles and heights that cannot belong together: mistaken units show here.
+
+    Raises
+    ------
+    GeometryError
+        If the ground step between lines is beyond `LARGEST_STEP_RATIO` times the ground size of a pixel.
+    """
+    for camera, name in zip(cameras, names, strict=True):
+        if not isinstance(camera, PushbroomCamera):
+            continue
+        line, column = (camera.lines - 1) / 2.0, (camera.columns - 1) / 2.0
+        spots = np.array([[line, column], [line + 1.0, column], [line, column + 1.0]])
+        here, ahead, aside = camera.locate(spots, base_surface(surface))
+        along, across = float(np.linalg.norm(ahead - here)), float(np.linalg.norm(aside - here))
+        if isinstance(surface, Infinity) or not np.isfinite(along + across):
+            continue
+        if not 1.0 / LARGEST_STEP_RATIO < along / across < LARGEST_STEP_RATIO:
+            raise GeometryError(
+                f"{path}: band {name}: lines are {along:.4g} m apart on the ground and pixels {across:.4g} "
+                f"m wide; "
+                "these cannot belong together; check line_period (s), ifov (a tangent, about 1e-5), "
+                "altitude (m), "
+                "ground_speed (m/s)"
+            )
+
+
+def check_overlap(
+    path: Path, surface: Surface, cameras: Sequence[MovingCamera], names: Sequence[str]
+) -> None:
+    """Refuse images that share no ground with any other, or see it all at the same instant.
+
+    Raises
+    ------
+    GeometryError
+        Names the image.
+    """
+    moving = False
+    for k, camera in enumerate(cameras):
+        others = sorted((j for j in range(len(cameras)) if j != k), key=lambda j: abs(j - k))
+        lags: list[float] = []
+        for j in others:
+            lags += _lags(camera, cameras[j], surface)
+            if np.any(np.abs(lags) > 0.0):
+                moving = True
+                break
+        if not lags:
+            raise GeometryError(
+                f"{path}: {names[k]} shares no ground with any other image; check first_line_time, "
+                f"look_ahead "
+                "(forward positive) and the times of the frames"
+            )
+    if not moving:
+        raise GeometryError(
+            f"{path}: all images see the same ground at the same time (lag 0), so motion cannot be seen; "
+            "check look_ahead and first_line_time"
+        )
+
+
+def _lags(camera: MovingCamera, other: MovingCamera, surface: Surface) -> list[float]:
+    """Lags (s) of a few points that both images see: empty where they share no ground."""
+    lines, columns = camera.shape
+    grid = np.meshgrid(
+        np.linspace(0, lines - 1, OVERLAP_GRID[0]),
+        np.linspace(0, columns - 1, OVERLAP_GRID[1]),
+        indexing="ij",
+    )
+    pixels = np.stack(grid, axis=-1).reshape(-1, 2)
+    seen = other.project(camera.locate(pixels, base_surface(surface)))
+    last = np.array(other.shape) - 1.0
+    inside = np.all((seen >= 0.0) & (seen <= last), axis=1)
+    return [float(v) for v in other.times(seen[inside, 0]) - camera.times(pixels[inside, 0])]

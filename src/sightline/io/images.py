@@ -1,0 +1,326 @@
+"""Rasters and .npy files as image sources, read in windows.
+
+Not here: the ``ImageSource`` protocol (``imaging/source.py``), elevation rasters (``dem.py``).
+"""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import FormatError, InputError
+
+Image = NDArray[np.float32]
+Mask = NDArray[np.bool_]
+
+#: Lines read in each of the probes of `check_content`.
+PROBE_LINES = 16
+#: Share of pixels at the largest value of the data type from which an image counts as saturated.
+SATURATED_SHARE = 0.5
+
+
+@contextmanager
+def raster_errors(path: Path) -> Iterator[None]:
+    """Turn what the raster library raises into a FormatError that names the file."""
+    from rasterio.errors import RasterioError
+
+    try:
+        yield
+    except RasterioError as error:
+        cause = error.__cause__ or error
+        raise FormatError(
+            f"{path}: the pixels cannot be read ({_first_line(cause)}); the file is truncated, damaged or "
+            f"not a raster; "
+            "copy or make it again"
+        ) from None
+
+
+def _first_line(error: BaseException) -> str:
+    """What the library said, on one line."""
+    return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(". ")
+
+
+def must_exist(path: Path) -> None:
+    """FormatError when there is no such file."""
+    if not path.is_file():
+        raise FormatError(f"{path}: no such file; check the name in the TOML file")
+
+
+class RasterImage:
+    """One band of a raster file (any GDAL format), read in windows.
+
+    Parameters
+    ----------
+    path : Path
+        The file.
+    band : int or "luminance"
+        Which band, from 1; ``"luminance"`` is the mean of all.
+    mask : RasterImage, NpyImage or None
+        Another source of the same shape whose non-zero pixels are not to be used.
+
+    Notes
+    -----
+    One dataset handle per thread, because GDAL handles must not be shared; an image that travels to
+    another process opens the file there again.
+    """
+
+    def __init__(self, path: Path, band: int | str = 1, mask: RasterImage | NpyImage | None = None) -> None:
+        """Open the file once to learn its shape."""
+        self.path = Path(path)
+        self._band = band
+        self._extra_mask = mask
+        self._local = threading.local()
+        must_exist(self.path)
+        dataset = self._dataset()
+        count: int = dataset.count
+        if isinstance(band, int) and not 1 <= band <= count:
+            raise FormatError(
+                f"{self.path}: band {band} is asked for; the file has {count}; choose 1 to {count}"
+            )
+        self._bands = list(range(1, count + 1)) if band == "luminance" else [int(band)]
+        self._type = np.dtype(dataset.dtypes[self._bands[0] - 1])
+        if self._type.kind not in "uif":
+            raise FormatError(f"{self.path}: pixels are of type {self._type}; real numbers are expected")
+        self._shape = (int(dataset.height), int(dataset.width))
+        self._all_valid = all(
+            "all_valid" in [flag.name for flag in dataset.mask_flag_enums[k - 1]] for k in self._bands
+        )
+        if mask is not None:
+            _same_shape(self.path, self._shape, mask)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but the open handles, so that the image can be sent to another process."""
+        state = dict(self.__dict__)
+        del state["_local"]
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Handles are opened again where they are needed."""
+        self.__dict__.update(state)
+        self._local = threading.local()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(lines, columns)."""
+        return self._shape
+
+    @property
+    def full_scale(self) -> float | None:
+        """Largest value of an integer data type; None for floating point."""
+        return float(np.iinfo(self._type).max) if self._type.kind in "ui" else None
+
+    def _dataset(self) -> Any:
+        """The handle of this thread."""
+        dataset = getattr(self._local, "dataset", None)
+        if dataset is None:
+            import rasterio
+            from rasterio.errors import NotGeoreferencedWarning
+
+            with raster_errors(self.path), warnings.catch_warnings():
+                warnings.simplefilter("ignore", NotGeoreferencedWarning)
+                dataset = rasterio.open(self.path)
+            self._local.dataset = dataset
+        return dataset
+
+    def _window(
+        self, lines: tuple[int, int], columns: tuple[int, int]
+    ) -> tuple[tuple[int, int], tuple[int, int]]:
+        """The window as rasterio takes it; InputError outside the image."""
+        _check_window(self.path, self._shape, lines, columns)
+        return lines, columns
+
+    def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> Image:
+        """Pixels of lines [first, last) and columns [first, last), float32, C order."""
+        window = self._window(lines, columns)
+        with raster_errors(self.path):
+            if len(self._bands) == 1:
+                data = self._dataset().read(self._bands[0], window=window)
+            else:
+                data = self._dataset().read(self._bands, window=window).mean(axis=0, dtype=np.float32)
+        return np.ascontiguousarray(data, dtype=np.float32)
+
+    def mask(self, lines: tuple[int, int], columns: tuple[int, int]) -> Mask | None:
+        """True where a pixel is not to be used (no data, NaN, masked); None if all are good."""
+        bad: Mask | None = None
+        if not self._all_valid:
+            window = self._window(lines, columns)
+            with raster_errors(self.path):
+                bad = (self._dataset().read_masks(self._bands, window=window) == 0).any(axis=0)
+        if self._type.kind == "f":
+            gaps = ~np.isfinite(self.read(lines, columns))
+            bad = gaps if bad is None else bad | gaps
+        return _with_extra(bad, self._extra_mask, lines, columns)
+
+
+class NpyImage:
+    """A two-dimensional .npy file, mapped into memory and read in windows.
+
+    Parameters
+    ----------
+    path : Path
+        The file, (lines, columns).
+    mask : RasterImage, NpyImage or None
+        Another source of the same shape whose non-zero pixels are not to be used.
+    """
+
+    def __init__(self, path: Path, mask: RasterImage | NpyImage | None = None) -> None:
+        """Map the file once to learn its shape."""
+        self.path = Path(path)
+        self._extra_mask = mask
+        must_exist(self.path)
+        self._array = self._map()
+        if mask is not None:
+            _same_shape(self.path, self.shape, mask)
+
+    def _map(self) -> NDArray[Any]:
+        """The memory map, checked."""
+        try:
+            array = np.load(self.path, mmap_mode="r", allow_pickle=False)
+        except (OSError, ValueError) as error:
+            raise FormatError(
+                f"{self.path}: cannot be read as .npy ({_first_line(error)}); the file is truncated or "
+                f"damaged; make it again"
+            ) from None
+        if array.ndim != 2 or array.dtype.kind not in "uifb":
+            raise FormatError(
+                f"{self.path}: holds an array of shape {array.shape} and type {array.dtype}; "
+                "an image is (lines, columns) of real numbers"
+            )
+        return np.asarray(array)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The path, not the pixels, travels to another process."""
+        state = dict(self.__dict__)
+        del state["_array"]
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Map the file again."""
+        self.__dict__.update(state)
+        self._array = self._map()
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(lines, columns)."""
+        return int(self._array.shape[0]), int(self._array.shape[1])
+
+    @property
+    def full_scale(self) -> float | None:
+        """Largest value of an integer data type; None for floating point."""
+        return float(np.iinfo(self._array.dtype).max) if self._array.dtype.kind in "ui" else None
+
+    def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> Image:
+        """Pixels of lines [first, last) and columns [first, last), float32, C order."""
+        _check_window(self.path, self.shape, lines, columns)
+        return np.ascontiguousarray(self._array[slice(*lines), slice(*columns)], dtype=np.float32)
+
+    def mask(self, lines: tuple[int, int], columns: tuple[int, int]) -> Mask | None:
+        """True where a pixel is not to be used (NaN, masked); None if all are good."""
+        bad = ~np.isfinite(self.read(lines, columns)) if self._array.dtype.kind == "f" else None
+        return _with_extra(bad, self._extra_mask, lines, columns)
+
+
+#: What `open_image` gives.
+Source = RasterImage | NpyImage
+
+
+def _check_window(
+    path: Path, shape: tuple[int, int], lines: tuple[int, int], columns: tuple[int, int]
+) -> None:
+    """InputError unless 0 <= first < last <= size on both axes."""
+    for name, (first, last), size in (("lines", lines, shape[0]), ("columns", columns, shape[1])):
+        if not 0 <= first < last <= size:
+            raise InputError(f"{path}: {name} {first} to {last} are asked for; the image has 0 to {size}")
+
+
+def _same_shape(path: Path, shape: tuple[int, int], mask: RasterImage | NpyImage) -> None:
+    """A mask must have the shape of its image."""
+    if mask.shape != shape:
+        raise FormatError(
+            f"{mask.path}: the mask is {mask.shape[0]} lines x {mask.shape[1]} columns, "
+            f"its image {path.name} {shape[0]} x {shape[1]}; they must agree"
+        )
+
+
+def _with_extra(
+    bad: Mask | None, extra: RasterImage | NpyImage | None, lines: tuple[int, int], columns: tuple[int, int]
+) -> Mask | None:
+    """Own unusable pixels joined with those of the mask image; None if there are none."""
+    if extra is not None:
+        masked = extra.read(lines, columns) != 0.0
+        bad = masked if bad is None else bad | masked
+    return bad if bad is not None and bad.any() else None
+
+
+def open_image(path: Path, band: int | str = 1, mask: Path | None = None) -> RasterImage | NpyImage:
+    """An image source for a file: .npy is mapped, anything else goes through GDAL.
+
+    Parameters
+    ----------
+    path : Path
+        The image.
+    band : int or "luminance"
+        Band of a raster.
+    mask : Path, optional
+        Raster or .npy of the same size; non-zero: do not use.
+
+    Returns
+    -------
+    RasterImage or NpyImage
+
+    Raises
+    ------
+    FormatError
+        Names the file and what is wrong with it.
+    """
+    extra = None if mask is None else open_image(mask)
+    if Path(path).suffix.lower() == ".npy":
+        return NpyImage(Path(path), extra)
+    return RasterImage(Path(path), band, extra)
+
+
+def check_content(image: RasterImage | NpyImage) -> None:
+    """Look into an image (first, middle and last lines) before work starts.
+
+    Raises
+    ------
+    FormatError
+        If a probe cannot be read (truncated file), holds no usable pixel, is the same everywhere, or is
+        mostly at the largest value of its type.
+
+    Notes
+    -----
+    A probe costs 16 lines; a fault between the probes is met by the matcher, which rejects the
+    windows it touches.
+    """
+    lines, columns = image.shape
+    values = []
+    for first in sorted({0, max(0, lines // 2 - PROBE_LINES // 2), max(0, lines - PROBE_LINES)}):
+        window = (first, min(first + PROBE_LINES, lines)), (0, columns)
+        data, bad = image.read(*window), image.mask(*window)
+        values.append(data.ravel() if bad is None else data[~bad])
+    pixels = np.concatenate(values)
+    if pixels.size == 0:
+        raise FormatError(
+            f"{image.path}: no usable pixel in its first, middle and last lines (no data, NaN or masked); "
+            "nothing can be matched in it; check the image and its mask"
+        )
+    if pixels.min() == pixels.max():
+        raise FormatError(
+            f"{image.path}: the image is constant (every pixel looked at is {pixels[0]:g}); "
+            "nothing can be matched in it; check that the right file is named"
+        )
+    top = image.full_scale
+    share = 0.0 if top is None else float(np.mean(pixels >= top))
+    if share > SATURATED_SHARE:
+        raise FormatError(
+            f"{image.path}: {100 * share:.0f} % of the pixels looked at are saturated (at {top:g}); "
+            "nothing can be matched there; use an image with a shorter exposure or mask the saturated part"
+        )

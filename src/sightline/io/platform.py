@@ -1,0 +1,199 @@
+"""``[platform]`` and ``[world]`` → a Trajectory in the axes everything is computed in.
+
+Level flight over a flat Earth; positions and attitudes from CSV tables or CCSDS messages, in
+Earth-fixed, local or geodetic coordinates.
+
+Not here: sensor-model files, which bring trajectory and detector together (``isd.py``).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sightline.errors import FormatError, SpanError
+from sightline.geometry.earth import WGS84, from_geodetic, local_axes, to_geodetic
+from sightline.geometry.trajectory import Trajectory
+from sightline.io import ccsds, tables
+from sightline.io.acquired import InputFolder, world_kind
+from sightline.io.acquisition_schema import AcquisitionFile, EphemerisPlatform, LevelFlight
+
+Array = NDArray[np.float64]
+
+#: Earth-fixed positions must lie between these distances from the Earth's centre (m).
+EARTH_FIXED_RANGE = (6.3e6, 1e9)
+#: Share of the strip's duration by which a closed-form trajectory reaches beyond it on both sides.
+MARGIN_SHARE = 0.1
+#: The same in seconds, for images of one instant.
+MARGIN = 1.0
+
+
+def build_trajectory(config: AcquisitionFile, files: InputFolder, span: tuple[float, float]) -> Trajectory:
+    """The nominal trajectory of ``[platform]`` kinds level-flight and ephemeris.
+
+    Parameters
+    ----------
+    config : AcquisitionFile
+    files : InputFolder
+        Finds the tables.
+    span : (first, last)
+        s; exposure of the first and last line (or frame) of all images.
+
+    Returns
+    -------
+    Trajectory
+        World axes are local (x east, y north, z up) or Earth-fixed, by ``world_kind``.
+
+    Raises
+    ------
+    SpanError
+        If a table does not reach over `span`.
+    """
+    platform = config.platform
+    if isinstance(platform, LevelFlight):
+        margin = MARGIN + MARGIN_SHARE * (span[1] - span[0])
+        return Trajectory.level_flight(
+            platform.altitude, platform.ground_speed, span[0] - margin, span[1] + margin
+        )
+    if not isinstance(platform, EphemerisPlatform):
+        raise FormatError(
+            f"{files.toml}: [platform] kind {platform.kind!r} takes its trajectory from the model file"
+        )
+    path = files(platform.positions)
+    t_position, raw, raw_velocity = read_positions(path, config.acquisition.epoch)
+    _must_cover(path, "positions", t_position, span)
+    if raw_velocity is not None and config.world.frame != "earth-fixed":
+        raise FormatError(
+            f'{path}: an OEM is in Earth-fixed axes; [world] frame must be "earth-fixed" or left out'
+        )
+    position = to_world(raw, config, path)
+    if platform.attitudes == "along-track":
+        t_attitude, attitude = (
+            t_position,
+            along_track_attitude(t_position, position, world_kind(config), config.surface.radii or WGS84),
+        )
+    else:
+        path = files(platform.attitudes)
+        t_attitude, quat_xyzw = read_attitudes(path, config.acquisition.epoch)
+        _must_cover(path, "attitudes", t_attitude, span)
+        attitude = attitude_to_world(Rotation.from_quat(quat_xyzw), config)
+    return Trajectory(
+        t_position, position, t_attitude, attitude, epoch=config.acquisition.epoch, velocity=raw_velocity
+    )
+
+
+def read_positions(path: Path, epoch: str | None) -> tuple[Array, Array, Array | None]:
+    """Positions of a CSV table or a CCSDS OEM: times (N,) s, positions (N, 3), velocities (N, 3) or None."""
+    if ccsds.is_ccsds(path, "OEM"):
+        ephemeris = ccsds.read_oem(path, ccsds.need_epoch(path, epoch))
+        return ephemeris.t, ephemeris.position, ephemeris.velocity
+    return *tables.read_positions(path), None
+
+
+def read_attitudes(path: Path, epoch: str | None) -> tuple[Array, Array]:
+    """Attitudes from a CSV table or a CCSDS AEM: times (N,) s from the epoch, quaternions (N, 4) x y z w."""
+    if ccsds.is_ccsds(path, "AEM"):
+        attitude = ccsds.read_aem(path, ccsds.need_epoch(path, epoch))
+        return attitude.t, attitude.quat_xyzw
+    return tables.read_attitudes(path)
+
+
+def _must_cover(path: Path, what: str, t: Array, span: tuple[float, float]) -> None:
+    """SpanError unless the table reaches from the first line to the last."""
+    if t[0] <= span[0] and t[-1] >= span[1]:
+        return
+    raise SpanError(
+        f"{path}: the {what} cover [{t[0]:.6f}, {t[-1]:.6f}] s, the images are exposed in "
+        f"[{span[0]:.6f}, {span[1]:.6f}] s; supply {what} over that span, or check the epoch and "
+        f"first_line_time"
+    )
+
+
+def to_world(points: Array, config: AcquisitionFile, path: Path | None = None) -> Array:
+    """Points (N, 3) in the axes of ``[world]`` → the axes of computation, m.
+
+    Raises
+    ------
+    FormatError
+        If coordinates are impossible in those axes; swapped and mis-scaled columns show here.
+    """
+    place = f"{path}: " if path is not None else ""
+    world = config.world
+    radii = config.surface.radii or WGS84
+    if world_kind(config) == "local":
+        return points
+    if world.frame == "lonlat":
+        lon, lat = points[:, 0], points[:, 1]
+        if np.any(np.abs(lat) > 90.0) or np.any(np.abs(lon) > 360.0):
+            raise FormatError(
+                f"{place}latitudes (y) reach {np.abs(lat).max():.6g} degrees; with [world] frame = "
+                f'"lonlat" the columns '
+                "are x = longitude, y = latitude (degrees), z = height (m); are x and y swapped?"
+            )
+        return from_geodetic(np.column_stack([np.radians(lon), np.radians(lat), points[:, 2]]), radii)
+    if world.frame == "local":
+        assert world.origin is not None  # world_kind says "local" otherwise
+        lon, lat, height = np.radians(world.origin[0]), np.radians(world.origin[1]), world.origin[2]
+        return np.asarray(from_geodetic([[lon, lat, height]], radii) + local_axes(lon, lat).apply(points))
+    if config.surface.radii is None:
+        distance = np.linalg.norm(points, axis=1)
+        low, high = EARTH_FIXED_RANGE
+        if np.any((distance < low) | (distance > high)):
+            odd = float(distance[np.argmax((distance < low) | (distance > high))])
+            raise FormatError(
+                f"{place}a position lies {odd:.6g} m from the Earth's centre; Earth-fixed positions in "
+                f"metres lie beyond "
+                f'{low:.3g} m; are they in km, or in other axes ([world] frame = "local" or "lonlat")?'
+            )
+    return points
+
+
+def attitude_to_world(attitude: Rotation, config: AcquisitionFile) -> Rotation:
+    """Attitudes in the axes of ``[world]`` → the axes of computation.
+
+    Quaternions are Earth-fixed unless the frame is "local"; with "lonlat" only positions are geodetic.
+    """
+    if config.world.frame == "local" and config.world.origin is not None:
+        lon, lat = np.radians(config.world.origin[:2])
+        return local_axes(lon, lat) * attitude
+    return attitude
+
+
+def along_track_attitude(
+    t: Array, position: Array, world: str, radii: tuple[float, float] = WGS84
+) -> Rotation:
+    """world_from_body that looks straight down with the nose along the ground track.
+
+    Parameters
+    ----------
+    t : (N,)
+        s.
+    position : (N, 3)
+        m, world axes.
+    world : str
+        ``"local"`` (down is -z) or ``"earth-fixed"`` (down is the ellipsoid's normal).
+    radii : (equatorial, polar)
+        m; of the ellipsoid.
+
+    Returns
+    -------
+    Rotation
+        N rotations; body x forward, y right, z down.
+    """
+    if len(t) < 2:
+        raise FormatError("one position only; attitudes along the track need two or more")
+    velocity = np.gradient(position, t, axis=0)
+    if world == "local":
+        down = np.tile([0.0, 0.0, -1.0], (len(t), 1))
+    else:
+        lon, lat, _ = to_geodetic(position, radii).T
+        down = -local_axes(lon, lat).apply([0.0, 0.0, 1.0])
+    forward = velocity - np.sum(velocity * down, axis=1)[:, None] * down
+    speed = np.linalg.norm(forward, axis=1)
+    if np.any(speed <= 0.0):
+        raise FormatError("the positions stand still or rise vertically; give attitudes = FILE")
+    forward /= speed[:, None]
+    return Rotation.from_matrix(np.stack([forward, np.cross(down, forward), down], axis=2))

@@ -1,0 +1,1 @@
+"""Truth: scenes, motions and rendered images. Never imported by estimation."""

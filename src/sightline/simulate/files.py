@@ -1,0 +1,236 @@
+"""Writes a simulated strip as a user would receive it, with its truth beside it.
+
+Files: ``acquisition.toml`` and the images it names (12-bit numbers in 16-bit GeoTIFF), optionally
+``dem.tif``, ``star_tracker.csv`` and ``gyro.csv``; and the truth, ``truth.csv`` (motion at every line) and
+``truth-bands.csv`` (offsets and rotations of the detector lines), which nothing but a score should read.
+Their contents are described in ``docs/formats.md``.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.simulate.frames import FrameScenario
+from sightline.simulate.scenarios import StripScenario
+from sightline.simulate.scene import Relief
+from sightline.simulate.texture import Array
+
+
+def write_strip(
+    scenario: StripScenario,
+    folder: Path,
+    *,
+    dem: bool = True,
+    star_tracker: bool = False,
+    gyro: bool = False,
+) -> dict[str, Path]:
+    """Render `scenario` into `folder`.
+
+    Parameters
+    ----------
+    scenario : StripScenario
+    folder : Path
+        Exists; files of the same names are replaced.
+    dem : bool
+        Write ``dem.tif`` where the scene has relief, and name it in the TOML; otherwise the TOML gives the
+        mean height and, as ``height_sigma``, the standard deviation of the relief about it.
+    star_tracker, gyro : bool
+        Also write and name the attitude tables.
+
+    Returns
+    -------
+    dict of str to Path
+        What was written, by file name.
+    """
+    options = scenario.options
+    written: list[Path] = []
+    for index, band in enumerate(scenario.bands):
+        path = folder / f"{band.name}.tif"
+        write_image(path, (options.lines, options.columns), scenario.chunks(index))
+        written.append(path)
+    relief = scenario.scene.relief
+    if relief is not None and dem:
+        written.append(write_dem(folder / "dem.tif", relief))
+    header = "t,roll,pitch,yaw"
+    written.append(write_table(folder / "truth.csv", header, scenario.truth))
+    written.append(_write_band_truth(folder / "truth-bands.csv", scenario))
+    sensors = []
+    if star_tracker:
+        written.append(write_table(folder / "star_tracker.csv", header + ",sigma", scenario.star_tracker()))
+        sensors.append(("star-tracker", "star_tracker.csv"))
+    if gyro:
+        columns = "t_start,t_end,roll,pitch,yaw,sigma"
+        written.append(write_table(folder / "gyro.csv", columns, scenario.gyro()))
+        sensors.append(("gyro", "gyro.csv"))
+    toml = folder / "acquisition.toml"
+    toml.write_text(acquisition_toml(scenario, dem=dem, sensors=sensors))
+    return {path.name: path for path in [toml, *written]}
+
+
+def acquisition_toml(
+    scenario: StripScenario, *, dem: bool = True, sensors: Sequence[tuple[str, str]] = ()
+) -> str:
+    """The ACQUISITION file of a strip: what a user would know, never the truth.
+
+    `sensors` are pairs of kind and table file; `dem` as in :func:`write_strip`.
+    """
+    options = scenario.options
+    lines = [
+        "[acquisition]",
+        f'name = "simulated {scenario.case}, seed {scenario.seed}"',
+        'epoch = "2026-01-01T00:00:00Z"',
+        "",
+        "[platform]",
+        'kind = "level-flight"',
+        f"altitude = {options.altitude!r}",
+        f"ground_speed = {options.ground_speed!r}",
+        "",
+        "[instrument]",
+        f"ifov = {options.ifov!r}",
+        f"columns = {options.columns}",
+        f"line_period = {options.line_period!r}",
+    ]
+    for band in scenario.bands:
+        lines += [
+            "",
+            "[[band]]",
+            f'name = "{band.name}"',
+            f'image = "{band.name}.tif"',
+            f"look_ahead = {band.look_ahead!r}",
+            "offset_px = [0.0, 0.0]",
+            f"offset_sigma_px = {options.offset_sigma_px!r}",
+            "rotation = 0.0",
+            f"rotation_sigma = {options.rotation_sigma!r}",
+            "first_line_time = 0.0",
+        ]
+    lines += ["", "[surface]", *_surface_lines(scenario.scene.relief, dem)]
+    for kind, table in sensors:
+        lines += ["", "[[attitude_sensor]]", f'kind = "{kind}"', f'table = "{table}"']
+    return "\n".join(lines) + "\n"
+
+
+def _surface_lines(relief: Relief | None, dem: bool) -> list[str]:
+    if relief is None:
+        return ["height = 0.0", "height_sigma = 0.0"]
+    if dem:
+        return ['dem = "dem.tif"', "height_sigma = 0.0"]
+    mean, sigma = float(relief.heights.mean()), float(relief.heights.std())
+    return [f"height = {mean:.3f}", f"height_sigma = {sigma:.3f}"]
+
+
+def write_image(path: Path, shape: tuple[int, int], chunks: Iterator[tuple[int, NDArray[np.uint16]]]) -> Path:
+    """A single-band 16-bit TIFF without georeferencing, written chunk by chunk."""
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+    from rasterio.windows import Window
+
+    profile = {"driver": "GTiff", "dtype": "uint16", "count": 1, "height": shape[0], "width": shape[1]}
+    with warnings.catch_warnings():
+        # an image in sensor geometry has no georeferencing, by nature
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with rasterio.open(path, "w", **profile) as target:
+            for first, block in chunks:
+                target.write(block, 1, window=Window(0, first, shape[1], block.shape[0]))
+    return path
+
+
+def write_dem(path: Path, relief: Relief) -> Path:
+    """Heights as a float64 GeoTIFF in local metres (x east, y north), without a coordinate system."""
+    import rasterio
+    from rasterio.transform import Affine
+
+    rows, columns = relief.heights.shape
+    profile = {
+        "driver": "GTiff",
+        "dtype": "float64",
+        "count": 1,
+        "height": rows,
+        "width": columns,
+        "transform": Affine(*relief.transform),
+    }
+    with rasterio.open(path, "w", **profile) as target:
+        target.write(relief.heights, 1)
+    return path
+
+
+def write_table(path: Path, header: str, table: Array) -> Path:
+    """A CSV of numbers that read back to the same float64."""
+    rows = [",".join(repr(float(value)) for value in row) for row in table]
+    path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+def _write_band_truth(path: Path, scenario: StripScenario) -> Path:
+    rows = ["name,lag,look_ahead,offset_line_px,offset_column_px,rotation"]
+    rows += [
+        f"{band.name},{band.lag!r},{band.look_ahead!r},{band.offset_px[0]!r},{band.offset_px[1]!r},"
+        f"{band.rotation!r}"
+        for band in scenario.bands
+    ]
+    path.write_text("\n".join(rows) + "\n")
+    return path
+
+
+def write_frames(scenario: FrameScenario, folder: Path, *, estimate_camera: bool = False) -> dict[str, Path]:
+    """Render a sequence of frames into `folder`: images, ``acquisition.toml``, ``truth.csv``, DEM if any.
+
+    Parameters
+    ----------
+    scenario : FrameScenario
+    folder : Path
+        Exists; files of the same names are replaced.
+    estimate_camera : bool
+        Write the focal length 1 % off, with the distortion and itself left to be estimated.
+
+    Returns
+    -------
+    dict of str to Path
+        What was written, by file name. ``truth-frames.csv`` holds each frame's written and true time.
+    """
+    written: list[Path] = []
+    names = [f"frame-{index:03d}.tif" for index in range(scenario.options.count)]
+    for index, name in enumerate(names):
+        written.append(write_image(folder / name, scenario.options.shape, scenario.chunks(index)))
+    if scenario.scene.relief is not None:
+        written.append(write_dem(folder / "dem.tif", scenario.scene.relief))
+    written.append(write_table(folder / "truth.csv", "t,roll,pitch,yaw", scenario.truth))
+    times = np.column_stack([scenario.nominal_times, scenario.times])
+    written.append(write_table(folder / "truth-frames.csv", "time_written,time_true", times))
+    toml = folder / "acquisition.toml"
+    toml.write_text(frames_toml(scenario, names, estimate_camera=estimate_camera))
+    return {path.name: path for path in [toml, *written]}
+
+
+def frames_toml(scenario: FrameScenario, images: Sequence[str], *, estimate_camera: bool = False) -> str:
+    """The ACQUISITION file of a sequence of frames; arguments as in :func:`write_frames`."""
+    options = scenario.options
+    focal = options.focal_length_px * (1.01 if estimate_camera else 1.0)
+    distortion = '"estimate"' if estimate_camera else repr(list(options.distortion))
+    lines = [
+        "[acquisition]",
+        f'name = "simulated frames, seed {scenario.seed}"',
+        'epoch = "2026-01-01T00:00:00Z"',
+        "",
+        "[platform]",
+        'kind = "level-flight"',
+        f"altitude = {options.altitude!r}",
+        f"ground_speed = {options.ground_speed!r}",
+        "",
+        "[camera]",
+        f"shape = [{options.shape[0]}, {options.shape[1]}]",
+        f"focal_length_px = {focal!r}",
+        f"principal_point_px = [{options.centre_px[0]!r}, {options.centre_px[1]!r}]",
+        f"distortion = {distortion}",
+    ]
+    if estimate_camera:
+        lines.append(f"focal_length_sigma_px = {0.02 * options.focal_length_px!r}")
+    for name, t in zip(images, scenario.nominal_times, strict=True):
+        lines += ["", "[[frame]]", f'image = "{name}"', f"time = {float(t)!r}"]
+        lines.append(f"time_sigma = {options.time_sigma!r}")
+    lines += ["", "[surface]", *_surface_lines(scenario.scene.relief, dem=True)]
+    return "\n".join(lines) + "\n"

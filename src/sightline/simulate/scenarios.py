@@ -1,0 +1,500 @@
+"""The named pushbroom strips that tests, benchmarks and ``sightline simulate line-of-sight`` share.
+
+A case is a set of :class:`StripOptions`; :func:`line_of_sight_case` draws everything that is random in it
+from one seed and gives a :class:`StripScenario`: true cameras, cameras as a user would know them, the scene
+and the images. Frames of a matrix instrument are in ``frames.py``; files are written by ``files.py``.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import InputError
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.instrument import LineDetector
+from sightline.geometry.pointing import FixedMount
+from sightline.geometry.trajectory import Motion, Trajectory
+from sightline.simulate import measured
+from sightline.simulate.attitude_sensors import ARC_SECOND, gyro_table, star_tracker_table
+from sightline.simulate.jitter import (
+    ChirpJitter,
+    JitterPart,
+    JitterProfile,
+    StepJitter,
+    ToneJitter,
+    curve_profile,
+    nominal_profile,
+)
+from sightline.simulate.scene import (
+    BandShine,
+    Clouds,
+    Extent,
+    Relief,
+    Scene,
+    TextureLaw,
+    random_relief,
+    scattered_clouds,
+    scene_layers,
+)
+from sightline.simulate.sensor import Radiometry, render_chunks
+from sightline.simulate.texture import Array, raster_layer
+
+MOTION_MARGIN_LINES = 64
+"""Lines by which the true motion is known beyond both ends of the strip."""
+
+GROUND_MARGIN_PX = 64.0
+"""Pixels of ground made beyond what the nominal cameras see."""
+
+
+@dataclass(frozen=True)
+class StripOptions:
+    """What a strip is made of; the defaults are S1's reference scene, case ``nominal``.
+
+    Parameters
+    ----------
+    lines, columns : int
+        Of every band.
+    altitude, ground_speed : float
+        m, m/s: straight and level over a flat Earth, flying north.
+    ifov : float
+        rad per pixel.
+    line_period : float
+        s
+    names : tuple of str
+    lags : tuple of float
+        s after the first band at which a band sees the same ground: ``tan(look_ahead) = -V lag / H``, so
+        the first band looks straight down and sees the ground first, the others look behind.
+    gains, gammas : tuple of float
+        Of each band.
+    coherence : float
+        Amplitude correlation of the textures of any two bands.
+    snr, contrast, mtf_nyquist : float
+        Mean over noise; standard deviation over mean of the ground; system MTF at Nyquist.
+    offset_sigma_px, rotation_sigma : float
+        px and rad, sizes of the unknown offsets and rotations of the bands (true values are drawn).
+    motion : str
+        "nominal" (drift, broadband, tones), "curve" (measured), "other-family" (measured curve, chirp,
+        step), "real" (measured curve, tones of 40-120 Hz), "ck" (C kernel of MRO), "isd" (attitudes of a
+        line-scan model), "none".
+    relief : str
+        "none", "spectrum" or "srtm".
+    relief_rms : float
+        m, for "spectrum".
+    ground : str
+        "spectrum" or "landsat" (four real bands, mirrored at their edges, one image pixel per pixel).
+    cloud_cover : float
+        Share of the strip under scattered clouds.
+    cloud_banks : tuple of (int, int)
+        First line (of the first band, nominally) and number of lines wholly under a flat white bank.
+    blank : tuple of (int, int)
+        First line and number of lines of ground without any texture.
+    """
+
+    lines: int = 3000
+    columns: int = 1000
+    altitude: float = 680e3
+    ground_speed: float = 6800.0
+    ifov: float = 5e-6
+    line_period: float = 5e-4
+    names: tuple[str, ...] = ("PAN", "B1", "B0", "B2")
+    lags: tuple[float, ...] = (0.0, 0.1500, 0.1574, 0.1722)
+    gains: tuple[float, ...] = (1.0, 0.85, 0.9, 0.8)
+    gammas: tuple[float, ...] = (1.0, 0.9, 1.0, 0.8)
+    coherence: float = 0.97
+    snr: float = 120.0
+    contrast: float = 0.2
+    mtf_nyquist: float = 0.15
+    offset_sigma_px: float = 1.0
+    rotation_sigma: float = 3e-4
+    motion: str = "nominal"
+    relief: str = "none"
+    relief_rms: float = 300.0
+    ground: str = "spectrum"
+    cloud_cover: float = 0.0
+    cloud_banks: tuple[tuple[int, int], ...] = ()
+    blank: tuple[tuple[int, int], ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be rendered."""
+        if self.lines < 16 or self.columns < 16:
+            raise InputError(
+                f"the strip is too small: {self.lines} lines x {self.columns} columns; at least 16 x 16"
+            )
+        lengths = {len(self.names), len(self.lags), len(self.gains), len(self.gammas)}
+        if len(lengths) != 1 or min(lengths) < 1:
+            raise InputError(
+                "`names`, `lags`, `gains` and `gammas` must have one entry per band, got lengths "
+                f"{len(self.names)}, {len(self.lags)}, {len(self.gains)}, {len(self.gammas)}"
+            )
+
+    @property
+    def gsd(self) -> tuple[float, float]:
+        """m of one pixel across (x) and along (y) track, at the nadir of the plane z = 0."""
+        return self.altitude * self.ifov, self.ground_speed * self.line_period
+
+    @property
+    def duration(self) -> float:
+        """s from the first line to the last."""
+        return (self.lines - 1) * self.line_period
+
+    @property
+    def half_field_px(self) -> float:
+        """px from the middle of a line to its end: what turns yaw into pixels at the field's edge."""
+        return 0.5 * (self.columns - 1)
+
+    @property
+    def rad_per_px(self) -> Array:
+        """(3,) rad of one pixel of roll, of pitch, and of yaw at the edge of the field."""
+        return np.array([self.ifov, self.ifov, 1.0 / self.half_field_px])
+
+    @property
+    def look_ahead(self) -> tuple[float, ...]:
+        """rad, viewing angle of each band, forward positive."""
+        return tuple(-float(np.arctan(self.ground_speed * lag / self.altitude)) + 0.0 for lag in self.lags)
+
+
+_SMALL_CLOUDS: dict[str, Any] = {"cloud_cover": 0.15}
+_CASES: dict[str, dict[str, Any]] = {
+    "nominal": {},
+    "relief": {"relief": "spectrum"},
+    "clouds": {"cloud_cover": 0.25, "cloud_banks": ((1400, 100),), "blank": ((600, 60),)},
+    "hard": {"relief": "spectrum", "snr": 40.0, "coherence": 0.9, **_SMALL_CLOUDS},
+    "real": {
+        "lines": 2400,
+        "columns": 640,
+        "relief": "srtm",
+        "ground": "landsat",
+        "motion": "real",
+        "names": ("NIR", "RED", "GREEN", "BLUE"),
+        "gains": (1.0, 1.0, 1.0, 1.0),
+        "gammas": (1.0, 1.0, 1.0, 1.0),
+    },
+    "other-family": {"motion": "other-family"},
+}
+CASES = tuple(_CASES)
+"""Names of the cases."""
+
+
+@dataclass(frozen=True, eq=False)
+class BandTruth:
+    """One detector line: what is told of it and what is true.
+
+    Parameters
+    ----------
+    name : str
+    lag : float
+        s after the first band at which it sees the same ground.
+    look_ahead : float
+        rad
+    offset_px : (float, float)
+        True offset, forward and towards larger columns; nominally (0, 0).
+    rotation : float
+        rad, true rotation; nominally 0.
+    nominal, true : LineDetector
+    """
+
+    name: str
+    lag: float
+    look_ahead: float
+    offset_px: tuple[float, float]
+    rotation: float
+    nominal: LineDetector
+    true: LineDetector
+
+
+@dataclass(frozen=True, eq=False)
+class StripScenario:
+    """A pushbroom strip: truth, what a user would know, and the images.
+
+    Parameters
+    ----------
+    case : str
+    seed : int
+    options : StripOptions
+    bands : tuple of BandTruth
+    reference : Trajectory
+        As planned, without the motion.
+    motion : Motion
+        True motion of the line of sight, knots at the lines (and some beyond both ends).
+    body : Motion
+        The part of it that attitude sensors feel.
+    scene : Scene
+    radiometry : Radiometry
+    """
+
+    case: str
+    seed: int
+    options: StripOptions
+    bands: tuple[BandTruth, ...]
+    reference: Trajectory
+    motion: Motion
+    body: Motion
+    scene: Scene
+    radiometry: Radiometry
+
+    @property
+    def line_times(self) -> Array:
+        """(lines,) s, alike for every band."""
+        return np.arange(self.options.lines, dtype=np.float64) * self.options.line_period
+
+    @cached_property
+    def cameras(self) -> tuple[PushbroomCamera, ...]:
+        """The true cameras, one per band."""
+        trajectory = self.reference.with_motion(self.motion)
+        return tuple(
+            PushbroomCamera(band.true, trajectory, FixedMount(), 0.0, self.options.lines)
+            for band in self.bands
+        )
+
+    @cached_property
+    def nominal_cameras(self) -> tuple[PushbroomCamera, ...]:
+        """The cameras as written in the ACQUISITION file: no motion, nominal detectors."""
+        return tuple(
+            PushbroomCamera(band.nominal, self.reference, FixedMount(), 0.0, self.options.lines)
+            for band in self.bands
+        )
+
+    @property
+    def truth(self) -> Array:
+        """(lines, 4) t, roll, pitch, yaw at every line."""
+        return np.column_stack([self.line_times, self.motion.at(self.line_times)])
+
+    def chunks(self, band: int) -> Iterator[tuple[int, NDArray[np.uint16]]]:
+        """Image of one band as (first line, block of lines), top to bottom; again alike at every call."""
+        yield from render_chunks(
+            self.cameras[band],
+            self.scene,
+            band,
+            (self.options.lines, self.options.columns),
+            self.radiometry,
+            self._stream("noise", band),
+        )
+
+    def image(self, band: int) -> NDArray[np.uint16]:
+        """Image of one band, (lines, columns)."""
+        return np.concatenate([block for _, block in self.chunks(band)])
+
+    def star_tracker(self, rate: float = 8.0, sigma: float = 3.0 * ARC_SECOND) -> Array:
+        """Table t, roll, pitch, yaw, sigma of a star tracker on the body, during the strip."""
+        span = (0.0, self.options.duration)
+        return star_tracker_table(self.body, span, self._stream("star-tracker"), rate=rate, sigma=sigma)
+
+    def gyro(self, rate: float = 100.0, random_walk: float = 2.91e-7) -> Array:
+        """Table t_start, t_end, roll, pitch, yaw, sigma of a gyro on the body (1e-3 deg/rt-h by default)."""
+        span = (0.0, self.options.duration)
+        return gyro_table(self.body, span, self._stream("gyro"), rate=rate, random_walk=random_walk)
+
+    def _stream(self, purpose: str, index: int = 0) -> np.random.SeedSequence:
+        return _streams(self.seed)[purpose].spawn(index + 1)[index]
+
+
+def _streams(seed: int) -> dict[str, np.random.SeedSequence]:
+    """The independent random streams of a scenario, by purpose."""
+    purposes = ("motion", "detectors", "texture", "relief", "clouds", "noise", "star-tracker", "gyro")
+    return dict(zip(purposes, np.random.SeedSequence(seed).spawn(len(purposes)), strict=True))
+
+
+def line_of_sight_case(
+    case: str = "nominal",
+    seed: int = 0,
+    *,
+    profile: JitterProfile | None = None,
+    data: Path | None = None,
+    **overrides: Any,
+) -> StripScenario:
+    """A pushbroom strip of a named case.
+
+    Parameters
+    ----------
+    case : str
+        "nominal", "relief", "clouds", "hard", "real" or "other-family".
+    seed : int
+        Decides everything that is random.
+    profile : JitterProfile, optional
+        Motion in place of that of the case.
+    data : Path, optional
+        Folder of the real data sets, by default that of ``measured.data_folder``.
+    **overrides
+        Fields of :class:`StripOptions`.
+
+    Returns
+    -------
+    StripScenario
+
+    Raises
+    ------
+    InputError
+        Unknown case or option.
+    FormatError
+        Real data needed and not found.
+
+    Examples
+    --------
+    >>> scenario = line_of_sight_case("nominal", 0, lines=64, columns=64)
+    >>> scenario.image(0).shape
+    (64, 64)
+    """
+    if case not in _CASES:
+        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(CASES)}")
+    known = {field.name for field in dataclasses.fields(StripOptions)}
+    unknown = sorted(set(overrides) - known)
+    if unknown:
+        raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
+    options = StripOptions(**{**_CASES[case], **overrides})
+    streams = _streams(seed)
+    motion, body = _draw_motion(options, profile or motion_profile(options.motion, data), streams["motion"])
+    return StripScenario(
+        case,
+        seed,
+        options,
+        _draw_bands(options, streams["detectors"]),
+        _reference(options),
+        motion,
+        body,
+        _draw_scene(options, streams, data),
+        Radiometry(snr=options.snr),
+    )
+
+
+def motion_profile(name: str, data: Path | None = None) -> JitterProfile:
+    """The motion of a name; see :class:`StripOptions` for the names. `data`: folder of the real curves."""
+    tones: tuple[JitterPart, ...] = (
+        ToneJitter(0.25, 43.7),
+        ToneJitter(0.15, 71.3),
+        ToneJitter(0.08, 113.9),
+    )
+    foreign: tuple[JitterPart, ...] = (ChirpJitter(0.2, 15.0, 105.0), StepJitter(0.5))
+    if name == "none":
+        return JitterProfile((), (), ())
+    if name == "nominal":
+        return nominal_profile()
+    if name == "ck":
+        t, angles = measured.mro_ck_curve(data)
+        # the kernel was made from images that told nothing about yaw: pitch played backwards takes its place
+        angles[:, 2] = angles[::-1, 1]
+        return curve_profile(t, angles, rms_px=1.0, extra=tones)
+    if name == "isd":
+        path = measured.data_file("linescan_isds/ctx_isd.json", data)
+        return curve_profile(*measured.isd_attitude_curve(path), rms_px=0.5, stretch=4.0, extra=tones)
+    extras = {"curve": (), "real": tones, "other-family": foreign}
+    if name not in extras:
+        allowed = "nominal, curve, real, other-family, ck, isd, none"
+        raise InputError(f"unknown motion: got {name!r}; allowed are {allowed}")
+    return curve_profile(*measured.hirise_curve(data), extra=extras[name])
+
+
+def _draw_motion(
+    options: StripOptions, profile: JitterProfile, seed: np.random.SeedSequence
+) -> tuple[Motion, Motion]:
+    lines = np.arange(-MOTION_MARGIN_LINES, options.lines + MOTION_MARGIN_LINES, dtype=np.float64)
+    return profile.draw(lines * options.line_period, options.rad_per_px, seed)
+
+
+def _draw_bands(options: StripOptions, seed: np.random.SeedSequence) -> tuple[BandTruth, ...]:
+    rng = np.random.default_rng(seed)
+    offsets = options.offset_sigma_px * rng.standard_normal((len(options.names), 2))
+    rotations = options.rotation_sigma * rng.standard_normal(len(options.names))
+    bands = []
+    for index, (name, lag) in enumerate(zip(options.names, options.lags, strict=True)):
+        offset = (float(offsets[index, 0]), float(offsets[index, 1]))
+        rotation, look_ahead = float(rotations[index]), options.look_ahead[index]
+        nominal, true = (
+            LineDetector.from_ifov(
+                name,
+                options.columns,
+                options.ifov,
+                options.line_period,
+                look_ahead=look_ahead,
+                offset_px=shift,
+                rotation=turn,
+            )
+            for shift, turn in (((0.0, 0.0), 0.0), (offset, rotation))
+        )
+        bands.append(BandTruth(name, lag, look_ahead, offset, rotation, nominal, true))
+    return tuple(bands)
+
+
+def _reference(options: StripOptions) -> Trajectory:
+    margin = MOTION_MARGIN_LINES * options.line_period
+    return Trajectory.level_flight(options.altitude, options.ground_speed, -margin, options.duration + margin)
+
+
+def _ground_extent(options: StripOptions) -> Extent:
+    """What the bands see of the plane z = 0, with a margin for offsets, motion and relief."""
+    gsd_x, gsd_y = options.gsd
+    half = (0.5 * options.columns + GROUND_MARGIN_PX) * gsd_x
+    behind = options.ground_speed * max(*options.lags, 0.0) + GROUND_MARGIN_PX * gsd_y
+    ahead = options.ground_speed * max(0.0, -min(options.lags)) + (options.lines + GROUND_MARGIN_PX) * gsd_y
+    return Extent(-half, half, -behind, ahead)
+
+
+def _stretches(options: StripOptions, lines: tuple[tuple[int, int], ...]) -> tuple[tuple[float, float], ...]:
+    """Line intervals of the first band as stretches of y, metres."""
+    step = options.gsd[1]
+    return tuple((first * step, (first + count) * step) for first, count in lines)
+
+
+def _draw_scene(
+    options: StripOptions, streams: dict[str, np.random.SeedSequence], data: Path | None
+) -> Scene:
+    extent = _ground_extent(options)
+    if options.ground == "spectrum":
+        law = TextureLaw(options.contrast, options.gsd, options.mtf_nyquist)
+        texture, bands = scene_layers(
+            streams["texture"], extent, law, options.coherence, options.gains, options.gammas
+        )
+    elif options.ground == "landsat":
+        bands = _landsat_shine(options, extent, data)
+        texture = bands[0].common or raster_layer(np.zeros((4, 4)), options.gsd)
+    else:
+        raise InputError(f"unknown ground: got {options.ground!r}; allowed are 'spectrum', 'landsat'")
+    return Scene(
+        texture,
+        bands,
+        _draw_relief(options, extent, streams["relief"], data),
+        _draw_clouds(options, extent, streams["clouds"]),
+        _stretches(options, options.blank),
+    )
+
+
+def _landsat_shine(options: StripOptions, extent: Extent, data: Path | None) -> tuple[BandShine, ...]:
+    """Real bands as grounds: each relative to its own mean, so that the mean digital number is 1200."""
+    rasters = measured.landsat_bands(data).astype(np.float64)
+    if len(options.names) > rasters.shape[0]:
+        raise InputError(
+            f"too many bands for the real ground: {len(options.names)}; it has {rasters.shape[0]} bands"
+        )
+    origin = (extent.west, extent.south)
+    return tuple(
+        BandShine(None, 1.0, gain, gamma, raster_layer(raster / raster.mean() - 1.0, options.gsd, origin))
+        for raster, gain, gamma in zip(rasters, options.gains, options.gammas, strict=False)
+    )
+
+
+def _draw_relief(
+    options: StripOptions, extent: Extent, seed: np.random.SeedSequence, data: Path | None
+) -> Relief | None:
+    around = extent.grown(600.0)
+    if options.relief == "none":
+        return None
+    if options.relief == "spectrum":
+        return random_relief(seed, around, options.relief_rms)
+    if options.relief == "srtm":
+        centre = (0.5 * (around.west + around.east), 0.5 * (around.south + around.north))
+        return measured.srtm_relief(centre, around.size, data)
+    raise InputError(f"unknown relief: got {options.relief!r}; allowed are 'none', 'spectrum', 'srtm'")
+
+
+def _draw_clouds(options: StripOptions, extent: Extent, seed: np.random.SeedSequence) -> Clouds | None:
+    if options.cloud_cover == 0.0 and not options.cloud_banks:
+        return None
+    banks = _stretches(options, options.cloud_banks)
+    return scattered_clouds(seed, extent, options.cloud_cover, options.gsd, banks=banks)

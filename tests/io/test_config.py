@@ -1,0 +1,123 @@
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from sightline.errors import FormatError
+from sightline.io.acquisition import load_acquisition, read_acquisition
+from sightline.io.config import json_schema
+
+
+def message(folder) -> str:
+    with pytest.raises(FormatError) as caught:
+        read_acquisition(folder.write())
+    return str(caught.value)
+
+
+def test_an_unknown_key_is_named_with_the_nearest_one_and_those_allowed(folder):
+    said = message(folder.replace("offset_sigma_px", "offset_sgima_px"))
+    assert "acquisition.toml: unknown key 'band[1].offset_sgima_px'; did you mean offset_sigma_px?" in said
+    assert "[[band]] number 1 takes: " in said and "look_ahead" in said
+
+
+def test_an_unknown_key_without_a_near_one_lists_those_allowed(folder):
+    said = message(folder.replace("altitude", "colour = 3\naltitude"))
+    assert "unknown key 'platform.colour'; [platform] takes: kind, altitude, ground_speed" in said
+
+
+def test_an_unknown_table_is_named_with_the_nearest_one(folder):
+    assert "unknown key 'surfaces'; did you mean surface?" in message(
+        folder.add("[surfaces]\nheight = 0.0\n")
+    )
+
+
+def test_a_value_out_of_range_is_named_with_what_is_allowed(folder):
+    said = message(folder.replace("ifov = 5e-6", "ifov = -5e-6"))
+    assert "instrument.ifov = -5e-06 is not allowed: input should be greater than 0" in said
+
+
+def test_a_value_that_is_not_a_number_is_refused(folder):
+    assert "platform.altitude = nan is not allowed" in message(folder.replace("700e3", "nan"))
+
+
+def test_a_value_of_the_wrong_type_is_refused(folder):
+    said = message(folder.replace("look_ahead = 2e-4", 'look_ahead = "2e-4 rad"'))
+    assert "band[2].look_ahead = '2e-4 rad' is not allowed: input should be a valid number" in said
+
+
+def test_a_missing_key_is_named(folder):
+    assert "key 'platform.altitude' is missing" in message(folder.replace("altitude = 700e3\n", ""))
+
+
+def test_an_unknown_platform_names_those_there_are(folder):
+    said = message(folder.replace("level-flight", "levelflight"))
+    assert "platform.kind = 'levelflight' is not known; did you mean level-flight?" in said
+    assert "ephemeris, camera-model" in said
+
+
+def test_a_platform_without_a_kind_is_told_to_name_one(folder):
+    said = message(folder.replace('kind = "level-flight"\n', ""))
+    assert "key 'platform.kind' is missing; allowed: camera-model, ephemeris, level-flight" in said
+
+
+def test_a_spinning_platform_is_said_to_be_for_a_later_version(folder):
+    assert "a spinning platform is not handled by this version" in message(
+        folder.replace("level-flight", "spin")
+    )
+
+
+def test_a_scan_mirror_is_said_to_be_for_a_later_version(folder):
+    said = message(folder.add('[pointing]\nkind = "scan-mirror"\n'))
+    assert "a scan mirror ([pointing]) is not handled by this version" in said
+
+
+def test_one_band_alone_is_refused(folder):
+    folder.text = folder.text[: folder.text.rindex("[[band]]")]
+    assert "1 [[band]] given; motion is seen between two or more images" in message(folder)
+
+
+def test_two_bands_of_one_name_are_refused(folder):
+    assert "two bands are called 'PAN'" in message(folder.replace('name = "XS"', 'name = "PAN"'))
+
+
+def test_text_that_is_not_toml_names_the_line(folder):
+    assert (
+        "not valid TOML" in (said := message(folder.replace("[platform]", "[platform"))) and "line 6" in said
+    )
+
+
+def test_a_missing_toml_file_is_one_message(tmp_path):
+    with pytest.raises(FormatError, match=r"none\.toml: no such file"):
+        read_acquisition(tmp_path / "none.toml")
+
+
+def test_a_geoid_datum_without_a_geoid_is_refused(folder):
+    said = message(folder.add('[surface]\ndem = "d.tif"\ndatum = "geoid"\n'))
+    assert 'datum = "geoid" needs geoid = ' in said
+
+
+def test_estimate_and_a_sigma_exclude_each_other(folder):
+    said = message(folder.add('[camera]\nfocal_length_px = "estimate"\nfocal_length_sigma_px = 3.0\n'))
+    assert 'focal_length_px = "estimate" takes no focal_length_sigma_px' in said
+
+
+def test_a_wrong_word_in_place_of_estimate_is_refused(folder):
+    said = message(folder.add('[camera]\nfocal_length_px = "guess"\n'))
+    assert "camera.focal_length_px = 'guess' is not allowed" in said
+
+
+def test_an_epoch_may_be_written_as_a_toml_date_time(folder):
+    folder.replace('"2026-01-01T00:00:00Z"', "2026-01-01T00:00:00Z")
+    assert load_acquisition(folder.write()).epoch == "2026-01-01T00:00:00+00:00"
+
+
+def test_the_json_schema_describes_every_table_and_can_be_printed():
+    schema = json_schema("acquisition")
+    assert {"platform", "band", "frame", "camera", "surface", "attitude_sensor"} <= set(schema["properties"])
+    assert "look_ahead" in json.dumps(schema)
+
+
+def test_a_schema_that_does_not_exist_lists_those_that_do():
+    with pytest.raises(FormatError, match=r"no schema is called 'aquisition'; did you mean acquisition\?"):
+        json_schema("aquisition")
