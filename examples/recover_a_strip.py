@@ -25,17 +25,20 @@ def main() -> None:
     result = sightline.recover_line_of_sight(bands, sightline.Plane(0.0))
     estimate = result.motion
 
-    # The images cannot see what `result.hidden` holds (a constant, what free offsets imitate): leave it out.
-    error = estimate.angles - scene.motion.at(estimate.t)
-    for axis, name in enumerate(("roll", "pitch", "yaw")):
-        hidden = result.hidden.reshape(-1, result.hidden.shape[2])
-        fit, *_ = np.linalg.lstsq(hidden, error.reshape(-1), rcond=None)
-        seen = error - result.hidden @ fit
-        sigma = np.sqrt(estimate.covariance[:, axis, axis])
-        pixel = scene.options.rad_per_px[axis]
+    # What the images cannot see (a constant, what free offsets imitate) is left out of the comparison.
+    score = sightline.score_motion(
+        estimate.t,
+        estimate.angles,
+        result.sigma,
+        estimate.t,
+        scene.motion.at(estimate.t),
+        hidden=result.hidden,
+        ifov=scene.options.ifov,
+        half_field_px=scene.options.half_field_px,
+    )
+    for name, axis in score.axes.items():
         print(
-            f"{name:5}  error {seen[:, axis].std() / pixel:.4f} px rms,"
-            f"  claimed sigma {np.median(sigma) / pixel:.4f} px"
+            f"{name:5}  error {axis.rms:.4f} px rms,  claimed sigma {axis.sigma:.4f},  NEES {axis.nees:.2f}"
         )
 
 

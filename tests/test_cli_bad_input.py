@@ -69,7 +69,8 @@ def image_saturated(folder):
 
 
 def image_too_narrow(folder):
-    spoil_image(folder, np.full((LINES, COLUMNS - 4), 700, dtype=np.uint16))
+    noise = np.random.default_rng(0).integers(500, 900, (LINES, COLUMNS - 4))
+    spoil_image(folder, noise.astype(np.uint16))
 
 
 def line_times(folder, t):

@@ -10,11 +10,8 @@ from importlib.metadata import version as _installed_version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sightline.applications.line_of_sight import (
-        LineOfSight,
-        RecoverOptions,
-        recover_line_of_sight,
-    )
+    from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+    from sightline.applications.results import LineOfSight
     from sightline.errors import (
         EstimationError,
         FormatError,
@@ -24,17 +21,20 @@ if TYPE_CHECKING:
         SpanError,
         UnobservableBandWarning,
     )
+    from sightline.evaluation.score import Score, score_motion
     from sightline.execution import Executor, executor_from_name
     from sightline.geometry.camera import Camera, FrameCamera, PushbroomCamera, Rays
     from sightline.geometry.instrument import AreaDetector, Instrument, LineDetector
-    from sightline.geometry.pointing import FixedMount, Pointing
+    from sightline.geometry.pointing import FixedMount, Pointing, ScanMirror
     from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface
     from sightline.geometry.trajectory import Motion, Pose, Trajectory
     from sightline.imaging.source import ArrayImage, ImageSource
-    from sightline.io.acquisition import Acquisition, load_acquisition
+    from sightline.io.acquired import Acquisition
+    from sightline.io.acquisition import load_acquisition
     from sightline.matching.match_images import match_images
     from sightline.matching.matches import Matches
-    from sightline.motion.band import Band
+    from sightline.matching.select import grid_points
+    from sightline.motion.band import Band, Frame
     from sightline.motion.differences import AngleDifferences
     from sightline.motion.predict import predict_match
     from sightline.simulate.scenarios import line_of_sight_case
@@ -43,7 +43,7 @@ if TYPE_CHECKING:
 
 # Public name -> module that defines it, sorted; `tests/test_public_api.py` compares it with what is there.
 _MODULE_OF = {
-    "Acquisition": "sightline.io.acquisition",
+    "Acquisition": "sightline.io.acquired",
     "AngleDifferences": "sightline.motion.differences",
     "AreaDetector": "sightline.geometry.instrument",
     "ArrayImage": "sightline.imaging.source",
@@ -55,13 +55,14 @@ _MODULE_OF = {
     "Executor": "sightline.execution",
     "FixedMount": "sightline.geometry.pointing",
     "FormatError": "sightline.errors",
+    "Frame": "sightline.motion.band",
     "FrameCamera": "sightline.geometry.camera",
     "GeometryError": "sightline.errors",
     "ImageSource": "sightline.imaging.source",
     "InputError": "sightline.errors",
     "Instrument": "sightline.geometry.instrument",
     "LineDetector": "sightline.geometry.instrument",
-    "LineOfSight": "sightline.applications.line_of_sight",
+    "LineOfSight": "sightline.applications.results",
     "Matches": "sightline.matching.matches",
     "Motion": "sightline.geometry.trajectory",
     "Plane": "sightline.geometry.surface",
@@ -70,17 +71,21 @@ _MODULE_OF = {
     "PushbroomCamera": "sightline.geometry.camera",
     "Rays": "sightline.geometry.camera",
     "RecoverOptions": "sightline.applications.line_of_sight",
+    "ScanMirror": "sightline.geometry.pointing",
+    "Score": "sightline.evaluation.score",
     "SightlineError": "sightline.errors",
     "SpanError": "sightline.errors",
     "Surface": "sightline.geometry.surface",
     "Trajectory": "sightline.geometry.trajectory",
     "UnobservableBandWarning": "sightline.errors",
     "executor_from_name": "sightline.execution",
+    "grid_points": "sightline.matching.select",
     "line_of_sight_case": "sightline.simulate.scenarios",
     "load_acquisition": "sightline.io.acquisition",
     "match_images": "sightline.matching.match_images",
     "predict_match": "sightline.motion.predict",
     "recover_line_of_sight": "sightline.applications.line_of_sight",
+    "score_motion": "sightline.evaluation.score",
 }
 
 __all__ = [
@@ -96,6 +101,7 @@ __all__ = [
     "Executor",
     "FixedMount",
     "FormatError",
+    "Frame",
     "FrameCamera",
     "GeometryError",
     "ImageSource",
@@ -111,17 +117,21 @@ __all__ = [
     "PushbroomCamera",
     "Rays",
     "RecoverOptions",
+    "ScanMirror",
+    "Score",
     "SightlineError",
     "SpanError",
     "Surface",
     "Trajectory",
     "UnobservableBandWarning",
     "executor_from_name",
+    "grid_points",
     "line_of_sight_case",
     "load_acquisition",
     "match_images",
     "predict_match",
     "recover_line_of_sight",
+    "score_motion",
 ]
 
 

@@ -108,7 +108,7 @@ def test_a_point_behind_the_camera_has_no_pixel():
         ({"shape": (0, 10)}, "both positive"),
         ({"focal_length_px": -1.0}, "`focal_length_px` must be positive"),
         ({"distortion": (1, 2, 3, 4, 5, 6)}, "at most 5 numbers"),
-        ({"wavelength_nm": [500.0]}, r"`wavelength_nm` must have shape \(100,\), got \(1,\)"),
+        ({"wavelength_nm": [500.0]}, r"one value per line, shape \(100,\): got \(1,\)"),
         ({"principal_point_px": (np.nan, 0.0)}, "`principal_point_px` must be 2 finite numbers"),
     ],
 )

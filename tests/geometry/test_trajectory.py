@@ -186,3 +186,15 @@ def test_what_does_not_fit_together_is_refused(change, message):
 def test_a_motion_that_makes_no_sense_is_refused(parts, message):
     with pytest.raises(InputError, match=message):
         Motion(*parts)
+
+
+def test_poses_kept_for_speed_do_not_outlive_a_change_and_cannot_be_spoilt():
+    """The reference is evaluated once per table of times; motion and what callers do come after."""
+    t = np.linspace(0.0, 9.0, 500)
+    flight = Trajectory.level_flight(1e3, 50.0, 0.0, 10.0)
+    first = flight.at(t)
+    first.position[:] = 0.0
+    assert_allclose(flight.at(t).position[:, 1], 50.0 * t, atol=1e-12)
+    turned = flight.with_motion(Motion.zero(0.0, 10.0).shifted([0.1, 0.0, 0.0])).at(t)
+    assert_allclose((first.world_from_body.inv() * turned.world_from_body).as_rotvec(), [[0.1, 0, 0]] * 500)
+    assert_allclose(flight.at(t + 0.5).position[:, 1], 50.0 * (t + 0.5), atol=1e-12)

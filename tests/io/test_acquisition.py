@@ -12,7 +12,7 @@ from sightline.io.acquisition import load_acquisition
 
 from .conftest import COLUMNS, LINES, noise, write_tif
 
-# one pixel on the ground: ifov * altitude = 5e-6 * 700 km = 3.5 m = ground speed * line period = 7 km/s * 0.5 ms
+# one pixel on the ground: ifov * altitude = 5e-6 * 700 km = 3.5 m = 7 km/s * 0.5 ms, the step between lines
 GSD = 3.5
 
 
@@ -169,7 +169,7 @@ def test_control_points_come_from_the_file_and_from_a_table(folder):
 
 def test_a_control_point_in_an_unknown_image_is_refused(folder):
     folder.add(
-        '[[control_point]]\nx = 5.0\ny = 6.0\nz = 0.0\nsigma = 1.0\nimage = "NIR"\nline = 3\ncolumn = 4\n'
+        '[[control_point]]\nx = 5.0\ny = 6.0\nz = 0.0\nsigma = 1.0\nimage = "NIR"\nline = 3\ncolumn = 4'
     )
     assert "names the image 'NIR'; images are: PAN, XS" in message(folder)
 

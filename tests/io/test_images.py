@@ -112,10 +112,18 @@ def test_a_constant_image_is_refused(tmp_path):
 
 
 def test_a_saturated_image_is_refused(tmp_path):
-    array = noise(0, (100, 50)).astype(np.uint8)
-    array[:, 10:] = 255
+    array = noise(0, (100, 50))
+    array[:, 10:] = 4095  # the top of 12 bits in a 16-bit file
     image = open_image(write_tif(tmp_path / "a.tif", array))
-    with pytest.raises(FormatError, match=r"a\.tif: 80 % of the pixels looked at are saturated \(at 255\)"):
+    with pytest.raises(FormatError, match=r"a\.tif: 80 % of the pixels looked at are saturated \(at 4095\)"):
+        check_content(image)
+
+
+def test_an_empty_image_is_refused(tmp_path):
+    array = np.zeros((100, 50), dtype=np.uint16)
+    array[::20, :] = noise(0, (5, 50))
+    image = open_image(write_tif(tmp_path / "a.tif", array))
+    with pytest.raises(FormatError, match=r"a\.tif: 9. % of the pixels looked at are empty \(at 0\)"):
         check_content(image)
 
 

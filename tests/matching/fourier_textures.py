@@ -1,8 +1,8 @@
 """Truth for the matcher: random textures made and shifted in the Fourier domain.
 
-A periodic texture of power 1/f^2 is synthesised four times finer than the image, blurred by a Gaussian system
-MTF of 0.15 at the image's Nyquist frequency, shifted by a phase ramp, and decimated: the images alias like those
-of a real sensor. It shares nothing with the matcher.
+A periodic texture of power 1/f^2 is synthesised four times finer than the image, blurred by a Gaussian
+system MTF of 0.15 at the image's Nyquist frequency, shifted by a phase ramp, and decimated: the images alias
+like those of a real sensor. It shares nothing with the matcher.
 """
 
 from __future__ import annotations

@@ -6,6 +6,7 @@ from scipy import ndimage, signal
 
 from sightline.imaging.resample import delay_weights, kernel_table
 from sightline.matching import kernels
+from sightline.matching.correlate import correlation_surface
 
 D = np.array([0.049232, -0.245878, 0.84406])  # taps 3, 2, 1 px away
 
@@ -94,7 +95,9 @@ def test_the_fit_equals_the_plain_numpy_equations(smooth_pair, size):
     # the kernel's numbers belong to the last evaluation, before the final step: go back by that step
     back = got[:2].copy()
     for _ in range(3):
-        curvature, score, spread, variance, correlation = reference_fit(fa, fb, corner[0], centre[0], size, back)
+        curvature, score, spread, variance, correlation = reference_fit(
+            fa, fb, corner[0], centre[0], size, back
+        )
         back = got[:2] - np.linalg.solve(curvature, score)
     scale = np.abs(curvature).max()
     assert np.abs([[got[2], got[3]], [got[3], got[4]]] - curvature).max() < 2e-3 * scale
@@ -172,3 +175,16 @@ def test_window_curvature_is_the_sum_of_gradient_products():
     kernels.window_curvature(image, np.array([[3, 4]]), (8, 12), out)
     gy, gx = (g[3:11, 4:16] for g in np.gradient(image.astype(float)))
     assert np.allclose(out[0], [(gy * gy).sum(), (gy * gx).sum(), (gx * gx).sum()], rtol=1e-4)
+
+
+def test_correlation_term_by_term_equals_that_by_fourier_transform():
+    rng = np.random.default_rng(6)
+    fa, fb = (rng.normal(size=(40, 60)).astype(np.float32) for _ in range(2))
+    corner, low = np.array([[5, 7], [20, 30]]), np.array([[3, 4], [18, 25]])
+    out = np.empty((2, 5, 7), np.float32)
+    kernels.correlate_windows(fa, fb, corner, low, (8, 20), out)
+    regions = np.stack([fb[i : i + 12, j : j + 26] for i, j in low])
+    windows = np.stack([fa[i : i + 8, j : j + 20] for i, j in corner])
+    assert np.abs(out - correlation_surface(windows, regions)).max() < 1e-5
+    plain_value = np.corrcoef(windows[1].ravel(), fb[20:28, 29:49].ravel())[0, 1]
+    assert out[1, 2, 4] == pytest.approx(plain_value, abs=1e-5)

@@ -16,7 +16,9 @@ def some(n=4):
 def test_rows_are_counted_by_reason_and_only_status_zero_is_kept():
     found = some(10)
     assert found.kept.tolist() == [True] + 7 * [False] + [True, False]
-    assert found.counts()["kept"] == 2 and found.counts()["outlier"] == 1 and sum(found.counts().values()) == 10
+    assert (
+        found.counts()["kept"] == 2 and found.counts()["outlier"] == 1 and sum(found.counts().values()) == 10
+    )
     assert found.sigma_px[0] == pytest.approx([0.2, 0.2])
 
 

@@ -13,7 +13,9 @@ def test_grid_windows_tile_the_image_and_stay_inside():
     assert len(points) == 4 * 2
     corners = points - [4.5, 49.5]
     assert (corners == np.rint(corners)).all()
-    assert corners.min(axis=0).tolist() == [1, 5] and (corners + [10, 100]).max(axis=0).tolist() == [41, 205]
+    assert corners.min(axis=0).tolist() == [1, 5] and (corners + np.array([10, 100])).max(
+        axis=0
+    ).tolist() == [41, 205]
     assert len(grid_points((43, 210), window=(10, 100), step=(1, 100))) == 34 * 2
 
 
@@ -27,9 +29,10 @@ def test_a_slope_in_one_direction_is_no_texture_and_two_directions_are():
     y, x = np.mgrid[0:60, 0:80].astype(float)
     points = np.array([[30.0, 40.0]])
     assert texture_strength(ArrayImage(3 * y + 2 * x), points, (10, 20))[0] == pytest.approx(0, abs=1e-3)
-    # f = y^2/2 + x^2/2 around (30, 40): the smaller mean square gradient is that of lines, var of 10 integers
-    strength = texture_strength(ArrayImage(0.5 * (y - 29.5) ** 2 + 0.5 * (x - 39.5) ** 2), points, (10, 20))[0]
-    assert strength == pytest.approx(99 / 12, rel=1e-3)
+    # a bowl y^2/2 + x^2/2: the weaker mean square gradient is that of lines, the variance of 10 integers
+    centre = np.array([[29.5, 39.5]])
+    bowl = ArrayImage(0.5 * (y - 29.5) ** 2 + 0.5 * (x - 39.5) ** 2)
+    assert texture_strength(bowl, centre, (10, 20))[0] == pytest.approx(99 / 12, rel=1e-3)
 
 
 def test_windows_with_unusable_pixels_or_outside_have_no_strength():

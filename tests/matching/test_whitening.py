@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from matching.fourier_textures import shifted_pair
 
+from matching.fourier_textures import shifted_pair
 from sightline.errors import InputError
 from sightline.imaging.source import ArrayImage
 from sightline.matching.select import grid_points
@@ -50,6 +50,7 @@ def test_the_coherence_found_is_that_of_the_layers(estimate):
 def test_taps_reproduce_a_response_that_thirteen_taps_can_carry():
     f = np.fft.fftfreq(64)[:, None]
     wanted = np.exp(-(f**2 + np.fft.rfftfreq(64)[None, :] ** 2) / (2 * 0.15**2))
+    # 13 taps span 3 sigma of this impulse; softening their cut takes 2.4 % of the middle, where all add up
     assert np.abs(Whitening.from_response(wanted).response() - wanted).max() < 0.03
 
 

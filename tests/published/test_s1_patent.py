@@ -88,7 +88,7 @@ def test_the_filter_turns_no_phase():
 
 @pytest.mark.parametrize(("lag_ms", "edge"), [(14.8, 3.41), (22.2, 2.28), (150.0, 0.337), (172.2, 0.294)])
 def test_low_edges_of_the_pass_band_of_the_other_pairs(lag_ms, edge):
-    # Printed to the last digit; 0.6 of it because the sheet rounds edges of a rounded 0.0505.
+    # 0.0505 / lag, rounded to three digits twice.
     assert passbands(lag_ms * 1e-3, 20.0)[0][0] == pytest.approx(edge, rel=2.5e-3)
 
 
@@ -213,3 +213,28 @@ def test_figure_14_has_its_minimum_between_one_and_two_seconds():
     assert lags[rows.argmin(axis=0)] == pytest.approx([1.29, 1.20, 1.86, 1.29, 1.86], abs=0.06)
     of_degree_4 = np.array([polynomial_row(lag, 4)[:2] for lag in lags]).min(axis=0)
     assert of_degree_4 == pytest.approx([0.127, 0.159], rel=1e-2)
+
+
+def test_scaling_a_lag_to_another_fails_at_half_the_blind_frequency():
+    # II-2, case 1: the difference over tau + d is taken as (1 + d / tau) times that over tau.
+    tau, d = 0.02, 1e-4
+
+    def error_over_correction(f):
+        g, longer = (np.exp(2j * np.pi * f * x) - 1 for x in (tau, tau + d))
+        return abs(longer - g * (1 + d / tau)) / abs(longer - g)
+
+    assert error_over_correction(0.5) < 0.05
+    # sinc(1/2) = 0.64, turned by 90 degrees: sqrt(1 + 0.64^2) of the term it should correct.
+    assert error_over_correction(0.5 / tau) == pytest.approx(1.19, abs=0.01)
+
+
+def test_parallax_of_300_m_at_the_longest_and_the_shortest_lag():
+    # Line a looks ahead, line b straight down, `lag` later on flat ground; line period 0.5 ms.
+    height, speed, line_period, top = 680e3, 6800.0, 0.5e-3, 300.0
+    for lag, printed in ((0.1722, 0.15), (0.0074, 0.0065)):
+        look_ahead = speed * lag / height
+        x = 1e4
+        seen_by_a = (x - look_ahead * (height - top)) / speed
+        seen_by_b = x / speed
+        predicted_for_b = seen_by_a + look_ahead * height / speed  # as if the ground were at zero height
+        assert abs(seen_by_b - predicted_for_b) / line_period == pytest.approx(printed, rel=0.02)

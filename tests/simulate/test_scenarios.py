@@ -6,8 +6,9 @@ from scipy.ndimage import map_coordinates
 
 from sightline.errors import FormatError, InputError
 from sightline.geometry.surface import Dem
-from sightline.simulate.scenarios import CASES, StripOptions, line_of_sight_case
+from sightline.simulate.scenarios import line_of_sight_case
 from sightline.simulate.scene import Extent, scattered_clouds
+from sightline.simulate.strip_options import CASES, StripOptions
 
 SMALL = {"lines": 160, "columns": 96}
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sightline.simulate.scene import Extent, TextureLaw, mtf_at, scene_layers
+from sightline.simulate.scene import Extent, TextureLaw, layer_shape, mtf_at, scene_layers
 from sightline.simulate.texture import Layer, padded, random_layer, raster_layer
 
 GSD = (3.4, 3.4)
@@ -90,3 +90,11 @@ def test_a_raster_layer_passes_through_the_pixels_it_was_made_from():
     middle = layer.at(100.0 + 2.0 * (j + 0.37), 200.0 + 3.0 * (i + 0.61))
     expected = 50.0 + 10.0 * np.cos(np.pi * (i + 1.11) * 6 / 30) * np.cos(np.pi * (j + 0.87) * 8 / 40)
     np.testing.assert_allclose(middle, expected, atol=2e-2)
+
+
+def test_layers_of_a_long_scene_stay_bounded_and_repeat_out_of_step():
+    long = Extent(0.0, 20_000.0, 0.0, 40_000.0)
+    shapes = [layer_shape(long, (1.7, 1.7), 2048, 1.0 + 0.0371 * k) for k in range(1, 5)]
+    assert max(max(shape) for shape in shapes) < 1.25 * 2048
+    # no two layers have the same period along either side
+    assert len({shape[0] for shape in shapes}) == len({shape[1] for shape in shapes}) == 4

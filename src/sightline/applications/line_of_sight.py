@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
@@ -28,13 +29,15 @@ from sightline.motion.joint import (
     JointPrior,
     angles_at,
     directions_at,
+    innovation_weights,
+    interpolation_variance,
     remove_directions,
     solve_joint,
 )
 from sightline.motion.match_noise import estimate_correlation, robust_weights
 from sightline.motion.normal_equations import TimeGrid, modelled, normal_equations
-from sightline.motion.observations import Star
 from sightline.motion.predict import MovingCamera, StaticParameter
+from sightline.motion.relief import hub_delay, relief_length, relief_matters, row_processes
 from sightline.motion.stars import MatchingPlan, StarRecord, hub_windows, match_star
 from sightline.motion.statics import apply_statics, band_statics
 
@@ -44,6 +47,8 @@ Progress = Callable[[str], None]
 #: Error of the first linearisation as a share of the residual: products of mrad-sized angles and of the shift
 #: between the predicted and the actual line with the rate of the motion, seen at 5-7 % of residuals of 1-4 px.
 LINEARISATION_SHARE = 0.07
+#: Fewer first matches than this share of the windows tried mean that the prediction is wrong, not the texture.
+MIN_KEPT_SHARE = 0.02
 
 
 @dataclass(frozen=True)
@@ -76,65 +81,6 @@ class RecoverOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class StaticEstimate:
-    """A static parameter after the fit: value and sigma in `unit`, beside the sigma before."""
-
-    name: str
-    unit: str
-    value: float
-    sigma: float
-    prior_sigma: float
-
-
-@dataclass(frozen=True, eq=False)
-class LineOfSight:
-    """Result of S1.
-
-    Attributes
-    ----------
-    motion : Motion
-        At the lines of the first band: departures from the reference attitude with the covariance of the motion
-        less its hidden part.
-    absolute_sigma : (N, 3)
-        rad; with the hidden part, infinite where nothing ties it.
-    hidden : (N, 3, H)
-        Motions that the images cannot see, at the lines; `hidden_names` names them.
-    observed : (N,) bool
-        Lines that matches speak of; elsewhere only prior and interpolation do.
-    statics : tuple of StaticEstimate
-    estimate : JointEstimate
-        Posterior on the time grid.
-    spectra : the three priors used, with what tones were found
-    records : the last pass's stars with status of every match
-    post_px, before_px : per star (G, K, 2)
-        Residuals after the fit, and before any motion was known (against the nominal cameras).
-    cameras : list
-        Cameras with the recovered motion and statics.
-    iterations : int
-    changes : tuple of float
-        Per pass: change of the motion in units of its sigma.
-    warnings : tuple of str
-    """
-
-    motion: Motion
-    absolute_sigma: Array
-    hidden: Array
-    hidden_names: tuple[str, ...]
-    observed: NDArray[np.bool_]
-    statics: tuple[StaticEstimate, ...]
-    estimate: JointEstimate
-    prior: JointPrior
-    fitted: object
-    records: tuple[StarRecord, ...]
-    post_px: tuple[Array, ...]
-    before_px: tuple[Array, ...]
-    cameras: tuple[MovingCamera, ...]
-    iterations: int
-    changes: tuple[float, ...]
-    warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, eq=False)
 class _Strip:
     """What does not change from pass to pass."""
 
@@ -146,6 +92,9 @@ class _Strip:
     order: tuple[int, ...]
     pixel_angle: float
     half_field: float
+    half_width: float
+    ground_speed: float
+    broad: PriorModel
 
     @property
     def scale(self) -> Array:
@@ -224,6 +173,14 @@ class _State:
     records: tuple[StarRecord, ...]
     post_px: tuple[Array, ...]
     before_px: tuple[Array, ...]
+    relief_length: float
+
+    def jumps(self) -> list[Array]:
+        """Instants (s) at which roll, pitch, yaw were let jump."""
+        weights = self.prior.innovation_weights
+        if weights is None:
+            return []
+        return [self.estimate.grid.nodes[weights[:, axis] < 1.0] for axis in range(3)]
 
 
 def _prepare(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -> _Strip:
@@ -251,6 +208,7 @@ def _prepare(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
     count = math.ceil((float(ends[:, 1].max()) - start) / step) + 3
     first = cameras[0]
     pixel_angle, half_field = _field(first)
+    half_width, ground_speed = _on_ground(first, surface)
     return _Strip(
         bands=tuple(bands),
         surface=surface,
@@ -260,6 +218,9 @@ def _prepare(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
         order=tuple(range(len(bands))),
         pixel_angle=pixel_angle,
         half_field=half_field,
+        half_width=half_width,
+        ground_speed=ground_speed,
+        broad=BROAD.scaled(pixel_angle, half_field),
     )
 
 
@@ -272,22 +233,45 @@ def _field(camera: PushbroomCamera) -> tuple[float, float]:
     return whole / max(columns - 1, 1), whole / 2.0
 
 
+def _on_ground(camera: PushbroomCamera, surface: Surface) -> tuple[float, float]:
+    """Half of the swath (m) and speed of its middle over the ground (m/s), at the middle of the strip."""
+    middle, right = (camera.lines - 1) / 2.0, camera.columns - 1.0
+    centre = right / 2.0
+    step = max(camera.lines / 10.0, 1.0)
+    pixels = np.array([[middle, 0.0], [middle, right], [middle - step, centre], [middle + step, centre]])
+    ground = camera.locate(pixels, surface)
+    if not np.isfinite(ground).all():
+        raise EstimationError(
+            "the middle of the strip does not meet the surface: its rays miss, or the DEM does not cover it; check the "
+            "platform's height and attitude and the extent of the DEM"
+        )
+    t = camera.times(pixels[2:, 0])
+    speed = float(np.linalg.norm(ground[3] - ground[2]) / (t[1] - t[0]))
+    return float(np.linalg.norm(ground[1] - ground[0])) / 2.0, speed
+
+
 def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tell: Progress) -> _State:
     """Search about the nominal prediction with large windows; solve under a broad prior."""
     tell("first pass: searching about the nominal prediction")
     nodes = np.zeros((strip.grid.count, 3))
     statics = np.zeros(len(strip.parameters))
-    model = BROAD.scaled(strip.pixel_angle, strip.half_field)
     plan = MatchingPlan(options.first_window, 2 * options.first_window[0], options.search_px)
-    records = _match(strip, nodes, statics, plan)
-    records = tuple(_with_floor(r) for r in records)
+    records = tuple(_with_floor(r) for r in _match(strip, nodes, statics, plan))
+    tried = sum(r.star.present.size for r in records)
     kept = sum(int(r.star.present.sum()) for r in records)
-    if kept < 20:
+    if kept < max(20, MIN_KEPT_SHARE * tried):
         raise EstimationError(
-            f"the images do not match where the cameras say: {kept} windows kept of "
-            f"{sum(r.star.present.size for r in records)}; check look angles, line times and that the bands overlap"
+            f"the images do not match where the cameras say: {kept} of {tried} windows kept within {options.search_px} px of "
+            "the prediction; check look angles, line times and that the bands overlap"
         )
-    return _solve(strip, records, nodes, statics, model, height_sigma, before=None)
+    state = _solve(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
+    # once more about the motion found: what was left of the first linearisation is gone before dense matching
+    plan = MatchingPlan(options.first_window, options.first_window[0])
+    records = _match(strip, state.estimate.nodes, state.estimate.statics, plan)
+    records = tuple(_with_floor(r) for r in records)
+    return _solve(
+        strip, records, state.estimate.nodes, state.estimate.statics, strip.broad, height_sigma, before=state
+    )
 
 
 def _with_floor(record: StarRecord) -> StarRecord:
@@ -311,7 +295,7 @@ def _compensated_pass(
     tell("fitting the spectrum of the motion")
     stars = [r.star for r in solved.records]
     start = state.model if number > 1 else None
-    model = fit_prior_model(stars, solved.post_px, solved.estimate, strip.scale, start)
+    model = fit_prior_model(stars, solved.post_px, solved.estimate, strip.scale, start, solved.jumps())
     return _solve(strip, solved.records, nodes, statics, model, height_sigma, before=state)
 
 
@@ -335,24 +319,41 @@ def _solve(
     height_sigma: float,
     before: _State | None,
 ) -> _State:
-    """Solve, weigh the matches by their own scatter, solve again."""
+    """Solve; weigh the matches by their own scatter, let the motion jump where it did; solve again."""
     grid = strip.grid
     stars = [r.star for r in records]
-    explained = [modelled(s, grid, nodes, statics) for s in stars]
-    measured = [s.residual_px + e for s, e in zip(stars, explained, strict=True)]
+    measured = [s.residual_px + modelled(s, grid, nodes, statics) for s in stars]
+    delays = [hub_delay(strip.nominal, strip.surface, s.hub, stars[0].hub) for s in stars]
     sigmas = np.array([p.sigma for p in strip.parameters])
+    unknown_relief = relief_matters(stars, height_sigma)
     prior = JointPrior(model.processes(grid), sigmas)
-    delays = [0.0] * len(stars)
-    post: list[Array] = []
+    if unknown_relief:
+        length = before.relief_length if before is not None else 2.0 * strip.half_width
+        prior = replace(prior, relief=row_processes(height_sigma, length, strip.half_width, strip.ground_speed, grid))
+    else:
+        length = 0.0
+
+    def solution() -> tuple[JointEstimate, list[Array], list[Array]]:
+        data = normal_equations(stars, measured, grid, delays=delays, relief=unknown_relief)
+        found = solve_joint(data, prior)
+        motion_only = [modelled(s, grid, found.nodes, found.statics) for s in stars]
+        whole = [
+            modelled(s, grid, found.unknowns(), found.statics, d) for s, d in zip(stars, delays, strict=True)
+        ]
+        without = [m - w for m, w in zip(measured, motion_only, strict=True)]
+        return found, [m - w for m, w in zip(measured, whole, strict=True)], without
+
+    estimate, post, without = solution()
     for _ in range(2):
-        estimate = solve_joint(normal_equations(stars, measured, grid, delays=delays), prior)
-        post = [m - modelled(s, grid, estimate.nodes, estimate.statics) for s, m in zip(stars, measured, strict=True)]
         stars = [s.with_weight(robust_weights(s, r)) for s, r in zip(stars, post, strict=True)]
         stars = [s.with_correlation(estimate_correlation(s, r)) for s, r in zip(stars, post, strict=True)]
-    estimate = solve_joint(normal_equations(stars, measured, grid, delays=delays), prior)
-    post = [m - modelled(s, grid, estimate.nodes, estimate.statics) for s, m in zip(stars, measured, strict=True)]
-    records = tuple(StarRecord(s, r.status, r.score) for s, r in zip(stars, records, strict=True))
-    return _State(estimate, prior, model, records, tuple(post), tuple(measured))
+        if model is not strip.broad:
+            prior = replace(prior, innovation_weights=innovation_weights(estimate))
+        estimate, post, without = solution()
+    if unknown_relief:
+        length = relief_length(stars, without, height_sigma, strip.half_width)
+    kept = tuple(StarRecord(s, r.status, r.score) for s, r in zip(stars, records, strict=True))
+    return _State(estimate, prior, model, kept, tuple(post), tuple(measured), length)
 
 
 def _change(strip: _Strip, old: _State, new: _State) -> float:
@@ -362,3 +363,84 @@ def _change(strip: _Strip, old: _State, new: _State) -> float:
     moved = remove_directions(angles_at(new.estimate, t) - angles_at(old.estimate, t), directions, strip.scale)
     variance = new.estimate.relative_covariance(t, directions, strip.scale)[:, [0, 1, 2], [0, 1, 2]]
     return float(np.sqrt((moved**2).mean(axis=0) / variance.mean(axis=0)).max())
+
+
+def _result(strip: _Strip, state: _State, changes: list[float]) -> LineOfSight:
+    """The last state as a result at the lines of the first band."""
+    camera, estimate = strip.nominal[0], state.estimate
+    t = camera.times(np.arange(camera.lines, dtype=float))
+    free = any(p.sigma > 0 for p in strip.parameters)
+    on_grid = estimate.hidden_directions(drifts=free)
+    hidden = directions_at(strip.grid, on_grid, t)
+    covariance = estimate.relative_covariance(t, hidden, strip.scale)
+    for axis, spectrum in enumerate(state.model.spectra):
+        covariance[:, axis, axis] += interpolation_variance(spectrum, strip.grid, t)
+    motion = Motion(t, angles_at(estimate, t), covariance)
+    statics = tuple(
+        StaticEstimate(p.name, p.unit, float(v), float(s), p.sigma)
+        for p, v, s in zip(strip.parameters, estimate.statics, estimate.statics_sigma, strict=True)
+    )
+    names = [f"{kind} of {axis}" for kind in ("constant", "drift") for axis in ("roll", "pitch", "yaw")]
+    observed = _observed(strip, state, t)
+    return LineOfSight(
+        motion=motion,
+        absolute_sigma=np.full((len(t), 3), np.inf),
+        hidden=hidden,
+        hidden_names=tuple(names[: hidden.shape[2]]),
+        observed=observed,
+        scale=strip.scale,
+        ifov=strip.pixel_angle,
+        half_field=strip.half_field,
+        statics=statics,
+        spectra=state.model.spectra,
+        records=state.records,
+        before_px=state.before_px,
+        after_px=state.post_px,
+        cameras=tuple(strip.cameras(estimate.nodes, estimate.statics)),
+        image_names=tuple(b.name for b in strip.bands),
+        changes=tuple(changes),
+        band=TimeCovariance(strip.grid.nodes, estimate.nodes, estimate.covariance_band()),
+        warnings=_warnings(strip, state, motion, observed, changes),
+    )
+
+
+def _observed(strip: _Strip, state: _State, t: Array) -> NDArray[np.bool_]:
+    """Lines within half a window of an instant at which a kept match was exposed."""
+    marks = []
+    for record in state.records:
+        star, present = record.star, record.star.present
+        marks += [star.t_hub[present.any(axis=1)], star.t[present]]
+    instants = np.sort(np.concatenate(marks))
+    if len(instants) == 0:
+        return np.zeros(len(t), dtype=bool)
+    at = np.clip(np.searchsorted(instants, t), 1, max(len(instants) - 1, 1))
+    near = np.minimum(np.abs(t - instants[at - 1]), np.abs(t - instants[np.minimum(at, len(instants) - 1)]))
+    reach = max(r.star.duration for r in state.records) + strip.grid.step
+    return np.asarray(near <= reach)
+
+
+def _warnings(
+    strip: _Strip, state: _State, motion: Motion, observed: NDArray[np.bool_], changes: list[float]
+) -> tuple[str, ...]:
+    """What a user should know before trusting the numbers."""
+    out = []
+    if changes and changes[-1] > 1.0:
+        out.append(
+            f"the passes did not settle: the last changed the motion by {changes[-1]:.1f} sigma; allow more passes "
+            "or check the camera description"
+        )
+    if not observed.all():
+        out.append(
+            f"{(~observed).sum()} of {len(observed)} lines are seen by no match: the motion there is interpolated, "
+            "its sigma grown"
+        )
+    covariance = motion.covariance
+    assert covariance is not None
+    prior_yaw = state.model.spectra[2].sigma
+    sigma_yaw = float(np.sqrt(np.median(covariance[:, 2, 2])))
+    if sigma_yaw > 0.3 * prior_yaw:
+        out.append(
+            f"yaw is hardly observable: its sigma, {sigma_yaw / strip.scale[2]:.2g} px at the field edge, is close to that "
+            f"of the prior; the field of {2 * strip.half_field:.2g} rad is narrow, or the matches do not span it"
+        )
+    return tuple(out)

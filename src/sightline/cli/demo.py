@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,8 +25,9 @@ def demo(
     """Render a strip, recover its line of sight, and score the result against the truth."""
     from sightline.cli.output import output_folder
     from sightline.cli.recover import recover_into
+    from sightline.cli.score import score_folder
     from sightline.cli.terminal import print_json, progress
-    from sightline.evaluation.score import score
+    from sightline.io.json_text import json_text
     from sightline.simulate.files import write_strip
     from sightline.simulate.scenarios import line_of_sight_case
 
@@ -40,8 +40,8 @@ def demo(
         write_strip(scenario, scene, star_tracker=True, gyro=True)
         summary = recover_into(result, scene / "acquisition.toml", report)
         report("scoring against the truth")
-        scored = score(result, scene / "truth.csv")
-        (folder / "score.json").write_text(json.dumps(scored, indent=2) + "\n", encoding="utf-8")
+        scored = score_folder(result, scene / "truth.csv")
+        (folder / "score.json").write_text(json_text(scored) + "\n", encoding="utf-8")
     if as_json:
         print_json({"score": scored, "summary": summary, "report": out / "result" / "report.html"})
     else:
@@ -52,6 +52,13 @@ def _tell(out: Path, scored: dict[str, Any]) -> None:
     """The score as a small table, and where to look next."""
     from sightline.cli.terminal import say
 
-    say(json.dumps(scored, indent=2))
+    say("against the truth, which the estimate never saw:")
+    for axis in ("roll", "pitch", "yaw"):
+        found = scored[axis]
+        say(
+            f"  {axis:5}  error {found['rms']:.4f} {found['unit']} rms, claimed sigma {found['sigma']:.4f},"
+            f" NEES {found['nees']:.2f}, {100.0 * found['coverage_95']:.1f} % within 1.96 sigma"
+        )
     say(f"scene   {out / 'scene' / 'acquisition.toml'}")
+    say(f"result  {out / 'result'}")
     say(f"report  {out / 'result' / 'report.html'}")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,6 +14,37 @@ def score(
 ) -> None:
     """Print errors, NEES and coverage of a result against its truth, as JSON."""
     from sightline.cli.terminal import print_json
-    from sightline.evaluation.score import score as score_against_truth
 
-    print_json(score_against_truth(result, truth))
+    print_json(score_folder(result, truth))
+
+
+def score_folder(result: Path, truth: Path) -> dict[str, Any]:
+    """Score of the ``motion.csv`` in folder `result`, hidden directions and pixel size as its summary says.
+
+    Without a ``summary.json`` a constant per axis is hidden and errors are in urad.
+    """
+    from sightline.errors import FormatError
+    from sightline.evaluation.score import score_motion
+    from sightline.io.hidden import read_hidden, read_summary
+    from sightline.io.tables import read_motion
+
+    motion, true = read_motion(result / "motion.csv"), read_motion(truth)
+    if motion.sigma is None:
+        raise FormatError(
+            f"{result / 'motion.csv'}: no sigma columns, so it states no error to be scored; a result has "
+            "sigma_roll, sigma_pitch, sigma_yaw and what else docs/formats.md names"
+        )
+    summary = read_summary(result)
+    hidden = read_hidden(result, summary, len(motion.t))
+    directions, names = hidden if hidden is not None else (None, None)
+    return score_motion(
+        motion.t,
+        motion.angles,
+        motion.sigma,
+        true.t,
+        true.angles,
+        hidden=directions,
+        hidden_names=names,
+        ifov=summary.get("ifov"),
+        half_field_px=summary.get("half_field_px"),
+    ).as_dict()

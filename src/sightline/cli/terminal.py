@@ -5,8 +5,6 @@ Nothing here decides anything; exit statuses are in ``main.py``.
 
 from __future__ import annotations
 
-import json
-import math
 import sys
 import warnings
 from collections.abc import Callable, Iterator, Mapping
@@ -48,7 +46,9 @@ def progress() -> Iterator[Progress]:
 
 def print_json(summary: Mapping[str, Any]) -> None:
     """Print a summary on stdout as JSON; numbers that are not finite become null."""
-    print(json.dumps(_plain(summary), indent=2, allow_nan=False))
+    from sightline.io.json_text import json_text
+
+    print(json_text(summary))
 
 
 def say(text: str) -> None:
@@ -71,18 +71,3 @@ def warnings_as_messages() -> Iterator[None]:
     with warnings.catch_warnings():
         warnings.showwarning = show
         yield
-
-
-def _plain(value: Any) -> Any:
-    """The same value in types JSON knows: arrays become lists, not-finite numbers null."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if hasattr(value, "tolist"):
-        value = value.tolist()
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if value is None or isinstance(value, bool | int | float | str):
-        return value
-    return str(value)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sightline.estimation.banded import BorderedFactor
 from sightline.estimation.prior import Autoregressive
 from sightline.estimation.series import NormalEquations
+from sightline.estimation.split import Layout, SplitPrior, gather_band, spread_band
 
 Array = NDArray[np.float64]
 
@@ -34,7 +35,7 @@ class Posterior:
     ----------
     equations : NormalEquations
         The data.
-    prior : Autoregressive
+    prior : Autoregressive or SplitPrior
         The prior on the same grid.
     noise_scale : float
         Factor on every measurement variance.
@@ -42,24 +43,40 @@ class Posterior:
         Prior sigma of the constant of each image.
     factor : BorderedFactor
         Of the posterior precision.
+    position : (n,)
+        Where the epochs stand among the unknowns of `factor`.
     mean : (n,)
         Posterior mean of the motion on the grid.
     offsets : (q,)
         Posterior mean of the images' constants.
+    prior_band : (p + 1, N)
+        Precision of the prior, all unknowns.
     """
 
     equations: NormalEquations
-    prior: Autoregressive
+    prior: Autoregressive | SplitPrior
     noise_scale: float
     offset_sigma: float
     factor: BorderedFactor
+    position: NDArray[np.int64]
     mean: Array
     offsets: Array
     prior_band: Array
 
     def covariance_band(self, width: int) -> Array:
         """Lower band of the covariance of the motion on the grid, (width + 1, n)."""
-        return self.factor.covariance_band(width)
+        n = len(self.position)
+        if self.factor.n == n:
+            return self.factor.covariance_band(width)
+        near = min(width, n - 1)
+        reach = int(np.max(self.position[near:] - self.position[: n - near]))
+        return gather_band(self.factor.covariance_band(reach), self.position, width)
+
+    def covariance_times(self, directions: Array) -> Array:
+        """Covariance of the motion on the grid times `directions`, (n,) or (n, k)."""
+        spread = np.zeros((self.factor.n, *directions.shape[1:]))
+        spread[self.position] = directions
+        return np.asarray(self.factor.times(spread)[0][self.position], dtype=np.float64)
 
     @property
     def misfit(self) -> float:
@@ -78,8 +95,9 @@ class Posterior:
 
     @cached_property
     def moments(self) -> Moments:
-        """Second moments of the motion that the evidence's gradient needs."""
-        return _moments(self.mean, self.covariance_band(self.prior.order), self.prior.order)
+        """Second moments of the motion that the evidence's gradient needs; for a plain prior only."""
+        p = len(self.prior_band) - 1
+        return _moments(self.mean, self.covariance_band(p), p)
 
     @property
     def deviance_by_noise_scale(self) -> float:
@@ -90,10 +108,10 @@ class Posterior:
         )
         residual = e.misfit - 2.0 * float(e.rhs @ self.mean + e.rhs_border @ self.offsets) + fit
         # trace(N Z) of data and covariance, from trace((prior + N / s) Z) = number of unknowns
-        covariance = self.covariance_band(self.prior.order)
+        covariance = self.factor.covariance_band(len(self.prior_band) - 1)
         prior_trace = 2.0 * float(np.sum(self.prior_band * covariance))
         prior_trace -= float(self.prior_band[0] @ covariance[0])
-        unknowns = len(self.mean) + len(self.offsets)
+        unknowns = self.factor.n + len(self.offsets)
         offset_trace = float(np.trace(self.factor.border_covariance)) / self.offset_sigma**2
         spread = s * (unknowns - prior_trace - offset_trace)
         return e.measurements - (residual + spread) / s
@@ -126,7 +144,7 @@ class Moments:
 
 def posterior(
     equations: NormalEquations,
-    prior: Autoregressive,
+    prior: Autoregressive | SplitPrior,
     *,
     noise_scale: float = 1.0,
     offset_sigma: float = 1.0,
@@ -138,7 +156,7 @@ def posterior(
     ----------
     equations : NormalEquations
         The data on a grid of n epochs.
-    prior : Autoregressive
+    prior : Autoregressive or SplitPrior
         Of the same n epochs.
     noise_scale : float
         Factor on every measurement variance.
@@ -148,15 +166,27 @@ def posterior(
         Weights of the prior's rows; see `Autoregressive.precision_band`. The deviance leaves them out.
     """
     e = equations
-    prior_band = prior.precision_band(weights)
-    width = max(len(prior_band), len(e.band))
-    band = np.zeros((width, e.grid.count))
-    band[: len(e.band)] = e.band / noise_scale
+    n, q = e.border.shape
+    if isinstance(prior, SplitPrior):
+        layout = Layout.interleaved(n, prior.ratio)
+        position, size = np.ascontiguousarray(layout.fine[:, 0]), layout.size
+        prior_band = np.zeros((prior.width(layout) + 1, size))
+        prior.add_to(prior_band, layout, weights=weights)
+    else:
+        position, size = np.arange(n, dtype=np.int64), n
+        prior_band = prior.precision_band(weights)
+    near = min(len(e.band) - 1, n - 1)
+    reach = int(np.max(position[near:] - position[: n - near]))
+    band = np.zeros((max(len(prior_band), reach + 1), size))
+    spread_band(e.band / noise_scale, position, band)
     band[: len(prior_band)] += prior_band
-    corner = e.corner / noise_scale + np.eye(len(e.corner)) / offset_sigma**2
-    factor = BorderedFactor(band, e.border / noise_scale, corner)
-    mean, offsets = factor.solve(e.rhs / noise_scale, e.rhs_border / noise_scale)
-    return Posterior(e, prior, noise_scale, offset_sigma, factor, mean, offsets, prior_band)
+    border, rhs = np.zeros((size, q)), np.zeros(size)
+    border[position], rhs[position] = e.border / noise_scale, e.rhs / noise_scale
+    factor = BorderedFactor(band, border, e.corner / noise_scale + np.eye(q) / offset_sigma**2)
+    mean, offsets = factor.solve(rhs, e.rhs_border / noise_scale)
+    return Posterior(
+        e, prior, noise_scale, offset_sigma, factor, position, mean[position], offsets, prior_band
+    )
 
 
 def band_times(band: Array, x: Array) -> Array:

@@ -30,8 +30,14 @@ ORDER = 40
 WORK = 1.0e8
 #: Candidates whose significance is computed exactly in each scan for tones.
 CANDIDATES = 32
-#: Half-width of the weak Gaussian belief about every log parameter: a factor of e^3.
+#: An alias is believed the less the higher its frequency, as the f^-4 of jitter spectra: it must lower the
+#: deviance by this times the logarithm of the frequencies' ratio.
+ALIAS_PENALTY = 8.0
+#: Half-width of the weak Gaussian belief about every log parameter: a factor of e^3 about its start.
 BELIEF = 3.0
+#: The same of a tone's bandwidth, about one over the length of the data: below that a bandwidth hardly
+#: shows, and one that is too narrow costs more than one that is too wide.
+BANDWIDTH_BELIEF = 1.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +88,7 @@ def fit_spectrum(
     start : Spectrum, optional
         Where to start: its first two Matern components and its tones. By default from the data's size.
     max_tones : int
-        At most this many tones; 0 looks for none.
+        At most this many tones, those of `start` included; 0 looks for none.
     false_alarm : float
         Probability of one false tone in pure noise.
     fit_noise : bool
@@ -105,18 +111,25 @@ def fit_spectrum(
     unit = math.sqrt(float(np.median(np.concatenate([s.variance[s.used] for s in used]))))
     scaled = [replace(s, values=s.values / unit, variance=s.variance / unit**2) for s in used]
     grid, inside = _fitting_grid(scaled, step)
-    equations = normal_equations(inside, grid, offsets=offset_sigma is not None, independent=independent)
-    search = _Search(
-        equations, 1.0 if offset_sigma is None else offset_sigma / unit, fit_noise, grid.step * grid.count
-    )
-    model = _first_guess(inside, grid) if start is None else _Model.of(start.scaled(1.0 / unit))
-    model = search.improve(model, iterations if max_tones == 0 else 12)
-    for _ in range(max_tones):
+
+    def summed(spectrum: Spectrum | None) -> NormalEquations:
+        return normal_equations(
+            inside, grid, offsets=offset_sigma is not None, independent=independent, spectrum=spectrum
+        )
+
+    offset = 1.0 if offset_sigma is None else offset_sigma / unit
+    search = _Search(summed(None), offset, fit_noise, grid.step * grid.count)
+    guesses = _guesses(inside, grid) if start is None else [_Model.of(start.scaled(1.0 / unit))]
+    model = search.improve(min(guesses, key=search.deviance), iterations if max_tones == 0 else 12)
+    for _ in range(max_tones - len(model.tones)):
         found = search.unexplained_tones(model, false_alarm)
         if not found:
             break
         model = search.improve(model.with_tone(*found[0]), 10)
-    model = search.without_aliases(model, false_alarm)
+    if model.tones:
+        model = search.without_aliases(search.improve(model, 25), false_alarm)
+    # Now that its spectrum is known, what the motion does between nodes need not pass for noise.
+    search.use(summed(model.spectrum))
     model = search.improve(search.without_idle_tones(model), iterations)
     fitted = model.spectrum.scaled(unit)
     order = np.argsort([tone.frequency for tone in model.tones])
@@ -210,26 +223,21 @@ class _Model:
         )
 
 
-def _first_guess(series: Sequence[DifferenceSeries], grid: Grid) -> _Model:
-    """Drift and broadband of about the data's size, from how the differences grow with the lag."""
+def _guesses(series: Sequence[DifferenceSeries], grid: Grid) -> list[_Model]:
+    """Drifts and broadband parts of about the data's size, from how the differences grow with the lag."""
     length = grid.step * grid.count
-    lags = [float(np.median(np.abs(s.lag[s.used]))) for s in series]
-    excess = [
-        max(
-            float(np.mean(s.values[s.used] ** 2 - s.variance[s.used])),
-            0.01 * float(np.mean(s.variance[s.used])),
-        )
-        for s in series
-    ]
+    lags, excess = [], []
+    for s in series:
+        noise = float(np.mean(s.variance[s.used]))
+        lags.append(float(np.median(np.abs(s.lag[s.used]))))
+        excess.append(max(float(np.mean(s.values[s.used] ** 2)) - noise, 0.01 * noise))
     shortest, longest = int(np.argmin(lags)), int(np.argmax(lags))
     timescale = max(0.5 * length, 2.0 * lags[longest])
     # Matern 5/2 at short lag: E[difference^2] = (5/3) sigma^2 lag^2 / timescale^2.
-    drift = math.sqrt(0.6 * excess[longest]) * timescale / lags[longest]
-    broadband = math.sqrt(0.25 * excess[shortest])
-    return _Model(
-        Matern(drift, timescale, "5/2"),
-        Matern(broadband, float(np.clip(0.5 * lags[shortest], 2.0 * grid.step, 0.1 * length)), "3/2"),
-    )
+    drift = Matern(math.sqrt(0.6 * excess[longest]) * timescale / lags[longest], timescale, "5/2")
+    sizes = math.sqrt(0.5 * excess[shortest]) * np.array([1.0, 0.3, 0.1, 0.03])
+    times = np.clip(np.array([2e-3, 8e-3, 32e-3]), 2.0 * grid.step, max(0.1 * length, 2.0 * grid.step))
+    return [_Model(drift, Matern(float(s), float(t), "3/2")) for s in sizes for t in np.unique(times)]
 
 
 class _Search:
@@ -245,6 +253,10 @@ class _Search:
         self._order = min(ORDER, equations.grid.count - 1)
         self._lags = equations.grid.step * np.arange(self._order + 1, dtype=np.float64)
 
+    def use(self, equations: NormalEquations) -> None:
+        """Go on with other equations on the same grid."""
+        self._equations = equations
+
     def posterior(self, model: _Model) -> Posterior:
         """Posterior under a model."""
         prior = autoregressive(
@@ -258,7 +270,7 @@ class _Search:
         """-2 log evidence of a model."""
         return self.posterior(model).deviance
 
-    # -- parameters as one vector: logarithms, and frequencies in units of 1 / (pi length) ----------
+    # -- parameters as one vector: logarithms, and frequencies in units of 3 / length ---------------
 
     def _vector(self, model: _Model) -> Array:
         x = [math.log(v) for c in (model.drift, model.broadband) for v in (c.sigma, c.timescale)]
@@ -270,7 +282,7 @@ class _Search:
         tones = []
         for k, tone in enumerate(origin.tones):
             log_sigma, shift, log_width = x[4 + 3 * k : 7 + 3 * k]
-            frequency = tone.frequency + shift / (math.pi * self._length)
+            frequency = tone.frequency + 3.0 * shift / self._length
             tones.append(Tone(math.exp(log_sigma), frequency, math.exp(log_width)))
         return replace(
             origin,
@@ -284,16 +296,16 @@ class _Search:
         step, length = self._equations.grid.step, self._length
         drift = max(model.drift.sigma, 1.0)
         bounds = [
-            (math.log(1e-3), math.log(1e3 * drift)),
+            (math.log(1e-3), math.log(30.0 * drift)),
             (math.log(20.0 * step), math.log(20.0 * length)),
-            (math.log(1e-3), math.log(1e3 * drift)),
+            (math.log(1e-3), math.log(30.0 * drift)),
             (math.log(0.2 * step), math.log(0.2 * length)),
         ]
         for tone in model.tones:
-            farthest = min(3.0, 0.5 * tone.frequency * length) * math.pi
+            farthest = min(1.0, 0.2 * tone.frequency * length)
             widest = max(10.0 / length, 0.1 * tone.frequency)
             bounds += [
-                (math.log(1e-3), math.log(1e3 * drift)),
+                (math.log(1e-3), math.log(30.0 * drift)),
                 (-farthest, farthest),
                 (math.log(0.02 / length), math.log(widest)),
             ]
@@ -309,7 +321,9 @@ class _Search:
         bounds = self._bounds(model)
         x0 = np.clip(x0, [b[0] for b in bounds], [b[1] for b in bounds])
         pull = np.full(len(x0), BELIEF**-2)
+        centre = x0.copy()
         pull[5:-1:3] = 0.0  # frequencies: bounded, not believed
+        pull[6:-1:3], centre[6:-1:3] = BANDWIDTH_BELIEF**-2, -math.log(self._length)
         best: list[tuple[float, Array]] = [(math.inf, x0)]
 
         def objective(x: Array) -> tuple[float, Array]:
@@ -317,15 +331,15 @@ class _Search:
                 value, slope = self._value_and_slope(self._model(x, origin))
             except (EstimationError, InputError):
                 return 1e30, np.zeros_like(x)
-            value += float(pull @ (x - x0) ** 2)
+            value += float(pull @ (x - centre) ** 2)
             if value < best[0][0]:
                 best[0] = (value, x.copy())
-            return value, slope + 2.0 * pull * (x - x0)
+            return value, slope + 2.0 * pull * (x - centre)
 
         scale = max(1.0, abs(objective(x0)[0]))
         minimize(
             objective, x0, jac=True, method="L-BFGS-B", bounds=bounds,
-            options={"maxiter": iterations, "ftol": 0.02 / scale, "gtol": 0.02, "maxcor": 20},
+            options={"maxiter": iterations, "ftol": 0.05 / scale, "gtol": 0.1, "maxcor": 20},
         )  # fmt: skip
         return self._model(best[0][1], origin)
 
@@ -383,7 +397,7 @@ class _Search:
             if gain[k] > threshold:
                 # Amplitude^2 = 4 power / expected^2; half of it is the variance.
                 sigma = math.sqrt(2.0 * float(power[k])) / float(expected[k])
-                tones.append((Tone(sigma, float(frequency[where[k]]), 0.5 / self._length), float(gain[k])))
+                tones.append((Tone(sigma, float(frequency[where[k]]), 1.0 / self._length), float(gain[k])))
         return tones
 
     def without_aliases(self, model: _Model, false_alarm: float) -> _Model:
@@ -395,20 +409,24 @@ class _Search:
         for k, tone in enumerate(model.tones):
             others = model.without_tone(k)
             rivals = self.unexplained_tones(others, false_alarm)
-            rivals = [r for r in rivals if r[1] > 0.4 * rivals[0][1]][:4]
-            present = self.deviance(model)
+            # A gain is a log-likelihood: what lies 20 below the best is no rival.
+            rivals = [r for r in rivals if r[1] > rivals[0][1] - 20.0]
             for rival, gain in rivals:
                 if abs(rival.frequency - tone.frequency) < 3.0 / self._length:
                     continue
-                moved = self.improve(others.with_tone(rival, gain), 8)
-                if self.deviance(moved) < present:
+                place = Tone(rival.sigma, rival.frequency, min(tone.bandwidth, 0.1 * rival.frequency))
+                moved = self.improve(others.with_tone(place, gain), 25)
+                if self._alias_score(moved, -1) < self._alias_score(model, k):
                     # Keep the place of the tone in the list, over which the loop runs.
                     tones, gains = list(moved.tones), list(moved.gains)
                     tones.insert(k, tones.pop())
                     gains.insert(k, gains.pop())
                     model = replace(moved, tones=tuple(tones), gains=tuple(gains))
-                    present = self.deviance(model)
         return model
+
+    def _alias_score(self, model: _Model, k: int) -> float:
+        """Deviance plus what is held against a tone for the height of its frequency."""
+        return self.deviance(model) + ALIAS_PENALTY * math.log(model.tones[k].frequency)
 
     def _approximate_gain(self, now: Posterior, u: Array) -> tuple[Array, Array]:
         """Frequencies (Hz) and score with the expectation of a stationary problem."""

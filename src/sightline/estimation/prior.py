@@ -239,6 +239,15 @@ class Autoregressive:
         return out
 
     @property
+    def table(self) -> Array:
+        """(order + 1, order + 1) rows ``1, -a[0], ...`` of epochs 0 to order; the last serves all others."""
+        table = np.zeros((self.order + 1, self.order + 1))
+        table[:, 0] = 1.0
+        table[:-1, 1:] = -self.startup
+        table[-1, 1:] = -self.coefficients
+        return table
+
+    @property
     def logdet(self) -> float:
         """Natural logarithm of the determinant of the precision matrix (unit row weights)."""
         inner = (self.n - self.order) * math.log(self.variance)
@@ -254,10 +263,7 @@ class Autoregressive:
             prior, near 0 lets the motion jump at that epoch; adds ``sum(log(weights))`` to `logdet`.
         """
         p, n = self.order, self.n
-        table = np.zeros((p + 1, p + 1))
-        table[:, 0] = 1.0
-        table[:p, 1:] = -self.startup
-        table[p, 1:] = -self.coefficients
+        table = self.table
         if weights is not None:
             weights = np.ascontiguousarray(weights, dtype=np.float64)
             if weights.shape != (n,) or not (np.isfinite(weights).all() and (weights > 0.0).all()):

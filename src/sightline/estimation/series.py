@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -20,6 +20,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
+from sightline.estimation.prior import Spectrum, Tone
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -146,7 +147,12 @@ class NormalEquations:
 
 
 def normal_equations(
-    series: Sequence[DifferenceSeries], grid: Grid, *, offsets: bool = False, independent: float = 0.0
+    series: Sequence[DifferenceSeries],
+    grid: Grid,
+    *,
+    offsets: bool = False,
+    independent: float = 0.0,
+    spectrum: Spectrum | None = None,
 ) -> NormalEquations:
     """Sum all measurements of all series on `grid`.
 
@@ -162,6 +168,9 @@ def normal_equations(
     independent : float
         Fraction of every pair's variance that it shares with no other pair (0: the errors of the
         images explain all; measured on rendered scenes: about 0.1).
+    spectrum : Spectrum, optional
+        Of the motion: what it does between the nodes of the grid then counts as an error of each
+        image (nothing where measurements fall on nodes).
 
     Raises
     ------
@@ -169,6 +178,8 @@ def normal_equations(
         If there is no usable measurement or one lies outside the grid.
     """
     flat = _flatten(series, independent)
+    if spectrum is not None:
+        flat = _with_interpolation_error(flat, grid, spectrum)
     last = grid.start + grid.step * (grid.count - 1)
     times = np.concatenate([flat.t_a, flat.t_b])
     if len(times) == 0:
@@ -247,6 +258,50 @@ def _flatten(series: Sequence[DifferenceSeries], independent: float) -> _Flat:
         image_a[order].astype(np.int64), image_b[order].astype(np.int64),
         shared * s_a_all[order] / expected, shared * s_b_all[order] / expected, own, constants,
     )  # fmt: skip
+
+
+def _with_interpolation_error(flat: _Flat, grid: Grid, spectrum: Spectrum) -> _Flat:
+    """The measurements with what the motion does between nodes added to the variance of each image.
+
+    A tone counts as a pure one: the Lorentzian that models the wandering of its phase has tails that no
+    real mode has, and they would dominate.
+    """
+    bins = 32
+    parts = [replace(c, bandwidth=1e-9) if isinstance(c, Tone) else c for c in spectrum.components]
+    spectrum = Spectrum(tuple(parts))
+    extra = [np.zeros(len(flat.values)), np.zeros(len(flat.values))]
+    for window in np.unique(flat.window):
+        table = interpolation_variance(spectrum, grid.step, float(window), np.arange(bins) / bins)
+        same = flat.window == window
+        for k, t in enumerate((flat.t_a, flat.t_b)):
+            place = (t[same] - grid.start) / grid.step * bins
+            extra[k][same] = table[np.rint(place).astype(np.int64) % bins]
+    return replace(flat, variance_a=flat.variance_a + extra[0], variance_b=flat.variance_b + extra[1])
+
+
+def interpolation_variance(spectrum: Spectrum, step: float, window: float, fraction: Array) -> Array:
+    """Variance (N,) of a windowed motion less its interpolation from a grid of `step` (s).
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        Of the motion.
+    step, window : float
+        s.
+    fraction : (N,)
+        Where the centre of the window stands between two nodes, in steps.
+    """
+    grid = Grid(0.0, step, 2 * TAPS + _support(window, step, 10**9))
+    centre = (grid.count // 2 + np.asarray(fraction)) * step
+    first, weights = grid.weights(centre, window)
+    points = 1 if window <= 0.0 else 2 + 4 * math.ceil(window / step)
+    offsets = window * ((np.arange(points) + 0.5) / points - 0.5)
+    out = np.empty(len(centre))
+    for k, t in enumerate(centre):
+        at = np.concatenate([t + offsets, (first[k] + np.arange(weights.shape[1])) * step])
+        row = np.concatenate([np.full(points, 1.0 / points), -weights[k]])
+        out[k] = row @ spectrum.autocovariance(at[:, None] - at) @ row
+    return np.maximum(out, 0.0)
 
 
 def _split_variance(

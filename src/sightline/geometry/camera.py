@@ -40,10 +40,9 @@ COLUMN_MARGIN_PX = 50.0
 #: Lines beyond the image that the table of poses covers, where the trajectory allows: they make rays of
 #: windows that reach over the edge possible, and the cubic central there.
 _MARGIN_LINES = 16
-#: Rays may reach this far (lines) beyond the trajectory: half a pixel at the edge of the first and last line.
-_EDGE = 0.5
-#: Steps of the scan for points whose line is not bracketed by the ends of the image.
-_SCAN = 96
+#: Rays may reach this far (lines) beyond the trajectory, and images beyond the centres of their first and
+#: last line: half a pixel, and rounding.
+_EDGE = 0.5 + 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -291,6 +290,7 @@ class PushbroomCamera(ReadOnlyArrays):
         --------
         The pixel under the boresight lands at the nadir:
 
+        >>> from sightline.geometry.pointing import FixedMount
         >>> from sightline.geometry.surface import Plane
         >>> detector = LineDetector.from_ifov("PAN", 101, 1e-6, 1e-4)
         >>> flight = Trajectory.level_flight(700e3, 7e3, -1.0, 1.0)
@@ -327,8 +327,8 @@ class PushbroomCamera(ReadOnlyArrays):
         pixels = np.empty((len(given), 2))
         table, detector = self._table, self.detector
         known = self.known_lines
-        low = max(-0.5 - line_margin, known[0])
-        high = min(self.lines - 0.5 + line_margin, known[1])
+        low = max(-_EDGE - line_margin, known[0])
+        high = min(self.lines - 1 + _EDGE + line_margin, known[1])
         if not low < high:
             pixels[:] = np.nan
             return pixels
@@ -342,7 +342,6 @@ class PushbroomCamera(ReadOnlyArrays):
             detector.is_straight,
             (low, high),
             (-COLUMN_MARGIN_PX, self.columns - 1 + COLUMN_MARGIN_PX),
-            _SCAN,
             pixels,
         )
         return pixels

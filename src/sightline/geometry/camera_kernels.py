@@ -22,6 +22,8 @@ _LINE_STEP = 3e-10
 #: A slope is measured anew only over steps larger than this (lines): below, rounding would spoil it.
 _SLOPE_STEP = 1e-5
 _MAX_STEPS = 150
+#: Steps of the scan for points whose line the ends of the image do not bracket, and of the look before it.
+_SCAN, _COARSE = 96, 12
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -222,6 +224,31 @@ def _solve_line(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _only_crossing(
+    table: Array,
+    low: float,
+    high: float,
+    f_low: float,
+    p: tuple[float, float, float],
+    axis: Array,
+    curve: Array,
+    straight: bool,
+) -> bool:
+    """Whether the ends of a range of lines tell all: one change of sign, or none and far from zero.
+
+    Judged at a few places: far from zero means by more than the miss changes from one to the next.
+    """
+    crossings, largest, smallest, f_before = 0, 0.0, abs(f_low), f_low
+    for k in range(1, _COARSE + 1):
+        f, _ = _miss(table, low + (high - low) * k / _COARSE, p, axis, curve, straight)
+        if not np.isfinite(f + f_before):
+            return False
+        crossings += (f > 0.0) != (f_before > 0.0)
+        largest, smallest, f_before = max(largest, abs(f - f_before)), min(smallest, abs(f)), f
+    return crossings == 1 or (crossings == 0 and smallest > largest)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def find_lines(
     points: Array,
     table: Array,
@@ -232,13 +259,13 @@ def find_lines(
     straight: bool,
     lines: tuple[float, float],
     columns: tuple[float, float],
-    scan: int,
     pixels: Array,
 ) -> None:
     """Pixels (line, column) that see `points` (N, 3), into `pixels` (N, 2); NaN where none does.
 
-    The miss at both ends of the range of lines brackets the answer in the common case. Otherwise the range is
-    scanned in `scan` steps for any change of sign, and the first crossing inside the range of columns wins.
+    The miss at both ends of the range of lines brackets the answer in the common case. Where that finds
+    nothing and the miss does more than fall from one end to the other, the range is scanned for any change of
+    sign, and the first crossing inside the range of columns wins.
     """
     low, high = lines[0] - first, lines[1] - first
     for n in range(len(points)):
@@ -253,9 +280,11 @@ def find_lines(
             if columns[0] <= column <= columns[1]:
                 pixels[n, 0], pixels[n, 1] = x + first, column
                 continue
+        if _only_crossing(table, low, high, f_low, p, axis, curve, straight):
+            continue
         a, fa = low, f_low
-        for k in range(1, scan + 1):
-            b = low + (high - low) * k / scan
+        for k in range(1, _SCAN + 1):
+            b = low + (high - low) * k / _SCAN
             fb, _ = _miss(table, b, p, axis, curve, straight)
             if fa * fb <= 0.0:
                 x, column = _solve_line(table, a, b, fa, fb, p, axis, curve, straight)

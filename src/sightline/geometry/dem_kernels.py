@@ -1,8 +1,8 @@
 """Compiled loops of the surfaces: ellipsoid hits, and the march of rays over a grid of heights.
 
 A grid of heights is read in (row, column, height) coordinates. Three ways lead there from world axes: local
-(an affine map of x, y), geographic (longitude and latitude, then affine), projected (longitude and latitude,
-then a table of rows and columns).
+(an affine map of x, y), geographic (longitude and latitude, then affine), projected (the foot of the point on
+the ellipsoid, seen on a plane that touches it, then a table of rows and columns: no pole or date line in it).
 
 Not here: what the grid is and where it comes from (``surface.py``).
 """
@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 
 from sightline.geometry.checks import Array
-from sightline.geometry.earth import geodetic_of
+from sightline.geometry.earth import normal_of
 from sightline.geometry.interpolation import unit_weights
 
 #: How world axes become (row, column, height).
@@ -76,9 +76,10 @@ def ellipsoid_hits(origins: Array, directions: Array, a: float, b: float, height
         if height != 0.0:
             for _ in range(3):
                 x, y, z = ox + s * dx, oy + s * dy, oz + s * dz
-                lon, lat, h = geodetic_of(x, y, z, a, b)
-                c = np.cos(lat)
-                s += (height - h) / (dx * c * np.cos(lon) + dy * c * np.sin(lon) + dz * np.sin(lat))
+                rho = np.sqrt(x * x + y * y)
+                c, up, h = normal_of(rho, z, a, b)
+                east = (dx * x + dy * y) / rho if rho > 0.0 else 0.0
+                s += (height - h) / (c * east + up * dz)
         out[n, 0], out[n, 1], out[n, 2] = ox + s * dx, oy + s * dy, oz + s * dz
 
 
@@ -104,18 +105,26 @@ def to_grid(
 ) -> tuple[float, float, float]:
     """(row, column, height) of a point in world axes.
 
-    `affine` (8,): row = r0 + r1 u + r2 v, column = c0 + c1 u + c2 v of u, v = x, y (local) or longitude,
-    latitude (rad), the longitude counted from `affine[6]`; for PROJECTED it leads into `warp`.
+    `affine` (16,): row = [0] + [1] u + [2] v, column = [3] + [4] u + [5] v, where u, v are x, y (local);
+    longitude and latitude, rad, the longitude counted from [6] (geographic); or the offsets of the foot of
+    the point from [7:10] along the axes [10:13] and [13:16], m (projected: they lead into `warp`).
     """
     if kind == LOCAL:
         u, v, h = x, y, z
     else:
-        u, v, h = geodetic_of(x, y, z, a, b)
-        u -= affine[6]
-        if u > np.pi:
-            u -= 2.0 * np.pi
-        elif u < -np.pi:
-            u += 2.0 * np.pi
+        rho = np.sqrt(x * x + y * y)
+        c, s, h = normal_of(rho, z, a, b)
+        if kind == GEOGRAPHIC:
+            u, v = np.arctan2(y, x) - affine[6], np.arctan2(s, c)
+            if u > np.pi:
+                u -= 2.0 * np.pi
+            elif u < -np.pi:
+                u += 2.0 * np.pi
+        else:
+            scale = h * c / rho if rho > 0.0 else 0.0
+            fx, fy, fz = x * (1.0 - scale) - affine[7], y * (1.0 - scale) - affine[8], z - h * s - affine[9]
+            u = fx * affine[10] + fy * affine[11] + fz * affine[12]
+            v = fx * affine[13] + fy * affine[14] + fz * affine[15]
     row = affine[0] + affine[1] * u + affine[2] * v
     column = affine[3] + affine[4] * u + affine[5] * v
     if kind == PROJECTED:
@@ -176,6 +185,78 @@ def _layer(
     return max(enter, 0.0), leave
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _clearance(path: Array, w: float, heights: Array, offset: float) -> float:
+    """Height of a path above the ground at its parameter `w` (0 to 1); NaN where the ground is unknown.
+
+    `path` (4, 3) holds the coefficients of row, column and height, constants first.
+    """
+    row = path[0, 0] + w * (path[1, 0] + w * (path[2, 0] + w * path[3, 0]))
+    column = path[0, 1] + w * (path[1, 1] + w * (path[2, 1] + w * path[3, 1]))
+    z = path[0, 2] + w * (path[1, 2] + w * (path[2, 2] + w * path[3, 2]))
+    return z - offset - height_at(heights, row, column)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fit_path(
+    o: Array,
+    d: Array,
+    start: float,
+    length: float,
+    kind: int,
+    affine: Array,
+    warp: Array,
+    a: float,
+    b: float,
+    path: Array,
+) -> float:
+    """Cubic over the grid of a piece of a ray, into `path`; returns the cells it crosses, NaN off the map."""
+    g = np.empty((4, 3))
+    for k in range(4):
+        s = start + k * length / 3.0
+        g[k, 0], g[k, 1], g[k, 2] = to_grid(
+            o[0] + s * d[0], o[1] + s * d[1], o[2] + s * d[2], kind, affine, warp, a, b
+        )
+    for k in range(3):
+        d1, d2, d3 = g[1, k] - g[0, k], g[2, k] - g[0, k], g[3, k] - g[0, k]
+        path[0, k] = g[0, k]
+        path[1, k] = 9.0 * d1 - 4.5 * d2 + d3
+        path[2, k] = -22.5 * d1 + 18.0 * d2 - 4.5 * d3
+        path[3, k] = 13.5 * d1 - 13.5 * d2 + 4.5 * d3
+    return np.sqrt((g[3, 0] - g[0, 0]) ** 2 + (g[3, 1] - g[0, 1]) ** 2)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _crossing(
+    path: Array, w1: float, w2: float, f1: float, f2: float, heights: Array, offset: float
+) -> tuple[float, float]:
+    """Where a path meets the ground between w1 (clearance f1 > 0) and w2 (f2 <= 0), and the slope there.
+
+    False position with the Illinois rule; NaN where the ground is unknown.
+    """
+    side = 0
+    w, slope, near = w2, (f2 - f1) / (w2 - w1), 1e-3 * (w2 - w1)
+    for _ in range(100):
+        w = w1 + (w2 - w1) * f1 / (f1 - f2)
+        f = _clearance(path, w, heights, offset)
+        if not np.isfinite(f):
+            return np.nan, np.nan
+        if abs(f) < 1e-9 or w2 - w1 < 1e-15:
+            break
+        if f > 0.0:
+            w1, f1 = w, f
+            f2 *= 0.5 if side == 1 else 1.0
+            side = 1
+        else:
+            w2, f2 = w, f
+            f1 *= 0.5 if side == -1 else 1.0
+            side = -1
+    around = _clearance(path, w + near, heights, offset) - _clearance(path, w - near, heights, offset)
+    if around < 0.0:
+        slope = around / (2.0 * near)
+    return w, slope
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def dem_hits(
     origins: Array,
@@ -197,8 +278,9 @@ def dem_hits(
     or is below the ground where it enters.
     """
     low, high = limits[0] + offset, limits[1] + offset
-    g = np.empty((4, 3))
-    q = np.empty((4, 3))
+    # a little more at both ends, so that the highest and the lowest points themselves are bracketed
+    slack = 1e-6 * (1.0 + high - low) + 1e-3
+    path = np.empty((4, 3))
     for n in range(len(origins)):
         out[n] = np.nan
         o, d = origins[n], directions[n]
@@ -207,63 +289,39 @@ def dem_hits(
         enter, leave = _layer(o, d, low, high, kind, a, b)
         if not leave >= enter:
             continue
-        # a little more at both ends, so that the highest and the lowest points themselves are bracketed
-        slack = 1e-6 * (1.0 + high - low) + 1e-3
         enter, leave = max(enter - slack, 0.0), leave + slack
-        above = False
-        s_above = f_above = 0.0
         pieces = max(1, int(np.ceil((leave - enter) / _PIECE)))
         length = (leave - enter) / pieces
-        hit = np.nan
+        f_before = np.nan  # clearance one step before; NaN where unknown
         for piece in range(pieces):
             start = enter + piece * length
-            for k in range(4):
-                s = start + k * length / 3.0
-                g[k, 0], g[k, 1], g[k, 2] = to_grid(
-                    o[0] + s * d[0], o[1] + s * d[1], o[2] + s * d[2], kind, affine, warp, a, b
-                )
-            # the cubic through the four, as a polynomial in w = 0..1
-            for k in range(3):
-                d1, d2, d3 = g[1, k] - g[0, k], g[2, k] - g[0, k], g[3, k] - g[0, k]
-                q[0, k] = g[0, k]
-                q[1, k] = 9.0 * d1 - 4.5 * d2 + d3
-                q[2, k] = -22.5 * d1 + 18.0 * d2 - 4.5 * d3
-                q[3, k] = 13.5 * d1 - 13.5 * d2 + 4.5 * d3
-            cells = np.sqrt((g[3, 0] - g[0, 0]) ** 2 + (g[3, 1] - g[0, 1]) ** 2)
+            cells = _fit_path(o, d, start, length, kind, affine, warp, a, b, path)
             if not np.isfinite(cells):
-                cells = 0.0 if piece == pieces - 1 else 1.0
+                f_before = np.nan
+                continue
             steps = max(1, int(np.ceil(cells / _STRIDE)))
-            done = False
-            for k in range(0 if piece == 0 else 1, steps + 1):
-                w = k / steps
-                row = q[0, 0] + w * (q[1, 0] + w * (q[2, 0] + w * q[3, 0]))
-                column = q[0, 1] + w * (q[1, 1] + w * (q[2, 1] + w * q[3, 1]))
-                z = q[0, 2] + w * (q[1, 2] + w * (q[2, 2] + w * q[3, 2]))
-                f = z - offset - height_at(heights, row, column)
-                s = start + w * length
-                if f > 0.0:
-                    above, s_above, f_above = True, s, f
-                elif f <= 0.0:
-                    if above:
-                        hit = _refine(o, d, s_above, s, f_above, f, heights, offset, kind, affine, warp, a, b)
-                    done = True
+            f = f_before
+            for k in range(1 if np.isfinite(f_before) else 0, steps + 1):
+                f = _clearance(path, k / steps, heights, offset)
+                if f <= 0.0:
+                    if f_before > 0.0:
+                        w, g = _crossing(path, (k - 1) / steps, k / steps, f_before, f, heights, offset)
+                        s, g = start + w * length, g / length
+                        s = _polish(o, d, s, g, heights, offset, kind, affine, warp, a, b)
+                        for c in range(3):
+                            out[n, c] = o[c] + s * d[c]
                     break
-                else:
-                    above = False
-            if done:
+                f_before = f
+            if f <= 0.0:
                 break
-        if np.isfinite(hit):
-            out[n, 0], out[n, 1], out[n, 2] = o[0] + hit * d[0], o[1] + hit * d[1], o[2] + hit * d[2]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _refine(
+def _polish(
     o: Array,
     d: Array,
-    s1: float,
-    s2: float,
-    f1: float,
-    f2: float,
+    s: float,
+    slope: float,
     heights: Array,
     offset: float,
     kind: int,
@@ -272,29 +330,16 @@ def _refine(
     a: float,
     b: float,
 ) -> float:
-    """Distance between s1 (above the ground by f1) and s2 (below, f2 <= 0) at which the ray meets it.
+    """Distance at which the exact path meets the ground, from the answer of its cubic: steps of known slope.
 
-    False position with the Illinois rule, on the exact path; it ends within a nanometre or at rounding error.
+    The cubic is off by so little that one step is enough but for pieces of many kilometres.
     """
-    side = 0
-    s = s2
-    for _ in range(100):
-        s_before = s
-        s = s1 + (s2 - s1) * f1 / (f1 - f2)
+    if kind == LOCAL:
+        return s  # the path is straight over the grid: its cubic is exact
+    for _ in range(20):
         row, column, z = to_grid(o[0] + s * d[0], o[1] + s * d[1], o[2] + s * d[2], kind, affine, warp, a, b)
-        f = z - offset - height_at(heights, row, column)
-        if not np.isfinite(f):
-            return np.nan
-        if abs(f) < 1e-9 or s2 - s1 < 1e-9 or abs(s - s_before) < 1e-9:
+        step = -(z - offset - height_at(heights, row, column)) / slope
+        s += step
+        if abs(step) < 1e-8:
             return s
-        if f > 0.0:
-            s1, f1 = s, f
-            if side == 1:
-                f2 *= 0.5
-            side = 1
-        else:
-            s2, f2 = s, f
-            if side == -1:
-                f1 *= 0.5
-            side = -1
-    return s
+    return s if abs(step) < 1e-4 else np.nan

@@ -34,14 +34,12 @@ def check_radii(radii: tuple[float, float]) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def geodetic_of(x: float, y: float, z: float, a: float, b: float) -> tuple[float, float, float]:
-    """Longitude, latitude (rad), height (m) of one point, for semi-axes a (equator), b (pole).
+def normal_of(rho: float, z: float, a: float, b: float) -> tuple[float, float, float]:
+    """Cosine and sine of the latitude, and height (m), of a point `rho` from the axis and `z` up it.
 
-    B. R. Bowring (1976): fixed-point iteration in the reduced latitude; three rounds reach rounding error
-    from 10 km below the surface to beyond geostationary height.
+    B. R. Bowring (1976): fixed-point iteration in the reduced latitude, for semi-axes a (equator), b (pole);
+    three rounds reach rounding error from 10 km below the surface to beyond geostationary height.
     """
-    longitude = np.arctan2(y, x)
-    rho = np.sqrt(x * x + y * y)
     e2 = (a * a - b * b) / (a * a)
     e2b = (a * a - b * b) / (b * b)
     # (sine, cosine) of the reduced latitude, up to a common factor
@@ -50,16 +48,21 @@ def geodetic_of(x: float, y: float, z: float, a: float, b: float) -> tuple[float
     for _ in range(3):
         norm = np.sqrt(sine * sine + cosine * cosine)
         if norm == 0.0:
-            return longitude, 0.0, -a
+            return 1.0, 0.0, -a
         s, c = sine / norm, cosine / norm
         top, bottom = z + e2b * b * s * s * s, rho - e2 * a * c * c * c
         sine, cosine = b * top, a * bottom
-    latitude = np.arctan2(top, bottom)
     norm = np.sqrt(top * top + bottom * bottom)
     s, c = top / norm, bottom / norm
     # distance along the normal: exact at the poles and at the equator alike (Bowring 1985)
-    height = rho * c + z * s - a * np.sqrt(1.0 - e2 * s * s)
-    return longitude, latitude, height
+    return c, s, rho * c + z * s - a * np.sqrt(1.0 - e2 * s * s)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def geodetic_of(x: float, y: float, z: float, a: float, b: float) -> tuple[float, float, float]:
+    """Longitude, latitude (rad), height (m) of one point, for semi-axes a (equator), b (pole)."""
+    c, s, height = normal_of(np.sqrt(x * x + y * y), z, a, b)
+    return np.arctan2(y, x), np.arctan2(s, c), height
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -243,7 +243,8 @@ class AreaDetector(ReadOnlyArrays):
             wavelength = frozen(self.wavelength_nm)
             if wavelength.shape != (self.shape[0],):
                 raise InputError(
-                    f"`wavelength_nm` must have shape ({self.shape[0]},), got {wavelength.shape}"
+                    f"`wavelength_nm` must have one value per line, shape ({self.shape[0]},): "
+                    f"got {wavelength.shape}"
                 )
             object.__setattr__(self, "wavelength_nm", wavelength)
 

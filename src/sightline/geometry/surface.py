@@ -26,10 +26,14 @@ from sightline.geometry.dem_kernels import (
     heights_below,
     plane_hits,
 )
-from sightline.geometry.earth import WGS84, check_radii
+from sightline.geometry.earth import WGS84, check_radii, from_geodetic, local_axes, to_geodetic
 
-#: Nodes per side of the table that leads from longitude, latitude to the cells of a projected DEM.
-_WARP_NODES = 65
+#: Spacing of the table that leads from a plane touching the ellipsoid to the cells of a projected DEM, in
+#: radii of the body: 10 km on Earth. A map projection bends by (10 km / R)^4 R over it, so that less than a
+#: micrometre is lost between its nodes.
+_WARP_STEP = 1.6e-3
+#: Fewest and most nodes per side of that table.
+_WARP_NODES = (33, 1025)
 
 
 class Surface(Protocol):
@@ -137,6 +141,13 @@ class Infinity:
     def raised(self, height: float) -> Infinity:
         """Itself: height means nothing at infinity."""
         return self
+
+
+def _table_axis(values: Array, step: float) -> Array:
+    """Nodes about `step` apart that cover the values and a margin for rays that come in from the side."""
+    margin = 0.1 * np.ptp(values) + step
+    low, high = values.min() - margin, values.max() + margin
+    return np.linspace(low, high, int(np.clip((high - low) / step, *_WARP_NODES)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -261,40 +272,36 @@ class Dem(ReadOnlyArrays):
         inverse = np.linalg.inv(np.array([[a, b], [d, e]]))
         (c1, c2), (r1, r2) = inverse / unit
         column0, row0 = -inverse @ np.array([c - x0, f])
-        return frozen([row0 - 0.5, r1, r2, column0 - 0.5, c1, c2, x0 * unit, 0.0])
+        return frozen([row0 - 0.5, r1, r2, column0 - 0.5, c1, c2, x0 * unit, *[0.0] * 9])
 
     def _warp(self, to_lonlat: Any) -> tuple[Array, Array]:
-        """Affine into, and the values of, a table of (row, column) over longitude and latitude."""
+        """Affine into, and values of, a table of (row, column) over a plane that touches the ellipsoid."""
         a, b, c, d, e, f = self.transform
         rows, columns = self.heights.shape
-        edge = np.linspace(0.0, 1.0, 101)
-        border_column = columns * np.concatenate([edge, edge, 0 * edge, 0 * edge + 1])
-        border_row = rows * np.concatenate([0 * edge, 0 * edge + 1, edge, edge])
-        lon, lat = to_lonlat.transform(
-            a * border_column + b * border_row + c, d * border_column + e * border_row + f
-        )
-        lon0 = float(to_lonlat.transform(*self._middle())[0])
-        east = (np.asarray(lon) - lon0 + 180.0) % 360.0 - 180.0
-        north = np.asarray(lat)
-        if not (np.isfinite(east).all() and np.isfinite(north).all()):
-            raise InputError(
-                f"the corners of the DEM lie outside the area of its crs {self.crs!r}; check `transform`"
-            )
-        grid_lon = np.linspace(east.min(), east.max(), _WARP_NODES)
-        grid_lat = np.linspace(north.min(), north.max(), _WARP_NODES)
-        lon2, lat2 = np.meshgrid(grid_lon + lon0, grid_lat)
-        x, y = to_lonlat.transform(lon2, lat2, direction="INVERSE")
+        lon, lat = to_lonlat.transform(*self._middle())
+        middle = from_geodetic(np.array([[np.deg2rad(lon), np.deg2rad(lat), 0.0]]), self.radii)[0]
+        east, north, up = local_axes(np.deg2rad(lon), np.deg2rad(lat)).as_matrix().T
+        at_row, at_column = np.meshgrid(np.linspace(0, rows, 41), np.linspace(0, columns, 41))
+        x, y = a * at_column + b * at_row + c, d * at_column + e * at_row + f
+        lon, lat = (np.deg2rad(v).ravel() for v in to_lonlat.transform(x, y))
+        if not np.isfinite(lon + lat).all():
+            raise InputError(f"the DEM reaches beyond the area of its crs {self.crs!r}; check `transform`")
+        feet = from_geodetic(np.stack([lon, lat, 0.0 * lon], axis=1), self.radii) - middle
+        if (feet @ up < -0.5 * self.radii[0]).any():
+            raise InputError("the DEM covers more than 60 degrees around its middle; cut out the part needed")
+        step = _WARP_STEP * self.radii[0]
+        grid_u, grid_v = _table_axis(feet @ east, step), _table_axis(feet @ north, step)
+        u, v = (grid.ravel() for grid in np.meshgrid(grid_u, grid_v))
+        above = middle + self.radii[0] * up + u[:, np.newaxis] * east + v[:, np.newaxis] * north
+        nodes = to_geodetic(Ellipsoid(*self.radii).intersect(above, np.tile(-up, (len(u), 1))), self.radii)
+        x, y = to_lonlat.transform(*np.rad2deg(nodes[:, :2]).T, direction="INVERSE")
         inverse = np.linalg.inv(np.array([[a, b], [d, e]]))
         column = inverse[0, 0] * (x - c) + inverse[0, 1] * (y - f) - 0.5
         row = inverse[1, 0] * (x - c) + inverse[1, 1] * (y - f) - 0.5
-        step_lon = np.deg2rad(grid_lon[1] - grid_lon[0])
-        step_lat = np.deg2rad(grid_lat[1] - grid_lat[0])
-        affine = [
-            -np.deg2rad(grid_lat[0]) / step_lat, 0.0, 1.0 / step_lat,
-            -np.deg2rad(grid_lon[0]) / step_lon, 1.0 / step_lon, 0.0,
-            np.deg2rad(lon0), 0.0,
-        ]  # fmt: skip
-        return frozen(affine), frozen(np.stack([row, column], axis=-1))
+        per_u, per_v = 1.0 / (grid_u[1] - grid_u[0]), 1.0 / (grid_v[1] - grid_v[0])
+        into = [-grid_v[0] * per_v, 0.0, per_v, -grid_u[0] * per_u, per_u, 0.0, 0.0]
+        table = np.stack([row, column], axis=-1).reshape(len(grid_v), len(grid_u), 2)
+        return frozen(np.concatenate([into, middle, east, north])), frozen(table)
 
     def intersect(self, origins: ArrayLike, directions: ArrayLike) -> Array:
         """First meeting point of each ray.

@@ -7,7 +7,10 @@ Not here: estimating any of it (``motion/``), or how the camera sits in the body
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,6 +32,8 @@ from sightline.geometry.interpolation import interpolate, interpolate_hermite, s
 
 #: Times this close beyond a span count as its end (s): ten times the float64 step of t at one day.
 TIME_SLACK = 1e-10
+#: Tables of reference poses that a trajectory keeps, and the shortest (rows) that it keeps at all.
+_KEPT, _WORTH_KEEPING = 16, 200
 
 
 def _check_span(t: Array, span: tuple[float, float], what: str) -> None:
@@ -286,14 +291,36 @@ class Trajectory(ReadOnlyArrays):
         """
         times = as_times(t)
         _check_span(times, self.span, "the trajectory")
-        if self.velocity is None:
-            position = interpolate(self.t_position, self.position, times)
-        else:
-            position = interpolate_hermite(self.t_position, self.position, self.velocity, times)
-        attitude = self._reference_attitude(times)
+        reference = self._reference(times)
+        attitude = reference.world_from_body
         if self.motion is not None:
             attitude = attitude * Rotation.from_rotvec(self.motion.at(times))
-        return Pose(position, attitude)
+        return Pose(reference.position.copy(), attitude)
+
+    @cached_property
+    def _known(self) -> dict[bytes, Pose]:
+        """Reference poses of the latest long tables of times; shared by all motions about one reference."""
+        return {}
+
+    def _reference(self, t: Array) -> Pose:
+        """Pose without motion. A camera asks for the same line times again with every change of motion."""
+        if len(t) < _WORTH_KEEPING:
+            return self._reference_pose(t)
+        key = hashlib.blake2b(t.tobytes(), digest_size=16).digest()
+        known = self._known
+        if key not in known:
+            while len(known) >= _KEPT:
+                known.pop(next(iter(known)), None)
+            known[key] = self._reference_pose(t)
+        return known[key]
+
+    def _reference_pose(self, t: Array) -> Pose:
+        """Work of `_reference`."""
+        if self.velocity is None:
+            position = interpolate(self.t_position, self.position, t)
+        else:
+            position = interpolate_hermite(self.t_position, self.position, self.velocity, t)
+        return Pose(position, self._reference_attitude(t))
 
     def _reference_attitude(self, t: Array) -> Rotation:
         """Reference attitude at times inside the span: local cubic in relative rotation vectors."""
@@ -312,4 +339,10 @@ class Trajectory(ReadOnlyArrays):
 
     def with_motion(self, motion: Motion | None) -> Trajectory:
         """The same reference with another departure from it."""
-        return replace(self, motion=motion)
+        other = replace(self, motion=motion)
+        other.__dict__["_known"] = self._known
+        return other
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is copied or sent to another process: all but the poses kept for speed."""
+        return {name: value for name, value in self.__dict__.items() if name != "_known"}

@@ -8,6 +8,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
-from sightline.io.acquisition_schema import AcquisitionFile, MatchingSection
+from sightline.io.acquisition_schema import AcquisitionFile
 from sightline.motion.band import Band, Frame, LensKnowledge
 
 Array = NDArray[np.float64]
@@ -95,8 +96,8 @@ class Acquisition:
     sensors : tuple of AttitudeSensor
     control_points : ControlPoints or None
     lens : LensKnowledge
-    matching : MatchingSection
-        ``window``, ``step``, ``search_px``; None where the default is wanted.
+    matching : dict
+        What ``[matching]`` gives, by the names of ``RecoverOptions``; empty where the default is wanted.
     platform : str
         Kind of ``[platform]``.
     world : str
@@ -115,7 +116,7 @@ class Acquisition:
     sensors: tuple[AttitudeSensor, ...]
     control_points: ControlPoints | None
     lens: LensKnowledge
-    matching: MatchingSection
+    matching: dict[str, Any]
     platform: str
     world: str
     inputs: tuple[Path, ...] = field(repr=False)

@@ -83,7 +83,7 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
         sensors=tuple(read_sensor(entry, files) for entry in config.attitude_sensor),
         control_points=read_control(config, files, names),
         lens=lens_knowledge(config, frames[0].image.shape if frames else None),
-        matching=config.matching,
+        matching=config.matching.model_dump(exclude_none=True),
         platform=config.platform.kind,
         world=world_kind(config),
         inputs=tuple(files.used),

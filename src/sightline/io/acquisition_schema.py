@@ -265,18 +265,26 @@ class ControlPointSection(Section):
     column: Finite
 
 
-class MatchingSection(Section):
-    """``[matching]``: where the default choice is not wanted."""
+WindowSize = tuple[Annotated[int, Field(ge=3)], Annotated[int, Field(ge=3)]]
 
-    window: tuple[Annotated[int, Field(ge=3)], Annotated[int, Field(ge=3)]] | None = Field(
-        default=None, description="(lines, columns) of a matching window"
+
+class MatchingSection(Section):
+    """``[matching]``: where the default choice is not wanted (names as in ``RecoverOptions``)."""
+
+    first_window: WindowSize | None = Field(
+        default=None, description="(lines, columns) of the windows of the first, searching pass"
     )
-    step: tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]] | None = Field(
-        default=None, description="(lines, columns) between windows"
+    window: WindowSize | None = Field(
+        default=None, description="(lines, columns) of the windows of the passes compensated by motion"
+    )
+    step: Annotated[int, Field(ge=1)] | None = Field(
+        default=None, description="Lines between rows of windows in the compensated passes"
     )
     search_px: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None = Field(
-        default=None,
-        description="Half-range of the first search (lines, columns), beyond what the bands' sigmas ask for",
+        default=None, description="Half-range (lines, columns) of the first search about the prediction"
+    )
+    passes: Annotated[int, Field(ge=1)] | None = Field(
+        default=None, description="At most so many compensated passes"
     )
 
 

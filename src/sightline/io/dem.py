@@ -164,9 +164,10 @@ def _window(dataset: Any, bounds: Bounds | None, crs: str | None) -> Any:
     if crs is not None and crs != "lonlat":
         box = transform_bounds("EPSG:4326", dataset.crs, *box, densify_pts=21)
     left, bottom, right, top = box
-    inverse = ~dataset.transform
-    corners = [inverse * corner for corner in ((left, bottom), (left, top), (right, bottom), (right, top))]
-    columns, rows = zip(*corners, strict=True)
+    back = ~dataset.transform
+    corners = [(left, bottom), (left, top), (right, bottom), (right, top)]
+    columns = [back.a * x + back.b * y + back.c for x, y in corners]
+    rows = [back.d * x + back.e * y + back.f for x, y in corners]
     first_row = max(0, math.floor(min(rows)) - MARGIN_CELLS)
     first_column = max(0, math.floor(min(columns)) - MARGIN_CELLS)
     last_row = min(dataset.height, math.ceil(max(rows)) + MARGIN_CELLS)

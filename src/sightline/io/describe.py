@@ -14,13 +14,16 @@ from typing import Any
 import numpy as np
 
 from sightline.geometry.camera import PushbroomCamera
-from sightline.io.acquisition import Acquisition
+from sightline.io.acquired import Acquisition
+from sightline.io.ground import shared_ground
 from sightline.motion.observability import blind_frequencies, passbands
 
 # Lines at which a pair is looked for, as parts of the image: the middle first.
 _PLACES = (0.5, 0.3, 0.7, 0.1, 0.9)
 # Blind frequencies named per pair; the rest are their multiples.
 _NAMED = 4
+# Half a field (px) below which matches to 0.03 px tell yaw no better than attitude control does (1 mrad).
+_NARROW_PX = 30.0
 # Frames are many: each is described with so many that follow it.
 _FRAMES_APART = 2
 
@@ -37,16 +40,19 @@ class PairGeometry:
         s; time in b minus time in a, of the same ground; None where the two see no common ground.
     parallax : float or None
         px in b per metre of height.
+    overlap : float
+        Share of the ground seen in a that b sees too.
     """
 
     a: str
     b: str
     lag: float | None
     parallax: float | None
+    overlap: float
 
 
 def pair_geometry(acquisition: Acquisition, first: int, second: int) -> PairGeometry:
-    """Lag and parallax of two images of an acquisition, at the first place where both see the ground."""
+    """Lag and parallax of two images, at the first place where both see the ground, and how much both see."""
     a, b = acquisition.cameras[first], acquisition.cameras[second]
     names = acquisition.names[first], acquisition.names[second]
     shape = acquisition.images[first].shape
@@ -55,12 +61,13 @@ def pair_geometry(acquisition: Acquisition, first: int, second: int) -> PairGeom
     seen = b.project(ground)
     both = np.flatnonzero(np.isfinite(seen).all(axis=1))
     if not both.size:
-        return PairGeometry(*names, None, None)
+        return PairGeometry(*names, None, None, 0.0)
     place = both[:1]
     lag = float(b.rays(seen[place]).t[0] - a.rays(pixels[place]).t[0])
     raised = b.project(a.locate(pixels[place], acquisition.surface.raised(1.0)))
     parallax = float(np.linalg.norm(raised[0] - seen[place[0]]))
-    return PairGeometry(*names, lag, parallax if np.isfinite(parallax) else None)
+    overlap = shared_ground(a, b, acquisition.surface)
+    return PairGeometry(*names, lag, parallax if np.isfinite(parallax) else None, overlap)
 
 
 def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
@@ -70,8 +77,8 @@ def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
     -------
     dict
         ``understood``, ``missing``, ``observable``: lists of sentences. ``pairs``: a, b, lag (s),
-        blind_frequencies (Hz), parallax (px per metre). ``passbands``: (low, high) in Hz, where the pairs
-        together leave at least half of a motion ten times stronger (in power) than the noise.
+        blind_frequencies (Hz), parallax (px per metre), overlap (share). ``passbands``: (low, high) in Hz,
+        where the pairs together leave at least half of a motion ten times stronger (in power) than the noise.
     """
     reach = len(acquisition.bands) or _FRAMES_APART
     indices = combinations(range(len(acquisition.names)), 2)
@@ -89,6 +96,7 @@ def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
                 "b": pair.b,
                 "lag": pair.lag,
                 "parallax": pair.parallax,
+                "overlap": pair.overlap,
                 "blind_frequencies": blind_frequencies(pair.lag, upper) if pair.lag else [],
             }
             for pair in pairs
@@ -147,6 +155,14 @@ def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
         for pair in pairs
         if pair.lag == 0.0
     ]
+    names = [("focal length", acquisition.lens.focal_length_sigma_px, "px")]
+    names += [("principal point", acquisition.lens.principal_point_sigma_px, "px")]
+    names += [("distortion k1", acquisition.lens.distortion_sigma, "")]
+    lines += [
+        f"{name}: known to {sigma:.4g} {unit}".rstrip() + ", will be estimated"
+        for name, sigma, unit in names
+        if sigma
+    ]
     if acquisition.epoch is None:
         lines.append("[acquisition] epoch: without it no CCSDS file can be written")
     if not acquisition.sensors and acquisition.control_points is None:
@@ -169,7 +185,8 @@ def _observable(
             blind = blind_frequencies(pair.lag, upper)
             named = ", ".join(f"{f:.4g}" for f in blind[:_NAMED]) + (", ..." if len(blind) > _NAMED else "")
             lines.append(
-                f"{pair.a} - {pair.b}: lag {_seconds(pair.lag)}, blind at "
+                f"{pair.a} - {pair.b}: lag {_seconds(pair.lag)}, {100.0 * pair.overlap:.0f} % common "
+                f"ground, blind at "
                 + (f"{named} Hz" if named else f"no frequency below {upper:.4g} Hz")
                 + (f", 100 m of height displace by {100.0 * pair.parallax:.3g} px" if pair.parallax else "")
             )
@@ -177,7 +194,16 @@ def _observable(
         shown = ", ".join(f"{low:.4g}-{high:.4g}" for low, high in bands)
         lines.append(f"together, up to {upper:.4g} Hz: {shown} Hz")
     edge = 1e6 / acquisition.half_field_px
-    lines.append(f"yaw: {edge:.5g} urad move the edge of the field by one pixel")
+    ratio = 1.0 / (acquisition.half_field_px * acquisition.ifov)
+    lines.append(
+        f"yaw: {edge:.5g} urad move the edge of the field by one pixel: it is seen {ratio:.3g} times less "
+        f"well than "
+        "roll and pitch"
+    )
+    if acquisition.half_field_px < _NARROW_PX:
+        lines.append(
+            f"yaw: the field is narrow ({2 * acquisition.half_field_px + 1:.0f} columns); take it as unknown"
+        )
     return lines
 
 

@@ -184,8 +184,9 @@ def raster_corners(dem: Dem) -> Array:
 def _extent(xy: Array, local: bool) -> str:
     """The box around points in words."""
     (x0, y0), (x1, y1) = xy.min(axis=0), xy.max(axis=0)
+    whole = [round(float(v)) for v in (x0, x1, y0, y1)]  # whole numbers have no "-0"
     if local:
-        return f"x {x0:.0f} to {x1:.0f} m, y {y0:.0f} to {y1:.0f} m"
+        return f"x {whole[0]} to {whole[1]} m, y {whole[2]} to {whole[3]} m"
     return f"longitude {x0:.4f} to {x1:.4f}, latitude {y0:.4f} to {y1:.4f} degrees"
 
 
@@ -234,7 +235,7 @@ def check_overlap(
         lags: list[float] = []
         for j in others:
             lags += _lags(camera, cameras[j], surface)
-            if np.any(np.abs(lags) > 0.0):
+            if np.any(np.abs(lags) > _least_lag(camera)):
                 moving = True
                 break
         if not lags:
@@ -250,8 +251,13 @@ def check_overlap(
         )
 
 
-def _lags(camera: MovingCamera, other: MovingCamera, surface: Surface) -> list[float]:
-    """Lags (s) of a few points that both images see: empty where they share no ground."""
+def _least_lag(camera: MovingCamera) -> float:
+    """s; lags up to half a line are none."""
+    return 0.5 * camera.detector.line_period if isinstance(camera, PushbroomCamera) else 0.0
+
+
+def _common(camera: MovingCamera, other: MovingCamera, surface: Surface) -> tuple[Array, Array]:
+    """Pixels of a grid over `camera` and where `other` sees their ground; NaN rows where it does not."""
     lines, columns = camera.shape
     grid = np.meshgrid(
         np.linspace(0, lines - 1, OVERLAP_GRID[0]),
@@ -261,5 +267,17 @@ def _lags(camera: MovingCamera, other: MovingCamera, surface: Surface) -> list[f
     pixels = np.stack(grid, axis=-1).reshape(-1, 2)
     seen = other.project(camera.locate(pixels, base_surface(surface)))
     last = np.array(other.shape) - 1.0
-    inside = np.all((seen >= 0.0) & (seen <= last), axis=1)
-    return [float(v) for v in other.times(seen[inside, 0]) - camera.times(pixels[inside, 0])]
+    seen[~np.all((seen >= 0.0) & (seen <= last), axis=1)] = np.nan
+    return pixels, seen
+
+
+def shared_ground(camera: MovingCamera, other: MovingCamera, surface: Surface) -> float:
+    """Share (0 to 1) of the ground under `camera`'s image that `other`'s shows too."""
+    return float(np.mean(np.isfinite(_common(camera, other, surface)[1][:, 0])))
+
+
+def _lags(camera: MovingCamera, other: MovingCamera, surface: Surface) -> list[float]:
+    """Lags (s) of a few points that both images see: empty where they share no ground."""
+    pixels, seen = _common(camera, other, surface)
+    both = np.isfinite(seen[:, 0])
+    return [float(v) for v in other.times(seen[both, 0]) - camera.times(pixels[both, 0])]

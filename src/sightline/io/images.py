@@ -5,6 +5,7 @@ Not here: the ``ImageSource`` protocol (``imaging/source.py``), elevation raster
 
 from __future__ import annotations
 
+import os
 import threading
 import warnings
 from collections.abc import Iterator
@@ -20,10 +21,15 @@ from sightline.errors import FormatError, InputError
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
+#: MiB of decoded raster blocks that GDAL may keep (its own choice, 5 % of the machine, would hold whole
+#: strips); an environment variable GDAL_CACHEMAX that is already set prevails.
+CACHE_MIB = 64
 #: Lines read in each of the probes of `check_content`.
 PROBE_LINES = 16
-#: Share of pixels at the largest value of the data type from which an image counts as saturated.
+#: Share of pixels at the largest value met from which an image counts as saturated, whatever its bits.
 SATURATED_SHARE = 0.5
+#: Share of pixels at the smallest value met from which an image counts as empty.
+EMPTY_SHARE = 0.9
 
 
 @contextmanager
@@ -111,11 +117,6 @@ class RasterImage:
         """(lines, columns)."""
         return self._shape
 
-    @property
-    def full_scale(self) -> float | None:
-        """Largest value of an integer data type; None for floating point."""
-        return float(np.iinfo(self._type).max) if self._type.kind in "ui" else None
-
     def _dataset(self) -> Any:
         """The handle of this thread."""
         dataset = getattr(self._local, "dataset", None)
@@ -123,6 +124,7 @@ class RasterImage:
             import rasterio
             from rasterio.errors import NotGeoreferencedWarning
 
+            os.environ.setdefault("GDAL_CACHEMAX", str(CACHE_MIB))
             with raster_errors(self.path), warnings.catch_warnings():
                 warnings.simplefilter("ignore", NotGeoreferencedWarning)
                 dataset = rasterio.open(self.path)
@@ -211,11 +213,6 @@ class NpyImage:
         """(lines, columns)."""
         return int(self._array.shape[0]), int(self._array.shape[1])
 
-    @property
-    def full_scale(self) -> float | None:
-        """Largest value of an integer data type; None for floating point."""
-        return float(np.iinfo(self._array.dtype).max) if self._array.dtype.kind in "ui" else None
-
     def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> Image:
         """Pixels of lines [first, last) and columns [first, last), float32, C order."""
         _check_window(self.path, self.shape, lines, columns)
@@ -293,7 +290,7 @@ def check_content(image: RasterImage | NpyImage) -> None:
     ------
     FormatError
         If a probe cannot be read (truncated file), holds no usable pixel, is the same everywhere, or is
-        mostly at the largest value of its type.
+        mostly at its largest (saturated) or smallest (empty) value.
 
     Notes
     -----
@@ -317,10 +314,13 @@ def check_content(image: RasterImage | NpyImage) -> None:
             f"{image.path}: the image is constant (every pixel looked at is {pixels[0]:g}); "
             "nothing can be matched in it; check that the right file is named"
         )
-    top = image.full_scale
-    share = 0.0 if top is None else float(np.mean(pixels >= top))
-    if share > SATURATED_SHARE:
-        raise FormatError(
-            f"{image.path}: {100 * share:.0f} % of the pixels looked at are saturated (at {top:g}); "
-            "nothing can be matched there; use an image with a shorter exposure or mask the saturated part"
-        )
+    for value, words, advice in (
+        (pixels.max(), "saturated", "use an image with a shorter exposure or mask the saturated part"),
+        (pixels.min(), "empty", "check that the right file is named, or mask the empty part"),
+    ):
+        share = float(np.mean(pixels == value))
+        if share > (SATURATED_SHARE if words == "saturated" else EMPTY_SHARE):
+            raise FormatError(
+                f"{image.path}: {100 * share:.0f} % of the pixels looked at are {words} (at {value:g}); "
+                f"nothing can be matched there; {advice}"
+            )

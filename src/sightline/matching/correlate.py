@@ -8,9 +8,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.matching import kernels
+
 __all__ = ["correlation_surface", "pair_covariances", "search_shift"]
 
 _BATCH_PIXELS = 1 << 20
+_PRIOR_WINDOWS = 3.0
+_MOST_DIRECT = 500
+"""Places up to which correlation term by term is faster than the Fourier transform."""
 
 
 def correlation_surface(templates: NDArray[np.float32], regions: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -98,11 +103,16 @@ def search_shift(
     views_a = np.lib.stride_tricks.sliding_window_view(fa, size)
     views_b = np.lib.stride_tricks.sliding_window_view(fb, big)
     low = np.clip(low, 0, np.array(views_b.shape[:2]) - 1)
+    places = (2 * reach[0] + 3, 2 * reach[1] + 3)
     shift, found = np.zeros((len(corner), 2)), np.zeros(len(corner), bool)
     batch = max(1, _BATCH_PIXELS // (big[0] * big[1]))
     for first in range(0, len(corner), batch):
         k = slice(first, first + batch)
-        surface = correlation_surface(views_a[corner[k, 0], corner[k, 1]], views_b[low[k, 0], low[k, 1]])
+        if places[0] * places[1] <= _MOST_DIRECT:
+            surface = np.empty((len(corner[k]), *places), np.float32)
+            kernels.correlate_windows(fa, fb, corner[k], low[k], (int(h), int(w)), surface)
+        else:
+            surface = correlation_surface(views_a[corner[k, 0], corner[k, 1]], views_b[low[k, 0], low[k, 1]])
         peak, found[k] = _peaks(surface)
         shift[k] = peak - np.array(reach) - 1 + offset[k]
     return shift, found
@@ -128,7 +138,7 @@ def pair_covariances(fits: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDAr
     outer products of the mean gradient, and K the pair's two factors (line, column) by which residuals that
     are correlated from pixel to pixel make the variance of the score larger or smaller. K^2 is the variance
     of the score between column blocks of a window (neighbours' products included, the share that the fit
-    removes restored) over s^2 G, averaged over the good windows.
+    removes restored) over s^2 G, averaged over the good windows; few windows lean towards K = 1.
     """
     n = len(fits)
     covariance = np.full((n, 2, 2), np.nan)
@@ -140,11 +150,9 @@ def pair_covariances(fits: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDAr
     factor = np.ones(2)
     for axis, (g, q) in enumerate(((5, 10), (7, 12))):
         rows = good & (f[:, g] > 0) & (f[:, 8] > 0)
-        if rows.sum() >= 8:
-            ratio = f[rows, q] / (f[rows, g] * f[rows, 8])
-            limit = np.quantile(ratio, 0.995)
-            share = f[rows, q + 1]
-            factor[axis] = np.sqrt(max(ratio[ratio <= limit].sum() / share[ratio <= limit].sum(), 1e-2))
+        ratio, share = f[rows, q] / (f[rows, g] * f[rows, 8]), f[rows, q + 1]
+        sound = ratio <= 30.0 * np.median(ratio) if len(ratio) else np.zeros(0, np.bool_)
+        factor[axis] = np.sqrt((ratio[sound].sum() + _PRIOR_WINDOWS) / (share[sound].sum() + _PRIOR_WINDOWS))
     h = np.empty((len(f), 2, 2))
     h[:, 0, 0], h[:, 0, 1], h[:, 1, 0], h[:, 1, 1] = f[:, 2], f[:, 3], f[:, 3], f[:, 4]
     v = np.empty_like(h)

@@ -28,6 +28,7 @@ _ITERATIONS = 12
 _TOLERANCE_PX = 0.01
 _MAX_SATURATED = 0.1
 _MAX_GROWN = 0.5
+_SQUARE_TILE = (48, 48)
 
 
 def match_images(
@@ -116,9 +117,15 @@ def match_images(
                 f'`whitening` is "{whitening}"; "auto", None or a Whitening is allowed; '
                 "see estimate_whitening"
             )
-        tile = (16, 128) if window[1] >= 4 * window[0] else (48, 48)
-        reach = (max(search_px[0], 3), max(search_px[1], 3))
-        whitening = estimate_whitening(image_a, image_b, points_a, predicted_b, tile=tile, reach=reach)
+        whitening = estimate_whitening(
+            image_a,
+            image_b,
+            points_a,
+            predicted_b,
+            affine=None if affine is None else linear + np.eye(2),
+            tile=None if window[1] >= 4 * window[0] else _SQUARE_TILE,
+            reach=(max(search_px[0], 3), max(search_px[1], 3)),
+        )
     size = np.array(window)
     corner = np.floor(np.nan_to_num(points_a) - 0.5 * (size - 1) + 0.5)
     centre_a = corner + 0.5 * (size - 1)

@@ -11,14 +11,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError
-from sightline.imaging.resample import delay_weights
+from sightline.imaging.resample import delay_weights, kernel_table
 from sightline.imaging.source import ImageSource, read_padded
+from sightline.matching import kernels
 
 __all__ = ["Whitening", "estimate_whitening"]
 
 _QUADRANT = (7, 7)
 _GRID = 64
 _EDGE = 6
+_OVER = 12
+"""Pixels that the wider tiles of image b may reach beyond it, where it is reflected."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,40 +96,58 @@ def _frequencies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 def _taps(response: NDArray[np.float64]) -> NDArray[np.float32]:
-    """Quadrant of the 13 x 13 filter nearest to a response; the cut is softened by a raised cosine."""
+    """Quadrant of the 13 x 13 filter nearest to a response; the cut is softened by the root of a cosine."""
     impulse = np.fft.irfft2(np.asarray(response, dtype=np.float64), s=(_GRID, _GRID))
-    soft = np.cos(0.5 * np.pi * np.arange(7) / 7.5) ** 1.0
+    soft = np.sqrt(np.cos(0.5 * np.pi * np.arange(7) / 7.5))
     return np.asarray(impulse[:7, :7] * np.outer(soft, soft), dtype=np.float32)
 
 
 def _tiles(
-    image_a: ImageSource,
-    image_b: ImageSource,
+    images: tuple[ImageSource, ImageSource],
     points_a: NDArray[np.float64],
     predicted_b: NDArray[np.float64],
+    linear: NDArray[np.float64],
     tile: tuple[int, int],
     reach: tuple[int, int],
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Pairs of tiles without unusable pixels; those of b wider by `reach` and 6 px on every side."""
+    """Pairs of tiles without unusable pixels; those of b on the grid of a, wider by `reach` and 6 px."""
     size = np.array(tile)
+    big = size + 2 * (np.array(reach) + _EDGE)
     corner_a = np.rint(points_a - (size - 1) / 2).astype(int)
-    border = np.array(reach) + _EDGE
-    corner_b = np.rint(predicted_b - points_a + corner_a).astype(int) - border
-    big = size + 2 * border
-    inside = np.all((corner_a >= 0) & (corner_a + size <= image_a.shape), axis=1)
-    inside &= np.all((corner_b >= 0) & (corner_b + big <= image_b.shape), axis=1)
-    tiles_a, tiles_b = [], []
-    for (ya, xa), (yb, xb) in zip(corner_a[inside], corner_b[inside], strict=True):
-        a, bad_a = read_padded(image_a, (ya, ya + tile[0]), (xa, xa + tile[1]))
-        b, bad_b = read_padded(image_b, (yb, yb + int(big[0])), (xb, xb + int(big[1])))
-        if bad_a is None and bad_b is None and a.std() > 0 and b.std() > 0:
-            tiles_a.append(a)
-            tiles_b.append(b)
-    shape = (0, 1, 1)
-    return (
-        np.stack(tiles_a) if tiles_a else np.empty(shape, np.float32),
-        np.stack(tiles_b) if tiles_b else np.empty(shape, np.float32),
-    )
+    moved = corner_a + (size - 1) / 2 - points_a
+    centre_b = predicted_b + moved + np.einsum("nij,nj->ni", linear, moved)
+    half = 0.5 * big + np.abs(linear) @ (0.5 * big) + 5
+    low, high = np.floor(centre_b - half).astype(int), np.ceil(centre_b + half).astype(int) + 1
+    inside = np.all((corner_a >= 0) & (corner_a + size <= images[0].shape), axis=1)
+    inside &= np.all((low >= -_OVER) & (high <= np.array(images[1].shape) + _OVER), axis=1)
+    tiles_a = np.empty((int(inside.sum()), *tile), np.float32)
+    tiles_b = np.empty((len(tiles_a), int(big[0]), int(big[1])), np.float32)
+    count = 0
+    for n in np.flatnonzero(inside):
+        (ya, xa), box = corner_a[n], np.stack([low[n], high[n]], axis=1)
+        a, bad_a = read_padded(images[0], (ya, ya + tile[0]), (xa, xa + tile[1]))
+        b, bad_b = read_padded(images[1], tuple(box[0]), tuple(box[1]))
+        if bad_a is not None or bad_b is not None or not (a.std() > 0 and b.std() > 0):
+            continue
+        tiles_a[count] = a
+        _on_grid(b, centre_b[n] - low[n], linear[n], tiles_b[count])
+        count += 1
+    return tiles_a[:count], tiles_b[:count]
+
+
+def _on_grid(
+    image: NDArray[np.float32],
+    centre: NDArray[np.float64],
+    linear: NDArray[np.float64],
+    out: NDArray[np.float32],
+) -> None:
+    """Fill `out` with an image around a centre, at the nearest whole pixels or through an affine."""
+    if not linear.any():
+        y, x = np.rint(centre - 0.5 * (np.array(out.shape) - 1)).astype(int)
+        out[:] = image[y : y + out.shape[0], x : x + out.shape[1]]
+        return
+    outside = np.zeros(out.shape, np.bool_)
+    kernels.warp_windows(image, centre[None], linear[None], out.shape, kernel_table(), out, outside)
 
 
 def _tapered_spectra(tiles: NDArray[np.float32]) -> NDArray[np.complex128]:
@@ -212,14 +233,24 @@ def _interpolated(
 def _spectra(
     a: NDArray[np.float32], b: NDArray[np.float32]
 ) -> tuple[NDArray[np.complex128], NDArray[np.float64], NDArray[np.float64]]:
-    """Cross- and auto-periodograms of aligned tiles; what shift is left is taken out by phase."""
+    """Cross- and auto-periodograms of aligned tiles; what shift is left is taken out by phase.
+
+    Tiles that are much less alike than most (a cloud in one image, a false shift) are left out.
+    """
     tile = (a.shape[1], a.shape[2])
     spectra_a, spectra_b = _tapered_spectra(a), _tapered_spectra(b)
     auto_a, auto_b = np.abs(spectra_a) ** 2, np.abs(spectra_b) ** 2
     cross = spectra_a.conj() * spectra_b
-    shift = _phase_shift(cross, auto_a.mean(axis=0) + auto_b.mean(axis=0), tile)
+    mean_a, mean_b = auto_a.mean(axis=0), auto_b.mean(axis=0)
+    shift = _phase_shift(cross, mean_a + mean_b, tile)
     fy, fx = np.meshgrid(np.fft.fftfreq(tile[0]), np.fft.rfftfreq(tile[1]), indexing="ij")
-    return cross * _turn(shift, 2 * np.pi * fy, 2 * np.pi * fx), auto_a, auto_b
+    cross = cross * _turn(shift, 2 * np.pi * fy, 2 * np.pi * fx)
+    middle = (np.hypot(fy, fx) > 1.5 / min(tile)) & (np.hypot(fy, fx) < 0.25)
+    level = middle / (mean_a + mean_b)
+    own = [(level * auto).sum(axis=(1, 2)) for auto in (auto_a, auto_b)]
+    alike = (level * cross.real).sum(axis=(1, 2)) / np.sqrt(own[0] * own[1])
+    good = alike >= 0.6 * np.median(alike)
+    return cross[good], auto_a[good], auto_b[good]
 
 
 def _smooth_log(values: NDArray[np.float64], fy: NDArray[np.float64], fx: NDArray[np.float64],
@@ -244,7 +275,8 @@ def estimate_whitening(
     points_a: NDArray[np.float64],
     predicted_b: NDArray[np.float64],
     *,
-    tile: tuple[int, int] = (16, 128),
+    affine: NDArray[np.float64] | None = None,
+    tile: tuple[int, int] | None = None,
     reach: tuple[int, int] = (4, 4),
     most_tiles: int = 400,
 ) -> Whitening:
@@ -255,8 +287,11 @@ def estimate_whitening(
     image_a, image_b : ImageSource
     points_a, predicted_b : (N, 2)
         Where to look in image a and where that should lie in image b; spread over the images.
-    tile : (int, int)
-        Lines and columns of the tiles whose spectra are averaged. Low, so that motion within one is small.
+    affine : (N, 2, 2), optional
+        Local change of geometry, as for `match_images`; identity by default.
+    tile : (int, int), optional
+        Lines and columns of the tiles whose spectra are averaged: 16 x 128 by default, less for images under
+        32 lines or 256 columns. Low, so that motion within one is small.
     reach : (int, int)
         Largest error of the prediction, px.
     most_tiles : int
@@ -277,12 +312,15 @@ def estimate_whitening(
     ``w = c / ((1 - c) |S_ab|)``, c the coherence (the information on a shift is the integral of
     ``(2 pi f)^2 c / (1 - c)``); each image takes ``sqrt(w)``. Tiles are first aligned, each by its own phase:
     what stays misaligned would look like lost coherence. Frequencies that the interpolation cannot carry fade
-    out between 0.36 and 0.5 cycle/px along each axis.
+    out between 0.42 and 0.5 cycle/px along each axis.
     """
+    if tile is None:
+        tile = (min(16, image_a.shape[0] // 2), min(128, image_a.shape[1] // 2))
     chosen = np.unique(np.linspace(0, len(points_a) - 1, min(most_tiles, max(len(points_a), 1))).astype(int))
     finite = np.isfinite(points_a[chosen]).all(axis=1) & np.isfinite(predicted_b[chosen]).all(axis=1)
     chosen = chosen[finite]
-    a, b = _tiles(image_a, image_b, points_a[chosen], predicted_b[chosen], tile, reach)
+    linear = np.zeros((len(chosen), 2, 2)) if affine is None else affine[chosen] - np.eye(2)
+    a, b = _tiles((image_a, image_b), points_a[chosen], predicted_b[chosen], linear, tile, reach)
     if len(a) < 8:
         raise EstimationError(
             f"whitening cannot be estimated: {len(a)} usable tiles of {tile[0]} x {tile[1]} px at "
@@ -299,18 +337,19 @@ def estimate_whitening(
     signal = np.maximum(s_ab.real, 0.0)
     coherence = np.clip((signal**2 / (s_a * s_b) - bias) / (1 - bias), 1e-3, 1 - 1e-5)
     use = (np.hypot(fy, fx) > 1.0 / min(tile)) & (s_a > 0) & (s_b > 0)
-    if coherence[use].max() < 0.05:
+    # unrelated tiles, each aligned at its best, reach 0.03 + 1 / tiles in the best 2 % of frequencies
+    best, needed = float(np.quantile(coherence[use], 0.98)), 0.05 + 1.0 / len(cross)
+    if best < needed:
         raise EstimationError(
-            f"whitening cannot be estimated: the largest coherence of {len(cross)} tiles is "
-            f"{coherence[use].max():.3f}; above 0.05 is needed; check the predicted positions or raise "
-            "`reach`"
+            f"whitening cannot be estimated: the coherence of {len(cross)} tiles is {best:.3f} at its best "
+            f"frequencies; above {needed:.3f} is needed; check the predicted positions or raise `reach`"
         )
     weight = np.sqrt(np.maximum(coherence, 0.02)) / np.hypot(np.hypot(fy, fx), 0.05)
     odds = _smooth_log(coherence / (1 - coherence), fy, fx, use, weight)
     spectrum = _smooth_log(np.sqrt(s_a * s_b), fy, fx, use, weight)
     smooth = odds / (1 + odds)
     gy, gx = _frequencies()
-    fade = np.prod([np.cos(0.5 * np.pi * np.clip((np.abs(g) - 0.36) / 0.14, 0, 1)) for g in (gy, gx)], axis=0)
+    fade = np.prod([np.cos(0.5 * np.pi * np.clip((np.abs(g) - 0.42) / 0.08, 0, 1)) for g in (gy, gx)], axis=0)
     response = np.sqrt(odds / (np.sqrt(smooth) * spectrum)) * fade
     response[0, 0] = 0.0
     response /= np.sqrt((response**2 * spectrum).mean())

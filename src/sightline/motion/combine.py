@@ -97,9 +97,6 @@ def in_turn(
     total = Motion(times, np.zeros((len(times), 3)))
     for pair in list(pairs) * rounds:
         seen = total.at(pair.t + pair.lag) - total.at(pair.t)
-        rest = AngleDifferences(
-            pair.t, pair.lag, pair.angles - seen, pair.covariance, pair.images, pair.window
-        )
-        step = estimator([rest], times)
+        step = estimator([replace(pair, angles=pair.angles - seen)], times)
         total = Motion(times, total.angles + step.angles, step.covariance)
     return total

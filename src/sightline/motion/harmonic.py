@@ -270,7 +270,7 @@ def _variance(bins: Bins, filters: Complex) -> Array:
 def _contradiction(
     even: Sequence[EvenPair], spectrum: Complex, length: int, t: Array, origin: float
 ) -> Array:
-    """(N, 3) rad^2: half of what the differences differ from those of the restored motion, beyond their errors.
+    """(N, 3) rad^2: half of what the differences miss of those of the restored motion, beyond errors.
 
     Averaged over all pairs and over `CONTRADICTION_EPOCHS` steps around each instant.
     """

@@ -10,7 +10,7 @@ Not here: the joint solution itself (``joint.py``).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 #: Order of the autoregressive priors.
 ORDER = 40
+#: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
+MOST_ACROSS = 0.5
 
 
 @dataclass(frozen=True)
@@ -145,6 +147,7 @@ def fit_prior_model(
     estimate: JointEstimate,
     pixel: Array,
     start: PriorModel | None = None,
+    jumps: Sequence[Array] = (),
 ) -> PriorModel:
     """Spectra of the three axes by marginal likelihood, tones found blind.
 
@@ -156,20 +159,38 @@ def fit_prior_model(
         rad; one pixel of roll, pitch, and of yaw at the field edge: how far pairs may be offset.
     start : PriorModel, optional
         A model fitted before, to start from.
+    jumps : three arrays, optional
+        s; instants at which roll, pitch, yaw jump. Differences taken across one are left out: a step is no
+        part of a spectrum.
     """
     differences = angle_differences(stars, post_px, estimate)
     if not differences:
         raise EstimationError("no row of windows is seen by any pair; check that the bands overlap")
     spectra = []
     for axis in range(3):
+        series = [scalar_series(d, axis) for d in differences]
+        if jumps:
+            series = [_without_jumps(one, jumps[axis]) for one in series]
         fitted = fit_spectrum(
-            [scalar_series(d, axis) for d in differences],
+            series,
             start=None if start is None else start.spectra[axis],
             offset_sigma=float(pixel[axis]),
             fit_noise=False,
         )
         spectra.append(fitted.spectrum)
     return PriorModel((spectra[0], spectra[1], spectra[2]))
+
+
+def _without_jumps(series: DifferenceSeries, jumps: Array) -> DifferenceSeries:
+    """The series with differences across a jump made infinitely uncertain."""
+    early = np.minimum(series.t, series.t + series.lag) - series.window
+    late = np.maximum(series.t, series.t + series.lag) + series.window
+    across = np.zeros(len(series.t), dtype=bool)
+    for instant in jumps:
+        across |= (early < instant) & (instant < late)
+    if across.mean() > MOST_ACROSS:
+        return series
+    return replace(series, variance=np.where(across, np.inf, series.variance))
 
 
 def scalar_series(differences: AngleDifferences, axis: int) -> DifferenceSeries:

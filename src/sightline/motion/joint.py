@@ -17,14 +17,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.estimation.banded import BorderedFactor
-from sightline.estimation.prior import Autoregressive
+from sightline.estimation.prior import Autoregressive, Spectrum
 from sightline.motion.normal_equations import NormalEquations, TimeGrid, band_times
 
 Array = NDArray[np.float64]
 
-#: 1-sigma of the constant of roll, pitch and yaw (rad). Roll and pitch constants are never seen by images of one
-#: strip and stay where the reference attitude puts them; that of yaw turns bands that look ahead sideways.
-CONSTANT_SIGMA = (3e-4, 3e-4, 1e-2)
+#: 1-sigma of the constant of roll, pitch and yaw (rad). Images of one strip never see a constant of roll or pitch,
+#: which stay where the reference attitude puts them: let loose, errors of linearisation would carry them away, and
+#: a constant pitch of D turns the yaw y(t) into a roll -D y(t). That of yaw turns bands that look ahead sideways.
+CONSTANT_SIGMA = (1e-5, 1e-5, 1e-2)
+
+#: Innovations beyond this many sigmas are taken for jumps.
+JUMP = 4.5
+#: Rows of the autoregression that are not looked at for jumps.
+STARTUP_ROWS = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,9 +146,41 @@ class JointEstimate:
         factor = _factor(self._data, self._prior, constants=True)
         return marginal_covariance(factor, self.grid, self._data.block, t)
 
+    def covariance_band(self, nodes: int = 4) -> Array:
+        """Lower band of the motion's covariance in time, over `nodes` neighbouring nodes (constants held)."""
+        block = self._data.block
+        factor = _factor(self._data, self._prior, constants=False)
+        band = factor.covariance_band(nodes * block - 1)
+        if block == 3:
+            return band
+        keep = np.zeros((nodes * 3, 3 * self.grid.count))
+        for p in range(3):
+            for d in range(nodes * 3):
+                q = (p + d) % 3
+                ahead = (p + d) // 3
+                row = ahead * block + q - p
+                keep[d, p::3] = band[row, p::block] if row < len(band) else 0.0
+        return keep
+
     def innovations(self) -> Array:
         """Scaled innovations of the estimated motion under the prior, (count, 3): about 1 where it fits."""
-        return np.stack([p.innovations(self.nodes[:, k] - self.nodes[:, k].mean()) for k, p in enumerate(self._prior.angles)], 1)
+        centred = self.nodes - self.nodes.mean(axis=0)
+        return np.stack([p.innovations(centred[:, k]) for k, p in enumerate(self._prior.angles)], axis=1)
+
+
+def innovation_weights(estimate: JointEstimate) -> Array:
+    """Weights (count, 3) that let the motion jump where its innovations are far beyond the prior's.
+
+    Notes
+    -----
+    Estimated innovations are smaller than true ones; beyond JUMP sigmas a step or a switched-on tone is the better
+    explanation, and the innovation keeps a weight that makes it one sigma. Only for a prior that was fitted to
+    the data: under a prior of the wrong size every innovation looks like a jump.
+    """
+    e = np.abs(estimate.innovations())
+    # the start-up rows answer to the removed mean, not to jumps
+    e[:STARTUP_ROWS] = 0.0
+    return np.where(e > JUMP, (1.0 / np.maximum(e, 1.0)) ** 2, 1.0)
 
 
 def _unmixed(directions: Array, u: Array) -> Array:
@@ -230,6 +268,22 @@ def projected_covariance(
     cross = np.einsum("nph,nqh->npq", cq, q3)
     left = c - cross - cross.transpose(0, 2, 1) + np.einsum("nph,hk,nqk->npq", q3, inner, q3)
     return np.asarray(left * np.outer(scale, scale))
+
+
+def interpolation_variance(spectrum: Spectrum, grid: TimeGrid, t: Array) -> Array:
+    """Variance (N,) of a motion of known spectrum about its interpolation from the grid's nodes.
+
+    What the motion does between nodes is not in the grid's covariance: ``k(0) - 2 w'k + w'Kw`` with k the
+    autocovariance at the distances to the nodes used and K between them.
+    """
+    first, w = grid.weights(t)
+    distance = t[:, None] - (grid.start + grid.step * (first[:, None] + np.arange(w.shape[1])))
+    apart = np.subtract.outer(np.arange(w.shape[1]), np.arange(w.shape[1]))
+    between = spectrum.autocovariance(grid.step * np.abs(apart).ravel().astype(float)).reshape(apart.shape)
+    reach = spectrum.autocovariance(np.abs(distance).ravel()).reshape(distance.shape)
+    here = float(spectrum.autocovariance(np.zeros(1))[0])
+    left = here - 2.0 * np.einsum("nk,nk->n", w, reach) + np.einsum("nk,kl,nl->n", w, between, w)
+    return np.maximum(left, 0.0)
 
 
 def _orthonormal(directions: Array, scale: Array) -> Array:

@@ -16,9 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.estimation.prior import Autoregressive, autoregressive
+from sightline.geometry.surface import Surface
 from sightline.motion.match_noise import scatter
 from sightline.motion.normal_equations import TimeGrid
 from sightline.motion.observations import Star
+from sightline.motion.predict import MovingCamera
+from sightline.motion.windows import exposure_times, image_shape
 
 Array = NDArray[np.float64]
 
@@ -26,6 +29,32 @@ Array = NDArray[np.float64]
 ORDER = 40
 #: Positions across the field at which a row of ground is sampled.
 ROW_SAMPLES = 21
+
+
+def relief_matters(stars: Sequence[Star], height_sigma: float) -> bool:
+    """Whether heights unknown by `height_sigma` (m) move matches by a noticeable part of their error."""
+    if height_sigma <= 0.0:
+        return False
+    for star in stars:
+        seen = star.present
+        if seen.any():
+            parallax = np.abs(star.by_height[..., 0])[seen].max() * height_sigma
+            # a row of windows averages the errors of its blocks: a tenth of one window's sigma matters to the row
+            if parallax > 0.1 * np.sqrt(np.median(star.covariance_px[..., 0, 0][seen])):
+                return True
+    return False
+
+
+def hub_delay(cameras: Sequence[MovingCamera], surface: Surface, hub: int, first: int) -> float:
+    """How much later (s) the image `hub` sees a piece of ground than the image `first` does."""
+    if hub == first:
+        return 0.0
+    camera = cameras[hub]
+    lines, columns = image_shape(camera)
+    pixels = np.stack([np.linspace(0, lines - 1, 41), np.full(41, (columns - 1) / 2)], axis=1)
+    there = exposure_times(cameras[first], cameras[first].project(camera.locate(pixels, surface)))
+    delay = exposure_times(camera, pixels) - there
+    return float(np.nanmedian(delay)) if np.isfinite(delay).any() else 0.0
 
 
 def terrain_covariance(distance: Array, length: float) -> Array:

@@ -141,3 +141,10 @@ def field_positions(columns: Array, width: int) -> Array:
     """Columns as positions across the field, -1 .. 1 from edge to edge."""
     half = max((width - 1) / 2.0, 1.0)
     return np.asarray((columns - half) / half)
+
+
+def image_shape(camera: MovingCamera) -> tuple[int, int]:
+    """(lines, columns) of the image a camera takes."""
+    if isinstance(camera, PushbroomCamera):
+        return camera.lines, camera.columns
+    return camera.detector.shape

@@ -1,1 +1,1 @@
-"""Results to figures and one self-contained HTML page. Computes nothing new."""
+"""Results as figures and one self-contained HTML page."""

@@ -44,7 +44,7 @@ def centred(x):
 
 @pytest.fixture(scope="session")
 def series():
-    """The functions of this file, and the scene of sheet 6c of S1 in px, as attributes."""
+    """The functions of this file, and the scene of docs/theory/s1.md, section 5, in px, as attributes."""
     scene = Spectrum(
         (
             Matern(2.0, 1.0, "5/2"),

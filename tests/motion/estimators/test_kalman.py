@@ -40,7 +40,7 @@ def test_it_equals_the_dense_posterior_with_and_without_a_gap(series, gap):
     for axis in range(3):
         mean, variance = dense_posterior(SMALL, pairs, 401, series.step, axis)
         # The constant is known to 3 sigma of the prior (1 px) instead of not at all: of a constant of 1 px
-        # the share (relative variance / constant's variance) = 0.03^2 / (9 + 1) = 1e-4 is mistaken for motion.
+        # the share (relative variance / constant's variance) = 0.03^2 / (9 + 1) = 1e-4 is taken for motion.
         assert motion.angles[:, axis] == pytest.approx(mean, abs=1e-4)
         assert motion.covariance[:, axis, axis] == pytest.approx(variance, rel=1e-3)
 
@@ -107,3 +107,19 @@ def test_a_lag_too_long_for_its_state_is_refused_with_the_remedy(series):
     pairs = series.measure(np.zeros((401, 3)), [300], 0.1, np.random.default_rng(0))
     with pytest.raises(EstimationError, match="give a longer `grid_step`, or use the smoother"):
         kalman(pairs, np.linspace(0.0, 0.3, 5), prior=SMALL, grid_step=1e-4)
+
+
+def test_it_agrees_with_the_banded_smoother(series):
+    from sightline.motion.estimators.smoother import smooth
+
+    rng = np.random.default_rng(4)
+    theta = series.cholesky_of(SMALL, 401) @ rng.standard_normal((401, 3))
+    pairs = series.measure(theta, [60, 22, 7], 0.03, rng)
+    t = series.step * np.arange(401)
+    one = kalman(pairs, t, prior=SMALL, grid_step=series.step)
+    # Their images are shared (0-1, 0-2, 0-3) but their patches are not named: independent for both.
+    other = smooth(pairs, t, prior=SMALL, grid_step=series.step)
+    difference = series.centred(one.angles) - series.centred(other.angles)
+    # An autoregression of 60 terms is the exact prior to some 0.5 % of the error.
+    assert np.sqrt((difference**2).mean()) < 0.05 * series.sigmas(one).mean()
+    assert series.sigmas(one) == pytest.approx(series.sigmas(other), rel=0.02)

@@ -19,6 +19,7 @@ from sightline.estimation.evidence import Posterior, posterior
 from sightline.estimation.likelihood import FittedSpectrum, default_step, fit_spectrum, span
 from sightline.estimation.prior import Spectrum
 from sightline.estimation.series import TAPS, DifferenceSeries, Grid, normal_equations
+from sightline.estimation.split import split
 from sightline.geometry.checks import as_times
 from sightline.geometry.trajectory import Motion
 from sightline.motion.differences import AngleDifferences
@@ -108,11 +109,18 @@ def smooth(
     covariance = np.zeros((len(times), 3, 3))
     for axis, believed in enumerate(_three(prior)):
         equations = normal_equations(
-            series[axis], grid, offsets=offset_sigma is not None, independent=independent
+            series[axis],
+            grid,
+            offsets=offset_sigma is not None,
+            independent=independent,
+            spectrum=believed.spectrum,
         )
+        width = len(equations.band) - 1
+        apart = split(believed.spectrum, grid.step, order, grid.count, width=width)
+        plain = believed.spectrum.autoregressive(grid.step, order, grid.count)
         now = posterior(
             equations,
-            believed.spectrum.autoregressive(grid.step, order, grid.count),
+            plain if apart is None else apart,
             noise_scale=believed.noise_scale,
             offset_sigma=1.0 if offset_sigma is None else offset_sigma,
             weights=innovation_weights,
@@ -170,7 +178,7 @@ def reduced(now: Posterior, t: Array, *, trend: bool = False) -> tuple[Array, Ar
     spread = np.zeros((grid.count, hidden.shape[1]))
     for k in range(w.shape[1]):
         np.add.at(spread, nodes[:, k], w[:, k, None] * hidden)
-    along = np.einsum("nk,nkh->nh", w, now.factor.times(spread)[0][nodes])
+    along = np.einsum("nk,nkh->nh", w, now.covariance_times(spread)[nodes])
     band = now.covariance_band(w.shape[1] - 1)
     variance = np.zeros(len(t))
     for k in range(w.shape[1]):

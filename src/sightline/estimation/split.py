@@ -1,0 +1,255 @@
+"""A prior whose slow drift has unknowns of its own, so that long gaps are bridged as they should be.
+
+One autoregression on a fine grid looks back some tens of epochs. Under broadband jitter that is too
+short to know the slope of a slow drift, and what it says across a gap longer than its memory is
+neither right nor honest. Here the drift lives on a coarse grid, interleaved with the fine one, and
+the autoregression holds only what is fast:
+
+    x = P c + z,   z fast on the fine grid, c slow on the coarse one, P interpolation.
+
+The unknowns are x and c; the data see x alone. Everything stays banded.
+
+Not here: the plain prior (``prior.py``), which is enough where data are dense.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sightline.errors import InputError
+from sightline.estimation.prior import NUGGET, Autoregressive, Matern, Spectrum, autoregressive
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+
+#: Order of the autoregression of the drift on its own grid: a sampled Matern 5/2 has three poles and a
+#: zero at -0.43, of which the sixth power is below 1 %.
+SLOW_ORDER = 6
+#: Coarse steps per timescale of the drift, least and most: below 12 the cubic interpolation would show
+#: (1e-3 of the drift), above 60 the drift is predictable to the last digit.
+RESOLUTION = (12.0, 60.0)
+#: Taps of the interpolation between coarse nodes.
+TAPS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class SplitPrior:
+    """Fast and slow part of one process of n epochs.
+
+    Build it with `split`.
+
+    Attributes
+    ----------
+    fast : Autoregressive
+        z, on the fine grid.
+    slow : Autoregressive
+        c, on the coarse grid.
+    ratio : int
+        Fine steps per coarse step; coarse node j stands at fine node ``ratio * j``.
+    """
+
+    fast: Autoregressive
+    slow: Autoregressive
+    ratio: int
+
+    @property
+    def n(self) -> int:
+        """Number of fine epochs."""
+        return self.fast.n
+
+    @property
+    def logdet(self) -> float:
+        """Natural logarithm of the determinant of the joint precision of (x, c), unit row weights."""
+        return self.fast.logdet + self.slow.logdet
+
+    def width(self, layout: Layout, axis: int = 0) -> int:
+        """Subdiagonals that the joint precision needs in a layout."""
+        fine, coarse = layout.fine[:, axis], layout.coarse[:, axis]
+        first, _ = _interpolation(self.n, self.slow.n, self.ratio)
+        earliest = np.maximum(np.arange(self.n) - self.fast.order, 0)
+        low = np.minimum(fine[earliest], coarse[first[earliest]])
+        high = np.maximum(fine, coarse[first + TAPS - 1])
+        q = self.slow.order
+        return int(max(np.max(high - low), np.max(coarse[q:] - coarse[: len(coarse) - q])))
+
+    def add_to(self, band: Array, layout: Layout, axis: int = 0, weights: Array | None = None) -> None:
+        """Add the joint precision of (x, c) to a lower band in a layout, in place.
+
+        Parameters
+        ----------
+        band : array (b + 1, layout.size)
+            With b at least `width`.
+        layout : Layout
+            Where the unknowns stand.
+        axis : int
+            Which process of the layout this is the prior of.
+        weights : array (n,), optional
+            Of the fast innovations; see `Autoregressive.precision_band`.
+        """
+        fine = np.ascontiguousarray(layout.fine[:, axis])
+        coarse = np.ascontiguousarray(layout.coarse[:, axis])
+        spread_band(self.fast.precision_band(weights), fine, band)
+        spread_band(self.slow.precision_band(), coarse, band)
+        first, taps = _interpolation(self.n, self.slow.n, self.ratio)
+        row_weights = 1.0 / self.fast.variances if weights is None else weights / self.fast.variances
+        _add_coarse(self.fast.table, row_weights, first, taps, fine, coarse, band)
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Where fine and coarse unknowns of one or more processes stand among all unknowns.
+
+    Attributes
+    ----------
+    fine : (n, block)
+        Position of epoch k of each process.
+    coarse : (m, block)
+        Position of coarse node j of each process, just before fine epoch ``ratio * j``.
+    """
+
+    fine: Index
+    coarse: Index
+
+    @property
+    def size(self) -> int:
+        """Number of all unknowns."""
+        return self.fine.size + self.coarse.size
+
+    @classmethod
+    def interleaved(cls, n: int, ratio: int, *, block: int = 1, slow: int | None = None) -> Layout:
+        """Layout of n epochs of `block` processes; the first `slow` of them (all) have coarse nodes."""
+        slow = block if slow is None else slow
+        k = np.arange(n, dtype=np.int64)
+        j = np.arange(coarse_count(n, ratio), dtype=np.int64)
+        fine = (k * block + (k // ratio + 1) * slow)[:, None] + np.arange(block)
+        coarse = (np.minimum(j * ratio, n) * block + j * slow)[:, None] + np.arange(slow)
+        return cls(fine, coarse)
+
+
+def coarse_count(n: int, ratio: int) -> int:
+    """Coarse nodes that span n fine epochs, enough to interpolate."""
+    return max(TAPS, -(-(n - 1) // ratio) + 1)
+
+
+def split(
+    spectrum: Spectrum, step: float, order: int, n: int, *, width: int = 0, ratio: int | None = None
+) -> SplitPrior | None:
+    """The prior with its slow drift apart, or None where nothing is slow (or nothing is fast).
+
+    Parameters
+    ----------
+    spectrum : Spectrum
+        Its Matern 5/2 parts much longer than the autoregression's memory are the drift.
+    step : float
+        s; of the fine grid.
+    order : int
+        Of the fast autoregression.
+    n : int
+        Fine epochs.
+    width : int
+        Subdiagonals that the data need anyway: the coarse step is chosen to stay within.
+    ratio : int, optional
+        Fine steps per coarse step, where several processes must share it.
+    """
+    slow = [c for c in spectrum.components if _is_slow(c, step, order)]
+    fast = [c for c in spectrum.components if not _is_slow(c, step, order)]
+    if not slow or not fast:
+        return None
+    if ratio is None:
+        ratio = coarse_ratio(spectrum, step, order, width=width)
+    if ratio is None or n < 3 * ratio:
+        return None
+    slow_part, fast_part = Spectrum(tuple(slow)), Spectrum(tuple(fast))
+    order = min(order, n - 1)
+    covariance = fast_part.autocovariance(step * np.arange(order + 1, dtype=np.float64))
+    nugget = NUGGET * max(1.0, (spectrum.sigma / fast_part.sigma) ** 2)
+    coarse = slow_part.autoregressive(step * ratio, SLOW_ORDER, coarse_count(n, ratio))
+    return SplitPrior(autoregressive(covariance, order, n, nugget=nugget), coarse, ratio)
+
+
+def coarse_ratio(spectrum: Spectrum, step: float, order: int, *, width: int = 0) -> int | None:
+    """Fine steps per coarse step that suit the drift of a spectrum; None where it has none."""
+    times = [c.timescale for c in spectrum.components if isinstance(c, Matern) and _is_slow(c, step, order)]
+    if not times:
+        return None
+    steps = min(times) / step
+    wanted = max(width - order, 0) // (SLOW_ORDER + 1)
+    return int(np.clip(wanted, math.ceil(max(times) / step / RESOLUTION[1]), max(4, steps // RESOLUTION[0])))
+
+
+def spread_band(band: Array, position: Index, out: Array) -> None:
+    """Add a symmetric band (b + 1, n) of unknowns that stand at rising positions (n,) to a larger band."""
+    if len(position) != band.shape[1]:
+        raise InputError(f"`position` must hold {band.shape[1]} places, got {len(position)}")
+    _spread(band, position, out)
+
+
+def gather_band(band: Array, position: Index, width: int) -> Array:
+    """Part of a symmetric band that belongs to the unknowns at rising positions (n,): (width + 1, n)."""
+    n = len(position)
+    out = np.zeros((width + 1, n))
+    for d in range(min(width, n - 1) + 1):
+        out[d, : n - d] = band[position[d:] - position[: n - d], position[: n - d]]
+    return out
+
+
+def _is_slow(component: object, step: float, order: int) -> bool:
+    """Whether a part of a spectrum is drift to a fine grid: long against the memory of its autoregression."""
+    if not isinstance(component, Matern) or component.order != "5/2":
+        return False
+    return component.timescale > max(48.0, 1.5 * order) * step
+
+
+def _interpolation(n: int, coarse: int, ratio: int) -> tuple[Index, Array]:
+    """First coarse node (n,) and cubic weights (n, 4) of every fine epoch."""
+    x = np.arange(n) / ratio
+    first = np.clip(np.floor(x).astype(np.int64) - 1, 0, coarse - TAPS)
+    u = x - first
+    weights = np.stack([
+        -(u - 1) * (u - 2) * (u - 3) / 6, u * (u - 2) * (u - 3) / 2,
+        -u * (u - 1) * (u - 3) / 2, u * (u - 1) * (u - 2) / 6,
+    ], axis=1)  # fmt: skip
+    return first, weights
+
+
+@njit(cache=True)
+def _spread(band, position, out):  # type: ignore[no-untyped-def]
+    """Add a band to another, unknown i going to position[i]."""
+    n = band.shape[1]
+    for d in range(min(band.shape[0], n)):
+        for i in range(n - d):
+            out[position[i + d] - position[i], position[i]] += band[d, i]
+
+
+@njit(cache=True)
+def _add_coarse(table, weights, first, taps, fine, coarse, band):  # type: ignore[no-untyped-def]
+    """Blocks (fine, coarse) and (coarse, coarse) of the sum of innovation rows of z = x - P c."""
+    p = table.shape[0] - 1
+    window = np.zeros(first[min(p, len(first) - 1)] - first[0] + 3 * taps.shape[1] + 2)
+    for t in range(len(weights)):
+        m = min(t, p)
+        row = table[m]
+        base = first[t - m]
+        size = first[t] + taps.shape[1] - base
+        for j in range(size):
+            window[j] = 0.0
+        for k in range(m + 1):
+            for i in range(taps.shape[1]):
+                window[first[t - k] - base + i] += row[k] * taps[t - k, i]
+        for j in range(size):
+            cj = coarse[base + j]
+            scaled = weights[t] * window[j]
+            for k in range(m + 1):
+                f = fine[t - k]
+                if f > cj:
+                    band[f - cj, cj] -= scaled * row[k]
+                else:
+                    band[cj - f, f] -= scaled * row[k]
+            for i in range(j + 1):
+                ci = coarse[base + i]
+                band[cj - ci, ci] += scaled * window[i]

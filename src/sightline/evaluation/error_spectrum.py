@@ -1,0 +1,42 @@
+"""Power spectral density of the error that a recovered motion still has, frequency by frequency.
+
+Not here: what could be seen (``observed.py``), the error against a truth (``score.py``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sightline.applications.results import LineOfSight
+from sightline.evaluation.observed import Observed, observed
+
+Array = NDArray[np.float64]
+
+
+def error_psd(result: LineOfSight, frequency: ArrayLike, seen: Observed | None = None) -> Array:
+    """One-sided PSD (F, 3) rad^2/Hz of the error of roll, pitch, yaw at `frequency` (F,) Hz.
+
+    Parameters
+    ----------
+    result : LineOfSight
+    frequency : (F,)
+        Hz.
+    seen : Observed, optional
+        What the matches see at the same frequencies, where it is known already.
+
+    Notes
+    -----
+    Measurements of error density N, of a motion of density S, leave the smoothed estimate the error density
+    ``1 / (1/S + 1/N)`` (the error of a Wiener smoother): N where the motion is seen well, S where it is not.
+    N is T times the variance of a steady tone's amplitude over the strip's duration T (``observed.py``); it is
+    infinite at blind frequencies. Without a prior the error is N alone.
+    """
+    f = np.asarray(frequency, dtype=np.float64)
+    seen = seen if seen is not None else observed(result, f)
+    measured = seen.tone_sigma**2 * float(np.ptp(result.motion.t))
+    if result.spectra is None:
+        return np.asarray(measured)
+    prior = np.stack([spectrum.psd(f) for spectrum in result.spectra], axis=1)
+    with np.errstate(divide="ignore"):
+        return np.asarray(1.0 / (1.0 / prior + 1.0 / measured))

@@ -1,0 +1,258 @@
+"""A recovered motion against its truth: errors, NEES, coverage, per axis and in px.
+
+What the images cannot tell is left out of the comparison: the hidden directions are removed from
+estimate and truth by one unweighted least-squares fit over all lines. The sigmas of a result are
+those of the motion less its hidden part already, and are used as they are given.
+
+Not here: reading the files (``io/hidden.py``, ``io/tables.py``), printing (``cli/score.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sightline.errors import InputError, SpanError
+from sightline.geometry.checks import as_points, as_times, same_length
+from sightline.geometry.trajectory import Motion
+
+Array = NDArray[np.float64]
+
+AXES = ("roll", "pitch", "yaw")
+
+#: Two-sided 95 % point of the normal distribution.
+Z95 = 1.959963984540054
+
+#: Autocorrelation is summed up to this many of its own correlation times (Sokal's rule).
+WINDOW_OF_CORRELATION = 5.0
+
+
+@dataclass(frozen=True)
+class AxisScore:
+    """How one axis did, hidden part left out.
+
+    Attributes
+    ----------
+    unit : str
+        Of `rms`, `max` and `sigma`: "px", "px at the field edge", or "urad" without an ifov.
+    rms, max : float
+        Of the error.
+    sigma : float
+        Root mean square of the stated sigma.
+    nees : float
+        Mean over the lines of (error / sigma)^2: 1 when the sigma is true.
+    effective_samples : float
+        Independent samples that the mean of `nees` is worth.
+    nees_low, nees_high : float
+        Where `nees` falls 95 times in 100 when the sigma is true.
+    coverage_95 : float
+        Part of the lines whose error is within 1.96 sigma.
+    """
+
+    unit: str
+    rms: float
+    max: float
+    sigma: float
+    nees: float
+    effective_samples: float
+    nees_low: float
+    nees_high: float
+    coverage_95: float
+
+
+@dataclass(frozen=True)
+class Score:
+    """A motion against its truth.
+
+    Attributes
+    ----------
+    roll, pitch, yaw : AxisScore
+    lines : int
+        Compared.
+    hidden : tuple of str
+        Names of the directions that were removed.
+    """
+
+    roll: AxisScore
+    pitch: AxisScore
+    yaw: AxisScore
+    lines: int
+    hidden: tuple[str, ...]
+
+    @property
+    def axes(self) -> dict[str, AxisScore]:
+        """The three axes by name."""
+        return {"roll": self.roll, "pitch": self.pitch, "yaw": self.yaw}
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain numbers and words, for JSON."""
+        numbers = {name: dict(vars(axis)) for name, axis in self.axes.items()}
+        return {"lines": self.lines, "hidden_directions_removed": list(self.hidden), **numbers}
+
+
+def score_motion(
+    t: ArrayLike,
+    angles: ArrayLike,
+    sigma: ArrayLike,
+    truth_t: ArrayLike,
+    truth_angles: ArrayLike,
+    *,
+    hidden: ArrayLike | None = None,
+    hidden_names: tuple[str, ...] | None = None,
+    ifov: float | None = None,
+    half_field_px: float | None = None,
+) -> Score:
+    """Score of an estimated motion.
+
+    Parameters
+    ----------
+    t : (N,)
+        s; lines of the result.
+    angles, sigma : (N, 3)
+        rad; roll, pitch, yaw and the sigma of each less the hidden part.
+    truth_t, truth_angles : (M,), (M, 3)
+        The true motion; it is interpolated to `t` by local cubics and must cover it.
+    hidden : (N, 3, H), optional
+        Motions that the images cannot see, at `t`, of any size. By default a constant per axis.
+    hidden_names : tuple of str, optional
+        One per direction.
+    ifov : float, optional
+        rad; with it errors are given in px, yaw in px at the field's edge.
+    half_field_px : float, optional
+        px from the centre to the edge of the field; needed with `ifov`.
+
+    Raises
+    ------
+    SpanError
+        If the truth does not cover the result.
+    """
+    times = as_times(t, "t", increasing=True)
+    estimate, stated = as_points(angles, "angles"), as_points(sigma, "sigma")
+    same_length(times, "t", estimate, "angles")
+    same_length(times, "t", stated, "sigma")
+    _check_numbers(estimate, stated)
+    truth = Motion(as_times(truth_t, "truth_t"), as_points(truth_angles, "truth_angles"))
+    if truth.t[0] > times[0] + 1e-9 or truth.t[-1] < times[-1] - 1e-9:
+        raise SpanError(
+            f"the truth spans [{truth.t[0]:.6g}, {truth.t[-1]:.6g}] s, the result [{times[0]:.6g}, "
+            f"{times[-1]:.6g}] s; give a truth that covers every line of the result"
+        )
+    directions, names = _directions(hidden, hidden_names, len(times))
+    units = _units(ifov, half_field_px)
+    # The fit is unweighted in these units: in rad, the far larger yaw alone would decide it.
+    per_rad = np.array([factor for _, factor in units])
+    raw = estimate - truth.at(np.clip(times, truth.t[0], truth.t[-1]))
+    error = remove_directions(raw * per_rad, directions * per_rad[:, None]) / per_rad
+    scored = [_score_axis(error[:, x], stated[:, x], *units[x]) for x in range(3)]
+    return Score(scored[0], scored[1], scored[2], len(times), names)
+
+
+def remove_directions(values: Array, directions: Array) -> Array:
+    """`values` (N, 3) less their unweighted least-squares fit by `directions` (N, 3, H).
+
+    Directions that depend on each other, or are nothing, do no harm.
+    """
+    basis = directions.reshape(values.size, -1)
+    size = np.linalg.norm(basis, axis=0)
+    basis = basis[:, size > 0.0] / size[size > 0.0]
+    u, s, _ = np.linalg.svd(basis, full_matrices=False)
+    u = u[:, s > 1e-9]
+    flat = values.ravel()
+    return np.asarray((flat - u @ (u.T @ flat)).reshape(values.shape))
+
+
+def constant_directions(lines: int) -> Array:
+    """A constant per axis, (lines, 3, 3): what no difference of images can see."""
+    return np.broadcast_to(np.eye(3), (lines, 3, 3)).copy()
+
+
+def effective_samples(x: Array) -> float:
+    """Independent samples that the mean of x^2 is worth, for a Gaussian series `x` (N,).
+
+    Notes
+    -----
+    The autocorrelation of x^2 is the square of that of x: ``n / (1 + 2 sum of rho_k^2)``, summed up to the
+    first k that exceeds five of the correlation times found so far (Sokal).
+    """
+    n = len(x)
+    if n < 2 or not x.any():
+        return float(n)
+    spectrum = np.fft.rfft(x, 2 * n)
+    covariance = np.fft.irfft(np.abs(spectrum) ** 2)[:n]
+    rho = covariance / covariance[0]
+    time = 1.0 + 2.0 * np.cumsum(rho[1:] ** 2)
+    lag = np.arange(1, n)
+    beyond = np.flatnonzero(lag >= WINDOW_OF_CORRELATION * time)
+    return float(n / time[beyond[0] if len(beyond) else -1])
+
+
+def _score_axis(error: Array, sigma: Array, unit: str, scale: float) -> AxisScore:
+    normalised = error / sigma
+    nees = float(np.mean(normalised**2))
+    samples = effective_samples(normalised)
+    low, high = _chi_square_mean(samples)
+    return AxisScore(
+        unit=unit,
+        rms=float(np.sqrt(np.mean(error**2))) * scale,
+        max=float(np.abs(error).max()) * scale,
+        sigma=float(np.sqrt(np.mean(sigma**2))) * scale,
+        nees=nees,
+        effective_samples=samples,
+        nees_low=low,
+        nees_high=high,
+        coverage_95=float(np.mean(np.abs(normalised) <= Z95)),
+    )
+
+
+def _chi_square_mean(samples: float) -> tuple[float, float]:
+    """Range that holds the mean of `samples` squared normal numbers 95 times in 100 (Wilson and Hilferty)."""
+    spread = 2.0 / (9.0 * samples)
+    low, high = (max(1.0 - spread + sign * Z95 * math.sqrt(spread), 0.0) ** 3 for sign in (-1.0, 1.0))
+    return low, high
+
+
+def _units(ifov: float | None, half_field_px: float | None) -> list[tuple[str, float]]:
+    """Name and factor from rad, of each axis."""
+    if ifov is None:
+        return [("urad", 1e6)] * 3
+    if not (math.isfinite(ifov) and ifov > 0.0):
+        raise InputError(f"`ifov` must be a positive angle of one pixel in rad, got {ifov}")
+    if half_field_px is None or not half_field_px > 0.0:
+        raise InputError(
+            f"`half_field_px` must be a positive number of px, got {half_field_px}; yaw is scored at the "
+            "field's edge: give half the number of columns, or leave `ifov` out to score in urad"
+        )
+    return [("px", 1.0 / ifov), ("px", 1.0 / ifov), ("px at the field edge", half_field_px)]
+
+
+def _check_numbers(angles: Array, sigma: Array) -> None:
+    for name, values in (("angles", angles), ("sigma", sigma)):
+        if not np.isfinite(values).all():
+            row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
+            raise InputError(f"`{name}` must be finite on every line; line {row} is {values[row].tolist()}")
+    if not (sigma > 0.0).all():
+        row = int(np.flatnonzero((sigma <= 0.0).any(axis=1))[0])
+        raise InputError(f"`sigma` must be positive on every line; line {row} is {sigma[row].tolist()}")
+
+
+def _directions(
+    hidden: ArrayLike | None, names: tuple[str, ...] | None, lines: int
+) -> tuple[Array, tuple[str, ...]]:
+    if hidden is None:
+        return constant_directions(lines), tuple(f"constant {axis}" for axis in AXES)
+    directions = np.asarray(hidden, dtype=np.float64)
+    if directions.ndim != 3 or directions.shape[:2] != (lines, 3):
+        raise InputError(
+            f"`hidden` must have shape ({lines}, 3, H): lines, axes, directions; got {directions.shape}"
+        )
+    if not np.isfinite(directions).all():
+        raise InputError("`hidden` must be finite on every line")
+    if names is None:
+        names = tuple(f"direction {k}" for k in range(directions.shape[2]))
+    if len(names) != directions.shape[2]:
+        raise InputError(f"`hidden_names` has {len(names)} names for {directions.shape[2]} directions")
+    return directions, names

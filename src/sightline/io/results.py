@@ -1,0 +1,221 @@
+"""A recovered line of sight → the files of its folder: what a chain reads, and the summary.
+
+``motion.csv``, ``attitude.csv``, ``attitude.aem``, ``hidden.csv``, ``spectrum.csv``, ``covariance.npz``,
+``summary.json``; their columns are described in ``docs/formats.md``.
+
+Not here: the page for people (``report/``).
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sightline.applications.results import LineOfSight
+from sightline.evaluation.observed import observed
+from sightline.evaluation.score import remove_directions
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.rotations import to_quat_xyzw
+from sightline.io.acquired import Acquisition
+from sightline.io.ccsds import write_aem
+from sightline.io.hidden import write_hidden
+from sightline.io.json_text import json_text
+from sightline.io.tables import ANGLES, MotionTable, write_attitudes, write_motion, write_spectrum
+from sightline.motion.observability import Passbands
+from sightline.motion.tones import detect_tones, spectrum
+
+Array = NDArray[np.float64]
+
+#: The highest frequency spoken of, in units of the line rate: windows of some lines cut beyond.
+HIGHEST_FREQUENCY = 0.25
+#: Frequencies at which visibility is evaluated for the ends of the passbands.
+_FREQUENCIES = 20_001
+
+
+def write_result(
+    folder: Path, result: LineOfSight, acquisition: Acquisition, *, wall_seconds: float
+) -> dict[str, Any]:
+    """Write every file of a recovery but the report.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    result : LineOfSight
+    acquisition : Acquisition
+        What it was recovered from.
+    wall_seconds : float
+        s; of the whole command so far.
+
+    Returns
+    -------
+    dict
+        The summary, as in ``summary.json``.
+    """
+    motion = result.motion
+    table = MotionTable(motion.t, motion.angles, result.sigma, result.absolute_sigma, result.observed)
+    write_motion(folder / "motion.csv", table)
+    attitude = refined_attitude(result, acquisition)
+    write_attitudes(folder / "attitude.csv", motion.t, attitude)
+    if acquisition.epoch is not None and acquisition.world == "earth-fixed":
+        write_aem(
+            folder / "attitude.aem",
+            motion.t,
+            attitude,
+            acquisition.epoch,
+            object_name=acquisition.name.upper(),
+        )
+    summary = summarize(result, acquisition, wall_seconds=wall_seconds)
+    if result.hidden.shape[2]:
+        summary["hidden_directions"] = write_hidden(folder, motion.t, result.hidden, result.hidden_names)
+    _write_spectrum(folder / "spectrum.csv", result, summary["passbands"])
+    if result.band is not None:
+        _write_covariance(folder / "covariance.npz", result)
+    write_json(folder / "summary.json", summary)
+    return summary
+
+
+def refined_attitude(result: LineOfSight, acquisition: Acquisition) -> Array:
+    """Quaternions (N, 4), scalar last, world_from_body, at the instants of the recovered motion."""
+    reference = acquisition.cameras[0].trajectory.at(result.motion.t).world_from_body
+    return to_quat_xyzw(reference * Rotation.from_rotvec(np.array(result.motion.angles)))
+
+
+def highest_frequency(acquisition: Acquisition) -> float:
+    """Hz; up to where passbands and blind frequencies are given (half the rate of frames)."""
+    cameras = acquisition.cameras
+    if isinstance(cameras[0], PushbroomCamera):
+        return HIGHEST_FREQUENCY / min(
+            c.detector.line_period for c in cameras if isinstance(c, PushbroomCamera)
+        )
+    times = np.sort([camera.t for camera in cameras if not isinstance(camera, PushbroomCamera)])
+    return float(0.5 / np.median(np.diff(times)))
+
+
+def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: float) -> dict[str, Any]:
+    """What a recovery found, in names and numbers (the content of ``summary.json``).
+
+    Parameters
+    ----------
+    result : LineOfSight
+    acquisition : Acquisition
+    wall_seconds : float
+        s.
+
+    Returns
+    -------
+    dict
+        Angles in rad, frequencies in Hz, residuals in px.
+    """
+    upper = highest_frequency(acquisition)
+    seen = observed(result, np.linspace(0.0, upper, _FREQUENCIES))
+    in_px = remove_directions(result.motion.angles / result.scale, result.hidden / result.scale[:, None])
+    visible = in_px * result.scale
+    tones = [vars(tone) for tone in detect_tones(result.motion, highest=upper)]
+    return {
+        "name": acquisition.name,
+        "version": version("sightline"),
+        "epoch": acquisition.epoch,
+        "images": list(result.image_names),
+        "lines": len(result.motion.t),
+        "ifov": result.ifov,
+        "half_field_px": acquisition.half_field_px,
+        "highest_frequency": upper,
+        "passbands": dict(zip(ANGLES, seen.passbands, strict=True)),
+        "blind_frequencies": {_name(result.image_names, pair): list(f) for pair, f in seen.blind.items()},
+        "tones": {axis: [tone for tone in tones if tone["axis"] == axis] for axis in ANGLES},
+        "rms_motion": _per_axis(np.sqrt((visible**2).mean(axis=0))),
+        "rms_sigma": _per_axis(np.sqrt((result.sigma**2).mean(axis=0))),
+        "observed_share": float(np.mean(result.observed)),
+        "residual_rms_px": _rms(result.after_px),
+        "residual_rms_before_px": _rms(result.before_px),
+        "matches": _matches(result),
+        "pairs": [_pair(result, k) for k in range(len(result.pairs))],
+        "statics": [vars(static) for static in result.statics],
+        "hidden_directions": None,
+        "changes": list(result.changes),
+        "warnings": list(result.warnings),
+        "wall_seconds": wall_seconds,
+        "peak_memory_bytes": peak_memory(),
+        "inputs": acquisition.input_hashes(),
+    }
+
+
+def _per_axis(values: Array) -> dict[str, float]:
+    """Three numbers by the names of the axes."""
+    return {axis: float(value) for axis, value in zip(ANGLES, values, strict=True)}
+
+
+def _name(names: Sequence[str], pair: tuple[int, int]) -> str:
+    """``"PAN - B1"``."""
+    return " - ".join(names[image] for image in pair)
+
+
+def _rms(residuals: tuple[Array, ...]) -> float | None:
+    """Root mean square of all finite residuals, px; None if there are none."""
+    finite = [part[np.isfinite(part)] for part in residuals]
+    values = np.concatenate(finite) if finite else np.empty(0)
+    return float(np.sqrt(np.mean(values**2))) if len(values) else None
+
+
+def _matches(result: LineOfSight) -> dict[str, Any]:
+    """Numbers of windows tried, kept, and rejected by reason."""
+    rejected: Counter[str] = Counter()
+    for pair in result.pairs:
+        rejected.update(pair.rejected)
+    return {
+        "tried": sum(pair.tried for pair in result.pairs),
+        "kept": sum(pair.kept for pair in result.pairs),
+        "rejected": dict(rejected),
+    }
+
+
+def _pair(result: LineOfSight, index: int) -> dict[str, Any]:
+    """One pair of images with what it left over."""
+    entry = dict(vars(result.pairs[index]))
+    entry["images"] = [result.image_names[image] for image in entry["images"]]
+    return entry
+
+
+def _write_spectrum(path: Path, result: LineOfSight, bands: Mapping[str, Passbands]) -> None:
+    """``spectrum.csv``: PSD of the motion, and whether each frequency lies in a passband of its axis."""
+    found = spectrum(result.motion)
+    observed = np.zeros(found.psd.shape, dtype=bool)
+    for axis, name in enumerate(ANGLES):
+        for low, high in bands[name]:
+            observed[:, axis] |= (found.frequency >= low) & (found.frequency <= high)
+    write_spectrum(path, found.frequency, found.psd, observed)
+
+
+def _write_covariance(path: Path, result: LineOfSight) -> None:
+    """``covariance.npz``: t (s), angles (rad) on the grid of the estimate, and the lower band (rad^2)."""
+    assert result.band is not None  # the caller looked
+    temporary = path.with_name(f".{path.name}.part.npz")
+    np.savez_compressed(temporary, t=result.band.t, angles=result.band.angles, band=result.band.band)
+    os.replace(temporary, path)
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """A JSON file, complete or not at all; numbers that are not finite become null."""
+    temporary = path.with_name(f".{path.name}.part")
+    temporary.write_text(json_text(content) + "\n", encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def peak_memory() -> int | None:
+    """Largest resident memory of this process so far, bytes; None where the system does not say."""
+    try:
+        import resource
+    except ImportError:  # not a POSIX system
+        return None
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(largest if sys.platform == "darwin" else 1024 * largest)

@@ -1,0 +1,225 @@
+"""Errors of matches between frames: what lags share, what windows share, and unknown relief.
+
+Three causes are kept apart: noise of each image (shared by every match that uses the same pixels,
+so that neighbouring pairs err against each other), disagreement of a pair (which grows with the
+change of view), and parallax of relief, a field on the ground that all frames see.
+
+Not here: the estimate (``frames.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.motion.observations import Star
+
+Array = NDArray[np.float64]
+
+#: Scaled errors beyond this do not teach the covariance.
+CLIP = 4.0
+#: Fewest matches from which the covariance of a pair of lags is learned.
+MIN_COUNT = 60
+#: Points from which the law of the relief is learned (a subset is drawn if there are more).
+RELIEF_POINTS = 600
+
+
+@dataclass(frozen=True, eq=False)
+class ReliefField:
+    """Unknown height about the surface: an offset, correlated terrain, and what varies within a window.
+
+    Attributes
+    ----------
+    offset_sigma : float
+        m; of the mean height.
+    sigma, length : float
+        m; of terrain, Matern 3/2.
+    rough_sigma, rough_length : float
+        m; of what only windows that overlap share, and how far that reaches (about half a window).
+    """
+
+    offset_sigma: float
+    sigma: float
+    length: float
+    rough_sigma: float
+    rough_length: float
+
+    def covariance(self, first: Array, second: Array) -> Array:
+        """Covariance (N, M) m^2 of the heights at ground points (N, 3) and (M, 3) m; NaN rows are alone."""
+        from scipy.spatial.distance import cdist
+
+        distance = np.sqrt(3.0) * cdist(np.nan_to_num(first), np.nan_to_num(second))
+        out = np.full(distance.shape, self.offset_sigma**2)
+        for sigma, length in ((self.sigma, self.length), (self.rough_sigma, self.rough_length)):
+            r = distance / length
+            out += sigma**2 * (1.0 + r) * np.exp(-r)
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class FrameNoise:
+    """Errors of matches, in units of the matcher's own sigma.
+
+    Attributes
+    ----------
+    lags : tuple of int
+    gamma : (L, L)
+        Covariance of the errors of one window found at several lags.
+    shared : float
+        Variance that the noise of one image brings, shared by all matches that use the same pixels.
+    relief : ReliefField or None
+        None where heights are known.
+    """
+
+    lags: tuple[int, ...]
+    gamma: Array
+    shared: float
+    relief: ReliefField | None = None
+
+    @classmethod
+    def start(cls, lags: Sequence[int], relief: ReliefField | None = None, scale: float = 1.0) -> FrameNoise:
+        """Two images of equal noise, as the matcher says, times `scale` in sigma."""
+        gamma = scale**2 * (0.5 + 0.5 * np.eye(len(lags)))
+        return cls(tuple(lags), gamma, 0.5 * scale**2, relief)
+
+    def of(self, lags: Sequence[int]) -> Array:
+        """Covariance (K, K) for some lags."""
+        rows = [self.lags.index(lag) for lag in lags]
+        return np.asarray(self.gamma[np.ix_(rows, rows)])
+
+
+def cholesky_factors(covariance_px: Array) -> Array:
+    """Lower Cholesky factors (..., 2, 2) of the matches' covariances."""
+    return np.linalg.cholesky(covariance_px)
+
+
+def scaled(values: Array, factors: Array) -> Array:
+    """`values` (G, K, 2, ...) divided by the Cholesky factors (G, K, 2, 2)."""
+    first = values[:, :, 0] / _like(factors[:, :, 0, 0], values[:, :, 0])
+    second = (values[:, :, 1] - _like(factors[:, :, 1, 0], first) * first) / _like(
+        factors[:, :, 1, 1], values[:, :, 1]
+    )
+    return np.stack([first, second], axis=2)
+
+
+def _like(factor: Array, values: Array) -> Array:
+    """(G, K) given as many trailing axes as `values`."""
+    return factor.reshape(factor.shape + (1,) * (values.ndim - 2))
+
+
+def match_information(star: Star, noise: FrameNoise) -> Array:
+    """Information (G, K, K) of each window's matches together: the inverse of gamma where they are present.
+
+    Robust weights multiply sqrt(w) on either side.
+    """
+    gamma = noise.of([image - star.hub for image in star.images])
+    present = star.present
+    out = np.zeros((*present.shape, present.shape[1]))
+    for pattern in np.unique(present, axis=0):
+        if not pattern.any():
+            continue
+        rows = np.flatnonzero((present == pattern).all(axis=1))
+        seen = np.flatnonzero(pattern)
+        inverse = np.linalg.inv(gamma[np.ix_(seen, seen)])
+        out[np.ix_(rows, seen, seen)] = inverse
+    root = np.sqrt(np.where(present, star.weight, 0.0))
+    return np.asarray(out * root[:, :, None] * root[:, None, :])
+
+
+def learn_noise(stars: Sequence[Star], post_px: Sequence[Array], lags: Sequence[int], before: FrameNoise) -> FrameNoise:
+    """Covariance of errors from residuals that no height can make.
+
+    Parameters
+    ----------
+    stars : sequence of Star
+    post_px : (G, K, 2) each
+        Residuals after the fit, px.
+    lags : sequence of int
+    before : FrameNoise
+        Its values stay where there are too few matches; with its relief, only the part of the residuals
+        across the parallax is used.
+    """
+    index = {lag: k for k, lag in enumerate(lags)}
+    total, count = np.zeros((len(lags), len(lags))), np.zeros((len(lags), len(lags)))
+    spread = _spreads(stars, post_px, lags, before.relief is not None)
+    for star, post in zip(stars, post_px, strict=True):
+        parts = _free_of_height(star, post, before.relief is not None)
+        rows = [index[image - star.hub] for image in star.images]
+        limit = CLIP * spread[rows]
+        for part in parts:
+            good = star.present & np.isfinite(part) & (np.abs(part) <= limit)
+            values = np.where(good, part, 0.0)
+            total[np.ix_(rows, rows)] += values.T @ values
+            count[np.ix_(rows, rows)] += good.T.astype(float) @ good.astype(float)
+    gamma = np.where(count >= MIN_COUNT, total / np.maximum(count, 1.0), before.of(lags))
+    values, vectors = np.linalg.eigh(0.5 * (gamma + gamma.T))
+    gamma = (vectors * np.maximum(values, 0.1 * float(np.diag(gamma).min()))) @ vectors.T
+    shared = float(np.median(gamma[~np.eye(len(lags), dtype=bool)])) if len(lags) > 1 else 0.5 * float(gamma[0, 0])
+    shared = float(np.clip(shared, 0.0, 0.5 * np.diag(gamma).min()))
+    return FrameNoise(tuple(lags), gamma, shared, before.relief)
+
+
+def _spreads(stars: Sequence[Star], post_px: Sequence[Array], lags: Sequence[int], relief: bool) -> Array:
+    """Robust sigma of the scaled errors at each lag."""
+    pools: dict[int, list[Array]] = {lag: [] for lag in lags}
+    for star, post in zip(stars, post_px, strict=True):
+        for part in _free_of_height(star, post, relief):
+            for k, image in enumerate(star.images):
+                good = star.present[:, k] & np.isfinite(part[:, k])
+                pools[image - star.hub].append(np.abs(part[good, k]))
+    medians = [np.concatenate(pool) if pool else np.empty(0) for pool in pools.values()]
+    return np.array([1.4826 * float(np.median(pool)) if len(pool) else 1.0 for pool in medians])
+
+
+def _free_of_height(star: Star, post_px: Array, relief: bool) -> list[Array]:
+    """Scaled residuals (G, K) that heights cannot make: both axes, or the one across the parallax."""
+    factors = cholesky_factors(star.covariance_px)
+    z = scaled(post_px, factors)
+    if not relief:
+        return [z[..., 0], z[..., 1]]
+    along = scaled(np.asarray(star.by_height, dtype=np.float64), factors)
+    length = np.hypot(along[..., 0], along[..., 1])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return [np.asarray((along[..., 0] * z[..., 1] - along[..., 1] * z[..., 0]) / length)]
+
+
+def learn_relief(ground: Array, height: Array, precision: Array, start: ReliefField) -> ReliefField:
+    """Law of the relief by marginal likelihood of single-window heights.
+
+    Parameters
+    ----------
+    ground : (N, 3)
+        m; where the windows look.
+    height : (N,)
+        m; what each window's matches alone say.
+    precision : (N,)
+        1/m^2; of `height`; 0 where a window says nothing.
+    start : ReliefField
+        Its offset stays.
+    """
+    from scipy.linalg import cho_factor, cho_solve
+    from scipy.optimize import minimize
+
+    usable = np.flatnonzero((precision > 0) & np.isfinite(ground).all(axis=1) & np.isfinite(height))
+    if len(usable) < MIN_COUNT:
+        return start
+    usable = usable[np.unique(np.linspace(0, len(usable) - 1, RELIEF_POINTS).astype(int))]
+    points, y, noise = ground[usable], height[usable], 1.0 / precision[usable]
+    extent = float(np.ptp(points, axis=0).max())
+
+    def cost(x: Array) -> float:
+        field = ReliefField(start.offset_sigma, *(float(v) for v in np.exp(x)), start.rough_length)
+        c = field.covariance(points, points) + np.diag(noise)
+        factor, lower = cho_factor(c + 1e-9 * np.trace(c) / len(c) * np.eye(len(c)), lower=True)
+        fit = float(y @ cho_solve((factor, lower), y)) + 2.0 * float(np.log(np.diag(factor)).sum())
+        # outside sensible laws the likelihood is flat; lean on where it is not
+        bounds = np.log([[0.02 * start.sigma, 0.01 * extent, 0.01 * start.sigma], [5 * start.sigma, extent, 5 * start.sigma]])
+        return fit + 1e3 * float((np.maximum(bounds[0] - x, 0.0) ** 2 + np.maximum(x - bounds[1], 0.0) ** 2).sum())
+
+    x0 = np.log([start.sigma, start.length, max(start.rough_sigma, 0.1 * start.sigma)])
+    best = minimize(cost, x0, method="Nelder-Mead", options={"maxfev": 80, "xatol": 0.05, "fatol": 0.5})
+    sigma, length, rough = np.exp(best.x)
+    return ReliefField(start.offset_sigma, float(sigma), float(length), float(rough), start.rough_length)

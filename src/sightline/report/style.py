@@ -1,0 +1,75 @@
+"""How every figure of a report looks: colours, fonts, axes, and how it becomes HTML.
+
+Not here: what is drawn (``motion_figures.py``, ``spectrum_figures.py``, ``match_figures.py``).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+AXES = ("roll", "pitch", "yaw")
+
+#: One colour per axis, in every figure.
+AXIS_COLOURS = ("#2f6ca3", "#c1502e", "#3f8a5a")
+#: What one pixel of each axis means, for the titles of ordinates.
+AXIS_UNITS = ("px", "px", "px at field edge")
+INK, MUTED, RULE = "#24292f", "#6e7781", "#d8dee4"
+#: Frequencies that cannot be seen, and lines that no match sees.
+BLIND = "rgba(214, 158, 46, 0.22)"
+#: Before and after the estimate.
+BEFORE, AFTER = "#9aa4ae", "#2f6ca3"
+FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', Arial, sans-serif"
+
+_AXIS: dict[str, Any] = {
+    "showline": True,
+    "linecolor": RULE,
+    "gridcolor": "#eef1f4",
+    "zeroline": False,
+    "ticks": "outside",
+    "tickcolor": RULE,
+    "ticklen": 4,
+    "title": {"standoff": 8, "font": {"size": 12}},
+}
+
+TEMPLATE = go.layout.Template(
+    layout={
+        "font": {"family": FONT, "size": 12, "color": INK},
+        "paper_bgcolor": "white",
+        "plot_bgcolor": "white",
+        "margin": {"l": 78, "r": 78, "t": 42, "b": 52},
+        "xaxis": _AXIS,
+        "yaxis": _AXIS,
+        "hovermode": "closest",
+        "legend": {"orientation": "h", "x": 0.0, "y": 1.0, "yanchor": "bottom", "xanchor": "left"},
+        "colorway": list(AXIS_COLOURS),
+    }
+)
+
+CONFIG: dict[str, Any] = {
+    "displaylogo": False,
+    "responsive": True,
+    "modeBarButtonsToRemove": ["select2d", "lasso2d", "toImage", "autoScale2d"],
+}
+
+
+def panels(rows: int, height: int, *, gap_px: float = 26.0, **options: Any) -> go.Figure:
+    """An empty figure of `rows` panels, one above the other, `height` px in all; `options` as plotly's."""
+    inner = height - 94.0
+    spacing = gap_px / inner if rows > 1 else 0.0
+    figure = make_subplots(rows=rows, cols=1, vertical_spacing=spacing, **options)
+    figure.update_layout(template=TEMPLATE, height=height)
+    return figure
+
+
+def as_html(figure: go.Figure, name: str) -> str:
+    """The figure as a piece of HTML named `name`; the page brings the drawing library."""
+    return str(figure.to_html(full_html=False, include_plotlyjs=False, config=CONFIG, div_id=name))
+
+
+def faint(colour: str, opacity: float) -> str:
+    """A ``#rrggbb`` colour made translucent."""
+    red, green, blue = (int(colour[k : k + 2], 16) for k in (1, 3, 5))
+    return f"rgba({red}, {green}, {blue}, {opacity})"

@@ -1,0 +1,144 @@
+"""What a simulated pushbroom strip is made of, and what each named case changes of it.
+
+Strips are drawn from their options in ``scenarios.py``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from sightline.errors import InputError
+from sightline.simulate.texture import Array
+
+
+@dataclass(frozen=True)
+class StripOptions:
+    """What a strip is made of; the defaults are S1's reference scene, case ``nominal``.
+
+    Parameters
+    ----------
+    lines, columns : int
+        Of every band.
+    altitude, ground_speed : float
+        m, m/s: straight and level over a flat Earth, flying north.
+    ifov : float
+        rad per pixel.
+    line_period : float
+        s
+    names : tuple of str
+    lags : tuple of float
+        s after the first band at which a band sees the same ground: ``tan(look_ahead) = -V lag / H``, so
+        the first band looks straight down and sees the ground first, the others look behind.
+    gains, gammas : tuple of float
+        Of each band.
+    coherence : float
+        Amplitude correlation of the textures of any two bands.
+    snr, contrast, mtf_nyquist : float
+        Mean over noise; standard deviation over mean of the ground; system MTF at Nyquist.
+    offset_sigma_px, rotation_sigma : float
+        px and rad, sizes of the unknown offsets and rotations of the bands (true values are drawn).
+    motion : str
+        "nominal" (drift, broadband, tones), "curve" (measured), "other-family" (measured curve, chirp,
+        step), "real" (measured curve, tones of 40-120 Hz), "ck" (C kernel of MRO), "isd" (attitudes of a
+        line-scan model), "none".
+    relief : str
+        "none", "spectrum" or "srtm".
+    relief_rms : float
+        m, for "spectrum".
+    ground : str
+        "spectrum" or "landsat" (four real bands, mirrored at their edges, one image pixel per pixel).
+    cloud_cover : float
+        Share of the strip under scattered clouds.
+    cloud_banks : tuple of (int, int)
+        First line (of the first band, nominally) and number of lines wholly under a flat white bank.
+    blank : tuple of (int, int)
+        First line and number of lines of ground without any texture.
+    """
+
+    lines: int = 3000
+    columns: int = 1000
+    altitude: float = 680e3
+    ground_speed: float = 6800.0
+    ifov: float = 5e-6
+    line_period: float = 5e-4
+    names: tuple[str, ...] = ("PAN", "B1", "B0", "B2")
+    lags: tuple[float, ...] = (0.0, 0.1500, 0.1574, 0.1722)
+    gains: tuple[float, ...] = (1.0, 0.85, 0.9, 0.8)
+    gammas: tuple[float, ...] = (1.0, 0.9, 1.0, 0.8)
+    coherence: float = 0.97
+    snr: float = 120.0
+    contrast: float = 0.2
+    mtf_nyquist: float = 0.15
+    offset_sigma_px: float = 1.0
+    rotation_sigma: float = 3e-4
+    motion: str = "nominal"
+    relief: str = "none"
+    relief_rms: float = 300.0
+    ground: str = "spectrum"
+    cloud_cover: float = 0.0
+    cloud_banks: tuple[tuple[int, int], ...] = ()
+    blank: tuple[tuple[int, int], ...] = ()
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be rendered."""
+        if self.lines < 16 or self.columns < 16:
+            raise InputError(
+                f"the strip is too small: {self.lines} lines x {self.columns} columns; at least 16 x 16"
+            )
+        lengths = {len(self.names), len(self.lags), len(self.gains), len(self.gammas)}
+        if len(lengths) != 1 or min(lengths) < 1:
+            raise InputError(
+                "`names`, `lags`, `gains` and `gammas` must have one entry per band, got lengths "
+                f"{len(self.names)}, {len(self.lags)}, {len(self.gains)}, {len(self.gammas)}"
+            )
+
+    @property
+    def gsd(self) -> tuple[float, float]:
+        """m of one pixel across (x) and along (y) track, at the nadir of the plane z = 0."""
+        return self.altitude * self.ifov, self.ground_speed * self.line_period
+
+    @property
+    def duration(self) -> float:
+        """s from the first line to the last."""
+        return (self.lines - 1) * self.line_period
+
+    @property
+    def half_field_px(self) -> float:
+        """px from the middle of a line to its end: what turns yaw into pixels at the field's edge."""
+        return 0.5 * (self.columns - 1)
+
+    @property
+    def rad_per_px(self) -> Array:
+        """(3,) rad of one pixel of roll, of pitch, and of yaw at the edge of the field."""
+        return np.array([self.ifov, self.ifov, 1.0 / self.half_field_px])
+
+    @property
+    def look_ahead(self) -> tuple[float, ...]:
+        """rad, viewing angle of each band, forward positive."""
+        return tuple(-float(np.arctan(self.ground_speed * lag / self.altitude)) + 0.0 for lag in self.lags)
+
+
+CASE_OPTIONS: dict[str, dict[str, Any]] = {
+    "nominal": {},
+    "relief": {"relief": "spectrum"},
+    "clouds": {"cloud_cover": 0.25, "cloud_banks": ((1400, 100),), "blank": ((600, 60),)},
+    "hard": {"relief": "spectrum", "snr": 40.0, "coherence": 0.9, "cloud_cover": 0.15},
+    "real": {
+        "lines": 2400,
+        "columns": 640,
+        "relief": "srtm",
+        "ground": "landsat",
+        "motion": "real",
+        "names": ("NIR", "RED", "GREEN", "BLUE"),
+        "gains": (1.0, 1.0, 1.0, 1.0),
+        "gammas": (1.0, 1.0, 1.0, 1.0),
+    },
+    "other-family": {"motion": "other-family"},
+}
+"""What each case changes."""
+
+CASES = tuple(CASE_OPTIONS)
+"""Names of the cases."""

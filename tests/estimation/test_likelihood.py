@@ -1,0 +1,140 @@
+"""Spectra found blind: tones in their place, sizes and noise near the truth, nothing where nothing is."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sightline.errors import InputError
+from sightline.estimation.evidence import posterior
+from sightline.estimation.likelihood import default_step, fit_spectrum
+from sightline.estimation.prior import Matern, Spectrum, Tone
+from sightline.estimation.series import DifferenceSeries, Grid, normal_equations
+
+STEP, N = 1e-3, 1000
+LAGS = (86, 22, 7, 15)
+TRUE = Spectrum((Matern(2.0, 1.0, "5/2"), Matern(0.1, 0.005), Tone(0.3, 47.0, 0.8)))
+
+
+def measured(
+    x: np.ndarray, sigma: float, every: int = 5, claimed: float | None = None
+) -> list[DifferenceSeries]:
+    """Four pairs of a motion on the 1 ms grid, noise `sigma`, said to be `claimed`."""
+    rng = np.random.default_rng(11)
+    said = sigma if claimed is None else claimed
+    out = []
+    for lag in LAGS:
+        k = np.arange(0, N - lag, every)
+        values = x[k + lag] - x[k] + sigma * rng.normal(size=len(k))
+        out.append(DifferenceSeries(k * STEP, np.full(len(k), lag * STEP), values, np.full(len(k), said**2)))
+    return out
+
+
+@pytest.fixture(scope="module")
+def motion(dense) -> np.ndarray:  # type: ignore[no-untyped-def]
+    return dense.draw(np.random.default_rng(4), N)
+
+
+@pytest.fixture(scope="module")
+def series(motion: np.ndarray) -> list[DifferenceSeries]:
+    return measured(motion, 0.03)
+
+
+@pytest.fixture(scope="module")
+def fitted(series: list[DifferenceSeries]):  # type: ignore[no-untyped-def]
+    return fit_spectrum(series)
+
+
+def test_a_tone_is_found_blind_at_its_frequency(fitted) -> None:  # type: ignore[no-untyped-def]
+    # One period per strip is 1 Hz; the tone wanders by its own 0.8 Hz.
+    assert len(fitted.spectrum.tones) == 1
+    tone = fitted.spectrum.tones[0]
+    assert tone.frequency == pytest.approx(47.0, abs=1.0)
+    assert 0.1 < tone.sigma < 0.9  # one or two coherence times only: the sample's size, not the process's
+    assert fitted.significance[0] > 20.0
+
+
+def test_the_noise_is_told_from_the_motion(fitted) -> None:  # type: ignore[no-untyped-def]
+    # ~770 measurements: the variance's own sigma is sqrt(2 / 770) = 5 %; half are spent on the motion.
+    assert fitted.noise_scale == pytest.approx(1.0, abs=0.25)
+
+
+def test_wrong_claimed_variances_are_corrected(motion: np.ndarray) -> None:
+    found = fit_spectrum(measured(motion, 0.03, claimed=0.02), max_tones=2)
+    assert found.noise_scale == pytest.approx(2.25, rel=0.25)
+    assert fit_spectrum(measured(motion, 0.03), max_tones=0, fit_noise=False).noise_scale == 1.0
+
+
+def test_the_smoother_is_as_good_with_what_was_found_as_with_the_truth(
+    motion: np.ndarray,
+    series: list[DifferenceSeries],
+    fitted,  # type: ignore[no-untyped-def]
+) -> None:
+    equations = normal_equations(series, Grid(0.0, STEP, N))
+
+    def rms(spectrum: Spectrum, noise: float) -> float:
+        error = posterior(equations, spectrum.autoregressive(STEP, 60, N), noise_scale=noise).mean - motion
+        return float(np.std(error))
+
+    # The target over many series is 1.03; one series of 1 s may scatter by twice that.
+    assert rms(fitted.spectrum, fitted.noise_scale) < 1.06 * rms(TRUE, 1.0)
+
+
+def test_a_tone_above_the_sampling_nyquist_is_found_where_it_is() -> None:
+    # Sampled every 5 ms a tone at 121 Hz folds onto 79 Hz; lags that are no multiples of the sampling
+    # step tell them apart.
+    t = np.arange(N) * STEP
+    rng = np.random.default_rng(6)
+    x = 0.5 * np.sin(3.0 * t) + 0.12 * np.sin(2.0 * np.pi * 121.0 * t + 1.0) + 0.01 * rng.normal(size=N)
+    found = fit_spectrum(measured(x, 0.02))
+    assert [round(tone.frequency) for tone in found.spectrum.tones] == [121]
+
+
+def test_pure_noise_has_no_tone_and_little_motion() -> None:
+    found = fit_spectrum(measured(np.zeros(N), 0.03))
+    assert found.spectrum.tones == ()
+    assert found.noise_scale == pytest.approx(1.0, abs=0.2)
+
+
+def test_the_unit_does_not_matter(series: list[DifferenceSeries], fitted) -> None:  # type: ignore[no-untyped-def]
+    small = [DifferenceSeries(s.t, s.lag, 5e-6 * s.values, 25e-12 * s.variance) for s in series]
+    found = fit_spectrum(small)
+    assert found.spectrum.sigma == pytest.approx(5e-6 * fitted.spectrum.sigma, rel=1e-3)
+    assert found.spectrum.tones[0].frequency == pytest.approx(fitted.spectrum.tones[0].frequency, abs=1e-3)
+
+
+def test_the_search_never_ends_worse_than_it_started(series: list[DifferenceSeries], fitted) -> None:  # type: ignore[no-untyped-def]
+    again = fit_spectrum(series, start=fitted.spectrum, max_tones=0, iterations=3)
+    assert again.deviance <= fitted.deviance + 0.5
+
+
+def test_a_long_strip_is_fitted_on_a_coarser_grid() -> None:
+    t = np.arange(0.0, 60.0, 2e-3)
+    y = np.random.default_rng(0).normal(size=len(t))
+    long = DifferenceSeries(t, np.full(len(t), 0.05), y, np.ones(len(t)))
+    assert default_step([long]) == pytest.approx(2e-3)
+    found = fit_spectrum([long], max_tones=0, iterations=1)
+    assert 2e-3 < found.step <= 6e-3
+
+
+def test_the_default_step_follows_the_shortest_lag_within_the_sampling() -> None:
+    t = np.arange(0.0, 1.0, 5e-3)
+
+    def pair(lag: float) -> DifferenceSeries:
+        return DifferenceSeries(t, np.full(len(t), lag), t, np.ones(len(t)))
+
+    assert default_step([pair(0.172), pair(0.007)]) == pytest.approx(1e-3)
+    assert default_step([pair(0.172)]) == pytest.approx(5e-3)
+    assert default_step([pair(0.0035)]) == pytest.approx(1e-3)
+
+
+def test_bad_input_is_named() -> None:
+    t = np.arange(3.0)
+    with pytest.raises(InputError, match="no series holds a finite measurement"):
+        fit_spectrum([DifferenceSeries(t, t + 1.0, t * np.nan, t + 1.0)])
+    one = DifferenceSeries(t[:1], np.ones(1), np.ones(1), np.ones(1))
+    with pytest.raises(InputError, match="fewer than two measurement times"):
+        default_step([one])
+    good = DifferenceSeries(t, t + 1.0, t, t + 1.0)
+    with pytest.raises(InputError, match="two Matern components"):
+        fit_spectrum([good], start=Spectrum((Tone(1.0, 1.0, 1.0),)))
