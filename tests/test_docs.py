@@ -64,6 +64,16 @@ def test_every_key_of_the_acquisition_file_is_described():
     assert not undescribed
 
 
+def test_every_key_of_the_summary_is_described():
+    tree = ast.parse((ROOT / "src" / "sightline" / "io" / "results.py").read_text(encoding="utf-8"))
+    function = next(node for node in tree.body if getattr(node, "name", "") == "summarize")
+    returned = next(node.value for node in ast.walk(function) if isinstance(node, ast.Return))
+    keys = [ast.literal_eval(key) for key in returned.keys]
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    part = text[text.index("### `summary.json`") : text.index("## Written by `simulate`")]
+    assert keys and not [key for key in keys if f"`{key}`" not in part]
+
+
 def test_the_readme_lists_every_command():
     from typer.main import get_command
 

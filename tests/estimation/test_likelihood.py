@@ -136,5 +136,5 @@ def test_bad_input_is_named() -> None:
     with pytest.raises(InputError, match="fewer than two measurement times"):
         default_step([one])
     good = DifferenceSeries(t, t + 1.0, t, t + 1.0)
-    with pytest.raises(InputError, match="two Matern components"):
+    with pytest.raises(InputError, match="`start` needs a Matern component"):
         fit_spectrum([good], start=Spectrum((Tone(1.0, 1.0, 1.0),)))

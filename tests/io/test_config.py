@@ -121,3 +121,31 @@ def test_the_json_schema_describes_every_table_and_can_be_printed():
 def test_a_schema_that_does_not_exist_lists_those_that_do():
     with pytest.raises(FormatError, match=r"no schema is called 'aquisition'; did you mean acquisition\?"):
         json_schema("aquisition")
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            "[camera]\nfocal_length_px = 1000.0\n",
+            "[camera] focal_length_px describes frames, but [[band]] is given",
+        ),
+        (
+            '[camera]\nmount = "nominal"\nbody_from_camera = [0, 0, 0, 1]\n',
+            "mount and body_from_camera are both given",
+        ),
+        ('[world]\nframe = "earth-fixed"\n', 'kind = "level-flight" has axes of its own'),
+        ('[surface]\nkind = "infinity"\ndem = "d.tif"\n', 'kind = "infinity" takes no dem'),
+    ],
+)
+def test_what_would_be_ignored_is_refused(folder, text, words):
+    assert words in message(folder.add(text))
+
+
+def test_choices_of_matching_are_those_of_the_recovery(folder):
+    from sightline.applications.line_of_sight import RecoverOptions
+
+    folder.add("[matching]\nwindow = [6, 80]\nstep = 3\nsearch_px = [20, 12]\n")
+    options = RecoverOptions(**load_acquisition(folder.write()).matching)
+    assert (options.window, options.step, options.search_px) == ((6, 80), 3, (20, 12))
+    assert options.first_window == RecoverOptions().first_window

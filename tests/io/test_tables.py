@@ -80,10 +80,11 @@ def test_a_spectrum_says_where_it_was_observed(tmp_path):
         tmp_path / "s.csv",
         np.array([1.0, 2.0]),
         np.full((2, 3), 1e-14),
+        np.full((2, 3), 1e-16),
         np.array([[1, 0, 1], [1, 1, 0]], bool),
     )
     rows = (tmp_path / "s.csv").read_text().splitlines()
-    assert rows[0].startswith("frequency,psd_roll,") and rows[1] == "1,1e-14,1e-14,1e-14,1,0,1"
+    assert rows[0].startswith("frequency,psd_roll,") and rows[1] == "1,1e-14,1e-14,1e-14,1e-16,1e-16,1e-16,1,0,1"
 
 
 def test_a_missing_column_is_named_with_the_header_expected(tmp_path):

@@ -28,10 +28,11 @@ def recover(
         return
     for warning in summary["warnings"]:
         complain("warning", warning)
-    for axis in ("roll", "pitch", "yaw"):
-        motion, sigma = 1e6 * summary["rms_motion"][axis], 1e6 * summary["rms_sigma"][axis]
-        say(f"{axis:5}  {motion:10.4f} urad rms, sigma {sigma:.4f} urad")
-    say(f"wrote {out / 'motion.csv'} and what else docs/formats.md names")
+    for axis, unit in (("roll", "px"), ("pitch", "px"), ("yaw", "px at the field's edge")):
+        motion, sigma = summary["rms_motion_px"][axis], summary["rms_sigma_px"][axis]
+        say(f"{axis:5}  moved {motion:.4f} {unit} rms, known to {sigma:.4f} px (1-sigma)")
+    matches = summary["matches"]
+    say(f"from {matches['kept']} of {matches['tried']} windows; {out / 'motion.csv'}, {out / 'report.html'}")
 
 
 def recover_into(folder: Path, acquisition: Path, report: Progress) -> dict[str, Any]:
@@ -41,6 +42,7 @@ def recover_into(folder: Path, acquisition: Path, report: Progress) -> dict[str,
     from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
     from sightline.io.acquisition import load_acquisition
     from sightline.io.results import write_result
+    from sightline.report.page import write_report
 
     begin = time.perf_counter()
     report("reading the acquisition")
@@ -52,5 +54,7 @@ def recover_into(folder: Path, acquisition: Path, report: Progress) -> dict[str,
         options=RecoverOptions(**acquired.matching),
         progress=report,
     )
-    report("writing the result")
-    return write_result(folder, result, acquired, wall_seconds=time.perf_counter() - begin)
+    report("writing the result and its report")
+    summary = write_result(folder, result, acquired, wall_seconds=time.perf_counter() - begin)
+    write_report(folder / "report.html", result, acquired, summary)
+    return summary

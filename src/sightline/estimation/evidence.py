@@ -96,8 +96,12 @@ class Posterior:
     @cached_property
     def moments(self) -> Moments:
         """Second moments of the motion that the evidence's gradient needs; for a plain prior only."""
-        p = len(self.prior_band) - 1
-        return _moments(self.mean, self.covariance_band(p), p)
+        return _moments(self.mean, self._near_covariance, len(self.prior_band) - 1)
+
+    @cached_property
+    def _near_covariance(self) -> Array:
+        """Covariance of all unknowns as far from the diagonal as the prior's precision reaches."""
+        return self.factor.covariance_band(len(self.prior_band) - 1)
 
     @property
     def deviance_by_noise_scale(self) -> float:
@@ -108,7 +112,7 @@ class Posterior:
         )
         residual = e.misfit - 2.0 * float(e.rhs @ self.mean + e.rhs_border @ self.offsets) + fit
         # trace(N Z) of data and covariance, from trace((prior + N / s) Z) = number of unknowns
-        covariance = self.factor.covariance_band(len(self.prior_band) - 1)
+        covariance = self._near_covariance
         prior_trace = 2.0 * float(np.sum(self.prior_band * covariance))
         prior_trace -= float(self.prior_band[0] @ covariance[0])
         unknowns = self.factor.n + len(self.offsets)

@@ -29,7 +29,7 @@ def error_psd(result: LineOfSight, frequency: ArrayLike, seen: Observed | None =
     -----
     Measurements of error density N, of a motion of density S, leave the smoothed estimate the error density
     ``1 / (1/S + 1/N)`` (the error of a Wiener smoother): N where the motion is seen well, S where it is not.
-    N is T times the variance of a steady tone's amplitude over the strip's duration T (``observed.py``); it is
+    N is T times the variance of a steady tone's amplitude over the strip's duration T (``observed.py``),
     infinite at blind frequencies. Without a prior the error is N alone.
     """
     f = np.asarray(frequency, dtype=np.float64)

@@ -178,6 +178,8 @@ class CameraSection(Section):
 
     @model_validator(mode="after")
     def _sigma_needs_a_number(self) -> CameraSection:
+        if self.body_from_camera is not None and "mount" in self.model_fields_set:
+            raise ValueError("mount and body_from_camera are both given; keep one of them")
         for key in ("focal_length", "principal_point"):
             if getattr(self, f"{key}_px") == "estimate" and getattr(self, f"{key}_sigma_px") > 0.0:
                 raise ValueError(
@@ -215,6 +217,8 @@ class SurfaceSection(Section):
 
     @model_validator(mode="after")
     def _datum_is_complete(self) -> SurfaceSection:
+        if self.kind == "infinity" and self.dem is not None:
+            raise ValueError('kind = "infinity" takes no dem; remove one of the two')
         if self.datum == "geoid" and self.geoid is None:
             raise ValueError('datum = "geoid" needs geoid = a raster of geoid heights, or a number in metres')
         if self.datum == "ellipsoid" and self.geoid is not None:
@@ -303,6 +307,22 @@ class AcquisitionFile(Section):
     control_point: list[ControlPointSection] = []
     matching: MatchingSection = MatchingSection()
 
+    def _refuse_what_would_be_ignored(self) -> None:
+        """Keys that belong to the other kind of instrument or world."""
+        lens = sorted(self.camera.model_fields_set - {"mount", "body_from_camera"})
+        if self.band and lens:
+            raise ValueError(f"[camera] {lens[0]} describes frames, but [[band]] is given; remove it")
+        line = sorted(self.instrument.model_fields_set)
+        if self.frame and line:
+            raise ValueError(
+                f"[instrument] {line[0]} describes detector lines, but [[frame]] is given; remove it"
+            )
+        if isinstance(self.platform, LevelFlight) and (self.world.frame != "local" or self.world.origin):
+            if self.world.model_fields_set:
+                raise ValueError(
+                    '[world] is given, but kind = "level-flight" has axes of its own; remove [world]'
+                )
+
     @model_validator(mode="after")
     def _images_are_enough(self) -> AcquisitionFile:
         if self.band and self.frame:
@@ -316,6 +336,7 @@ class AcquisitionFile(Section):
                 f"{count} [[{table}]] given; motion is seen between two or more images of the same ground: "
                 f"add a [[{table}]]"
             )
+        self._refuse_what_would_be_ignored()
         names = [item.name for item in self.band]
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:

@@ -177,6 +177,7 @@ def write_photo_acquisition(
         'frame = "lonlat"',
         "[camera]",
         'focal_length_px = "estimate"',
+        'principal_point_px = "estimate"',
         'distortion = "estimate"',
     ]
     if body_from_camera is not None:

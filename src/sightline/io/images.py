@@ -32,6 +32,10 @@ SATURATED_SHARE = 0.5
 EMPTY_SHARE = 0.9
 
 
+# Filters of warnings belong to the process: only one thread at a time may change them.
+_OPENING = threading.Lock()
+
+
 @contextmanager
 def raster_errors(path: Path) -> Iterator[None]:
     """Turn what the raster library raises into a FormatError that names the file."""
@@ -125,7 +129,7 @@ class RasterImage:
             from rasterio.errors import NotGeoreferencedWarning
 
             os.environ.setdefault("GDAL_CACHEMAX", str(CACHE_MIB))
-            with raster_errors(self.path), warnings.catch_warnings():
+            with _OPENING, raster_errors(self.path), warnings.catch_warnings():
                 warnings.simplefilter("ignore", NotGeoreferencedWarning)
                 dataset = rasterio.open(self.path)
             self._local.dataset = dataset

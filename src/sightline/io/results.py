@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.results import LineOfSight
+from sightline.evaluation.error_spectrum import error_psd
 from sightline.evaluation.observed import observed
 from sightline.evaluation.score import remove_directions
 from sightline.geometry.camera import PushbroomCamera
@@ -37,6 +38,8 @@ Array = NDArray[np.float64]
 
 #: The highest frequency spoken of, in units of the line rate: windows of some lines cut beyond.
 HIGHEST_FREQUENCY = 0.25
+#: Names of the world axes in CCSDS messages.
+AEM_FRAMES = {"earth-fixed": "ITRF", "local": "LOCAL_ENU"}
 #: Frequencies at which visibility is evaluated for the ends of the passbands.
 _FREQUENCIES = 20_001
 
@@ -66,13 +69,10 @@ def write_result(
     write_motion(folder / "motion.csv", table)
     attitude = refined_attitude(result, acquisition)
     write_attitudes(folder / "attitude.csv", motion.t, attitude)
-    if acquisition.epoch is not None and acquisition.world == "earth-fixed":
+    if acquisition.epoch is not None:
+        frame, name = AEM_FRAMES[acquisition.world], acquisition.name.upper()
         write_aem(
-            folder / "attitude.aem",
-            motion.t,
-            attitude,
-            acquisition.epoch,
-            object_name=acquisition.name.upper(),
+            folder / "attitude.aem", motion.t, attitude, acquisition.epoch, object_name=name, frame=frame
         )
     summary = summarize(result, acquisition, wall_seconds=wall_seconds)
     if result.hidden.shape[2]:
@@ -129,12 +129,18 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "lines": len(result.motion.t),
         "ifov": result.ifov,
         "half_field_px": acquisition.half_field_px,
+        "half_field": result.half_field,
+        "reference_image": result.image_names[0],
         "highest_frequency": upper,
         "passbands": dict(zip(ANGLES, seen.passbands, strict=True)),
         "blind_frequencies": {_name(result.image_names, pair): list(f) for pair, f in seen.blind.items()},
         "tones": {axis: [tone for tone in tones if tone["axis"] == axis] for axis in ANGLES},
         "rms_motion": _per_axis(np.sqrt((visible**2).mean(axis=0))),
+        "rms_motion_px": _per_axis(np.sqrt((in_px**2).mean(axis=0))),
         "rms_sigma": _per_axis(np.sqrt((result.sigma**2).mean(axis=0))),
+        "rms_sigma_px": _per_axis(np.sqrt((result.sigma**2).mean(axis=0)) / result.scale),
+        "median_sigma_px": _per_axis(np.median(result.sigma, axis=0) / result.scale),
+        "max_sigma_px": _per_axis(result.sigma.max(axis=0) / result.scale),
         "observed_share": float(np.mean(result.observed)),
         "residual_rms_px": _rms(result.after_px),
         "residual_rms_before_px": _rms(result.before_px),
@@ -187,13 +193,14 @@ def _pair(result: LineOfSight, index: int) -> dict[str, Any]:
 
 
 def _write_spectrum(path: Path, result: LineOfSight, bands: Mapping[str, Passbands]) -> None:
-    """``spectrum.csv``: PSD of the motion, and whether each frequency lies in a passband of its axis."""
+    """``spectrum.csv``: PSD of the motion and of its error, and where the passbands are."""
     found = spectrum(result.motion)
-    observed = np.zeros(found.psd.shape, dtype=bool)
+    error = error_psd(result, found.frequency)
+    seen = np.zeros(found.psd.shape, dtype=bool)
     for axis, name in enumerate(ANGLES):
         for low, high in bands[name]:
-            observed[:, axis] |= (found.frequency >= low) & (found.frequency <= high)
-    write_spectrum(path, found.frequency, found.psd, observed)
+            seen[:, axis] |= (found.frequency >= low) & (found.frequency <= high)
+    write_spectrum(path, found.frequency, found.psd, error, seen)
 
 
 def _write_covariance(path: Path, result: LineOfSight) -> None:

@@ -37,7 +37,7 @@ MOTION = (
     *(f"sigma_absolute_{axis}" for axis in ANGLES),
     "observed",
 )
-SPECTRUM = ("frequency", *(f"psd_{axis}" for axis in ANGLES), *(f"observed_{axis}" for axis in ANGLES))
+SPECTRUM = ("frequency", *(f"{kind}_{axis}" for kind in ("psd", "error", "observed") for axis in ANGLES))
 
 #: A quaternion whose length differs from 1 by more than this is a mistake, not rounding.
 QUATERNION_TOLERANCE = 1e-3
@@ -367,7 +367,9 @@ def write_attitudes(path: Path, t: Array, quat_xyzw: Array) -> None:
     )
 
 
-def write_spectrum(path: Path, frequency: Array, psd: Array, observed: NDArray[np.bool_]) -> None:
-    """``spectrum.csv``: one-sided PSD (F, 3) rad^2/Hz per axis, and where the data saw it (F, 3)."""
-    values = [frequency, *psd.T, *np.asarray(observed, dtype=bool).T]
+def write_spectrum(
+    path: Path, frequency: Array, psd: Array, error: Array, observed: NDArray[np.bool_]
+) -> None:
+    """``spectrum.csv``: one-sided PSD (F, 3) rad^2/Hz per axis, that of its error, and where it was seen."""
+    values = [frequency, *psd.T, *error.T, *np.asarray(observed, dtype=bool).T]
     write_columns(path, dict(zip(SPECTRUM, values, strict=True)))

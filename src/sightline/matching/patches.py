@@ -80,10 +80,10 @@ def column_parts(linear: NDArray[np.float64], size: tuple[int, int]) -> NDArray[
     has to be warped pixel by pixel.
     """
     h, w = size
-    across = np.abs(linear[:, :, 1]).max(axis=1) * (w + 6)
+    across = np.abs(linear[:, :, 1]).max(axis=1) * (w + 2 * kernels.HALO)
     parts = np.maximum(np.ceil(across / 0.04), 1).astype(np.int64)
     along = np.abs(linear[:, :, 0]).max(axis=1) * h
-    return np.where((along > 0.1) | (parts > (w + 6) // 8), 0, parts)
+    return np.where((along > 0.1) | (parts > (w + 2 * kernels.HALO) // 8), 0, parts)
 
 
 def group_windows(

@@ -66,6 +66,14 @@ class AngleDifferences:
             )
         if (np.diff(t) < 0.0).any():
             raise InputError("`t` of AngleDifferences must not decrease; sort the differences by time")
+        if not (np.isfinite(self.window) and self.window >= 0.0):
+            raise InputError(f"`window` must be a time of 0 s or more, got {self.window}")
+        if self.patch is not None:
+            patch = np.array(self.patch, dtype=np.intp)
+            if patch.shape != t.shape:
+                raise InputError(f"`patch` must hold one number per difference, {t.shape}, got {patch.shape}")
+            patch.setflags(write=False)
+            object.__setattr__(self, "patch", patch)
         for name, value in (("t", t), ("lag", lag), ("angles", angles), ("covariance", covariance)):
             object.__setattr__(self, name, value)
 

@@ -4,7 +4,7 @@ Every frame is the hub of its neighbours at given lags. A partner is laid on the
 first (present cameras), so that large changes of view do not trouble the matcher. What is kept is
 where each window was found, whatever the cameras: it can be linearised again and again.
 
-Not here: the first guess (``frame_start.py``), the estimate (``frames.py``).
+Not here: the first guess (``frame_start.py``), sensitivities (``frame_linear.py``), the estimate (``frames.py``).
 """
 
 from __future__ import annotations
@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.surface import Surface
-from sightline.imaging.source import ImageSource
+from sightline.imaging.source import ArrayImage, ImageSource
 from sightline.matching import matches as codes
 from sightline.matching.match_images import match_images
-from sightline.motion.observations import Star, shared_image_correlation
-from sightline.motion.predict import StaticParameter, predict_match, sensitivities
 from sightline.motion.stars import laid_on, pair_whitening
-from sightline.motion.windows import WindowGrid, exposure_times, field_positions, predict_windows, window_grid
+from sightline.motion.windows import WindowGrid, predict_windows, window_grid
 
 Array = NDArray[np.float64]
 
@@ -157,7 +155,9 @@ def match_hub(
         inside = np.isfinite(prediction.b).all(axis=1)
         if inside.sum() < MIN_WINDOWS:
             continue
-        laid = laid_on(images, cameras, surface, hub, partner)
+        # the whole frame at once: windows overlap, and a frame fits in memory
+        lines, columns = images[hub].shape
+        laid = ArrayImage(laid_on(images, cameras, surface, hub, partner).read((0, lines), (0, columns)))
         found = match_images(
             images[hub],
             laid,
@@ -189,48 +189,4 @@ def match_hub(
         np.stack(statuses, axis=1),
         np.stack(scores, axis=1),
         np.ones((g, len(kept))),
-    )
-
-
-def linearised(
-    star: FrameStar, cameras: Sequence[FrameCamera], surface: Surface, statics: Sequence[StaticParameter]
-) -> Star:
-    """Residuals and sensitivities of a star about given cameras."""
-    g, k, q = len(star.pixels), len(star.images), len(statics)
-    residual = np.full((g, k, 2), np.nan)
-    by_hub, by_partner = np.zeros((g, k, 2, 3)), np.zeros((g, k, 2, 3))
-    by_static, by_height = np.zeros((g, k, 2, q)), np.zeros((g, k, 2))
-    for j, partner in enumerate(star.images):
-        there = np.isfinite(star.measured[:, j, 0])
-        pixels = star.pixels[there]
-        found = sensitivities(cameras, star.hub, partner, surface, pixels, statics)
-        by_hub[there, j], by_partner[there, j] = found.angles_a, found.angles_b
-        by_static[there, j], by_height[there, j] = found.statics, found.height
-        predicted = predict_match(cameras[star.hub], cameras[partner], surface, pixels)
-        residual[there, j] = star.measured[there, j] - predicted
-    usable = np.isfinite(residual).all(axis=2)
-    for values in (by_hub, by_partner, by_static):
-        usable &= np.isfinite(values).all(axis=(2, 3))
-    usable &= np.isfinite(by_height).all(axis=2)
-    residual[~usable] = np.nan
-    for array in (by_hub, by_partner, by_static, by_height):
-        array[~usable] = 0.0
-    times = np.stack([np.full(g, cameras[j].t) for j in star.images], axis=1)
-    return Star(
-        hub=star.hub,
-        images=star.images,
-        shape=star.shape,
-        pixels=star.pixels,
-        t_hub=exposure_times(cameras[star.hub], star.pixels),
-        t=times,
-        duration=0.0,
-        residual_px=residual,
-        covariance_px=star.covariance_px,
-        by_hub=by_hub.astype(np.float32),
-        by_partner=by_partner.astype(np.float32),
-        by_static=by_static.astype(np.float32),
-        by_height=by_height.astype(np.float32),
-        field=field_positions(star.pixels[:, 1], cameras[star.hub].shape[1]),
-        correlation=shared_image_correlation(k),
-        weight=np.where(np.isfinite(residual[..., 0]), star.weight, 0.0),
     )

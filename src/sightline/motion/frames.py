@@ -19,7 +19,9 @@ from sightline.errors import EstimationError
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
-from sightline.motion.frame_matches import FrameStar, linearised
+from sightline.motion.frame_errors import Influence, neighbour_covariance
+from sightline.motion.frame_linear import linearise_frames
+from sightline.motion.frame_matches import FrameStar
 from sightline.motion.frame_noise import FrameNoise, cholesky_factors, match_information, scaled
 from sightline.motion.lens_field import LensField
 from sightline.motion.observations import Star
@@ -101,12 +103,17 @@ class FrameUnknowns:
                 out[:, k, axis, axis] = difference
         return out.reshape(*star.measured.shape, -1)
 
-    def linearised(self, star: FrameStar, cameras: Sequence[FrameCamera], surface: Surface, x: Array) -> Star:
-        """A star about `cameras` (which are those of `x`), its lens field taken out of the residuals."""
-        line = linearised(star, cameras, surface, self.statics)
+    def linearised(
+        self, stars: Sequence[FrameStar], cameras: Sequence[FrameCamera], surface: Surface, x: Array
+    ) -> list[Star]:
+        """All stars about `cameras` (which are those of `x`), the lens field taken out of the residuals."""
+        lines = linearise_frames(stars, cameras, surface, self.statics)
         if self.field is None:
-            return line
-        return replace(line, residual_px=line.residual_px - self.field_design(star) @ x[self.lens :])
+            return lines
+        return [
+            replace(line, residual_px=line.residual_px - self.field_design(star) @ x[self.lens :])
+            for star, line in zip(stars, lines, strict=True)
+        ]
 
     def cameras(self, x: Array) -> list[FrameCamera]:
         """The cameras with every unknown `x` (P,) away from nominal."""
@@ -172,8 +179,10 @@ class FrameEstimate:
     noise : FrameNoise
     ground : (sum of G, 3)
         m; where the windows look.
-    influence : dict
-        Of image noise and relief upon x (see `error_covariance`).
+    influence : Influence
+        Of matches, relief and prior on x.
+    information : (P, P)
+        Of the matches on x, relief taken out.
     """
 
     unknowns: FrameUnknowns
@@ -187,7 +196,8 @@ class FrameEstimate:
     ground: Array
     height_rhs: Array
     height_information: Array
-    influence: _Influence
+    influence: Influence
+    information: Array
 
     @property
     def angles(self) -> Array:
@@ -209,32 +219,6 @@ class FrameEstimate:
         ]
 
 
-@dataclass(frozen=True, eq=False)
-class _Influence:
-    """How image noise and relief move the estimate.
-
-    Attributes
-    ----------
-    places : per image (M, 2)
-        px; windows that use the image, as hub or partner.
-    owners : per image (M,)
-        Number of the window (over all stars) they belong to.
-    gains : per image (M, 2, P)
-        Change of x with unit noise of such a window.
-    window : (lines, columns)
-    relief : (sum of G, P) or None
-        Change of x with a window's height, per m.
-    prior : (P, P)
-        Change of x with the true departure from the prior mean.
-    """
-
-    places: list[Array]
-    gains: list[Array]
-    window: tuple[int, int]
-    relief: Array | None
-    prior: Array
-
-
 def solve_frames(
     stars: Sequence[FrameStar],
     unknowns: FrameUnknowns,
@@ -243,6 +227,7 @@ def solve_frames(
     x: Array | None = None,
     *,
     steps: int = 6,
+    fixed: int | None = None,
 ) -> FrameEstimate:
     """Maximum a posteriori of all unknowns for given matches, by Gauss-Newton.
 
@@ -257,6 +242,8 @@ def solve_frames(
         Where to start; the nominal cameras by default.
     steps : int
         At most so many Gauss-Newton steps.
+    fixed : int, optional
+        Unknowns from this one on stay where `x` puts them, and are taken for true.
 
     Raises
     ------
@@ -269,22 +256,22 @@ def solve_frames(
     prior = unknowns.prior_precision()
     for _ in range(max(steps, 1)):
         cameras = unknowns.cameras(x)
-        lines = [unknowns.linearised(star, cameras, surface, x) for star in stars]
+        lines = unknowns.linearised(stars, cameras, surface, x)
         reduced = _reduce(stars, lines, unknowns, noise)
-        solver = _Solver(reduced, prior, noise, _ground(stars, cameras, surface))
+        solver = _Solver(reduced, prior, noise, _ground(stars, cameras, surface), fixed)
         step = solver.step(x)
         x = x + step
         if np.all(np.abs(step) <= SETTLED * np.sqrt(np.diag(solver.posterior))):
             break
     cameras = unknowns.cameras(x)
-    lines = [unknowns.linearised(star, cameras, surface, x) for star in stars]
+    lines = unknowns.linearised(stars, cameras, surface, x)
     ground = _ground(stars, cameras, surface)
     reduced = _reduce(stars, lines, unknowns, noise)
-    solver = _Solver(reduced, prior, noise, ground)
+    solver = _Solver(reduced, prior, noise, ground, fixed)
     heights = solver.heights()
     counts = np.cumsum([0] + [len(star.pixels) for star in stars])
     influence = _influence(stars, lines, unknowns, noise, solver)
-    shared = _neighbour_covariance(influence, noise.shared)
+    shared = neighbour_covariance(influence, noise.shared)
     return FrameEstimate(
         unknowns,
         x,
@@ -298,6 +285,7 @@ def solve_frames(
         reduced.height_rhs,
         reduced.height_information,
         influence,
+        solver.information,
     )
 
 
@@ -352,7 +340,9 @@ class _Solver:
     relief, everything follows from C = 1 + s K s: ``s (K^-1 + D)^-1 s = 1 - C^-1``.
     """
 
-    def __init__(self, reduced: _Reduced, prior: Array, noise: FrameNoise, ground: Array) -> None:
+    def __init__(
+        self, reduced: _Reduced, prior: Array, noise: FrameNoise, ground: Array, fixed: int | None
+    ) -> None:
         """Factor."""
         from scipy.linalg import cho_factor, cho_solve
 
@@ -371,9 +361,11 @@ class _Solver:
             self.kept, self.kept_rhs = self.loose - both[:, :-1], self.loose_rhs - both[:, -1]
             information = information - self.loose.T @ self.kept
             self.rhs = self.rhs - self.loose.T @ self.kept_rhs
-        information = 0.5 * (information + information.T)
-        self.posterior = np.linalg.inv(information + prior)
-        self.posterior = 0.5 * (self.posterior + self.posterior.T)
+        self.information = 0.5 * (information + information.T)
+        free = slice(0, fixed)
+        inverse = np.linalg.inv((self.information + prior)[free, free])
+        self.posterior = np.zeros_like(prior)
+        self.posterior[free, free] = 0.5 * (inverse + inverse.T)
 
     def step(self, x: Array) -> Array:
         """Gauss-Newton step from `x`."""
@@ -398,70 +390,20 @@ class _Solver:
         return np.asarray(self.kept / self.root[:, None])
 
 
-def _influence(
-    stars: Sequence[FrameStar], lines: Sequence[Star], unknowns: FrameUnknowns, noise: FrameNoise, solver: _Solver
-) -> _Influence:
-    """Gains of every use of every image's pixels upon the estimate."""
-    places: list[list[Array]] = [[] for _ in range(unknowns.frames)]
-    gains: list[list[Array]] = [[] for _ in range(unknowns.frames)]
-    correction, first = solver.height_correction(), 0
+def _influence(stars: Sequence[FrameStar], lines: Sequence[Star], unknowns: FrameUnknowns, noise: FrameNoise, solver: _Solver) -> Influence:
+    """Influence of every match, height and prior mean on the unknowns."""
+    correction, first, gains = solver.height_correction(), 0, []
     for star, line in zip(stars, lines, strict=True):
         _, design, height = _rows(star, line, unknowns)
         windows = slice(first, first + len(star.pixels))
         first = windows.stop
         design -= height[..., None] * correction[windows][:, None, None, :]
         weight = match_information(line, noise)
-        gain = np.einsum("gkl,glcp->gkcp", weight, design, optimize=True) @ solver.posterior
-        used = line.present
-        places[star.hub].append(star.pixels)
-        gains[star.hub].append(-gain.sum(axis=1))
-        for k, image in enumerate(star.images):
-            places[image].append(star.measured[used[:, k], k])
-            gains[image].append(gain[used[:, k], k])
-    size = unknowns.size
+        gains.append(np.einsum("gkl,glcp->gkcp", weight, design, optimize=True) @ solver.posterior)
     heights = solver.height_gain()
-    return _Influence(
-        [np.concatenate(p) if p else np.zeros((0, 2)) for p in places],
-        [np.concatenate(g) if g else np.zeros((0, 2, size)) for g in gains],
-        stars[0].window,
+    return Influence(
+        [star.with_weight(line.weight) for star, line in zip(stars, lines, strict=True)],
+        gains,
         None if heights is None else heights @ solver.posterior,
-        solver.posterior,
+        -solver.prior @ solver.posterior,
     )
-
-
-def _common(first: Array, second: Array, window: tuple[int, int]) -> Array:
-    """Share of pixels (N, M) that windows at `first` and `second` (px) have in common."""
-    out = np.ones((len(first), len(second)))
-    for axis in range(2):
-        apart = np.abs(first[:, None, axis] - second[None, :, axis]) / window[axis]
-        out *= np.maximum(1.0 - apart, 0.0)
-    return out
-
-
-def _neighbour_covariance(influence: _Influence, shared: float) -> Array:
-    """What windows that use the same pixels add to the covariance beyond each by itself."""
-    size = influence.prior.shape[0]
-    out = np.zeros((size, size))
-    for places, gains in zip(influence.places, influence.gains, strict=True):
-        common = _common(places, places, influence.window)
-        np.fill_diagonal(common, 0.0)
-        for axis in range(2):
-            out += shared * gains[:, axis].T @ common @ gains[:, axis]
-    return np.asarray(0.5 * (out + out.T))
-
-
-def error_covariance(first: FrameEstimate, second: FrameEstimate) -> Array:
-    """Covariance (P, P) of the errors of two estimates from different lags of the same frames.
-
-    They share the images, the ground and the prior, so they do not err independently.
-    """
-    a, b = first.influence, second.influence
-    shared = 0.5 * (first.noise.shared + second.noise.shared)
-    out = a.prior @ first.unknowns.prior_precision() @ b.prior
-    for k in range(first.unknowns.frames):
-        common = _common(a.places[k], b.places[k], a.window)
-        for axis in range(2):
-            out = out + shared * a.gains[k][:, axis].T @ common @ b.gains[k][:, axis]
-    if a.relief is not None and b.relief is not None and first.noise.relief is not None:
-        out = out + a.relief.T @ first.noise.relief.covariance(first.ground, second.ground) @ b.relief
-    return np.asarray(out)

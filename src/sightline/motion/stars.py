@@ -19,8 +19,10 @@ from numpy.typing import NDArray
 from sightline.errors import EstimationError
 from sightline.geometry.surface import Dem, Surface
 from sightline.imaging.source import ImageSource
+from sightline.imaging.warp import REACH as KERNEL_REACH
 from sightline.imaging.warp import WarpedImage
 from sightline.matching.match_images import match_images
+from sightline.matching.matches import MASKED, OUTSIDE
 from sightline.matching.whitening import Whitening, estimate_whitening
 from sightline.motion.observations import Star, shared_image_correlation
 from sightline.motion.predict import MovingCamera, StaticParameter
@@ -136,7 +138,9 @@ def match_star(
         turn = predicted[j].affine[good]
         residual[good, j] = np.einsum("nij,nj->ni", turn, matches.b[good] - grid.centres[good])
         covariance[good, j] = turn @ matches.covariance_px[good] @ np.swapaxes(turn, 1, 2)
-        status[:, j], score[:, j] = matches.status, matches.score
+        beyond = ~_within(predicted[j].b, images[partner].shape, grid.window)
+        status[:, j] = np.where(beyond & (matches.status == MASKED), OUTSIDE, matches.status)
+        score[:, j] = matches.score
     camera = cameras[hub]
     star = Star(
         hub=hub,
@@ -174,13 +178,19 @@ def laid_on(
     return WarpedImage(images[partner], mapping, images[hub].shape, spacing)
 
 
-def pair_whitening(image: ImageSource, laid: WarpedImage, predicted: Predictions, grid: WindowGrid) -> Whitening | None:
+def pair_whitening(image: ImageSource, laid: ImageSource, predicted: Predictions, grid: WindowGrid) -> Whitening | None:
     """Whitening filters of a pair; None where there is too little common ground to estimate them."""
     points = grid.centres[np.isfinite(predicted.b[:, 0])]
     try:
         return estimate_whitening(image, laid, points, points)
     except EstimationError:
         return None
+
+
+def _within(centres: Array, shape: tuple[int, int], window: tuple[int, int]) -> NDArray[np.bool_]:
+    """(G,) windows that lie whole within an image, as far as the kernel reaches; False for NaN centres."""
+    reach = np.array(window) / 2.0 + KERNEL_REACH
+    return np.asarray(((centres >= reach) & (centres <= np.array(shape) - 1 - reach)).all(axis=1))
 
 
 def _duration(camera: MovingCamera, grid: WindowGrid) -> float:

@@ -69,7 +69,12 @@ def composite(result: LineOfSight, acquisition: Acquisition) -> Composite | None
         laid = laid_on(acquisition.images, cameras, acquisition.surface, hub, partner).read(lines, columns)
         pictures.append(_red_cyan(own, laid.astype(np.float64)))
     return Composite(
-        result.image_names[hub], result.image_names[partner], *centre, *size, data_png(pictures[0]), data_png(pictures[1])
+        result.image_names[hub],
+        result.image_names[partner],
+        *centre,
+        *size,
+        data_png(pictures[0]),
+        data_png(pictures[1]),
     )
 
 

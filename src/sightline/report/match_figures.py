@@ -6,6 +6,7 @@ Not here: the matching itself (``matching/``), the images themselves (``composit
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -24,8 +25,9 @@ Array = NDArray[np.float64]
 STATUS_COLOURS = (
     "#7fa8cc", "#f3f4f6", "#b8bec5", "#e3b34c", "#8f5aa8", "#c1502e", "#e08a64", "#7a1f1f",
 )  # fmt: skip
+_HOVER = "line %{x:.0f}, column %{y:.0f}: "
 COMPONENTS = ("along (lines)", "across (columns)")
-DIVERGING = "RdBu"
+DIVERGING = "RdBu_r"
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +78,8 @@ def residual_map_figure(result: LineOfSight, view: PairView) -> go.Figure:
         reach = _reach(both[view.index][:, view.partner][record.star.present[:, view.partner]])
         figure.add_heatmap(
             x=lines, y=columns, z=mean.T, zmin=-reach, zmax=reach, colorscale=DIVERGING, row=row + 1, col=1,
-            colorbar=_colour_bar(row), showscale=row % 2 == 0, hovertemplate="line %{x:.0f}, column %{y:.0f}: %{z:.3f} px<extra></extra>",
+            colorbar=_colour_bar(row), showscale=row % 2 == 0,
+            hovertemplate=_HOVER + "%{z:.3f} px<extra></extra>",
         )  # fmt: skip
         figure.update_yaxes(title_text="column (px)", row=row + 1)
     figure.update_xaxes(title_text=f"line of {view.name.split(' – ')[0]} (px)", row=4)
@@ -109,17 +112,22 @@ def residual_histogram(result: LineOfSight) -> go.Figure:
             shape = np.exp(-0.5 * (middle[:, None] / sample) ** 2) / (np.sqrt(2.0 * np.pi) * sample)
             line = {"color": INK, "width": 1.6}
             figure.add_scatter(
-                x=middle, y=shape.mean(axis=1), line=line, name="expected from the matches' own sigma", row=1, col=2
+                x=middle,
+                y=shape.mean(axis=1),
+                line=line,
+                name="expected from the matches' own sigma",
+                row=1,
+                col=2,
             )
     return figure
 
 
 def status_figure(result: LineOfSight, views: list[PairView]) -> go.Figure:
     """Where the matches of each pair were kept, and why the others were not."""
+    titles = [view.name for view in views]
     figure = panels(
-        len(views), 110 + 125 * len(views), gap_px=34.0, subplot_titles=[view.name for view in views]
+        len(views), 94 + 110 * len(views), gap_px=30.0, shared_xaxes=True, subplot_titles=titles, top=70
     )
-    figure.update_layout(legend={"y": 1.0 + 46.0 / (16.0 + 125.0 * len(views))}, margin_t=70)
     kinds = len(STATUS_NAMES)
     scale = [[(k + side) / kinds, STATUS_COLOURS[k]] for k in range(kinds) for side in (0, 1)]
     met = set()
@@ -133,14 +141,21 @@ def status_figure(result: LineOfSight, views: list[PairView]) -> go.Figure:
         lines, columns = _places(record, edges)
         words = np.array(STATUS_NAMES)[modes].T
         figure.add_heatmap(
-            x=lines, y=columns, z=modes.T, zmin=-0.5, zmax=kinds - 0.5, colorscale=scale, showscale=False, text=words,
-            hovertemplate="line %{x:.0f}, column %{y:.0f}: %{text}<extra></extra>", row=row + 1, col=1,
+            x=lines, y=columns, z=modes.T, zmin=-0.5, zmax=kinds - 0.5, colorscale=scale, showscale=False,
+            text=words, hovertemplate=_HOVER + "%{text}<extra></extra>", row=row + 1, col=1,
         )  # fmt: skip
         figure.update_yaxes(title_text="column (px)", row=row + 1)
+    pixels = np.concatenate([record.star.pixels for record in result.records])
+    figure.update_xaxes(range=[0.0, float(pixels[:, 0].max())])
     figure.update_xaxes(title_text="line of the first image of the pair (px)", row=len(views))
     for kind in sorted(met):
         name = "no common ground" if kind == OUTSIDE else STATUS_NAMES[kind]
-        mark = {"size": 11, "symbol": "square", "color": STATUS_COLOURS[kind], "line": {"width": 1, "color": MUTED}}
+        mark = {
+            "size": 11,
+            "symbol": "square",
+            "color": STATUS_COLOURS[kind],
+            "line": {"width": 1, "color": MUTED},
+        }
         figure.add_scatter(x=[None], y=[None], mode="markers", marker=mark, name=name)
     return figure
 
@@ -170,9 +185,7 @@ def _as_map(record: StarRecord, values: Array) -> tuple[Array, Array, Array]:
 
 def _places(record: StarRecord, edges: NDArray[np.intp]) -> tuple[Array, Array]:
     pixels = record.star.pixels.reshape(*record.star.shape, 2)
-    lines = np.array(
-        [pixels[a:b, 0, 0].mean() for a, b in zip(edges[:-1], edges[1:], strict=True)], dtype=np.float64
-    )
+    lines = np.array([pixels[first:last, 0, 0].mean() for first, last in pairwise(edges)], dtype=np.float64)
     return lines, pixels[0, :, 1]
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight
 from sightline.evaluation.score import remove_directions
-from sightline.report.reduce import envelope_rows, runs
+from sightline.report.reduce import cell_edges, cell_means, envelope_rows, runs
 from sightline.report.style import AXES, AXIS_COLOURS, AXIS_UNITS, BLIND, MUTED, faint, panels
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ def visible_motion_px(result: LineOfSight) -> Array:
 
 
 def attitude_figure(result: LineOfSight) -> go.Figure:
-    """Roll, pitch and yaw against time with their 1-sigma band; px on the left, urad on the right."""
+    """Roll, pitch and yaw against time with their 1-sigma band, in px and as angles."""
     everything = slice(0, len(result.motion.t))
     return _attitude(result, visible_motion_px(result), everything, height=640)
 
@@ -49,24 +49,25 @@ def close_figure(result: LineOfSight) -> go.Figure | None:
 
 
 def sigma_figure(result: LineOfSight) -> go.Figure:
-    """1-sigma of each axis against time, px, log scale."""
+    """1-sigma of each axis against time, px, log scale: its rms over short pieces."""
     figure = panels(1, 330)
     t = result.motion.t
+    edges = cell_edges(len(t))
+    instants = cell_means(t[:, None], edges)[:, 0]
     for axis, name in enumerate(AXES):
-        sigma = result.sigma[:, axis] / result.scale[axis]
-        rows = envelope_rows(sigma)
-        label = f"{name} ({AXIS_UNITS[axis]})"
-        figure.add_scatter(
-            x=t[rows], y=sigma[rows], name=label, mode=_mode(len(t)), line_color=AXIS_COLOURS[axis]
-        )
-        absolute = result.absolute_sigma[:, axis] / result.scale[axis]
-        if np.isfinite(absolute).all():
-            rows = envelope_rows(absolute)
-            line = {"color": AXIS_COLOURS[axis], "dash": "dot"}
-            figure.add_scatter(x=t[rows], y=absolute[rows], name=f"{name}, hidden part included", line=line)
+        label, colour = f"{name} ({AXIS_UNITS[axis]})", AXIS_COLOURS[axis]
+        for sigma, words, dash in (
+            (result.sigma, label, "solid"),
+            (result.absolute_sigma, f"{label}, hidden part included", "dot"),
+        ):
+            if np.isfinite(sigma[:, axis]).all():
+                typical = np.sqrt(cell_means(sigma[:, axis, None] ** 2, edges)[:, 0]) / result.scale[axis]
+                line = {"color": colour, "dash": dash, "width": 1.5}
+                figure.add_scatter(x=instants, y=typical, name=words, mode=_mode(len(t)), line=line)
     _shade_unseen(figure, result, slice(0, len(t)))
     figure.update_xaxes(title_text="time from the epoch (s)")
-    figure.update_yaxes(title_text="1-sigma (px)", type="log", exponentformat="power")
+    figure.update_yaxes(title_text="1-sigma (px)", type="log", exponentformat="power", minor_ticks="")
+    figure.update_yaxes(tickformat=".3~g", dtick="D2")
     return figure
 
 
@@ -83,16 +84,26 @@ def _attitude(
         if few:
             bars = {"type": "data", "array": sigma, "thickness": 1.2}
             figure.add_scatter(
-                x=t, y=values, error_y=bars, mode="markers", marker_color=colour, name=f"{name} ± 1 sigma", **row
+                x=t,
+                y=values,
+                error_y=bars,
+                mode="markers",
+                marker_color=colour,
+                name=f"{name} ± 1 sigma",
+                **row,
             )
         else:
             rows = envelope_rows(values)
             _add_band(figure, t[rows], values[rows], sigma[rows], colour, name, row)
             mode = "lines+markers" if markers else "lines"
             line, marker = {"color": colour, "width": 1.2}, {"size": 3.5, "color": colour}
-            figure.add_scatter(x=t[rows], y=values[rows], mode=mode, line=line, marker=marker, name=name, **row)
+            figure.add_scatter(
+                x=t[rows], y=values[rows], mode=mode, line=line, marker=marker, name=name, **row
+            )
         _add_angle_scale(figure, t, values, sigma, float(result.scale[axis]), axis)
     _shade_unseen(figure, result, part)
+    margin = 0.02 * (t[-1] - t[0]) if few else 0.0
+    figure.update_xaxes(range=[t[0] - margin, t[-1] + margin])
     figure.update_xaxes(title_text="time from the epoch (s)", row=3)
     return figure
 
@@ -116,21 +127,21 @@ def _add_band(
 def _add_angle_scale(
     figure: go.Figure, t: Array, values: Array, sigma: Array, scale: float, axis: int
 ) -> None:
-    """Ordinate in px on the left, the same in urad on the right; only time can be zoomed, so both stay true."""
+    """Ordinate in px on the left, as an angle on the right; only time can be zoomed, so both stay true."""
     low, high = float((values - sigma).min()), float((values + sigma).max())
     margin = 0.06 * max(high - low, 1e-12)
     low, high = low - margin, high + margin
-    micro = 1e6 * scale
+    factor, unit = (1e6, "µrad") if scale * max(-low, high) < 1e-3 else (1e3, "mrad")
     figure.add_scatter(
         x=[t[0]], y=[None], showlegend=False, hoverinfo="skip", row=axis + 1, col=1, secondary_y=True
     )
     left = f"{AXES[axis]} ({AXIS_UNITS[axis]})"
+    figure.update_yaxes(title_text=left, range=[low, high], fixedrange=True, row=axis + 1, secondary_y=False)
     figure.update_yaxes(
-        title_text=left, range=[low, high], fixedrange=True, row=axis + 1, secondary_y=False
-    )
-    figure.update_yaxes(
-        title={"text": "µrad", "font": {"color": MUTED}},
-        range=[low * micro, high * micro],
+        title={"text": unit, "font": {"color": MUTED}},
+        range=[low * scale * factor, high * scale * factor],
+        tickmode="auto",
+        nticks=5,
         fixedrange=True,
         showgrid=False,
         row=axis + 1,

@@ -5,6 +5,8 @@ Not here: how they are drawn.
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,7 +30,7 @@ def envelope_rows(values: Array, points: int = POINTS) -> NDArray[np.intp]:
     edges = np.linspace(0, n, points // 2 + 1).astype(int)
     rows = [
         start + extreme
-        for start, stop in zip(edges[:-1], edges[1:], strict=True)
+        for start, stop in pairwise(edges)
         for extreme in (int(np.argmin(values[start:stop])), int(np.argmax(values[start:stop])))
     ]
     return np.unique(np.append(rows, [0, n - 1]))
@@ -40,7 +42,7 @@ def cell_edges(rows: int, cells: int = CELLS) -> NDArray[np.intp]:
 
 
 def cell_means(values: Array, edges: NDArray[np.intp]) -> Array:
-    """Mean of the finite values (rows, columns) in each cell of rows: (cells, columns), NaN where there is none."""
+    """Mean of the finite values (rows, columns) in each cell: (cells, columns), NaN if there is none."""
     finite = np.isfinite(values)
     total = np.add.reduceat(np.where(finite, values, 0.0), edges[:-1], axis=0)
     count = np.add.reduceat(finite.astype(np.intp), edges[:-1], axis=0)
@@ -50,9 +52,7 @@ def cell_means(values: Array, edges: NDArray[np.intp]) -> Array:
 
 def cell_modes(codes: NDArray[np.uint8], edges: NDArray[np.intp], kinds: int) -> NDArray[np.uint8]:
     """The most frequent of `kinds` codes (rows, columns) in each cell of rows: (cells, columns)."""
-    counts = [
-        np.add.reduceat((codes == kind).astype(np.intp), edges[:-1], axis=0) for kind in range(kinds)
-    ]
+    counts = [np.add.reduceat((codes == kind).astype(np.intp), edges[:-1], axis=0) for kind in range(kinds)]
     return np.argmax(np.stack(counts), axis=0).astype(np.uint8)
 
 

@@ -44,7 +44,12 @@ def spectrum_figure(
         rows = envelope_rows(np.log(np.maximum(psd, 1e-300)))
         curves = [
             (frequency[rows], psd[rows], "recovered motion", {"color": AXIS_COLOURS[axis], "width": 1.1}),
-            (fine, left[:, axis] * square, "error that remains", {"color": MUTED, "width": 1.4, "dash": "dot"}),
+            (
+                fine,
+                left[:, axis] * square,
+                "error that remains",
+                {"color": MUTED, "width": 1.4, "dash": "dot"},
+            ),
         ]
         if result.spectra is not None:
             prior = result.spectra[axis].psd(fine) * square
@@ -93,10 +98,16 @@ def visibility_figure(result: LineOfSight, seen: Observed, names: Sequence[str])
     floor = float(np.log10(smallest.min())) - 0.2
     top = min(max(float(np.log10(np.percentile(smallest, 99.5))), 0.0), 2.0)
     figure.update_yaxes(
-        type="log", title_text="smallest tone seen (px)", exponentformat="power", range=[floor, top], dtick=1, row=1
+        type="log",
+        title_text="smallest tone seen (px)",
+        exponentformat="power",
+        range=[floor, top],
+        dtick=1,
+        row=1,
     )
     figure.update_yaxes(title_text="blind alone", showgrid=False, row=2)
     figure.update_xaxes(title_text="frequency (Hz)", row=2)
+    figure.update_xaxes(range=[0.0, float(f[-1])])
     return figure
 
 
@@ -145,20 +156,34 @@ def _shade_blind(
     start = lowest
     for low, high in [*bands, (highest, highest)]:
         if low > start:
-            figure.add_vrect(x0=start, x1=min(low, highest), fillcolor=BLIND, line_width=0, layer="below", **row)
+            figure.add_vrect(
+                x0=start, x1=min(low, highest), fillcolor=BLIND, line_width=0, layer="below", **row
+            )
         start = max(start, high)
 
 
 def _key_of_shading(figure: go.Figure) -> None:
-    key = {"size": 11, "symbol": "square", "color": BLIND, "line": {"width": 1, "color": faint("#d69e2e", 0.6)}}
+    key = {
+        "size": 11,
+        "symbol": "square",
+        "color": BLIND,
+        "line": {"width": 1, "color": faint("#d69e2e", 0.6)},
+    }
     name = f"blind: a tone of {SEEN_TONE_PX:g} px would not stand out"
     figure.add_scatter(x=[None], y=[None], mode="markers", marker=key, name=name)
 
 
 def _set_range(figure: go.Figure, axis: int, psd: Array, left: Array) -> None:
-    top = float(np.log10(psd.max())) + 0.9
-    bottom = max(min(float(np.log10(max(np.percentile(psd, 2), 1e-300))), float(np.log10(left.min()))) - 0.3, top - DECADES)
+    top = float(np.log10(psd.max())) + 1.5
+    bottom = max(
+        min(float(np.log10(max(np.percentile(psd, 2), 1e-300))), float(np.log10(left.min()))) - 0.3,
+        top - DECADES,
+    )
     unit = "px²/Hz" if axis < 2 else "px²/Hz at field edge"
     figure.update_yaxes(
-        type="log", title_text=f"{AXES[axis]} ({unit})", range=[bottom, top], exponentformat="power", row=axis + 1
+        type="log",
+        title_text=f"{AXES[axis]} ({unit})",
+        range=[bottom, top],
+        exponentformat="power",
+        row=axis + 1,
     )

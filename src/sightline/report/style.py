@@ -55,12 +55,27 @@ CONFIG: dict[str, Any] = {
 }
 
 
-def panels(rows: int, height: int, *, gap_px: float = 26.0, **options: Any) -> go.Figure:
-    """An empty figure of `rows` panels, one above the other, `height` px in all; `options` as plotly's."""
-    inner = height - 94.0
+def panels(rows: int, height: int, *, gap_px: float = 26.0, top: int = 42, **options: Any) -> go.Figure:
+    """An empty figure of `rows` panels, one above the other.
+
+    Parameters
+    ----------
+    rows, height : int
+        Panels, and px of the whole figure.
+    gap_px : float
+        Between panels.
+    top : int
+        px above the first panel, where the legend is, and its title if there are titles.
+    **options
+        As of plotly's ``make_subplots``.
+    """
+    inner = height - top - TEMPLATE.layout.margin.b
     spacing = gap_px / inner if rows > 1 else 0.0
     figure = make_subplots(rows=rows, cols=1, vertical_spacing=spacing, **options)
-    figure.update_layout(template=TEMPLATE, height=height)
+    figure.update_layout(template=TEMPLATE, height=height, margin_t=top)
+    if "subplot_titles" in options:
+        figure.update_annotations(x=0.0, xanchor="left", font_size=12)
+        figure.update_layout(legend_y=1.0 + 20.0 / inner)
     return figure
 
 

@@ -133,6 +133,26 @@ def test_with_free_offsets_a_trend_is_hidden_and_the_offsets_do_no_harm(series) 
     assert 0.5 < np.mean(z**2) < 1.6
 
 
+def test_a_motion_that_may_jump_follows_a_step(series) -> None:  # type: ignore[no-untyped-def]
+    n = 600
+    rng = np.random.default_rng(8)
+    t = series.step * np.arange(n)
+    theta = np.repeat((0.4 * np.sin(9.0 * t) + 0.3 * (t >= 0.3))[:, None], 3, axis=1)
+    pairs = series.measure(theta, LAGS, 0.01, rng, every=1)
+    prior = Spectrum((Matern(0.5, 0.1, "5/2"), Matern(0.02, 0.01)))
+    near = slice(285, 315)
+    worst = {
+        jumps: float(
+            np.abs(
+                smooth(pairs, t, prior=prior, grid_step=series.step, jumps=jumps).angles
+                - series.centred(theta)
+            )[near].max()
+        )
+        for jumps in (False, True)
+    }
+    assert worst[True] < 0.5 * worst[False]
+
+
 def test_what_is_found_in_the_data_serves_as_the_prior(series) -> None:  # type: ignore[no-untyped-def]
     n = 1000
     rng = np.random.default_rng(6)

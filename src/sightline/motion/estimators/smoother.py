@@ -18,7 +18,9 @@ from sightline.errors import InputError
 from sightline.estimation.evidence import Posterior, posterior
 from sightline.estimation.likelihood import FittedSpectrum, default_step, fit_spectrum, span
 from sightline.estimation.prior import Spectrum
-from sightline.estimation.series import TAPS, DifferenceSeries, Grid, normal_equations
+from sightline.estimation.robust import expected_innovations, student_weights
+from sightline.estimation.series import DifferenceSeries, Grid, NormalEquations, normal_equations
+from sightline.estimation.series_kernels import TAPS
 from sightline.estimation.split import split
 from sightline.geometry.checks import as_times
 from sightline.geometry.trajectory import Motion
@@ -28,6 +30,8 @@ Array = NDArray[np.float64]
 
 #: Order of the autoregressive prior; against the exact prior the loss is below 0.5 % (S1 sheet, 6c).
 ORDER = 60
+#: Rounds in which the weights of jumping innovations settle.
+JUMP_ROUNDS = 8
 AXES = ("roll", "pitch", "yaw")
 
 
@@ -40,7 +44,7 @@ def smooth(
     offset_sigma: float | None = None,
     independent: float = 0.0,
     order: int = ORDER,
-    innovation_weights: Array | None = None,
+    jumps: bool = False,
 ) -> Motion:
     """Motion with its covariance from the differences of all pairs.
 
@@ -63,8 +67,9 @@ def smooth(
         Fraction of each difference's variance that no other pair of the patch shares.
     order : int
         Of the autoregressive prior.
-    innovation_weights : (grid nodes,), optional
-        Below 1 where the motion may jump; see `Autoregressive.precision_band`.
+    jumps : bool
+        Whether the motion may jump now and then: its innovations are then Student's, not Gaussian, and
+        a step is followed instead of smeared.
 
     Returns
     -------
@@ -115,18 +120,27 @@ def smooth(
             independent=independent,
             spectrum=believed.spectrum,
         )
-        width = len(equations.band) - 1
-        apart = split(believed.spectrum, grid.step, order, grid.count, width=width)
-        plain = believed.spectrum.autoregressive(grid.step, order, grid.count)
-        now = posterior(
-            equations,
-            plain if apart is None else apart,
-            noise_scale=believed.noise_scale,
-            offset_sigma=1.0 if offset_sigma is None else offset_sigma,
-            weights=innovation_weights,
-        )
+        now = _solve(equations, believed, order, 1.0 if offset_sigma is None else offset_sigma, jumps)
         angles[:, axis], covariance[:, axis, axis] = reduced(now, times, trend=offset_sigma is not None)
     return Motion(times, angles, covariance)
+
+
+def _solve(
+    equations: NormalEquations, believed: FittedSpectrum, order: int, offset_sigma: float, jumps: bool
+) -> Posterior:
+    """Posterior of one axis; with `jumps` after some rounds of weights for the prior's innovations."""
+    grid, scale = equations.grid, believed.noise_scale
+    plain = believed.spectrum.autoregressive(grid.step, order, grid.count)
+    if not jumps:
+        apart = split(believed.spectrum, grid.step, order, grid.count, width=len(equations.band) - 1)
+        prior = plain if apart is None else apart
+        return posterior(equations, prior, noise_scale=scale, offset_sigma=offset_sigma)
+    now = posterior(equations, plain, noise_scale=scale, offset_sigma=offset_sigma)
+    for _ in range(JUMP_ROUNDS):
+        expected = expected_innovations(plain, now.mean, now.covariance_band(plain.order))
+        weights = student_weights(expected)
+        now = posterior(equations, plain, noise_scale=scale, offset_sigma=offset_sigma, weights=weights)
+    return now
 
 
 def fit_spectra(

@@ -1,0 +1,327 @@
+"""Search for the spectrum that explains a set of differences best: drift, broadband part and tones.
+
+Gradient search over all parameters at once, and a scan for tones that the present model leaves.
+
+Not here: the steps in their order (``likelihood.py``), the evidence of one model (``evidence.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import EstimationError, InputError
+from sightline.estimation.evidence import Posterior, band_times, posterior
+from sightline.estimation.prior import Matern, Spectrum, Tone, autoregressive
+from sightline.estimation.series import NormalEquations
+
+Array = NDArray[np.float64]
+
+#: Order of the autoregression while fitting; the spectra it tells apart are broad or poles.
+ORDER = 40
+#: Candidates whose significance is computed exactly in each scan for tones.
+CANDIDATES = 32
+#: An alias is believed the less the higher its frequency, as the f^-4 of jitter spectra: it must lower the
+#: deviance by this times the logarithm of the frequencies' ratio.
+ALIAS_PENALTY = 8.0
+#: Half-width of the weak Gaussian belief about every log parameter: a factor of e^3 about its start.
+BELIEF = 3.0
+#: The same of a tone's bandwidth, about one over the length of the data: below that a bandwidth hardly
+#: shows, and one that is too narrow costs more than one that is too wide.
+BANDWIDTH_BELIEF = 1.2
+
+
+@dataclass(frozen=True)
+class Model:
+    """Present values of all hyper-parameters, in units of the noise.
+
+    Attributes
+    ----------
+    drift, broadband : Matern
+        Of order 5/2 and 3/2.
+    tones : tuple of Tone
+        In the order they were found; `gains` are their significances.
+    noise_scale : float
+        Factor on the measurement variances.
+    """
+
+    drift: Matern
+    broadband: Matern
+    tones: tuple[Tone, ...] = ()
+    noise_scale: float = 1.0
+    gains: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, spectrum: Spectrum) -> Model:
+        """The model that a spectrum describes; further Matern parts are left out."""
+        drift = [c for c in spectrum.components if isinstance(c, Matern) and c.order == "5/2"]
+        broadband = [c for c in spectrum.components if isinstance(c, Matern) and c.order == "3/2"]
+        if not drift or not broadband:
+            raise InputError('`start` needs a Matern component of order "5/2" and one of order "3/2"')
+        return cls(drift[0], broadband[0], spectrum.tones, gains=(math.nan,) * len(spectrum.tones))
+
+    @property
+    def spectrum(self) -> Spectrum:
+        """All parts, tones by rising frequency."""
+        return Spectrum((self.drift, self.broadband, *sorted(self.tones, key=lambda tone: tone.frequency)))
+
+    def with_tone(self, tone: Tone, gain: float) -> Model:
+        """The model and one more tone, at the end of the list."""
+        return replace(self, tones=(*self.tones, tone), gains=(*self.gains, gain))
+
+    def without_tone(self, k: int) -> Model:
+        """The model less its tone number `k`."""
+        return replace(
+            self, tones=self.tones[:k] + self.tones[k + 1 :], gains=self.gains[:k] + self.gains[k + 1 :]
+        )
+
+
+class Search:
+    """Maximises the evidence of one set of normal equations over the models.
+
+    Parameters
+    ----------
+    equations : NormalEquations
+        The data, in units of the noise.
+    offset_sigma : float
+        Of the images' constants, in the same unit.
+    fit_noise : bool
+        Whether the noise scale is a parameter.
+    length : float
+        s; of the data: its inverse is the resolution in frequency.
+    """
+
+    def __init__(
+        self, equations: NormalEquations, offset_sigma: float, fit_noise: bool, length: float
+    ) -> None:
+        self._equations = equations
+        self._offset_sigma = offset_sigma
+        self._fit_noise = fit_noise
+        self._length = length
+        self._order = min(ORDER, equations.grid.count - 1)
+        self._lags = equations.grid.step * np.arange(self._order + 1, dtype=np.float64)
+
+    def use(self, equations: NormalEquations) -> None:
+        """Go on with other equations on the same grid."""
+        self._equations = equations
+
+    def posterior(self, model: Model) -> Posterior:
+        """Posterior under a model."""
+        prior = autoregressive(
+            model.spectrum.autocovariance(self._lags), self._order, self._equations.grid.count
+        )
+        return posterior(
+            self._equations, prior, noise_scale=model.noise_scale, offset_sigma=self._offset_sigma
+        )
+
+    def deviance(self, model: Model) -> float:
+        """-2 log evidence of a model."""
+        return self.posterior(model).deviance
+
+    # -- parameters as one vector: logarithms, and frequencies in units of 3 / length ---------------
+
+    def _vector(self, model: Model) -> Array:
+        x = [math.log(v) for c in (model.drift, model.broadband) for v in (c.sigma, c.timescale)]
+        for tone in model.tones:
+            x += [math.log(tone.sigma), 0.0, math.log(tone.bandwidth)]
+        return np.array([*x, math.log(model.noise_scale)])
+
+    def _model(self, x: Array, origin: Model) -> Model:
+        tones = []
+        for k, tone in enumerate(origin.tones):
+            log_sigma, shift, log_width = x[4 + 3 * k : 7 + 3 * k]
+            frequency = tone.frequency + 3.0 * shift / self._length
+            tones.append(Tone(math.exp(log_sigma), frequency, math.exp(log_width)))
+        return replace(
+            origin,
+            drift=Matern(math.exp(x[0]), math.exp(x[1]), "5/2"),
+            broadband=Matern(math.exp(x[2]), math.exp(x[3]), "3/2"),
+            tones=tuple(tones),
+            noise_scale=math.exp(x[-1]),
+        )
+
+    def _bounds(self, model: Model) -> list[tuple[float, float]]:
+        step, length = self._equations.grid.step, self._length
+        drift = max(model.drift.sigma, 1.0)
+        bounds = [
+            (math.log(1e-3), math.log(30.0 * drift)),
+            (math.log(20.0 * step), math.log(20.0 * length)),
+            (math.log(1e-3), math.log(30.0 * drift)),
+            (math.log(0.2 * step), math.log(0.2 * length)),
+        ]
+        for tone in model.tones:
+            farthest = min(1.0, 0.2 * tone.frequency * length)
+            widest = max(10.0 / length, 0.1 * tone.frequency)
+            bounds += [
+                (math.log(1e-3), math.log(30.0 * drift)),
+                (-farthest, farthest),
+                (math.log(0.02 / length), math.log(widest)),
+            ]
+        bounds.append((math.log(0.2), math.log(5.0)) if self._fit_noise else (0.0, 0.0))
+        return bounds
+
+    def improve(self, model: Model, iterations: int) -> Model:
+        """The best model within some iterations of L-BFGS from `model`; never worse than it."""
+        from scipy.optimize import minimize
+
+        origin = model
+        x0 = self._vector(model)
+        bounds = self._bounds(model)
+        x0 = np.clip(x0, [b[0] for b in bounds], [b[1] for b in bounds])
+        pull = np.full(len(x0), BELIEF**-2)
+        centre = x0.copy()
+        pull[5:-1:3] = 0.0  # frequencies: bounded, not believed
+        pull[6:-1:3], centre[6:-1:3] = BANDWIDTH_BELIEF**-2, -math.log(self._length)
+        best: list[tuple[float, Array]] = [(math.inf, x0)]
+
+        def objective(x: Array) -> tuple[float, Array]:
+            try:
+                value, slope = self._value_and_slope(self._model(x, origin))
+            except (EstimationError, InputError):
+                return 1e30, np.zeros_like(x)
+            value += float(pull @ (x - centre) ** 2)
+            if value < best[0][0]:
+                best[0] = (value, x.copy())
+            return value, slope + 2.0 * pull * (x - centre)
+
+        scale = max(1.0, abs(objective(x0)[0]))
+        minimize(
+            objective, x0, jac=True, method="L-BFGS-B", bounds=bounds,
+            options={"maxiter": iterations, "ftol": 0.05 / scale, "gtol": 0.1, "maxcor": 20},
+        )  # fmt: skip
+        return self._model(best[0][1], origin)
+
+    def _value_and_slope(self, model: Model) -> tuple[float, Array]:
+        """Deviance and its derivatives: through the moments of the posterior, at the cost of one."""
+        now = self.posterior(model)
+        moments = now.moments
+        total = model.spectrum.autocovariance(self._lags)
+        x = self._vector(model)
+        slope = np.zeros(len(x))
+        step = 1e-3
+        for k in range(len(x) - 1):
+            sides = []
+            for sign in (1.0, -1.0):
+                moved = x.copy()
+                moved[k] += sign * step
+                changed = self._model(moved, model)
+                old, new = _component(model, k), _component(changed, k)
+                r = total + new.autocovariance(self._lags) - old.autocovariance(self._lags)
+                sides.append(moments.expected_deviance(autoregressive(r, self._order, now.prior.n)))
+            slope[k] = (sides[0] - sides[1]) / (2.0 * step)
+        if self._fit_noise:
+            slope[-1] = now.deviance_by_noise_scale
+        return now.deviance, slope
+
+    # -- tones ------------------------------------------------------------------------------------
+
+    def unexplained_tones(self, model: Model, false_alarm: float) -> list[tuple[Tone, float]]:
+        """Sinusoids that the model does not explain, each with its gain, the most significant first.
+
+        Notes
+        -----
+        Score test. With u = Q m (prior precision times posterior mean) and c = exp(2 pi i f t),
+        |c'u|^2 has the expectation c'Fc, F = Q Z N (Z the posterior covariance, N the data's
+        information), and their ratio is the log-likelihood that a sinusoid at f would gain. It is
+        computed for all f with F of a stationary problem, then exactly for the highest peaks.
+        """
+        now = self.posterior(model)
+        u = band_times(now.prior_band, now.mean)
+        frequency, ratio = self._approximate_gain(now, u)
+        lowest, highest = 2.0 / self._length, 0.3 / self._equations.grid.step
+        known = [tone.frequency for tone in model.tones]
+        usable = (frequency > lowest) & (frequency < highest)
+        for f in known:
+            usable &= np.abs(frequency - f) > 1.5 / self._length
+        peak = np.zeros(len(ratio), dtype=bool)
+        peak[1:-1] = (ratio[1:-1] >= ratio[:-2]) & (ratio[1:-1] > ratio[2:])
+        where = np.flatnonzero(peak & usable)
+        where = where[np.argsort(-ratio[where])[:CANDIDATES]]
+        power, expected = self._exact_gain(now, u, frequency[where])
+        gain = power / expected
+        threshold = math.log(highest * self._length / false_alarm)
+        tones = []
+        for k in np.argsort(-gain):
+            if gain[k] > threshold:
+                # Amplitude^2 = 4 power / expected^2; half of it is the variance.
+                sigma = math.sqrt(2.0 * float(power[k])) / float(expected[k])
+                tones.append((Tone(sigma, float(frequency[where[k]]), 1.0 / self._length), float(gain[k])))
+        return tones
+
+    def without_aliases(self, model: Model, false_alarm: float) -> Model:
+        """The model with every tone moved to another frequency where that explains the data better.
+
+        Differences sampled coarsely see a tone at several frequencies almost alike. Which of them it
+        is shows only once the other tones are known.
+        """
+        for k, tone in enumerate(model.tones):
+            others = model.without_tone(k)
+            rivals = self.unexplained_tones(others, false_alarm)
+            # A gain is a log-likelihood: what lies 20 below the best is no rival.
+            rivals = [r for r in rivals if r[1] > rivals[0][1] - 20.0]
+            for rival, gain in rivals:
+                if abs(rival.frequency - tone.frequency) < 3.0 / self._length:
+                    continue
+                place = Tone(rival.sigma, rival.frequency, min(tone.bandwidth, 0.1 * rival.frequency))
+                moved = self.improve(others.with_tone(place, gain), 25)
+                if self._alias_score(moved, -1) < self._alias_score(model, k):
+                    # Keep the place of the tone in the list, over which the loop runs.
+                    tones, gains = list(moved.tones), list(moved.gains)
+                    tones.insert(k, tones.pop())
+                    gains.insert(k, gains.pop())
+                    model = replace(moved, tones=tuple(tones), gains=tuple(gains))
+        return model
+
+    def _alias_score(self, model: Model, k: int) -> float:
+        """Deviance plus what is held against a tone for the height of its frequency."""
+        return self.deviance(model) + ALIAS_PENALTY * math.log(model.tones[k].frequency)
+
+    def _approximate_gain(self, now: Posterior, u: Array) -> tuple[Array, Array]:
+        """Frequencies (Hz) and score with the expectation of a stationary problem."""
+        from scipy.fft import next_fast_len, rfft, rfftfreq
+
+        grid = now.equations.grid
+        size = next_fast_len(8 * grid.count)
+        power = np.abs(np.asarray(rfft(u, size))) ** 2
+        symbols = []
+        for band in (now.prior_band, now.equations.band / now.noise_scale):
+            diagonals = band.sum(axis=1)
+            symbols.append(np.maximum(2.0 * np.asarray(rfft(diagonals, size)).real - diagonals[0], 0.0))
+        expected = symbols[0] * symbols[1] / (symbols[0] + symbols[1])
+        expected = np.maximum(expected, 1e-6 * expected.max())
+        return np.asarray(rfftfreq(size, grid.step)), power / expected
+
+    def _exact_gain(self, now: Posterior, u: Array, frequency: Array) -> tuple[Array, Array]:
+        """|c'u|^2 and its expectation at some frequencies."""
+        e = now.equations
+        phase = 2.0 * math.pi * np.outer(e.grid.step * np.arange(e.grid.count), frequency)
+        waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
+        data = band_times(e.band, waves) / now.noise_scale
+        explained, _ = now.factor.solve(data, e.border.T @ waves / now.noise_scale)
+        expected = np.sum(band_times(now.prior_band, waves) * explained, axis=0)
+        half = len(frequency)
+        power = (u @ waves) ** 2
+        expected = np.maximum(expected, 1e-12 * float(np.max(expected, initial=1.0)))
+        return power[:half] + power[half:], expected[:half] + expected[half:]
+
+    def without_idle_tones(self, model: Model) -> Model:
+        """The model less every tone that three parameters do not pay for (Akaike)."""
+        for k in reversed(range(len(model.tones))):
+            fewer = model.without_tone(k)
+            present = self.deviance(model)
+            if self.deviance(fewer) > present + 30.0:
+                continue
+            fewer = self.improve(fewer, 10)
+            if self.deviance(fewer) < present + 6.0:
+                model = fewer
+        return model
+
+
+def _component(model: Model, parameter: int) -> Matern | Tone:
+    """The part of the spectrum to which a parameter of the vector belongs."""
+    if parameter < 4:
+        return (model.drift, model.broadband)[parameter // 2]
+    return model.tones[(parameter - 4) // 3]

@@ -1,0 +1,154 @@
+"""Compiled loops that sum measured differences into normal equations.
+
+Not here: what they are called with (``series.py``).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+#: Nodes of the local interpolation on the grid. Six (degree 5) keep the error of a sinusoid below
+#: 0.2 % down to 7 nodes per period; four would need 12.
+TAPS = 6
+#: A measurement whose error is explained by others of its patch to this fraction is redundant.
+REDUNDANT = 1e-6
+
+
+@njit(cache=True)
+def _window_weights(t, window, start, step, count, support, weights):  # type: ignore[no-untyped-def]
+    """Interpolation weights at `t` averaged over `window`, into `weights`; returns the first node."""
+    first = math.floor((t - 0.5 * window - start) / step + 1e-6) - (TAPS // 2 - 1)
+    first = max(0, min(first, count - support))
+    for k in range(support):
+        weights[k] = 0.0
+    points = 1 if window <= 0.0 else 2 + 2 * math.ceil(window / step)
+    for p in range(points):
+        x = (t + window * ((p + 0.5) / points - 0.5) - start) / step
+        nearest = math.floor(x + 0.5)
+        if abs(x - nearest) < 1e-6:
+            x = nearest
+        node = math.floor(x) - (TAPS // 2 - 1)
+        node = max(first, min(node, first + support - TAPS))
+        for i in range(TAPS):
+            w = 1.0 / points
+            for j in range(TAPS):
+                if j != i:
+                    w *= (x - node - j) / (i - j)
+            weights[node - first + i] += w
+    return first
+
+
+@njit(cache=True)
+def fill_weights(t, window, start, step, count, first, weights):  # type: ignore[no-untyped-def]
+    """Rows of interpolation weights for many instants."""
+    for k in range(len(t)):
+        first[k] = _window_weights(t[k], window, start, step, count, weights.shape[1], weights[k])
+
+
+@njit(cache=True)
+def _patch_weight(k0, m, image_a, image_b, var_a, var_b, var_own, lower, kept, weight):  # type: ignore[no-untyped-def]
+    """Inverse covariance of the measurements of a patch, less redundant ones; returns (kept, log det)."""
+    count, logdet = 0, 0.0
+    for k in range(m):
+        i = k0 + k
+        variance = var_a[i] + var_b[i] + var_own[i]
+        rest = variance
+        for j in range(count):
+            h = k0 + kept[j]
+            value = 0.0
+            if image_a[i] == image_a[h]:
+                value += math.sqrt(var_a[i] * var_a[h])
+            if image_b[i] == image_b[h]:
+                value += math.sqrt(var_b[i] * var_b[h])
+            if image_a[i] == image_b[h]:
+                value -= math.sqrt(var_a[i] * var_b[h])
+            if image_b[i] == image_a[h]:
+                value -= math.sqrt(var_b[i] * var_a[h])
+            for s in range(j):
+                value -= lower[count, s] * lower[j, s]
+            lower[count, j] = value / lower[j, j]
+            rest -= lower[count, j] ** 2
+        if rest > REDUNDANT * variance:
+            lower[count, count] = math.sqrt(rest)
+            logdet += math.log(rest)
+            kept[count] = k
+            count += 1
+    # weight = inv(L)' inv(L); the inverse of L is built in place, row by row.
+    for i in range(count):
+        for j in range(i):
+            value = 0.0
+            for s in range(j, i):
+                value += lower[i, s] * lower[s, j]
+            weight[i, j] = -value / lower[i, i]
+        for j in range(i):
+            lower[i, j] = weight[i, j]
+        lower[i, i] = 1.0 / lower[i, i]
+    for i in range(count):
+        for j in range(i + 1):
+            value = 0.0
+            for s in range(i, count):
+                value += lower[s, i] * lower[s, j]
+            weight[i, j] = value
+            weight[j, i] = value
+    return count, logdet
+
+
+@njit(cache=True)
+def accumulate(  # type: ignore[no-untyped-def]
+    starts, t_a, t_b, window, y, image_a, image_b, var_a, var_b, var_own, start, step, support,
+    band, rhs, border, corner, rhs_border,
+):  # fmt: skip
+    """Sum the rows of all patches into the normal equations; returns (y'R^-1 y, log det R, rows kept)."""
+    count = band.shape[1]
+    patches = len(starts) - 1
+    largest = 1
+    for g in range(patches):
+        largest = max(largest, starts[g + 1] - starts[g])
+    columns = border.shape[1]
+    first = np.zeros((largest, 2), np.int64)
+    rows = np.zeros((largest, 2, support))
+    lower, weight = np.zeros((largest, largest)), np.zeros((largest, largest))
+    kept = np.zeros(largest, np.int64)
+    misfit, logdet, used = 0.0, 0.0, 0
+    for g in range(patches):
+        k0, m = starts[g], starts[g + 1] - starts[g]
+        independent, log_patch = _patch_weight(
+            k0, m, image_a, image_b, var_a, var_b, var_own, lower, kept, weight
+        )
+        used += independent
+        logdet += log_patch
+        for k in range(independent):
+            i = k0 + kept[k]
+            first[k, 0] = _window_weights(t_a[i], window[i], start, step, count, support, rows[k, 0])
+            first[k, 1] = _window_weights(t_b[i], window[i], start, step, count, support, rows[k, 1])
+        for k in range(independent):
+            i = k0 + kept[k]
+            for h in range(independent):
+                j = k0 + kept[h]
+                w = weight[k, h]
+                misfit += w * y[i] * y[j]
+                if columns:
+                    rhs_border[image_b[i]] += w * y[j]
+                    rhs_border[image_a[i]] -= w * y[j]
+                    corner[image_b[i], image_b[j]] += w
+                    corner[image_b[i], image_a[j]] -= w
+                    corner[image_a[i], image_b[j]] -= w
+                    corner[image_a[i], image_a[j]] += w
+                for p in range(2):
+                    for u in range(support):
+                        value = w * rows[k, p, u] * (2 * p - 1)
+                        if value == 0.0:
+                            continue
+                        gu = first[k, p] + u
+                        rhs[gu] += value * y[j]
+                        if columns:
+                            border[gu, image_b[j]] += value
+                            border[gu, image_a[j]] -= value
+                        for q in range(2):
+                            gq = first[h, q]
+                            for v in range(min(support, gu - gq + 1)):
+                                band[gu - gq - v, gq + v] += value * rows[h, q, v] * (2 * q - 1)
+    return misfit, logdet, used

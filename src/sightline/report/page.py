@@ -1,0 +1,173 @@
+"""The report of a recovery: one HTML page that asks no network for anything.
+
+The drawing library is inside the page, once; figures are drawn by the reader's browser.
+
+Not here: what the figures and sentences are (the other files of this folder).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from plotly.offline import get_plotlyjs
+
+from sightline.applications.results import LineOfSight
+from sightline.evaluation.observed import observed
+from sightline.io.acquired import Acquisition
+from sightline.report import match_figures, motion_figures, spectrum_figures, style, words
+from sightline.report.composite import composite
+
+#: Frequencies at which visibility is drawn.
+_FREQUENCIES = 2401
+
+
+@dataclass(frozen=True)
+class Section:
+    """A figure with its heading and how to read it.
+
+    Attributes
+    ----------
+    name : str
+        Anchor of the section.
+    title, caption : str
+    figure : Markup
+    """
+
+    name: str
+    title: str
+    caption: str
+    figure: Markup
+
+
+def write_report(
+    path: Path, result: LineOfSight, acquisition: Acquisition, summary: Mapping[str, Any]
+) -> None:
+    """Write ``report.html``, complete or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Of the page.
+    result : LineOfSight
+    acquisition : Acquisition
+        What it was recovered from.
+    summary : mapping
+        As ``io.results.write_result`` gives it.
+    """
+    temporary = path.with_name(f".{path.name}.part")
+    temporary.write_text(report_html(result, acquisition, summary), encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[str, Any]) -> str:
+    """The page as text; parameters as of `write_report`."""
+    tones = spectrum_figures.tones_of(summary["tones"])
+    environment = Environment(
+        loader=PackageLoader("sightline.report", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("page.html.j2").render(
+        summary=summary,
+        library=Markup(get_plotlyjs()),
+        sentences=words.sentences(result, summary, tones),
+        cards=words.axis_cards(result, summary),
+        sections=_sections(result, summary),
+        overlay=composite(result, acquisition),
+        tones=words.tone_rows(result, tones),
+        statics=words.static_rows(result),
+        pairs=words.pair_rows(result),
+    )
+
+
+def _sections(result: LineOfSight, summary: Mapping[str, Any]) -> list[Section]:
+    """All figures in the order of the page."""
+    found = [
+        _section(
+            "attitude",
+            "Attitude against time",
+            "Departure from the reference attitude, less what the images cannot see. The band is ± 1 sigma; "
+            "where it is narrower than the line, the motion is known better than the drawing shows.",
+            motion_figures.attitude_figure(result),
+        )
+    ]
+    close = motion_figures.close_figure(result)
+    if close is not None:
+        caption = "The same over a few lines where roll and pitch are fastest; one mark per image line."
+        found.append(_section("close", "A closer look at the jitter", caption, close))
+    caption = (
+        "How well each axis is known at every instant. It grows at the ends and where matches are missing."
+    )
+    found.append(_section("sigma", "Sigma against time", caption, motion_figures.sigma_figure(result)))
+    return found + _frequency_sections(result, summary) + _match_sections(result)
+
+
+def _frequency_sections(result: LineOfSight, summary: Mapping[str, Any]) -> list[Section]:
+    """Figures against frequency; none for a few frames."""
+    if len(result.motion.t) < motion_figures.FEW_EPOCHS:
+        return []
+    highest = float(summary["highest_frequency"])
+    seen = observed(result, np.linspace(0.0, highest, _FREQUENCIES))
+    tones = spectrum_figures.tones_of(summary["tones"])
+    return [
+        _section(
+            "spectrum",
+            "Spectrum of the motion",
+            "Power spectral density of the recovered motion, with tones named. The dotted curve is the error "
+            "that remains: where the motion lies below it, it is believed, not measured.",
+            spectrum_figures.spectrum_figure(result, seen, tones, highest),
+        ),
+        _section(
+            "seen",
+            "What could be seen, frequency by frequency",
+            "Amplitude of a steady tone that would stand out by 5 sigma. One pair of images alone is blind "
+            "at the multiples of 1/lag marked below; pairs of several lags fill each other's gaps. Shown up "
+            f"to {highest:.4g} Hz: beyond, a window of several lines averages the motion away.",
+            spectrum_figures.visibility_figure(result, seen, result.image_names),
+        ),
+    ]
+
+
+def _match_sections(result: LineOfSight) -> list[Section]:
+    """Figures of the matches; none where there is no pair."""
+    views = match_figures.pair_views(result)
+    if not views:
+        return []
+    return [
+        _section(
+            "residuals",
+            f"Residuals over the image, before and after ({views[0].name})",
+            "Measured minus predicted place of every window: red where it was found at a later line (a "
+            "larger column) than predicted. Before: by the nominal cameras. After: what the recovered motion "
+            "does not explain; stripes would be motion left over, patches relief, clouds or false matches. "
+            "The scales of before and after differ.",
+            match_figures.residual_map_figure(result, views[0]),
+        ),
+        _section(
+            "histogram",
+            "Residuals of all pairs, before and after",
+            "If the sigmas of the matches are true, the bars on the right follow the curve.",
+            match_figures.residual_histogram(result),
+        ),
+        _section(
+            "matches",
+            "Where matches were kept, and why others were not",
+            "One cell per window, or the most frequent answer of several. A later image is first of a pair "
+            "only for ground that no earlier one has seen.",
+            match_figures.status_figure(result, views[:6]),
+        ),
+    ]
+
+
+def _section(name: str, title: str, caption: str, figure: go.Figure) -> Section:
+    return Section(name, title, caption, Markup(style.as_html(figure, f"figure-{name}")))

@@ -1,0 +1,237 @@
+"""A recovery in plain words: what was found, how well, and what could not be seen.
+
+Not here: the figures; nothing is computed but shares and units.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.applications.results import LineOfSight
+from sightline.motion.observability import Passbands
+from sightline.motion.tones import DetectedTone
+from sightline.report.motion_figures import visible_motion_px
+from sightline.report.style import AXES, AXIS_UNITS
+
+Array = NDArray[np.float64]
+
+#: A number and its unit stay on one line.
+_NUMBER_AND_UNIT = re.compile(r"(\d) (px|Hz|s|µrad|mrad|%)")
+
+
+def sentences(result: LineOfSight, summary: Mapping[str, Any], tones: Sequence[DetectedTone]) -> list[str]:
+    """The summary, a sentence or two per subject."""
+    said = [
+        _what(result, summary),
+        _how_well(result),
+        _residuals(result),
+        _tones(result, tones),
+        _hidden(result),
+    ]
+    blind = [_passbands(summary["passbands"][axis], axis, summary["highest_frequency"]) for axis in AXES]
+    in_order = [*said[:4], *_merged(blind), said[4]]
+    return [_NUMBER_AND_UNIT.sub("\\1\u00a0\\2", sentence) for sentence in in_order]
+
+
+def axis_cards(result: LineOfSight, summary: Mapping[str, Any]) -> list[dict[str, str]]:
+    """The main numbers of each axis."""
+    motion = np.sqrt((visible_motion_px(result) ** 2).mean(axis=0))
+    sigma = np.median(result.sigma, axis=0) / result.scale
+    worst = result.sigma.max(axis=0) / result.scale
+    return [
+        {
+            "name": axis,
+            "unit": AXIS_UNITS[k],
+            "motion": digits(motion[k], 3),
+            "motion_angle": _angle(motion[k] * result.scale[k], 3),
+            "sigma": digits(sigma[k], 2),
+            "sigma_angle": _angle(sigma[k] * result.scale[k], 2),
+            "worst": digits(worst[k], 2),
+            "worst_angle": _angle(worst[k] * result.scale[k], 2),
+            "seen": _short_bands(summary["passbands"][axis]),
+        }
+        for k, axis in enumerate(AXES)
+    ]
+
+
+def tone_rows(result: LineOfSight, tones: Sequence[DetectedTone]) -> list[list[str]]:
+    """Table of tones: axis, name, frequency, amplitude in px and urad, false alarm."""
+    rows = []
+    for tone in tones:
+        scale = float(result.scale[AXES.index(tone.axis)])
+        rows.append(
+            [
+                tone.axis,
+                f"{tone.frequency:.2f} ± {tone.sigma_frequency:.2f}",
+                f"{tone.amplitude / scale:.4f} ± {tone.sigma_amplitude / scale:.4f}",
+                f"{1e6 * tone.amplitude:.4g} ± {1e6 * tone.sigma_amplitude:.2g}",
+                tone.name if "×" in tone.name else "",
+                f"{tone.false_alarm:.0e}",
+            ]
+        )
+    return rows
+
+
+def static_rows(result: LineOfSight) -> list[list[str]]:
+    """Table of static parameters: name, value, sigma before and after, how much the images told."""
+    rows = []
+    for static in result.statics:
+        factor, unit = (1e6, "µrad") if static.unit == "rad" else (1.0, static.unit)
+        told = 1.0 - (static.sigma / static.prior_sigma) ** 2
+        rows.append(
+            [
+                static.name,
+                f"{factor * static.value:+.4g}",
+                digits(factor * static.sigma, 2),
+                digits(factor * static.prior_sigma, 2),
+                unit,
+                f"{100.0 * max(told, 0.0):.0f} %",
+            ]
+        )
+    return rows
+
+
+def pair_rows(result: LineOfSight) -> list[list[str]]:
+    """Table of pairs: names, lag, windows tried and kept, reasons, residuals before, after, expected."""
+    rows = []
+    for pair in result.pairs:
+        if not pair.tried:
+            continue
+        reasons = ", ".join(f"{name} {number:,}" for name, number in pair.rejected.items())
+        rows.append(
+            [
+                " – ".join(result.image_names[image] for image in pair.images),
+                _number(pair.lag, ".4f"),
+                f"{pair.tried:,}",
+                f"{pair.kept:,} ({100.0 * pair.kept / pair.tried:.0f} %)",
+                reasons or "none",
+                _number(pair.rms_before_px, ".3f"),
+                _number(pair.rms_after_px, ".4f"),
+                _number(pair.sigma_px, ".4f"),
+            ]
+        )
+    return rows
+
+
+def digits(value: float, count: int) -> str:
+    """A number with `count` significant digits, never with an exponent."""
+    if not np.isfinite(value):
+        return "–"
+    return np.format_float_positional(value, precision=count, unique=False, fractional=False, trim="-")
+
+
+def _angle(value: float, count: int) -> str:
+    """An angle in urad, or in mrad where that is shorter."""
+    factor, unit = (1e6, "µrad") if value < 1e-3 else (1e3, "mrad")
+    return f"{digits(factor * value, count)} {unit}"
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form) if np.isfinite(value) else "–"
+
+
+def _what(result: LineOfSight, summary: Mapping[str, Any]) -> str:
+    matches, t = summary["matches"], result.motion.t
+    share = 100.0 * matches["kept"] / max(matches["tried"], 1)
+    names = ", ".join(result.image_names[:6]) + (", …" if len(result.image_names) > 6 else "")
+    return (
+        f"{len(result.image_names)} images ({names}) were compared in {matches['tried']:,} windows, of which "
+        f"{matches['kept']:,} ({share:.0f} %) were used. From how far each window lay from where the cameras "
+        f"said, the attitude of the platform was recovered at {len(t):,} instants over {t[-1] - t[0]:.3g} s."
+    )
+
+
+def _how_well(result: LineOfSight) -> str:
+    motion = np.sqrt((visible_motion_px(result) ** 2).mean(axis=0))
+    sigma = np.median(result.sigma, axis=0) / result.scale
+    parts = [
+        f"{axis} moved by {digits(motion[k], 3)} {AXIS_UNITS[k]} rms and is known to {digits(sigma[k], 2)} px"
+        for k, axis in enumerate(AXES)
+    ]
+    return _capital("; ".join(parts) + " (1-sigma, median over the lines).")
+
+
+def _residuals(result: LineOfSight) -> str:
+    weights = np.array([pair.kept for pair in result.pairs], dtype=float)
+    before, after, expected = (
+        float(
+            np.sqrt(
+                np.nansum(weights * np.array([getattr(p, name) for p in result.pairs]) ** 2) / weights.sum()
+            )
+        )
+        for name in ("rms_before_px", "rms_after_px", "sigma_px")
+    )
+    return (
+        f"Before, windows lay {digits(before, 3)} px rms from their places; with the recovered motion "
+        f"{digits(after, 2)} px are left, where the matches' own sigma asks for {digits(expected, 2)} px."
+    )
+
+
+def _tones(result: LineOfSight, tones: Sequence[DetectedTone]) -> str:
+    if not tones:
+        return "No tone stands out of the spectrum."
+    said = []
+    for axis in AXES:
+        own = sorted((tone for tone in tones if tone.axis == axis), key=lambda tone: -tone.amplitude)
+        scale = float(result.scale[AXES.index(axis)])
+        if own:
+            listed = ", ".join(f"{t.frequency:.1f} Hz ({t.amplitude / scale:.2g} px)" for t in own[:4])
+            said.append(f"{axis} at {listed}" + (f" and {len(own) - 4} more" if len(own) > 4 else ""))
+    return "Tones, with their amplitude: " + "; ".join(said) + "."
+
+
+def _passbands(bands: Passbands, axis: str, highest: float) -> str:
+    if not bands:
+        return f"{axis}: no frequency could be seen well"
+    return f"{axis} {_short_bands(bands)}"
+
+
+def _merged(blind: Sequence[str]) -> list[str]:
+    return ["A steady tone of 0.1 px would be seen at these frequencies: " + "; ".join(blind) + "."]
+
+
+def _short_bands(bands: Passbands, most: int = 3) -> str:
+    if not bands:
+        return "nowhere"
+    wide = sorted(sorted(bands, key=lambda band: band[0] - band[1])[:most])
+    listed = ", ".join(f"{low:.3g}–{high:.3g}" for low, high in wide)
+    rest = len(bands) - len(wide)
+    return f"{listed} Hz" + (f" and {rest} narrower" if rest else "")
+
+
+def _hidden(result: LineOfSight) -> str:
+    if not result.hidden_names:
+        return "Nothing of the motion is hidden from the images."
+    tied = np.isfinite(result.absolute_sigma).all()
+    known = (
+        "other knowledge ties it: sigma_absolute in motion.csv includes it"
+        if tied
+        else "nothing given here ties it, so sigma_absolute in motion.csv is infinite"
+    )
+    return (
+        f"Images compared with each other cannot tell {_grouped(result.hidden_names)}, which unknown places "
+        f"of the detector lines imitate; {known}. Figures and sigmas here are of the motion less this hidden "
+        "part."
+    )
+
+
+def _grouped(names: Sequence[str]) -> str:
+    """Names such as ``constant of roll`` and ``constant of pitch`` as ``a constant of roll and pitch``."""
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        kind, _, axis = name.partition(" of ")
+        groups.setdefault(kind, []).append(axis)
+    return ", ".join(f"a {kind} of {_listed(axes)}" if all(axes) else kind for kind, axes in groups.items())
+
+
+def _listed(words: Sequence[str]) -> str:
+    return words[0] if len(words) == 1 else ", ".join(words[:-1]) + " and " + words[-1]
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
