@@ -7,11 +7,14 @@ A skip whose reason begins with "not applicable" is one that no installation cou
 
 from __future__ import annotations
 
+import contextlib
+import io
 import os
 import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -31,6 +34,31 @@ def real_data() -> Callable[[str], Path]:
         return found
 
     return folder
+
+
+@pytest.fixture(scope="session")
+def recovery(tmp_path_factory) -> SimpleNamespace:
+    """A small rendered strip and what `sightline recover` made of it: folders `scene` and `folder`, the
+    `printed` summary, and the objects behind the files (`result`, `acquisition`, `summary`)."""
+    from sightline.cli.main import run
+    from sightline.io import results
+
+    base = tmp_path_factory.mktemp("recovery")
+    scene, folder, kept = base / "scene", base / "result", SimpleNamespace()
+    written = results.write_result
+
+    def keep(to, result, acquisition, **options):
+        kept.result, kept.acquisition = result, acquisition
+        kept.summary = written(to, result, acquisition, **options)
+        return kept.summary
+
+    size = ["--lines", "640", "--columns", "320"]
+    assert run(["simulate", "line-of-sight", "--seed", "3", *size, "--out", str(scene)]) == 0
+    said = io.StringIO()
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
+        patch.setattr(results, "write_result", keep)
+        assert run(["recover", str(scene / "acquisition.toml"), "--out", str(folder), "--json"]) == 0
+    return SimpleNamespace(scene=scene, folder=folder, printed=said.getvalue(), **vars(kept))
 
 
 @pytest.fixture(scope="session")

@@ -178,7 +178,7 @@ def known_prior(root: Array, trials: int) -> None:
 def blind_prior(root: Array, trials: int) -> None:
     """Item 2, hyper-parameters and frequencies from the data."""
     for sigma, share in ((0.01, 0.5), (0.03, 1.0), (0.1, 0.5)):
-        rng = np.random.default_rng(300)
+        rng = np.random.default_rng(7300)
         blind, known, started, series = [], [], time.process_time(), 0
         for _ in range(max(1, round(trials * share / 3))):
             x = draw(rng, root)

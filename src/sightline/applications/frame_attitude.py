@@ -25,7 +25,7 @@ from sightline.imaging.source import ImageSource
 from sightline.motion.band import Frame, LensKnowledge
 from sightline.motion.frame_hidden import absolute_sigma, hidden_directions, relative_covariance, without
 from sightline.motion.frame_matches import FramePlan, FrameStar, match_frames
-from sightline.motion.frame_noise import FrameNoise, ReliefField, learn_noise, learn_relief
+from sightline.motion.frame_noise import FrameNoise, GroundField, learn_field, learn_noise
 from sightline.motion.frame_start import MAX_TURN, CoarseShift, coarse_shifts, turn_about_axis, turned_mount
 from sightline.motion.frames import FrameEstimate, FrameUnknowns, solve_frames, time_statics
 from sightline.motion.lens_field import LensField
@@ -45,6 +45,8 @@ FIRST_SCALE = 10.0
 FIELD_START_PX = 0.1
 #: Most windows of all frames together when heights are unknown (their covariance is dense).
 MAX_HEIGHTS = 2400
+#: Start value of drift (clouds) in heights of the same effect, as a share of the relief's.
+DRIFT_SHARE = 0.1
 #: Rounds of solving, weighing and learning within a pass.
 ROUNDS = 3
 
@@ -307,7 +309,7 @@ def _pass(sequence: _Sequence, before: _State, number: int) -> _State:
         field = LensField.over(sequence.shape, FIELD_START_PX) if sequence.free_lens else None
         unknowns = sequence.unknowns(field)
         x = np.concatenate([before.estimate.x, np.zeros(unknowns.size - len(before.estimate.x))])
-        noise = FrameNoise.start(options.lags, _relief(sequence, before.estimate, plan), scale=3.0)
+        noise = FrameNoise.start(options.lags, _ground_fields(sequence, before.estimate, plan), scale=3.0)
     else:
         unknowns, x, noise = before.estimate.unknowns, before.estimate.x, before.estimate.noise
     for _ in range(ROUNDS):
@@ -332,26 +334,31 @@ def _weighed(stars: Sequence[FrameStar], estimate: FrameEstimate) -> list[FrameS
     ]
 
 
-def _relief(sequence: _Sequence, estimate: FrameEstimate, plan: FramePlan) -> ReliefField | None:
-    """Law of unknown relief to start from; None where heights are known."""
+def _ground_fields(sequence: _Sequence, estimate: FrameEstimate, plan: FramePlan) -> tuple[GroundField, ...]:
+    """Laws of unknown relief and of drift to start from; none where heights are known."""
     if sequence.height_sigma <= 0.0:
-        return None
+        return ()
     camera = estimate.cameras[0]
     middle = (np.array(camera.shape) - 1) / 2.0
     ground = camera.locate(np.stack([middle, middle + [0.0, 1.0]]), sequence.surface)
     pixel = float(np.linalg.norm(ground[1] - ground[0]))
-    sigma = sequence.height_sigma
-    return ReliefField(sigma, sigma, 0.1 * max(camera.shape) * pixel, 0.2 * sigma, 0.5 * plan.window[0] * pixel)
+    sigma, length, rough = sequence.height_sigma, 0.1 * max(camera.shape) * pixel, 0.5 * plan.window[0] * pixel
+    return (
+        GroundField(sigma, sigma, length, 0.2 * sigma, rough),
+        # the ground as a whole stands still
+        GroundField(0.0, DRIFT_SHARE * sigma, length, 0.5 * DRIFT_SHARE * sigma, rough),
+    )
 
 
 def _learned(estimate: FrameEstimate, lags: Sequence[int]) -> FrameNoise:
-    """Errors of the matches and the law of the relief as the residuals show them."""
-    noise = learn_noise(estimate.stars, estimate.post_px, lags, estimate.noise)
-    if noise.relief is None:
-        return noise
-    information = estimate.height_information
-    height = estimate.height_rhs / np.maximum(information, 1e-30)
-    return replace(noise, relief=learn_relief(estimate.ground, height, information, noise.relief))
+    """Errors of the matches and the laws of relief and drift as the residuals show them."""
+    variance = estimate.fields[1].variance if estimate.fields else np.zeros(len(estimate.ground))
+    noise = learn_noise(estimate.stars, estimate.clean_px, estimate.per_star(variance), lags, estimate.noise)
+    fields = tuple(
+        learn_field(estimate.ground, found.alone, found.precision, law)
+        for found, law in zip(estimate.fields, noise.fields, strict=True)
+    )
+    return replace(noise, fields=fields)
 
 
 def _scale(estimate: FrameEstimate) -> Array:

@@ -72,6 +72,8 @@ def run(words: list[str], *, debug: bool = False) -> int:
     try:
         with warnings_as_messages():
             status = app(words, prog_name="sightline", standalone_mode=False)
+        if status == INTERRUPTED:  # typer's word for an interruption inside a command
+            raise KeyboardInterrupt
     except _ClickException as error:
         _say_usage(error)
         return WRONG_INPUT

@@ -31,48 +31,45 @@ class Influence:
         The matches that were used.
     gains : per star (G, K, 2, P)
         Change of the outcomes with the error of each match, in units of the matcher's Cholesky factor.
-    relief : (sum of G, P) or None
-        Change with the true height of each window's ground, per m; None where heights are known.
+    fields : tuple of (sum of G, P)
+        Change with the true height (and drift) of each window's ground, per m; none where heights are known.
     prior : (U, P)
         Change with the departure of each true unknown from its prior mean.
     """
 
     stars: Sequence[FrameStar]
     gains: list[Array]
-    relief: Array | None
+    fields: tuple[Array, ...]
     prior: Array
 
     def through(self, matrix: Array) -> Influence:
         """Influence on ``matrix @ outcomes``, matrix (Q, P)."""
-        relief = None if self.relief is None else self.relief @ matrix.T
-        return replace(self, gains=[g @ matrix.T for g in self.gains], relief=relief, prior=self.prior @ matrix.T)
+        fields = tuple(field @ matrix.T for field in self.fields)
+        return replace(self, gains=[g @ matrix.T for g in self.gains], fields=fields, prior=self.prior @ matrix.T)
 
     def spread_over(self, stars: Sequence[FrameStar]) -> Influence:
         """The same influence laid out over more matches of the same windows, which have none."""
         place = {star.hub: k for k, star in enumerate(self.stars)}
         outcomes = self.prior.shape[1]
         first = np.cumsum([0] + [len(star.pixels) for star in self.stars])
-        gains, relief = [], []
+        gains: list[Array] = []
+        fields: list[list[Array]] = [[] for _ in self.fields]
         for star in stars:
             gain = np.zeros((len(star.pixels), len(star.images), 2, outcomes))
-            height = np.zeros((len(star.pixels), outcomes))
             k = place.get(star.hub)
             if k is not None:
-                columns = [star.images.index(image) for image in self.stars[k].images]
-                gain[:, columns] = self.gains[k]
-                if self.relief is not None:
-                    height = self.relief[first[k] : first[k + 1]]
+                gain[:, [star.images.index(image) for image in self.stars[k].images]] = self.gains[k]
             gains.append(gain)
-            relief.append(height)
-        return Influence(stars, gains, None if self.relief is None else np.concatenate(relief), self.prior)
+            for parts, field in zip(fields, self.fields, strict=True):
+                none = np.zeros((len(star.pixels), outcomes))
+                parts.append(none if k is None else field[first[k] : first[k + 1]])
+        return Influence(stars, gains, tuple(np.concatenate(parts) for parts in fields), self.prior)
 
     def plus(self, other: Influence) -> Influence:
         """Sum of two influences on the same outcomes through the same matches."""
-        relief = None
-        if self.relief is not None and other.relief is not None:
-            relief = self.relief + other.relief
         gains = [a + b for a, b in zip(self.gains, other.gains, strict=True)]
-        return Influence(self.stars, gains, relief, self.prior + other.prior)
+        fields = tuple(a + b for a, b in zip(self.fields, other.fields, strict=True))
+        return Influence(self.stars, gains, fields, self.prior + other.prior)
 
 
 def outcome_covariance(influence: Influence, noise: FrameNoise, ground: Array, prior_covariance: Array) -> Array:
@@ -88,8 +85,8 @@ def outcome_covariance(influence: Influence, noise: FrameNoise, ground: Array, p
         Of the unknowns before any match.
     """
     out = influence.prior.T @ prior_covariance @ influence.prior
-    if influence.relief is not None and noise.relief is not None:
-        out = out + influence.relief.T @ noise.relief.covariance(ground, ground) @ influence.relief
+    for gain, field in zip(influence.fields, noise.fields, strict=True):
+        out = out + gain.T @ field.covariance(ground, ground) @ gain
     for star, gain in zip(influence.stars, influence.gains, strict=True):
         # a match of robust weight w was taken for one of variance 1/w
         size = np.where(star.present, 1.0 / np.sqrt(np.maximum(star.weight, 1e-12)), 0.0)

@@ -1,8 +1,10 @@
 """Errors of matches between frames: what lags share, what windows share, and unknown relief.
 
-Three causes are kept apart: noise of each image (shared by every match that uses the same pixels,
+Four causes are kept apart: noise of each image (shared by every match that uses the same pixels,
 so that neighbouring pairs err against each other), disagreement of a pair (which grows with the
-change of view), and parallax of relief, a field on the ground that all frames see.
+change of view), parallax of relief, and what drifts over the ground, as clouds do. The last two
+are fields on the ground that all frames see: relief moves windows along the parallax, drift
+across it, both in proportion to the base between two frames (drift along it looks like relief).
 
 Not here: the estimate (``frames.py``).
 """
@@ -23,20 +25,20 @@ Array = NDArray[np.float64]
 CLIP = 4.0
 #: Fewest matches from which the covariance of a pair of lags is learned.
 MIN_COUNT = 60
-#: Points from which the law of the relief is learned (a subset is drawn if there are more).
+#: Points from which the law of a ground field is learned (a subset is drawn if there are more).
 RELIEF_POINTS = 600
 
 
 @dataclass(frozen=True, eq=False)
-class ReliefField:
-    """Unknown height about the surface: an offset, correlated terrain, and what varies within a window.
+class GroundField:
+    """Relief, or drift across the parallax in heights of the same effect: offset, smooth part, rough part.
 
     Attributes
     ----------
     offset_sigma : float
-        m; of the mean height.
+        m; of the mean.
     sigma, length : float
-        m; of terrain, Matern 3/2.
+        m; of the smooth part, Matern 3/2.
     rough_sigma, rough_length : float
         m; of what only windows that overlap share, and how far that reaches (about half a window).
     """
@@ -70,20 +72,20 @@ class FrameNoise:
         Covariance of the errors of one window found at several lags.
     shared : float
         Variance that the noise of one image brings, shared by all matches that use the same pixels.
-    relief : ReliefField or None
-        None where heights are known.
+    fields : tuple of GroundField
+        Relief and drift, or none where heights are known.
     """
 
     lags: tuple[int, ...]
     gamma: Array
     shared: float
-    relief: ReliefField | None = None
+    fields: tuple[GroundField, ...] = ()
 
     @classmethod
-    def start(cls, lags: Sequence[int], relief: ReliefField | None = None, scale: float = 1.0) -> FrameNoise:
+    def start(cls, lags: Sequence[int], fields: tuple[GroundField, ...] = (), scale: float = 1.0) -> FrameNoise:
         """Two images of equal noise, as the matcher says, times `scale` in sigma."""
         gamma = scale**2 * (0.5 + 0.5 * np.eye(len(lags)))
-        return cls(tuple(lags), gamma, 0.5 * scale**2, relief)
+        return cls(tuple(lags), gamma, 0.5 * scale**2, fields)
 
     def of(self, lags: Sequence[int]) -> Array:
         """Covariance (K, K) for some lags."""
@@ -129,44 +131,68 @@ def match_information(star: Star, noise: FrameNoise) -> Array:
     return np.asarray(out * root[:, :, None] * root[:, None, :])
 
 
-def learn_noise(stars: Sequence[Star], post_px: Sequence[Array], lags: Sequence[int], before: FrameNoise) -> FrameNoise:
+def across(along: Array) -> Array:
+    """Scaled sensitivities (G, K, 2) to a height, turned by a right angle: those to a drift of the same size.
+
+    With matches weighed alike on both (scaled) axes, the two tell nothing of each other: what a window says of its
+    height and what it says of its drift are independent.
+    """
+    return np.stack([-along[..., 1], along[..., 0]], axis=-1)
+
+
+def learn_noise(
+    stars: Sequence[Star],
+    clean_px: Sequence[Array],
+    drift_variance: Sequence[Array],
+    lags: Sequence[int],
+    before: FrameNoise,
+) -> FrameNoise:
     """Covariance of errors from residuals that no height can make.
 
     Parameters
     ----------
     stars : sequence of Star
-    post_px : (G, K, 2) each
-        Residuals after the fit, px.
+    clean_px : (G, K, 2) each
+        Residuals after the fit, what the ground fields explain taken out, px.
+    drift_variance : (G,) each
+        m^2; posterior variance of the drift, which is given back (expectation-maximisation). With ground fields,
+        only residuals across the parallax are used: along it, heights of single windows take too much.
     lags : sequence of int
     before : FrameNoise
-        Its values stay where there are too few matches; with its relief, only the part of the residuals
-        across the parallax is used.
+        Its values stay where there are too few matches.
     """
     index = {lag: k for k, lag in enumerate(lags)}
     total, count = np.zeros((len(lags), len(lags))), np.zeros((len(lags), len(lags)))
-    spread = _spreads(stars, post_px, lags, before.relief is not None)
-    for star, post in zip(stars, post_px, strict=True):
-        parts = _free_of_height(star, post, before.relief is not None)
+    relief = bool(before.fields)
+    spread = _spreads(stars, clean_px, lags, relief)
+    for star, clean, variance in zip(stars, clean_px, drift_variance, strict=True):
+        parts, lever = _free_of_height(star, clean, relief)
         rows = [index[image - star.hub] for image in star.images]
         limit = CLIP * spread[rows]
         for part in parts:
             good = star.present & np.isfinite(part) & (np.abs(part) <= limit)
-            values = np.where(good, part, 0.0)
-            total[np.ix_(rows, rows)] += values.T @ values
+            values, arms = np.where(good, part, 0.0), np.where(good, lever, 0.0)
+            total[np.ix_(rows, rows)] += values.T @ values + arms.T @ (variance[:, None] * arms)
             count[np.ix_(rows, rows)] += good.T.astype(float) @ good.astype(float)
     gamma = np.where(count >= MIN_COUNT, total / np.maximum(count, 1.0), before.of(lags))
     values, vectors = np.linalg.eigh(0.5 * (gamma + gamma.T))
     gamma = (vectors * np.maximum(values, 0.1 * float(np.diag(gamma).min()))) @ vectors.T
-    shared = float(np.median(gamma[~np.eye(len(lags), dtype=bool)])) if len(lags) > 1 else 0.5 * float(gamma[0, 0])
-    shared = float(np.clip(shared, 0.0, 0.5 * np.diag(gamma).min()))
-    return FrameNoise(tuple(lags), gamma, shared, before.relief)
+    return FrameNoise(tuple(lags), gamma, _shared(gamma), before.fields)
 
 
-def _spreads(stars: Sequence[Star], post_px: Sequence[Array], lags: Sequence[int], relief: bool) -> Array:
+def _shared(gamma: Array) -> float:
+    """Variance of one image's noise: what lags have in common, at most half of the smallest variance."""
+    half = 0.5 * float(np.diag(gamma).min())
+    if len(gamma) == 1:
+        return half
+    return float(np.clip(np.median(gamma[~np.eye(len(gamma), dtype=bool)]), 0.0, half))
+
+
+def _spreads(stars: Sequence[Star], clean_px: Sequence[Array], lags: Sequence[int], relief: bool) -> Array:
     """Robust sigma of the scaled errors at each lag."""
     pools: dict[int, list[Array]] = {lag: [] for lag in lags}
-    for star, post in zip(stars, post_px, strict=True):
-        for part in _free_of_height(star, post, relief):
+    for star, clean in zip(stars, clean_px, strict=True):
+        for part in _free_of_height(star, clean, relief)[0]:
             for k, image in enumerate(star.images):
                 good = star.present[:, k] & np.isfinite(part[:, k])
                 pools[image - star.hub].append(np.abs(part[good, k]))
@@ -174,30 +200,31 @@ def _spreads(stars: Sequence[Star], post_px: Sequence[Array], lags: Sequence[int
     return np.array([1.4826 * float(np.median(pool)) if len(pool) else 1.0 for pool in medians])
 
 
-def _free_of_height(star: Star, post_px: Array, relief: bool) -> list[Array]:
-    """Scaled residuals (G, K) that heights cannot make: both axes, or the one across the parallax."""
+def _free_of_height(star: Star, clean_px: Array, relief: bool) -> tuple[list[Array], Array]:
+    """Scaled residuals (G, K) that heights cannot make: both axes, or the one across the parallax; its lever, 1/m."""
     factors = cholesky_factors(star.covariance_px)
-    z = scaled(post_px, factors)
-    if not relief:
-        return [z[..., 0], z[..., 1]]
+    z = scaled(clean_px, factors)
     along = scaled(np.asarray(star.by_height, dtype=np.float64), factors)
     length = np.hypot(along[..., 0], along[..., 1])
+    if not relief:
+        return [z[..., 0], z[..., 1]], np.zeros_like(length)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return [np.asarray((along[..., 0] * z[..., 1] - along[..., 1] * z[..., 0]) / length)]
+        part = (across(along) * z).sum(axis=-1) / length
+    return [np.asarray(part)], length
 
 
-def learn_relief(ground: Array, height: Array, precision: Array, start: ReliefField) -> ReliefField:
-    """Law of the relief by marginal likelihood of single-window heights.
+def learn_field(ground: Array, height: Array, precision: Array, start: GroundField) -> GroundField:
+    """Law of a ground field by marginal likelihood of what single windows say.
 
     Parameters
     ----------
     ground : (N, 3)
         m; where the windows look.
     height : (N,)
-        m; what each window's matches alone say.
+        m; what each window's matches alone say of its height (or drift).
     precision : (N,)
         1/m^2; of `height`; 0 where a window says nothing.
-    start : ReliefField
+    start : GroundField
         Its offset stays.
     """
     from scipy.linalg import cho_factor, cho_solve
@@ -211,7 +238,7 @@ def learn_relief(ground: Array, height: Array, precision: Array, start: ReliefFi
     extent = float(np.ptp(points, axis=0).max())
 
     def cost(x: Array) -> float:
-        field = ReliefField(start.offset_sigma, *(float(v) for v in np.exp(x)), start.rough_length)
+        field = GroundField(start.offset_sigma, *(float(v) for v in np.exp(x)), start.rough_length)
         c = field.covariance(points, points) + np.diag(noise)
         factor, lower = cho_factor(c + 1e-9 * np.trace(c) / len(c) * np.eye(len(c)), lower=True)
         fit = float(y @ cho_solve((factor, lower), y)) + 2.0 * float(np.log(np.diag(factor)).sum())
@@ -222,4 +249,4 @@ def learn_relief(ground: Array, height: Array, precision: Array, start: ReliefFi
     x0 = np.log([start.sigma, start.length, max(start.rough_sigma, 0.1 * start.sigma)])
     best = minimize(cost, x0, method="Nelder-Mead", options={"maxfev": 80, "xatol": 0.05, "fatol": 0.5})
     sigma, length, rough = np.exp(best.x)
-    return ReliefField(start.offset_sigma, float(sigma), float(length), float(rough), start.rough_length)
+    return GroundField(start.offset_sigma, float(sigma), float(length), float(rough), start.rough_length)

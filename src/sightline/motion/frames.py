@@ -22,7 +22,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.motion.frame_errors import Influence, neighbour_covariance
 from sightline.motion.frame_linear import linearise_frames
 from sightline.motion.frame_matches import FrameStar
-from sightline.motion.frame_noise import FrameNoise, cholesky_factors, match_information, scaled
+from sightline.motion.frame_noise import FrameNoise, across, cholesky_factors, match_information, scaled
 from sightline.motion.lens_field import LensField
 from sightline.motion.observations import Star
 from sightline.motion.predict import MovingCamera, StaticParameter
@@ -150,13 +150,20 @@ def _later(image: int) -> Callable[[Sequence[MovingCamera], float], list[MovingC
 
 @dataclass(frozen=True, eq=False)
 class _Reduced:
-    """Sums over all stars: information and right-hand side of the unknowns, relief in between."""
+    """Sums over all stars: information and right-hand side of the unknowns, and of each ground field's windows."""
 
     information: Array
     rhs: Array
+    fields: tuple[_FieldSums, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _FieldSums:
+    """Of one ground field: information with the unknowns (sum of G, P), own information and right-hand side (sum of G,)."""
+
     crossed: Array
-    height_information: Array
-    height_rhs: Array
+    information: Array
+    rhs: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,10 +179,10 @@ class FrameEstimate:
     cameras : list of FrameCamera
     stars : list of Star
         Linearised at `cameras`.
-    heights : per star (G,)
-        m; of each window's ground above the surface; 0 where relief is known.
+    fields : tuple of FieldEstimate
+        Relief and drift of all windows; empty where the relief is known.
     post_px : per star (G, K, 2)
-        Residuals, relief not taken out; `clean_px` with it taken out.
+        Residuals, ground fields not taken out; `clean_px` with them taken out.
     noise : FrameNoise
     ground : (sum of G, 3)
         m; where the windows look.
@@ -190,12 +197,10 @@ class FrameEstimate:
     covariance: Array
     cameras: list[FrameCamera]
     stars: list[Star]
-    heights: list[Array]
+    fields: tuple[FieldEstimate, ...]
     post_px: list[Array]
     noise: FrameNoise
     ground: Array
-    height_rhs: Array
-    height_information: Array
     influence: Influence
     information: Array
 
@@ -212,11 +217,43 @@ class FrameEstimate:
 
     @property
     def clean_px(self) -> list[Array]:
-        """Residuals with the parallax of the estimated relief taken out, (G, K, 2) px per star."""
-        return [
-            post - np.asarray(star.by_height, dtype=np.float64) * height[:, None, None]
-            for star, post, height in zip(self.stars, self.post_px, self.heights, strict=True)
-        ]
+        """Residuals with what relief and drift explain taken out, (G, K, 2) px per star."""
+        out = []
+        for k, (star, post) in enumerate(zip(self.stars, self.post_px, strict=True)):
+            clean = post
+            for level, field in zip(_levers(star), self.fields, strict=False):
+                clean = clean - level * self.per_star(field.value)[k][:, None, None]
+            out.append(clean)
+        return out
+
+    def per_star(self, values: Array) -> list[Array]:
+        """Values of all windows (sum of G,) cut into stars."""
+        return np.split(values, np.cumsum([len(star.pixels) for star in self.stars])[:-1])
+
+
+@dataclass(frozen=True, eq=False)
+class FieldEstimate:
+    """Relief (or drift, in heights of the same effect) under every window.
+
+    Attributes
+    ----------
+    value, variance : (sum of G,)
+        m, m^2; posterior.
+    alone, precision : (sum of G,)
+        m, 1/m^2; what each window's own matches say.
+    """
+
+    value: Array
+    variance: Array
+    alone: Array
+    precision: Array
+
+
+def _levers(star: Star) -> tuple[Array, Array]:
+    """Shift (G, K, 2) px per m of height, and per m of drift, of a star's matches."""
+    height = np.asarray(star.by_height, dtype=np.float64)
+    factors = cholesky_factors(star.covariance_px)
+    return height, np.einsum("gkij,gkj->gki", factors, across(scaled(height, factors)))
 
 
 def solve_frames(
@@ -268,8 +305,6 @@ def solve_frames(
     ground = _ground(stars, cameras, surface)
     reduced = _reduce(stars, lines, unknowns, noise)
     solver = _Solver(reduced, prior, noise, ground, fixed)
-    heights = solver.heights()
-    counts = np.cumsum([0] + [len(star.pixels) for star in stars])
     influence = _influence(stars, lines, unknowns, noise, solver)
     shared = neighbour_covariance(influence, noise.shared)
     return FrameEstimate(
@@ -278,12 +313,10 @@ def solve_frames(
         solver.posterior + shared,
         cameras,
         lines,
-        [heights[counts[k] : counts[k + 1]] for k in range(len(stars))],
+        tuple(part.estimate() for part in solver.fields),
         [line.residual_px for line in lines],
         noise,
         ground,
-        reduced.height_rhs,
-        reduced.height_information,
         influence,
         solver.information,
     )
@@ -313,10 +346,10 @@ def _rows(matched: FrameStar, star: Star, unknowns: FrameUnknowns) -> tuple[Arra
 def _reduce(
     stars: Sequence[FrameStar], lines: Sequence[Star], unknowns: FrameUnknowns, noise: FrameNoise
 ) -> _Reduced:
-    """Normal equations of all stars; one row of `crossed` per window for its height."""
+    """Normal equations of all stars; one row per window for each ground field."""
     size = unknowns.size
     information, rhs = np.zeros((size, size)), np.zeros(size)
-    crossed, height_information, height_rhs = [], [], []
+    parts: list[tuple[list[Array], list[Array], list[Array]]] = [([], [], []) for _ in noise.fields]
     for star, line in zip(stars, lines, strict=True):
         z, design, height = _rows(star, line, unknowns)
         weight = match_information(line, noise)
@@ -324,43 +357,76 @@ def _reduce(
         flat, flat_weighed = design.reshape(-1, size), weighed.reshape(-1, size)
         information += flat.T @ flat_weighed
         rhs += flat_weighed.T @ z.ravel()
-        crossed.append(np.einsum("gkc,gkcp->gp", height, weighed))
-        weighed_height = np.einsum("gkl,glc->gkc", weight, height)
-        height_information.append(np.einsum("gkc,gkc->g", height, weighed_height))
-        height_rhs.append(np.einsum("gkc,gkc->g", z, weighed_height))
-    return _Reduced(
-        information, rhs, np.concatenate(crossed), np.concatenate(height_information), np.concatenate(height_rhs)
-    )
+        for lever, part in zip((height, across(height)), parts, strict=False):
+            weighed_lever = np.einsum("gkl,glc->gkc", weight, lever)
+            part[0].append(np.einsum("gkc,gkcp->gp", lever, weighed))
+            part[1].append(np.einsum("gkc,gkc->g", lever, weighed_lever))
+            part[2].append(np.einsum("gkc,gkc->g", z, weighed_lever))
+    sums = tuple(_FieldSums(*(np.concatenate(column) for column in part)) for part in parts)
+    return _Reduced(information, rhs, sums)
+
+
+class _Eliminated:
+    """A ground field eliminated from the normal equations, and found again given the unknowns.
+
+    With D the information of each window on its own height, s = sqrt(D) and K the covariance of the field,
+    everything follows from C = 1 + s K s: ``s (K^-1 + D)^-1 s = 1 - C^-1``.
+    """
+
+    def __init__(self, sums: _FieldSums, covariance: Array) -> None:
+        """Factor C."""
+        from scipy.linalg import cho_factor, cho_solve
+
+        seen = sums.information > 0
+        self.sums = sums
+        self.root = np.where(seen, np.sqrt(np.maximum(sums.information, 1e-300)), 1.0)
+        self.loose = np.where(seen[:, None], sums.crossed / self.root[:, None], 0.0)
+        self.loose_rhs = np.where(seen, sums.rhs / self.root, 0.0)
+        root = np.where(seen, self.root, 0.0)
+        self.prior_variance, self.seen = np.diag(covariance).copy(), seen
+        self.factor = cho_factor(covariance * root[:, None] * root[None, :] + np.eye(len(root)), lower=True)
+        both = cho_solve(self.factor, np.column_stack([self.loose, self.loose_rhs]))
+        self.kept, self.kept_rhs = self.loose - both[:, :-1], self.loose_rhs - both[:, -1]
+
+    @property
+    def gain(self) -> Array:
+        """(sum of G, P): change of the right-hand side with the true field, 1/m."""
+        return np.asarray(self.root[:, None] * (self.loose - self.kept))
+
+    @property
+    def correction(self) -> Array:
+        """(sum of G, P): what the eliminated field takes of each unknown, m per unit."""
+        return np.asarray(self.kept / self.root[:, None])
+
+    def estimate(self) -> FieldEstimate:
+        """Posterior of the field, the unknowns being where they are."""
+        from scipy.linalg import solve_triangular
+
+        inverse_factor = solve_triangular(self.factor[0], np.eye(len(self.root)), lower=True)
+        inverse_diagonal = (inverse_factor**2).sum(axis=0)
+        variance = np.where(self.seen, (1.0 - inverse_diagonal) / self.root**2, self.prior_variance)
+        alone = np.where(self.seen, self.sums.rhs / self.root**2, 0.0)
+        return FieldEstimate(
+            self.kept_rhs / self.root, np.maximum(variance, 0.0), alone, self.sums.information
+        )
 
 
 class _Solver:
-    """Relief eliminated: posterior of the unknowns and, given them, of the heights.
-
-    With D the information of each window on its own height, s = sqrt(D) and K the covariance of the
-    relief, everything follows from C = 1 + s K s: ``s (K^-1 + D)^-1 s = 1 - C^-1``.
-    """
+    """Ground fields eliminated: posterior of the unknowns."""
 
     def __init__(
         self, reduced: _Reduced, prior: Array, noise: FrameNoise, ground: Array, fixed: int | None
     ) -> None:
-        """Factor."""
-        from scipy.linalg import cho_factor, cho_solve
-
-        self.reduced, self.prior = reduced, prior
-        seen = reduced.height_information > 0
-        self.root = np.where(seen, np.sqrt(np.maximum(reduced.height_information, 1e-300)), 1.0)
-        self.loose = np.where(seen[:, None], reduced.crossed / self.root[:, None], 0.0)
-        self.loose_rhs = np.where(seen, reduced.height_rhs / self.root, 0.0)
-        information, self.rhs = reduced.information, reduced.rhs
-        self.relief = noise.relief is not None
-        if noise.relief is not None:
-            root = np.where(seen, self.root, 0.0)
-            c = noise.relief.covariance(ground, ground) * root[:, None] * root[None, :] + np.eye(len(root))
-            self.factor = cho_factor(c, lower=True)
-            both = cho_solve(self.factor, np.column_stack([self.loose, self.loose_rhs]))
-            self.kept, self.kept_rhs = self.loose - both[:, :-1], self.loose_rhs - both[:, -1]
-            information = information - self.loose.T @ self.kept
-            self.rhs = self.rhs - self.loose.T @ self.kept_rhs
+        """Eliminate and invert."""
+        self.prior, self.rhs = prior, reduced.rhs
+        information = reduced.information
+        self.fields = [
+            _Eliminated(sums, field.covariance(ground, ground))
+            for sums, field in zip(reduced.fields, noise.fields, strict=True)
+        ]
+        for part in self.fields:
+            information = information - part.loose.T @ part.kept
+            self.rhs = self.rhs - part.loose.T @ part.kept_rhs
         self.information = 0.5 * (information + information.T)
         free = slice(0, fixed)
         inverse = np.linalg.inv((self.information + prior)[free, free])
@@ -371,39 +437,27 @@ class _Solver:
         """Gauss-Newton step from `x`."""
         return np.asarray(self.posterior @ (self.rhs - self.prior @ x))
 
-    def heights(self) -> Array:
-        """Posterior mean heights (sum of G,) m, the unknowns being where they are."""
-        if not self.relief:
-            return np.zeros(len(self.root))
-        return np.asarray(self.kept_rhs / self.root)
 
-    def height_gain(self) -> Array | None:
-        """(sum of G, P): change of the right-hand side with true heights (1/m); None where they are known."""
-        if not self.relief:
-            return None
-        return np.asarray(self.root[:, None] * (self.loose - self.kept))
-
-    def height_correction(self) -> Array:
-        """(sum of G, P): what the eliminated heights take of each unknown, m per unit."""
-        if not self.relief:
-            return np.zeros_like(self.loose)
-        return np.asarray(self.kept / self.root[:, None])
-
-
-def _influence(stars: Sequence[FrameStar], lines: Sequence[Star], unknowns: FrameUnknowns, noise: FrameNoise, solver: _Solver) -> Influence:
-    """Influence of every match, height and prior mean on the unknowns."""
-    correction, first, gains = solver.height_correction(), 0, []
+def _influence(
+    stars: Sequence[FrameStar],
+    lines: Sequence[Star],
+    unknowns: FrameUnknowns,
+    noise: FrameNoise,
+    solver: _Solver,
+) -> Influence:
+    """Influence of every match, ground field and prior mean on the unknowns."""
+    first, gains = 0, []
     for star, line in zip(stars, lines, strict=True):
         _, design, height = _rows(star, line, unknowns)
         windows = slice(first, first + len(star.pixels))
         first = windows.stop
-        design -= height[..., None] * correction[windows][:, None, None, :]
+        for lever, part in zip((height, across(height)), solver.fields, strict=False):
+            design -= lever[..., None] * part.correction[windows][:, None, None, :]
         weight = match_information(line, noise)
         gains.append(np.einsum("gkl,glcp->gkcp", weight, design, optimize=True) @ solver.posterior)
-    heights = solver.height_gain()
     return Influence(
         [star.with_weight(line.weight) for star, line in zip(stars, lines, strict=True)],
         gains,
-        None if heights is None else heights @ solver.posterior,
+        tuple(part.gain @ solver.posterior for part in solver.fields),
         -solver.prior @ solver.posterior,
     )

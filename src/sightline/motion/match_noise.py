@@ -9,6 +9,8 @@ Not here: the matcher's own covariance of a single match (``matching/``).
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -20,8 +22,16 @@ Array = NDArray[np.float64]
 MIN_BLOCKS = 4
 #: Rows over which the correlation from row to row is followed.
 ROW_LAGS = 3
-#: Errors beyond this many sigmas lose weight, beyond REJECT they lose all.
-SOFT, REJECT = 3.0, 6.0
+#: Errors beyond this many sigmas lose weight (1 % of two Gaussian components), beyond REJECT all of it (4e-6).
+SOFT, REJECT = 3.0, 5.0
+#: Scaled residuals are cut to this size where covariances are summed.
+CLIP = 6.0
+#: A window further than this many robust sigmas from the line through its row saw something that is not the ground.
+OFF_ROW = 5.0
+#: With so many of its eight neighbours off their rows, a window is not trusted either.
+NEIGHBOURS_OFF = 2
+#: Rows of more windows are summarised in so many groups before the line is laid.
+MOST_GROUPS = 16
 
 
 def scatter(star: Star, post_px: Array) -> tuple[Array, Array]:
@@ -68,7 +78,7 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     counted = float(degrees.sum())
     if counted < 200 * pairs:
         return shared_image_correlation(pairs)
-    clipped = np.clip(z, -REJECT, REJECT)
+    clipped = np.clip(z, -CLIP, CLIP)
     v = np.where(np.isfinite(clipped), clipped, 0.0)
     seen = np.isfinite(clipped).astype(float)
     # a row of n windows keeps n - 2 of its n squares
@@ -92,18 +102,68 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
 
 
 def robust_weights(star: Star, post_px: Array) -> Array:
-    """Weights (G, K) in [0, 1] from residuals after the estimate: 1 inside, falling beyond, 0 far out."""
+    """Weights (G, K) in [0, 1] of matches after an estimate: 1 inside, falling beyond, 0 far out.
+
+    Notes
+    -----
+    Two tests. Against its row: what a row of ground agrees on is motion, and a window far from the line through
+    its row's residuals (repeated medians: half of the row may be wrong) saw something else, a cloud or a moving
+    object; so did, most likely, the windows around several such. Against the estimate: single mismatches.
+    """
+    rows, blocks = star.shape
     pairs = star.t.shape[1]
     z = scale_residuals(post_px, star.covariance_px).reshape(-1, pairs, 2)
-    finite = np.isfinite(z[..., 0])
-    out = np.zeros(finite.shape)
+    out = np.zeros((len(z), pairs))
     for k in range(pairs):
-        seen = finite[:, k] & (star.weight[:, k] > 0)
-        if not seen.any():
+        finite = np.isfinite(z[:, k, 0])
+        if not finite.any():
             continue
-        # spread by the median, so that mismatches do not widen it
-        spread = np.maximum(1.4826 * np.median(np.abs(z[seen, k]), axis=0), 1e-6)
-        distance = np.sqrt(((z[:, k] / spread) ** 2).sum(axis=1) / 2.0)
-        weight = np.where(distance <= SOFT, 1.0, SOFT / np.maximum(distance, 1e-12))
-        out[:, k] = np.where(finite[:, k] & (distance <= REJECT), weight, 0.0)
+        distance = _distance(z[:, k], finite & (star.weight[:, k] > 0) if (star.weight[finite, k] > 0).any() else finite)
+        keep = finite & (distance <= REJECT)
+        if blocks >= MIN_BLOCKS:
+            off = _off_row(post_px[:, k].reshape(rows, blocks, 2), star.covariance_px[:, k].reshape(rows, blocks, 2, 2))
+            keep &= ~off.ravel()
+        out[:, k] = np.where(keep, np.minimum(1.0, SOFT / np.maximum(distance, 1e-12)), 0.0)
     return out
+
+
+def _distance(z: Array, trusted: NDArray[np.bool_]) -> Array:
+    """Distance (G,) from zero in robust sigmas; the spread is by the median, so that mismatches do not widen it."""
+    spread = np.maximum(1.4826 * np.median(np.abs(z[trusted]), axis=0), 1.0)
+    return np.asarray(np.sqrt(((z / spread) ** 2).sum(axis=1)))
+
+
+def _off_row(post: Array, covariance: Array) -> NDArray[np.bool_]:
+    """Windows (rows, blocks) that disagree with the line through their row, and their neighbours."""
+    rows, blocks = post.shape[:2]
+    groups = min(blocks, MOST_GROUPS)
+    x = np.linspace(-1.0, 1.0, blocks)
+    part = np.array_split(np.arange(blocks), groups)
+    off = np.zeros((rows, blocks), dtype=bool)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)
+        for c in range(2):
+            y = np.stack([np.nanmedian(post[:, p, c], axis=1) for p in part], axis=1)
+            at = np.array([x[p].mean() for p in part])
+            apart = at[:, None] - at[None, :] + np.where(np.eye(groups) > 0, np.nan, 0.0)
+            slope = np.nanmedian(np.nanmedian((y[:, :, None] - y[:, None, :]) / apart, axis=2), axis=1)
+            level = np.nanmedian(y - slope[:, None] * at, axis=1)
+            left = post[..., c] - level[:, None] - slope[:, None] * x
+            scaled = left / np.sqrt(covariance[..., c, c])
+            spread = max(1.4826 * float(np.nanmedian(np.abs(scaled))), 1.0)
+            off |= np.abs(scaled) > OFF_ROW * spread
+    present = np.isfinite(post[..., 0])
+    around = _neighbours(off & present)
+    return np.asarray(off | (around >= NEIGHBOURS_OFF))
+
+
+def _neighbours(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """How many of the eight windows around each are flagged."""
+    padded = np.pad(flags.astype(int), 1)
+    total = sum(
+        padded[1 + i : padded.shape[0] - 1 + i, 1 + j : padded.shape[1] - 1 + j]
+        for i in (-1, 0, 1)
+        for j in (-1, 0, 1)
+        if i or j
+    )
+    return np.asarray(total)

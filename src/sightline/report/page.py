@@ -38,13 +38,19 @@ class Section:
     name : str
         Anchor of the section.
     title, caption : str
-    figure : Markup
+    figure : Figure
+        Of plotly.
     """
 
     name: str
     title: str
     caption: str
-    figure: Markup
+    figure: go.Figure
+
+    @property
+    def html(self) -> Markup:
+        """The figure as a piece of the page."""
+        return Markup(style.as_html(self.figure, f"figure-{self.name}"))
 
 
 def write_report(
@@ -82,7 +88,7 @@ def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[
         library=Markup(get_plotlyjs()),
         sentences=words.sentences(result, summary, tones),
         cards=words.axis_cards(result, summary),
-        sections=_sections(result, summary),
+        sections=sections(result, summary),
         overlay=composite(result, acquisition),
         tones=words.tone_rows(result, tones),
         statics=words.static_rows(result),
@@ -90,10 +96,10 @@ def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[
     )
 
 
-def _sections(result: LineOfSight, summary: Mapping[str, Any]) -> list[Section]:
+def sections(result: LineOfSight, summary: Mapping[str, Any]) -> list[Section]:
     """All figures in the order of the page."""
     found = [
-        _section(
+        Section(
             "attitude",
             "Attitude against time",
             "Departure from the reference attitude, less what the images cannot see. The band is ± 1 sigma; "
@@ -104,11 +110,11 @@ def _sections(result: LineOfSight, summary: Mapping[str, Any]) -> list[Section]:
     close = motion_figures.close_figure(result)
     if close is not None:
         caption = "The same over a few lines where roll and pitch are fastest; one mark per image line."
-        found.append(_section("close", "A closer look at the jitter", caption, close))
+        found.append(Section("close", "A closer look at the jitter", caption, close))
     caption = (
         "How well each axis is known at every instant. It grows at the ends and where matches are missing."
     )
-    found.append(_section("sigma", "Sigma against time", caption, motion_figures.sigma_figure(result)))
+    found.append(Section("sigma", "Sigma against time", caption, motion_figures.sigma_figure(result)))
     return found + _frequency_sections(result, summary) + _match_sections(result)
 
 
@@ -120,14 +126,14 @@ def _frequency_sections(result: LineOfSight, summary: Mapping[str, Any]) -> list
     seen = observed(result, np.linspace(0.0, highest, _FREQUENCIES))
     tones = spectrum_figures.tones_of(summary["tones"])
     return [
-        _section(
+        Section(
             "spectrum",
             "Spectrum of the motion",
             "Power spectral density of the recovered motion, with tones named. The dotted curve is the error "
             "that remains: where the motion lies below it, it is believed, not measured.",
             spectrum_figures.spectrum_figure(result, seen, tones, highest),
         ),
-        _section(
+        Section(
             "seen",
             "What could be seen, frequency by frequency",
             "Amplitude of a steady tone that would stand out by 5 sigma. One pair of images alone is blind "
@@ -144,7 +150,7 @@ def _match_sections(result: LineOfSight) -> list[Section]:
     if not views:
         return []
     return [
-        _section(
+        Section(
             "residuals",
             f"Residuals over the image, before and after ({views[0].name})",
             "Measured minus predicted place of every window: red where it was found at a later line (a "
@@ -153,13 +159,13 @@ def _match_sections(result: LineOfSight) -> list[Section]:
             "The scales of before and after differ.",
             match_figures.residual_map_figure(result, views[0]),
         ),
-        _section(
+        Section(
             "histogram",
             "Residuals of all pairs, before and after",
             "If the sigmas of the matches are true, the bars on the right follow the curve.",
             match_figures.residual_histogram(result),
         ),
-        _section(
+        Section(
             "matches",
             "Where matches were kept, and why others were not",
             "One cell per window, or the most frequent answer of several. A later image is first of a pair "
@@ -167,7 +173,3 @@ def _match_sections(result: LineOfSight) -> list[Section]:
             match_figures.status_figure(result, views[:6]),
         ),
     ]
-
-
-def _section(name: str, title: str, caption: str, figure: go.Figure) -> Section:
-    return Section(name, title, caption, Markup(style.as_html(figure, f"figure-{name}")))

@@ -1,0 +1,116 @@
+"""What `recover` writes: the header and the units that a chain relies on, and files that agree."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+
+import numpy as np
+
+from sightline.io.hidden import read_hidden
+from sightline.io.tables import read_attitudes, read_motion
+
+HEADER = (
+    "t,roll,pitch,yaw,sigma_roll,sigma_pitch,sigma_yaw,"
+    "sigma_absolute_roll,sigma_absolute_pitch,sigma_absolute_yaw,observed"
+)
+
+
+def test_the_motion_has_one_row_per_line_of_the_first_band_under_the_agreed_header(recovery):
+    rows = (recovery.folder / "motion.csv").read_text().splitlines()
+    assert rows[0] == HEADER and len(rows) == 1 + 640
+    motion = read_motion(recovery.folder / "motion.csv")
+    np.testing.assert_allclose(motion.t, recovery.acquisition.cameras[0].times(np.arange(640.0)), atol=1e-12)
+    np.testing.assert_allclose(motion.angles, recovery.result.motion.angles, rtol=1e-8, atol=1e-15)
+    # Nothing ties the hidden part: its sigma is infinite, written as such.
+    assert np.isinf(motion.sigma_absolute).all()
+
+
+def test_the_attitude_is_the_reference_turned_by_the_motion(recovery):
+    t, quaternions = read_attitudes(recovery.folder / "attitude.csv")
+    # Level flight north: x forward = north (world y), y right = east (world x), z down: a half turn about
+    # (1, 1, 0) / sqrt 2, whose quaternion is that axis. Small angles multiply it by (angles / 2, 1).
+    angles = read_motion(recovery.folder / "motion.csv").angles
+    axis = np.array([1.0, 1.0, 0.0]) / np.sqrt(2.0)
+    half = angles / 2.0
+    vector = axis + np.cross(axis, half)  # product of quaternions, scalar of the first zero
+    scalar = -(half @ axis)
+    expected = np.column_stack([vector, scalar])
+    sign = np.sign((quaternions * expected).sum(axis=1, keepdims=True))
+    # Second order: half the square of the largest angle, a few mrad of yaw.
+    tolerance = float(np.abs(angles).max()) ** 2
+    np.testing.assert_allclose(sign * quaternions, expected, atol=max(tolerance, 1e-12))
+    assert len(t) == 640
+
+
+def test_the_message_for_other_chains_holds_the_same_attitude(recovery):
+    text = (recovery.folder / "attitude.aem").read_text()
+    assert "REF_FRAME_A = LOCAL_ENU\n" in text and "QUATERNION_TYPE = LAST\n" in text
+    rows = text.split("DATA_START")[1].split("DATA_STOP")[0].split("\n")
+    cells = [row.split() for row in rows if row.strip()]
+    t, quaternions = read_attitudes(recovery.folder / "attitude.csv")
+    stamps = np.array([cell[0] for cell in cells], dtype="datetime64[ns]")
+    seconds = (stamps - np.datetime64("2026-01-01T00:00:00", "ns")) / np.timedelta64(1, "s")
+    np.testing.assert_allclose(seconds, t, atol=1e-9)
+    # ten decimals in one file, twelve or more in the other
+    np.testing.assert_allclose(np.array([cell[1:] for cell in cells], dtype=float), quaternions, atol=1e-10)
+
+
+def test_the_spectrum_holds_the_power_of_the_motion(recovery):
+    table = np.genfromtxt(recovery.folder / "spectrum.csv", delimiter=",", names=True)
+    angles = recovery.result.motion.angles
+    u = np.linspace(-1.0, 1.0, len(angles))
+    for k, axis in enumerate(("roll", "pitch", "yaw")):
+        power = float(table[f"psd_{axis}"].sum() * table["frequency"][1])
+        rest = angles[:, k] - np.polynomial.Legendre.fit(u, angles[:, k], 2)(u)
+        # One Hann-windowed periodogram weighs the middle of the strip: a tone of 47 Hz has 15 periods here.
+        assert 0.6 < power / rest.var() < 1.6
+        seen = table[f"observed_{axis}"] == 1
+        assert seen[(table["frequency"] > 20.0) & (table["frequency"] < 300.0)].mean() > 0.9
+        assert (table[f"error_{axis}"][seen] > 0.0).all()
+
+
+def test_the_time_covariance_belongs_to_the_motion(recovery):
+    with np.load(recovery.folder / "covariance.npz") as stored:
+        t, angles, band = stored["t"], stored["angles"], stored["band"]
+    assert angles.shape == (len(t), 3) and band.shape[1] == 3 * len(t)
+    motion = recovery.result.motion
+    inside = (t > motion.t[0]) & (t < motion.t[-1])
+    np.testing.assert_allclose(
+        motion.at(t[inside]), angles[inside], atol=1e-3 * float(np.abs(angles[:, 2]).max())
+    )
+    assert (band[0] > 0.0).all()
+
+
+def test_the_hidden_directions_are_written_on_the_lines(recovery):
+    summary = json.loads((recovery.folder / "summary.json").read_text())
+    hidden, names = read_hidden(recovery.folder, summary, 640)
+    assert names == recovery.result.hidden_names
+    np.testing.assert_allclose(hidden, recovery.result.hidden, rtol=1e-8, atol=1e-12)
+
+
+def test_the_summary_says_what_the_contract_asks_for(recovery):
+    summary = json.loads((recovery.folder / "summary.json").read_text())
+    assert summary == json.loads(recovery.printed)
+    for key in ("passbands", "tones", "rms_motion", "rms_motion_px", "median_sigma_px", "max_sigma_px"):
+        assert set(summary[key]) == {"roll", "pitch", "yaw"}
+    # 5 urad pixels, 320 columns
+    np.testing.assert_allclose(summary["ifov"], 5e-6, rtol=1e-4)
+    assert summary["half_field_px"] == 159.5 and summary["reference_image"] == "PAN"
+    np.testing.assert_allclose(summary["half_field"], 159.5 * 5e-6, rtol=1e-3)
+    for k, axis in enumerate(("roll", "pitch", "yaw")):
+        px = summary["rms_motion"][axis] / [5e-6, 5e-6, 1.0 / 159.5][k]
+        np.testing.assert_allclose(summary["rms_motion_px"][axis], px, rtol=0.01)
+    assert summary["residual_rms_px"] < 0.1 < 0.5 < summary["residual_rms_before_px"]
+    matches = summary["matches"]
+    assert matches["tried"] == matches["kept"] + sum(matches["rejected"].values())
+    assert {"lag", "tried", "kept", "rejected", "rms_before_px", "rms_after_px"} <= set(summary["pairs"][0])
+    assert {"value", "sigma", "prior_sigma", "unit"} <= set(summary["statics"][0])
+    assert summary["wall_seconds"] > 0.0 and summary["peak_memory_bytes"] > 1e7 and summary["version"]
+
+
+def test_the_hashes_are_those_of_every_file_that_was_read(recovery):
+    for name, written in recovery.summary["inputs"].items():
+        content = (recovery.scene / name).read_bytes()
+        assert hashlib.sha256(content).hexdigest() == written
+    assert {"acquisition.toml", "PAN.tif", "B1.tif", "B0.tif", "B2.tif"} <= set(recovery.summary["inputs"])

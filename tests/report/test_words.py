@@ -1,0 +1,56 @@
+"""The plain words: numbers as people write them, hidden directions named, nothing claimed without ground."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sightline.report import words
+from sightline.report.spectrum_figures import tones_of
+
+
+@pytest.fixture
+def said(recovery):
+    tones = tones_of(recovery.summary["tones"])
+    return " ".join(words.sentences(recovery.result, recovery.summary, tones)).replace("\u00a0", " ")
+
+
+def test_numbers_have_significant_digits_and_no_exponent():
+    assert words.digits(0.0069312, 2) == "0.0069"
+    assert words.digits(223.4, 2) == "220"
+    assert words.digits(1.0, 3) == "1"
+    assert words.digits(float("inf"), 2) == "–"
+
+
+def test_the_words_name_images_windows_axes_and_tones(said, recovery):
+    matches = recovery.summary["matches"]
+    assert f"compared in {matches['tried']:,} windows, of which {matches['kept']:,}" in said
+    for axis in ("roll", "pitch", "yaw"):
+        assert f"{axis} moved by" in said.lower()
+    for axis, tones in recovery.summary["tones"].items():
+        for tone in sorted(tones, key=lambda tone: -tone["amplitude"])[:4]:
+            assert f"{tone['frequency']:.1f} Hz" in said.split("Tones")[1], axis
+
+
+def test_what_is_hidden_is_said_with_what_it_means_for_the_files(said):
+    assert "cannot tell a constant of roll, pitch and yaw, a drift of roll, pitch and yaw" in said
+    assert "sigma_absolute in motion.csv is infinite" in said
+
+
+def test_a_hidden_part_that_is_tied_is_not_called_infinite(recovery):
+    tied = replace(recovery.result, absolute_sigma=np.full_like(recovery.result.absolute_sigma, 1e-6))
+    assert "other knowledge ties it" in " ".join(words.sentences(tied, recovery.summary, []))
+
+
+def test_without_tones_none_is_claimed(recovery):
+    assert "No tone stands out" in " ".join(words.sentences(recovery.result, recovery.summary, []))
+
+
+def test_the_tables_have_a_row_for_every_pair_static_and_tone(recovery):
+    tones = tones_of(recovery.summary["tones"])
+    assert len(words.tone_rows(recovery.result, tones)) == len(tones) >= 3
+    assert len(words.static_rows(recovery.result)) == len(recovery.result.statics)
+    tried = [pair for pair in recovery.result.pairs if pair.tried]
+    assert len(words.pair_rows(recovery.result)) == len(tried)

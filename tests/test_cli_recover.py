@@ -1,0 +1,102 @@
+"""`sightline recover` and `sightline demo`: all files or none, and the words around them."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+
+from sightline.cli import demo as demo_command
+from sightline.cli.main import run
+
+FILES = [
+    "attitude.aem", "attitude.csv", "covariance.npz", "hidden.csv", "motion.csv", "report.html",
+    "spectrum.csv", "summary.json",
+]  # fmt: skip
+
+
+@pytest.fixture
+def quick(recovery, monkeypatch):
+    """Words of the command for the rendered strip; the estimate itself is that of `recovery`."""
+    from sightline.applications import line_of_sight
+
+    monkeypatch.setattr(line_of_sight, "recover_line_of_sight", lambda *_, **__: recovery.result)
+    return ["recover", str(recovery.scene / "acquisition.toml"), "--out"]
+
+
+def test_recover_writes_every_file_and_nothing_else(recovery):
+    assert sorted(entry.name for entry in recovery.folder.iterdir()) == FILES
+
+
+def test_the_json_is_the_summary(recovery):
+    assert json.loads(recovery.printed)["matches"]["kept"] > 100
+
+
+def test_without_json_three_axes_and_the_places_to_look_are_said(quick, tmp_path, capsys):
+    out = tmp_path / "deep" / "result"
+    assert run([*quick, str(out)]) == 0
+    said = capsys.readouterr()
+    lines = said.out.splitlines()
+    assert [line.split()[0] for line in lines] == ["roll", "pitch", "yaw", "from"]
+    assert str(out / "report.html") in lines[3]
+    assert all(line.startswith("sightline: warning: ") for line in said.err.splitlines())
+
+
+def test_a_recovery_scores_well_against_its_truth(recovery, capsys):
+    assert run(["score", str(recovery.folder), str(recovery.scene / "truth.csv")]) == 0
+    score = json.loads(capsys.readouterr().out)
+    for axis in ("roll", "pitch", "yaw"):
+        # 640 lines hold some 150 independent errors (effective_samples): the NEES of a true sigma scatters by
+        # sqrt(2 / 150) = 0.12; five of these allow for sigma that is known to 10 % only on so short a strip.
+        spread = 5.0 * math.sqrt(2.0 / score[axis]["effective_samples"]) + 0.2
+        assert abs(score[axis]["nees"] - 1.0) < spread, score[axis]
+
+
+@pytest.mark.parametrize(
+    ("error", "status"), [(KeyboardInterrupt(), 130), (MemoryError(), 1), (ValueError("x"), 70)]
+)
+def test_what_fails_in_the_last_step_leaves_nothing(quick, tmp_path, capsys, monkeypatch, error, status):
+    from sightline.report import page
+
+    def fails(*_):
+        raise error
+
+    monkeypatch.setattr(page, "write_report", fails)
+    out = tmp_path / "result"
+    assert run([*quick, str(out)]) == status
+    said = capsys.readouterr()
+    assert said.out == "" and len(said.err.splitlines()) == 1
+    assert not out.exists()
+
+
+def test_a_failed_run_over_an_older_result_keeps_the_older_result(quick, tmp_path, capsys, monkeypatch):
+    from sightline.io import results
+
+    out = tmp_path / "result"
+    assert run([*quick, str(out)]) == 0
+    before = (out / "motion.csv").read_bytes()
+    monkeypatch.setattr(results, "write_json", lambda *_: 1 / 0)
+    assert run([*quick, str(out), "--overwrite"]) == 70
+    assert sorted(entry.name for entry in out.iterdir()) == FILES
+    assert (out / "motion.csv").read_bytes() == before
+
+
+def test_a_folder_with_files_is_refused_and_left_as_it_is(quick, tmp_path, capsys):
+    (tmp_path / "notes.txt").write_text("keep")
+    assert run([*quick, str(tmp_path)]) == 2
+    assert "holds notes.txt" in capsys.readouterr().err
+    assert [entry.name for entry in tmp_path.iterdir()] == ["notes.txt"]
+
+
+@pytest.mark.slow
+def test_the_demo_ends_with_the_score_and_where_the_report_is(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(demo_command, "LINES", 640)
+    monkeypatch.setattr(demo_command, "COLUMNS", 320)
+    out = tmp_path / "demo"
+    assert run(["demo", "--out", str(out)]) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in said[1:4]] == ["roll", "pitch", "yaw"]
+    assert said[-1].split() == ["report", str(out / "result" / "report.html")]
+    assert (out / "result" / "report.html").stat().st_size > 4e6
+    assert set(json.loads((out / "score.json").read_text())) >= {"roll", "pitch", "yaw"}
