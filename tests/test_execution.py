@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from sightline.errors import InputError, SightlineError
-from sightline.execution import available_processors, executor_from_name, process, serial
+from sightline.execution import (
+    available_processors,
+    executor_from_name,
+    one_blas_thread,
+    process,
+    serial,
+)
 
 
 def smoothed_noise(seed: int, length: int = 400) -> np.ndarray:
@@ -24,6 +30,13 @@ def fails_at(item: int, bad: int) -> int:
     return item
 
 
+def blas_threads(_: int = 0) -> set[int]:
+    from threadpoolctl import threadpool_info
+
+    np.linalg.inv(np.eye(2))
+    return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
+
+
 def ends_the_process(item: int) -> int:
     os._exit(3)
 
@@ -36,6 +49,15 @@ def test_results_are_bitwise_the_same_whatever_the_executor_and_the_workers():
             again = list(executor.map(partial(smoothed_noise, length=400), range(13)))
         for ours, theirs, later in zip(expected, got, again, strict=True):
             assert ours.tobytes() == theirs.tobytes() == later.tobytes()
+
+
+def test_linear_algebra_runs_on_one_thread_where_that_is_asked_for_and_in_worker_processes():
+    before = blas_threads()
+    assert one_blas_thread(blas_threads)() == {1}
+    assert blas_threads() == before
+    assert blas_threads.__name__ == one_blas_thread(blas_threads).__name__
+    with process(1) as executor:
+        assert list(executor.map(blas_threads, [0])) == [{1}]
 
 
 def test_the_first_failing_item_raises_its_own_exception():

@@ -10,6 +10,11 @@ from importlib.metadata import version as _installed_version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sightline.applications.frame_attitude import (
+        FrameAttitude,
+        FrameOptions,
+        recover_frame_attitude,
+    )
     from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
     from sightline.applications.results import LineOfSight
     from sightline.errors import (
@@ -56,7 +61,9 @@ _MODULE_OF = {
     "FixedMount": "sightline.geometry.pointing",
     "FormatError": "sightline.errors",
     "Frame": "sightline.motion.band",
+    "FrameAttitude": "sightline.applications.frame_attitude",
     "FrameCamera": "sightline.geometry.camera",
+    "FrameOptions": "sightline.applications.frame_attitude",
     "GeometryError": "sightline.errors",
     "ImageSource": "sightline.imaging.source",
     "InputError": "sightline.errors",
@@ -84,6 +91,7 @@ _MODULE_OF = {
     "load_acquisition": "sightline.io.acquisition",
     "match_images": "sightline.matching.match_images",
     "predict_match": "sightline.motion.predict",
+    "recover_frame_attitude": "sightline.applications.frame_attitude",
     "recover_line_of_sight": "sightline.applications.line_of_sight",
     "score_motion": "sightline.evaluation.score",
 }
@@ -102,7 +110,9 @@ __all__ = [
     "FixedMount",
     "FormatError",
     "Frame",
+    "FrameAttitude",
     "FrameCamera",
+    "FrameOptions",
     "GeometryError",
     "ImageSource",
     "InputError",
@@ -130,6 +140,7 @@ __all__ = [
     "load_acquisition",
     "match_images",
     "predict_match",
+    "recover_frame_attitude",
     "recover_line_of_sight",
     "score_motion",
 ]

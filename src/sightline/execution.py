@@ -1,7 +1,8 @@
 """Where work runs: one process, several processes, or a dask cluster.
 
-The three give bitwise the same results: `map` returns them in the order of the items, and every caller
-reduces them in that order. Work is cut into items by its size, never by the number of workers.
+The three give bitwise the same results: `map` returns them in the order of the items, every caller reduces
+them in that order, work is cut into items by its size, never by the number of workers, and linear algebra
+runs on one thread (`one_blas_thread`).
 
 This file does not cut work into items: each caller knows its own.
 """
@@ -11,7 +12,8 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from typing import TYPE_CHECKING, Any, Protocol, Self, TypeVar
+from functools import wraps
+from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, Self, TypeVar
 
 from sightline.errors import InputError, SightlineError
 
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
+Arguments = ParamSpec("Arguments")
 
 # Items submitted and not yet consumed, per worker: enough to keep all busy, few enough to bound memory.
 _IN_FLIGHT_PER_WORKER = 3
@@ -104,7 +107,9 @@ class ProcessExecutor(_Closing):
         from multiprocessing import get_context
 
         if self._pool is None:
-            self._pool = ProcessPoolExecutor(self._workers, mp_context=get_context("spawn"))
+            self._pool = ProcessPoolExecutor(
+                self._workers, mp_context=get_context("spawn"), initializer=_limit_blas_of_this_process
+            )
         try:
             yield from _in_order(self._pool.submit, function, items, self._workers)
         except BrokenProcessPool as error:
@@ -220,11 +225,38 @@ def executor_from_name(name: str, workers: int | None = None) -> Executor:
     raise InputError(f"unknown executor {name!r}; allowed are serial, process and dask:ADDRESS")
 
 
+def one_blas_thread(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
+    """Decorator: the linear algebra inside `function` runs on one thread.
+
+    Our matrices are banded and small: more threads wait for each other longer than they work (ten times the
+    processor time, measured), and they change the order of additions, hence the last bits.
+    """
+
+    @wraps(function)
+    def limited(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Result:
+        import scipy.linalg  # noqa: F401  (a library that is loaded later would not be limited)
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(limits=1, user_api="blas"):
+            return function(*args, **kwargs)
+
+    return limited
+
+
 def available_processors() -> int:
     """Processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def _limit_blas_of_this_process() -> None:
+    """One thread for the linear algebra of a fresh process, whether numpy is loaded yet or not."""
+    from threadpoolctl import threadpool_limits
+
+    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ[variable] = "1"
+    threadpool_limits(limits=1, user_api="blas")
 
 
 def _checked_workers(workers: int) -> int:

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+from dataclasses import replace
 
 import numpy as np
 
+from sightline.io.acquired import AttitudeSensor
 from sightline.io.hidden import read_hidden
+from sightline.io.results import summarize
 from sightline.io.tables import read_attitudes, read_motion
 
 HEADER = (
@@ -114,3 +117,12 @@ def test_the_hashes_are_those_of_every_file_that_was_read(recovery):
         content = (recovery.scene / name).read_bytes()
         assert hashlib.sha256(content).hexdigest() == written
     assert {"acquisition.toml", "PAN.tif", "B1.tif", "B0.tif", "B2.tif"} <= set(recovery.summary["inputs"])
+
+
+def test_sensors_that_take_no_part_are_named_among_the_warnings(recovery):
+    sensor = AttitudeSensor(
+        "star tracker", "star-tracker", np.zeros(1), np.zeros(1), np.zeros((1, 3)), np.ones(1), 0.0, 0.0, 0.0
+    )
+    summary = summarize(recovery.result, replace(recovery.acquisition, sensors=(sensor,)), wall_seconds=1.0)
+    assert any(said.startswith("not used: star tracker;") for said in summary["warnings"])
+    assert not any(said.startswith("not used") for said in recovery.summary["warnings"])

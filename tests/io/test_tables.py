@@ -84,7 +84,8 @@ def test_a_spectrum_says_where_it_was_observed(tmp_path):
         np.array([[1, 0, 1], [1, 1, 0]], bool),
     )
     rows = (tmp_path / "s.csv").read_text().splitlines()
-    assert rows[0].startswith("frequency,psd_roll,") and rows[1] == "1,1e-14,1e-14,1e-14,1e-16,1e-16,1e-16,1,0,1"
+    assert rows[0].startswith("frequency,psd_roll,psd_pitch,psd_yaw,error_roll,")
+    assert rows[1] == "1,1e-14,1e-14,1e-14,1e-16,1e-16,1e-16,1,0,1"
 
 
 def test_a_missing_column_is_named_with_the_header_expected(tmp_path):

@@ -54,3 +54,13 @@ def test_the_tables_have_a_row_for_every_pair_static_and_tone(recovery):
     assert len(words.static_rows(recovery.result)) == len(recovery.result.statics)
     tried = [pair for pair in recovery.result.pairs if pair.tried]
     assert len(words.pair_rows(recovery.result)) == len(tried)
+
+
+def test_where_only_constants_are_hidden_no_detector_line_is_blamed(recovery):
+    result = replace(
+        recovery.result,
+        hidden=recovery.result.hidden[:, :, :3],
+        hidden_names=recovery.result.hidden_names[:3],
+    )
+    said = " ".join(words.sentences(result, recovery.summary, []))
+    assert "a constant of roll, pitch and yaw: a constant changes nothing between them; nothing given" in said

@@ -18,15 +18,24 @@ from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance
 from sightline.errors import EstimationError, InputError
+from sightline.execution import one_blas_thread
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
-from sightline.imaging.source import ImageSource
+from sightline.imaging.source import ImageSource, MaskedImage
 from sightline.motion.band import Frame, LensKnowledge
 from sightline.motion.frame_hidden import absolute_sigma, hidden_directions, relative_covariance, without
 from sightline.motion.frame_matches import FramePlan, FrameStar, match_frames
 from sightline.motion.frame_noise import FrameNoise, GroundField, learn_field, learn_noise
-from sightline.motion.frame_start import MAX_TURN, CoarseShift, coarse_shifts, turn_about_axis, turned_mount
+from sightline.motion.frame_start import (
+    MAX_TURN,
+    STILL_SHIFT_PX,
+    CoarseShift,
+    coarse_shifts,
+    standing_still,
+    turn_about_axis,
+    turned_mount,
+)
 from sightline.motion.frames import FrameEstimate, FrameUnknowns, solve_frames, time_statics
 from sightline.motion.lens_field import LensField
 from sightline.motion.match_noise import robust_weights
@@ -41,12 +50,16 @@ Progress = Callable[[str], None]
 START_SIGMAS = (0.005, 0.02)
 #: Matches of the first pass are believed to so many times the matcher's sigma: lens and relief are not known yet.
 FIRST_SCALE = 10.0
+#: Sigmas of k1, k2, p1, p2, k3 in that of k1.
+DISTORTION_SHARES = (1.0, 1.0, 0.05, 0.05, 1.0)
 #: Sigma of the lens field before the matches have spoken (px).
 FIELD_START_PX = 0.1
 #: Most windows of all frames together when heights are unknown (their covariance is dense).
 MAX_HEIGHTS = 2400
 #: Start value of drift (clouds) in heights of the same effect, as a share of the relief's.
 DRIFT_SHARE = 0.1
+#: Windows whose drift stands so many robust sigmas out of that of the others lie on clouds.
+DRIFTING = 3.5
 #: Rounds of solving, weighing and learning within a pass.
 ROUNDS = 3
 
@@ -134,6 +147,7 @@ class _State:
     stars: tuple[FrameStar, ...]
 
 
+@one_blas_thread
 def recover_frame_attitude(
     frames: Sequence[Frame],
     surface: Surface,
@@ -179,7 +193,9 @@ def recover_frame_attitude(
     tell = progress or (lambda text: None)
     sequence = _prepare(frames, surface, lens or LensKnowledge(), height_sigma, options or FrameOptions())
     tell("shift between neighbouring frames")
-    x = _start(sequence)
+    shifts = coarse_shifts(sequence.images)
+    x = _start(sequence, shifts)
+    sequence = _masked(sequence, shifts)
     tell("first pass: wide search")
     state = _first_pass(sequence, x)
     changes: list[float] = []
@@ -219,17 +235,26 @@ def _prepare(
         names,
         focal_length_sigma_px=lens.focal_length_sigma_px,
         principal_point_sigma_px=(lens.principal_point_sigma_px, lens.principal_point_sigma_px),
-        distortion_sigma=(lens.distortion_sigma, lens.distortion_sigma),
+        distortion_sigma=tuple(share * lens.distortion_sigma for share in DISTORTION_SHARES),
     )
     images = tuple(frame.image for frame in frames)
     free = lens.distortion_sigma > 0.0
     return _Sequence(tuple(frames), images, surface, tuple(statics), free, height_sigma, options)
 
 
-def _start(sequence: _Sequence) -> Array:
+def _masked(sequence: _Sequence, shifts: Sequence[CoarseShift]) -> _Sequence:
+    """The frames with what stands still in them masked."""
+    if float(np.median([np.linalg.norm(shift.shift_px) for shift in shifts])) < STILL_SHIFT_PX:
+        return sequence
+    still = standing_still(sequence.images)
+    if still is None:
+        return sequence
+    return replace(sequence, images=tuple(MaskedImage(image, still) for image in sequence.images))
+
+
+def _start(sequence: _Sequence, shifts: Sequence[CoarseShift]) -> Array:
     """Angles, times and focal length from coarse shifts of whole frames."""
     cameras = [frame.camera for frame in sequence.frames]
-    shifts = coarse_shifts(sequence.images)
     turn, scale = turn_about_axis(shifts, cameras, sequence.surface)
     if abs(turn) > MAX_TURN:
         raise EstimationError(_wrong_mount(cameras[0].pointing, turn))
@@ -305,17 +330,21 @@ def _pass(sequence: _Sequence, before: _State, number: int) -> _State:
     options = sequence.options
     plan = FramePlan(options.window, sequence.step(options.window), options.search_px, options.lags)
     stars = match_frames(sequence.images, before.estimate.cameras, sequence.surface, plan)
+    fields = _ground_fields(sequence, before.estimate, plan)
     if number == 0:
         field = LensField.over(sequence.shape, FIELD_START_PX) if sequence.free_lens else None
         unknowns = sequence.unknowns(field)
         x = np.concatenate([before.estimate.x, np.zeros(unknowns.size - len(before.estimate.x))])
-        noise = FrameNoise.start(options.lags, _ground_fields(sequence, before.estimate, plan), scale=3.0)
+        noise = FrameNoise.start(options.lags, fields, scale=3.0)
     else:
-        unknowns, x, noise = before.estimate.unknowns, before.estimate.x, before.estimate.noise
+        unknowns, x = before.estimate.unknowns, before.estimate.x
+        noise = replace(before.estimate.noise, fields=fields)
+    drifting = [np.zeros(len(star.pixels), dtype=bool) for star in stars]
     for _ in range(ROUNDS):
         estimate = solve_frames(stars, unknowns, sequence.surface, noise, x, steps=2)
         x = estimate.x
-        stars = _weighed(stars, estimate)
+        drifting = _drifting(estimate, drifting)
+        stars = _weighed(stars, estimate, drifting)
         noise = _learned(estimate, options.lags)
         if unknowns.field is not None:
             rows = slice(unknowns.lens, None)
@@ -326,12 +355,29 @@ def _pass(sequence: _Sequence, before: _State, number: int) -> _State:
     return _State(estimate, tuple(stars))
 
 
-def _weighed(stars: Sequence[FrameStar], estimate: FrameEstimate) -> list[FrameStar]:
-    """Stars with robust weights from the residuals of an estimate."""
-    return [
-        star.with_weight(robust_weights(replace(line, weight=np.ones_like(line.weight)), clean))
-        for star, line, clean in zip(stars, estimate.stars, estimate.clean_px, strict=True)
-    ]
+def _weighed(
+    stars: Sequence[FrameStar], estimate: FrameEstimate, drifting: Sequence[NDArray[np.bool_]] | None = None
+) -> list[FrameStar]:
+    """Stars with robust weights from the residuals of an estimate; windows on drifting ground have none."""
+    out = []
+    for k, (star, line, clean) in enumerate(zip(stars, estimate.stars, estimate.clean_px, strict=True)):
+        weight = robust_weights(replace(line, weight=np.ones_like(line.weight)), clean)
+        if drifting is not None:
+            weight = np.where(drifting[k][:, None], 0.0, weight)
+        out.append(star.with_weight(weight))
+    return out
+
+
+def _drifting(estimate: FrameEstimate, before: list[NDArray[np.bool_]]) -> list[NDArray[np.bool_]]:
+    """Windows on clouds: their drift, smoothed over neighbours, stands far out of what still ground shows."""
+    if not estimate.fields:
+        return before
+    field = estimate.fields[1]
+    used = field.precision > 0
+    centre = float(np.median(field.value[used]))
+    spread = 1.4826 * float(np.median(np.abs(field.value[used] - centre)))
+    far = used & (np.abs(field.value - centre) > DRIFTING * max(spread, 1e-9))
+    return [old | new for old, new in zip(before, estimate.per_star(far), strict=True)]
 
 
 def _ground_fields(sequence: _Sequence, estimate: FrameEstimate, plan: FramePlan) -> tuple[GroundField, ...]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance
 from sightline.errors import EstimationError, InputError
+from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
@@ -34,7 +35,7 @@ from sightline.motion.joint import (
     remove_directions,
     solve_joint,
 )
-from sightline.motion.match_noise import estimate_correlation, robust_weights
+from sightline.motion.match_noise import estimate_correlation, robust_weights, row_weights
 from sightline.motion.normal_equations import TimeGrid, modelled, normal_equations
 from sightline.motion.predict import MovingCamera, StaticParameter
 from sightline.motion.relief import hub_delay, relief_length, relief_matters, row_processes
@@ -47,6 +48,8 @@ Progress = Callable[[str], None]
 #: Error of the first linearisation as a share of the residual: products of mrad-sized angles and of the shift
 #: between the predicted and the actual line with the rate of the motion, seen at 5-7 % of residuals of 1-4 px.
 LINEARISATION_SHARE = 0.07
+#: Times that matches are weighed by their own scatter and the motion solved again, in every pass.
+ROUNDS = 4
 #: Fewer first matches than this share of the windows tried mean that the prediction is wrong, not the texture.
 MIN_KEPT_SHARE = 0.02
 
@@ -110,6 +113,7 @@ class _Strip:
         return apply_statics(moved, self.parameters, statics)
 
 
+@one_blas_thread
 def recover_line_of_sight(
     bands: Sequence[Band],
     surface: Surface,
@@ -287,7 +291,7 @@ def _compensated_pass(
 ) -> _State:
     """Match again with windows moved by the motion found; refit the prior; solve."""
     nodes, statics = state.estimate.nodes, state.estimate.statics
-    records = _match(strip, nodes, statics, MatchingPlan(options.window, options.step))
+    records = _match(strip, nodes, statics, MatchingPlan(options.window, options.step), state.records)
     solved = _solve(strip, records, nodes, statics, state.model, height_sigma, before=state)
     if number == 0:
         # the first linearisation still shows in this pass: a spectrum fitted to it would hold its error
@@ -299,13 +303,16 @@ def _compensated_pass(
     return _solve(strip, solved.records, nodes, statics, model, height_sigma, before=state)
 
 
-def _match(strip: _Strip, nodes: Array, statics: Array, plan: MatchingPlan) -> tuple[StarRecord, ...]:
-    """All stars of one pass."""
+def _match(
+    strip: _Strip, nodes: Array, statics: Array, plan: MatchingPlan, before: Sequence[StarRecord] = ()
+) -> tuple[StarRecord, ...]:
+    """All stars of one pass; `before` are those of the pass before."""
+    earlier = {record.star.hub: record for record in before}
     cameras = strip.cameras(nodes, statics)
     images = [band.image for band in strip.bands]
     hubs = hub_windows(cameras, strip.surface, [i.shape for i in images], strip.order, plan)
     return tuple(
-        match_star(images, cameras, strip.surface, hub, partners, grid, strip.parameters, plan)
+        match_star(images, cameras, strip.surface, hub, partners, grid, strip.parameters, plan, earlier.get(hub))
         for hub, partners, grid in hubs
     )
 
@@ -344,8 +351,9 @@ def _solve(
         return found, [m - w for m, w in zip(measured, whole, strict=True)], without
 
     estimate, post, without = solution()
-    for _ in range(2):
+    for _ in range(ROUNDS):
         stars = [s.with_weight(robust_weights(s, r)) for s, r in zip(stars, post, strict=True)]
+        stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]
         stars = [s.with_correlation(estimate_correlation(s, r)) for s, r in zip(stars, post, strict=True)]
         if model is not strip.broad:
             prior = replace(prior, innovation_weights=innovation_weights(estimate))

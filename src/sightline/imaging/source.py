@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 
-__all__ = ["ArrayImage", "ImageSource", "read_padded"]
+__all__ = ["ArrayImage", "ImageSource", "MaskedImage", "read_padded"]
 
 
 @runtime_checkable
@@ -119,6 +119,48 @@ class ArrayImage:
         if self.unusable is None:
             return None
         return self.unusable[slice(*lines), slice(*columns)]
+
+
+@dataclass(frozen=True, eq=False)
+class MaskedImage:
+    """An image with further pixels that must not be used.
+
+    Parameters
+    ----------
+    source : ImageSource
+    unusable : (lines, columns) bool
+        True where a pixel must not be used, besides those that the source names.
+    """
+
+    source: ImageSource
+    unusable: NDArray[np.bool_]
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of lines and of columns."""
+        return self.source.shape
+
+    def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.float32]:
+        """Pixels of a window, as the source gives them.
+
+        Parameters
+        ----------
+        lines, columns : (int, int)
+            First and one past the last line (column).
+        """
+        return self.source.read(lines, columns)
+
+    def mask(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.bool_] | None:
+        """Unusable pixels of a window.
+
+        Parameters
+        ----------
+        lines, columns : (int, int)
+            First and one past the last line (column).
+        """
+        own = self.source.mask(lines, columns)
+        more = self.unusable[slice(*lines), slice(*columns)]
+        return more if own is None else own | more
 
 
 def read_padded(

@@ -149,11 +149,20 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "statics": [vars(static) for static in result.statics],
         "hidden_directions": None,
         "changes": list(result.changes),
-        "warnings": list(result.warnings),
+        "warnings": [*result.warnings, *_unused(acquisition)],
         "wall_seconds": wall_seconds,
         "peak_memory_bytes": peak_memory(),
         "inputs": acquisition.input_hashes(),
     }
+
+
+def _unused(acquisition: Acquisition) -> list[str]:
+    """What was given and read but does not take part in the estimate."""
+    given = [sensor.name for sensor in acquisition.sensors]
+    given += ["control points"] if acquisition.control_points is not None else []
+    if not given:
+        return []
+    return [f"not used: {', '.join(given)}; the motion is recovered from the images alone"]
 
 
 def _per_axis(values: Array) -> dict[str, float]:

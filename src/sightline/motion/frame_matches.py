@@ -9,6 +9,7 @@ Not here: the first guess (``frame_start.py``), sensitivities (``frame_linear.py
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -16,15 +17,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.geometry.camera import FrameCamera
+from sightline.geometry.checks import read_only
+from sightline.geometry.interpolation import interpolate
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ArrayImage, ImageSource
+from sightline.imaging.warp import WarpedImage
 from sightline.matching import matches as codes
 from sightline.matching.match_images import match_images
-from sightline.motion.stars import laid_on, pair_whitening
+from sightline.matching.whitening import Whitening
+from sightline.motion.stars import pair_whitening
 from sightline.motion.windows import WindowGrid, predict_windows, window_grid
 
 Array = NDArray[np.float64]
 
+#: px between places where the map between two frames is computed exactly; cubic between them.
+MAP_LATTICE = 8.0
+#: Columns between places where it is handed to the resampler, which goes in straight lines between: h px bias a
+#: window by about d h^2 / (6 f^2) for a displacement d and focal length f, 3e-4 px for d = 100, h = 4, f = 1000.
+MAP_SPACING = 4
 #: Fewest windows a pair must share to be matched at all.
 MIN_WINDOWS = 6
 
@@ -129,13 +139,41 @@ def match_frames(
         One per frame that shares ground with a later one.
     """
     grid = window_grid(images[0].shape, plan.window, plan.step, columns_step=plan.step)
+    whitenings: dict[int, Whitening | None] = {}
     out = []
     for hub in range(len(images) - 1):
         partners = tuple(hub + lag for lag in plan.lags if hub + lag < len(images))
-        star = match_hub(images, cameras, surface, hub, partners, grid, plan)
+        star = match_hub(images, cameras, surface, hub, partners, grid, plan, whitenings)
         if star is not None:
             out.append(star)
     return out
+
+
+def laid_frame(
+    images: Sequence[ImageSource], cameras: Sequence[FrameCamera], surface: Surface, hub: int, partner: int
+) -> WarpedImage:
+    """The partner's frame in the geometry of the hub, as far as the cameras know it."""
+    source, target = cameras[hub], cameras[partner]
+
+    def exact(lines: Array, columns: Array) -> Array:
+        pixels = np.stack(np.meshgrid(lines, columns, indexing="ij"), axis=-1).reshape(-1, 2)
+        return target.project(source.locate(pixels, surface)).reshape(len(lines), len(columns), 2)
+
+    def mapping(lines: Array, columns: Array) -> Array:
+        rows, places = _lattice(lines), _lattice(columns)
+        at_lines = interpolate(rows, exact(rows, places).reshape(len(rows), -1), read_only(lines))
+        turned = at_lines.reshape(len(lines), len(places), 2).transpose(1, 0, 2).reshape(len(places), -1)
+        out = interpolate(places, np.ascontiguousarray(turned), read_only(columns))
+        return np.ascontiguousarray(out.reshape(len(columns), len(lines), 2).transpose(1, 0, 2))
+
+    return WarpedImage(images[partner], mapping, images[hub].shape, MAP_SPACING)
+
+
+def _lattice(places: Array) -> Array:
+    """Places `MAP_LATTICE` px apart that enclose all of `places`."""
+    first, last = float(places.min()) - MAP_LATTICE, float(places.max()) + MAP_LATTICE
+    count = max(4, math.ceil((last - first) / MAP_LATTICE) + 1)
+    return first + MAP_LATTICE * np.arange(count, dtype=np.float64)
 
 
 def match_hub(
@@ -146,31 +184,42 @@ def match_hub(
     partners: tuple[int, ...],
     grid: WindowGrid,
     plan: FramePlan,
+    whitenings: dict[int, Whitening | None],
 ) -> FrameStar | None:
-    """The windows of one frame found in some others; None if none shares enough ground."""
+    """The windows of one frame found in some others; None if none shares enough ground.
+
+    `whitenings` holds the filters of each lag once they are known: one camera took all frames.
+    """
     predicted = predict_windows(cameras, hub, partners, surface, grid)
+    ground = cameras[hub].locate(grid.centres, surface)
     g = len(grid.centres)
+    lines, columns = images[hub].shape
+    # whole frames at once: windows overlap, and a frame fits in memory
+    whole = ArrayImage(images[hub].read((0, lines), (0, columns)), images[hub].mask((0, lines), (0, columns)))
     measured, covariances, statuses, scores, kept = [], [], [], [], []
     for partner, prediction in zip(partners, predicted, strict=True):
         inside = np.isfinite(prediction.b).all(axis=1)
         if inside.sum() < MIN_WINDOWS:
             continue
-        # the whole frame at once: windows overlap, and a frame fits in memory
-        lines, columns = images[hub].shape
-        laid = ArrayImage(laid_on(images, cameras, surface, hub, partner).read((0, lines), (0, columns)))
+        laid = ArrayImage(laid_frame(images, cameras, surface, hub, partner).read((0, lines), (0, columns)))
+        lag = partner - hub
+        if whitenings.get(lag) is None:
+            whitenings[lag] = pair_whitening(whole, laid, grid.centres[inside])
         found = match_images(
-            images[hub],
+            whole,
             laid,
             grid.centres,
             grid.centres,
             window=grid.window,
             search_px=(plan.search_px, plan.search_px),
-            whitening=pair_whitening(images[hub], laid, prediction, grid),
+            whitening=whitenings[lag],
         )
         good = found.kept & inside
         b, covariance = np.full((g, 2), np.nan), np.tile(np.eye(2), (g, 1, 1))
         turn = prediction.affine[good]
-        b[good] = prediction.b[good] + np.einsum("nij,nj->ni", turn, found.b[good] - grid.centres[good])
+        # the map's own value at the centre, to which the laid frame refers, not its mean over the window
+        centre = cameras[partner].project(ground[good])
+        b[good] = centre + np.einsum("nij,nj->ni", turn, found.b[good] - grid.centres[good])
         covariance[good] = turn @ found.covariance_px[good] @ np.swapaxes(turn, 1, 2)
         status = np.where(found.kept & ~inside, np.uint8(codes.OUTSIDE), found.status)
         for parts, value in ((measured, b), (covariances, covariance), (statuses, status), (scores, found.score)):

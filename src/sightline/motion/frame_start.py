@@ -25,8 +25,14 @@ from sightline.imaging.source import ImageSource, read_padded
 
 Array = NDArray[np.float64]
 
+#: Frames needed to tell what stands still, and the least shift between neighbours (px) at which ground does not.
+STILL_FRAMES, STILL_SHIFT_PX = 5, 20.0
+#: Mean over all frames, in standard errors, that makes a pixel one that stands still: its core, and around it.
+STILL_CORE, STILL_EDGE = 10.0, 5.0
 #: Down-sampled frames have at most so many pixels along their larger side.
 COARSE_SIDE = 384
+#: The same for finding what stands still.
+STILL_SIDE = 648
 #: Least share of a frame that two neighbours must have in common for a shift to be looked for.
 MIN_OVERLAP = 0.15
 #: A peak must stand so many standard deviations above the correlation of unrelated frames.
@@ -62,6 +68,50 @@ class CoarseShift:
         return middle - self.shift_px / 2.0, middle + self.shift_px / 2.0
 
 
+def standing_still(images: Sequence[ImageSource]) -> NDArray[np.bool_] | None:
+    """Pixels that show the same in all frames although the ground moves: dust, the edge of a window.
+
+    Returns
+    -------
+    (lines, columns) bool or None
+        True where a pixel must not be used; None when too few frames are given to tell.
+    """
+    from scipy.ndimage import binary_propagation, maximum_filter, uniform_filter
+
+    if len(images) < STILL_FRAMES:
+        return None
+    shape = images[0].shape
+    factor = max(1, round(max(shape) / STILL_SIDE))
+    total = square = np.zeros(1)
+    for image in images:
+        pixels, _ = read_padded(image, (0, shape[0]), (0, shape[1]))
+        flat = _evened(uniform_filter(_block_means(pixels, factor), 3), 27)
+        total, square = total + flat, square + flat**2
+    n = len(images)
+    mean = total / n
+    error = np.sqrt(np.maximum(square / n - mean**2, 0.0) / (n - 1))
+    # where all frames are smooth, chance alone may make the scatter small
+    significance = np.abs(mean) / np.maximum(error, 0.5 * float(np.median(error)))
+    still = binary_propagation(significance > STILL_CORE, mask=significance > STILL_EDGE)
+    if not still.any():
+        return None
+    near = maximum_filter(still, size=5)
+    full = np.zeros(shape, dtype=bool)
+    big = np.repeat(np.repeat(near, factor, axis=0), factor, axis=1)
+    full[: big.shape[0], : big.shape[1]] = big
+    return full
+
+
+def _evened(image: Array, size: int) -> Array:
+    """Local mean taken out, local contrast about 1, clipped at 3."""
+    from scipy.ndimage import uniform_filter
+
+    flat = image - uniform_filter(image, size)
+    contrast = np.sqrt(uniform_filter(flat**2, size))
+    floor = 0.2 * float(np.median(contrast)) + 1e-6
+    return np.asarray(np.clip(flat / np.maximum(contrast, floor), -3.0, 3.0))
+
+
 def coarse_frames(images: Sequence[ImageSource]) -> tuple[Array, int]:
     """Frames block-averaged, their local contrast evened out, what stands still removed.
 
@@ -72,18 +122,12 @@ def coarse_frames(images: Sequence[ImageSource]) -> tuple[Array, int]:
     factor : int
         Pixels per coarse pixel.
     """
-    from scipy.ndimage import uniform_filter
-
     factor = max(1, math.ceil(max(images[0].shape) / COARSE_SIDE))
     out = []
     for image in images:
         pixels, unusable = read_padded(image, (0, image.shape[0]), (0, image.shape[1]))
         small = _block_means(pixels, factor)
-        size = max(5, max(small.shape) // 24)
-        flat = small - uniform_filter(small, size)
-        contrast = np.sqrt(uniform_filter(flat**2, size))
-        floor = 0.2 * float(np.median(contrast)) + 1e-6
-        flat = np.clip(flat / np.maximum(contrast, floor), -3.0, 3.0)
+        flat = _evened(small, max(5, max(small.shape) // 24))
         if unusable is not None:
             flat = np.where(_block_means(unusable.astype(np.float32), factor) > 0.0, 0.0, flat)
         out.append(flat)

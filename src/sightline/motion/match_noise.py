@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 #: Rows of windows need this many blocks to tell error from motion.
 MIN_BLOCKS = 4
+#: Rows on either side over which the scatter of rows is averaged before it is compared with the usual one.
+ROW_REACH = 6
 #: Rows over which the correlation from row to row is followed.
 ROW_LAGS = 3
 #: Errors beyond this many sigmas lose weight (1 % of two Gaussian components), beyond REJECT all of it (4e-6).
@@ -27,7 +29,7 @@ SOFT, REJECT = 3.0, 5.0
 #: Scaled residuals are cut to this size where covariances are summed.
 CLIP = 6.0
 #: A window further than this many robust sigmas from the line through its row saw something that is not the ground.
-OFF_ROW = 5.0
+OFF_ROW = 4.0
 #: With so many of its eight neighbours off their rows, a window is not trusted either.
 NEIGHBOURS_OFF = 2
 #: Rows of more windows are summarised in so many groups before the line is laid.
@@ -35,7 +37,7 @@ MOST_GROUPS = 16
 
 
 def scatter(star: Star, post_px: Array) -> tuple[Array, Array]:
-    """Scaled residuals of each row with its shift and tilt removed.
+    """Scaled and weighted residuals of each row with its shift and tilt removed.
 
     Parameters
     ----------
@@ -52,7 +54,8 @@ def scatter(star: Star, post_px: Array) -> tuple[Array, Array]:
     """
     rows, blocks = star.shape
     pairs = star.t.shape[1]
-    z = scale_residuals(post_px, star.covariance_px).reshape(rows, blocks, 2 * pairs)
+    z = scale_residuals(post_px, star.covariance_px) * np.sqrt(np.repeat(star.weight, 2, axis=1))
+    z = z.reshape(rows, blocks, 2 * pairs)
     present = np.repeat(star.present.reshape(rows, blocks, pairs), 2, axis=2)
     w = (present & np.isfinite(z)).astype(float)
     x = star.field.reshape(rows, blocks)[:, :, None]
@@ -101,6 +104,29 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     return np.asarray(0.5 * (total + total.T))
 
 
+def row_weights(star: Star, post_px: Array) -> Array:
+    """Weights (G, K) that own the scatter of each stretch of rows where it exceeds the usual one.
+
+    Half-clouded ground leaves windows that are wrong by less than can be rejected: where the rows scatter more than
+    the median row does, their matches count for less, and the sigma there grows.
+    """
+    rows, blocks = star.shape
+    pairs = star.t.shape[1]
+    z, degrees = scatter(star, post_px)
+    out = np.ones((rows, pairs))
+    kernel = np.ones(2 * ROW_REACH + 1)
+    inner = slice(ROW_REACH, ROW_REACH + rows)
+    for k in range(pairs):
+        both = slice(2 * k, 2 * k + 2)
+        squares = np.convolve(np.nansum(z[:, :, both] ** 2, axis=(1, 2)), kernel)[inner]
+        count = np.convolve(degrees[:, both].sum(axis=1), kernel)[inner]
+        seen = count > 0
+        if seen.any():
+            local = np.where(seen, squares / np.maximum(count, 1.0), np.nan)
+            out[:, k] = np.where(seen, np.minimum(1.0, np.nanmedian(local) / np.maximum(local, 1e-12)), 1.0)
+    return np.asarray(np.repeat(out, blocks, axis=0))
+
+
 def robust_weights(star: Star, post_px: Array) -> Array:
     """Weights (G, K) in [0, 1] of matches after an estimate: 1 inside, falling beyond, 0 far out.
 
@@ -118,11 +144,15 @@ def robust_weights(star: Star, post_px: Array) -> Array:
         finite = np.isfinite(z[:, k, 0])
         if not finite.any():
             continue
-        distance = _distance(z[:, k], finite & (star.weight[:, k] > 0) if (star.weight[finite, k] > 0).any() else finite)
+        trusted = finite & (star.weight[:, k] > 0)
+        if not trusted.any():
+            trusted = finite
+        distance = _distance(z[:, k], trusted)
         keep = finite & (distance <= REJECT)
         if blocks >= MIN_BLOCKS:
-            off = _off_row(post_px[:, k].reshape(rows, blocks, 2), star.covariance_px[:, k].reshape(rows, blocks, 2, 2))
-            keep &= ~off.ravel()
+            post = post_px[:, k].reshape(rows, blocks, 2)
+            covariance = star.covariance_px[:, k].reshape(rows, blocks, 2, 2)
+            keep &= ~_off_row(post, covariance, trusted.reshape(rows, blocks)).ravel()
         out[:, k] = np.where(keep, np.minimum(1.0, SOFT / np.maximum(distance, 1e-12)), 0.0)
     return out
 
@@ -133,8 +163,11 @@ def _distance(z: Array, trusted: NDArray[np.bool_]) -> Array:
     return np.asarray(np.sqrt(((z / spread) ** 2).sum(axis=1)))
 
 
-def _off_row(post: Array, covariance: Array) -> NDArray[np.bool_]:
-    """Windows (rows, blocks) that disagree with the line through their row, and their neighbours."""
+def _off_row(post: Array, covariance: Array, trusted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Windows (rows, blocks) that disagree with the line through their row, and their neighbours.
+
+    The spread that counts as agreement is that of the windows trusted so far.
+    """
     rows, blocks = post.shape[:2]
     groups = min(blocks, MOST_GROUPS)
     x = np.linspace(-1.0, 1.0, blocks)
@@ -150,7 +183,7 @@ def _off_row(post: Array, covariance: Array) -> NDArray[np.bool_]:
             level = np.nanmedian(y - slope[:, None] * at, axis=1)
             left = post[..., c] - level[:, None] - slope[:, None] * x
             scaled = left / np.sqrt(covariance[..., c, c])
-            spread = max(1.4826 * float(np.nanmedian(np.abs(scaled))), 1.0)
+            spread = max(1.4826 * float(np.nanmedian(np.abs(scaled[trusted]))), 1.0)
             off |= np.abs(scaled) > OFF_ROW * spread
     present = np.isfinite(post[..., 0])
     around = _neighbours(off & present)

@@ -23,12 +23,12 @@ from sightline.imaging.warp import REACH as KERNEL_REACH
 from sightline.imaging.warp import WarpedImage
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import MASKED, OUTSIDE
+from sightline.matching.matches import KEPT, OUTLIER
 from sightline.matching.whitening import Whitening, estimate_whitening
 from sightline.motion.observations import Star, shared_image_correlation
 from sightline.motion.predict import MovingCamera, StaticParameter
 from sightline.motion.sampled_sensitivities import sampled_sensitivities
 from sightline.motion.windows import (
-    Predictions,
     WindowGrid,
     exposure_times,
     field_positions,
@@ -40,6 +40,8 @@ Array = NDArray[np.float64]
 
 #: Columns between the places where the map between two images is evaluated: over relief and over smooth surfaces.
 RELIEF_SPACING, SMOOTH_SPACING = 16, 64
+#: A row that lost more than this share of its windows is tried again: it may have been the estimate that was wrong.
+MOST_WRONG = 0.7
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,10 +113,16 @@ def match_star(
     grid: WindowGrid,
     statics: Sequence[StaticParameter],
     plan: MatchingPlan,
+    before: StarRecord | None = None,
 ) -> StarRecord:
-    """Match one hub's windows in all its partners and write down what they say."""
+    """Match one hub's windows in all its partners and write down what they say.
+
+    Windows that `before`, the same star of an earlier pass, found to be wrong are not tried again: clouds among
+    them would spoil the whitening and the pooled errors of the good ones.
+    """
     predicted = predict_windows(cameras, hub, partners, surface, grid)
     g, k = len(grid.centres), len(partners)
+    wrong = found_wrong(before, hub, grid, k)
     residual = np.full((g, k, 2), np.nan)
     covariance = np.tile(np.eye(2), (g, k, 1, 1))
     status = np.ones((g, k), dtype=np.uint8)
@@ -122,14 +130,16 @@ def match_star(
     values = np.zeros((g, k, 2, 7 + len(statics)), dtype=np.float32)
     for j, partner in enumerate(partners):
         laid = laid_on(images, cameras, surface, hub, partner)
+        tried = np.isfinite(predicted[j].b[:, 0]) & ~wrong[:, j]
+        points = np.where(tried[:, None], grid.centres, np.nan)
         matches = match_images(
             images[hub],
             laid,
-            grid.centres,
-            grid.centres,
+            points,
+            points,
             window=grid.window,
             search_px=plan.search_px,
-            whitening=pair_whitening(images[hub], laid, predicted[j], grid),
+            whitening=pair_whitening(images[hub], laid, points[tried]),
         )
         values[:, j] = sampled_sensitivities(
             cameras, hub, partner, surface, grid, np.isfinite(predicted[j].b[:, 0]), statics
@@ -178,19 +188,32 @@ def laid_on(
     return WarpedImage(images[partner], mapping, images[hub].shape, spacing)
 
 
-def pair_whitening(image: ImageSource, laid: ImageSource, predicted: Predictions, grid: WindowGrid) -> Whitening | None:
-    """Whitening filters of a pair; None where there is too little common ground to estimate them."""
-    points = grid.centres[np.isfinite(predicted.b[:, 0])]
+def found_wrong(before: StarRecord | None, hub: int, grid: WindowGrid, pairs: int) -> NDArray[np.bool_]:
+    """(G, K): windows that an earlier pass matched and threw out; none in rows that lost most of theirs."""
+    none = np.zeros((len(grid.centres), pairs), dtype=bool)
+    if before is None or before.star.hub != hub or before.star.t.shape != none.shape:
+        return none
+    if not np.array_equal(before.star.pixels, grid.centres):
+        return none
+    wrong = (before.star.weight == 0.0) & ((before.status == KEPT) | (before.status == OUTLIER))
+    by_row = wrong.reshape(*grid.shape, pairs)
+    return np.asarray((by_row & (by_row.mean(axis=1, keepdims=True) < MOST_WRONG)).reshape(none.shape))
+
+
+def pair_whitening(image: ImageSource, laid: WarpedImage, points: Array) -> Whitening | None:
+    """Whitening filters of a pair at `points` (N, 2); None where there is too little to estimate them from."""
     try:
         return estimate_whitening(image, laid, points, points)
     except EstimationError:
         return None
 
 
-def _within(centres: Array, shape: tuple[int, int], window: tuple[int, int]) -> NDArray[np.bool_]:
-    """(G,) windows that lie whole within an image, as far as the kernel reaches; False for NaN centres."""
-    reach = np.array(window) / 2.0 + KERNEL_REACH
-    return np.asarray(((centres >= reach) & (centres <= np.array(shape) - 1 - reach)).all(axis=1))
+def _within(pixels: Array, shape: tuple[int, int], window: tuple[int, int]) -> NDArray[np.bool_]:
+    """Windows about `pixels` that lie in an image of `shape`; False for NaN."""
+    half = (np.array(window) - 1) / 2.0
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= half - 0.5) & (pixels <= np.array(shape) - 0.5 - half)
+    return np.asarray(inside.all(axis=1))
 
 
 def _duration(camera: MovingCamera, grid: WindowGrid) -> float:

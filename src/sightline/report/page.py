@@ -131,7 +131,7 @@ def _frequency_sections(result: LineOfSight, summary: Mapping[str, Any]) -> list
             "Spectrum of the motion",
             "Power spectral density of the recovered motion, with tones named. The dotted curve is the error "
             "that remains: where the motion lies below it, it is believed, not measured.",
-            spectrum_figures.spectrum_figure(result, seen, tones, highest),
+            spectrum_figures.spectrum_figure(result, summary["passbands"], tones, highest),
         ),
         Section(
             "seen",

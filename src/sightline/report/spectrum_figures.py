@@ -27,7 +27,7 @@ DECADES = 9.0
 
 
 def spectrum_figure(
-    result: LineOfSight, seen: Observed, tones: Sequence[DetectedTone], highest: float
+    result: LineOfSight, bands: Mapping[str, Passbands], tones: Sequence[DetectedTone], highest: float
 ) -> go.Figure:
     """PSD of each axis with tones named, beside the prior, the remaining error, and blind bands shaded."""
     found = spectrum(result.motion)
@@ -59,7 +59,7 @@ def spectrum_figure(
                 x=x, y=y, name=name, line=line, mode="lines", legendgroup=name, showlegend=first, **row
             )
         _name_tones(figure, [tone for tone in tones if tone.axis == AXES[axis]], frequency, psd, row, first)
-        _shade_blind(figure, seen.passbands[axis], float(frequency[0]), highest, row)
+        _shade_blind(figure, bands[AXES[axis]], float(frequency[0]), highest, row)
         _set_range(figure, axis, psd, left[:, axis] * square)
     _key_of_shading(figure)
     figure.update_xaxes(type="log", range=np.log10([frequency[0], highest]).tolist())

@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight
+from sightline.evaluation.observed import SEEN_TONE_PX
+from sightline.geometry.camera import FrameCamera
 from sightline.motion.observability import Passbands
 from sightline.motion.tones import DetectedTone
-from sightline.report.motion_figures import visible_motion_px
+from sightline.report.motion_figures import FEW_EPOCHS, visible_motion_px
 from sightline.report.style import AXES, AXIS_UNITS
 
 Array = NDArray[np.float64]
@@ -26,16 +28,11 @@ _NUMBER_AND_UNIT = re.compile(r"(\d) (px|Hz|s|µrad|mrad|%)")
 
 def sentences(result: LineOfSight, summary: Mapping[str, Any], tones: Sequence[DetectedTone]) -> list[str]:
     """The summary, a sentence or two per subject."""
-    said = [
-        _what(result, summary),
-        _how_well(result),
-        _residuals(result),
-        _tones(result, tones),
-        _hidden(result),
-    ]
-    blind = [_passbands(summary["passbands"][axis], axis, summary["highest_frequency"]) for axis in AXES]
-    in_order = [*said[:4], *_merged(blind), said[4]]
-    return [_NUMBER_AND_UNIT.sub("\\1\u00a0\\2", sentence) for sentence in in_order]
+    said = [_what(result, summary), _how_well(result), _residuals(result)]
+    if len(result.motion.t) >= FEW_EPOCHS:
+        said += [_tones(result, tones), _passbands(summary)]
+    said.append(_hidden(result))
+    return [_NUMBER_AND_UNIT.sub("\\1\u00a0\\2", sentence) for sentence in said]
 
 
 def axis_cards(result: LineOfSight, summary: Mapping[str, Any]) -> list[dict[str, str]]:
@@ -53,7 +50,7 @@ def axis_cards(result: LineOfSight, summary: Mapping[str, Any]) -> list[dict[str
             "sigma_angle": _angle(sigma[k] * result.scale[k], 2),
             "worst": digits(worst[k], 2),
             "worst_angle": _angle(worst[k] * result.scale[k], 2),
-            "seen": _short_bands(summary["passbands"][axis]),
+            "seen": _short_bands(summary["passbands"][axis]) if len(result.motion.t) >= FEW_EPOCHS else "",
         }
         for k, axis in enumerate(AXES)
     ]
@@ -185,21 +182,16 @@ def _tones(result: LineOfSight, tones: Sequence[DetectedTone]) -> str:
     return "Tones, with their amplitude: " + "; ".join(said) + "."
 
 
-def _passbands(bands: Passbands, axis: str, highest: float) -> str:
-    if not bands:
-        return f"{axis}: no frequency could be seen well"
-    return f"{axis} {_short_bands(bands)}"
-
-
-def _merged(blind: Sequence[str]) -> list[str]:
-    return ["A steady tone of 0.1 px would be seen at these frequencies: " + "; ".join(blind) + "."]
+def _passbands(summary: Mapping[str, Any]) -> str:
+    seen = "; ".join(f"{axis} {_short_bands(summary['passbands'][axis])}" for axis in AXES)
+    return f"A steady tone of {SEEN_TONE_PX:g} px would be seen at these frequencies: {seen}."
 
 
 def _short_bands(bands: Passbands, most: int = 3) -> str:
     if not bands:
         return "nowhere"
     wide = sorted(sorted(bands, key=lambda band: band[0] - band[1])[:most])
-    listed = ", ".join(f"{low:.3g}–{high:.3g}" for low, high in wide)
+    listed = ", ".join(f"{low:.4g}–{high:.4g}" for low, high in wide)
     rest = len(bands) - len(wide)
     return f"{listed} Hz" + (f" and {rest} narrower" if rest else "")
 
@@ -213,10 +205,15 @@ def _hidden(result: LineOfSight) -> str:
         if tied
         else "nothing given here ties it, so sigma_absolute in motion.csv is infinite"
     )
+    imitated = ""
+    if not all(name.startswith("constant of ") for name in result.hidden_names):
+        frames = isinstance(result.cameras[0], FrameCamera)
+        unknown = "instants and an unknown lens" if frames else "places of the detector lines"
+        imitated = f", and unknown {unknown} imitate the rest"
     return (
-        f"Images compared with each other cannot tell {_grouped(result.hidden_names)}, which unknown places "
-        f"of the detector lines imitate; {known}. Figures and sigmas here are of the motion less this hidden "
-        "part."
+        f"Images compared with each other cannot tell {_grouped(result.hidden_names)}: a constant changes "
+        f"nothing between them{imitated}; {known}. Figures and sigmas here are of the motion less "
+        "this hidden part."
     )
 
 
