@@ -67,7 +67,8 @@ def run(case: str, seed: int, dem: bool, verbose: bool, overrides: dict[str, int
         )
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     print(
-        f"{label:14s} {seed:4d} {seconds:.0f} s, {len(result.changes)} passes, peak {peak:.2f} GiB (images held)",
+        f"{label:14s} {seed:4d} {seconds:.0f} s, {len(result.changes)} passes, "
+        f"peak {peak:.2f} GiB (images held)",
         flush=True,
     )
     if verbose:

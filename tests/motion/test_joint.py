@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sightline.estimation.prior import Matern, Spectrum
+from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.motion.joint import (
     CONSTANT_SIGMA,
+    JointEstimate,
     JointPrior,
     directions_at,
+    innovation_weights,
+    interpolation_variance,
     remove_directions,
     solve_joint,
 )
@@ -97,7 +100,9 @@ def dense_rows(star: Star, relief: bool) -> tuple[np.ndarray, np.ndarray, np.nda
 
 
 def make_prior(relief: bool) -> tuple[JointPrior, list[np.ndarray]]:
-    spectra = [Spectrum((Matern(s, 0.2, "5/2"), Matern(0.3 * s, 0.02, "3/2"))) for s in (1.0, 0.7, 0.5, 2.0, 1.0)]
+    spectra = [
+        Spectrum((Matern(s, 0.2, "5/2"), Matern(0.3 * s, 0.02, "3/2"))) for s in (1.0, 0.7, 0.5, 2.0, 1.0)
+    ]
     processes = [s.autoregressive(STEP, COUNT - 1, COUNT) for s in spectra]
     lag = STEP * np.abs(np.subtract.outer(np.arange(COUNT), np.arange(COUNT)))
     dense = [s.autocovariance(lag.ravel()).reshape(lag.shape) for s in spectra]
@@ -171,12 +176,14 @@ def test_rows_read_what_the_model_says() -> None:
     rows, _, _ = dense_rows(star, True)
     got = modelled(star, grid, nodes, statics)
     seen = np.isfinite(star.residual_px)
-    np.testing.assert_allclose(got[seen], rows @ np.concatenate([nodes.ravel(), statics]), rtol=1e-5, atol=1e-5)
+    np.testing.assert_allclose(
+        got[seen], rows @ np.concatenate([nodes.ravel(), statics]), rtol=1e-5, atol=1e-5
+    )
 
 
 def test_a_window_averages_the_motion_over_its_length() -> None:
-    # a parabola c t^2 averaged over a window of length d about t is c (t^2 + d^2 / 12); the midpoint rule with
-    # p points leaves c d^2 / (12 p^2), p = 2 + ceil(d / step) = 5
+    # a parabola c t^2 averaged over a window of length d about t is c (t^2 + d^2 / 12); the midpoint rule
+    # with p points leaves c d^2 / (12 p^2), p = 2 + ceil(d / step) = 5
     star = small_star(4, duration=0.03)
     grid = TimeGrid(0.0, STEP, COUNT)
     nodes = np.zeros((COUNT, 3))
@@ -195,3 +202,128 @@ def test_fitting_directions_away_leaves_nothing_along_them() -> None:
     directions = rng.standard_normal((30, 3, 4))
     left = remove_directions(rng.standard_normal((30, 3)), directions, np.ones(3))
     np.testing.assert_allclose(np.einsum("nph,np->h", directions, left), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("relief", [False, True])
+def test_the_band_in_time_is_that_of_the_dense_covariance_with_constants_held(relief: bool) -> None:
+    star = small_star(5)
+    prior, dense = make_prior(relief)
+    grid = TimeGrid(0.0, STEP, COUNT)
+    estimate = solve_joint(
+        normal_equations([star], [star.residual_px], grid, delays=[0.0], relief=relief), prior
+    )
+    nodes = 3
+    got = estimate.covariance_band(nodes)
+
+    rows, _, noise = dense_rows(star, relief)
+    block = 5 if relief else 3
+    size = COUNT * block
+    k = np.zeros((size + 2, size + 2))
+    for axis in range(block):
+        k[axis:size:block, axis:size:block] = dense[axis]
+    k[size:, size:] = np.diag(prior.statics_sigma**2)
+    covariance = k - k @ rows.T @ np.linalg.inv(rows @ k @ rows.T + noise) @ rows @ k
+    angles = np.arange(size).reshape(COUNT, block)[:, :3].ravel()
+    covariance = covariance[np.ix_(angles, angles)]
+    assert got.shape == (3 * nodes, 3 * COUNT)
+    for d in range(3 * nodes - 2):
+        # float32 sensitivities, as above
+        want = np.diag(covariance, -d)
+        np.testing.assert_allclose(got[d, : 3 * COUNT - d], want, atol=2e-3 * covariance.max())
+
+
+class TestInterpolationVariance:
+    GRID = TimeGrid(0.0, STEP, COUNT)
+
+    @staticmethod
+    def departures(t: np.ndarray) -> np.ndarray:
+        """Weights of (motion at t, motion at the nodes) that make the error of interpolation."""
+        return np.array([np.concatenate([[1.0], -lagrange(instant)]) for instant in t])
+
+    def test_of_broad_motion_it_is_the_variance_left_by_the_weights(self) -> None:
+        spectrum = Spectrum((Matern(1.5, 0.2, "5/2"), Matern(0.4, 0.015, "3/2")))
+        t = np.random.default_rng(0).uniform(0.05, 0.7, 20)
+        want = []
+        for instant, row in zip(t, self.departures(t), strict=True):
+            every = np.concatenate([[instant], self.GRID.nodes])
+            lags = np.abs(np.subtract.outer(every, every))
+            want.append(row @ spectrum.autocovariance(lags.ravel()).reshape(lags.shape) @ row)
+        # differences of variances of 2.4: rounding 1e-15 each
+        np.testing.assert_allclose(
+            interpolation_variance(spectrum, self.GRID, t), want, rtol=1e-6, atol=1e-12
+        )
+        assert max(want) > 1e-3
+
+    def test_of_a_tone_it_is_that_of_sinusoids_of_any_phase(self) -> None:
+        frequency, sigma = 23.0, 0.7
+        t = np.random.default_rng(1).uniform(0.05, 0.7, 20)
+        phases = np.linspace(0.0, 2 * np.pi, 12, endpoint=False)
+        square = np.zeros(len(t))
+        for phase in phases:
+            for n, (instant, row) in enumerate(zip(t, self.departures(t), strict=True)):
+                every = np.concatenate([[instant], self.GRID.nodes])
+                square[n] += (row @ (np.sqrt(2) * sigma * np.cos(2 * np.pi * frequency * every + phase))) ** 2
+        spectrum = Spectrum((Tone(sigma, frequency, 0.01),))
+        got = interpolation_variance(spectrum, self.GRID, t)
+        # twelve phases average a squared sinusoid exactly; half-way between nodes cubic interpolation misses by
+        # 9 / 384 (2 pi f step)^4 = 10 % of the amplitude, 1 % of the variance
+        np.testing.assert_allclose(got, square / len(phases), rtol=1e-9)
+        assert got.max() > 0.005 * sigma**2
+
+    def test_parts_of_a_spectrum_add_up_and_nodes_have_none(self) -> None:
+        parts = (Matern(1.0, 0.02, "3/2"), Tone(0.5, 20.0, 0.1))
+        t = np.linspace(0.1, 0.6, 33)
+        whole = interpolation_variance(Spectrum(parts), self.GRID, t)
+        each = [interpolation_variance(Spectrum((part,)), self.GRID, t) for part in parts]
+        np.testing.assert_allclose(whole, each[0] + each[1], rtol=1e-12)
+        at_nodes = interpolation_variance(Spectrum(parts), self.GRID, self.GRID.nodes)
+        np.testing.assert_allclose(at_nodes, 0.0, atol=1e-12)
+
+
+class TestInnovationWeights:
+    COUNT, JUMP_AT, AXIS = 300, 200, 1
+
+    def estimate(self, nodes: np.ndarray) -> tuple[JointEstimate, np.ndarray]:
+        """An estimate whose prior is a Matern motion, and the dense covariance of that."""
+        star = small_star()
+        grid = TimeGrid(0.0, STEP, self.COUNT)
+        spectrum = Spectrum((Matern(1.0, 0.1, "3/2"),))
+        process = spectrum.autoregressive(STEP, self.COUNT - 1, self.COUNT)
+        data = normal_equations([star], [star.residual_px], grid, delays=[0.0])
+        prior = JointPrior((process, process, process), np.array([0.5, 0.8]))
+        return JointEstimate(grid, nodes, None, np.zeros(2), np.zeros(2), data, prior), self.dense()
+
+    def dense(self) -> np.ndarray:
+        """Written out: (1 + a) exp(-a) with a = sqrt(3) lag / timescale."""
+        a = (
+            np.sqrt(3.0)
+            * STEP
+            * np.abs(np.subtract.outer(np.arange(self.COUNT), np.arange(self.COUNT)))
+            / 0.1
+        )
+        return (1 + a) * np.exp(-a) + 1e-9 * np.eye(self.COUNT)
+
+    def drawn(self) -> np.ndarray:
+        white = np.random.default_rng(6).standard_normal((self.COUNT, 3))
+        return np.linalg.cholesky(self.dense()) @ white
+
+    def test_motion_of_the_prior_s_own_kind_is_held_everywhere(self) -> None:
+        # of 900 innovations one beyond 4.5 sigmas has odds of 0.6 %
+        weights = innovation_weights(self.estimate(self.drawn())[0])
+        np.testing.assert_array_equal(weights, 1.0)
+
+    def test_a_step_is_let_go_where_and_on_the_axis_it_happens(self) -> None:
+        nodes = self.drawn()
+        nodes[self.JUMP_AT :, self.AXIS] += 3.0
+        estimate, dense = self.estimate(nodes)
+        weights = innovation_weights(estimate)
+        loose = np.argwhere(weights < 1.0)
+        assert (loose[:, 1] == self.AXIS).all()
+        assert loose[:, 0].min() == self.JUMP_AT
+        # whitened with the dense covariance the innovation there is far beyond; its weight makes it one sigma
+        centred = nodes[:, self.AXIS] - nodes[:, self.AXIS].mean()
+        white = np.linalg.solve(np.linalg.cholesky(dense), centred)
+        assert abs(white[self.JUMP_AT]) > 10
+        np.testing.assert_allclose(
+            weights[self.JUMP_AT, self.AXIS] * white[self.JUMP_AT] ** 2, 1.0, rtol=0.01
+        )

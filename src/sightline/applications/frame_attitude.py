@@ -10,8 +10,10 @@ Not here: detector lines (``line_of_sight.py``), files (``io/``), the report (``
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,7 +50,8 @@ Progress = Callable[[str], None]
 
 #: Prior of the attitudes (rad: each frame, all together) while nothing but coarse shifts speak.
 START_SIGMAS = (0.005, 0.02)
-#: Matches of the first pass are believed to so many times the matcher's sigma: lens and relief are not known yet.
+#: Matches of the first pass are believed to so many times the matcher's sigma: lens and relief are not known
+#: yet.
 FIRST_SCALE = 10.0
 #: Sigmas of k1, k2, p1, p2, k3 in that of k1.
 DISTORTION_SHARES = (1.0, 1.0, 0.05, 0.05, 1.0)
@@ -74,6 +77,8 @@ class FrameOptions:
         px; of the first, searching pass, and of the others.
     windows : int
         Windows per frame, about; evenly spread.
+    step : int or None
+        px between windows, in place of `windows`.
     first_search_px, search_px : int
         px; half-range of the search in the first pass, and in the others.
     lags : tuple of int
@@ -87,11 +92,20 @@ class FrameOptions:
     first_window: tuple[int, int] = (48, 48)
     window: tuple[int, int] = (32, 32)
     windows: int = 190
+    step: int | None = None
     first_search_px: int = 24
     search_px: int = 6
     lags: tuple[int, ...] = (1, 2, 3, 4, 5)
     passes: int = 4
     tolerance: float = 0.2
+
+    @classmethod
+    def from_matching(cls, matching: Mapping[str, Any]) -> FrameOptions:
+        """Options of a ``[matching]`` table, whose names are those for strips."""
+        given = dict(matching)
+        if "search_px" in given:
+            given["first_search_px"] = max(given.pop("search_px"))
+        return cls(**given)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -133,6 +147,8 @@ class _Sequence:
 
     def step(self, window: tuple[int, int]) -> int:
         """Distance of windows (px) that gives about the wanted number of them."""
+        if self.options.step is not None:
+            return self.options.step
         wanted = self.options.windows
         if self.height_sigma > 0.0:
             wanted = min(wanted, max(MAX_HEIGHTS // len(self.frames), 24))
@@ -166,8 +182,8 @@ def recover_frame_attitude(
     surface : Surface
         What the lines of sight meet.
     lens : LensKnowledge, optional
-        How well the nominal lens is known; exactly by default. Where its distortion is free, a smooth field of
-        shifts over the detector takes what the constants leave (``motion/lens_field.py``).
+        How well the nominal lens is known; exactly by default. Where its distortion is free, a smooth field
+        of shifts over the detector takes what the constants leave (``motion/lens_field.py``).
     height_sigma : float
         m; what is not known of the surface's height: heights of all windows are then estimated too.
     options : FrameOptions, optional
@@ -187,8 +203,8 @@ def recover_frame_attitude(
 
     Notes
     -----
-    S1, figure 15, for a matrix detector: every window of a frame gives two equations per partner in three angles
-    of either frame; the instants are those of the frames.
+    S1, figure 15, for a matrix detector: every window of a frame gives two equations per partner in three
+    angles of either frame; the instants are those of the frames.
     """
     tell = progress or (lambda text: None)
     sequence = _prepare(frames, surface, lens or LensKnowledge(), height_sigma, options or FrameOptions())
@@ -209,14 +225,38 @@ def recover_frame_attitude(
     return _result(sequence, state, changes)
 
 
+def mount_by_motion(frames: Sequence[Frame], surface: Surface) -> FixedMount:
+    """The mount of the first frame's camera, turned about the optical axis until the ground moves as seen.
+
+    Parameters
+    ----------
+    frames : sequence of Frame
+        Neighbours overlapping; their mount may be off by any angle about the axis.
+    surface : Surface
+
+    Raises
+    ------
+    InputError
+        If the pointing is not a fixed mount.
+    EstimationError
+        If no two neighbours show the same ground.
+    """
+    mount = frames[0].camera.pointing
+    if not isinstance(mount, FixedMount):
+        raise InputError(f"`frames` need a FixedMount, got {type(mount).__name__}; give their mount by hand")
+    shifts = coarse_shifts([frame.image for frame in frames])
+    turn, _ = turn_about_axis(shifts, [frame.camera for frame in frames], surface)
+    return turned_mount(mount, turn)
+
+
 def _prepare(
     frames: Sequence[Frame], surface: Surface, lens: LensKnowledge, height_sigma: float, options: FrameOptions
 ) -> _Sequence:
     """Check the input and list what is unknown besides the angles."""
     if len(frames) < 2:
         raise InputError(
-            f"one frame cannot show motion: {len(frames)} given; two or more that see the same ground are needed; "
-            "add a [[frame]]"
+            f"one frame cannot show motion: {len(frames)} given; two or more that see the same ground are "
+            "needed; add a [[frame]]"
         )
     for frame in frames:
         if tuple(frame.image.shape) != tuple(frame.camera.shape):
@@ -224,11 +264,11 @@ def _prepare(
                 f"image and camera of frame {frame.name!r} differ: image {frame.image.shape}, camera "
                 f"{frame.camera.shape} (lines, columns); give the camera the size of its image"
             )
-    for first, second in zip(frames, frames[1:], strict=False):
+    for first, second in pairwise(frames):
         if not second.camera.t > first.camera.t:
             raise InputError(
-                f"frames must be in the order of their times: {second.name!r} at t = {second.camera.t:g} s follows "
-                f"{first.name!r} at {first.camera.t:g} s; sort them"
+                f"frames must be in the order of their times: {second.name!r} at t = {second.camera.t:g} s "
+                f"follows {first.name!r} at {first.camera.t:g} s; sort them"
             )
     names = [frame.name for frame in frames]
     statics = time_statics(names, [frame.time_sigma for frame in frames]) + frame_statics(
@@ -262,8 +302,8 @@ def _start(sequence: _Sequence, shifts: Sequence[CoarseShift]) -> Array:
     at = [k for k, parameter in enumerate(sequence.statics) if parameter.name == "focal length"]
     if not at and not 0.5 < scale < 2.0:
         raise EstimationError(
-            f"the frames move {scale:.2f} times as far as focal length, height and speed say; correct them, or set "
-            'focal_length_px = "estimate"'
+            f"the frames move {scale:.2f} times as far as focal length, height and speed say; correct them, "
+            'or set focal_length_px = "estimate"'
         )
     x = np.zeros(unknowns.size)
     if at:
@@ -280,8 +320,8 @@ def _wrong_mount(mount: object, turn: float) -> str:
         quaternion = ", ".join(f"{v:.6g}" for v in turned_mount(mount, turn).body_from_camera.as_quat())
         advice = f"set [camera] body_from_camera = [{quaternion}]"
     return (
-        f"the ground moves through the frames {math.degrees(turn):.0f} degrees away from where the mount of the camera "
-        f"says; up to {math.degrees(MAX_TURN):.0f} degrees are recovered as yaw; {advice}"
+        f"the ground moves through the frames {math.degrees(turn):.0f} degrees away from where the mount of "
+        f"the camera says; up to {math.degrees(MAX_TURN):.0f} degrees are recovered as yaw; {advice}"
     )
 
 
@@ -314,8 +354,9 @@ def _first_pass(sequence: _Sequence, x: Array) -> _State:
     kept = sum(int(star.present.sum()) for star in stars)
     if kept < 20:
         raise EstimationError(
-            f"neighbouring frames do not match: {kept} windows kept of {sum(star.present.size for star in stars)}; "
-            "check that they overlap, that clouds leave ground to be seen, and the order of the frames"
+            f"neighbouring frames do not match: {kept} windows kept of "
+            f"{sum(star.present.size for star in stars)}; check that they overlap, that clouds leave ground "
+            "to be seen, and the order of the frames"
         )
     noise = FrameNoise.start(plan.lags, scale=FIRST_SCALE)
     for _ in range(ROUNDS):
@@ -386,9 +427,10 @@ def _ground_fields(sequence: _Sequence, estimate: FrameEstimate, plan: FramePlan
         return ()
     camera = estimate.cameras[0]
     middle = (np.array(camera.shape) - 1) / 2.0
-    ground = camera.locate(np.stack([middle, middle + [0.0, 1.0]]), sequence.surface)
+    ground = camera.locate(np.stack([middle, middle + np.array([0.0, 1.0])]), sequence.surface)
     pixel = float(np.linalg.norm(ground[1] - ground[0]))
-    sigma, length, rough = sequence.height_sigma, 0.1 * max(camera.shape) * pixel, 0.5 * plan.window[0] * pixel
+    sigma = sequence.height_sigma
+    length, rough = 0.1 * max(camera.shape) * pixel, 0.5 * plan.window[0] * pixel
     return (
         GroundField(sigma, sigma, length, 0.2 * sigma, rough),
         # the ground as a whole stands still
@@ -410,7 +452,8 @@ def _learned(estimate: FrameEstimate, lags: Sequence[int]) -> FrameNoise:
 def _scale(estimate: FrameEstimate) -> Array:
     """(3,) rad; one pixel of roll, of pitch, and of yaw at the edge of the field."""
     detector = estimate.cameras[0].detector
-    return np.array([1.0 / detector.focal_length_px, 1.0 / detector.focal_length_px, 2.0 / (detector.shape[1] - 1)])
+    ifov = 1.0 / detector.focal_length_px
+    return np.array([ifov, ifov, 2.0 / (detector.shape[1] - 1)])
 
 
 def _change(old: FrameEstimate, new: FrameEstimate, scale: Array) -> float:
@@ -424,6 +467,11 @@ def _change(old: FrameEstimate, new: FrameEstimate, scale: Array) -> float:
     return float(np.sqrt((moved**2).mean(axis=0) / np.maximum(variance, 1e-30)).max())
 
 
+def _both_axes(covariance: Array) -> Array:
+    """Covariance (2K, 2K) of line and column from that of the pairs (K, K), alike on both."""
+    return np.asarray(np.kron(covariance, np.eye(2)), dtype=np.float64)
+
+
 def _result(sequence: _Sequence, state: _State, changes: list[float]) -> FrameAttitude:
     """The last state as a result at the frames."""
     estimate, unknowns = state.estimate, state.estimate.unknowns
@@ -432,16 +480,14 @@ def _result(sequence: _Sequence, state: _State, changes: list[float]) -> FrameAt
     directions, names = hidden_directions(estimate.angle_covariance, t, scale)
     relative = relative_covariance(estimate.angle_covariance, directions, scale)
     blocks = np.stack([relative[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(n)])
-    prior = np.linalg.inv(unknowns.prior_precision()[: 3 * n, : 3 * n])
+    prior = np.asarray(np.linalg.inv(unknowns.prior_precision()[: 3 * n, : 3 * n]), dtype=np.float64)
     sigmas = np.sqrt(np.diag(estimate.covariance))[3 * n : unknowns.lens]
     statics = tuple(
         StaticEstimate(p.name, p.unit, float(value), float(sigma), p.sigma)
         for p, value, sigma in zip(unknowns.statics, estimate.x[3 * n : unknowns.lens], sigmas, strict=True)
     )
     records = tuple(
-        StarRecord(
-            line.with_correlation(np.kron(estimate.noise.of(star.lags), np.eye(2))), star.status, star.score
-        )
+        StarRecord(line.with_correlation(_both_axes(estimate.noise.of(star.lags))), star.status, star.score)
         for star, line in zip(state.stars, estimate.stars, strict=True)
     )
     nominal = [frame.camera for frame in sequence.frames]
@@ -497,22 +543,23 @@ def _warnings(
     out = []
     if changes and changes[-1] > 1.0:
         out.append(
-            f"the passes did not settle: the last changed the attitudes by {changes[-1]:.1f} sigma; allow more passes "
-            "or check the camera description"
+            f"the passes did not settle: the last changed the attitudes by {changes[-1]:.1f} sigma; allow "
+            "more passes or check the camera description"
         )
     if not observed.all():
-        out.append(f"{(~observed).sum()} of {len(observed)} frames are seen by no match: only the prior speaks there")
+        unseen = (~observed).sum()
+        out.append(f"{unseen} of {len(observed)} frames are seen by no match: only the prior speaks there")
     sigma = np.sqrt(covariance[:, [0, 1, 2], [0, 1, 2]].mean(axis=0)) / scale
     for axis, name in enumerate(("roll", "pitch", "yaw")):
         if sigma[axis] > 1.0:
             out.append(
-                f"{name} from frame to frame is known to {sigma[axis]:.2g} px only: uncertain times, or a free lens, "
-                "imitate it; give times or focal length with a smaller sigma"
+                f"{name} from frame to frame is known to {sigma[axis]:.2g} px only: uncertain times, or a "
+                "free lens, imitate it; give times or focal length with a smaller sigma"
             )
     field = state.estimate.unknowns.field
     if field is not None and field.sigma_px > 0.05:
         out.append(
-            f"the lens departs from its constants by {field.sigma_px:.2f} px, a smooth pattern fixed to the detector: it "
-            "is estimated and part of every sigma; a calibration of the lens would say more"
+            f"the lens departs from its constants by {field.sigma_px:.2f} px, a smooth pattern fixed to the "
+            "detector: it is estimated and part of every sigma; a calibration of the lens would say more"
         )
     return tuple(out)

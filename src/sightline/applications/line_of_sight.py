@@ -22,7 +22,6 @@ from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
-from sightline.imaging.source import ImageSource
 from sightline.motion.band import Band
 from sightline.motion.hyper import BROAD, PriorModel, fit_prior_model
 from sightline.motion.joint import (
@@ -46,11 +45,12 @@ Array = NDArray[np.float64]
 Progress = Callable[[str], None]
 
 #: Error of the first linearisation as a share of the residual: products of mrad-sized angles and of the shift
-#: between the predicted and the actual line with the rate of the motion, seen at 5-7 % of residuals of 1-4 px.
+#: between the predicted and the actual line with the rate of the motion, seen at 5-7 % of residuals of
+#: 1-4 px.
 LINEARISATION_SHARE = 0.07
 #: Times that matches are weighed by their own scatter and the motion solved again, in every pass.
 ROUNDS = 4
-#: Fewer first matches than this share of the windows tried mean that the prediction is wrong, not the texture.
+#: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
 
 
@@ -149,8 +149,8 @@ def recover_line_of_sight(
 
     Notes
     -----
-    S1, figure 15. The motion is the joint maximum a posteriori of roll, pitch, yaw, band offsets and rotations
-    (``motion/joint.py``) with priors by marginal likelihood (``motion/hyper.py``).
+    S1, figure 15. The motion is the joint maximum a posteriori of roll, pitch, yaw, band offsets and
+    rotations (``motion/joint.py``) with priors by marginal likelihood (``motion/hyper.py``).
     """
     options = options or RecoverOptions()
     tell = progress or (lambda text: None)
@@ -191,8 +191,8 @@ def _prepare(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
     """Check the input and lay the time grid."""
     if len(bands) < 2:
         raise InputError(
-            f"one image cannot show motion: {len(bands)} band given; two or more bands that see the same ground a lag "
-            "apart are needed; add a [[band]]"
+            f"one image cannot show motion: {len(bands)} band given; two or more bands that see the same "
+            "ground a lag apart are needed; add a [[band]]"
         )
     for band in bands:
         expected = (band.camera.lines, band.camera.columns)
@@ -246,8 +246,8 @@ def _on_ground(camera: PushbroomCamera, surface: Surface) -> tuple[float, float]
     ground = camera.locate(pixels, surface)
     if not np.isfinite(ground).all():
         raise EstimationError(
-            "the middle of the strip does not meet the surface: its rays miss, or the DEM does not cover it; check the "
-            "platform's height and attitude and the extent of the DEM"
+            "the middle of the strip does not meet the surface: its rays miss, or the DEM does not cover it; "
+            "check the platform's height and attitude and the extent of the DEM"
         )
     t = camera.times(pixels[2:, 0])
     speed = float(np.linalg.norm(ground[3] - ground[2]) / (t[1] - t[0]))
@@ -265,8 +265,9 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
     kept = sum(int(r.star.present.sum()) for r in records)
     if kept < max(20, MIN_KEPT_SHARE * tried):
         raise EstimationError(
-            f"the images do not match where the cameras say: {kept} of {tried} windows kept within {options.search_px} px of "
-            "the prediction; check look angles, line times and that the bands overlap"
+            f"the images do not match where the cameras say: {kept} of {tried} windows kept within "
+            f"{options.search_px} px of the prediction; check look angles, line times and that the bands "
+            "overlap"
         )
     state = _solve(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
     # once more about the motion found: what was left of the first linearisation is gone before dense matching
@@ -299,7 +300,15 @@ def _compensated_pass(
     tell("fitting the spectrum of the motion")
     stars = [r.star for r in solved.records]
     start = state.model if number > 1 else None
-    model = fit_prior_model(stars, solved.post_px, solved.estimate, strip.scale, start, solved.jumps())
+    model = fit_prior_model(
+        stars,
+        solved.post_px,
+        solved.estimate,
+        strip.scale,
+        start,
+        solved.jumps(),
+        state.model.noise_scale,
+    )
     return _solve(strip, solved.records, nodes, statics, model, height_sigma, before=state)
 
 
@@ -311,8 +320,9 @@ def _match(
     cameras = strip.cameras(nodes, statics)
     images = [band.image for band in strip.bands]
     hubs = hub_windows(cameras, strip.surface, [i.shape for i in images], strip.order, plan)
+    parameters = strip.parameters
     return tuple(
-        match_star(images, cameras, strip.surface, hub, partners, grid, strip.parameters, plan, earlier.get(hub))
+        match_star(images, cameras, strip.surface, hub, partners, grid, parameters, plan, earlier.get(hub))
         for hub, partners, grid in hubs
     )
 
@@ -336,7 +346,8 @@ def _solve(
     prior = JointPrior(model.processes(grid), sigmas)
     if unknown_relief:
         length = before.relief_length if before is not None else 2.0 * strip.half_width
-        prior = replace(prior, relief=row_processes(height_sigma, length, strip.half_width, strip.ground_speed, grid))
+        relief = row_processes(height_sigma, length, strip.half_width, strip.ground_speed, grid)
+        prior = replace(prior, relief=relief)
     else:
         length = 0.0
 
@@ -350,12 +361,16 @@ def _solve(
         without = [m - w for m, w in zip(measured, motion_only, strict=True)]
         return found, [m - w for m, w in zip(measured, whole, strict=True)], without
 
+    settled = model is not strip.broad
     estimate, post, without = solution()
     for _ in range(ROUNDS):
-        stars = [s.with_weight(robust_weights(s, r)) for s, r in zip(stars, post, strict=True)]
+        weights = [robust_weights(s, r, settled=settled) for s, r in zip(stars, post, strict=True)]
+        stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
         stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]
-        stars = [s.with_correlation(estimate_correlation(s, r)) for s, r in zip(stars, post, strict=True)]
-        if model is not strip.broad:
+        stars = [
+            s.with_correlation(model.grown(estimate_correlation(s, r))) for s, r in zip(stars, post, strict=True)
+        ]
+        if settled:
             prior = replace(prior, innovation_weights=innovation_weights(estimate))
         estimate, post, without = solution()
     if unknown_relief:
@@ -368,7 +383,8 @@ def _change(strip: _Strip, old: _State, new: _State) -> float:
     """Change of the motion between passes in units of its sigma, hidden part left out (worst axis)."""
     t = strip.grid.nodes[4:-4:4]
     directions = directions_at(strip.grid, new.estimate.hidden_directions(drifts=bool(strip.parameters)), t)
-    moved = remove_directions(angles_at(new.estimate, t) - angles_at(old.estimate, t), directions, strip.scale)
+    moved = angles_at(new.estimate, t) - angles_at(old.estimate, t)
+    moved = remove_directions(moved, directions, strip.scale)
     variance = new.estimate.relative_covariance(t, directions, strip.scale)[:, [0, 1, 2], [0, 1, 2]]
     return float(np.sqrt((moved**2).mean(axis=0) / variance.mean(axis=0)).max())
 
@@ -434,13 +450,13 @@ def _warnings(
     out = []
     if changes and changes[-1] > 1.0:
         out.append(
-            f"the passes did not settle: the last changed the motion by {changes[-1]:.1f} sigma; allow more passes "
-            "or check the camera description"
+            f"the passes did not settle: the last changed the motion by {changes[-1]:.1f} sigma; allow more "
+            "passes or check the camera description"
         )
     if not observed.all():
         out.append(
-            f"{(~observed).sum()} of {len(observed)} lines are seen by no match: the motion there is interpolated, "
-            "its sigma grown"
+            f"{(~observed).sum()} of {len(observed)} lines are seen by no match: the motion there is "
+            "interpolated, its sigma grown"
         )
     covariance = motion.covariance
     assert covariance is not None
@@ -448,7 +464,8 @@ def _warnings(
     sigma_yaw = float(np.sqrt(np.median(covariance[:, 2, 2])))
     if sigma_yaw > 0.3 * prior_yaw:
         out.append(
-            f"yaw is hardly observable: its sigma, {sigma_yaw / strip.scale[2]:.2g} px at the field edge, is close to that "
-            f"of the prior; the field of {2 * strip.half_field:.2g} rad is narrow, or the matches do not span it"
+            f"yaw is hardly observable: its sigma, {sigma_yaw / strip.scale[2]:.2g} px at the field edge, is "
+            f"close to that of the prior; the field of {2 * strip.half_field:.2g} rad is narrow, or the "
+            "matches do not span it"
         )
     return tuple(out)

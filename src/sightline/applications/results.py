@@ -159,7 +159,9 @@ def _pair(record: StarRecord, before: Array, after: Array, k: int, images: tuple
     status = record.status[:, k]
     inside = status != STATUS_NAMES.index("outside")
     rejected = {
-        name: int((status == code).sum()) for code, name in enumerate(STATUS_NAMES) if code > 1 and (status == code).any()
+        name: int((status == code).sum())
+        for code, name in enumerate(STATUS_NAMES)
+        if code > 1 and (status == code).any()
     }
     late = int(((status == 0) & ~kept).sum())
     if late:

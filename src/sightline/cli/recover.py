@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sightline.cli.options import Json, Out, Overwrite
 from sightline.cli.terminal import Progress
+
+if TYPE_CHECKING:
+    from sightline.applications.results import LineOfSight
+    from sightline.io.acquired import Acquisition
 
 
 def recover(
@@ -39,7 +43,6 @@ def recover_into(folder: Path, acquisition: Path, report: Progress) -> dict[str,
     """Recover the strip of `acquisition`, write every file of the result into `folder`, give the summary."""
     import time
 
-    from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
     from sightline.io.acquisition import load_acquisition
     from sightline.io.results import write_result
     from sightline.report.page import write_report
@@ -47,14 +50,31 @@ def recover_into(folder: Path, acquisition: Path, report: Progress) -> dict[str,
     begin = time.perf_counter()
     report("reading the acquisition")
     acquired = load_acquisition(acquisition)
-    result = recover_line_of_sight(
+    result = recover_acquisition(acquired, report)
+    report("writing the result and its report")
+    summary = write_result(folder, result, acquired, wall_seconds=time.perf_counter() - begin)
+    write_report(folder / "report.html", result, acquired, summary)
+    return summary
+
+
+def recover_acquisition(acquired: Acquisition, report: Progress) -> LineOfSight:
+    """Recover what an acquisition holds: bands of a strip, or frames of a matrix instrument."""
+    from sightline.applications.frame_attitude import FrameOptions, recover_frame_attitude
+    from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+
+    if acquired.frames:
+        return recover_frame_attitude(
+            acquired.frames,
+            acquired.surface,
+            lens=acquired.lens,
+            height_sigma=acquired.height_sigma,
+            options=FrameOptions.from_matching(acquired.matching),
+            progress=report,
+        )
+    return recover_line_of_sight(
         acquired.bands,
         acquired.surface,
         height_sigma=acquired.height_sigma,
         options=RecoverOptions(**acquired.matching),
         progress=report,
     )
-    report("writing the result and its report")
-    summary = write_result(folder, result, acquired, wall_seconds=time.perf_counter() - begin)
-    write_report(folder / "report.html", result, acquired, summary)
-    return summary

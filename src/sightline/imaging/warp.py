@@ -43,7 +43,10 @@ def _slow_interval(image, l0, l1, c0, c1, first, last, table, wy, wx, out):  # t
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out):  # type: ignore[no-untyped-def]
-    """The same where positions run almost with the pixels: lines first, then columns, weights carried linearly."""
+    """The same where positions run almost with the pixels.
+
+    Lines first, then columns, weights carried linearly.
+    """
     rows, columns = image.shape
     n = last - first
     row = int(np.floor(0.5 * (l0 + l1)))
@@ -84,7 +87,7 @@ def _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out):  # typ
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _warp(image, position, nodes, start, slack, table, out):  # type: ignore[no-untyped-def]
-    """Rows of `out` from positions (rows, nodes, 2) given at columns `nodes`; `start`: column of out[:, 0]."""
+    """Rows of `out` from positions (rows, nodes, 2) at columns `nodes`; `start`: column of out[:, 0]."""
     wy, wx = np.empty(8, np.float32), np.empty(8, np.float32)
     w = np.empty((4, 8), np.float32)
     longest = 0
@@ -113,8 +116,8 @@ class WarpedImage:
     source : ImageSource
         The image to resample.
     mapping : callable
-        ``mapping(lines, columns)`` with (n,) and (M,) pixel positions of the grid gives (n, M, 2): where each lies
-        in `source`, (line, column); NaN where it does not.
+        ``mapping(lines, columns)`` with (n,) and (M,) pixel positions of the grid gives (n, M, 2): where each
+        lies in `source`, (line, column); NaN where it does not.
     shape : (lines, columns)
         Of the grid.
     spacing : int
@@ -148,7 +151,9 @@ class WarpedImage:
             return out
         image, bad = self._piece((int(first[0]), int(last[0])), (int(first[1]), int(last[1])))
         moved = np.where(usable.all(axis=2, keepdims=True), position, -1e6) - first
-        _warp(image, np.ascontiguousarray(moved), nodes.astype(np.int64), columns[0], SLACK, kernel_table(), out)
+        _warp(
+            image, np.ascontiguousarray(moved), nodes.astype(np.int64), columns[0], SLACK, kernel_table(), out
+        )
         if bad is not None:
             out[_hit(bad, moved, nodes - columns[0])] = np.nan
         return out

@@ -141,6 +141,8 @@ def write_photo_acquisition(
     height: float,
     body_from_camera: Sequence[float] | None = None,
     time_sigma: float = 0.29,
+    ground: tuple[float, float] = (0.0, 0.0),
+    masks: Sequence[Path] | None = None,
 ) -> Path:
     """An ``acquisition.toml`` and its ``positions.csv`` for photographs that carry EXIF time and place.
 
@@ -156,6 +158,10 @@ def write_photo_acquisition(
         Quaternion x, y, z, w; nominal (lines forward) if not given.
     time_sigma : float
         s; 0.29 is that of a stamp cut to the second.
+    ground : (float, float)
+        m; height of the ground above the ellipsoid, and how well it is known.
+    masks : sequence of Path, optional
+        One per photograph: non-zero pixels are not used.
 
     Returns
     -------
@@ -175,6 +181,9 @@ def write_photo_acquisition(
         'attitudes = "along-track"',
         "[world]",
         'frame = "lonlat"',
+        "[surface]",
+        f"height = {ground[0]}",
+        f"height_sigma = {ground[1]}",
         "[camera]",
         'focal_length_px = "estimate"',
         'principal_point_px = "estimate"',
@@ -182,8 +191,10 @@ def write_photo_acquisition(
     ]
     if body_from_camera is not None:
         lines.append(f"body_from_camera = {[float(value) for value in body_from_camera]}")
-    for path in paths:
+    for number, path in enumerate(paths):
         lines += ["[[frame]]", f"image = '{path.resolve()}'", 'time = "exif"', f"time_sigma = {time_sigma}"]
+        if masks is not None:
+            lines.append(f"mask = '{masks[number].resolve()}'")
     toml = folder / "acquisition.toml"
     toml.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return toml

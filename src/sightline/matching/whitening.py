@@ -316,7 +316,8 @@ def estimate_whitening(
     """
     if tile is None:
         tile = (min(16, image_a.shape[0] // 2), min(128, image_a.shape[1] // 2))
-    chosen = np.unique(np.linspace(0, len(points_a) - 1, min(most_tiles, max(len(points_a), 1))).astype(int))
+    count = len(points_a)
+    chosen = np.unique(np.linspace(0, max(count - 1, 0), min(most_tiles, count)).astype(int))
     finite = np.isfinite(points_a[chosen]).all(axis=1) & np.isfinite(predicted_b[chosen]).all(axis=1)
     chosen = chosen[finite]
     linear = np.zeros((len(chosen), 2, 2)) if affine is None else affine[chosen] - np.eye(2)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.geometry.surface import Surface
-from sightline.motion.frame_matches import FrameStar
 from sightline.motion.frame_errors import Influence, outcome_covariance
+from sightline.motion.frame_matches import FrameStar
 from sightline.motion.frames import FrameEstimate, solve_frames
 
 Array = NDArray[np.float64]
@@ -77,7 +77,7 @@ def closure(
             rows[3 * k + axis, 3 * (k + lag) + axis] = 1.0
             rows[3 * k + axis, 3 * k + axis] = -1.0
     chained, direct = (_alone(stars, estimate, surface, lags) for lags in (chain, lag))
-    prior = np.linalg.inv(estimate.unknowns.prior_precision())
+    prior = np.asarray(np.linalg.inv(estimate.unknowns.prior_precision()), dtype=np.float64)
 
     def covariance(influence: Influence) -> Array:
         return outcome_covariance(influence, estimate.noise, estimate.ground, prior)

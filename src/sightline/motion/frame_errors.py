@@ -1,4 +1,4 @@
-"""How errors of matches, relief and prior move an estimate of frames: its covariance, and that of differences.
+"""How errors of matches, relief and prior move an estimate of frames: covariance, also of differences.
 
 Noise of an image moves every match that uses the same pixels: the windows of a hub at all its
 lags, and windows of neighbouring stars that overlap. Estimates from different lags share it, as
@@ -16,9 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.motion.frame_matches import FrameStar
-from sightline.motion.frame_noise import FrameNoise
+from sightline.motion.frame_noise import FrameNoise, cholesky_factors
 
 Array = NDArray[np.float64]
+
+#: px; 1-sigma of what interpolation and aliasing move whole regions of one image: a pair's is sqrt(2) of it,
+#: a third of the largest bias of the matcher over all sub-pixel phases (0.005 px).
+BIAS_PX = 0.005 / 3.0 / 2.0**0.5
+#: How far such a region reaches, in windows.
+BIAS_LENGTH_WINDOWS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,8 +50,9 @@ class Influence:
 
     def through(self, matrix: Array) -> Influence:
         """Influence on ``matrix @ outcomes``, matrix (Q, P)."""
+        gains = [gain @ matrix.T for gain in self.gains]
         fields = tuple(field @ matrix.T for field in self.fields)
-        return replace(self, gains=[g @ matrix.T for g in self.gains], fields=fields, prior=self.prior @ matrix.T)
+        return replace(self, gains=gains, fields=fields, prior=self.prior @ matrix.T)
 
     def spread_over(self, stars: Sequence[FrameStar]) -> Influence:
         """The same influence laid out over more matches of the same windows, which have none."""
@@ -72,7 +79,9 @@ class Influence:
         return Influence(self.stars, gains, fields, self.prior + other.prior)
 
 
-def outcome_covariance(influence: Influence, noise: FrameNoise, ground: Array, prior_covariance: Array) -> Array:
+def outcome_covariance(
+    influence: Influence, noise: FrameNoise, ground: Array, prior_covariance: Array
+) -> Array:
     """Covariance (P, P) of the outcomes.
 
     Parameters
@@ -96,7 +105,10 @@ def outcome_covariance(influence: Influence, noise: FrameNoise, ground: Array, p
 
 
 def neighbour_covariance(influence: Influence, shared: float) -> Array:
-    """What different windows that use the same pixels add to the covariance (P, P).
+    """What different windows of one image err together, beyond each by itself: covariance (P, P).
+
+    Windows that use the same pixels share their noise; and interpolation biases whole regions of an image
+    alike, by a thousandth of a pixel, which many windows cannot average.
 
     Parameters
     ----------
@@ -106,28 +118,42 @@ def neighbour_covariance(influence: Influence, shared: float) -> Array:
     """
     outcomes = influence.prior.shape[1]
     out = np.zeros((outcomes, outcomes))
-    for places, gains in _uses(influence):
-        common = common_share(places, places, influence.stars[0].window)
+    star = influence.stars[0]
+    length = BIAS_LENGTH_WINDOWS * max(star.window)
+    for places, gains, gains_px in _uses(influence):
+        common = common_share(places, places, star.window)
         np.fill_diagonal(common, 0.0)
+        apart = ((places[:, None] - places[None]) ** 2).sum(axis=2) / length**2
+        alike = BIAS_PX**2 * np.exp(-0.5 * apart)
         for axis in range(2):
             out += shared * gains[:, axis].T @ (common @ gains[:, axis])
+            out += gains_px[:, axis].T @ (alike @ gains_px[:, axis])
     return np.asarray(0.5 * (out + out.T))
 
 
-def _uses(influence: Influence) -> list[tuple[Array, Array]]:
-    """Per image: places (M, 2) px of the windows that use it, and their gains (M, 2, P); hubs err backwards."""
-    images = sorted({star.hub for star in influence.stars} | {i for star in influence.stars for i in star.images})
-    places: dict[int, list[Array]] = {image: [] for image in images}
-    gains: dict[int, list[Array]] = {image: [] for image in images}
+def _uses(influence: Influence) -> list[tuple[Array, Array, Array]]:
+    """Per image: places (M, 2) px of the windows that use it, their gains (M, 2, P), hubs erring backwards.
+
+    Gains are given twice: per unit of the scaled error, and per px.
+    """
+    images = sorted({image for star in influence.stars for image in (star.hub, *star.images)})
+    found: dict[int, list[tuple[Array, Array, Array]]] = {image: [] for image in images}
     for star, gain in zip(influence.stars, influence.gains, strict=True):
         used = star.present
         windows = used.any(axis=1)
-        places[star.hub].append(star.pixels[windows])
-        gains[star.hub].append(-np.where(used[..., None, None], gain, 0.0).sum(axis=1)[windows])
+        scaled_gain = np.where(used[..., None, None], gain, 0.0)
+        inverse = np.linalg.inv(cholesky_factors(star.covariance_px))
+        gain_px = np.einsum("gkij,gkip->gkjp", inverse, scaled_gain)
+        hub = (-scaled_gain.sum(axis=1)[windows], -gain_px.sum(axis=1)[windows])
+        found[star.hub].append((star.pixels[windows], *hub))
         for k, image in enumerate(star.images):
-            places[image].append(star.measured[used[:, k], k])
-            gains[image].append(gain[used[:, k], k])
-    return [(np.concatenate(places[image]), np.concatenate(gains[image])) for image in images]
+            rows = used[:, k]
+            found[image].append((star.measured[rows, k], scaled_gain[rows, k], gain_px[rows, k]))
+    out = []
+    for image in images:
+        places, gains, gains_px = (np.concatenate(column) for column in zip(*found[image], strict=True))
+        out.append((places, gains, gains_px))
+    return out
 
 
 def common_share(first: Array, second: Array, window: tuple[int, int]) -> Array:

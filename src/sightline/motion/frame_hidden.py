@@ -73,7 +73,7 @@ def hidden_directions(covariance: Array, t: Array, scale: Array) -> tuple[Array,
 
 
 def relative_covariance(covariance: Array, directions: Array, scale: Array) -> Array:
-    """Covariance (3n, 3n) of the angles with `directions` (n, 3, H) fitted away, every frame and axis in `scale`."""
+    """Covariance (3n, 3n) of the angles, `directions` (n, 3, H) fitted away, every angle in `scale`."""
     n = directions.shape[0]
     units = np.tile(scale, n)
     q, _ = np.linalg.qr((directions / scale[None, :, None]).reshape(3 * n, -1))

@@ -88,7 +88,7 @@ def _linearised(star: FrameStar, stepped: SteppedCameras, surface: Surface) -> S
         moved += [plus.locate(star.pixels, surface), minus.locate(star.pixels, surface)]
     moved += [hub.locate(star.pixels, surface.raised(step)) for step in (HEIGHT_STEP, -HEIGHT_STEP)]
     by_lens = [
-        [side.locate(star.pixels, surface) for side in sides[star.hub]] if star.hub in sides else [ground, ground]
+        [side.locate(star.pixels, surface) for side in sides.get(star.hub, ())] or [ground, ground]
         for sides in stepped.statics
     ]
     residual, by_height = np.full((g, k, 2), np.nan), np.zeros((g, k, 2))
@@ -114,15 +114,17 @@ def _linearised(star: FrameStar, stepped: SteppedCameras, surface: Surface) -> S
     for values in (by_hub, by_partner, by_static):
         usable &= np.isfinite(values).all(axis=(2, 3))
     residual[~usable] = np.nan
-    for values in (by_hub, by_partner, by_static, by_height):
+    for values in (by_hub, by_partner, by_static):
         values[~usable] = 0.0
+    by_height[~usable] = 0.0
+    instants = [exposure_times(stepped.base[j], star.measured[:, n]) for n, j in enumerate(star.images)]
     return Star(
         hub=star.hub,
         images=star.images,
         shape=star.shape,
         pixels=star.pixels,
         t_hub=exposure_times(hub, star.pixels),
-        t=np.stack([exposure_times(stepped.base[j], star.measured[:, n]) for n, j in enumerate(star.images)], axis=1),
+        t=np.stack(instants, axis=1),
         duration=0.0,
         residual_px=residual,
         covariance_px=star.covariance_px,

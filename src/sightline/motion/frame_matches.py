@@ -4,7 +4,8 @@ Every frame is the hub of its neighbours at given lags. A partner is laid on the
 first (present cameras), so that large changes of view do not trouble the matcher. What is kept is
 where each window was found, whatever the cameras: it can be linearised again and again.
 
-Not here: the first guess (``frame_start.py``), sensitivities (``frame_linear.py``), the estimate (``frames.py``).
+Not here: the first guess (``frame_start.py``), sensitivities (``frame_linear.py``), the estimate
+(``frames.py``).
 """
 
 from __future__ import annotations
@@ -32,8 +33,9 @@ Array = NDArray[np.float64]
 
 #: px between places where the map between two frames is computed exactly; cubic between them.
 MAP_LATTICE = 8.0
-#: Columns between places where it is handed to the resampler, which goes in straight lines between: h px bias a
-#: window by about d h^2 / (6 f^2) for a displacement d and focal length f, 3e-4 px for d = 100, h = 4, f = 1000.
+#: Columns between places where it is handed to the resampler, which goes in straight lines between: h px bias
+#: a window by about d h^2 / (6 f^2) for a displacement d and focal length f, 3e-4 px for d = 100, h = 4 and
+#: f = 1000.
 MAP_SPACING = 4
 #: Fewest windows a pair must share to be matched at all.
 MIN_WINDOWS = 6
@@ -116,16 +118,15 @@ class FrameStar:
         keep = [k for k, lag in enumerate(self.lags) if lag in lags]
         if not keep:
             return None
-        return replace(
-            self,
-            images=tuple(self.images[k] for k in keep),
-            **{name: getattr(self, name)[:, keep] for name in ("measured", "covariance_px", "status", "score", "weight")},
-        )
+        names = ("measured", "covariance_px", "status", "score", "weight")
+        kept = {name: getattr(self, name)[:, keep] for name in names}
+        return replace(self, images=tuple(self.images[k] for k in keep), **kept)
 
     def residuals(self, cameras: Sequence[FrameCamera], surface: Surface) -> Array:
         """Measured minus predicted, (G, K, 2) px, for any cameras."""
         ground = cameras[self.hub].locate(self.pixels, surface)
-        return np.stack([self.measured[:, k] - cameras[j].project(ground) for k, j in enumerate(self.images)], axis=1)
+        predicted = np.stack([cameras[image].project(ground) for image in self.images], axis=1)
+        return self.measured - predicted
 
 
 def match_frames(
@@ -196,7 +197,11 @@ def match_hub(
     lines, columns = images[hub].shape
     # whole frames at once: windows overlap, and a frame fits in memory
     whole = ArrayImage(images[hub].read((0, lines), (0, columns)), images[hub].mask((0, lines), (0, columns)))
-    measured, covariances, statuses, scores, kept = [], [], [], [], []
+    measured: list[Array] = []
+    covariances: list[Array] = []
+    statuses: list[NDArray[np.uint8]] = []
+    scores: list[Array] = []
+    kept: list[int] = []
     for partner, prediction in zip(partners, predicted, strict=True):
         inside = np.isfinite(prediction.b).all(axis=1)
         if inside.sum() < MIN_WINDOWS:
@@ -222,8 +227,10 @@ def match_hub(
         b[good] = centre + np.einsum("nij,nj->ni", turn, found.b[good] - grid.centres[good])
         covariance[good] = turn @ found.covariance_px[good] @ np.swapaxes(turn, 1, 2)
         status = np.where(found.kept & ~inside, np.uint8(codes.OUTSIDE), found.status)
-        for parts, value in ((measured, b), (covariances, covariance), (statuses, status), (scores, found.score)):
-            parts.append(value)
+        measured.append(b)
+        covariances.append(covariance)
+        statuses.append(status)
+        scores.append(found.score)
         kept.append(partner)
     if not kept:
         return None

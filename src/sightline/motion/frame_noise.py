@@ -82,7 +82,9 @@ class FrameNoise:
     fields: tuple[GroundField, ...] = ()
 
     @classmethod
-    def start(cls, lags: Sequence[int], fields: tuple[GroundField, ...] = (), scale: float = 1.0) -> FrameNoise:
+    def start(
+        cls, lags: Sequence[int], fields: tuple[GroundField, ...] = (), scale: float = 1.0
+    ) -> FrameNoise:
         """Two images of equal noise, as the matcher says, times `scale` in sigma."""
         gamma = scale**2 * (0.5 + 0.5 * np.eye(len(lags)))
         return cls(tuple(lags), gamma, 0.5 * scale**2, fields)
@@ -95,7 +97,7 @@ class FrameNoise:
 
 def cholesky_factors(covariance_px: Array) -> Array:
     """Lower Cholesky factors (..., 2, 2) of the matches' covariances."""
-    return np.linalg.cholesky(covariance_px)
+    return np.asarray(np.linalg.cholesky(covariance_px), dtype=np.float64)
 
 
 def scaled(values: Array, factors: Array) -> Array:
@@ -134,8 +136,8 @@ def match_information(star: Star, noise: FrameNoise) -> Array:
 def across(along: Array) -> Array:
     """Scaled sensitivities (G, K, 2) to a height, turned by a right angle: those to a drift of the same size.
 
-    With matches weighed alike on both (scaled) axes, the two tell nothing of each other: what a window says of its
-    height and what it says of its drift are independent.
+    With matches weighed alike on both (scaled) axes, the two tell nothing of each other: what a window says
+    of its height and what it says of its drift are independent.
     """
     return np.stack([-along[..., 1], along[..., 0]], axis=-1)
 
@@ -155,11 +157,12 @@ def learn_noise(
     clean_px : (G, K, 2) each
         Residuals after the fit, what the ground fields explain taken out, px.
     drift_variance : (G,) each
-        m^2; posterior variance of the drift, which is given back (expectation-maximisation). With ground fields,
-        only residuals across the parallax are used: along it, heights of single windows take too much.
+        m^2; posterior variance of the drift, which is given back (expectation-maximisation). With ground
+        fields, only residuals across the parallax are used: along it, heights of single windows take too
+        much.
     lags : sequence of int
     before : FrameNoise
-        Its values stay where there are too few matches.
+        Stays where there are too few matches at any lag.
     """
     index = {lag: k for k, lag in enumerate(lags)}
     total, count = np.zeros((len(lags), len(lags))), np.zeros((len(lags), len(lags)))
@@ -174,10 +177,28 @@ def learn_noise(
             values, arms = np.where(good, part, 0.0), np.where(good, lever, 0.0)
             total[np.ix_(rows, rows)] += values.T @ values + arms.T @ (variance[:, None] * arms)
             count[np.ix_(rows, rows)] += good.T.astype(float) @ good.astype(float)
-    gamma = np.where(count >= MIN_COUNT, total / np.maximum(count, 1.0), before.of(lags))
-    values, vectors = np.linalg.eigh(0.5 * (gamma + gamma.T))
-    gamma = (vectors * np.maximum(values, 0.1 * float(np.diag(gamma).min()))) @ vectors.T
+    gamma = _completed(total / np.maximum(count, 1.0), count >= MIN_COUNT)
+    if gamma is None:
+        return before
     return FrameNoise(tuple(lags), gamma, _shared(gamma), before.fields)
+
+
+def _completed(gamma: Array, known: NDArray[np.bool_]) -> Array | None:
+    """A covariance of lags whose rarely matched ones take what the others have; None where nothing is known.
+
+    Lags that are not known err as much as the worst that is, and share with others what two images of equal
+    noise do: a guess that mixes levels would let their differences seem exact.
+    """
+    seen = np.diag(known)
+    if not seen.any():
+        return None
+    size = np.where(seen, np.sqrt(np.diag(gamma)), np.sqrt(np.diag(gamma)[seen].max()))
+    both = known & np.outer(seen, seen)
+    correlation = np.where(both, gamma / np.outer(size, size), 0.5)
+    np.fill_diagonal(correlation, 1.0)
+    values, vectors = np.linalg.eigh(0.5 * (correlation + correlation.T))
+    correlation = (vectors * np.maximum(values, 0.1)) @ vectors.T
+    return np.asarray(correlation * np.outer(size, size))
 
 
 def _shared(gamma: Array) -> float:
@@ -201,7 +222,7 @@ def _spreads(stars: Sequence[Star], clean_px: Sequence[Array], lags: Sequence[in
 
 
 def _free_of_height(star: Star, clean_px: Array, relief: bool) -> tuple[list[Array], Array]:
-    """Scaled residuals (G, K) that heights cannot make: both axes, or the one across the parallax; its lever, 1/m."""
+    """Scaled residuals (G, K) free of heights: both axes, or the one across the parallax; its lever, 1/m."""
     factors = cholesky_factors(star.covariance_px)
     z = scaled(clean_px, factors)
     along = scaled(np.asarray(star.by_height, dtype=np.float64), factors)
@@ -238,13 +259,16 @@ def learn_field(ground: Array, height: Array, precision: Array, start: GroundFie
     extent = float(np.ptp(points, axis=0).max())
 
     def cost(x: Array) -> float:
-        field = GroundField(start.offset_sigma, *(float(v) for v in np.exp(x)), start.rough_length)
+        sigma, length, rough = (float(v) for v in np.exp(x))
+        field = GroundField(start.offset_sigma, sigma, length, rough, start.rough_length)
         c = field.covariance(points, points) + np.diag(noise)
         factor, lower = cho_factor(c + 1e-9 * np.trace(c) / len(c) * np.eye(len(c)), lower=True)
         fit = float(y @ cho_solve((factor, lower), y)) + 2.0 * float(np.log(np.diag(factor)).sum())
         # outside sensible laws the likelihood is flat; lean on where it is not
-        bounds = np.log([[0.02 * start.sigma, 0.01 * extent, 0.01 * start.sigma], [5 * start.sigma, extent, 5 * start.sigma]])
-        return fit + 1e3 * float((np.maximum(bounds[0] - x, 0.0) ** 2 + np.maximum(x - bounds[1], 0.0) ** 2).sum())
+        low = [0.02 * start.sigma, 0.01 * extent, 0.01 * start.sigma]
+        bounds = np.log([low, [5 * start.sigma, extent, 5 * start.sigma]])
+        beyond = np.maximum(bounds[0] - x, 0.0) ** 2 + np.maximum(x - bounds[1], 0.0) ** 2
+        return fit + 1e3 * float(beyond.sum())
 
     x0 = np.log([start.sigma, start.length, max(start.rough_sigma, 0.1 * start.sigma)])
     best = minimize(cost, x0, method="Nelder-Mead", options={"maxfev": 80, "xatol": 0.05, "fatol": 0.5})

@@ -25,9 +25,9 @@ from sightline.imaging.source import ImageSource, read_padded
 
 Array = NDArray[np.float64]
 
-#: Frames needed to tell what stands still, and the least shift between neighbours (px) at which ground does not.
+#: Frames needed to tell what stands still, and the least shift of neighbours (px) at which ground does not.
 STILL_FRAMES, STILL_SHIFT_PX = 5, 20.0
-#: Mean over all frames, in standard errors, that makes a pixel one that stands still: its core, and around it.
+#: Mean over all frames, in standard errors, that makes a pixel stand still: its core, and around it.
 STILL_CORE, STILL_EDGE = 10.0, 5.0
 #: Down-sampled frames have at most so many pixels along their larger side.
 COARSE_SIDE = 384
@@ -158,7 +158,8 @@ def coarse_shift(frames: Array, hub: int, partner: int, factor: int) -> CoarseSh
     spread = 1.4826 * float(np.median(np.abs(significance[common >= MIN_OVERLAP])))
     row, column = np.unravel_index(int(significance.argmax()), shape)
     shift = factor * np.array([dl[row], dc[column]])
-    return CoarseShift(hub, partner, shift, float(factor), float(significance[row, column] / max(spread, 1e-12)))
+    peak = float(significance[row, column] / max(spread, 1e-12))
+    return CoarseShift(hub, partner, shift, float(factor), peak)
 
 
 def coarse_shifts(images: Sequence[ImageSource]) -> list[CoarseShift]:
@@ -174,28 +175,32 @@ def coarse_shifts(images: Sequence[ImageSource]) -> list[CoarseShift]:
     clear = [shift for shift in found if shift.peak >= MIN_PEAK]
     if not clear:
         raise EstimationError(
-            f"no two neighbouring frames show the same ground: the best correlation of {len(found)} pairs stands "
-            f"{max(s.peak for s in found):.1f} standard deviations above chance, {MIN_PEAK:g} are needed; check the "
-            "order of the frames and that neighbours overlap, or mask what stands still in them"
+            f"no two neighbouring frames show the same ground: the best correlation of {len(found)} pairs "
+            f"stands {max(s.peak for s in found):.1f} standard deviations above chance, {MIN_PEAK:g} are "
+            "needed; check the order of the frames and that neighbours overlap, or mask what stands still in "
+            "them"
         )
     return clear
 
 
-def turn_about_axis(shifts: Sequence[CoarseShift], cameras: Sequence[FrameCamera], surface: Surface) -> tuple[float, float]:
+def turn_about_axis(
+    shifts: Sequence[CoarseShift], cameras: Sequence[FrameCamera], surface: Surface
+) -> tuple[float, float]:
     """How the measured displacements differ from the predicted ones.
 
     Returns
     -------
     turn : float
-        rad; from the predicted direction to the measured one, in the plane of the frame from columns to lines.
+        rad; from the predicted direction to the measured one, in the plane of the frame from columns to
+        lines.
     scale : float
         Measured over predicted length.
     """
     ratios = []
     for shift in shifts:
         hub, partner = cameras[shift.hub], cameras[shift.partner]
-        # where the nominal cameras send the middle of the hub; beyond the frame it cannot be projected, so the
-        # displacement is that of the ground near the middle, half of it on either side
+        # where the nominal cameras send the middle of the hub; beyond the frame it cannot be projected, so
+        # the displacement is that of the ground near the middle, half of it on either side
         start, _ = shift.points(hub.shape)
         moved = _displacement(hub, partner, surface, np.clip(start, 0.0, np.array(hub.shape) - 1.0))
         ratios.append(complex(shift.shift_px[1], shift.shift_px[0]) / complex(moved[1], moved[0]))
@@ -215,7 +220,8 @@ def _displacement(hub: FrameCamera, partner: FrameCamera, surface: Surface, pixe
     seen = partner.detector.pixels(np.ascontiguousarray(directions))[0]
     if not np.isfinite(seen).all():
         raise EstimationError(
-            "the cameras do not see the ground: the middle of a frame looks past the surface; check positions and mount"
+            "the cameras do not see the ground: the middle of a frame looks past the surface; check "
+            "positions and mount"
         )
     return np.asarray(seen - pixel)
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +30,7 @@ from sightline.motion.predict import MovingCamera, StaticParameter
 from sightline.motion.statics import apply_statics
 
 Array = NDArray[np.float64]
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 #: 1-sigma (rad) of each frame's departure from the reference attitude, and of what all frames share of it.
 ATTITUDE_SIGMA, CONSTANT_SIGMA = 0.05, 0.1
@@ -90,8 +92,8 @@ class FrameUnknowns:
     def field_design(self, star: FrameStar) -> Array:
         """Shift of a star's matches with the unknowns of the lens field, (G, K, 2, size of the field).
 
-        A pair sees the field at the partner less that at the hub (the change of view over a tenth of a pixel is
-        left out).
+        A pair sees the field at the partner less that at the hub (the change of view over a tenth of a pixel
+        is left out).
         """
         if self.field is None:
             return np.zeros((*star.measured.shape, 0))
@@ -123,7 +125,8 @@ class FrameUnknowns:
             nodes = np.array([begin, end]) if end > begin else np.array([begin])
             motion = Motion(nodes, np.tile(angles, (len(nodes), 1)))
             moved.append(camera.with_trajectory(camera.trajectory.with_motion(motion)))
-        return [c for c in apply_statics(moved, self.statics, x[3 * self.frames : self.lens]) if isinstance(c, FrameCamera)]
+        adjusted = apply_statics(moved, self.statics, x[3 * self.frames : self.lens])
+        return [camera for camera in adjusted if isinstance(camera, FrameCamera)]
 
 
 def time_statics(names: Sequence[str], time_sigma: Sequence[float]) -> list[StaticParameter]:
@@ -150,7 +153,7 @@ def _later(image: int) -> Callable[[Sequence[MovingCamera], float], list[MovingC
 
 @dataclass(frozen=True, eq=False)
 class _Reduced:
-    """Sums over all stars: information and right-hand side of the unknowns, and of each ground field's windows."""
+    """Sums over all stars: information and right-hand side of the unknowns, and of every ground field."""
 
     information: Array
     rhs: Array
@@ -159,7 +162,7 @@ class _Reduced:
 
 @dataclass(frozen=True, eq=False)
 class _FieldSums:
-    """Of one ground field: information with the unknowns (sum of G, P), own information and right-hand side (sum of G,)."""
+    """Of one ground field: information with the unknowns (sum of G, P), its own, right side (sum of G,)."""
 
     crossed: Array
     information: Array
@@ -226,7 +229,7 @@ class FrameEstimate:
             out.append(clean)
         return out
 
-    def per_star(self, values: Array) -> list[Array]:
+    def per_star(self, values: NDArray[Scalar]) -> list[NDArray[Scalar]]:
         """Values of all windows (sum of G,) cut into stars."""
         return np.split(values, np.cumsum([len(star.pixels) for star in self.stars])[:-1])
 

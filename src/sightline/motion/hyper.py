@@ -34,9 +34,20 @@ MOST_ACROSS = 0.5
 
 @dataclass(frozen=True)
 class PriorModel:
-    """Spectra of roll, pitch and yaw (rad)."""
+    """Spectra of roll, pitch and yaw (rad), and how far the rows' errors exceed what their scatter shows.
+
+    `noise_scale` holds one factor on the variance per axis: errors that a whole row shares do not scatter within
+    it; the marginal likelihood sees them.
+    """
 
     spectra: tuple[Spectrum, Spectrum, Spectrum]
+    noise_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def grown(self, correlation: Array) -> Array:
+        """Error correlation (2K, 2K) of a star with the scale of its lines (pitch, yaw) and columns (roll)."""
+        roll, pitch, yaw = (max(scale, 1.0) for scale in self.noise_scale)
+        size = np.sqrt(np.tile([0.5 * (pitch + yaw), roll], len(correlation) // 2))
+        return np.asarray(correlation * np.outer(size, size))
 
     def scaled(self, pixel_angle: float, half_field: float) -> PriorModel:
         """The model given in px (yaw: px at the field edge) as one in rad."""
@@ -77,7 +88,7 @@ def angle_differences(
     out = []
     patch_start = 0
     for star, post in zip(stars, post_px, strict=True):
-        rows, blocks = star.shape
+        rows, _ = star.shape
         for k, image in enumerate(star.images):
             part = _collapse(star, post, k)
             good = part.t_hub == part.t_hub
@@ -148,6 +159,7 @@ def fit_prior_model(
     pixel: Array,
     start: PriorModel | None = None,
     jumps: Sequence[Array] = (),
+    grown_by: tuple[float, float, float] = (1.0, 1.0, 1.0),
 ) -> PriorModel:
     """Spectra of the three axes by marginal likelihood, tones found blind.
 
@@ -162,11 +174,13 @@ def fit_prior_model(
     jumps : three arrays, optional
         s; instants at which roll, pitch, yaw jump. Differences taken across one are left out: a step is no
         part of a spectrum.
+    grown_by : (3,)
+        Noise scales that the stars' correlations hold already.
     """
     differences = angle_differences(stars, post_px, estimate)
     if not differences:
         raise EstimationError("no row of windows is seen by any pair; check that the bands overlap")
-    spectra = []
+    spectra, scales = [], []
     for axis in range(3):
         series = [scalar_series(d, axis) for d in differences]
         if jumps:
@@ -175,10 +189,10 @@ def fit_prior_model(
             series,
             start=None if start is None else start.spectra[axis],
             offset_sigma=float(pixel[axis]),
-            fit_noise=False,
         )
         spectra.append(fitted.spectrum)
-    return PriorModel((spectra[0], spectra[1], spectra[2]))
+        scales.append(float(fitted.noise_scale) * max(grown_by[axis], 1.0))
+    return PriorModel((spectra[0], spectra[1], spectra[2]), (scales[0], scales[1], scales[2]))
 
 
 def _without_jumps(series: DifferenceSeries, jumps: Array) -> DifferenceSeries:

@@ -17,14 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.estimation.banded import BorderedFactor
-from sightline.estimation.prior import Autoregressive, Spectrum
+from sightline.estimation.prior import Autoregressive, Spectrum, Tone
 from sightline.motion.normal_equations import NormalEquations, TimeGrid, band_times
 
 Array = NDArray[np.float64]
 
-#: 1-sigma of the constant of roll, pitch and yaw (rad). Images of one strip never see a constant of roll or pitch,
-#: which stay where the reference attitude puts them: let loose, errors of linearisation would carry them away, and
-#: a constant pitch of D turns the yaw y(t) into a roll -D y(t). That of yaw turns bands that look ahead sideways.
+#: 1-sigma of the constant of roll, pitch and yaw (rad). Images of one strip never see a constant of roll or
+#: pitch, which stay where the reference attitude puts them: let loose, errors of linearisation would carry
+#: them away, and a constant pitch of D turns the yaw y(t) into a roll -D y(t). That of yaw turns bands that
+#: look ahead sideways.
 CONSTANT_SIGMA = (1e-5, 1e-5, 1e-2)
 
 #: Innovations beyond this many sigmas are taken for jumps.
@@ -101,10 +102,10 @@ class JointEstimate:
         return self.nodes if self.relief is None else np.concatenate([self.nodes, self.relief], axis=1)
 
     def hidden_directions(self, *, drifts: bool) -> Array:
-        """Motions that leave every measurement as it is, (count, 3, H) rad; each of unit size at its own axis.
+        """Motions that leave every measurement as it is, (count, 3, H) rad; of unit size at their own axis.
 
-        A constant per axis, and with `drifts` a linear drift per axis, each with what exact rays tie to it: the
-        change of the other axes and of the free static parameters that cancels its effect on the images.
+        A constant per axis, and with `drifts` a linear drift per axis, each with what exact rays tie to it:
+        the change of the other axes and of the free static parameters that cancels its effect on the images.
 
         Notes
         -----
@@ -136,7 +137,7 @@ class JointEstimate:
         directions : (N, 3, H)
             Hidden directions at these instants.
         scale : (3,)
-            rad; angle that counts as one in the fit, per axis (one pixel; for yaw one pixel at the field edge).
+            rad; angle that counts as one in the fit, per axis (one pixel; for yaw one at the field edge).
         """
         factor = _factor(self._data, self._prior, constants=False)
         return projected_covariance(factor, self.grid, self._data.block, t, directions, scale)
@@ -173,9 +174,9 @@ def innovation_weights(estimate: JointEstimate) -> Array:
 
     Notes
     -----
-    Estimated innovations are smaller than true ones; beyond JUMP sigmas a step or a switched-on tone is the better
-    explanation, and the innovation keeps a weight that makes it one sigma. Only for a prior that was fitted to
-    the data: under a prior of the wrong size every innovation looks like a jump.
+    Estimated innovations are smaller than true ones; beyond JUMP sigmas a step or a switched-on tone is the
+    better explanation, and the innovation keeps a weight that makes it one sigma. Only for a prior that was
+    fitted to the data: under a prior of the wrong size every innovation looks like a jump.
     """
     e = np.abs(estimate.innovations())
     # the start-up rows answer to the removed mean, not to jumps
@@ -273,17 +274,24 @@ def projected_covariance(
 def interpolation_variance(spectrum: Spectrum, grid: TimeGrid, t: Array) -> Array:
     """Variance (N,) of a motion of known spectrum about its interpolation from the grid's nodes.
 
-    What the motion does between nodes is not in the grid's covariance: ``k(0) - 2 w'k + w'Kw`` with k the
-    autocovariance at the distances to the nodes used and K between them.
+    What the motion does between nodes is not in the grid's covariance. Broad parts: ``k(0) - 2 w'k + w'Kw``
+    with k the autocovariance at the distances to the nodes used and K between them. Tones are sinusoids over
+    a few nodes: their variance times ``|1 - sum w exp(2 pi i f d)|^2``.
     """
     first, w = grid.weights(t)
-    distance = t[:, None] - (grid.start + grid.step * (first[:, None] + np.arange(w.shape[1])))
-    apart = np.subtract.outer(np.arange(w.shape[1]), np.arange(w.shape[1]))
-    between = spectrum.autocovariance(grid.step * np.abs(apart).ravel().astype(float)).reshape(apart.shape)
-    reach = spectrum.autocovariance(np.abs(distance).ravel()).reshape(distance.shape)
-    here = float(spectrum.autocovariance(np.zeros(1))[0])
-    left = here - 2.0 * np.einsum("nk,nk->n", w, reach) + np.einsum("nk,kl,nl->n", w, between, w)
-    return np.maximum(left, 0.0)
+    distance = grid.start + grid.step * (first[:, None] + np.arange(w.shape[1])) - t[:, None]
+    apart = grid.step * np.abs(np.subtract.outer(np.arange(w.shape[1]), np.arange(w.shape[1])))
+    total = np.zeros(len(t))
+    for part in spectrum.components:
+        if isinstance(part, Tone):
+            response = np.einsum("nk,nk->n", w, np.exp(2j * np.pi * part.frequency * distance))
+            total += part.sigma**2 * np.abs(1.0 - response) ** 2
+        else:
+            between = part.autocovariance(apart.ravel()).reshape(apart.shape)
+            reach = part.autocovariance(np.abs(distance).ravel()).reshape(distance.shape)
+            left = float(part.autocovariance(np.zeros(1))[0]) - 2.0 * np.einsum("nk,nk->n", w, reach)
+            total += np.maximum(left + np.einsum("nk,kl,nl->n", w, between, w), 0.0)
+    return total
 
 
 def _orthonormal(directions: Array, scale: Array) -> Array:
@@ -294,7 +302,7 @@ def _orthonormal(directions: Array, scale: Array) -> Array:
 
 
 def remove_directions(values: Array, directions: Array, scale: Array) -> Array:
-    """`values` (N, 3) less their least-squares fit by `directions` (N, 3, H), every line and axis in units of `scale`."""
+    """`values` (N, 3) less their least-squares fit by `directions` (N, 3, H), axes in units of `scale`."""
     q = _orthonormal(directions, scale)
     x = values / scale
     return np.asarray((x - np.einsum("nph,h->np", q, np.einsum("nph,np->h", q, x))) * scale)

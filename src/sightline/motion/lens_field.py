@@ -64,7 +64,8 @@ class LensField:
     @cached_property
     def _inverse(self) -> Array:
         """(M, M) inverse correlation of the nodes."""
-        return np.linalg.inv(self._law(self.nodes, self.nodes) + 1e-8 * np.eye(len(self.nodes)))
+        law = self._law(self.nodes, self.nodes) + 1e-8 * np.eye(len(self.nodes))
+        return np.asarray(np.linalg.inv(law), dtype=np.float64)
 
     def weights(self, pixels: Array) -> Array:
         """(N, M): the field at `pixels` (N, 2) from that at the nodes, by kriging; 0 for NaN rows."""
@@ -80,7 +81,7 @@ class LensField:
 
     def prior_precision(self) -> Array:
         """(2M, 2M) inverse prior covariance of the unknowns."""
-        return np.kron(np.eye(2), self._inverse / self.sigma_px**2)
+        return np.asarray(np.kron(np.eye(2), self._inverse / self.sigma_px**2), dtype=np.float64)
 
     def learned(self, values: Array, covariance: Array) -> LensField:
         """The field with sigma from its posterior (one step of expectation-maximisation)."""

@@ -24,14 +24,16 @@ MIN_BLOCKS = 4
 ROW_REACH = 6
 #: Rows over which the correlation from row to row is followed.
 ROW_LAGS = 3
-#: Errors beyond this many sigmas lose weight (1 % of two Gaussian components), beyond REJECT all of it (4e-6).
+#: Errors beyond this many sigmas lose weight (1 % of two Gaussian components), beyond REJECT all (4e-6).
 SOFT, REJECT = 3.0, 5.0
 #: Scaled residuals are cut to this size where covariances are summed.
 CLIP = 6.0
-#: A window further than this many robust sigmas from the line through its row saw something that is not the ground.
+#: A window further than this many robust sigmas from the line through its row saw something else than ground.
 OFF_ROW = 4.0
-#: With so many of its eight neighbours off their rows, a window is not trusted either.
-NEIGHBOURS_OFF = 2
+#: A row of which this share agrees on a line speaks of motion.
+MOST_AGREE = 0.8
+#: With so many of its eight neighbours off their rows, a window beyond SUSPECT sigmas is not trusted either.
+NEIGHBOURS_OFF, SUSPECT = 2, 2.0
 #: Rows of more windows are summarised in so many groups before the line is laid.
 MOST_GROUPS = 16
 
@@ -98,7 +100,7 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     for shift in range(1, min(ROW_LAGS, len(v) - 1) + 1):
         step = covariance(shift)
         total = total + step + step.T
-    # long-run sums may fall below the plain variance by chance or by overlap; never trust more than half of it
+    # long-run sums may fall below the plain variance by chance or by overlap; never trust more than half
     values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
     total = (vectors * np.maximum(values, 0.05)) @ vectors.T * np.outer(scale, scale)
     return np.asarray(0.5 * (total + total.T))
@@ -107,8 +109,8 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
 def row_weights(star: Star, post_px: Array) -> Array:
     """Weights (G, K) that own the scatter of each stretch of rows where it exceeds the usual one.
 
-    Half-clouded ground leaves windows that are wrong by less than can be rejected: where the rows scatter more than
-    the median row does, their matches count for less, and the sigma there grows.
+    Half-clouded ground leaves windows that are wrong by less than can be rejected: where the rows scatter
+    more than the median row does, their matches count for less, and the sigma there grows.
     """
     rows, blocks = star.shape
     pairs = star.t.shape[1]
@@ -127,14 +129,15 @@ def row_weights(star: Star, post_px: Array) -> Array:
     return np.asarray(np.repeat(out, blocks, axis=0))
 
 
-def robust_weights(star: Star, post_px: Array) -> Array:
+def robust_weights(star: Star, post_px: Array, *, settled: bool = False) -> Array:
     """Weights (G, K) in [0, 1] of matches after an estimate: 1 inside, falling beyond, 0 far out.
 
     Notes
     -----
-    Two tests. Against its row: what a row of ground agrees on is motion, and a window far from the line through
-    its row's residuals (repeated medians: half of the row may be wrong) saw something else, a cloud or a moving
-    object; so did, most likely, the windows around several such. Against the estimate: single mismatches.
+    Two tests. Against its row: what a row of ground agrees on is motion, and a window far from the line
+    through its row's residuals (repeated medians: half of the row may be wrong) saw something else, a cloud
+    or a moving object; so did, most likely, the windows around several such. Against the estimate: single
+    mismatches.
     """
     rows, blocks = star.shape
     pairs = star.t.shape[1]
@@ -152,18 +155,18 @@ def robust_weights(star: Star, post_px: Array) -> Array:
         if blocks >= MIN_BLOCKS:
             post = post_px[:, k].reshape(rows, blocks, 2)
             covariance = star.covariance_px[:, k].reshape(rows, blocks, 2, 2)
-            keep &= ~_off_row(post, covariance, trusted.reshape(rows, blocks)).ravel()
+            keep &= ~_off_row(post, covariance, trusted.reshape(rows, blocks), settled).ravel()
         out[:, k] = np.where(keep, np.minimum(1.0, SOFT / np.maximum(distance, 1e-12)), 0.0)
     return out
 
 
 def _distance(z: Array, trusted: NDArray[np.bool_]) -> Array:
-    """Distance (G,) from zero in robust sigmas; the spread is by the median, so that mismatches do not widen it."""
+    """Distance (G,) from zero in robust sigmas; spread by the median, so that mismatches do not widen it."""
     spread = np.maximum(1.4826 * np.median(np.abs(z[trusted]), axis=0), 1.0)
     return np.asarray(np.sqrt(((z / spread) ** 2).sum(axis=1)))
 
 
-def _off_row(post: Array, covariance: Array, trusted: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _off_row(post: Array, covariance: Array, trusted: NDArray[np.bool_], settled: bool) -> NDArray[np.bool_]:
     """Windows (rows, blocks) that disagree with the line through their row, and their neighbours.
 
     The spread that counts as agreement is that of the windows trusted so far.
@@ -172,7 +175,7 @@ def _off_row(post: Array, covariance: Array, trusted: NDArray[np.bool_]) -> NDAr
     groups = min(blocks, MOST_GROUPS)
     x = np.linspace(-1.0, 1.0, blocks)
     part = np.array_split(np.arange(blocks), groups)
-    off = np.zeros((rows, blocks), dtype=bool)
+    worst, drawn = np.zeros((rows, blocks)), np.zeros((rows, blocks))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
         for c in range(2):
@@ -181,13 +184,35 @@ def _off_row(post: Array, covariance: Array, trusted: NDArray[np.bool_]) -> NDAr
             apart = at[:, None] - at[None, :] + np.where(np.eye(groups) > 0, np.nan, 0.0)
             slope = np.nanmedian(np.nanmedian((y[:, :, None] - y[:, None, :]) / apart, axis=2), axis=1)
             level = np.nanmedian(y - slope[:, None] * at, axis=1)
-            left = post[..., c] - level[:, None] - slope[:, None] * x
-            scaled = left / np.sqrt(covariance[..., c, c])
+            sigma = np.sqrt(covariance[..., c, c])
+            line = level[:, None] + slope[:, None] * x
+            scaled = (post[..., c] - line) / sigma
+            if settled:
+                agree = np.nanmean(np.where(np.isfinite(scaled), np.abs(scaled) < SOFT, np.nan), axis=1)
+                scaled = np.where((agree >= MOST_AGREE)[:, None], scaled, post[..., c] / sigma)
             spread = max(1.4826 * float(np.nanmedian(np.abs(scaled[trusted]))), 1.0)
-            off |= np.abs(scaled) > OFF_ROW * spread
-    present = np.isfinite(post[..., 0])
-    around = _neighbours(off & present)
-    return np.asarray(off | (around >= NEIGHBOURS_OFF))
+            worst = np.maximum(worst, np.nan_to_num(np.abs(scaled) / spread))
+            drawn = np.maximum(drawn, _along_strip(scaled, trusted))
+    off = worst > OFF_ROW
+    return np.asarray(off | (drawn > OFF_ROW) | ((worst > SUSPECT) & (_neighbours(off) >= NEIGHBOURS_OFF)))
+
+
+def _along_strip(scaled: Array, trusted: NDArray[np.bool_]) -> Array:
+    """How far the mean over neighbouring rows is from zero, in robust sigmas of such means: (rows, blocks).
+
+    What draws windows away from their rows, cloud edges and thin cloud, lasts for many rows: their mean shows
+    a tenth of the shift that a single window would.
+    """
+    kernel = np.ones(2 * ROW_REACH + 1)
+    rows = len(scaled)
+    finite = np.isfinite(scaled)
+    inner = slice(ROW_REACH, ROW_REACH + rows)
+    clipped = np.where(finite, np.clip(scaled, -2 * OFF_ROW, 2 * OFF_ROW), 0.0)
+    total = np.stack([np.convolve(column, kernel)[inner] for column in clipped.T], axis=1)
+    count = np.stack([np.convolve(column, kernel)[inner] for column in finite.astype(float).T], axis=1)
+    mean = np.abs(total) / np.sqrt(np.maximum(count, 1.0))
+    spread = max(1.4826 * float(np.median(mean[trusted & finite])), 1.0) if (trusted & finite).any() else 1.0
+    return np.asarray(mean / spread)
 
 
 def _neighbours(flags: NDArray[np.bool_]) -> NDArray[np.intp]:

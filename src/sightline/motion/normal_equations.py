@@ -37,7 +37,7 @@ class TimeGrid:
     @property
     def nodes(self) -> Array:
         """(count,) s."""
-        return self.start + self.step * np.arange(self.count)
+        return np.asarray(self.start + self.step * np.arange(self.count), dtype=np.float64)
 
     def weights(self, t: Array) -> tuple[NDArray[np.intp], Array]:
         """First node (N,) and cubic Lagrange weights (N, 4) of the instants `t` (N,)."""
@@ -298,7 +298,21 @@ def _accumulate(  # type: ignore[no-untyped-def]
 
 @njit(cache=True)
 def _modelled(  # type: ignore[no-untyped-def]
-    t_hub, t, t_ground, duration, by_hub, by_partner, by_static, by_height, field, relief, start, step, nodes, statics, out
+    t_hub,
+    t,
+    t_ground,
+    duration,
+    by_hub,
+    by_partner,
+    by_static,
+    by_height,
+    field,
+    relief,
+    start,
+    step,
+    nodes,
+    statics,
+    out,
 ):
     """What the rows would read for given node values (count, block) and statics; into `out` (G, K, 2)."""
     patches, pairs = t.shape
@@ -386,11 +400,13 @@ def band_times(ab: Array, x: Array) -> Array:
 
 
 def ground_times(star: Star, delay: float) -> Array:
-    """Instants that order the ground of several hubs on one axis: the hub's time less its mean `delay` (s)."""
+    """Instants that order the ground of several hubs on one axis: hub's time less its mean `delay` (s)."""
     return star.t_hub - delay
 
 
-def bandwidth_of(stars: Sequence[Star], grid: TimeGrid, block: int, delays: Sequence[float], relief: bool) -> int:
+def bandwidth_of(
+    stars: Sequence[Star], grid: TimeGrid, block: int, delays: Sequence[float], relief: bool
+) -> int:
     """Bandwidth the rows of `stars` need, in unknowns."""
     widest = 0.0
     support = 4
@@ -402,12 +418,18 @@ def bandwidth_of(stars: Sequence[Star], grid: TimeGrid, block: int, delays: Sequ
             every = np.concatenate([every, ground_times(star, delay)[:, None]], axis=1)
         used = seen.any(axis=1)
         if used.any():
-            widest = max(widest, float(np.max(np.nanmax(every[used], axis=1) - np.nanmin(every[used], axis=1))))
+            spread = np.nanmax(every[used], axis=1) - np.nanmin(every[used], axis=1)
+            widest = max(widest, float(np.max(spread)))
     return block * (math.ceil(widest / grid.step) + 2 * support) - 1
 
 
 def normal_equations(
-    stars: Sequence[Star], measured: Sequence[Array], grid: TimeGrid, *, delays: Sequence[float], relief: bool = False
+    stars: Sequence[Star],
+    measured: Sequence[Array],
+    grid: TimeGrid,
+    *,
+    delays: Sequence[float],
+    relief: bool = False,
 ) -> NormalEquations:
     """Sum the information of all stars.
 

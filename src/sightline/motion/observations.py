@@ -107,4 +107,4 @@ def scale_residuals(residual_px: Array, covariance_px: Array) -> Array:
 def shared_image_correlation(pairs: int) -> Array:
     """Start value of the error correlation: two images of equal noise, the hub's part shared by all pairs."""
     gamma = np.full((pairs, pairs), 0.5) + 0.5 * np.eye(pairs)
-    return np.kron(gamma, np.eye(2))
+    return np.asarray(np.kron(gamma, np.eye(2)), dtype=np.float64)

@@ -161,9 +161,8 @@ def sensitivities(
         plus = camera_b.project(turned(camera_a, step).locate(pixels_a, surface))
         minus = camera_b.project(turned(camera_a, -step).locate(pixels_a, surface))
         by_a[:, :, axis] = (plus - minus) / (2 * ANGLE_STEP)
-        by_b[:, :, axis] = (turned(camera_b, step).project(ground) - turned(camera_b, -step).project(ground)) / (
-            2 * ANGLE_STEP
-        )
+        plus, minus = turned(camera_b, step).project(ground), turned(camera_b, -step).project(ground)
+        by_b[:, :, axis] = (plus - minus) / (2 * ANGLE_STEP)
     by_static = np.zeros((n, 2, len(statics)))
     for k, parameter in enumerate(statics):
         if image_a in parameter.images or image_b in parameter.images:

@@ -39,7 +39,7 @@ def relief_matters(stars: Sequence[Star], height_sigma: float) -> bool:
         seen = star.present
         if seen.any():
             parallax = np.abs(star.by_height[..., 0])[seen].max() * height_sigma
-            # a row of windows averages the errors of its blocks: a tenth of one window's sigma matters to the row
+            # a row of windows averages the errors of its blocks: a tenth of one window's sigma matters there
             if parallax > 0.1 * np.sqrt(np.median(star.covariance_px[..., 0, 0][seen])):
                 return True
     return False
@@ -105,8 +105,8 @@ def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float,
 
     Notes
     -----
-    What the pairs share along the lines beyond what they share across them is taken for relief: matching errs alike
-    on both axes (in units of its own sigma), relief moves points along the track only.
+    What the pairs share along the lines beyond what they share across them is taken for relief: matching errs
+    alike on both axes (in units of its own sigma), relief moves points along the track only.
     """
     excess, weight = 0.0, 0.0
     for star, post in zip(stars, post_px, strict=True):

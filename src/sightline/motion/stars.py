@@ -19,11 +19,9 @@ from numpy.typing import NDArray
 from sightline.errors import EstimationError
 from sightline.geometry.surface import Dem, Surface
 from sightline.imaging.source import ImageSource
-from sightline.imaging.warp import REACH as KERNEL_REACH
 from sightline.imaging.warp import WarpedImage
 from sightline.matching.match_images import match_images
-from sightline.matching.matches import MASKED, OUTSIDE
-from sightline.matching.matches import KEPT, OUTLIER
+from sightline.matching.matches import KEPT, MASKED, OUTLIER, OUTSIDE
 from sightline.matching.whitening import Whitening, estimate_whitening
 from sightline.motion.observations import Star, shared_image_correlation
 from sightline.motion.predict import MovingCamera, StaticParameter
@@ -38,10 +36,10 @@ from sightline.motion.windows import (
 
 Array = NDArray[np.float64]
 
-#: Columns between the places where the map between two images is evaluated: over relief and over smooth surfaces.
+#: Columns between the places where the map of two images is evaluated: over relief, over smooth surfaces.
 RELIEF_SPACING, SMOOTH_SPACING = 16, 64
-#: A row that lost more than this share of its windows is tried again: it may have been the estimate that was wrong.
-MOST_WRONG = 0.7
+#: A row that lost more than this share of its windows is tried again: the estimate may have been wrong.
+MOST_WRONG = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +80,11 @@ class StarRecord:
 
 
 def hub_windows(
-    cameras: Sequence[MovingCamera], surface: Surface, shapes: Sequence[tuple[int, int]], order: Sequence[int], plan: MatchingPlan
+    cameras: Sequence[MovingCamera],
+    surface: Surface,
+    shapes: Sequence[tuple[int, int]],
+    order: Sequence[int],
+    plan: MatchingPlan,
 ) -> list[tuple[int, tuple[int, ...], WindowGrid]]:
     """Which windows to cut from which image: (hub, partners, grid) for every hub in `order`."""
     out = []
@@ -117,8 +119,8 @@ def match_star(
 ) -> StarRecord:
     """Match one hub's windows in all its partners and write down what they say.
 
-    Windows that `before`, the same star of an earlier pass, found to be wrong are not tried again: clouds among
-    them would spoil the whitening and the pooled errors of the good ones.
+    Windows that `before`, the same star of an earlier pass, found to be wrong are not tried again: clouds
+    among them would spoil the whitening and the pooled errors of the good ones.
     """
     predicted = predict_windows(cameras, hub, partners, surface, grid)
     g, k = len(grid.centres), len(partners)
@@ -200,8 +202,8 @@ def found_wrong(before: StarRecord | None, hub: int, grid: WindowGrid, pairs: in
     return np.asarray((by_row & (by_row.mean(axis=1, keepdims=True) < MOST_WRONG)).reshape(none.shape))
 
 
-def pair_whitening(image: ImageSource, laid: WarpedImage, points: Array) -> Whitening | None:
-    """Whitening filters of a pair at `points` (N, 2); None where there is too little to estimate them from."""
+def pair_whitening(image: ImageSource, laid: ImageSource, points: Array) -> Whitening | None:
+    """Whitening filters of a pair at `points` (N, 2); None where there is too little to estimate them."""
     try:
         return estimate_whitening(image, laid, points, points)
     except EstimationError:
@@ -221,4 +223,5 @@ def _duration(camera: MovingCamera, grid: WindowGrid) -> float:
     if len(grid.lines) < 2:
         return 0.0
     ends = exposure_times(camera, np.array([[grid.lines[0], 0.0], [grid.lines[-1], 0.0]]))
-    return float((ends[1] - ends[0]) / (grid.lines[-1] - grid.lines[0]) * math.sqrt(grid.window[0] ** 2 - 1.0))
+    period = (ends[1] - ends[0]) / (grid.lines[-1] - grid.lines[0])
+    return float(period * math.sqrt(grid.window[0] ** 2 - 1.0))

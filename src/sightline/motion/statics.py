@@ -37,12 +37,12 @@ def band_statics(
     for image, name in enumerate(names):
         if offset_sigma_px[image] > 0.0:
             sigma = float(offset_sigma_px[image])
-            out.append(StaticParameter(f"{name} offset along", "px", sigma, 0.5, _adjust(image, "line_px"), (image,)))
-            out.append(StaticParameter(f"{name} offset across", "px", sigma, 0.5, _adjust(image, "column_px"), (image,)))
+            for axis, key in (("along", "line_px"), ("across", "column_px")):
+                change = _adjust(image, key)
+                out.append(StaticParameter(f"{name} offset {axis}", "px", sigma, 0.5, change, (image,)))
         if rotation_sigma[image] > 0.0:
-            out.append(
-                StaticParameter(f"{name} rotation", "rad", float(rotation_sigma[image]), 1e-3, _adjust(image, "rotation"), (image,))
-            )
+            sigma, change = float(rotation_sigma[image]), _adjust(image, "rotation")
+            out.append(StaticParameter(f"{name} rotation", "rad", sigma, 1e-3, change, (image,)))
     return out
 
 
@@ -76,19 +76,23 @@ def frame_statics(
     every = tuple(range(len(names)))
     out = []
     if focal_length_sigma_px > 0.0:
-        out.append(StaticParameter("focal length", "px", focal_length_sigma_px, 1.0, _replace_detector("focal_length_px"), every))
+        change = _replace_detector("focal_length_px")
+        out.append(StaticParameter("focal length", "px", focal_length_sigma_px, 1.0, change, every))
     for k, axis in enumerate(("line", "column")):
-        if principal_point_sigma_px[k] > 0.0:
+        sigma = principal_point_sigma_px[k]
+        if sigma > 0.0:
             change = _replace_detector("principal_point_px", k)
-            out.append(StaticParameter(f"principal point {axis}", "px", principal_point_sigma_px[k], 0.5, change, every))
+            out.append(StaticParameter(f"principal point {axis}", "px", sigma, 0.5, change, every))
     for k, sigma in enumerate(distortion_sigma):
         if sigma > 0.0:
-            label = ("k1", "k2", "p1", "p2", "k3")[k]
-            out.append(StaticParameter(f"distortion {label}", "", sigma, 1e-3, _replace_detector("distortion", k), every))
+            label, change = ("k1", "k2", "p1", "p2", "k3")[k], _replace_detector("distortion", k)
+            out.append(StaticParameter(f"distortion {label}", "", sigma, 1e-3, change, every))
     return out
 
 
-def _replace_detector(field: str, part: int | None = None) -> Callable[[Sequence[MovingCamera], float], list[MovingCamera]]:
+def _replace_detector(
+    field: str, part: int | None = None
+) -> Callable[[Sequence[MovingCamera], float], list[MovingCamera]]:
     def apply(cameras: Sequence[MovingCamera], value: float) -> list[MovingCamera]:
         out = list(cameras)
         for k, camera in enumerate(cameras):

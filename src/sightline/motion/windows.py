@@ -62,7 +62,9 @@ class Predictions:
     t: Array
 
 
-def window_grid(shape: tuple[int, int], window: tuple[int, int], step: int, *, columns_step: int | None = None) -> WindowGrid:
+def window_grid(
+    shape: tuple[int, int], window: tuple[int, int], step: int, *, columns_step: int | None = None
+) -> WindowGrid:
     """Lay windows of (lines, columns) px on an image, `step` lines apart.
 
     Parameters
@@ -92,9 +94,9 @@ def predict_windows(
 
     Notes
     -----
-    The mean over the lines is taken by two-point quadrature (Gauss's nodes for evenly spaced lines: exact for a
-    motion cubic in time), whose two points also give the change along the lines; the change along the columns comes from the neighbours in the row
-    (or from two points inside the window when it is alone).
+    The mean over the lines is taken by two-point quadrature (Gauss's nodes for evenly spaced lines: exact for
+    a motion cubic in time), whose two points also give the change along the lines; the change along the
+    columns comes from the neighbours in the row (or from two points inside the window when it is alone).
     """
     rows, blocks = grid.shape
     centres = grid.centres
@@ -103,7 +105,8 @@ def predict_windows(
     sideways: list[Array] = []
     if blocks == 1:
         span = grid.window[1] / (2.0 * math.sqrt(3.0))
-        sideways = [cameras[hub].locate(centres + np.array([0.0, side * span]), surface) for side in (-1.0, 1.0)]
+        for side in (-1.0, 1.0):
+            sideways.append(cameras[hub].locate(centres + np.array([0.0, side * span]), surface))
     out = []
     for image in images:
         camera = cameras[image]
@@ -115,7 +118,8 @@ def predict_windows(
             affine[:, :, 1] = (camera.project(sideways[1]) - camera.project(sideways[0])) / (2.0 * span)
         else:
             table = b.reshape(rows, blocks, 2)
-            affine[:, :, 1] = np.gradient(table, grid.columns, axis=1).reshape(-1, 2)
+            slope = np.asarray(np.gradient(table, grid.columns, axis=1), dtype=np.float64)
+            affine[:, :, 1] = slope.reshape(-1, 2)
         bad = ~np.isfinite(affine[:, :, 1]).all(axis=1)
         affine[bad, :, 1] = np.array([0.0, 1.0])
         out.append(Predictions(b, affine, exposure_times(camera, b)))
@@ -130,10 +134,7 @@ def exposure_times(camera: Camera, pixels: Array) -> Array:
         out[seen] = camera.times(pixels[seen, 0])
         return out
     if isinstance(camera, FrameCamera):
-        fraction = 0.0
-        if camera.readout_time:
-            fraction = camera.readout_time * ((pixels[:, 0] + 0.5) / camera.detector.shape[0] - 0.5)
-        return np.asarray(camera.t + fraction + 0.0 * pixels[:, 0])
+        return camera.times(pixels[:, 0])
     raise EstimationError(f"exposure times are not known for a camera of type {type(camera).__name__}")
 
 

@@ -1,0 +1,140 @@
+"""One strip from images to line of sight: a small rendered one, and input that must be refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from motion.strips import strip_cameras
+from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+from sightline.errors import EstimationError, InputError
+from sightline.geometry.surface import Dem, Plane
+from sightline.geometry.trajectory import Motion
+from sightline.imaging.source import ArrayImage
+from sightline.motion.band import Band
+from sightline.motion.predict import predict_match
+from sightline.motion.stars import MatchingPlan, match_star
+from sightline.motion.windows import window_grid
+
+SHAPE = (160, 220)
+
+
+def bands(ahead_px=(30.0, 0.0), images=None) -> list[Band]:
+    """Bands of unlike noise: nothing in them matches."""
+    rng = np.random.default_rng(0)
+    images = images or [1000.0 + 50.0 * rng.standard_normal(SHAPE) for _ in ahead_px]
+    cameras = strip_cameras(ahead_px, *SHAPE)
+    return [Band(f"band {k}", ArrayImage(i), c) for k, (i, c) in enumerate(zip(images, cameras, strict=True))]
+
+
+class TestRefused:
+    def test_one_band_cannot_show_motion(self):
+        with pytest.raises(InputError) as problem:
+            recover_line_of_sight(bands()[:1], Plane())
+        assert str(problem.value) == (
+            "one image cannot show motion: 1 band given; two or more bands that see the same ground a lag apart are "
+            "needed; add a [[band]]"
+        )
+
+    def test_an_image_of_another_size_than_its_camera_is_named(self):
+        first, second = bands()
+        wrong = Band("red", ArrayImage(np.zeros((100, 220))), second.camera)
+        with pytest.raises(InputError) as problem:
+            recover_line_of_sight([first, wrong], Plane())
+        assert str(problem.value) == (
+            "image and camera of band 'red' differ: image (100, 220), camera (160, 220) (lines, columns); give the "
+            "image its own size in the instrument description"
+        )
+
+    @pytest.mark.parametrize(
+        "given",
+        [bands((4000.0, 0.0)), bands(images=[np.full(SHAPE, 7.0)] * 2), bands()],
+        ids=["no common ground", "no texture", "nothing alike"],
+    )
+    def test_images_that_do_not_match_where_the_cameras_say_are_refused(self, given):
+        with pytest.raises(EstimationError) as problem:
+            recover_line_of_sight(given, Plane())
+        said = str(problem.value)
+        assert said.startswith("the images do not match where the cameras say: ")
+        assert "windows kept within (8, 8) px of the prediction" in said
+        assert said.endswith("check look angles, line times and that the bands overlap")
+
+    def test_a_dem_that_does_not_cover_the_strip_is_named(self):
+        far = Dem(np.zeros((4, 4)), (1e6, 10.0, 0.0, 1e6, 0.0, -10.0), None)
+        with pytest.raises(
+            EstimationError, match="the middle of the strip does not meet the surface.*extent of the DEM"
+        ):
+            recover_line_of_sight(bands(), far)
+
+
+class TestRendered:
+    def test_the_motion_is_given_at_the_lines_of_the_first_band(self, recovery):
+        result, first = recovery.result, recovery.acquisition.bands[0]
+        assert_allclose(result.motion.t, first.camera.times(np.arange(first.camera.lines)), atol=1e-12)
+        assert result.hidden.shape == (first.camera.lines, 3, len(result.hidden_names))
+        assert result.hidden_names[:3] == ("constant of roll", "constant of pitch", "constant of yaw")
+        assert result.image_names == tuple(b.name for b in recovery.acquisition.bands)
+
+    def test_the_passes_settled_before_they_were_used_up(self, recovery):
+        assert recovery.result.changes[-1] < RecoverOptions().tolerance
+        assert len(recovery.result.changes) <= RecoverOptions().passes
+
+    def test_images_matched_anew_lie_where_the_recovered_cameras_say(self, recovery):
+        result, acquisition = recovery.result, recovery.acquisition
+        images = [b.image for b in acquisition.bands]
+        nominal = [b.camera for b in acquisition.bands]
+        grid = window_grid(images[0].shape, (10, 100), 20)
+        plan = MatchingPlan((10, 100), 20, (8, 8))
+        claimed = np.diag(result.records[0].star.correlation)[:2].mean()
+        rms = []
+        for cameras in (result.cameras, nominal):
+            star = match_star(images, cameras, acquisition.surface, 0, (1,), grid, [], plan).star
+            kept = star.present[:, 0]
+            assert kept.sum() > 30
+            sigma = np.sqrt(np.einsum("nii->n", star.covariance_px[kept, 0]).mean() / 2 * claimed)
+            # the middle of the residuals' size against that of a Gaussian: mismatches of a first look stay out
+            rms.append(1.4826 * np.median(np.abs(star.residual_px[kept, 0])) / sigma)
+        # larger windows than the recovery used, hence half new errors; the motion's own error is a part of theirs
+        assert rms[0] < 1.5
+        assert rms[1] > 5 * rms[0]
+
+    @pytest.mark.parametrize("axis", [0, 1], ids=["roll", "pitch"])
+    def test_a_hidden_constant_leaves_every_pair_of_pixels_as_it_is(self, recovery, axis):
+        result, surface = recovery.result, recovery.acquisition.surface
+        line, column = np.meshgrid([100.0, 200.0, 300.0], [20.0, 160.0, 300.0], indexing="ij")
+        pixels = np.stack([line.ravel(), column.ravel()], axis=1)
+        turn = 5 * result.ifov
+
+        def matches(direction):
+            old = result.cameras[0].trajectory.motion
+            at = np.clip(old.t, result.motion.t[0], result.motion.t[-1])
+            change = np.stack([np.interp(at, result.motion.t, direction[:, k]) for k in range(3)], axis=1)
+            motion = Motion(old.t, old.angles + turn * change)
+            moved = [c.with_trajectory(c.trajectory.with_motion(motion)) for c in result.cameras[:2]]
+            return predict_match(*moved, surface, pixels) - predict_match(
+                *result.cameras[:2], surface, pixels
+            )
+
+        # 5 px of constant; what is left are products of 5 px (2.5e-5 rad) with the other angles and the field,
+        # below 1e-2 rad each, in pixels: 5 * 1e-2
+        assert np.abs(matches(result.hidden[:, :, axis])).max() < 0.05
+        # a ramp of 5 px over the strip is no constant: the lag makes it visible
+        ramp = np.zeros((len(result.motion.t), 3))
+        ramp[:, axis] = np.linspace(0.0, 20.0, len(ramp))
+        assert np.abs(matches(ramp)).max() > 0.5
+
+    def test_lines_without_matches_are_told(self, recovery):
+        result = recovery.result
+        unseen = int((~result.observed).sum())
+        told = [w for w in result.warnings if "seen by no match" in w]
+        assert bool(told) == (unseen > 0)
+        assert all(w.startswith(f"{unseen} of {len(result.observed)} lines") for w in told)
+
+    def test_sigma_grows_where_nothing_was_matched(self, recovery):
+        result = recovery.result
+        if result.observed.all():
+            pytest.skip("not applicable: every line of the rendered strip was matched")
+        for axis in range(3):
+            inside = np.median(result.sigma[result.observed, axis])
+            assert np.median(result.sigma[~result.observed, axis]) > inside

@@ -1,0 +1,145 @@
+"""Images laid on the grid of another, against patterns known in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from sightline.imaging.source import ArrayImage
+from sightline.imaging.warp import WarpedImage
+
+SHAPE = (90, 400)
+# cycles per px, all within the 0.36 that the kernel promises to carry
+WAVES = ((0.11, 0.23, 0.4), (-0.27, 0.09, 1.9), (0.05, -0.31, 2.2), (0.2, 0.02, 5.0))
+
+
+def pattern(line, column):
+    return sum(np.cos(2 * np.pi * (f * line + g * column) + p) for f, g, p in WAVES)
+
+
+def whole_pattern(shape=SHAPE) -> np.ndarray:
+    return pattern(*np.mgrid[0.0 : shape[0], 0.0 : shape[1]])
+
+
+def linear(matrix, offset):
+    def mapping(lines, columns):
+        grid = np.stack(np.meshgrid(lines, columns, indexing="ij"), axis=-1)
+        return grid @ np.asarray(matrix).T + offset
+
+    return mapping
+
+
+# The kernel keeps waves up to 0.36 cycles/px to 3 % in amplitude and 0.005 px in place
+# (tests/imaging/test_resample) along each of two axes: 2 (0.03 + 2 pi 0.36 0.005) = 0.08 of each wave at
+# worst; of the four together, whose worst places never coincide, half of the sum.
+KERNEL = 0.5 * len(WAVES) * 0.08
+NEARLY = [[1.0, 2e-4], [3e-3, 1.001]]
+TURNED = [[0.98, 0.05], [-0.03, 0.96]]
+
+
+@pytest.mark.parametrize("matrix", [NEARLY, TURNED], ids=["runs with the pixels", "turned and zoomed"])
+def test_a_linear_map_reproduces_a_band_limited_pattern(matrix):
+    offset = np.array([6.37, 8.81])
+    laid = WarpedImage(ArrayImage(whole_pattern()), linear(matrix, offset), (60, 330))
+    got = laid.read((5, 60), (10, 330))
+    line, column = np.mgrid[5.0:60.0, 10.0:330.0]
+    at = np.stack([line, column], axis=-1) @ np.array(matrix).T + offset
+    want = pattern(at[..., 0], at[..., 1])
+    inside = np.isfinite(got)
+    assert inside.mean() > 0.9
+    assert np.abs(got - want)[inside].max() < KERNEL
+    # worst case apart, the bulk is far better: a tenth
+    assert np.sqrt(np.mean((got - want)[inside] ** 2)) < KERNEL / 4
+    assert want.std() > 1.0
+
+
+def test_between_its_nodes_the_map_is_linear():
+    # columns bent by 2e-5 (c - 165)^2 px: between nodes 64 columns apart the chord misses
+    # the bend by 2e-5 * 32^2 at most
+    bend = 2e-5
+
+    def mapping(lines, columns):
+        line, column = np.meshgrid(lines, columns, indexing="ij")
+        return np.stack([line + 10.0, column + 8.0 + bend * (column - 165) ** 2], axis=-1)
+
+    column_image = np.tile(np.arange(SHAPE[1], dtype=float), (SHAPE[0], 1))
+    got = WarpedImage(ArrayImage(column_image), mapping, (60, 330)).read((0, 60), (0, 330))
+    want = np.arange(330) + 8.0 + bend * (np.arange(330) - 165) ** 2
+    chord = bend * 32**2
+    # 0.005 px is what the kernel promises
+    assert np.abs(got - want).max() < chord + 0.005
+    assert np.abs(got - want).max() > chord / 2
+
+
+def test_the_pieces_read_do_not_change_the_pixels_by_more_than_rounding():
+    laid = WarpedImage(ArrayImage(whole_pattern()), linear(NEARLY, (6.37, 8.81)), (60, 330))
+    whole = laid.read((0, 60), (0, 330))
+    part = laid.read((20, 31), (65, 201))
+    # other nodes: weights are carried linearly over other intervals; over 64 columns they bend by
+    # (0.001 * 64 px)^2 / 8 of their curvature, about (2 pi 0.36)^2
+    assert_allclose(part, whole[20:31, 65:201], atol=len(WAVES) * (0.064 * 2.3) ** 2 / 8)
+
+
+class TestUnusable:
+    def test_a_masked_pixel_spreads_to_every_pixel_whose_kernel_meets_it_and_little_further(self):
+        mask = np.zeros(SHAPE, bool)
+        mask[40, 150] = True
+        offset = np.array([6.5, 8.5])
+        laid = WarpedImage(ArrayImage(whole_pattern(), mask), linear(np.eye(2), offset), (60, 330))
+        got = laid.read((0, 60), (0, 330))
+        line, column = np.nonzero(np.isnan(got))
+        # pixel p is read from p + 6.5 with taps 3 below to 4 above its floor: 40 is met from 33.5 - 4 to
+        # 33.5 + 3
+        both = self.reads(40 - 6, 60)[:, None] & self.reads(150 - 8, 330)[None, :]
+        met = set(zip(*np.nonzero(both), strict=True))
+        found = set(zip(line.tolist(), column.tolist(), strict=True))
+        assert len(met) == 64 and met <= found
+        # and one pixel of caution around them at the most
+        assert len(found) <= 10 * 10
+
+    @staticmethod
+    def reads(floor: int, count: int) -> np.ndarray:
+        """Which of the pixels p use tap `floor` when they read taps p - 3 .. p + 4."""
+        p = np.arange(count)
+        return (p - 3 <= floor) & (floor <= p + 4)
+
+    def test_what_is_not_finite_is_unusable_without_a_mask(self):
+        image = whole_pattern()
+        image[40, 150] = np.nan
+        marked = np.isnan(image)
+        laid = WarpedImage(ArrayImage(image), linear(NEARLY, (6.37, 8.81)), (60, 330))
+        same = WarpedImage(ArrayImage(whole_pattern(), marked), linear(NEARLY, (6.37, 8.81)), (60, 330))
+        got, want = laid.read((0, 60), (0, 330)), same.read((0, 60), (0, 330))
+        assert np.isnan(want).any()
+        assert_allclose(np.isnan(got), np.isnan(want))
+        assert laid.mask((0, 60), (0, 330)) is None
+
+    def test_pixels_that_would_read_beyond_the_source_are_absent(self):
+        laid = WarpedImage(ArrayImage(whole_pattern()), linear(np.eye(2), (-20.0, 300.0)), SHAPE)
+        got = laid.read((0, 90), (0, 400))
+        # lines 20 + 3 and later lie inside; columns up to 400 - 5 - 300 at best, in whole intervals of the
+        # map at worst
+        assert np.isnan(got[:23]).all() and np.isnan(got[:, 96:]).all()
+        assert np.isfinite(got[24:, :64]).all()
+
+    def test_an_interval_with_an_unknown_end_is_absent_and_others_are_not(self):
+        def mapping(lines, columns):
+            at = linear(np.eye(2), (8.0, 8.0))(lines, columns)
+            at[:, columns >= 256] = np.nan
+            return at
+
+        got = WarpedImage(ArrayImage(whole_pattern()), mapping, (60, 330)).read((0, 60), (0, 330))
+        # column 192 is a node itself, and known
+        assert np.isnan(got[:, 193:]).all() and np.isfinite(got[:, :192]).all()
+
+    def test_a_map_that_leads_nowhere_gives_nothing(self):
+        def nowhere(lines, columns):
+            return np.full((len(lines), len(columns), 2), np.nan)
+
+        def far(lines, columns):
+            return linear(np.eye(2), (5000.0, 0.0))(lines, columns)
+
+        for mapping in (nowhere, far):
+            got = WarpedImage(ArrayImage(whole_pattern()), mapping, (60, 330)).read((0, 20), (0, 50))
+            assert got.shape == (20, 50) and np.isnan(got).all()
