@@ -33,8 +33,8 @@ class TestRefused:
         with pytest.raises(InputError) as problem:
             recover_line_of_sight(bands()[:1], Plane())
         assert str(problem.value) == (
-            "one image cannot show motion: 1 band given; two or more bands that see the same ground a lag apart are "
-            "needed; add a [[band]]"
+            "one image cannot show motion: 1 band given; two or more bands that see the same ground a lag "
+            "apart are needed; add a [[band]]"
         )
 
     def test_an_image_of_another_size_than_its_camera_is_named(self):
@@ -43,8 +43,8 @@ class TestRefused:
         with pytest.raises(InputError) as problem:
             recover_line_of_sight([first, wrong], Plane())
         assert str(problem.value) == (
-            "image and camera of band 'red' differ: image (100, 220), camera (160, 220) (lines, columns); give the "
-            "image its own size in the instrument description"
+            "image and camera of band 'red' differ: image (100, 220), camera (160, 220) (lines, columns); "
+            "give the image its own size in the instrument description"
         )
 
     @pytest.mark.parametrize(
@@ -63,7 +63,7 @@ class TestRefused:
     def test_a_dem_that_does_not_cover_the_strip_is_named(self):
         far = Dem(np.zeros((4, 4)), (1e6, 10.0, 0.0, 1e6, 0.0, -10.0), None)
         with pytest.raises(
-            EstimationError, match="the middle of the strip does not meet the surface.*extent of the DEM"
+            EstimationError, match=r"the middle of the strip does not meet the surface.*extent of the DEM"
         ):
             recover_line_of_sight(bands(), far)
 
@@ -93,9 +93,11 @@ class TestRendered:
             kept = star.present[:, 0]
             assert kept.sum() > 30
             sigma = np.sqrt(np.einsum("nii->n", star.covariance_px[kept, 0]).mean() / 2 * claimed)
-            # the middle of the residuals' size against that of a Gaussian: mismatches of a first look stay out
+            # the middle of the residuals' size against that of a Gaussian: mismatches of a first look stay
+            # out
             rms.append(1.4826 * np.median(np.abs(star.residual_px[kept, 0])) / sigma)
-        # larger windows than the recovery used, hence half new errors; the motion's own error is a part of theirs
+        # larger windows than the recovery used, hence half new errors; the motion's own error is a part of
+        # theirs
         assert rms[0] < 1.5
         assert rms[1] > 5 * rms[0]
 
@@ -116,8 +118,8 @@ class TestRendered:
                 *result.cameras[:2], surface, pixels
             )
 
-        # 5 px of constant; what is left are products of 5 px (2.5e-5 rad) with the other angles and the field,
-        # below 1e-2 rad each, in pixels: 5 * 1e-2
+        # 5 px of constant; what is left are products of 5 px (2.5e-5 rad) with the other angles and the
+        # field, below 1e-2 rad each, in pixels: 5 * 1e-2
         assert np.abs(matches(result.hidden[:, :, axis])).max() < 0.05
         # a ramp of 5 px over the strip is no constant: the lag makes it visible
         ramp = np.zeros((len(result.motion.t), 3))

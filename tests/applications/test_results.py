@@ -88,7 +88,7 @@ def test_pairs_of_a_rendered_strip_leave_what_their_errors_allow(recovery):
     result: SimpleNamespace = recovery.result
     for pair in result.pairs:
         assert pair.kept + sum(pair.rejected.values()) == pair.tried
-        # the fit takes some of the errors away (a tenth, of hundreds of windows per node), weights of 3 to 5 sigma
-        # leave a little more than Gaussian; the matcher's sigma is corrected by the strip's own scatter
+        # the fit takes some of the errors away (a tenth, of hundreds of windows per node), weights of 3 to 5
+        # sigma leave a little more than Gaussian; the matcher's sigma is corrected by the strip's own scatter
         assert 0.7 * pair.sigma_px < pair.rms_after_px < 1.3 * pair.sigma_px
         assert pair.rms_before_px > 3 * pair.rms_after_px

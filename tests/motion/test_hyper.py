@@ -53,8 +53,8 @@ class TestAveraged:
         t = np.linspace(0.05, 0.35, 31)
         got = averaged(grid, np.sin(2 * np.pi * f * grid.nodes)[:, None], t, d)[:, 0]
         want = np.sinc(f * d) * np.sin(2 * np.pi * f * t)
-        # a midpoint rule of p = 14 points or so has (pi f d / p)^2 / 6 of it too much, 0.12 %; cubic interpolation
-        # over (2 pi f step) = 0.19 less than 0.19^4 * 9 / 384 = 3e-5
+        # a midpoint rule of p = 14 points or so has (pi f d / p)^2 / 6 of it too much, 0.12 %; cubic
+        # interpolation less than (2 pi f step)^4 * 9 / 384 = 0.19^4 * 9 / 384 = 3e-5
         assert_allclose(got, want, atol=2e-3)
         assert np.sinc(f * d) < 0.85
 
@@ -153,8 +153,9 @@ class TestPriorModel:
         post[..., 1] -= moved / IFOV
         pixel = np.array([IFOV, IFOV, IFOV / (800 * IFOV)])
         model = fit_prior_model([star], [post], estimate_of(star, still), pixel)
-        # What pairs see is the variance of the change over their lags, 2 (k(0) - k(lag)). A strip of 0.25 s holds some
-        # twelve independent changes over 0.02 s: their variance is known to sqrt(2 / 12) = 40 %, two of these
+        # What pairs see is the variance of the change over their lags, 2 (k(0) - k(lag)). A strip of 0.25 s
+        # holds some twelve independent changes over 0.02 s: their variance is known to sqrt(2 / 12) = 40 %,
+        # two of these
         for lag in (0.02, 0.04):
             learned, true = (
                 2 * np.ptp(s.autocovariance(np.array([0.0, lag]))) for s in (model.spectra[0], truth)
@@ -169,7 +170,7 @@ class TestPriorModel:
 
         def remember(series, **_):
             given.append(series)
-            return SimpleNamespace(spectrum=Spectrum((Matern(1.0, 1.0, "3/2"),)))
+            return SimpleNamespace(spectrum=Spectrum((Matern(1.0, 1.0, "3/2"),)), noise_scale=1.0)
 
         monkeypatch.setattr(hyper, "fit_spectrum", remember)
         star = plain_star(250, 8, 1, SIGMA)

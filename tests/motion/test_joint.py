@@ -126,7 +126,16 @@ def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool) -> None:
         k[axis:size:block, axis:size:block] = dense[axis] + (CONSTANT_SIGMA[axis] ** 2 if axis < 3 else 0.0)
     k[size:, size:] = np.diag(prior.statics_sigma**2)
     gain = k @ rows.T @ np.linalg.inv(rows @ k @ rows.T + noise)
-    mean = gain @ y
+    # the estimate is also given that roll and pitch have mean zero but for their constants' sigma
+    held = np.zeros((2, size + 2))
+    for axis in range(2):
+        held[axis, axis:size:block] = 1.0 / COUNT
+    rows_held = np.concatenate([rows, held])
+    noise_held = np.zeros((len(rows_held), len(rows_held)))
+    noise_held[: len(rows), : len(rows)] = noise
+    noise_held[len(rows) :, len(rows) :] = np.diag(np.square(CONSTANT_SIGMA[:2]))
+    spread = rows_held @ k @ rows_held.T + noise_held
+    mean = k @ rows_held.T @ np.linalg.solve(spread, np.concatenate([y, np.zeros(2)]))
     covariance = k - gain @ rows @ k
     expected = mean[:size].reshape(COUNT, block)
     sigma = np.sqrt(np.diag(covariance)[:size].reshape(COUNT, block)[:, :3])
@@ -265,8 +274,8 @@ class TestInterpolationVariance:
                 square[n] += (row @ (np.sqrt(2) * sigma * np.cos(2 * np.pi * frequency * every + phase))) ** 2
         spectrum = Spectrum((Tone(sigma, frequency, 0.01),))
         got = interpolation_variance(spectrum, self.GRID, t)
-        # twelve phases average a squared sinusoid exactly; half-way between nodes cubic interpolation misses by
-        # 9 / 384 (2 pi f step)^4 = 10 % of the amplitude, 1 % of the variance
+        # twelve phases average a squared sinusoid exactly; half-way between nodes cubic interpolation misses
+        # by 9 / 384 (2 pi f step)^4 = 10 % of the amplitude, 1 % of the variance
         np.testing.assert_allclose(got, square / len(phases), rtol=1e-9)
         assert got.max() > 0.005 * sigma**2
 

@@ -78,8 +78,8 @@ class TestCorrelation:
         star = plain_star(1500, 16, 2, SIGMA)
         post = drawn(star, 5, self.TRUE) + row_motion(star, 6)
         got = estimate_correlation(star, post)
-        # 1500 * 14 = 21000 free squares; the plain variance scatters by sqrt(2 / n), each of up to eight rows on
-        # either side that are added by 2 / sqrt(n): below sqrt(2 + 8 * 4) / sqrt(n) = 0.04; four of these
+        # 1500 * 14 = 21000 free squares; the plain variance scatters by sqrt(2 / n), each of up to eight rows
+        # on either side that are added by 2 / sqrt(n): below sqrt(2 + 8 * 4) / sqrt(n) = 0.04; four of these
         assert_allclose(got, self.TRUE, atol=0.16)
         assert_allclose(got, got.T)
 
@@ -120,8 +120,8 @@ class TestRobustWeights:
 
     def test_errors_of_the_expected_size_keep_their_weight(self):
         got = self.weights(drawn(self.star(2), 11))
-        # beyond 3 sigmas of two Gaussian components lies exp(-9/2) = 1.1 %; tests by row and neighbourhood may
-        # cost as much again each
+        # beyond 3 sigmas of two Gaussian components lies exp(-9/2) = 1.1 %; tests by row and neighbourhood
+        # may cost as much again each
         assert (got < 1.0).mean() < 0.035
         assert (got == 0.0).mean() < 0.01
 

@@ -24,7 +24,7 @@ HEIGHT, LENGTH, HALF_WIDTH = 12.0, 700.0, 1000.0
 
 
 def matern32(distance: np.ndarray, length: float = LENGTH) -> np.ndarray:
-    """Unit Matern 3/2 through its general form, 2^(1 - v) / Gamma(v) z^v K_v(z) with z = sqrt(2 v) r / length."""
+    """Unit Matern 3/2 by its general form, 2^(1 - v) / Gamma(v) z^v K_v(z), z = sqrt(2 v) r / length."""
     from scipy.special import gamma, kv
 
     z = np.maximum(np.sqrt(3.0) * np.abs(distance) / length, 1e-9)
@@ -61,9 +61,9 @@ def test_rows_have_the_mean_and_slope_of_a_dense_field():
     for process, values in zip(row_processes(HEIGHT, LENGTH, HALF_WIDTH, SPEED, grid), line, strict=True):
         got = dense_covariance(process)[20, 20 : 20 + rows]
         want = values @ values[0] / draws
-        # a product of two correlated variables of that variance scatters by at most sqrt(2 / draws) = 2.6 % of it;
-        # four of these; 21 points across instead of 41 change the variance of mean and slope by 1 / 20 of a point's
-        # share, at most 1 / 21 of it in a field as smooth as this: 1 %
+        # a product of two correlated variables of that variance scatters by at most sqrt(2 / draws) = 2.6 %
+        # of it; four of these; 21 points across instead of 41 change the variance of mean and slope by 1 / 20
+        # of a point's share, at most 1 / 21 of it in a field as smooth as this: 1 %
         assert_allclose(got, want, atol=(4 * 0.026 + 0.01) * want[0])
         assert abs(want[-1]) < 0.6 * want[0]
 
@@ -110,10 +110,10 @@ def test_the_length_of_relief_is_found_from_what_pairs_share_along_the_track(len
     table = np.zeros((len(heights), 2, 2), np.float32)
     table[..., 0] = by_height
     found = relief_length([replace(star, by_height=table)], [post], HEIGHT, HALF_WIDTH)
-    # 1500 rows give the share to sqrt(2 / 1500) = 4 % even if one shape alone were left in a row, the errors of
-    # matching, half shared, to 0.05^2 / 2 / (0.012 * 0.02 * 144 * share), below 3 % / sqrt(1500 * 19) of it; the
-    # share falls with length^-1 .. length^-3, so 4 * 4 % of it is at most 16 % of length; the table of lengths
-    # steps by 14 %
+    # 1500 rows give the share to sqrt(2 / 1500) = 4 % even if one shape alone were left in a row, the errors
+    # of matching, half shared, to 0.05^2 / 2 / (0.012 * 0.02 * 144 * share), below 3 % / sqrt(1500 * 19) of
+    # it; the share falls with length^-1 .. length^-3, so 4 * 4 % of it is at most 16 % of length; the table
+    # of lengths steps by 14 %
     assert length / 1.3 < found < length * 1.3
 
 

@@ -13,7 +13,6 @@ from motion.strips import PERIOD, plain_star, strip_cameras
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTLIER, OUTSIDE
-from sightline.motion.statics import band_statics
 from sightline.motion.stars import (
     MatchingPlan,
     StarRecord,
@@ -23,6 +22,7 @@ from sightline.motion.stars import (
     match_star,
     pair_whitening,
 )
+from sightline.motion.statics import band_statics
 from sightline.motion.windows import window_grid
 
 SHAPE, AHEAD = (240, 320), (40.0, 0.0)
@@ -77,7 +77,8 @@ class TestMatchStar:
         error = star.residual_px[kept, 0] - UNKNOWN
         covariance = star.covariance_px[kept, 0]
         squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
-        # 2 per match on average, give or take sqrt(4 / n); the matcher's sigma is true to 15 %, its variance to 30 %
+        # 2 per match on average, give or take sqrt(4 / n); the matcher's sigma is true to 15 %, its variance
+        # to 30 %
         n = kept.sum()
         assert 2 * 0.7 - 4 * np.sqrt(4 / n) < squares.mean() < 2 * 1.3 + 4 * np.sqrt(4 / n)
         # kernel and matcher may be off by a hundredth of a pixel together
@@ -132,7 +133,8 @@ class TestMatchStar:
         assert inside.any() and (record.status[inside, 0] == MASKED).all()
 
     def test_a_residual_is_in_pixels_of_the_partner(self):
-        # the partner has lines of half the period: hub line p is its line 2 p + 80, and 0.4 of its pixels more
+        # the partner has lines of half the period: hub line p is its line 2 p + 80, and 0.4 of its pixels
+        # more
         rng = np.random.default_rng(4)
         waves = [(rng.uniform(-0.3, 0.3), rng.uniform(-0.3, 0.3), rng.uniform(0, 6.3)) for _ in range(60)]
 

@@ -48,8 +48,9 @@ Progress = Callable[[str], None]
 #: between the predicted and the actual line with the rate of the motion, seen at 5-7 % of residuals of
 #: 1-4 px.
 LINEARISATION_SHARE = 0.07
-#: Times that matches are weighed by their own scatter and the motion solved again, in every pass.
-ROUNDS = 4
+#: Times that matches are weighed by their own scatter and the motion solved again, in every pass:
+#: once a spectrum is fitted, and before.
+ROUNDS, DRAFT_ROUNDS = 4, 2
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
 
@@ -70,6 +71,8 @@ class RecoverOptions:
         Lines between nodes of the estimated motion.
     passes : int
         At most so many compensated passes.
+    draft_blocks : int
+        At most so many windows per row until the last pass, which has them side by side.
     tolerance : float
         Stop when the motion changes by less than this part of its sigma.
     """
@@ -80,6 +83,7 @@ class RecoverOptions:
     search_px: tuple[int, int] = (8, 8)
     grid_lines: float = 2.0
     passes: int = 4
+    draft_blocks: int = 20
     tolerance: float = 0.2
 
 
@@ -164,6 +168,9 @@ def recover_line_of_sight(
         state = refined
         if changes[-1] < options.tolerance:
             break
+    if strip.nominal[0].columns // options.window[1] > options.draft_blocks:
+        tell("last pass: windows side by side over the whole field")
+        state = _compensated_pass(strip, state, options.passes, options, height_sigma, tell, last=True)
     return _result(strip, state, changes)
 
 
@@ -259,7 +266,9 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
     tell("first pass: searching about the nominal prediction")
     nodes = np.zeros((strip.grid.count, 3))
     statics = np.zeros(len(strip.parameters))
-    plan = MatchingPlan(options.first_window, 2 * options.first_window[0], options.search_px)
+    plan = MatchingPlan(
+        options.first_window, 2 * options.first_window[0], options.search_px, options.draft_blocks
+    )
     records = tuple(_with_floor(r) for r in _match(strip, nodes, statics, plan))
     tried = sum(r.star.present.size for r in records)
     kept = sum(int(r.star.present.sum()) for r in records)
@@ -271,7 +280,7 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
         )
     state = _solve(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
     # once more about the motion found: what was left of the first linearisation is gone before dense matching
-    plan = MatchingPlan(options.first_window, options.first_window[0])
+    plan = MatchingPlan(options.first_window, options.first_window[0], (0, 0), options.draft_blocks)
     records = _match(strip, state.estimate.nodes, state.estimate.statics, plan)
     records = tuple(_with_floor(r) for r in records)
     return _solve(
@@ -288,11 +297,23 @@ def _with_floor(record: StarRecord) -> StarRecord:
 
 
 def _compensated_pass(
-    strip: _Strip, state: _State, number: int, options: RecoverOptions, height_sigma: float, tell: Progress
+    strip: _Strip,
+    state: _State,
+    number: int,
+    options: RecoverOptions,
+    height_sigma: float,
+    tell: Progress,
+    *,
+    last: bool = False,
 ) -> _State:
-    """Match again with windows moved by the motion found; refit the prior; solve."""
+    """Match again with windows moved by the motion found; refit the prior; solve.
+
+    Drafts thin the windows of wide strips; the `last` pass has them side by side.
+    """
     nodes, statics = state.estimate.nodes, state.estimate.statics
-    records = _match(strip, nodes, statics, MatchingPlan(options.window, options.step), state.records)
+    blocks = 0 if last else options.draft_blocks
+    plan = MatchingPlan(options.window, options.step, (0, 0), blocks)
+    records = _match(strip, nodes, statics, plan, state.records)
     solved = _solve(strip, records, nodes, statics, state.model, height_sigma, before=state)
     if number == 0:
         # the first linearisation still shows in this pass: a spectrum fitted to it would hold its error
@@ -363,7 +384,7 @@ def _solve(
 
     settled = model is not strip.broad
     estimate, post, without = solution()
-    for _ in range(ROUNDS):
+    for _ in range(ROUNDS if settled else DRAFT_ROUNDS):
         weights = [robust_weights(s, r, settled=settled) for s, r in zip(stars, post, strict=True)]
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
         stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]

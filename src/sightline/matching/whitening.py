@@ -248,8 +248,10 @@ def _spectra(
     middle = (np.hypot(fy, fx) > 1.5 / min(tile)) & (np.hypot(fy, fx) < 0.25)
     level = middle / (mean_a + mean_b)
     own = [(level * auto).sum(axis=(1, 2)) for auto in (auto_a, auto_b)]
-    alike = (level * cross.real).sum(axis=(1, 2)) / np.sqrt(own[0] * own[1])
-    good = alike >= 0.6 * np.median(alike)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        alike = (level * cross.real).sum(axis=(1, 2)) / np.sqrt(own[0] * own[1])
+    # a tile that is flat under the taper (saturated but for its rim) has no likeness at all
+    good = alike >= 0.6 * np.nanmedian(alike)
     return cross[good], auto_a[good], auto_b[good]
 
 

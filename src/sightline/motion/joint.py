@@ -219,10 +219,28 @@ def solve_joint(data: NormalEquations, prior: JointPrior) -> JointEstimate:
     factor = _factor(data, prior, constants=True)
     statics = len(prior.statics_sigma)
     x, y = factor.solve(data.rhs, np.concatenate([data.rhs_static, np.zeros(3)]))
+    x, y = _held(factor, data, prior, x, y)
     nodes = x.reshape(data.grid.count, data.block)
     sigma = np.sqrt(np.diag(factor.border_covariance)[:statics])
     relief = nodes[:, 3:].copy() if data.block == 5 else None
     return JointEstimate(data.grid, nodes[:, :3].copy(), relief, y[:statics], sigma, data, prior)
+
+
+def _held(
+    factor: BorderedFactor, data: NormalEquations, prior: JointPrior, x: Array, y: Array
+) -> tuple[Array, Array]:
+    """The solution given that roll and pitch have mean zero but for their constants' sigma.
+
+    A slow process of large sigma would carry a mean of its own past the prior of the constant; conditioning on the
+    mean over the grid is an exact update of rank two. What it moves is hidden: relative covariances stay.
+    """
+    block, count = data.block, data.grid.count
+    mean = np.zeros((block * count, 2))
+    for axis in range(2):
+        mean[axis::block, axis] = 1.0 / count
+    top, bottom = factor.times(mean)
+    gain = np.linalg.inv(mean.T @ top + np.diag(np.square(prior.constant_sigma[:2]))) @ (mean.T @ x)
+    return x - top @ gain, y - bottom @ gain
 
 
 def _interpolated(band: Array, grid: TimeGrid, block: int, t: Array) -> Array:

@@ -54,11 +54,21 @@ class MatchingPlan:
         Lines between rows of windows.
     search_px : (lines, columns)
         px; half-range of the integer search; (0, 0) trusts the prediction.
+    most_blocks : int
+        At most so many windows per row; 0 lays them side by side.
     """
 
     window: tuple[int, int]
     step: int
     search_px: tuple[int, int] = (0, 0)
+    most_blocks: int = 0
+
+    def grid(self, shape: tuple[int, int]) -> WindowGrid:
+        """The windows of this plan on an image of `shape` (lines, columns)."""
+        width = min(self.window[1], shape[1])
+        blocks = max(shape[1] // width, 1)
+        apart = -(-blocks // self.most_blocks) if self.most_blocks else 1
+        return window_grid(shape, self.window, self.step, columns_step=apart * width)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +100,7 @@ def hub_windows(
     out = []
     for place, hub in enumerate(order[:-1]):
         partners = tuple(order[place + 1 :])
-        grid = window_grid(shapes[hub], plan.window, plan.step)
+        grid = plan.grid(shapes[hub])
         if place:
             middle = grid.columns[len(grid.columns) // 2]
             pixels = np.stack([grid.lines, np.full(len(grid.lines), middle)], axis=1)
