@@ -130,6 +130,49 @@ def _scatter(local, index, used, n_local, block_n, ab, border, corner, rhs_grid,
 
 
 @njit(cache=True)
+def _expand(product, w, compact, statics, relief, pairs, support, n_angles, n_local, local):  # type: ignore[no-untyped-def]
+    """Spread one patch's compact product over the nodes its instants are interpolated from (upper triangle)."""
+    moving = compact - statics
+    for p in range(moving):
+        height_p = relief and p >= 3 * (1 + pairs)
+        group_p = 1 + pairs if height_p else p // 3
+        for q in range(p, moving):
+            value = product[p, q]
+            if value == 0.0:
+                continue
+            height_q = relief and q >= 3 * (1 + pairs)
+            group_q = 1 + pairs if height_q else q // 3
+            for m in range(support):
+                if height_p:
+                    i = n_angles + 2 * m + (p - 3 * (1 + pairs))
+                else:
+                    i = (group_p * support + m) * 3 + p % 3
+                share = value * w[group_p, m]
+                for n in range(m if p == q else 0, support):
+                    if height_q:
+                        j = n_angles + 2 * n + (q - 3 * (1 + pairs))
+                    else:
+                        j = (group_q * support + n) * 3 + q % 3
+                    if i <= j:
+                        local[i, j] += share * w[group_q, n]
+                    else:
+                        local[j, i] += share * w[group_q, n]
+        for s in range(statics + 1):
+            value = product[p, moving + s]
+            if value == 0.0:
+                continue
+            j = n_local - statics + s
+            for m in range(support):
+                if height_p:
+                    local[n_angles + 2 * m + (p - 3 * (1 + pairs)), j] += value * w[group_p, m]
+                else:
+                    local[(group_p * support + m) * 3 + p % 3, j] += value * w[group_p, m]
+    for s in range(statics):
+        for r in range(s, statics + 1):
+            local[n_local - statics + s, n_local - statics + r] += product[moving + s, moving + r]
+
+
+@njit(cache=True)
 def _accumulate(  # type: ignore[no-untyped-def]
     t_hub,
     t,
@@ -168,10 +211,12 @@ def _accumulate(  # type: ignore[no-untyped-def]
     used = np.zeros(n_local, np.bool_)
     first = np.full(2 + pairs, -1, np.int64)
     previous = np.full(2 + pairs, -1, np.int64)
-    wh = np.zeros(support)
-    wp = np.zeros(support)
-    wg = np.zeros(support)
-    a = np.zeros((rows_max, n_local + 1))
+    # one column per angle of each instant, height and its tilt, statics, the data: weights in time come in later
+    compact = 3 * (1 + pairs) + (2 if relief else 0) + statics
+    heights = 3 * (1 + pairs)
+    w = np.zeros((2 + pairs, support))
+    product = np.zeros((compact, compact + 1))
+    a = np.zeros((rows_max, compact + 1))
     r = np.zeros((rows_max, rows_max))
     chi2, rows_total, log_r = 0.0, 0, 0.0
     for s in range(statics):
@@ -184,34 +229,31 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 rows += 2
         if rows == 0:
             continue
-        first[0] = _window_weights(t_hub[g], duration, start, step, count, support, wh)
+        first[0] = _window_weights(t_hub[g], duration, start, step, count, support, w[0])
         for k in range(pairs):
             first[1 + k] = -2
         if relief:
-            first[1 + pairs] = _window_weights(t_ground[g], duration, start, step, count, support, wg)
+            first[1 + pairs] = _window_weights(
+                t_ground[g], duration, start, step, count, support, w[1 + pairs]
+            )
         # rows of this patch
         row = 0
         for k in range(pairs):
             if not (weight[g, k] > 0.0 and residual[g, k, 0] == residual[g, k, 0]):
                 continue
-            first[1 + k] = _window_weights(t[g, k], duration, start, step, count, support, wp)
+            first[1 + k] = _window_weights(t[g, k], duration, start, step, count, support, w[1 + k])
             for c in range(2):
-                for j in range(n_local + 1):
+                for j in range(compact + 1):
                     a[row + c, j] = 0.0
                 for axis in range(3):
-                    ch = by_hub[g, k, c, axis]
-                    cp = by_partner[g, k, c, axis]
-                    for m in range(support):
-                        a[row + c, m * 3 + axis] = ch * wh[m]
-                        a[row + c, ((1 + k) * support + m) * 3 + axis] = cp * wp[m]
+                    a[row + c, axis] = by_hub[g, k, c, axis]
+                    a[row + c, 3 * (1 + k) + axis] = by_partner[g, k, c, axis]
                 if relief:
-                    h = by_height[g, k, c]
-                    for m in range(support):
-                        a[row + c, n_angles + 2 * m] = h * wg[m]
-                        a[row + c, n_angles + 2 * m + 1] = h * field[g] * wg[m]
+                    a[row + c, heights] = by_height[g, k, c]
+                    a[row + c, heights + 1] = by_height[g, k, c] * field[g]
                 for s in range(statics):
-                    a[row + c, n_local - statics + s] = by_static[g, k, c, s]
-                a[row + c, n_local] = residual[g, k, c]
+                    a[row + c, compact - statics + s] = by_static[g, k, c, s]
+                a[row + c, compact] = residual[g, k, c]
             row += 2
         # error covariance of the rows: own Cholesky factors around the shared-image correlation
         ri = 0
@@ -252,12 +294,12 @@ def _accumulate(  # type: ignore[no-untyped-def]
         for i in range(rows):
             for m in range(i):
                 f = r[i, m]
-                for j in range(n_local + 1):
+                for j in range(compact + 1):
                     a[i, j] -= f * a[m, j]
             inverse = 1.0 / r[i, i]
-            for j in range(n_local + 1):
+            for j in range(compact + 1):
                 a[i, j] *= inverse
-            chi2 += a[i, n_local] * a[i, n_local]
+            chi2 += a[i, compact] * a[i, compact]
         rows_total += rows
         # same nodes as before? else hand over what was summed
         same = True
@@ -286,12 +328,16 @@ def _accumulate(  # type: ignore[no-untyped-def]
                     j = n_angles + 2 * m + axis
                     index[j] = (first[1 + pairs] + m) * block + 3 + axis
                     used[j] = True
+        for i in range(compact):
+            for j in range(i, compact + 1):
+                product[i, j] = 0.0
         for row in range(rows):
-            for i in range(n_local):
+            for i in range(compact):
                 f = a[row, i]
                 if f != 0.0:
-                    for j in range(i, n_local + 1):
-                        local[i, j] += f * a[row, j]
+                    for j in range(i, compact + 1):
+                        product[i, j] += f * a[row, j]
+        _expand(product, w, compact, statics, relief, pairs, support, n_angles, n_local, local)
     _scatter(local, index, used, n_local, block_n, ab, border, corner, rhs_grid, rhs_static)
     return chi2, rows_total, log_r
 
