@@ -22,6 +22,8 @@ from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
+from sightline.matching.match_images import match_images
+from sightline.matching.matches import OUTSIDE
 from sightline.motion.band import Band
 from sightline.motion.hyper import BROAD, PriorModel, fit_prior_model
 from sightline.motion.joint import (
@@ -36,10 +38,11 @@ from sightline.motion.joint import (
 )
 from sightline.motion.match_noise import estimate_correlation, robust_weights, row_weights
 from sightline.motion.normal_equations import TimeGrid, modelled, normal_equations
-from sightline.motion.predict import MovingCamera, StaticParameter
+from sightline.motion.predict import MovingCamera, StaticParameter, predict_match
 from sightline.motion.relief import hub_delay, relief_length, relief_matters, row_processes
 from sightline.motion.stars import MatchingPlan, StarRecord, hub_windows, match_star
 from sightline.motion.statics import apply_statics, band_statics
+from sightline.motion.windows import window_grid
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -48,6 +51,8 @@ Progress = Callable[[str], None]
 #: between the predicted and the actual line with the rate of the motion, seen at 5-7 % of residuals of
 #: 1-4 px.
 LINEARISATION_SHARE = 0.07
+#: So many windows, most of them matching on the other side, prove a lag of the wrong sign.
+MIN_BACKWARDS = 10
 #: Times that matches are weighed by their own scatter and the motion solved again, in every pass:
 #: once a spectrum is fitted, and before.
 ROUNDS, DRAFT_ROUNDS = 4, 2
@@ -273,6 +278,12 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
     tried = sum(r.star.present.size for r in records)
     kept = sum(int(r.star.present.sum()) for r in records)
     if kept < max(20, MIN_KEPT_SHARE * tried):
+        backwards = _backwards(strip, options)
+        if backwards:
+            raise EstimationError(
+                f"the lag has the wrong sign: {backwards} match not where the cameras say but as far on the other "
+                "side; change the sign of `look_ahead` (forward is positive) or the order of the line times"
+            )
         raise EstimationError(
             f"the images do not match where the cameras say: {kept} of {tried} windows kept within "
             f"{options.search_px} px of the prediction; check look angles, line times and that the bands "
@@ -286,6 +297,28 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
     return _solve(
         strip, records, state.estimate.nodes, state.estimate.statics, strip.broad, height_sigma, before=state
     )
+
+
+def _backwards(strip: _Strip, options: RecoverOptions) -> str:
+    """Names of the first pair whose windows match where a lag of the other sign would have them; "" if none."""
+    hub = strip.bands[0]
+    size = (min(32, hub.image.shape[0]), min(200, hub.image.shape[1]))
+    points = window_grid(hub.image.shape, size, size[0]).centres
+    for partner in strip.bands[1:]:
+        ahead = predict_match(hub.camera, partner.camera, strip.surface, points) - points
+        shift = np.nanmedian(ahead, axis=0)
+        if not np.isfinite(shift).all() or abs(shift[0]) < 2 * options.search_px[0]:
+            continue
+        try:
+            mirrored = match_images(
+                hub.image, partner.image, points, points - shift, window=size, search_px=options.search_px
+            )
+        except EstimationError:
+            continue
+        inside = mirrored.status != OUTSIDE
+        if inside.sum() >= MIN_BACKWARDS and mirrored.kept.sum() > 0.5 * inside.sum():
+            return f"{hub.name} and {partner.name}"
+    return ""
 
 
 def _with_floor(record: StarRecord) -> StarRecord:
