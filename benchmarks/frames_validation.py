@@ -2,7 +2,8 @@
 
 Run: python benchmarks/frames_validation.py [SEEDS]
 
-NEES is the squared error in its covariance per degree of freedom, hidden part removed: 1 where sigmas are true.
+NEES is the squared error in its covariance per degree of freedom, hidden part removed: 1 where sigmas
+are true.
 """
 
 from __future__ import annotations
@@ -36,7 +37,9 @@ CASES: dict[str, tuple[dict[str, Any], LensKnowledge, float | None, float]] = {
 }
 
 
-def recover(scene: FrameScenario, lens: LensKnowledge, focal: float | None, height_sigma: float) -> FrameAttitude:
+def recover(
+    scene: FrameScenario, lens: LensKnowledge, focal: float | None, height_sigma: float
+) -> FrameAttitude:
     """Recover a scene; with a nominal focal length the lens is given without distortion."""
     true = scene.detector
     nominal = true if focal is None else AreaDetector("frame", true.shape, focal, true.principal_point_px)
@@ -79,7 +82,8 @@ def lens_errors(result: FrameAttitude, scene: FrameScenario) -> str:
 def main() -> None:
     """Print one row per case."""
     seeds = int(sys.argv[1]) if len(sys.argv) > 1 else 5
-    print("| case | rms error px (roll, pitch, yaw) | sigma px | NEES | lens errors in sigmas | s |\n|---|---|---|---|---|---|")
+    print("| case | rms error px (roll, pitch, yaw) | sigma px | NEES | lens errors in sigmas | s |")
+    print("|---|---|---|---|---|---|")
     for name, (options, lens, focal, height_sigma) in CASES.items():
         errors, sigmas, nees, lenses, begin = [], [], [], [], time.perf_counter()
         for seed in range(FIRST_SEED, FIRST_SEED + seeds):
@@ -93,7 +97,8 @@ def main() -> None:
         rms, sigma = (np.sqrt((np.concatenate(v) ** 2).mean(axis=0)) for v in (errors, sigmas))
         cells = ["  ".join(f"{value:.4f}" for value in part) for part in (rms, sigma)]
         seconds = (time.perf_counter() - begin) / seeds
-        print(f"| {name} | {cells[0]} | {cells[1]} | {np.mean(nees):.2f} | {'; '.join(filter(None, lenses))} | {seconds:.1f} |")
+        told = "; ".join(filter(None, lenses))
+        print(f"| {name} | {cells[0]} | {cells[1]} | {np.mean(nees):.2f} | {told} | {seconds:.1f} |")
 
 
 if __name__ == "__main__":

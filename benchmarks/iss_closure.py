@@ -1,9 +1,10 @@
-"""Real frames of the ISS: do pairs of one lag tell the same attitudes as chains of neighbours? (S1, matrix case)
+"""Real frames of the ISS: do pairs of one lag tell the same attitudes as chains of neighbours?
 
 Run: python benchmarks/iss_closure.py [ACQUISITION.toml]
 
-Without an argument the acquisition is made by examples/iss_frames.py from ``$SIGHTLINE_DATA/iss_astropi_a``. All lags
-together calibrate the camera; then the attitudes are solved from pairs 6 s apart alone, and from longer ones alone.
+Without an argument the acquisition is made by examples/iss_frames.py from
+``$SIGHTLINE_DATA/iss_astropi_a``. All lags together calibrate the camera; then the attitudes are solved
+from pairs 6 s apart alone, and from longer ones alone.
 There is no attitude truth: agreement within the claimed sigmas is what can be shown.
 """
 
@@ -60,7 +61,10 @@ def print_residuals(result: FrameAttitude) -> None:
 
 def print_closure(result: FrameAttitude, surface: Surface) -> None:
     """Chained against direct increments, px (yaw: at the field's edge), with their sigmas."""
-    print("\n| lag | axis | rms difference px | sigma of it | sigma chained | sigma direct | mean square | all axes, joint covariance |")
+    print(
+        "\n| lag | axis | rms difference px | sigma of it | sigma chained | sigma direct | mean square "
+        "| all axes, joint covariance |"
+    )
     print("|---|---|---|---|---|---|---|---|")
     for lag in LAGS:
         compared = closure(result.stars, result.estimate, surface, lag)

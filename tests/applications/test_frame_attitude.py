@@ -63,7 +63,8 @@ def test_relative_attitudes_lie_within_their_sigma_of_the_truth(known):
     squares = [normalised_square(result, scene) for scene, result in known]
     low, high = chi2.ppf([1e-3, 1 - 1e-3], sum(number for _, number in squares))
     assert low < sum(square for square, _ in squares) < high
-    # a hundred windows of 0.01 px each and the floor of the matcher, 0.0012 px per frame: three thousandths are allowed
+    # a hundred windows of 0.01 px each and the floor of the matcher, 0.0012 px per frame: three thousandths
+    # are allowed
     for _, result in known:
         assert (np.sqrt((result.sigma**2).mean(axis=0)) / result.scale < 3e-3).all()
 

@@ -143,3 +143,17 @@ class TestUnusable:
         for mapping in (nowhere, far):
             got = WarpedImage(ArrayImage(whole_pattern()), mapping, (60, 330)).read((0, 20), (0, 50))
             assert got.shape == (20, 50) and np.isnan(got).all()
+
+
+def test_a_sheared_map_puts_every_window_where_it_says():
+    # lines run 0.01 px per column: half a column of delay in the line would move the image by 0.005 px
+    matrix = [[1.0, 0.01], [0.0, 1.0]]
+    ramp = np.repeat(np.sin(0.9 * np.arange(90.0))[:, None], 400, axis=1)
+    for fraction in (0.1, 0.5, 0.9):
+        laid = WarpedImage(ArrayImage(ramp), linear(matrix, np.array([8.0, 10.0 + fraction])), (60, 330), spacing=8)
+        got = laid.read((10, 50), (20, 300))
+        line, column = np.mgrid[10.0:50.0, 20.0:300.0]
+        phase = 0.9 * (line + 0.01 * column + 8.0)
+        # shift of the phase by least squares: sin(p + 0.9 d) = sin p + 0.9 d cos p
+        shift = np.sum((got - np.sin(phase)) * np.cos(phase)) / np.sum(0.9 * np.cos(phase) ** 2)
+        assert abs(shift) < 0.001

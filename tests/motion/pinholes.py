@@ -1,6 +1,6 @@
 """Frames whose geometry is known by hand: a pinhole in level flight over a plane, lines forward.
 
-A pixel at tangents (x to the left, y ahead) of a body turned by R looks along R (y, -x, 1) in axes forward, right,
+A pixel at tangents (x to the left, y ahead) of a body turned by R looks along R (y, -x, 1) in forward, right,
 down. The body is at height H above the plane and moves forward; no function of the package is used.
 """
 
@@ -52,7 +52,7 @@ def pixels(points, frame: int, angles: NDArray[np.float64], height=0.0):
 def stars(angles: NDArray[np.float64], lags=(1, 2, 3), sigma=0.02, rng=None, height=None) -> list[FrameStar]:
     """Matches of all frames; with `rng` every image adds noise of its own, shared by all pairs of a window.
 
-    `height` maps ground points to heights of the terrain (the windows' centres see it as a step of the plane).
+    `height` maps ground points to heights of the terrain (windows' centres see it as a step of the plane).
     """
     lines, columns = np.meshgrid(np.arange(20.0, 290, 45), np.arange(20.0, 350, 45), indexing="ij")
     windows = np.column_stack([lines.ravel(), columns.ravel()])

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
+from tests.motion import pinholes
 
 from sightline.errors import EstimationError
 from sightline.geometry.camera import FrameCamera
@@ -20,7 +21,6 @@ from sightline.motion.frame_start import (
     turn_about_axis,
     turned_mount,
 )
-from tests.motion import pinholes
 
 SIZE = (240, 300)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import chi2
+from tests.motion import pinholes
 
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.surface import Plane
@@ -16,7 +17,6 @@ from sightline.motion.frame_noise import FrameNoise, GroundField, learn_noise
 from sightline.motion.frames import FrameUnknowns, solve_frames, time_statics
 from sightline.motion.lens_field import LensField
 from sightline.motion.statics import frame_statics
-from tests.motion import pinholes
 
 LAGS = (1, 2, 3)
 PIXEL = 1.0 / pinholes.FOCAL
@@ -62,7 +62,11 @@ def test_a_wrong_focal_length_and_wrong_times_are_found_with_the_attitudes():
     names = [f"f{k}" for k in range(5)]
     statics = time_statics(names, [1e-4] * 5) + frame_statics(names, focal_length_sigma_px=100.0)
     found = solve_frames(
-        pinholes.stars(truth), FrameUnknowns(nominal, tuple(statics)), Plane(), FrameNoise.start(LAGS), steps=8
+        pinholes.stars(truth),
+        FrameUnknowns(nominal, tuple(statics)),
+        Plane(),
+        FrameNoise.start(LAGS),
+        steps=8,
     )
     error = nominal[0].detector.focal_length_px + found.x[-1] - pinholes.FOCAL
     sigma = float(np.sqrt(found.covariance[-1, -1]))
@@ -78,9 +82,13 @@ def test_the_covariance_is_that_of_everything_that_errs_carried_through_the_esti
     relief = (GroundField(100.0, 300.0, 30e3, 50.0, 6e3), GroundField(0.0, 30.0, 30e3, 10.0, 6e3))
     noise = FrameNoise.start(LAGS, relief)
     found = solve_frames(pinholes.stars(walk(4)), unknowns, Plane(), noise, steps=2)
-    carried = outcome_covariance(found.influence, noise, found.ground, np.linalg.inv(unknowns.prior_precision()))
+    carried = outcome_covariance(
+        found.influence, noise, found.ground, np.linalg.inv(unknowns.prior_precision())
+    )
     sigma = np.sqrt(np.diag(found.covariance))
-    np.testing.assert_allclose(carried / np.outer(sigma, sigma), found.covariance / np.outer(sigma, sigma), atol=1e-6)
+    np.testing.assert_allclose(
+        carried / np.outer(sigma, sigma), found.covariance / np.outer(sigma, sigma), atol=1e-6
+    )
 
 
 def normalised_square(error, covariance) -> tuple[float, int]:
@@ -101,7 +109,9 @@ def test_errors_are_as_large_as_the_covariance_says():
         directions, _ = hidden_directions(found.angle_covariance, np.arange(4.0), SCALE)
         left = relative_covariance(found.angle_covariance, directions, SCALE)
         error = without(found.angles - truth, directions, SCALE)
-        square, number = normalised_square(error / SCALE, left / np.outer(np.tile(SCALE, 4), np.tile(SCALE, 4)))
+        square, number = normalised_square(
+            error / SCALE, left / np.outer(np.tile(SCALE, 4), np.tile(SCALE, 4))
+        )
         total, degrees = total + square, degrees + number
     # the covariance also owns the bias floor of a real matcher, which exact matches do not have
     low, high = chi2.ppf([1e-4, 1 - 1e-4], degrees)
@@ -127,7 +137,10 @@ def test_unknown_terrain_is_owned_by_the_sigma_and_found_by_the_heights():
     seen = owned.fields[0].precision > 0
     # up to what attitude and terrain share: offset and slopes
     basis = np.column_stack([np.ones(seen.sum()), owned.ground[seen][:, :2]])
-    left = [v - basis @ np.linalg.lstsq(basis, v, rcond=None)[0] for v in (true[seen], owned.fields[0].value[seen])]
+    left = [
+        v - basis @ np.linalg.lstsq(basis, v, rcond=None)[0]
+        for v in (true[seen], owned.fields[0].value[seen])
+    ]
     assert np.corrcoef(*left)[0, 1] > 0.95
 
 
@@ -151,12 +164,14 @@ def test_pairs_of_one_lag_agree_with_chains_of_another_within_their_sigmas():
 def test_the_error_model_is_learned_from_the_residuals():
     truth = walk(6, seed=7)
     matches = pinholes.stars(truth, sigma=0.03, rng=np.random.default_rng(0))
-    claimed = [star.__class__(**{**vars(star), "covariance_px": star.covariance_px / 4.0}) for star in matches]
+    claimed = [
+        star.__class__(**{**vars(star), "covariance_px": star.covariance_px / 4.0}) for star in matches
+    ]
     found = solve_frames(claimed, FrameUnknowns(pinholes.cameras(6), ()), Plane(), FrameNoise.start(LAGS))
     none = [np.zeros(len(star.pixels)) for star in claimed]
     learned = learn_noise(found.stars, found.clean_px, none, LAGS, found.noise)
-    # sigmas were claimed half as large as they are; the hub's noise is half of every error. About 150 windows x 2
-    # components x 5 hubs at lag 1: 3 % of a variance; at lag 3 fewer than half
+    # sigmas were claimed half as large as they are; the hub's noise is half of every error. About 150 windows
+    # x 2 components x 5 hubs at lag 1: 3 % of a variance; at lag 3 fewer than half
     np.testing.assert_allclose(np.diag(learned.gamma), 4.0, rtol=0.2)
     assert learned.shared == pytest.approx(2.0, rel=0.2)
 
@@ -164,7 +179,9 @@ def test_the_error_model_is_learned_from_the_residuals():
 def test_lags_that_are_hardly_seen_take_the_level_of_the_others():
     matches = [part for star in pinholes.stars(walk(6), rng=np.random.default_rng(2)) if (part := star)]
     few = [star.with_weight(np.where(np.array(star.lags) == 3, 0.0, 1.0) * star.weight) for star in matches]
-    found = solve_frames(few, FrameUnknowns(pinholes.cameras(6), ()), Plane(), FrameNoise.start(LAGS, scale=10.0))
+    found = solve_frames(
+        few, FrameUnknowns(pinholes.cameras(6), ()), Plane(), FrameNoise.start(LAGS, scale=10.0)
+    )
     none = [np.zeros(len(star.pixels)) for star in few]
     learned = learn_noise(found.stars, found.clean_px, none, LAGS, found.noise)
     assert learned.gamma[2, 2] == pytest.approx(np.diag(learned.gamma)[:2].max(), rel=0.05)

@@ -281,8 +281,8 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
         backwards = _backwards(strip, options)
         if backwards:
             raise EstimationError(
-                f"the lag has the wrong sign: {backwards} match not where the cameras say but as far on the other "
-                "side; change the sign of `look_ahead` (forward is positive) or the order of the line times"
+                f"the lag has the wrong sign: {backwards} match not where the cameras say but as far on the "
+                "other side; change the sign of `look_ahead` (forward is positive) or the line times' order"
             )
         raise EstimationError(
             f"the images do not match where the cameras say: {kept} of {tried} windows kept within "
@@ -300,7 +300,7 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
 
 
 def _backwards(strip: _Strip, options: RecoverOptions) -> str:
-    """Names of the first pair whose windows match where a lag of the other sign would have them; "" if none."""
+    """Names of the first pair that matches where a lag of the other sign would have it; "" if none."""
     hub = strip.bands[0]
     size = (min(32, hub.image.shape[0]), min(200, hub.image.shape[1]))
     points = window_grid(hub.image.shape, size, size[0]).centres
@@ -422,7 +422,8 @@ def _solve(
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
         stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]
         stars = [
-            s.with_correlation(model.grown(estimate_correlation(s, r))) for s, r in zip(stars, post, strict=True)
+            s.with_correlation(model.grown(estimate_correlation(s, r)))
+            for s, r in zip(stars, post, strict=True)
         ]
         if settled:
             prior = replace(prior, innovation_weights=innovation_weights(estimate))

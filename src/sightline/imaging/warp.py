@@ -69,7 +69,7 @@ def _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out):  # typ
             pixel = image[row - 3 + k, offset - 3 + j]
             v[0, j] += a * pixel
             v[1, j] += b * pixel
-    # column j of these belongs to the place in the row whose columns come from there: a fraction of a pixel back
+    # column j of these belongs to the place in the row whose columns come from there: part of a pixel back
     back = np.float32(0.5 * (shift0 + shift1) - offset)
     for j in range(width):
         v[0, j] += (np.float32(j - 3) - back) * scale * v[1, j]

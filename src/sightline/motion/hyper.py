@@ -36,15 +36,15 @@ MOST_ACROSS = 0.5
 class PriorModel:
     """Spectra of roll, pitch and yaw (rad), and how far the rows' errors exceed what their scatter shows.
 
-    `noise_scale` holds one factor on the variance per axis: errors that a whole row shares do not scatter within
-    it; the marginal likelihood sees them.
+    `noise_scale` holds one factor on the variance per axis: errors that a whole row shares do not scatter
+    within it; the marginal likelihood sees them.
     """
 
     spectra: tuple[Spectrum, Spectrum, Spectrum]
     noise_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
 
     def grown(self, correlation: Array) -> Array:
-        """Error correlation (2K, 2K) of a star with the scale of its lines (pitch, yaw) and columns (roll)."""
+        """Error correlation (2K, 2K) of a star scaled along lines (pitch, yaw) and columns (roll)."""
         roll, pitch, yaw = (max(scale, 1.0) for scale in self.noise_scale)
         size = np.sqrt(np.tile([0.5 * (pitch + yaw), roll], len(correlation) // 2))
         return np.asarray(correlation * np.outer(size, size))

@@ -231,8 +231,9 @@ def _held(
 ) -> tuple[Array, Array]:
     """The solution given that roll and pitch have mean zero but for their constants' sigma.
 
-    A slow process of large sigma would carry a mean of its own past the prior of the constant; conditioning on the
-    mean over the grid is an exact update of rank two. What it moves is hidden: relative covariances stay.
+    A slow process of large sigma would carry a mean of its own past the prior of the constant; conditioning
+    on the mean over the grid is an exact update of rank two. What it moves is hidden: relative covariances
+    stay.
     """
     block, count = data.block, data.grid.count
     mean = np.zeros((block * count, 2))

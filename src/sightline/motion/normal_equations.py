@@ -131,7 +131,7 @@ def _scatter(local, index, used, n_local, block_n, ab, border, corner, rhs_grid,
 
 @njit(cache=True)
 def _expand(product, w, compact, statics, relief, pairs, support, n_angles, n_local, local):  # type: ignore[no-untyped-def]
-    """Spread one patch's compact product over the nodes its instants are interpolated from (upper triangle)."""
+    """Spread one patch's compact product over the nodes its instants are interpolated from."""
     moving = compact - statics
     for p in range(moving):
         height_p = relief and p >= 3 * (1 + pairs)
@@ -211,7 +211,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
     used = np.zeros(n_local, np.bool_)
     first = np.full(2 + pairs, -1, np.int64)
     previous = np.full(2 + pairs, -1, np.int64)
-    # one column per angle of each instant, height and its tilt, statics, the data: weights in time come in later
+    # one column per angle of each instant, height and its tilt, statics, the data: weights in time come later
     compact = 3 * (1 + pairs) + (2 if relief else 0) + statics
     heights = 3 * (1 + pairs)
     w = np.zeros((2 + pairs, support))

@@ -1,0 +1,99 @@
+"""Time and memory of `sightline recover` on long, wide strips: are they linear in the number of lines?
+
+    python benchmarks/strip.py
+    python benchmarks/strip.py --folder strips --lengths 3000 6000 12000 --columns 6000
+
+Renders a strip of four bands per length (`sightline simulate line-of-sight`; a strip that the folder
+already holds is used again) and recovers each in a process of its own, on all processors there are. Wall and
+CPU time, and the peak memory of the process, are those of the whole command: reading, matching, estimating,
+writing the result and its report. The score against truth is that of `sightline score`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+#: The command of the environment that runs this script.
+COMMAND = [str(Path(sys.executable).with_name("sightline"))]
+
+
+def measured(arguments: list[str]) -> tuple[float, float, float]:
+    """Wall and CPU seconds and peak memory (GiB) of one command.
+
+    Peaks of children that have ended only grow: shorter strips go first.
+    """
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    begin = time.perf_counter()
+    done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False)
+    wall = time.perf_counter() - begin
+    if done.returncode:
+        raise SystemExit(f"sightline {' '.join(arguments)} failed:\n{done.stderr}")
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    unit = 2**30 if sys.platform == "darwin" else 2**20
+    return wall, spent, after.ru_maxrss / unit
+
+
+def rendered(folder: Path, lines: int, columns: int, seed: int) -> Path:
+    """The strip of so many lines, rendered unless it is there."""
+    strip = folder / f"strip-{lines}x{columns}-{seed}"
+    if not (strip / "acquisition.toml").exists():
+        size = ["--lines", str(lines), "--columns", str(columns), "--seed", str(seed)]
+        # a render's memory must not count as the recovery's: it has a parent of its own
+        code = "import subprocess, sys; sys.exit(subprocess.run(sys.argv[1:]).returncode)"
+        command = [*COMMAND, "simulate", "line-of-sight", *size, "--out", str(strip)]
+        subprocess.run([sys.executable, "-c", code, *command], check=True, stdout=subprocess.DEVNULL)
+    return strip
+
+
+def score(result: Path, strip: Path) -> str:
+    """rms error / NEES of roll, pitch and yaw."""
+    command = [*COMMAND, "score", str(result), str(strip / "truth.csv")]
+    said = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+    return "  ".join(f"{said[axis]['rms']:.4f}/{said[axis]['nees']:.2f}" for axis in ("roll", "pitch", "yaw"))
+
+
+def run(folder: Path, lengths: list[int], columns: int, seed: int) -> None:
+    """The table."""
+    print(f"{os.cpu_count()} processors, 4 bands of {columns} columns, load {os.getloadavg()[0]:.1f}")
+    strips = {lines: rendered(folder, lines, columns, seed) for lines in sorted(lengths)}
+    print("lines    wall s   CPU s   peak GiB   wall ms/line   CPU ms/line   rms px/NEES roll, pitch, yaw")
+    for lines, strip in strips.items():
+        result = folder / f"result-{strip.name}"
+        arguments = ["recover", str(strip / "acquisition.toml"), "--out", str(result), "--overwrite"]
+        wall, spent, peak = measured(arguments)
+        print(
+            f"{lines:6d} {wall:8.1f} {spent:7.1f} {peak:8.2f} {1e3 * wall / lines:12.2f} "
+            f"{1e3 * spent / lines:13.2f}      {score(result, strip)}",
+            flush=True,
+        )
+
+
+def main() -> None:
+    """Render what is missing, recover, print."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--folder", type=Path, help="where strips and results go; a temporary one by default")
+    parser.add_argument("--lengths", nargs="+", type=int, default=[3000, 6000, 12000])
+    parser.add_argument("--columns", type=int, default=6000)
+    parser.add_argument("--seed", type=int, default=0)
+    arguments = parser.parse_args()
+    if arguments.folder is not None:
+        arguments.folder.mkdir(parents=True, exist_ok=True)
+        run(arguments.folder, arguments.lengths, arguments.columns, arguments.seed)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        run(Path(folder), arguments.lengths, arguments.columns, arguments.seed)
+
+
+if __name__ == "__main__":
+    main()
