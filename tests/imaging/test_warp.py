@@ -150,7 +150,9 @@ def test_a_sheared_map_puts_every_window_where_it_says():
     matrix = [[1.0, 0.01], [0.0, 1.0]]
     ramp = np.repeat(np.sin(0.9 * np.arange(90.0))[:, None], 400, axis=1)
     for fraction in (0.1, 0.5, 0.9):
-        laid = WarpedImage(ArrayImage(ramp), linear(matrix, np.array([8.0, 10.0 + fraction])), (60, 330), spacing=8)
+        laid = WarpedImage(
+            ArrayImage(ramp), linear(matrix, np.array([8.0, 10.0 + fraction])), (60, 330), spacing=8
+        )
         got = laid.read((10, 50), (20, 300))
         line, column = np.mgrid[10.0:50.0, 20.0:300.0]
         phase = 0.9 * (line + 0.01 * column + 8.0)

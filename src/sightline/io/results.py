@@ -84,6 +84,15 @@ def write_result(
     return summary
 
 
+def _row_nyquist(result: LineOfSight) -> float:
+    """Highest frequency (Hz) that rows of windows sample; faster motion shows as images about it."""
+    star = result.records[0].star if result.records else None
+    if star is None or star.duration <= 0.0 or star.shape[0] < 2:
+        return float("inf")
+    instants = star.t_hub.reshape(star.shape)[:, 0]
+    return float(0.5 / np.median(np.diff(instants)))
+
+
 def refined_attitude(result: LineOfSight, acquisition: Acquisition) -> Array:
     """Quaternions (N, 4), scalar last, world_from_body, at the instants of the recovered motion."""
     reference = acquisition.cameras[0].trajectory.at(result.motion.t).world_from_body
@@ -120,7 +129,7 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
     seen = observed(result, np.linspace(0.0, upper, _FREQUENCIES))
     in_px = remove_directions(result.motion.angles / result.scale, result.hidden / result.scale[:, None])
     visible = in_px * result.scale
-    tones = [vars(tone) for tone in detect_tones(result.motion, highest=upper)]
+    tones = [vars(tone) for tone in detect_tones(result.motion, highest=min(upper, _row_nyquist(result)))]
     return {
         "name": acquisition.name,
         "version": version("sightline"),

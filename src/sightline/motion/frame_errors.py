@@ -20,8 +20,9 @@ from sightline.motion.frame_noise import FrameNoise, cholesky_factors
 
 Array = NDArray[np.float64]
 
-#: px; 1-sigma of what interpolation and aliasing move whole regions of one image: what mean residuals of pairs of
-#: rendered frames scatter beyond the noise of their windows (0.0009 px per pair, benchmarks/frames_validation.py).
+#: px; 1-sigma of what interpolation and aliasing move whole regions of one image: what mean residuals of
+#: pairs of rendered frames scatter beyond the noise of their windows (0.0009 px per pair,
+#: benchmarks/frames_validation.py).
 BIAS_PX = 0.0006
 #: How far such a region reaches, in windows.
 BIAS_LENGTH_WINDOWS = 3.0

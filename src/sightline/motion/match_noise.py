@@ -22,8 +22,9 @@ Array = NDArray[np.float64]
 MIN_BLOCKS = 4
 #: Rows on either side over which the scatter of rows is averaged before it is compared with the usual one.
 ROW_REACH = 6
-#: Rows over which the correlation from row to row is followed.
-ROW_LAGS = 3
+#: Rows over which the correlation from row to row is followed, with weights that fall to zero: real textures
+#: of different bands err alike over ten rows, and a sum cut hard need not be a covariance.
+ROW_LAGS = 8
 #: Errors beyond this many sigmas lose weight (1 % of two Gaussian components), beyond REJECT all (4e-6).
 SOFT, REJECT = 3.0, 5.0
 #: Scaled residuals are cut to this size where covariances are summed.
@@ -98,7 +99,7 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     total = covariance(0)
     scale = np.sqrt(np.diag(total))
     for shift in range(1, min(ROW_LAGS, len(v) - 1) + 1):
-        step = covariance(shift)
+        step = covariance(shift) * (1.0 - shift / (ROW_LAGS + 1.0))
         total = total + step + step.T
     # long-run sums may fall below the plain variance by chance or by overlap; never trust more than half
     values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
