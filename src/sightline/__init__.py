@@ -10,11 +10,8 @@ from importlib.metadata import version as _installed_version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sightline.applications.frame_attitude import (
-        FrameAttitude,
-        FrameOptions,
-        recover_frame_attitude,
-    )
+    from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
+    from sightline.applications.frame_passes import FrameOptions
     from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
     from sightline.applications.results import LineOfSight
     from sightline.errors import (
@@ -63,7 +60,7 @@ _MODULE_OF = {
     "Frame": "sightline.motion.band",
     "FrameAttitude": "sightline.applications.frame_attitude",
     "FrameCamera": "sightline.geometry.camera",
-    "FrameOptions": "sightline.applications.frame_attitude",
+    "FrameOptions": "sightline.applications.frame_passes",
     "GeometryError": "sightline.errors",
     "ImageSource": "sightline.imaging.source",
     "InputError": "sightline.errors",

@@ -10,7 +10,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from sightline.applications.frame_attitude import FrameOptions, mount_by_motion, recover_frame_attitude
+from sightline.applications.frame_attitude import mount_by_motion, recover_frame_attitude
+from sightline.applications.frame_passes import FrameOptions
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.instrument import AreaDetector

@@ -306,8 +306,11 @@ def _backwards(strip: _Strip, options: RecoverOptions) -> str:
     points = window_grid(hub.image.shape, size, size[0]).centres
     for partner in strip.bands[1:]:
         ahead = predict_match(hub.camera, partner.camera, strip.surface, points) - points
-        shift = np.nanmedian(ahead, axis=0)
-        if not np.isfinite(shift).all() or abs(shift[0]) < 2 * options.search_px[0]:
+        seen = np.isfinite(ahead[:, 0])
+        if not seen.any():
+            continue
+        shift = np.median(ahead[seen], axis=0)
+        if abs(shift[0]) < 2 * options.search_px[0]:
             continue
         try:
             mirrored = match_images(

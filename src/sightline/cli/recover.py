@@ -59,7 +59,8 @@ def recover_into(folder: Path, acquisition: Path, report: Progress) -> dict[str,
 
 def recover_acquisition(acquired: Acquisition, report: Progress) -> LineOfSight:
     """Recover what an acquisition holds: bands of a strip, or frames of a matrix instrument."""
-    from sightline.applications.frame_attitude import FrameOptions, recover_frame_attitude
+    from sightline.applications.frame_attitude import recover_frame_attitude
+    from sightline.applications.frame_passes import FrameOptions
     from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
 
     if acquired.frames:
