@@ -78,7 +78,10 @@ def print_closure(result: FrameAttitude, surface: Surface) -> None:
 
 def main() -> None:
     """Recover, print residuals, the camera found and the closure of lags."""
-    acquired = load_acquisition(acquisition_file())
+    path = acquisition_file()
+    if not path.exists():
+        return  # the example has said what is missing
+    acquired = load_acquisition(path)
     begin = time.perf_counter()
     result = recover_frame_attitude(
         acquired.frames, acquired.surface, lens=acquired.lens, height_sigma=acquired.height_sigma
