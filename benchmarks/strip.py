@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
@@ -26,20 +25,19 @@ COMMAND = [str(Path(sys.executable).with_name("sightline"))]
 
 
 def measured(arguments: list[str]) -> tuple[float, float, float]:
-    """Wall and CPU seconds and peak memory (GiB) of one command.
-
-    Peaks of children that have ended only grow: shorter strips go first.
-    """
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    begin = time.perf_counter()
-    done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, check=False)
-    wall = time.perf_counter() - begin
-    if done.returncode:
-        raise SystemExit(f"sightline {' '.join(arguments)} failed:\n{done.stderr}")
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    """Wall and CPU seconds and peak memory (GiB) of one command, of that process alone."""
+    with tempfile.TemporaryFile("w+") as said:
+        begin = time.perf_counter()
+        process = subprocess.Popen([*COMMAND, *arguments], stdout=said, stderr=subprocess.STDOUT)
+        # not RUSAGE_CHILDREN: its peak is that of the largest process so far, renderings included
+        _, status, used = os.wait4(process.pid, 0)
+        wall = time.perf_counter() - begin
+        process.returncode = os.waitstatus_to_exitcode(status)
+        if process.returncode:
+            said.seek(0)
+            raise SystemExit(f"sightline {' '.join(arguments)} failed:\n{said.read()}")
     unit = 2**30 if sys.platform == "darwin" else 2**20
-    return wall, spent, after.ru_maxrss / unit
+    return wall, used.ru_utime + used.ru_stime, used.ru_maxrss / unit
 
 
 def rendered(folder: Path, lines: int, columns: int, seed: int) -> Path:
@@ -47,10 +45,8 @@ def rendered(folder: Path, lines: int, columns: int, seed: int) -> Path:
     strip = folder / f"strip-{lines}x{columns}-{seed}"
     if not (strip / "acquisition.toml").exists():
         size = ["--lines", str(lines), "--columns", str(columns), "--seed", str(seed)]
-        # a render's memory must not count as the recovery's: it has a parent of its own
-        code = "import subprocess, sys; sys.exit(subprocess.run(sys.argv[1:]).returncode)"
         command = [*COMMAND, "simulate", "line-of-sight", *size, "--out", str(strip)]
-        subprocess.run([sys.executable, "-c", code, *command], check=True, stdout=subprocess.DEVNULL)
+        subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     return strip
 
 

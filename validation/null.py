@@ -96,6 +96,12 @@ def figures(result: LineOfSight) -> tuple[np.ndarray, np.ndarray]:
     return angles / result.scale, result.sigma / result.scale
 
 
+def rows_see(result: LineOfSight) -> float:
+    """Highest frequency (Hz) at which tones are named, as in summary.json: half the rate of rows."""
+    star = result.records[0].star
+    return float(0.5 / np.median(np.diff(star.t_hub.reshape(star.shape)[:, 0])))
+
+
 def print_pairs(result: LineOfSight) -> None:
     """Highest frequency (Hz) that rows of windows sample: beyond it a spectrum shows slower motion again."""
     print("pair                          lag s   tried    kept   residual px   expected px")
@@ -116,7 +122,7 @@ def print_one(result: LineOfSight) -> None:
         rms, nees = np.sqrt((error[:, k] ** 2).mean()), ((error[:, k] / sigma[:, k]) ** 2).mean()
         median, share = np.median(sigma[:, k]), 100 * beyond[:, k].mean()
         print(f"{axis:6s} {rms:8.4f} {median:12.4f} {nees:18.2f} {share:20.1f} %")
-    found = detect_tones(result.motion, false_alarm=1e-3)
+    found = detect_tones(result.motion, false_alarm=1e-3, highest=rows_see(result))
     for tone in found:
         size = tone.amplitude / result.scale[AXES.index(tone.axis)]
         print(f"tone in {tone.axis}: {tone.name}, {size:.4f} px, false alarm {tone.false_alarm:.1e}")
@@ -137,7 +143,7 @@ def print_layouts(mask: bool) -> None:
             result = recovered(starts, mask, order)
             error, sigma = figures(result)
             z = error / sigma
-            found = len(detect_tones(result.motion, false_alarm=1e-3))
+            found = len(detect_tones(result.motion, false_alarm=1e-3, highest=rows_see(result)))
             share, nees = 100 * (np.abs(z) > 2.0).mean(axis=0), (z**2).mean(axis=0)
             shares.append(share)
             squares.append(nees)
