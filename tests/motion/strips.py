@@ -71,7 +71,7 @@ def plain_star(rows: int, blocks: int, pairs: int, sigma: float = 0.05, duration
         hub=0,
         images=tuple(range(1, pairs + 1)),
         shape=(rows, blocks),
-        pixels=np.zeros((g, 2)),
+        pixels=np.stack([np.repeat(4.0 * np.arange(rows), blocks), 400.0 + 400.0 * field], axis=1),
         t_hub=t_hub,
         t=t_hub[:, None] + 0.02 * np.arange(1, pairs + 1),
         duration=duration,

@@ -25,6 +25,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import OUTSIDE
 from sightline.motion.band import Band
+from sightline.motion.consensus import ground_weights
 from sightline.motion.hyper import BROAD, PriorModel, fit_prior_model
 from sightline.motion.joint import (
     JointEstimate,
@@ -421,7 +422,7 @@ def _solve(
     settled = model is not strip.broad
     estimate, post, without = solution()
     for _ in range(ROUNDS if settled else DRAFT_ROUNDS):
-        weights = [robust_weights(s, r, settled=settled) for s, r in zip(stars, post, strict=True)]
+        weights = [robust_weights(s, r) * ground_weights(s, r) for s, r in zip(stars, post, strict=True)]
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
         stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]
         stars = [

@@ -9,8 +9,6 @@ Not here: the matcher's own covariance of a single match (``matching/``).
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -29,14 +27,6 @@ ROW_LAGS = 8
 SOFT, REJECT = 3.0, 5.0
 #: Scaled residuals are cut to this size where covariances are summed.
 CLIP = 6.0
-#: A window further than this many robust sigmas from the line through its row saw something else than ground.
-OFF_ROW = 4.0
-#: A row of which this share agrees on a line speaks of motion.
-MOST_AGREE = 0.8
-#: With so many of its eight neighbours off their rows, a window beyond SUSPECT sigmas is not trusted either.
-NEIGHBOURS_OFF, SUSPECT = 2, 2.0
-#: Rows of more windows are summarised in so many groups before the line is laid.
-MOST_GROUPS = 16
 
 
 def scatter(star: Star, post_px: Array) -> tuple[Array, Array]:
@@ -130,34 +120,23 @@ def row_weights(star: Star, post_px: Array) -> Array:
     return np.asarray(np.repeat(out, blocks, axis=0))
 
 
-def robust_weights(star: Star, post_px: Array, *, settled: bool = False) -> Array:
-    """Weights (G, K) in [0, 1] of matches after an estimate: 1 inside, falling beyond, 0 far out.
+def robust_weights(star: Star, post_px: Array) -> Array:
+    """Weights (G, K) in [0, 1] of matches after an estimate: 1 inside, falling beyond SOFT, 0 beyond REJECT.
 
-    Notes
-    -----
-    Two tests. Against its row: what a row of ground agrees on is motion, and a window far from the line
-    through its row's residuals (repeated medians: half of the row may be wrong) saw something else, a cloud
-    or a moving object; so did, most likely, the windows around several such. Against the estimate: single
-    mismatches.
+    Single mismatches; windows that saw something else than ground for longer: ``consensus.py``.
     """
-    rows, blocks = star.shape
     pairs = star.t.shape[1]
     z = scale_residuals(post_px, star.covariance_px).reshape(-1, pairs, 2)
     out = np.zeros((len(z), pairs))
     for k in range(pairs):
         finite = np.isfinite(z[:, k, 0])
-        if not finite.any():
-            continue
         trusted = finite & (star.weight[:, k] > 0)
         if not trusted.any():
             trusted = finite
-        distance = _distance(z[:, k], trusted)
-        keep = finite & (distance <= REJECT)
-        if blocks >= MIN_BLOCKS:
-            post = post_px[:, k].reshape(rows, blocks, 2)
-            covariance = star.covariance_px[:, k].reshape(rows, blocks, 2, 2)
-            keep &= ~_off_row(post, covariance, trusted.reshape(rows, blocks), settled).ravel()
-        out[:, k] = np.where(keep, np.minimum(1.0, SOFT / np.maximum(distance, 1e-12)), 0.0)
+        if finite.any():
+            distance = _distance(z[:, k], trusted)
+            keep = finite & (distance <= REJECT)
+            out[:, k] = np.where(keep, np.minimum(1.0, SOFT / np.maximum(distance, 1e-12)), 0.0)
     return out
 
 
@@ -165,64 +144,3 @@ def _distance(z: Array, trusted: NDArray[np.bool_]) -> Array:
     """Distance (G,) from zero in robust sigmas; spread by the median, so that mismatches do not widen it."""
     spread = np.maximum(1.4826 * np.median(np.abs(z[trusted]), axis=0), 1.0)
     return np.asarray(np.sqrt(((z / spread) ** 2).sum(axis=1)))
-
-
-def _off_row(post: Array, covariance: Array, trusted: NDArray[np.bool_], settled: bool) -> NDArray[np.bool_]:
-    """Windows (rows, blocks) that disagree with the line through their row, and their neighbours.
-
-    The spread that counts as agreement is that of the windows trusted so far.
-    """
-    rows, blocks = post.shape[:2]
-    groups = min(blocks, MOST_GROUPS)
-    x = np.linspace(-1.0, 1.0, blocks)
-    part = np.array_split(np.arange(blocks), groups)
-    worst, drawn = np.zeros((rows, blocks)), np.zeros((rows, blocks))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)
-        for c in range(2):
-            y = np.stack([np.nanmedian(post[:, p, c], axis=1) for p in part], axis=1)
-            at = np.array([x[p].mean() for p in part])
-            apart = at[:, None] - at[None, :] + np.where(np.eye(groups) > 0, np.nan, 0.0)
-            slope = np.nanmedian(np.nanmedian((y[:, :, None] - y[:, None, :]) / apart, axis=2), axis=1)
-            level = np.nanmedian(y - slope[:, None] * at, axis=1)
-            sigma = np.sqrt(covariance[..., c, c])
-            line = level[:, None] + slope[:, None] * x
-            scaled = (post[..., c] - line) / sigma
-            if settled:
-                agree = np.nanmean(np.where(np.isfinite(scaled), np.abs(scaled) < SOFT, np.nan), axis=1)
-                scaled = np.where((agree >= MOST_AGREE)[:, None], scaled, post[..., c] / sigma)
-            spread = max(1.4826 * float(np.nanmedian(np.abs(scaled[trusted]))), 1.0)
-            worst = np.maximum(worst, np.nan_to_num(np.abs(scaled) / spread))
-            drawn = np.maximum(drawn, _along_strip(scaled, trusted))
-    off = worst > OFF_ROW
-    return np.asarray(off | (drawn > OFF_ROW) | ((worst > SUSPECT) & (_neighbours(off) >= NEIGHBOURS_OFF)))
-
-
-def _along_strip(scaled: Array, trusted: NDArray[np.bool_]) -> Array:
-    """How far the mean over neighbouring rows is from zero, in robust sigmas of such means: (rows, blocks).
-
-    What draws windows away from their rows, cloud edges and thin cloud, lasts for many rows: their mean shows
-    a tenth of the shift that a single window would.
-    """
-    kernel = np.ones(2 * ROW_REACH + 1)
-    rows = len(scaled)
-    finite = np.isfinite(scaled)
-    inner = slice(ROW_REACH, ROW_REACH + rows)
-    clipped = np.where(finite, np.clip(scaled, -2 * OFF_ROW, 2 * OFF_ROW), 0.0)
-    total = np.stack([np.convolve(column, kernel)[inner] for column in clipped.T], axis=1)
-    count = np.stack([np.convolve(column, kernel)[inner] for column in finite.astype(float).T], axis=1)
-    mean = np.abs(total) / np.sqrt(np.maximum(count, 1.0))
-    spread = max(1.4826 * float(np.median(mean[trusted & finite])), 1.0) if (trusted & finite).any() else 1.0
-    return np.asarray(mean / spread)
-
-
-def _neighbours(flags: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """How many of the eight windows around each are flagged."""
-    padded = np.pad(flags.astype(int), 1)
-    total = sum(
-        padded[1 + i : padded.shape[0] - 1 + i, 1 + j : padded.shape[1] - 1 + j]
-        for i in (-1, 0, 1)
-        for j in (-1, 0, 1)
-        if i or j
-    )
-    return np.asarray(total)

@@ -1,0 +1,283 @@
+"""Which windows saw the ground: those that agree with others of their row, for as long as they see it.
+
+Motion can only shift and tilt the residuals of one row of windows. A window under a cloud, on its edge or
+on a moving ship departs from that line by the share of its texture that moves otherwise: for half a cloud
+by less than one window shows, but alike over as many rows as the cloud is long. The departures are
+therefore averaged along the strip before they are judged. Where two groups of windows agree among
+themselves the lower layer is the ground: clouds stand above it, and the cameras know which way height
+shifts a match.
+
+Not here: how exact the windows are that did see the ground (``match_noise.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sightline.motion.observations import Star
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+#: Rows of windows need this many blocks to tell foreign motion from that of the row.
+MIN_BLOCKS = 4
+#: Departures are averaged over so many lines to either side: a small cloud's half, a large one's.
+REACHES = (26.0, 80.0)
+#: Squared departure, in variances of the mean of two components, up to which a window counts in full (13 % of
+#: true ones lie beyond); then its weight falls as its inverse, as that of a window whose error lasts; beyond
+#: FOREIGN (0.03 %) it counts no more.
+USUAL, FOREIGN = 4.0, 16.0
+#: Departures beyond this many sigmas count alike when a row's line is sought.
+BEYOND = 3.0
+#: A window below the line (nearer to the Earth) speaks so many times as much against it as one above.
+BELOW = 2.0
+#: Columns whose pairs are tried as a row's line, and their least distance as a share of half the field.
+MOST_TRIED, APART = 16, 0.3
+#: Lines and weights are found from each other so many times.
+ROUNDS = 3
+#: A row's line is laid through windows of at least this weight.
+TRUSTED = 0.2
+#: Median of a squared standard Gaussian.
+MEDIAN_SQUARE = 0.4549
+
+
+def ground_weights(star: Star, post_px: Array) -> Array:
+    """Weights (G, K) in [0, 1]: 1 where the window agrees with its row, 0 where it saw something else.
+
+    Parameters
+    ----------
+    star : Star
+    post_px : (G, K, 2)
+        Residuals after an estimate of the motion, px.
+
+    Notes
+    -----
+    All pairs of a window see the same cloud, which moves with the lag: they are judged together by one shift
+    per unit of lag, and each loses weight by what that shift makes of its own lag. The weight of a window
+    whose departure lasts n rows is that of an error of variance sigma^2 + n departure^2, so that what cannot
+    be proved costs information instead of honesty.
+    """
+    rows, blocks = star.shape
+    pairs = star.t.shape[1]
+    if blocks < MIN_BLOCKS or rows < 2:
+        return np.ones((rows * blocks, pairs))
+    shift = _common_shift(star, post_px)
+    reaches = _reaches(star)
+    shift = shift.scaled(_row_noise(shift, reaches[0]))
+    up = _upwards(star, shift.lag)
+    weight = _first_weights(shift, reaches[0], up)
+    for _ in range(ROUNDS):
+        departure, variance, use = _from_row_line(shift, weight, reaches[-1])
+        worst = np.where(use, (departure**2 / variance).sum(axis=-1), 0.0)
+        worst = np.where(worst > FOREIGN, worst, 0.0)
+        for reach in reaches:
+            worst = np.maximum(worst, _lasting(departure, variance, use, weight > TRUSTED, reach))
+        weight = np.where(shift.seen, _weight(worst), 0.0)
+    squared = worst.reshape(-1, 1)
+    counted = shift.seen.reshape(-1, 1) & (squared <= FOREIGN)
+    return np.where(counted, _weight(squared * _sensitivity(star, shift.lag)), 0.0)
+
+
+def _weight(squared: Array) -> Array:
+    """Weight of a window whose mean departure has this squared size."""
+    weight = USUAL / np.maximum(squared, USUAL)
+    return np.asarray(np.where(squared > FOREIGN, 0.0, weight))
+
+
+@dataclass(frozen=True, eq=False)
+class _Shift:
+    """One shift per window, (rows, blocks, 2) px at the longest lag, its variance, and where it is seen."""
+
+    x: Array
+    lag: Array
+    value: Array
+    variance: Array
+    seen: Flags
+
+    def scaled(self, factor: Array) -> _Shift:
+        """The same with variances multiplied by `factor` (2,)."""
+        return _Shift(self.x, self.lag, self.value, self.variance * factor, self.seen)
+
+
+def _common_shift(star: Star, post_px: Array) -> _Shift:
+    """Least-squares shift of each window that grows with lag, from all its pairs."""
+    rows, blocks = star.shape
+    lag = np.nanmedian(np.where(np.isfinite(star.t), star.t - star.t_hub[:, None], np.nan), axis=0)
+    lag = np.where(np.isfinite(lag), lag, 0.0)
+    lag = lag / max(float(np.abs(lag).max()), 1e-12)
+    variance = np.stack([star.covariance_px[..., 0, 0], star.covariance_px[..., 1, 1]], axis=-1)
+    present = np.isfinite(post_px).all(axis=-1, keepdims=True) & np.isfinite(variance)
+    share = np.where(present, lag[:, None] / np.where(present, variance, 1.0), 0.0)
+    information = (share * lag[:, None]).sum(axis=1)
+    seen = (information > 0).all(axis=1)
+    information = np.where(seen[:, None], information, 1.0)
+    value = np.where(seen[:, None], (share * np.where(present, post_px, 0.0)).sum(axis=1) / information, 0.0)
+    value, variance = value.reshape(rows, blocks, 2), (1.0 / information).reshape(rows, blocks, 2)
+    x = star.field.reshape(rows, blocks)[0]
+    return _Shift(x, lag, value, variance, seen.reshape(rows, blocks))
+
+
+def _sensitivity(star: Star, lag: Array) -> Array:
+    """(G, K): how much of a window's evidence against it bears on each of its pairs."""
+    with np.errstate(invalid="ignore"):
+        size = lag**2 / np.maximum(np.trace(star.covariance_px, axis1=2, axis2=3), 1e-30)
+    size = np.where(np.isfinite(star.residual_px[..., 0]), size, 0.0)
+    return np.asarray(size / np.maximum(size.max(axis=1, keepdims=True), 1e-30))
+
+
+def _upwards(star: Star, lag: Array) -> Array:
+    """(2,) which way a higher target shifts; zero where the lines of sight do not tell heights apart."""
+    with np.errstate(invalid="ignore"):
+        by_height = np.nanmedian(np.where(np.isfinite(star.by_height), star.by_height, np.nan), axis=0)
+    up = np.nansum(by_height * lag[:, None], axis=0)
+    return np.asarray(up / max(float(np.hypot(*up)), 1e-30), dtype=np.float64)
+
+
+def _reaches(star: Star) -> list[int]:
+    """REACHES in rows."""
+    lines = star.pixels[:, 0].reshape(star.shape)[:, 0]
+    step = max(float(np.median(np.diff(lines))), 1e-6)
+    return [max(1, round(reach / step)) for reach in REACHES]
+
+
+def _sum_along(values: Array, reach: int) -> Array:
+    """Sum over `reach` rows to either side, what lies beyond the ends left out."""
+    total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
+    rows = np.arange(len(values))
+    first, last = np.maximum(rows - reach, 0), np.minimum(rows + reach + 1, len(values))
+    return np.asarray(total[last] - total[first])
+
+
+def _mean_along(values: Array, variance: Array, use: Flags, reach: int) -> tuple[Array, Array, Array]:
+    """Mean over rows, its variance, and from how many rows: (rows, blocks, 2) twice, (rows, blocks, 1)."""
+    there = use[..., None]
+    count = _sum_along(use.astype(float)[..., None], reach)
+    some = np.maximum(count, 1.0)
+    mean = _sum_along(np.where(there, values, 0.0), reach) / some
+    spread = _sum_along(np.where(there, variance, 0.0), reach) / some**2
+    return mean, np.where(count > 0.0, spread, 1.0), count
+
+
+def _row_noise(shift: _Shift, reach: int) -> Array:
+    """(2,) variance of single windows over the stated one, from what changes from row to row."""
+    mean, _, count = _mean_along(shift.value, shift.variance, shift.seen, reach)
+    # what bends across the field is no motion
+    quick = np.where(shift.seen[..., None] & (count > 1.0), shift.value - mean, np.nan)
+    variance = shift.variance * (1.0 - 1.0 / np.maximum(count, 2.0))
+    bend = quick[:, :-2] - 2.0 * quick[:, 1:-1] + quick[:, 2:]
+    squares = bend**2 / (variance[:, :-2] + 4.0 * variance[:, 1:-1] + variance[:, 2:])
+    if np.isfinite(squares[..., 0]).sum() < 2 * MIN_BLOCKS:
+        return np.ones(2)
+    return np.asarray(np.maximum(np.nanmedian(squares, axis=(0, 1)) / MEDIAN_SQUARE, 1e-6))
+
+
+def _first_weights(shift: _Shift, reach: int, up: Array) -> Array:
+    """Weights from the line that most windows of a row agree on, the row averaged with its neighbours."""
+    mean, variance, count = _mean_along(shift.value, shift.variance, shift.seen, reach)
+    seen = np.asarray(count[..., 0] >= min(3, 2 * reach + 1))
+    tried = np.unique(np.linspace(0, len(shift.x) - 1, min(len(shift.x), MOST_TRIED)).round().astype(np.intp))
+    couples = [(a, b) for a, b in combinations(tried, 2) if abs(shift.x[a] - shift.x[b]) >= APART]
+    couples = couples or [(tried[0], tried[-1])]
+    squared = np.zeros(seen.shape)
+    for _ in range(2):
+        line = _consensus(mean, variance, seen, shift.x, np.array(couples), up)
+        squares = (mean - line) ** 2 / variance
+        squared = squares.sum(axis=-1)
+        # relief that nobody knows makes all windows depart: what is usual is what half of them do
+        spread = np.median(squares[seen], axis=0) / MEDIAN_SQUARE if seen.any() else np.ones(2)
+        if (spread < 2.0).all():
+            break
+        variance = variance * np.maximum(spread, 1.0)
+    return np.where(seen & shift.seen, _weight(squared), 0.0)
+
+
+def _row_lines(shift: _Shift, weight: Array) -> tuple[Array, Array, Flags]:
+    """Level and slope (rows, 2, 2) of the lines through the trusted windows of rows, covariance, where laid.
+
+    The covariance (rows, 3, 2) has those of the level, of both and of the slope.
+    """
+    w = np.where(weight > TRUSTED, weight, 0.0)[..., None] / shift.variance
+    x = shift.x[:, None]
+    s0, s1, s2 = w.sum(1), (w * x).sum(1), (w * x * x).sum(1)
+    y0, y1 = (w * shift.value).sum(1), (w * x * shift.value).sum(1)
+    det = s0 * s2 - s1**2
+    laid = ((weight > TRUSTED).sum(axis=1) >= MIN_BLOCKS - 1) & (det > 1e-6 * s0 * s0).all(axis=1)
+    det = np.where(laid[:, None], det, 1.0)
+    lines = np.stack([(s2 * y0 - s1 * y1) / det, (s0 * y1 - s1 * y0) / det], axis=1)
+    return lines, np.stack([s2, -s1, s0], axis=1) / det[:, None], laid
+
+
+def _from_row_line(shift: _Shift, weight: Array, reach: int) -> tuple[Array, Array, Flags]:
+    """Departure of windows from the line through the trusted ones of their row, variance, where known."""
+    lines, covariance, laid = _row_lines(shift, weight)
+    # a row that cannot tell by itself is judged by the line of its neighbours
+    near = _sum_along(laid.astype(float), reach)
+    some = (near >= 1.0) & ~laid
+
+    def borrowed(values: Array) -> Array:
+        own = laid[:, None, None]
+        around = _sum_along(np.where(own, values, 0.0), reach) / np.maximum(near, 1.0)[:, None, None]
+        return np.asarray(np.where(own, values, around))
+
+    lines, covariance = borrowed(lines), borrowed(covariance)
+    x = shift.x[:, None]
+    line = lines[:, None, 0] + lines[:, None, 1] * x
+    own = covariance[:, None, 0] + 2 * covariance[:, None, 1] * x + covariance[:, None, 2] * x * x
+    # a window that takes part with weight w draws the line towards itself
+    part = np.where((weight > TRUSTED) & laid[:, None], weight, 0.0)[..., None]
+    apart = np.maximum(shift.variance + (1.0 - 2.0 * part) * own, 0.1 * shift.variance)
+    use = shift.seen & (laid | some)[:, None]
+    departure = np.where(use[..., None], shift.value - line, 0.0)
+    return departure, apart, use
+
+
+def _lasting(departure: Array, variance: Array, use: Flags, trusted: Flags, reach: int) -> Array:
+    """Squared size (rows, blocks) of the mean departure over neighbouring rows: of noise 2 on average."""
+    mean, spread, count = _mean_along(departure, variance, use, reach)
+    squares = mean**2 / np.maximum(spread, 1e-30)
+    known = use & (count[..., 0] >= min(3, 2 * reach + 1))
+    if (known & trusted).any():
+        # errors that last from row to row, of real textures or of unknown relief, widen what is usual
+        squares = squares / np.maximum(np.median(squares[known & trusted], axis=0) / MEDIAN_SQUARE, 1.0)
+    return np.where(known, squares.sum(axis=-1), 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _consensus(  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
+    mean, variance, seen, x, couples, up
+):
+    """Line (rows, blocks, 2) of each row through the couple of columns that costs the windows least."""
+    rows, blocks = seen.shape
+    out = np.zeros((rows, blocks, 2))
+    most = BEYOND * BEYOND
+    for r in range(rows):
+        lowest = np.inf
+        for k in range(len(couples)):
+            a, b = couples[k]
+            if not (seen[r, a] and seen[r, b]):
+                continue
+            slope0 = (mean[r, b, 0] - mean[r, a, 0]) / (x[b] - x[a])
+            slope1 = (mean[r, b, 1] - mean[r, a, 1]) / (x[b] - x[a])
+            level0, level1 = mean[r, a, 0] - slope0 * x[a], mean[r, a, 1] - slope1 * x[a]
+            cost = 0.0
+            for c in range(blocks):
+                if not seen[r, c]:
+                    continue
+                d0 = mean[r, c, 0] - level0 - slope0 * x[c]
+                d1 = mean[r, c, 1] - level1 - slope1 * x[c]
+                square = d0 * d0 / variance[r, c, 0] + d1 * d1 / variance[r, c, 1]
+                limit = most * BELOW if d0 * up[0] + d1 * up[1] < 0.0 else most
+                cost += min(square, limit)
+                if cost >= lowest:
+                    break
+            if cost < lowest:
+                lowest = cost
+                for c in range(blocks):
+                    out[r, c, 0] = level0 + slope0 * x[c]
+                    out[r, c, 1] = level1 + slope1 * x[c]
+    return out

@@ -1,0 +1,146 @@
+"""Windows that did not see the ground, against drawn departures of known place and size."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from numpy.typing import NDArray
+
+from motion.strips import plain_star
+from sightline.motion.consensus import ground_weights
+from sightline.motion.observations import Star
+
+SIGMA = 0.05
+ROWS, BLOCKS = 150, 12
+
+
+def star_of(pairs: int = 1, blocks: int = BLOCKS) -> Star:
+    """Rows of windows 4 lines apart; the k-th pair has a lag of 0.02 k s."""
+    return plain_star(ROWS, blocks, pairs, SIGMA)
+
+
+def noise(star: Star, seed: int) -> NDArray[np.float64]:
+    """Independent errors of the stated size, (rows, blocks, K, 2) px."""
+    return SIGMA * np.random.default_rng(seed).standard_normal((*star.shape, star.t.shape[1], 2))
+
+
+def weights(star: Star, post: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(rows, blocks, K)."""
+    return ground_weights(star, post.reshape(*star.t.shape, 2)).reshape(*star.shape, -1)
+
+
+def seeing_heights(star: Star) -> Star:
+    """The same where a higher target shifts along the lines, in proportion to lag."""
+    lag = star.t - star.t_hub[:, None]
+    by_height = np.stack([-0.01 * lag, np.zeros_like(lag)], axis=-1)
+    return replace(star, by_height=by_height.astype(np.float32))
+
+
+class TestClearView:
+    def test_errors_of_the_expected_size_keep_their_weight(self):
+        got = weights(star_of(), noise(star_of(), 1))
+        # of the mean of min(1, 4 / q) over q ~ chi2(2), 0.963, each of two reaches may take its 0.037
+        assert got.mean() > 0.92
+        # P(q > 16) = exp(-8) = 0.03 %, for single windows and for some 60 independent means per reach
+        assert (got == 0.0).mean() < 0.005
+
+    def test_motion_of_the_rows_is_nothing_foreign(self):
+        star = star_of()
+        post = noise(star, 2)
+        shift, tilt = np.random.default_rng(3).standard_normal((2, ROWS, 1, 1, 2))
+        moved = post + shift + tilt * star.field.reshape(ROWS, BLOCKS, 1, 1)
+        assert_allclose(weights(star, moved), weights(star, post), atol=1e-6)
+
+    def test_relief_nobody_knows_is_what_is_usual(self):
+        star = star_of()
+        rough = np.random.default_rng(4).standard_normal((ROWS + 20, BLOCKS, 1, 2))
+        hills = sum(rough[k : k + ROWS] for k in range(20)) / np.sqrt(20)
+        got = weights(star, noise(star, 5) + 3 * SIGMA * hills)
+        # departures of Gaussian hills, four times what the matches claim: as of plain noise a few per cent
+        # are beyond USUAL, and lines through such windows are uncertain
+        assert got.mean() > 0.7
+
+    def test_matches_that_claim_too_much_or_too_little_change_nothing(self):
+        star = star_of()
+        post = noise(star, 6)
+        modest = replace(star, covariance_px=9.0 * star.covariance_px)
+        assert_allclose(weights(modest, post), weights(star, post), atol=1e-9)
+
+    @pytest.mark.parametrize("blocks", [1, 3])
+    def test_rows_too_narrow_to_judge_keep_their_weight(self, blocks):
+        star = star_of(2, blocks)
+        assert_allclose(weights(star, noise(star, 7)), 1.0)
+
+    def test_absent_windows_have_no_weight(self):
+        star = star_of(2)
+        post = noise(star, 8)
+        post[10:20, 4] = np.nan
+        star = replace(star, residual_px=post.reshape(-1, 2, 2))
+        got = weights(star, post)
+        assert not got[10:20, 4].any() and got[10:20].mean() > 0.7
+
+
+class TestClouds:
+    def test_what_no_single_window_shows_is_seen_over_many(self):
+        star = star_of()
+        post = noise(star, 9)
+        post[50:90, 3:5] += 0.7 * SIGMA
+        got = weights(star, post)[..., 0]
+        inside = got[55:85, 3:5]
+        # mean of 13 rows: squared departure 2 * 0.49 * 13 = 12.7, of 41 rows 40 (with the two lost the line is
+        # that of the other ten): far beyond what counts in full
+        assert inside.mean() < 0.25
+        assert got[:, 6:].mean() > 0.85
+        # what the row's mean is off: 0.7 sigma of two windows in twelve, before; less than half of it, after
+        bias = (got[55:85] * post[55:85, :, 0, 0]).sum() / got[55:85].sum()
+        assert bias < 0.5 * 0.7 * SIGMA * 2 / 12 + 2 * SIGMA / np.sqrt(30 * 10)
+
+    def test_a_patch_that_moved_by_itself_is_thrown_out(self):
+        star = star_of()
+        post = noise(star, 10)
+        post[60:72, 3:7, 0] += (0.6, -0.5)
+        got = weights(star, post)[..., 0]
+        assert not got[60:72, 3:7].any()
+        assert got[:30].mean() > 0.9 and got[100:].mean() > 0.9
+
+    def test_the_lower_of_two_layers_is_the_ground(self):
+        star = seeing_heights(star_of(2))
+        lag = np.array([0.5, 1.0])
+        post = noise(star, 11)
+        # seven windows of twelve on clouds: above, -y, as their height in `seeing_heights` shifts them
+        post[40:100, :7, :, 0] -= 10 * SIGMA * lag
+        got = weights(star, post)
+        assert not got[42:98, :7].any()
+        assert got[42:98, 7:].mean() > 0.7
+
+    def test_more_windows_win_where_heights_shift_nothing(self):
+        star = star_of(2)
+        post = noise(star, 12)
+        post[40:100, :7, :, 0] -= 10 * SIGMA * np.array([0.5, 1.0])
+        got = weights(star, post)
+        assert not got[42:98, 7:].any()
+        assert got[42:98, :7].mean() > 0.7
+
+    def test_a_pair_of_short_lag_keeps_what_a_long_one_loses(self):
+        star = star_of(2)
+        t = star.t_hub[:, None] + np.array([0.002, 0.1])
+        star = replace(star, t=t)
+        post = noise(star, 13)
+        post[50:90, 5, 1, 0] += 0.6 * SIGMA
+        post[50:90, 5, 0, 0] += 0.6 * SIGMA * 0.02
+        got = weights(star, post)[55:85, 5]
+        doubted = (got[:, 1] < 0.6) & (got[:, 1] > 0.0)
+        # evidence on the short pair is (0.02)^2 of that on the long one
+        assert doubted.sum() >= 5 and (got[doubted, 0] == 1.0).all()
+
+    def test_rows_of_two_windows_are_judged_by_their_neighbours(self):
+        star = star_of()
+        post = noise(star, 14)
+        post[70:74, :10] = np.nan
+        post[70:74, 11] += 12 * SIGMA
+        star = replace(star, residual_px=post.reshape(-1, 1, 2))
+        got = weights(star, post)[..., 0]
+        assert not got[70:74, 11].any() and got[70:74, 10].mean() > 0.5
