@@ -90,8 +90,8 @@ class TestClouds:
         post[50:90, 3:5] += 0.7 * SIGMA
         got = weights(star, post)[..., 0]
         inside = got[55:85, 3:5]
-        # mean of 13 rows: squared departure 2 * 0.49 * 13 = 12.7, of 41 rows 40 (with the two lost the line is
-        # that of the other ten): far beyond what counts in full
+        # mean of 13 rows: squared departure 2 * 0.49 * 13 = 12.7, of 41 rows 40 (without the two the
+        # line is that of the other ten): far beyond what counts in full
         assert inside.mean() < 0.25
         assert got[:, 6:].mean() > 0.85
         # what the row's mean is off: 0.7 sigma of two windows in twelve, before; less than half of it, after
@@ -144,3 +144,40 @@ class TestClouds:
         star = replace(star, residual_px=post.reshape(-1, 1, 2))
         got = weights(star, post)[..., 0]
         assert not got[70:74, 11].any() and got[70:74, 10].mean() > 0.5
+
+
+class TestBrightness:
+    """Two layers that agree with themselves in a stretch of rows; elsewhere the brighter one is rare."""
+
+    def strip(self, seed: int) -> tuple[Star, NDArray[np.float64], NDArray[np.bool_]]:
+        star = star_of()
+        rng = np.random.default_rng(seed)
+        cloudy = np.zeros(star.shape, dtype=bool)
+        cloudy[64:78, :8] = True
+        cloudy[:50, 2:5] = cloudy[100:140, 8:10] = True
+        post = noise(star, seed + 1)
+        post[cloudy, :, 0] -= 8 * SIGMA
+        brightness = np.where(cloudy, 300.0, 100.0) + 20.0 * rng.standard_normal(star.shape)
+        return replace(star, brightness=brightness.ravel()), post, cloudy
+
+    def test_what_is_learned_in_clear_view_tells_the_layers_apart(self):
+        star, post, cloudy = self.strip(20)
+        without = weights(replace(star, brightness=None), post)[..., 0]
+        assert without[66:76, :8].mean() > 0.5  # eight of twelve agree: nothing else speaks against them
+        got = weights(star, post)[..., 0]
+        assert not got[cloudy].any()
+        assert got[66:76, 8:].mean() > 0.7
+
+    def test_bright_ground_that_moves_with_the_rest_is_kept(self):
+        star = star_of()
+        brightness = 100.0 * np.random.default_rng(22).standard_exponential(star.shape)
+        post = noise(star, 23)
+        got = weights(replace(star, brightness=brightness.ravel()), post)
+        assert_allclose(got, weights(star, post), atol=1e-12)
+
+    def test_windows_of_unknown_brightness_are_judged_by_their_departure(self):
+        star, post, cloudy = self.strip(24)
+        brightness = star.brightness.reshape(star.shape).copy()
+        brightness[:10] = np.nan
+        got = weights(replace(star, brightness=brightness.ravel()), post)[..., 0]
+        assert not got[cloudy].any() and got[:10][~cloudy[:10]].mean() > 0.85

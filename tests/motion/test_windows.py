@@ -15,6 +15,7 @@ from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Trajectory
+from sightline.imaging.source import ArrayImage
 from sightline.motion.predict import predict_match
 from sightline.motion.windows import (
     exposure_times,
@@ -22,6 +23,7 @@ from sightline.motion.windows import (
     image_shape,
     predict_windows,
     window_grid,
+    window_means,
 )
 
 
@@ -128,3 +130,20 @@ def test_the_field_runs_from_minus_one_to_one_between_the_outer_pixels():
 def test_an_image_has_the_size_of_its_strip_or_its_detector():
     assert image_shape(strip_cameras((0.0,))[0]) == (600, 320)
     assert image_shape(frame()) == (101, 80)
+
+
+class TestWindowMeans:
+    def test_means_of_drawn_pixels_whatever_the_stretch_that_is_read(self, monkeypatch):
+        pixels = np.random.default_rng(5).uniform(0.0, 4000.0, (61, 90)).astype(np.float32)
+        pixels[10:20, 30:60] = np.nan
+        grid = window_grid(pixels.shape, (4, 25), 3)
+        want = []
+        for line, column in grid.centres:
+            top, left = round(line - 1.5), round(column - 12)
+            window = pixels[top : top + 4, left : left + 25]
+            seen = np.isfinite(window)
+            want.append(window[seen].mean(dtype=float) if seen.any() else np.nan)
+        assert np.isnan(want).any() and np.isfinite(want).any()
+        assert_allclose(window_means(ArrayImage(pixels), grid), want, rtol=1e-9)
+        monkeypatch.setattr("sightline.motion.windows._READ_PIXELS", 1000)
+        assert_allclose(window_means(ArrayImage(pixels), grid), want, rtol=1e-9)

@@ -5,7 +5,8 @@ on a moving ship departs from that line by the share of its texture that moves o
 by less than one window shows, but alike over as many rows as the cloud is long. The departures are
 therefore averaged along the strip before they are judged. Where two groups of windows agree among
 themselves the lower layer is the ground: clouds stand above it, and the cameras know which way height
-shifts a match.
+shifts a match. Where the strip itself shows that windows depart the more the brighter they are, brightness
+is evidence too.
 
 Not here: how exact the windows are that did see the ground (``match_noise.py``).
 """
@@ -38,6 +39,8 @@ BEYOND = 3.0
 BELOW = 2.0
 #: Columns whose pairs are tried as a row's line, and their least distance as a share of half the field.
 MOST_TRIED, APART = 16, 0.3
+#: What brightness tells is learned from rows of which this share agrees, in at most so many steps.
+MOSTLY, MOST_BINS = 0.6, 20
 #: Lines and weights are found from each other so many times.
 ROUNDS = 3
 #: A row's line is laid through windows of at least this weight.
@@ -70,17 +73,56 @@ def ground_weights(star: Star, post_px: Array) -> Array:
     reaches = _reaches(star)
     shift = shift.scaled(_row_noise(shift, reaches[0]))
     up = _upwards(star, shift.lag)
-    weight = _first_weights(shift, reaches[0], up)
-    for _ in range(ROUNDS):
-        departure, variance, use = _from_row_line(shift, weight, reaches[-1])
-        worst = np.where(use, (departure**2 / variance).sum(axis=-1), 0.0)
-        worst = np.where(worst > FOREIGN, worst, 0.0)
-        for reach in reaches:
-            worst = np.maximum(worst, _lasting(departure, variance, use, weight > TRUSTED, reach))
-        weight = np.where(shift.seen, _weight(worst), 0.0)
+    worst = _worst_departures(shift, reaches, up, np.zeros(star.shape))
+    if star.brightness is not None:
+        by_brightness = _told_by_brightness(shift, worst, star.brightness.reshape(star.shape), reaches)
+        if by_brightness.any():
+            worst = _worst_departures(shift, reaches, up, by_brightness)
     squared = worst.reshape(-1, 1)
     counted = shift.seen.reshape(-1, 1) & (squared <= FOREIGN)
     return np.where(counted, _weight(squared * _sensitivity(star, shift.lag)), 0.0)
+
+
+def _worst_departures(shift: _Shift, reaches: list[int], up: Array, least: Array) -> Array:
+    """Squared size (rows, blocks) of each window's worst departure, alone or lasting; at least `least`."""
+    weight = _first_weights(shift, reaches[0], up, least <= FOREIGN)
+    worst = least
+    for _ in range(ROUNDS):
+        departure, variance, use = _from_row_line(shift, weight, reaches[-1])
+        worst = np.where(use, (departure**2 / variance).sum(axis=-1), 0.0)
+        worst = np.maximum(np.where(worst > FOREIGN, worst, 0.0), least)
+        for reach in reaches:
+            worst = np.maximum(worst, _lasting(departure, variance, use, weight > TRUSTED, reach))
+        weight = np.where(shift.seen, _weight(worst), 0.0)
+    return worst
+
+
+def _told_by_brightness(shift: _Shift, worst: Array, brightness: Array, reaches: list[int]) -> Array:
+    """Squared size of the departure that windows of such brightness have where the ground is in clear view.
+
+    Clouds are bright, and so are some fields: whether brightness tells of foreign motion is learned from the
+    rows of which most windows agree. Zero throughout where it does not.
+    """
+    weight = np.where(shift.seen, _weight(worst), 0.0)
+    departure, variance, use = _from_row_line(shift, weight, reaches[-1])
+    share = (weight > TRUSTED).sum(axis=1) / np.maximum(shift.seen.sum(axis=1), 1)
+    learn = (
+        use & ((share >= MOSTLY) & (shift.seen.sum(axis=1) >= MIN_BLOCKS))[:, None] & np.isfinite(brightness)
+    )
+    rows = 2 * reaches[0] + 1
+    bins = min(MOST_BINS, int(learn.sum()) // (10 * rows))
+    if bins < 3:
+        return np.zeros(worst.shape)
+    order = np.argsort(brightness[learn], kind="stable")
+    groups = np.array_split(order, bins)
+    centre = np.array([np.median(brightness[learn][g]) for g in groups])
+    mean = np.stack([departure[learn][g].mean(axis=0) for g in groups])
+    # windows of one cloud err alike: as many independent ones as there are stretches of rows
+    spread = np.stack([departure[learn][g].var(axis=0) * rows / len(g) for g in groups])
+    sure = (mean**2 / spread).sum(axis=1) > FOREIGN
+    squares = np.where(sure[:, None], mean**2, 0.0) * rows / np.median(variance[learn], axis=0)
+    told = np.interp(np.nan_to_num(brightness), centre, squares.sum(axis=1))
+    return np.where(np.isfinite(brightness), told, 0.0)
 
 
 def _weight(squared: Array) -> Array:
@@ -176,10 +218,10 @@ def _row_noise(shift: _Shift, reach: int) -> Array:
     return np.asarray(np.maximum(np.nanmedian(squares, axis=(0, 1)) / MEDIAN_SQUARE, 1e-6))
 
 
-def _first_weights(shift: _Shift, reach: int, up: Array) -> Array:
-    """Weights from the line that most windows of a row agree on, the row averaged with its neighbours."""
+def _first_weights(shift: _Shift, reach: int, up: Array, asked: Flags) -> Array:
+    """Weights from the line that most windows `asked` agree on, each row averaged with its neighbours."""
     mean, variance, count = _mean_along(shift.value, shift.variance, shift.seen, reach)
-    seen = np.asarray(count[..., 0] >= min(3, 2 * reach + 1))
+    seen = asked & (count[..., 0] >= min(3, 2 * reach + 1))
     tried = np.unique(np.linspace(0, len(shift.x) - 1, min(len(shift.x), MOST_TRIED)).round().astype(np.intp))
     couples = [(a, b) for a, b in combinations(tried, 2) if abs(shift.x[a] - shift.x[b]) >= APART]
     couples = couples or [(tried[0], tried[-1])]

@@ -55,6 +55,8 @@ class Star:
         matcher's covariance is right, about 1/2 between pairs, which share the hub.
     weight : (G, K)
         Robust weight of each match in [0, 1].
+    brightness : (G,), optional
+        Mean of each window in the hub, in units of the image.
     """
 
     hub: int
@@ -73,6 +75,7 @@ class Star:
     field: Array
     correlation: Array
     weight: Array
+    brightness: Array | None = None
 
     @property
     def present(self) -> NDArray[np.bool_]:

@@ -32,6 +32,7 @@ from sightline.motion.windows import (
     field_positions,
     predict_windows,
     window_grid,
+    window_means,
 )
 
 Array = NDArray[np.float64]
@@ -181,6 +182,7 @@ def match_star(
         field=field_positions(grid.centres[:, 1], images[hub].shape[1]),
         correlation=shared_image_correlation(k),
         weight=np.ones((g, k)),
+        brightness=window_means(images[hub], grid),
     )
     return StarRecord(star, status, score)
 

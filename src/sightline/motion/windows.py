@@ -18,8 +18,11 @@ from numpy.typing import NDArray
 from sightline.errors import EstimationError
 from sightline.geometry.camera import Camera, FrameCamera, PushbroomCamera
 from sightline.geometry.surface import Surface
+from sightline.imaging.source import ImageSource
 
 Array = NDArray[np.float64]
+#: Images are read in stretches of about so many pixels.
+_READ_PIXELS = 4_000_000
 MovingCamera = PushbroomCamera | FrameCamera
 
 
@@ -85,6 +88,43 @@ def window_grid(
     columns = left + (width - 1) / 2 + columns_step * np.arange(blocks)
     lines = (height - 1) / 2 + np.arange(0, shape[0] - height + 1, step)
     return WindowGrid((height, width), lines.astype(float), columns.astype(float))
+
+
+def window_means(image: ImageSource, grid: WindowGrid) -> Array:
+    """(rows * blocks,) mean of the measured pixels of each window, in units of the image; NaN where none.
+
+    Parameters
+    ----------
+    image : ImageSource
+    grid : WindowGrid
+        Windows inside the image.
+    """
+    height, width = grid.window
+    top = np.rint(grid.lines - (height - 1) / 2).astype(np.intp)
+    left = np.rint(grid.columns - (width - 1) / 2).astype(np.intp)
+    rows = max(1, _READ_PIXELS // (image.shape[1] * height))
+    out = np.full(grid.shape, np.nan)
+    for first in range(0, len(top), rows):
+        part = top[first : first + rows]
+        pixels = image.read((int(part[0]), int(part[-1]) + height), (0, image.shape[1]))
+        measured = np.isfinite(pixels)
+        total, count = (
+            _area_sums(table, part - part[0], left, height, width)
+            for table in (np.where(measured, pixels, 0.0), measured)
+        )
+        seen = count > 0
+        out[first : first + rows][seen] = total[seen] / count[seen]
+    return out.ravel()
+
+
+def _area_sums(
+    table: NDArray[np.generic], top: NDArray[np.intp], left: NDArray[np.intp], height: int, width: int
+) -> Array:
+    """Sums (rows, blocks) over windows of a table, by summed areas."""
+    total = np.zeros((table.shape[0] + 1, table.shape[1] + 1))
+    np.cumsum(np.cumsum(table, axis=0, dtype=np.float64), axis=1, out=total[1:, 1:])
+    columns = total[:, left + width] - total[:, left]
+    return np.asarray(columns[top + height] - columns[top])
 
 
 def predict_windows(
