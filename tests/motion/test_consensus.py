@@ -42,9 +42,9 @@ def seeing_heights(star: Star) -> Star:
 class TestClearView:
     def test_errors_of_the_expected_size_keep_their_weight(self):
         got = weights(star_of(), noise(star_of(), 1))
-        # of the mean of min(1, 4 / q) over q ~ chi2(2), 0.963, each of two reaches may take its 0.037
-        assert got.mean() > 0.92
-        # P(q > 16) = exp(-8) = 0.03 %, for single windows and for some 60 independent means per reach
+        # of q ~ chi2(2) 2 % exceed 8 and lose less than half of their weight, at each of two reaches
+        assert got.mean() > 0.96
+        # P(q > 20) = exp(-10) = 0.005 %, for single windows and for some 200 independent means per reach
         assert (got == 0.0).mean() < 0.005
 
     def test_motion_of_the_rows_is_nothing_foreign(self):
@@ -87,16 +87,16 @@ class TestClouds:
     def test_what_no_single_window_shows_is_seen_over_many(self):
         star = star_of()
         post = noise(star, 9)
-        post[50:90, 3:5] += 0.7 * SIGMA
+        post[50:90, 3:5] += SIGMA
         got = weights(star, post)[..., 0]
         inside = got[55:85, 3:5]
-        # mean of 13 rows: squared departure 2 * 0.49 * 13 = 12.7, of 41 rows 40 (without the two the
+        # mean of 13 rows: squared departure 2 * 13, of 41 rows three times that (without the two the
         # line is that of the other ten): far beyond what counts in full
         assert inside.mean() < 0.25
         assert got[:, 6:].mean() > 0.85
-        # what the row's mean is off: 0.7 sigma of two windows in twelve, before; less than half of it, after
+        # what the row's mean is off: a sigma of two windows in twelve, before; less than half of it, after
         bias = (got[55:85] * post[55:85, :, 0, 0]).sum() / got[55:85].sum()
-        assert bias < 0.5 * 0.7 * SIGMA * 2 / 12 + 2 * SIGMA / np.sqrt(30 * 10)
+        assert bias < 0.5 * SIGMA * 2 / 12 + 2 * SIGMA / np.sqrt(30 * 10)
 
     def test_a_patch_that_moved_by_itself_is_thrown_out(self):
         star = star_of()
@@ -134,7 +134,7 @@ class TestClouds:
         got = weights(star, post)[55:85, 5]
         doubted = (got[:, 1] < 0.6) & (got[:, 1] > 0.0)
         # evidence on the short pair is (0.02)^2 of that on the long one
-        assert doubted.sum() >= 5 and (got[doubted, 0] == 1.0).all()
+        assert doubted.sum() >= 3 and (got[doubted, 0] == 1.0).all()
 
     def test_rows_of_two_windows_are_judged_by_their_neighbours(self):
         star = star_of()

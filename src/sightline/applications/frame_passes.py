@@ -18,6 +18,7 @@ from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource, MaskedImage
 from sightline.motion.band import Frame
+from sightline.motion.consensus import ground_weights
 from sightline.motion.frame_matches import FramePlan, FrameStar, match_frames
 from sightline.motion.frame_noise import FrameNoise, GroundField, learn_field, learn_noise
 from sightline.motion.frame_start import (
@@ -253,6 +254,7 @@ def _weighed(
     out = []
     for k, (star, line, clean) in enumerate(zip(stars, estimate.stars, estimate.clean_px, strict=True)):
         weight = robust_weights(replace(line, weight=np.ones_like(line.weight)), clean)
+        weight *= ground_weights(line, clean)
         if drifting is not None:
             weight = np.where(drifting[k][:, None], 0.0, weight)
         out.append(star.with_weight(weight))

@@ -29,18 +29,20 @@ Flags = NDArray[np.bool_]
 MIN_BLOCKS = 4
 #: Departures are averaged over so many lines to either side: a small cloud's half, a large one's.
 REACHES = (26.0, 80.0)
-#: Squared departure, in variances of the mean of two components, up to which a window counts in full (13 % of
-#: true ones lie beyond); then its weight falls as its inverse, as that of a window whose error lasts; beyond
-#: FOREIGN (0.03 %) it counts no more.
-USUAL, FOREIGN = 4.0, 16.0
+#: Squared departure, in variances of the mean of two components, up to which a window counts in full (2 %
+#: of true ones lie beyond: at 13 % the noise that is left would look a tenth smaller than it is); then its
+#: weight falls as its inverse, as that of an error that lasts; beyond FOREIGN (0.005 %) it counts no more.
+USUAL, FOREIGN = 8.0, 20.0
 #: Departures beyond this many sigmas count alike when a row's line is sought.
 BEYOND = 3.0
 #: A window below the line (nearer to the Earth) speaks so many times as much against it as one above.
 BELOW = 2.0
 #: Columns whose pairs are tried as a row's line, and their least distance as a share of half the field.
 MOST_TRIED, APART = 16, 0.3
-#: What brightness tells is learned from rows of which this share agrees, in at most so many steps.
-MOSTLY, MOST_BINS = 0.6, 20
+#: What brightness tells is learned from rows of which this share agrees, in at most so many steps of
+#: brightness, and believed where it is CERTAIN times its standard error over stretches of the strip, of which
+#: there are at most so many and at least so few: windows of one cloud, or of one hill, err alike.
+MOSTLY, MOST_BINS, CERTAIN, MOST_STRETCHES, LEAST_STRETCHES = 0.6, 20, 4.0, 16, 4
 #: Lines and weights are found from each other so many times.
 ROUNDS = 3
 #: A row's line is laid through windows of at least this weight.
@@ -98,31 +100,50 @@ def _worst_departures(shift: _Shift, reaches: list[int], up: Array, least: Array
 
 
 def _told_by_brightness(shift: _Shift, worst: Array, brightness: Array, reaches: list[int]) -> Array:
-    """Squared size of the departure that windows of such brightness have where the ground is in clear view.
+    """Squared size of the lasting departure that windows of such brightness have where the ground is seen.
 
     Clouds are bright, and so are some fields: whether brightness tells of foreign motion is learned from the
     rows of which most windows agree. Zero throughout where it does not.
     """
     weight = np.where(shift.seen, _weight(worst), 0.0)
     departure, variance, use = _from_row_line(shift, weight, reaches[-1])
-    share = (weight > TRUSTED).sum(axis=1) / np.maximum(shift.seen.sum(axis=1), 1)
-    learn = (
-        use & ((share >= MOSTLY) & (shift.seen.sum(axis=1) >= MIN_BLOCKS))[:, None] & np.isfinite(brightness)
-    )
+    seen = shift.seen.sum(axis=1)
+    clear = (seen >= MIN_BLOCKS) & ((weight > TRUSTED).sum(axis=1) >= MOSTLY * seen)
+    learn = use & clear[:, None] & np.isfinite(brightness)
     rows = 2 * reaches[0] + 1
     bins = min(MOST_BINS, int(learn.sum()) // (10 * rows))
-    if bins < 3:
+    stretches = min(MOST_STRETCHES, len(worst) // rows)
+    if bins < 3 or stretches < LEAST_STRETCHES:
         return np.zeros(worst.shape)
-    order = np.argsort(brightness[learn], kind="stable")
-    groups = np.array_split(order, bins)
-    centre = np.array([np.median(brightness[learn][g]) for g in groups])
-    mean = np.stack([departure[learn][g].mean(axis=0) for g in groups])
-    # windows of one cloud err alike: as many independent ones as there are stretches of rows
-    spread = np.stack([departure[learn][g].var(axis=0) * rows / len(g) for g in groups])
-    sure = (mean**2 / spread).sum(axis=1) > FOREIGN
-    squares = np.where(sure[:, None], mean**2, 0.0) * rows / np.median(variance[learn], axis=0)
-    told = np.interp(np.nan_to_num(brightness), centre, squares.sum(axis=1))
+    edges = np.quantile(brightness[learn], np.linspace(0.0, 1.0, bins + 1))
+    step = np.searchsorted(edges[1:-1], brightness[learn], side="right")
+    stretch = (np.argwhere(learn)[:, 0] * stretches) // len(worst)
+    mean = _certain_means(departure[learn], step, stretch, bins, stretches)
+    usual = np.median(variance[learn], axis=0) / rows
+    usual = usual * _excess(departure, variance, use, weight > TRUSTED, reaches[0])
+    centre = 0.5 * (edges[1:] + edges[:-1])
+    told = np.interp(np.nan_to_num(brightness), centre, (mean**2 / usual).sum(axis=1))
     return np.where(np.isfinite(brightness), told, 0.0)
+
+
+def _certain_means(
+    values: Array, step: NDArray[np.intp], stretch: NDArray[np.intp], bins: int, stretches: int
+) -> Array:
+    """Mean (bins, 2) of values (N, 2) per step of brightness; zero where stretches do not agree on it."""
+    cell = step * stretches + stretch
+    count = np.bincount(cell, minlength=bins * stretches).reshape(bins, stretches)
+    out = np.zeros((bins, 2))
+    for c in range(2):
+        total = np.bincount(cell, values[:, c], minlength=bins * stretches).reshape(bins, stretches)
+        for k in range(bins):
+            there = count[k] >= MIN_BLOCKS
+            number = int(there.sum())
+            if number < LEAST_STRETCHES:
+                continue
+            means = total[k, there] / count[k, there]
+            if abs(means.mean()) > CERTAIN * means.std(ddof=1) / np.sqrt(number):
+                out[k, c] = total[k].sum() / count[k].sum()
+    return out
 
 
 def _weight(squared: Array) -> Array:
@@ -281,12 +302,22 @@ def _from_row_line(shift: _Shift, weight: Array, reach: int) -> tuple[Array, Arr
 def _lasting(departure: Array, variance: Array, use: Flags, trusted: Flags, reach: int) -> Array:
     """Squared size (rows, blocks) of the mean departure over neighbouring rows: of noise 2 on average."""
     mean, spread, count = _mean_along(departure, variance, use, reach)
-    squares = mean**2 / np.maximum(spread, 1e-30)
+    squares = mean**2 / np.maximum(spread, 1e-30) / _excess(departure, variance, use, trusted, reach)
     known = use & (count[..., 0] >= min(3, 2 * reach + 1))
-    if (known & trusted).any():
-        # errors that last from row to row, of real textures or of unknown relief, widen what is usual
-        squares = squares / np.maximum(np.median(squares[known & trusted], axis=0) / MEDIAN_SQUARE, 1.0)
     return np.where(known, squares.sum(axis=-1), 0.0)
+
+
+def _excess(departure: Array, variance: Array, use: Flags, trusted: Flags, reach: int) -> Array:
+    """(2,) variance of mean departures over that of errors independent from row to row, at least 1.
+
+    Errors of real textures last for some rows, and relief that nobody knows for many: that is usual.
+    """
+    mean, spread, count = _mean_along(departure, variance, use, reach)
+    judged = use & trusted & (count[..., 0] >= min(3, 2 * reach + 1))
+    if not judged.any():
+        return np.ones(2)
+    squares = mean[judged] ** 2 / np.maximum(spread[judged], 1e-30)
+    return np.asarray(np.maximum(np.median(squares, axis=0) / MEDIAN_SQUARE, 1.0))
 
 
 @njit(cache=True, nogil=True)
