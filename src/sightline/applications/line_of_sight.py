@@ -38,6 +38,7 @@ from sightline.motion.joint import (
 )
 from sightline.motion.match_noise import estimate_correlation, robust_weights, row_weights
 from sightline.motion.normal_equations import TimeGrid, modelled, normal_equations
+from sightline.motion.observations import Star, shared_image_correlation
 from sightline.motion.predict import MovingCamera, StaticParameter, predict_match
 from sightline.motion.relief import hub_delay, relief_length, relief_matters, row_processes
 from sightline.motion.stars import MatchingPlan, StarRecord, hub_windows, match_star
@@ -373,13 +374,22 @@ def _match(
     strip: _Strip, nodes: Array, statics: Array, plan: MatchingPlan, before: Sequence[StarRecord] = ()
 ) -> tuple[StarRecord, ...]:
     """All stars of one pass; `before` are those of the pass before."""
-    earlier = {record.star.hub: record for record in before}
+    earlier = {(record.star.hub, record.star.images): record for record in before}
     cameras = strip.cameras(nodes, statics)
     images = [band.image for band in strip.bands]
     hubs = hub_windows(cameras, strip.surface, [i.shape for i in images], strip.order, plan)
-    parameters = strip.parameters
     return tuple(
-        match_star(images, cameras, strip.surface, hub, partners, grid, parameters, plan, earlier.get(hub))
+        match_star(
+            images,
+            cameras,
+            strip.surface,
+            hub,
+            partners,
+            grid,
+            strip.parameters,
+            plan,
+            earlier.get((hub, partners)),
+        )
         for hub, partners, grid in hubs
     )
 
@@ -425,8 +435,7 @@ def _solve(
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
         stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]
         stars = [
-            s.with_correlation(model.grown(estimate_correlation(s, r)))
-            for s, r in zip(stars, post, strict=True)
+            s.with_correlation(model.grown(c)) for s, c in zip(stars, _correlations(stars, post), strict=True)
         ]
         if settled:
             prior = replace(prior, innovation_weights=innovation_weights(estimate))
@@ -435,6 +444,20 @@ def _solve(
         length = relief_length(stars, without, height_sigma, strip.half_width)
     kept = tuple(StarRecord(s, r.status, r.score) for s, r in zip(stars, records, strict=True))
     return _State(estimate, prior, model, kept, tuple(post), tuple(measured), length)
+
+
+def _correlations(stars: Sequence[Star], post: Sequence[Array]) -> list[Array]:
+    """Error correlation of every star; one too small to learn its own takes the sizes of the largest."""
+    found = [estimate_correlation(s, r) for s, r in zip(stars, post, strict=True)]
+    starts = [shared_image_correlation(s.t.shape[1]) for s in stars]
+    learned = [not np.array_equal(c, start) for c, start in zip(found, starts, strict=True)]
+    largest = int(np.argmax([s.present.sum() * ok for s, ok in zip(stars, learned, strict=True)]))
+    size = np.sqrt(np.diag(found[largest]).reshape(-1, 2).mean(axis=0))
+    out = []
+    for c, ok in zip(found, learned, strict=True):
+        factor = np.ones(len(c)) if ok else np.tile(size, len(c) // 2)
+        out.append(c * np.outer(factor, factor))
+    return out
 
 
 def _change(strip: _Strip, old: _State, new: _State) -> float:
@@ -487,7 +510,7 @@ def _result(strip: _Strip, state: _State, changes: list[float]) -> LineOfSight:
 
 
 def _observed(strip: _Strip, state: _State, t: Array) -> NDArray[np.bool_]:
-    """Lines within half a window of an instant at which a kept match was exposed."""
+    """Lines within half a window, and half a step of the grid, of an instant at which a match was exposed."""
     marks = []
     for record in state.records:
         star, present = record.star, record.star.present
@@ -497,7 +520,7 @@ def _observed(strip: _Strip, state: _State, t: Array) -> NDArray[np.bool_]:
         return np.zeros(len(t), dtype=bool)
     at = np.clip(np.searchsorted(instants, t), 1, max(len(instants) - 1, 1))
     near = np.minimum(np.abs(t - instants[at - 1]), np.abs(t - instants[np.minimum(at, len(instants) - 1)]))
-    reach = max(r.star.duration for r in state.records) + strip.grid.step
+    reach = 0.5 * (max(r.star.duration for r in state.records) + strip.grid.step)
     return np.asarray(near <= reach)
 
 
