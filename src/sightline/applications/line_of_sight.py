@@ -25,7 +25,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import OUTSIDE
 from sightline.motion.band import Band
-from sightline.motion.hyper import BROAD, PriorModel, fit_prior_model
+from sightline.motion.hyper import BROAD, ORDER, PriorModel, fit_prior_model
 from sightline.motion.joint import (
     JointEstimate,
     JointPrior,
@@ -33,6 +33,7 @@ from sightline.motion.joint import (
     directions_at,
     innovation_weights,
     interpolation_variance,
+    longest_gap,
     remove_directions,
     solve_joint,
 )
@@ -420,7 +421,10 @@ def _solve(
 
     def solution() -> tuple[JointEstimate, list[Array], list[Array]]:
         data = normal_equations(stars, measured, grid, delays=delays, relief=unknown_relief)
-        found = solve_joint(data, prior)
+        # across a gap longer than its memory an autoregression knows no slope of the drift
+        long = longest_gap(data) > ORDER
+        apart = model.apart(grid, len(data.ab) // data.block) if long else None
+        found = solve_joint(data, replace(prior, apart=apart))
         motion_only = [modelled(s, grid, found.nodes, found.statics) for s in stars]
         whole = [
             modelled(s, grid, found.unknowns(), found.statics, d) for s, d in zip(stars, delays, strict=True)
