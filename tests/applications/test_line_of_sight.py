@@ -133,10 +133,7 @@ class TestRendered:
         assert bool(told) == (unseen > 0)
         assert all(w.startswith(f"{unseen} of {len(result.observed)} lines") for w in told)
 
-    def test_sigma_grows_where_nothing_was_matched(self, recovery):
+    def test_sigma_grows_at_the_ends_where_matches_lie_on_one_side_only(self, recovery):
         result = recovery.result
-        if result.observed.all():
-            pytest.skip("not applicable: every line of the rendered strip was matched")
-        for axis in range(3):
-            inside = np.median(result.sigma[result.observed, axis])
-            assert np.median(result.sigma[~result.observed, axis]) > inside
+        # an end is extrapolated over half a window from half as many matches as the middle has around it
+        assert np.all(result.sigma[[0, -1]] > 1.2 * np.median(result.sigma, axis=0))

@@ -89,6 +89,8 @@ def test_pairs_of_a_rendered_strip_leave_what_their_errors_allow(recovery):
     for pair in result.pairs:
         assert pair.kept + sum(pair.rejected.values()) == pair.tried
         # the fit takes some of the errors away (a tenth, of hundreds of windows per node), weights of 3 to 5
-        # sigma leave a little more than Gaussian; the matcher's sigma is corrected by the strip's own scatter
-        assert 0.7 * pair.sigma_px < pair.rms_after_px < 1.3 * pair.sigma_px
+        # sigma leave a little more than Gaussian; the matcher's sigma is corrected by the strip's scatter;
+        # the few windows at the ends of a band scatter by chance, their rms of 2 n numbers by 1 / sqrt(4 n)
+        slack = 0.3 + 3.0 / np.sqrt(4.0 * max(pair.kept, 1))
+        assert 1.0 - slack < pair.rms_after_px / pair.sigma_px < 1.0 + slack
         assert pair.rms_before_px > 3 * pair.rms_after_px

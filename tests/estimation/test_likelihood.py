@@ -80,6 +80,23 @@ def test_the_smoother_is_as_good_with_what_was_found_as_with_the_truth(
     assert rms(fitted.spectrum, fitted.noise_scale) < 1.06 * rms(TRUE, 1.0)
 
 
+def test_a_motion_that_ends_at_a_frequency_is_not_given_a_tail() -> None:
+    # Evenly between 10 and 60 Hz, 0.2 rms, nothing beyond: by Matern 3/2 a fifth of its power would lie above
+    # 100 Hz, and its sigma would own jitter that is not there.
+    t = np.arange(N) * STEP
+    rng = np.random.default_rng(8)
+    waves = [np.sin(2.0 * np.pi * (f * t + rng.uniform())) for f in rng.uniform(10.0, 60.0, 400)]
+    x = 0.2 * np.sqrt(2.0 / 400) * np.sum(waves, axis=0) + np.sin(2.0 * t)
+    found = fit_spectrum(measured(x, 0.01, every=2), max_tones=0).spectrum
+    beyond = np.linspace(100.0, 500.0, 401)
+    assert found.components[1].order in ("9/2", "17/2")  # type: ignore[union-attr]
+    assert np.trapezoid(found.psd(beyond), beyond) < 0.02 * 0.2**2
+
+
+def test_jitter_with_a_tail_keeps_it(fitted) -> None:  # type: ignore[no-untyped-def]
+    assert fitted.spectrum.components[1].order == "3/2"
+
+
 def test_a_tone_above_the_sampling_nyquist_is_found_where_it_is() -> None:
     # Sampled every 5 ms a tone at 121 Hz folds onto 79 Hz; lags that are no multiples of the sampling
     # step tell them apart.

@@ -12,9 +12,9 @@ from sightline.motion.predict import predict_match, residuals, sensitivities, tu
 
 AHEAD = (400.0, -200.0)
 PIXELS = np.array([[0.0, 0.0], [100.0, 159.5], [300.25, 31.5], [350.0, 319.0]])
-# positions close to 1e-6 px (the camera's own promise); a central difference over 2e-5 rad turns two of them
-# into 2 * 1e-6 / 2e-5 px/rad
-BY_ANGLE = 0.1
+# positions close to 1e-9 px (what the camera's iteration promises) at both ends of a central difference over
+# 1e-6 rad are 2e-3 px/rad; ten times that
+BY_ANGLE = 0.02
 
 
 def cameras(**options):
@@ -58,6 +58,19 @@ def test_the_partner_moves_against_the_turn_of_its_own_body():
     assert_allclose(by.angles_b[:, 1, 0], -1 / IFOV, rtol=1e-5)
     assert_allclose(by.angles_b[:, 0, 1], -1 / IFOV, rtol=1e-5)
     assert_allclose(by.angles_b[:, 0, 2], 159.5 - PIXELS[:, 1], atol=BY_ANGLE)
+
+
+def test_jitter_modulates_how_many_lines_a_radian_of_pitch_is():
+    # phi + pitch(t) = (X - V t) / H: dt / dpitch = -1 / (V / H + pitch'), V / H = IFOV / PERIOD. 0.3 px at
+    # 100 Hz make 9 % of it; differences over four lines, 0.6 rad of its phase each way, would lose 6 % of
+    # those, 0.6 % in all. Cubic interpolation at 20 samples a period bends pitch' by 3e-4, 3e-5 in all.
+    size, f = 0.3 * IFOV, 2 * np.pi * 100.0
+    shaken = cameras(motion=sampled_motion(pitch=lambda t: size * np.sin(f * t)))
+    by = sensitivities(shaken, 0, 1, Plane(), PIXELS)
+    t = PERIOD * predict_match(*shaken, Plane(), PIXELS)[:, 0]
+    expected = -1.0 / (IFOV + PERIOD * size * f * np.cos(f * t))
+    assert np.ptp(expected) > 0.05 / IFOV
+    assert_allclose(by.angles_b[:, 0, 1], expected, rtol=5e-4)
 
 
 def test_a_turn_of_the_hub_moves_the_partner_the_other_way():

@@ -14,6 +14,7 @@ from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTLIER, OUTSIDE
 from sightline.motion.stars import (
+    END,
     MatchingPlan,
     StarRecord,
     found_wrong,
@@ -29,6 +30,7 @@ SHAPE, AHEAD = (240, 320), (40.0, 0.0)
 #: What the images are shifted by beyond what the cameras know, (line, column) px.
 UNKNOWN = np.array([0.31, -0.22])
 PLAN = MatchingPlan((10, 100), 10)
+SEARCH = MatchingPlan((10, 100), 10, (8, 8))
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +54,7 @@ def record(images, cameras):
 class TestHubs:
     def test_the_first_image_serves_all_it_sees_and_later_ones_only_ground_that_is_new(self):
         cameras = strip_cameras((100.0, 0.0, -50.0))
-        hubs = hub_windows(cameras, Plane(), [(600, 320)] * 3, (0, 1, 2), PLAN)
+        hubs = hub_windows(cameras, Plane(), [(600, 320)] * 3, (0, 1, 2), SEARCH)
         assert [(hub, partners) for hub, partners, _ in hubs] == [(0, (1, 2)), (1, (2,))]
         (_, _, first), (_, _, second) = hubs
         assert len(first.lines) == 60
@@ -64,9 +66,22 @@ class TestHubs:
         # the second image stops 100 lines after it began, 100 lines into the first
         late = replace(second, first_line_time=100 * PERIOD, lines=100)
         hubs = hub_windows(
-            [first, late, third], Plane(), [(600, 320), (100, 320), (600, 320)], (0, 1, 2), PLAN
+            [first, late, third], Plane(), [(600, 320), (100, 320), (600, 320)], (0, 1, 2), SEARCH
         )
         assert [hub for hub, _, _ in hubs] == [0]
+
+    def test_the_ends_of_later_images_are_cut_from_them_and_found_in_those_before(self):
+        cameras = strip_cameras((100.0, 0.0, -50.0))
+        dense = MatchingPlan((4, 100), 4)
+        ends = {
+            (hub, partners): grid.lines
+            for hub, partners, grid in hub_windows(cameras, Plane(), [(600, 320)] * 3, (0, 1, 2), dense)
+            if partners[0] < hub
+        }
+        assert sorted(ends) == [(1, (0,)), (2, (0, 1))]
+        # windows of another hub are found from line 8 to 591: rows of four lines fill what is left
+        for lines in ends.values():
+            assert_allclose(lines, [1.5, 5.5, 593.5, 597.5])
 
 
 class TestMatchStar:
@@ -122,6 +137,21 @@ class TestMatchStar:
         found = star.residual_px[star.present[:, 0], 0]
         assert len(found) >= 9
         assert_allclose(np.median(found, axis=0), UNKNOWN - [5.0, 0.0], atol=0.03)
+
+    def test_windows_at_the_very_end_of_an_image_match_where_those_of_another_do_not(self, images, cameras):
+        # line l of image 0 is line l + 40 of image 1: windows on the last lines of each
+        star = match_star(
+            images, cameras, Plane(), 0, (1,), window_grid(SHAPE, (4, 100), 4), (), MatchingPlan((4, 100), 4)
+        ).star
+        assert star.t[star.present[:, 0], 0].max() <= (SHAPE[0] - 1 - END) * PERIOD
+        _, (_, _, grid) = hub_windows(cameras, Plane(), [SHAPE] * 2, (0, 1), MatchingPlan((4, 100), 4))
+        end = match_star(images, cameras, Plane(), 1, (0,), grid, (), MatchingPlan((4, 100), 4)).star
+        assert end.t_hub[end.present[:, 0]].max() == pytest.approx((SHAPE[0] - 2.5) * PERIOD)
+        error = end.residual_px[end.present[:, 0], 0] + UNKNOWN
+        covariance = end.covariance_px[end.present[:, 0], 0]
+        squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
+        # six windows: 2 each give or take sqrt(4 / 6), the variance true to 30 %
+        assert squares.mean() < 2 * 1.3 + 4 * np.sqrt(4 / 6)
 
     def test_masked_ground_of_the_partner_is_masked_not_outside(self, images, cameras):
         mask = np.zeros(SHAPE, bool)

@@ -26,7 +26,7 @@ from sightline.matching.match_images import match_images
 from sightline.matching.matches import OUTSIDE
 from sightline.motion.band import Band
 from sightline.motion.consensus import ground_weights
-from sightline.motion.hyper import BROAD, PriorModel, fit_prior_model
+from sightline.motion.hyper import BROAD, ORDER, PriorModel, fit_prior_model
 from sightline.motion.joint import (
     JointEstimate,
     JointPrior,
@@ -34,11 +34,13 @@ from sightline.motion.joint import (
     directions_at,
     innovation_weights,
     interpolation_variance,
+    longest_gap,
     remove_directions,
     solve_joint,
 )
 from sightline.motion.match_noise import estimate_correlation, robust_weights, row_weights
 from sightline.motion.normal_equations import TimeGrid, modelled, normal_equations
+from sightline.motion.observations import Star, shared_image_correlation
 from sightline.motion.predict import MovingCamera, StaticParameter, predict_match
 from sightline.motion.relief import hub_delay, relief_length, relief_matters, row_processes
 from sightline.motion.stars import MatchingPlan, StarRecord, hub_windows, match_star
@@ -374,13 +376,22 @@ def _match(
     strip: _Strip, nodes: Array, statics: Array, plan: MatchingPlan, before: Sequence[StarRecord] = ()
 ) -> tuple[StarRecord, ...]:
     """All stars of one pass; `before` are those of the pass before."""
-    earlier = {record.star.hub: record for record in before}
+    earlier = {(record.star.hub, record.star.images): record for record in before}
     cameras = strip.cameras(nodes, statics)
     images = [band.image for band in strip.bands]
     hubs = hub_windows(cameras, strip.surface, [i.shape for i in images], strip.order, plan)
-    parameters = strip.parameters
     return tuple(
-        match_star(images, cameras, strip.surface, hub, partners, grid, parameters, plan, earlier.get(hub))
+        match_star(
+            images,
+            cameras,
+            strip.surface,
+            hub,
+            partners,
+            grid,
+            strip.parameters,
+            plan,
+            earlier.get((hub, partners)),
+        )
         for hub, partners, grid in hubs
     )
 
@@ -411,7 +422,10 @@ def _solve(
 
     def solution() -> tuple[JointEstimate, list[Array], list[Array]]:
         data = normal_equations(stars, measured, grid, delays=delays, relief=unknown_relief)
-        found = solve_joint(data, prior)
+        # across a gap longer than its memory an autoregression knows no slope of the drift
+        long = longest_gap(data) > ORDER
+        apart = model.apart(grid, len(data.ab) // data.block) if long else None
+        found = solve_joint(data, replace(prior, apart=apart))
         motion_only = [modelled(s, grid, found.nodes, found.statics) for s in stars]
         whole = [
             modelled(s, grid, found.unknowns(), found.statics, d) for s, d in zip(stars, delays, strict=True)
@@ -426,8 +440,7 @@ def _solve(
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
         stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]
         stars = [
-            s.with_correlation(model.grown(estimate_correlation(s, r)))
-            for s, r in zip(stars, post, strict=True)
+            s.with_correlation(model.grown(c)) for s, c in zip(stars, _correlations(stars, post), strict=True)
         ]
         if settled:
             prior = replace(prior, innovation_weights=innovation_weights(estimate))
@@ -436,6 +449,20 @@ def _solve(
         length = relief_length(stars, without, height_sigma, strip.half_width)
     kept = tuple(StarRecord(s, r.status, r.score) for s, r in zip(stars, records, strict=True))
     return _State(estimate, prior, model, kept, tuple(post), tuple(measured), length)
+
+
+def _correlations(stars: Sequence[Star], post: Sequence[Array]) -> list[Array]:
+    """Error correlation of every star; one too small to learn its own takes the sizes of the largest."""
+    found = [estimate_correlation(s, r) for s, r in zip(stars, post, strict=True)]
+    starts = [shared_image_correlation(s.t.shape[1]) for s in stars]
+    learned = [not np.array_equal(c, start) for c, start in zip(found, starts, strict=True)]
+    largest = int(np.argmax([s.present.sum() * ok for s, ok in zip(stars, learned, strict=True)]))
+    size = np.sqrt(np.diag(found[largest]).reshape(-1, 2).mean(axis=0))
+    out = []
+    for c, ok in zip(found, learned, strict=True):
+        factor = np.ones(len(c)) if ok else np.tile(size, len(c) // 2)
+        out.append(c * np.outer(factor, factor))
+    return out
 
 
 def _change(strip: _Strip, old: _State, new: _State) -> float:
@@ -488,7 +515,7 @@ def _result(strip: _Strip, state: _State, changes: list[float]) -> LineOfSight:
 
 
 def _observed(strip: _Strip, state: _State, t: Array) -> NDArray[np.bool_]:
-    """Lines within half a window of an instant at which a kept match was exposed."""
+    """Lines within half a window, and half a step of the grid, of an instant at which a match was exposed."""
     marks = []
     for record in state.records:
         star, present = record.star, record.star.present
@@ -498,7 +525,7 @@ def _observed(strip: _Strip, state: _State, t: Array) -> NDArray[np.bool_]:
         return np.zeros(len(t), dtype=bool)
     at = np.clip(np.searchsorted(instants, t), 1, max(len(instants) - 1, 1))
     near = np.minimum(np.abs(t - instants[at - 1]), np.abs(t - instants[np.minimum(at, len(instants) - 1)]))
-    reach = max(r.star.duration for r in state.records) + strip.grid.step
+    reach = 0.5 * (max(r.star.duration for r in state.records) + strip.grid.step)
     return np.asarray(near <= reach)
 
 

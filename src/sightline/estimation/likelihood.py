@@ -1,9 +1,9 @@
 """The spectrum of a motion from its differences alone: no frequency, size or noise level is given.
 
-Drift (Matern 5/2), broadband jitter (Matern 3/2), tones and the noise's scale maximise the exact
-marginal likelihood. Tones are found first, one by one, by a spectrum of what the present model does
-not explain; it accounts for the lags, the windows, the gaps and the aliases, so that a tone above the
-Nyquist frequency of the measurements is found where it is as long as the lags tell it apart.
+Drift (Matern 5/2), broadband jitter (Matern of a smoothness that the data choose), tones and the noise's
+scale maximise the exact marginal likelihood. Tones are found first, one by one, by a spectrum of what the
+present model does not explain; it accounts for the lags, the windows, the gaps and the aliases, so that a
+tone above the Nyquist frequency of the measurements is found where it is as long as the lags tell it apart.
 
 Not here: the search itself (``search.py``), the likelihood (``evidence.py``), the final estimate
 (``motion/estimators/smoother.py``).
@@ -75,7 +75,7 @@ def fit_spectrum(
     step : float, optional
         s; grid step. By default as `default_step`, coarser on long strips (see `WORK`).
     start : Spectrum, optional
-        A further place to start: its first Matern 5/2, its first Matern 3/2 and its tones. The search
+        A further place to start: its first Matern 5/2, its other Matern part and its tones. The search
         starts there or from the data's size, whichever explains them better.
     max_tones : int
         At most this many tones, those of `start` included; 0 looks for none.
@@ -118,6 +118,7 @@ def fit_spectrum(
         model = search.improve(model.with_tone(*found[0]), 10)
     if model.tones:
         model = search.without_aliases(search.improve(model, 25), false_alarm)
+    model = search.with_smoothness(model)
     # Now that its spectrum is known, what the motion does between nodes need not pass for noise.
     search.use(summed(model.spectrum))
     model = search.improve(search.without_idle_tones(model), iterations)

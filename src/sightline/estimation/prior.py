@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal, Protocol, get_args
 
 import numpy as np
 from numba import njit
@@ -28,6 +28,13 @@ Array = NDArray[np.float64]
 #: on a fine grid is predictable to the last digit of a float64; this keeps its precision matrix
 #: 1e10 away from that, at the price of a white jitter 1e-5 times the size of the motion.
 NUGGET = 1e-10
+
+
+#: Smoothness of a Matern process. For a motion that ends at a frequency each step up lowers the deviance of a
+#: strip of 3000 lines by hundreds (360-550, 300-360, 140-170); twice "17/2" would bring 60-80 more, and
+#: changes errors and sigmas by less than 5 %.
+Order = Literal["3/2", "5/2", "9/2", "17/2"]
+ORDERS: tuple[Order, ...] = get_args(Order)
 
 
 class Component(Protocol):
@@ -47,6 +54,15 @@ def _positive(name: str, value: float, unit: str) -> None:
         raise InputError(f"`{name}` must be a positive number of {unit}, got {value}")
 
 
+def _polynomial(p: int) -> list[float]:
+    """Coefficients of x^0 .. x^p of the polynomial in a Matern covariance of p derivatives."""
+    whole = math.factorial(p) / math.factorial(2 * p)
+    return [
+        whole * math.factorial(2 * p - k) / (math.factorial(p - k) * math.factorial(k)) * 2.0**k
+        for k in range(p + 1)
+    ]
+
+
 @dataclass(frozen=True)
 class Matern:
     """Stationary motion without a preferred frequency: drift or broadband jitter.
@@ -57,9 +73,10 @@ class Matern:
         Its standard deviation, in the unit of the motion.
     timescale : float
         s; the ``l`` of the Matern covariance. The spectrum is flat below the corner frequency
-        ``sqrt(2 nu) / (2 pi l)`` and falls as f^-4 ("3/2") or f^-6 ("5/2") above it.
-    order : "3/2" or "5/2"
-        The smoothness nu: one, or two, derivatives exist.
+        ``sqrt(2 nu) / (2 pi l)`` and falls as f^-(2 nu + 1) above it: f^-4 for "3/2", f^-6 for "5/2".
+    order : one of ORDERS
+        The smoothness nu: one derivative exists for "3/2", two for "5/2", eight for "17/2", whose spectrum
+        ends at its corner as that of a motion that is limited to a band.
 
     Examples
     --------
@@ -69,13 +86,13 @@ class Matern:
 
     sigma: float
     timescale: float
-    order: Literal["3/2", "5/2"] = "3/2"
+    order: Order = "3/2"
 
     def __post_init__(self) -> None:
         _positive("sigma", self.sigma, "motion units")
         _positive("timescale", self.timescale, "seconds")
-        if self.order not in ("3/2", "5/2"):
-            raise InputError(f'`order` must be "3/2" or "5/2", got {self.order!r}')
+        if self.order not in ORDERS:
+            raise InputError(f"`order` must be one of {', '.join(ORDERS)}, got {self.order!r}")
 
     @property
     def corner(self) -> float:
@@ -83,21 +100,26 @@ class Matern:
         return self._rate / (2.0 * math.pi)
 
     @property
+    def derivatives(self) -> int:
+        """How many derivatives exist: nu - 1/2."""
+        return int(self.order.split("/")[0]) // 2
+
+    @property
     def _rate(self) -> float:
-        return math.sqrt(3.0 if self.order == "3/2" else 5.0) / self.timescale
+        return math.sqrt(2.0 * self.derivatives + 1.0) / self.timescale
 
     def autocovariance(self, lags: Array) -> Array:
         """Covariance of two values `lags` (s) apart."""
         x = self._rate * np.abs(lags)
-        shape = 1.0 + x if self.order == "3/2" else 1.0 + x + x * x / 3.0
+        shape = np.polynomial.polynomial.polyval(x, _polynomial(self.derivatives))
         return np.asarray(self.sigma**2 * shape * np.exp(-x), dtype=np.float64)
 
     def psd(self, frequency: Array) -> Array:
         """One-sided power spectral density at `frequency` (Hz)."""
-        rate = self._rate
-        base = rate**2 + (2.0 * math.pi * np.asarray(frequency)) ** 2
-        two_sided = 4.0 * rate**3 / base**2 if self.order == "3/2" else 16.0 / 3.0 * rate**5 / base**3
-        return np.asarray(2.0 * self.sigma**2 * two_sided, dtype=np.float64)
+        rate, p = self._rate, self.derivatives
+        height = 2.0 * math.sqrt(math.pi) * math.gamma(p + 1.0) / (math.gamma(p + 0.5) * rate)
+        fall = 1.0 + (2.0 * math.pi * np.asarray(frequency) / rate) ** 2
+        return np.asarray(2.0 * self.sigma**2 * height * fall ** -(p + 1.0), dtype=np.float64)
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.evidence import Posterior, band_times, posterior
-from sightline.estimation.prior import Matern, Spectrum, Tone, autoregressive
+from sightline.estimation.prior import ORDERS, Matern, Spectrum, Tone, autoregressive
 from sightline.estimation.series import NormalEquations
 
 Array = NDArray[np.float64]
@@ -32,6 +32,9 @@ BELIEF = 3.0
 #: The same of a tone's bandwidth, about one over the length of the data: below that a bandwidth hardly
 #: shows, and one that is too narrow costs more than one that is too wide.
 BANDWIDTH_BELIEF = 1.2
+#: A smoother broadband part is believed when it lowers the deviance by this much (Akaike's price of a
+#: parameter, thrice: there are three steps to take).
+SMOOTHER = 6.0
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,7 @@ class Model:
     Attributes
     ----------
     drift, broadband : Matern
-        Of order 5/2 and 3/2.
+        The drift of order 5/2, the broadband part of any.
     tones : tuple of Tone
         In the order they were found; `gains` are their significances.
     noise_scale : float
@@ -57,11 +60,12 @@ class Model:
     @classmethod
     def of(cls, spectrum: Spectrum) -> Model:
         """The model that a spectrum describes; further Matern parts are left out."""
-        drift = [c for c in spectrum.components if isinstance(c, Matern) and c.order == "5/2"]
-        broadband = [c for c in spectrum.components if isinstance(c, Matern) and c.order == "3/2"]
-        if not drift or not broadband:
-            raise InputError('`start` needs a Matern component of order "5/2" and one of order "3/2"')
-        return cls(drift[0], broadband[0], spectrum.tones, gains=(math.nan,) * len(spectrum.tones))
+        parts = [c for c in spectrum.components if isinstance(c, Matern)]
+        drift = next((c for c in parts if c.order == "5/2"), None)
+        broadband = next((c for c in parts if c is not drift), None)
+        if drift is None or broadband is None:
+            raise InputError('`start` needs a Matern component of order "5/2" and another for the broadband')
+        return cls(drift, broadband, spectrum.tones, gains=(math.nan,) * len(spectrum.tones))
 
     @property
     def spectrum(self) -> Spectrum:
@@ -138,7 +142,7 @@ class Search:
         return replace(
             origin,
             drift=Matern(math.exp(x[0]), math.exp(x[1]), "5/2"),
-            broadband=Matern(math.exp(x[2]), math.exp(x[3]), "3/2"),
+            broadband=Matern(math.exp(x[2]), math.exp(x[3]), origin.broadband.order),
             tones=tuple(tones),
             noise_scale=math.exp(x[-1]),
         )
@@ -306,6 +310,23 @@ class Search:
         power = (u @ waves) ** 2
         expected = np.maximum(expected, 1e-12 * float(np.max(expected, initial=1.0)))
         return power[:half] + power[half:], expected[:half] + expected[half:]
+
+    def with_smoothness(self, model: Model) -> Model:
+        """The model with its broadband part as smooth as the data ask for, from its present order up.
+
+        Notes
+        -----
+        A spectrum that falls too slowly above its corner holds jitter that is not there: the posterior sigma
+        is too large, and noise is taken for motion. An order must earn `SMOOTHER`, so that noise alone does
+        not choose.
+        """
+        for order in ORDERS[ORDERS.index(model.broadband.order) + 1 :]:
+            part = model.broadband
+            smoother = self.improve(replace(model, broadband=Matern(part.sigma, part.timescale, order)), 25)
+            if self.deviance(smoother) > self.deviance(model) - SMOOTHER:
+                break
+            model = smoother
+        return model
 
     def without_idle_tones(self, model: Model) -> Model:
         """The model less every tone that three parameters do not pay for (Akaike)."""

@@ -22,6 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
+from sightline.estimation.banded import BorderedFactor
 from sightline.estimation.prior import NUGGET, Autoregressive, Matern, Spectrum, autoregressive
 
 Array = NDArray[np.float64]
@@ -129,6 +130,59 @@ class Layout:
         fine = (k * block + (k // ratio + 1) * slow)[:, None] + np.arange(block)
         coarse = (np.minimum(j * ratio, n) * block + j * slow)[:, None] + np.arange(slow)
         return cls(fine, coarse)
+
+
+class LaidFactor:
+    """A factor of fine and coarse unknowns that answers for the fine ones alone, in their own order.
+
+    Parameters
+    ----------
+    factor : BorderedFactor
+        Of all unknowns.
+    position : (n,)
+        Where the fine unknowns stand among them, rising.
+    """
+
+    def __init__(self, factor: BorderedFactor, position: Index) -> None:
+        self._factor = factor
+        self._position = position
+
+    @property
+    def n(self) -> int:
+        """Number of fine unknowns."""
+        return len(self._position)
+
+    @property
+    def q(self) -> int:
+        """Number of unknowns of the border."""
+        return self._factor.q
+
+    @property
+    def border_covariance(self) -> Array:
+        """The (q, q) block of the inverse that belongs to the border."""
+        return self._factor.border_covariance
+
+    def solve(self, b: Array, d: Array) -> tuple[Array, Array]:
+        """Fine unknowns (n,) or (n, k) and border (q,) or (q, k) for such right sides."""
+        spread = np.zeros((self._factor.n, *b.shape[1:]))
+        spread[self._position] = b
+        x, y = self._factor.solve(spread, d)
+        return np.asarray(x[self._position]), y
+
+    def times(self, directions: Array) -> tuple[Array, Array]:
+        """Inverse times [directions; 0]: its (n, k) and (q, k) parts; `directions` is (n, k) or (n,)."""
+        return self.solve(directions, np.zeros((self.q, *directions.shape[1:])))
+
+    def covariance_band(self, width: int) -> Array:
+        """Band of the covariance of the fine unknowns, ``out[d, j]``, shape (width + 1, n)."""
+        reach = farthest(self._position, width)
+        return gather_band(self._factor.covariance_band(reach), self._position, width)
+
+
+def farthest(position: Index, width: int) -> int:
+    """Most places between two fine unknowns that are up to `width` apart in their own order."""
+    near = min(width, len(position) - 1)
+    return int(np.max(position[near:] - position[: len(position) - near]))
 
 
 def coarse_count(n: int, ratio: int) -> int:

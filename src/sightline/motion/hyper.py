@@ -19,6 +19,7 @@ from sightline.errors import EstimationError
 from sightline.estimation.likelihood import fit_spectrum
 from sightline.estimation.prior import Autoregressive, Matern, Spectrum
 from sightline.estimation.series import DifferenceSeries
+from sightline.estimation.split import SplitPrior, coarse_ratio, split
 from sightline.motion.differences import AngleDifferences
 from sightline.motion.joint import JointEstimate
 from sightline.motion.normal_equations import TimeGrid
@@ -60,6 +61,20 @@ class PriorModel:
         """Autoregressive processes on the grid."""
         roll, pitch, yaw = (s.autoregressive(grid.step, ORDER, grid.count) for s in self.spectra)
         return roll, pitch, yaw
+
+    def apart(self, grid: TimeGrid, width: int) -> tuple[SplitPrior, SplitPrior, SplitPrior] | None:
+        """The processes with their drifts on one coarse grid; None where an axis has no drift to part.
+
+        Parameters
+        ----------
+        width : int
+            Nodes that the data's rows span.
+        """
+        ratios = [coarse_ratio(s, grid.step, ORDER, width=width) for s in self.spectra]
+        ratio = min((r for r in ratios if r is not None), default=None)
+        parts = [split(s, grid.step, ORDER, grid.count, ratio=ratio) for s in self.spectra]
+        roll, pitch, yaw = parts
+        return None if roll is None or pitch is None or yaw is None else (roll, pitch, yaw)
 
 
 _WIDE = Spectrum((Matern(20.0, 1.0, "5/2"), Matern(0.5, 0.01, "3/2")))

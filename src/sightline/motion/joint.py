@@ -18,9 +18,11 @@ from numpy.typing import NDArray
 
 from sightline.estimation.banded import BorderedFactor
 from sightline.estimation.prior import Autoregressive, Spectrum, Tone
+from sightline.estimation.split import LaidFactor, Layout, SplitPrior, farthest, spread_band
 from sightline.motion.normal_equations import NormalEquations, TimeGrid, band_times
 
 Array = NDArray[np.float64]
+Factor = BorderedFactor | LaidFactor
 
 #: 1-sigma of the constant of roll, pitch and yaw (rad). Images of one strip never see a constant of roll or
 #: pitch, which stay where the reference attitude puts them: let loose, errors of linearisation would carry
@@ -50,6 +52,9 @@ class JointPrior:
         Below 1 where the motion may jump.
     constant_sigma : (3,)
         rad; of the free constant of each axis.
+    apart : three SplitPrior or None
+        The same processes with their drifts on a coarse grid of their own, of one ratio: for gaps longer than
+        the memory of `angles`.
     """
 
     angles: tuple[Autoregressive, Autoregressive, Autoregressive]
@@ -57,6 +62,30 @@ class JointPrior:
     relief: tuple[Autoregressive, Autoregressive] | None = None
     innovation_weights: Array | None = None
     constant_sigma: tuple[float, float, float] = CONSTANT_SIGMA
+    apart: tuple[SplitPrior, SplitPrior, SplitPrior] | None = None
+
+    def layout(self, count: int, block: int) -> Layout | None:
+        """Where the unknowns of the grid stand between coarse nodes; None where there are none."""
+        if self.apart is None:
+            return None
+        return Layout.interleaved(count, self.apart[0].ratio, block=block, slow=3)
+
+    def laid_precision(self, layout: Layout) -> Array:
+        """Lower band of the prior precision of all unknowns of a layout, coarse ones among them."""
+        assert self.apart is not None
+        relief = (
+            [] if self.relief is None else [(3 + k, p.precision_band()) for k, p in enumerate(self.relief)]
+        )
+        place = [np.ascontiguousarray(layout.fine[:, axis]) for axis in range(layout.fine.shape[1])]
+        widths = [p.width(layout, axis) for axis, p in enumerate(self.apart)]
+        widths += [farthest(place[axis], len(band) - 1) for axis, band in relief]
+        out = np.zeros((max(widths) + 1, layout.size))
+        for axis, p in enumerate(self.apart):
+            weights = None if self.innovation_weights is None else self.innovation_weights[:, axis].copy()
+            p.add_to(out, layout, axis, weights)
+        for axis, band in relief:
+            spread_band(band, place[axis], out)
+        return out
 
     def precision(self, grid: TimeGrid, block: int) -> Array:
         """Lower band of the prior precision of all unknowns of the grid."""
@@ -192,26 +221,43 @@ def _unmixed(directions: Array, u: Array) -> Array:
     return np.asarray(directions @ np.linalg.inv(content))
 
 
-def _factor(data: NormalEquations, prior: JointPrior, *, constants: bool) -> BorderedFactor:
+def _factor(data: NormalEquations, prior: JointPrior, *, constants: bool) -> Factor:
     """Factor of data + prior; the border holds the statics and, if asked, a free constant per axis."""
-    p = prior.precision(data.grid, data.block)
-    width = max(len(p), len(data.ab))
-    ab = np.zeros((width, p.shape[1]))
-    ab[: len(data.ab)] = data.ab
+    layout = prior.layout(data.grid.count, data.block)
+    if layout is None:
+        p, place = prior.precision(data.grid, data.block), np.arange(data.block * data.grid.count)
+        reach = len(data.ab) - 1
+    else:
+        p, place = prior.laid_precision(layout), np.ascontiguousarray(layout.fine.ravel())
+        reach = farthest(place, len(data.ab) - 1)
+    size = p.shape[1]
+    ab = np.zeros((max(len(p), reach + 1), size))
+    if layout is None:
+        ab[: len(data.ab)] = data.ab
+    else:
+        spread_band(data.ab, place, ab)
     ab[: len(p)] += p
     statics = len(prior.statics_sigma)
-    border, corner = data.border, data.corner + np.diag(1.0 / prior.statics_sigma**2)
+    border, corner = np.zeros((size, statics)), data.corner + np.diag(1.0 / prior.statics_sigma**2)
+    border[place] = data.border
     if constants:
-        ones = np.zeros((p.shape[1], 3))
+        ones = np.zeros((size, 3))
         for axis in range(3):
-            ones[axis :: data.block, axis] = 1.0
+            ones[place[axis :: data.block], axis] = 1.0
         pulled = band_times(p, ones)
         border = np.concatenate([border, -pulled], axis=1)
         grown = np.zeros((statics + 3, statics + 3))
         grown[:statics, :statics] = corner
         grown[statics:, statics:] = ones.T @ pulled + np.diag(1.0 / np.square(prior.constant_sigma))
         corner = grown
-    return BorderedFactor(ab, border, corner)
+    factor = BorderedFactor(ab, border, corner)
+    return factor if layout is None else LaidFactor(factor, place)
+
+
+def longest_gap(data: NormalEquations) -> int:
+    """Most nodes in a row, between seen ones, that no measurement of roll, pitch or yaw touches."""
+    seen = np.flatnonzero(data.ab[0].reshape(-1, data.block)[:, :3].any(axis=1))
+    return int(np.diff(seen).max(initial=1)) - 1
 
 
 def solve_joint(data: NormalEquations, prior: JointPrior) -> JointEstimate:
@@ -227,7 +273,7 @@ def solve_joint(data: NormalEquations, prior: JointPrior) -> JointEstimate:
 
 
 def _held(
-    factor: BorderedFactor, data: NormalEquations, prior: JointPrior, x: Array, y: Array
+    factor: Factor, data: NormalEquations, prior: JointPrior, x: Array, y: Array
 ) -> tuple[Array, Array]:
     """The solution given that roll and pitch have mean zero but for their constants' sigma.
 
@@ -260,13 +306,13 @@ def _interpolated(band: Array, grid: TimeGrid, block: int, t: Array) -> Array:
     return out
 
 
-def marginal_covariance(factor: BorderedFactor, grid: TimeGrid, block: int, t: Array) -> Array:
+def marginal_covariance(factor: Factor, grid: TimeGrid, block: int, t: Array) -> Array:
     """(N, 3, 3) posterior covariance of the three angles at `t`."""
     return _interpolated(factor.covariance_band(4 * block - 1), grid, block, t)
 
 
 def projected_covariance(
-    factor: BorderedFactor, grid: TimeGrid, block: int, t: Array, directions: Array, scale: Array
+    factor: Factor, grid: TimeGrid, block: int, t: Array, directions: Array, scale: Array
 ) -> Array:
     """(N, 3, 3) covariance at `t` of the motion with `directions` (N, 3, H) removed by one unweighted fit.
 
@@ -342,6 +388,7 @@ __all__: Sequence[str] = (
     "JointPrior",
     "angles_at",
     "directions_at",
+    "longest_gap",
     "marginal_covariance",
     "projected_covariance",
     "remove_directions",

@@ -2,7 +2,7 @@
 
 S1's boxes 20 to 26 for a whole strip: lay windows, predict, match, residual. Which hubs are
 needed is decided here too: the first image serves all ground it sees, later images only what
-no earlier hub has seen, so that no pair is counted twice.
+no earlier hub has seen, and their own first and last lines, so that no pair is counted twice.
 
 Not here: what is done with the observations (``joint.py``).
 """
@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
+from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Dem, Surface
 from sightline.imaging.source import ImageSource
 from sightline.imaging.warp import WarpedImage
@@ -41,6 +42,11 @@ Array = NDArray[np.float64]
 RELIEF_SPACING, SMOOTH_SPACING = 16, 64
 #: A row that lost more than this share of its windows is tried again: the estimate may have been wrong.
 MOST_WRONG = 0.4
+#: Windows of another image are not found nearer than this to the ends of an image (px): the kernel that lays
+#: one image on the other reads 4, the derivative another 4.
+END = 8
+#: Windows enough to learn whitening from; a star of fewer looks all over its image instead.
+ENOUGH = 100
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,12 +103,19 @@ def hub_windows(
     order: Sequence[int],
     plan: MatchingPlan,
 ) -> list[tuple[int, tuple[int, ...], WindowGrid]]:
-    """Which windows to cut from which image: (hub, partners, grid) for every hub in `order`."""
+    """Which windows to cut from which image: (hub, partners, grid) for every hub in `order`.
+
+    Notes
+    -----
+    What a later image took in its very first and last lines cannot be found in it (`END`), but can be cut
+    from it and found in the images before: without such windows, which follow the search, the motion at the
+    ends of a strip would be extrapolated over 4 ms.
+    """
     out = []
-    for place, hub in enumerate(order[:-1]):
+    for place, hub in enumerate(order):
         partners = tuple(order[place + 1 :])
         grid = plan.grid(shapes[hub])
-        if place:
+        if place and partners:
             middle = grid.columns[len(grid.columns) // 2]
             pixels = np.stack([grid.lines, np.full(len(grid.lines), middle)], axis=1)
             ground = cameras[hub].locate(pixels, surface)
@@ -112,9 +125,21 @@ def hub_windows(
                 line = cameras[earlier].project(ground)[:, 0]
                 fresh &= ~(np.isfinite(line) & (line > reach) & (line < shapes[earlier][0] - 1 - reach))
             grid = WindowGrid(grid.window, grid.lines[fresh], grid.columns)
-        if len(grid.lines):
+        if partners and len(grid.lines):
             out.append((hub, partners, grid))
+        if place and max(plan.search_px) == 0:
+            lines = _end_lines(shapes[hub][0], grid.window[0], plan.step)
+            out.append((hub, tuple(order[:place]), WindowGrid(grid.window, lines, grid.columns)))
     return out
+
+
+def _end_lines(lines: int, height: int, step: int) -> Array:
+    """Centres of the rows of windows, laid inwards from both ends, in which no other window is found."""
+    half = (height - 1) / 2.0
+    rows = max(1, math.ceil((END - half) / step))
+    inward = half + step * np.arange(rows)
+    inward = inward[inward <= (lines - 1) / 2.0]
+    return np.unique(np.concatenate([inward, lines - 1.0 - inward]))
 
 
 def match_star(
@@ -152,7 +177,7 @@ def match_star(
             points,
             window=grid.window,
             search_px=plan.search_px,
-            whitening=pair_whitening(images[hub], laid, points[tried]),
+            whitening=pair_whitening(images[hub], laid, _learning(points[tried], images[hub], plan)),
         )
         values[:, j] = sampled_sensitivities(
             cameras, hub, partner, surface, grid, np.isfinite(predicted[j].b[:, 0]), statics
@@ -214,6 +239,14 @@ def found_wrong(before: StarRecord | None, hub: int, grid: WindowGrid, pairs: in
     return np.asarray((by_row & (by_row.mean(axis=1, keepdims=True) < MOST_WRONG)).reshape(none.shape))
 
 
+def _learning(points: Array, image: ImageSource, plan: MatchingPlan) -> Array:
+    """Where a pair's whitening is learned: at its windows, or all over the image where they are few."""
+    if len(points) >= ENOUGH:
+        return points
+    everywhere = plan.grid(image.shape).centres
+    return everywhere[np.linspace(0, len(everywhere) - 1, min(ENOUGH, len(everywhere))).astype(int)]
+
+
 def pair_whitening(image: ImageSource, laid: ImageSource, points: Array) -> Whitening | None:
     """Whitening filters of a pair at `points` (N, 2); None where there is too little to estimate them."""
     try:
@@ -232,8 +265,8 @@ def _within(pixels: Array, shape: tuple[int, int], window: tuple[int, int]) -> N
 
 def _duration(camera: MovingCamera, grid: WindowGrid) -> float:
     """Length (s) of the boxcar that spreads as the window's h line centres do: sqrt(h^2 - 1) line periods."""
-    if len(grid.lines) < 2:
+    if not isinstance(camera, PushbroomCamera):
         return 0.0
-    ends = exposure_times(camera, np.array([[grid.lines[0], 0.0], [grid.lines[-1], 0.0]]))
-    period = (ends[1] - ends[0]) / (grid.lines[-1] - grid.lines[0])
+    ends = exposure_times(camera, np.array([[0.0, 0.0], [camera.lines - 1.0, 0.0]]))
+    period = (ends[1] - ends[0]) / max(camera.lines - 1, 1)
     return float(period * math.sqrt(grid.window[0] ** 2 - 1.0))

@@ -39,10 +39,10 @@ def band_statics(
             sigma = float(offset_sigma_px[image])
             for axis, key in (("along", "line_px"), ("across", "column_px")):
                 change = _adjust(image, key)
-                out.append(StaticParameter(f"{name} offset {axis}", "px", sigma, 0.5, change, (image,)))
+                out.append(StaticParameter(f"{name} offset {axis}", "px", sigma, 0.1, change, (image,)))
         if rotation_sigma[image] > 0.0:
             sigma, change = float(rotation_sigma[image]), _adjust(image, "rotation")
-            out.append(StaticParameter(f"{name} rotation", "rad", sigma, 1e-3, change, (image,)))
+            out.append(StaticParameter(f"{name} rotation", "rad", sigma, 1e-4, change, (image,)))
     return out
 
 

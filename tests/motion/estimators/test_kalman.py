@@ -45,6 +45,18 @@ def test_it_equals_the_dense_posterior_with_and_without_a_gap(series, gap):
         assert motion.covariance[:, axis, axis] == pytest.approx(variance, rel=1e-3)
 
 
+@pytest.mark.parametrize("order", ["3/2", "5/2", "9/2", "17/2"])
+def test_the_state_space_of_a_matern_keeps_its_autocovariance(order):
+    # nine states of one size: transition and stationary covariance are good to 1e-9 of the variance
+    part = Matern(0.7, 0.02, order)
+    space = state_space(Spectrum((part,)), 2e-3)
+    power = np.eye(len(space.output))
+    for lag in range(12):
+        found = space.output @ power @ space.stationary @ space.output
+        assert found == pytest.approx(float(part.autocovariance(np.array([2e-3 * lag]))[0]), abs=1e-8)
+        power = space.transition @ power
+
+
 def test_negative_lags_and_times_off_the_grid_are_followed(series):
     rng = np.random.default_rng(1)
     t = np.sort(rng.uniform(0.1, 0.8, 300))

@@ -62,8 +62,8 @@ def state_space(prior: Spectrum, step: float) -> StateSpace:
 
     Notes
     -----
-    Hartikainen and Särkkä (2010): a Matern process of smoothness 3/2 (5/2) is a critically damped
-    oscillator of order 2 (3); a tone is a rotation that is damped at pi times its bandwidth.
+    Hartikainen and Särkkä (2010): a Matern process of p derivatives is a critically damped oscillator of
+    order p + 1; a tone is a rotation that is damped at pi times its bandwidth.
     """
     from scipy.linalg import block_diag
 
@@ -81,17 +81,17 @@ def _tone(tone: Tone, step: float) -> tuple[Array, Array]:
 
 
 def _matern(part: Matern, step: float) -> tuple[Array, Array]:
-    from scipy.linalg import expm
+    from scipy.linalg import expm, solve_continuous_lyapunov
 
     rate = 2.0 * math.pi * part.corner
-    variance = part.sigma**2
-    if part.order == "3/2":
-        drift = np.array([[0.0, 1.0], [-(rate**2), -2.0 * rate]])
-        return expm(drift * step), variance * np.diag([1.0, rate**2])
-    drift = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [-(rate**3), -3.0 * rate**2, -3.0 * rate]])
-    cross = rate**2 / 3.0
-    stationary = np.array([[1.0, 0.0, -cross], [0.0, cross, 0.0], [-cross, 0.0, rate**4]])
-    return expm(drift * step), variance * stationary
+    size = part.derivatives + 1
+    # time in units of 1 / rate, so that derivatives of all orders are of one size
+    drift = np.diag(np.ones(size - 1), 1)
+    drift[-1] = [-math.comb(size, k) for k in range(size)]
+    white = np.zeros((size, size))
+    white[-1, -1] = 1.0
+    stationary = solve_continuous_lyapunov(drift, -white)
+    return expm(drift * rate * step), part.sigma**2 * stationary / stationary[0, 0]
 
 
 def kalman(
