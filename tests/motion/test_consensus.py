@@ -29,7 +29,7 @@ def noise(star: Star, seed: int) -> NDArray[np.float64]:
 
 def weights(star: Star, post: NDArray[np.float64]) -> NDArray[np.float64]:
     """(rows, blocks, K)."""
-    return ground_weights(star, post.reshape(*star.t.shape, 2)).reshape(*star.shape, -1)
+    return ground_weights([star], [post.reshape(*star.t.shape, 2)])[0].reshape(*star.shape, -1)
 
 
 def seeing_heights(star: Star) -> Star:
@@ -81,6 +81,25 @@ class TestClearView:
         star = replace(star, residual_px=post.reshape(-1, 2, 2))
         got = weights(star, post)
         assert not got[10:20, 4].any() and got[10:20].mean() > 0.7
+
+    def test_chance_matches_of_blank_ground_are_not_believed(self):
+        star = star_of()
+        post = noise(star, 30)
+        post[50:110] = np.nan
+        rng = np.random.default_rng(31)
+        lonely = rng.uniform(size=(60, BLOCKS)) < 0.02
+        post[50:110][lonely] = 0.3 * rng.standard_normal((lonely.sum(), 1, 2))
+        star = replace(star, residual_px=post.reshape(-1, 1, 2))
+        got = weights(star, post)[..., 0]
+        assert lonely[8:-8].sum() >= 4 and not got[58:102].any()
+        assert got[:50].mean() > 0.96 and got[110:].mean() > 0.96
+
+    def test_a_coast_of_two_columns_is_believed(self):
+        star = star_of()
+        post = noise(star, 32)
+        post[50:110, 2:] = np.nan
+        star = replace(star, residual_px=post.reshape(-1, 1, 2))
+        assert weights(star, post)[50:110, :2].mean() > 0.9
 
 
 class TestClouds:
@@ -181,3 +200,28 @@ class TestBrightness:
         brightness[:10] = np.nan
         got = weights(replace(star, brightness=brightness.ravel()), post)[..., 0]
         assert not got[cloudy].any() and got[:10][~cloudy[:10]].mean() > 0.85
+
+
+class TestSameGround:
+    """A short star of another hub, on ground that the first hub's star has judged."""
+
+    def test_a_short_star_does_not_trust_what_the_long_one_found_foreign(self):
+        long = star_of()
+        post = noise(long, 40)
+        post[100:130, :7] -= 10 * SIGMA
+        post[100:130, 7:] = noise(long, 41)[100:130, 7:]
+        post[60:150, :3] = np.nan
+        long = replace(long, residual_px=post.reshape(-1, 1, 2), hub=0, images=(1,))
+        short = plain_star(4, BLOCKS, 1, SIGMA)
+        # its windows are seen in image 0 while that took rows 110 to 113 of the long star
+        t = long.t_hub.reshape(ROWS, BLOCKS)[110:114].reshape(-1, 1)
+        short = replace(short, hub=1, images=(0,), t=t, t_hub=t[:, 0] + 0.02)
+        other = noise(short, 42)
+        other[:, 3:7] -= 10 * SIGMA
+        got = ground_weights([long, short], [post.reshape(-1, 1, 2), other.reshape(-1, 1, 2)])
+        judged = got[0].reshape(ROWS, BLOCKS)[110:114]
+        # no more than five windows agree there, four clouds: the long star's rows say who is right
+        same = got[1].reshape(4, BLOCKS)
+        assert not same[:, :3].any()  # the long star looked and saw nothing there
+        assert_allclose((same > 0).mean(axis=0)[3:], (judged > 0).mean(axis=0)[3:], atol=0.3)
+        assert same[:, 7:].mean() > 0.8 or same[:, 3:7].mean() > 0.8

@@ -254,7 +254,7 @@ def _weighed(
     out = []
     for k, (star, line, clean) in enumerate(zip(stars, estimate.stars, estimate.clean_px, strict=True)):
         weight = robust_weights(replace(line, weight=np.ones_like(line.weight)), clean)
-        weight *= ground_weights(line, clean)
+        weight *= ground_weights([line], [clean])[0]
         if drifting is not None:
             weight = np.where(drifting[k][:, None], 0.0, weight)
         out.append(star.with_weight(weight))

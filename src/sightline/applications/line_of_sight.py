@@ -436,7 +436,8 @@ def _solve(
     settled = model is not strip.broad
     estimate, post, without = solution()
     for _ in range(ROUNDS if settled else DRAFT_ROUNDS):
-        weights = [robust_weights(s, r) * ground_weights(s, r) for s, r in zip(stars, post, strict=True)]
+        ground = ground_weights(stars, post)
+        weights = [robust_weights(s, r) * w for s, r, w in zip(stars, post, ground, strict=True)]
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
         stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]
         stars = [

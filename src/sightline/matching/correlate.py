@@ -152,7 +152,9 @@ def pair_covariances(fits: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDAr
         rows = good & (f[:, g] > 0) & (f[:, 8] > 0)
         ratio, share = f[rows, q] / (f[rows, g] * f[rows, 8]), f[rows, q + 1]
         sound = ratio <= 30.0 * np.median(ratio) if len(ratio) else np.zeros(0, np.bool_)
-        factor[axis] = np.sqrt((ratio[sound].sum() + _PRIOR_WINDOWS) / (share[sound].sum() + _PRIOR_WINDOWS))
+        # the products of neighbours can make the sum of a few windows negative: the prior stays half of it
+        seen, expected = ratio[sound].sum() + _PRIOR_WINDOWS, share[sound].sum() + _PRIOR_WINDOWS
+        factor[axis] = np.sqrt(max(seen, 0.5 * _PRIOR_WINDOWS) / max(expected, 0.5 * _PRIOR_WINDOWS))
     h = np.empty((len(f), 2, 2))
     h[:, 0, 0], h[:, 0, 1], h[:, 1, 0], h[:, 1, 1] = f[:, 2], f[:, 3], f[:, 3], f[:, 4]
     v = np.empty_like(h)

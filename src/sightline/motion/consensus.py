@@ -13,7 +13,9 @@ Not here: how exact the windows are that did see the ground (``match_noise.py``)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -39,6 +41,13 @@ BEYOND = 3.0
 BELOW = 2.0
 #: Columns whose pairs are tried as a row's line, and their least distance as a share of half the field.
 MOST_TRIED, APART = 16, 0.3
+#: Beside foreign windows, which have soft edges, departures speak so many times as loud,
+#: and what is too faint to show there makes a window count half.
+NEAR, DOUBTED = 3.0, 16.0
+#: Rows in which, neighbours included, more than this share is foreign say nothing.
+MOST_FOREIGN = 0.8
+#: A window is lonely where less than this share of those around it was matched.
+LONELY = 0.15
 #: What brightness tells is learned from rows of which this share agrees, in at most so many steps of
 #: brightness, and believed where it is CERTAIN times its standard error over stretches of the strip, of which
 #: there are at most so many and at least so few: windows of one cloud, or of one hill, err alike.
@@ -51,38 +60,90 @@ TRUSTED = 0.2
 MEDIAN_SQUARE = 0.4549
 
 
-def ground_weights(star: Star, post_px: Array) -> Array:
-    """Weights (G, K) in [0, 1]: 1 where the window agrees with its row, 0 where it saw something else.
+def ground_weights(stars: Sequence[Star], post_px: Sequence[Array]) -> list[Array]:
+    """Weights (G, K) in [0, 1] per star: 1 where a window agrees with its row, 0 where it saw something else.
 
     Parameters
     ----------
-    star : Star
-    post_px : (G, K, 2)
-        Residuals after an estimate of the motion, px.
+    stars : sequence of Star
+    post_px : sequence of (G, K, 2)
+        Residuals of each after an estimate of the motion, px.
 
     Notes
     -----
     All pairs of a window see the same cloud, which moves with the lag: they are judged together by one shift
     per unit of lag, and each loses weight by what that shift makes of its own lag. The weight of a window
     whose departure lasts n rows is that of an error of variance sigma^2 + n departure^2, so that what cannot
-    be proved costs information instead of honesty.
+    be proved costs information instead of honesty. Windows of other stars on ground that the largest star
+    saw too are not trusted more than that ground was there.
     """
+    largest = int(np.argmax([s.shape[0] * s.shape[1] for s in stars]))
+    first = stars[largest]
+    foreign = _foreign(first, post_px[largest], np.zeros(first.shape))
+    out = []
+    for k, (star, post) in enumerate(zip(stars, post_px, strict=True)):
+        squared = foreign
+        if k != largest:
+            squared = _foreign(star, post, _on_same_ground(star, first, foreign))
+        out.append(_pair_weights(star, squared))
+    return out
+
+
+def _pair_weights(star: Star, foreign: Array) -> Array:
+    """Weights (G, K) of the pairs of windows whose worst departure has this squared size, (rows, blocks)."""
+    squared = foreign.reshape(-1, 1)
+    sensitivity = _sensitivity(star, _relative_lags(star))
+    return np.where(
+        squared <= FOREIGN, _weight(np.where(squared <= FOREIGN, squared, 0.0) * sensitivity), 0.0
+    )
+
+
+def _foreign(star: Star, post_px: Array, least: Array) -> Array:
+    """Squared size (rows, blocks) of each window's worst departure, at least `least`; infinite if unseen."""
     rows, blocks = star.shape
-    pairs = star.t.shape[1]
     if blocks < MIN_BLOCKS or rows < 2:
-        return np.ones((rows * blocks, pairs))
+        return least
     shift = _common_shift(star, post_px)
     reaches = _reaches(star)
+    shift = replace(shift, seen=shift.seen & ~_lonely(shift.seen, reaches[0]))
     shift = shift.scaled(_row_noise(shift, reaches[0]))
     up = _upwards(star, shift.lag)
-    worst = _worst_departures(shift, reaches, up, np.zeros(star.shape))
+    worst = _worst_departures(shift, reaches, up, least)
     if star.brightness is not None:
         by_brightness = _told_by_brightness(shift, worst, star.brightness.reshape(star.shape), reaches)
         if by_brightness.any():
-            worst = _worst_departures(shift, reaches, up, by_brightness)
-    squared = worst.reshape(-1, 1)
-    counted = shift.seen.reshape(-1, 1) & (squared <= FOREIGN)
-    return np.where(counted, _weight(squared * _sensitivity(star, shift.lag)), 0.0)
+            worst = _worst_departures(shift, reaches, up, np.maximum(by_brightness, least))
+    # where hardly any window saw the ground, nothing vouches for those that seem to
+    foreign = _sum_along((shift.seen & (worst > FOREIGN)).sum(axis=1).astype(float), reaches[0])
+    lost = foreign > MOST_FOREIGN * _sum_along(shift.seen.sum(axis=1).astype(float), reaches[0])
+    return np.where(shift.seen & ~lost[:, None], worst, np.inf)
+
+
+def _on_same_ground(star: Star, first: Star, foreign: Array) -> Array:
+    """What `foreign` (rows, blocks) of star `first` says of the ground that the windows of `star` saw.
+
+    The windows nearest along the strip that were seen within REACHES[0] count, the worst of three; infinite
+    where `first` looked and saw none.
+    """
+    least = np.zeros(len(star.t_hub))
+    if first.hub not in star.images or first.shape[1] < MIN_BLOCKS:
+        return least.reshape(star.shape)
+    rows, blocks = first.shape
+    t = first.t_hub.reshape(rows, blocks)[:, 0]
+    instant = star.t[:, star.images.index(first.hub)]
+    column = np.abs(star.field[:, None] - first.field[:blocks]).argmin(axis=1)
+    reach = _reaches(first)[0]
+    step = float(np.median(np.diff(t)))
+    for k in np.flatnonzero(np.isfinite(instant)):
+        row = (instant[k] - t[0]) / step
+        if not -reach <= row <= rows - 1 + reach:
+            continue
+        near = np.arange(max(0, math.floor(row) - reach), min(rows, math.ceil(row) + reach + 1))
+        near = near[np.argsort(np.abs(near - row), kind="stable")]
+        found = foreign[near, column[k]]
+        found = found[np.isfinite(found)][:3]
+        least[k] = found.max() if len(found) else np.inf
+    return least.reshape(star.shape)
 
 
 def _worst_departures(shift: _Shift, reaches: list[int], up: Array, least: Array) -> Array:
@@ -94,9 +155,26 @@ def _worst_departures(shift: _Shift, reaches: list[int], up: Array, least: Array
         worst = np.where(use, (departure**2 / variance).sum(axis=-1), 0.0)
         worst = np.maximum(np.where(worst > FOREIGN, worst, 0.0), least)
         for reach in reaches:
-            worst = np.maximum(worst, _lasting(departure, variance, use, weight > TRUSTED, reach))
+            # what has been told already must not smear over its neighbours
+            left = use & (worst <= FOREIGN)
+            worst = np.maximum(worst, _lasting(departure, variance, left, weight > TRUSTED, reach))
+        worst = _with_neighbours(worst, use, reaches[0])
         weight = np.where(shift.seen, _weight(worst), 0.0)
     return worst
+
+
+def _with_neighbours(worst: Array, use: Flags, reach: int) -> Array:
+    """Departures (rows, blocks) seen in the light of those around.
+
+    Foreign is what stands among windows of its column most of which are; beside one, in its column or the
+    next, departures count NEAR times and are at least DOUBTED.
+    """
+    foreign = (use & (worst > FOREIGN)).astype(float)
+    number = _sum_along(foreign, reach)
+    most = number > 0.5 * _sum_along(use.astype(float), reach)
+    wide = np.pad(number > 0, ((0, 0), (1, 1)))
+    beside = wide[:, :-2] | wide[:, 1:-1] | wide[:, 2:]
+    return np.asarray(np.where(most, np.inf, np.where(beside, np.maximum(NEAR * worst, DOUBTED), worst)))
 
 
 def _told_by_brightness(shift: _Shift, worst: Array, brightness: Array, reaches: list[int]) -> Array:
@@ -164,15 +242,13 @@ class _Shift:
 
     def scaled(self, factor: Array) -> _Shift:
         """The same with variances multiplied by `factor` (2,)."""
-        return _Shift(self.x, self.lag, self.value, self.variance * factor, self.seen)
+        return replace(self, variance=self.variance * factor)
 
 
 def _common_shift(star: Star, post_px: Array) -> _Shift:
     """Least-squares shift of each window that grows with lag, from all its pairs."""
     rows, blocks = star.shape
-    lag = np.nanmedian(np.where(np.isfinite(star.t), star.t - star.t_hub[:, None], np.nan), axis=0)
-    lag = np.where(np.isfinite(lag), lag, 0.0)
-    lag = lag / max(float(np.abs(lag).max()), 1e-12)
+    lag = _relative_lags(star)
     variance = np.stack([star.covariance_px[..., 0, 0], star.covariance_px[..., 1, 1]], axis=-1)
     present = np.isfinite(post_px).all(axis=-1, keepdims=True) & np.isfinite(variance)
     share = np.where(present, lag[:, None] / np.where(present, variance, 1.0), 0.0)
@@ -183,6 +259,14 @@ def _common_shift(star: Star, post_px: Array) -> _Shift:
     value, variance = value.reshape(rows, blocks, 2), (1.0 / information).reshape(rows, blocks, 2)
     x = star.field.reshape(rows, blocks)[0]
     return _Shift(x, lag, value, variance, seen.reshape(rows, blocks))
+
+
+def _relative_lags(star: Star) -> Array:
+    """(K,) lag of each pair over the longest; zero where a pair sees nothing."""
+    apart = star.t - star.t_hub[:, None]
+    seen = np.isfinite(apart)
+    lag = np.array([np.median(apart[s, k]) if s.any() else 0.0 for k, s in enumerate(seen.T)])
+    return np.asarray(lag / max(float(np.abs(lag).max()), 1e-12))
 
 
 def _sensitivity(star: Star, lag: Array) -> Array:
@@ -224,6 +308,13 @@ def _mean_along(values: Array, variance: Array, use: Flags, reach: int) -> tuple
     mean = _sum_along(np.where(there, values, 0.0), reach) / some
     spread = _sum_along(np.where(there, variance, 0.0), reach) / some**2
     return mean, np.where(count > 0.0, spread, 1.0), count
+
+
+def _lonely(seen: Flags, reach: int) -> Flags:
+    """Windows among whose neighbours hardly any was matched: chance matches of blank ground."""
+    wide = np.pad(np.stack([seen, np.ones_like(seen)]).astype(float), ((0, 0), (0, 0), (1, 1)))
+    near, all_ = (_sum_along(part[:, :-2] + part[:, 1:-1] + part[:, 2:], reach) for part in wide)
+    return np.asarray(seen & (near < LONELY * all_))
 
 
 def _row_noise(shift: _Shift, reach: int) -> Array:
