@@ -88,7 +88,7 @@ class RecoverOptions:
     search_px: tuple[int, int] = (8, 8)
     grid_lines: float = 2.0
     passes: int = 4
-    draft_blocks: int = 20
+    draft_blocks: int = 10
     tolerance: float = 0.2
 
 

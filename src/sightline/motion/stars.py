@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
+from sightline.execution import in_threads
 from sightline.geometry.surface import Dem, Surface
 from sightline.imaging.source import ImageSource
 from sightline.imaging.warp import WarpedImage
@@ -140,9 +141,11 @@ def match_star(
     status = np.ones((g, k), dtype=np.uint8)
     score = np.full((g, k), np.nan)
     values = np.zeros((g, k, 2, 7 + len(statics)), dtype=np.float32)
-    for j, partner in enumerate(partners):
+
+    def work(j: int) -> None:
+        partner, seen = partners[j], np.isfinite(predicted[j].b[:, 0])
         laid = laid_on(images, cameras, surface, hub, partner)
-        tried = np.isfinite(predicted[j].b[:, 0]) & ~wrong[:, j]
+        tried = seen & ~wrong[:, j]
         points = np.where(tried[:, None], grid.centres, np.nan)
         matches = match_images(
             images[hub],
@@ -153,16 +156,16 @@ def match_star(
             search_px=plan.search_px,
             whitening=pair_whitening(images[hub], laid, points[tried]),
         )
-        values[:, j] = sampled_sensitivities(
-            cameras, hub, partner, surface, grid, np.isfinite(predicted[j].b[:, 0]), statics
-        )
-        good = matches.kept & np.isfinite(values[:, j]).all(axis=(1, 2)) & np.isfinite(predicted[j].b[:, 0])
+        values[:, j] = sampled_sensitivities(cameras, hub, partner, surface, grid, seen, statics)
+        good = matches.kept & np.isfinite(values[:, j]).all(axis=(1, 2)) & seen
         turn = predicted[j].affine[good]
         residual[good, j] = np.einsum("nij,nj->ni", turn, matches.b[good] - grid.centres[good])
         covariance[good, j] = turn @ matches.covariance_px[good] @ np.swapaxes(turn, 1, 2)
         beyond = ~_within(predicted[j].b, images[partner].shape, grid.window)
         status[:, j] = np.where(beyond & (matches.status == MASKED), OUTSIDE, matches.status)
         score[:, j] = matches.score
+
+    in_threads(work, range(k))
     camera = cameras[hub]
     star = Star(
         hub=hub,
