@@ -33,6 +33,7 @@ from sightline.motion.joint import (
     directions_at,
     innovation_weights,
     interpolation_variance,
+    nodes_on,
     remove_directions,
     solve_joint,
 )
@@ -56,6 +57,9 @@ MIN_BACKWARDS = 10
 #: Times that matches are weighed by their own scatter and the motion solved again, in every pass:
 #: once a spectrum is fitted, and before.
 ROUNDS, DRAFT_ROUNDS = 4, 2
+#: Drafts of wide strips: nodes of the final grid per node of theirs, and how far from settled (in tolerances)
+#: they may stop, since the last pass linearises once more, which divides what is left by about four.
+DRAFT_NODES, DRAFT_TOLERANCE = 2, 3.0
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
 
@@ -164,16 +168,19 @@ def recover_line_of_sight(
     options = options or RecoverOptions()
     tell = progress or (lambda text: None)
     strip = _prepare(bands, surface, options)
-    state = _first_pass(strip, options, height_sigma, tell)
+    wide = strip.nominal[0].columns // options.window[1] > options.draft_blocks
+    draft = replace(strip, grid=strip.grid.coarser(DRAFT_NODES)) if wide else strip
+    tolerance = options.tolerance * (DRAFT_TOLERANCE if wide else 1.0)
+    state = _first_pass(draft, options, height_sigma, tell)
     changes: list[float] = []
     for number in range(options.passes):
         tell(f"pass {number + 1}: matching windows compensated by the motion found")
-        refined = _compensated_pass(strip, state, number, options, height_sigma, tell)
-        changes.append(_change(strip, state, refined))
+        refined = _compensated_pass(draft, state, number, options, height_sigma, tell)
+        changes.append(_change(draft, state, refined))
         state = refined
-        if changes[-1] < options.tolerance:
+        if changes[-1] < tolerance:
             break
-    if strip.nominal[0].columns // options.window[1] > options.draft_blocks:
+    if wide:
         tell("last pass: windows side by side over the whole field")
         state = _compensated_pass(strip, state, options.passes, options, height_sigma, tell, last=True)
     return _result(strip, state, changes)
@@ -346,7 +353,7 @@ def _compensated_pass(
 
     Drafts thin the windows of wide strips; the `last` pass has them side by side.
     """
-    nodes, statics = state.estimate.nodes, state.estimate.statics
+    nodes, statics = nodes_on(state.estimate, strip.grid), state.estimate.statics
     blocks = 0 if last else options.draft_blocks
     plan = MatchingPlan(options.window, options.step, (0, 0), blocks)
     records = _match(strip, nodes, statics, plan, state.records)

@@ -337,6 +337,19 @@ def angles_at(estimate: JointEstimate, t: Array) -> Array:
     return estimate.grid.interpolate(estimate.nodes, t)
 
 
+def nodes_on(estimate: JointEstimate, grid: TimeGrid) -> Array:
+    """Estimated angles (count, 3) rad at the nodes of a grid that may be finer than the estimate's own.
+
+    By a spline of degree 5: local cubics would leave images of the tones above the coarse grid's Nyquist
+    frequency (a tenth of a tone of four nodes per period), where windows of a few lines hardly see them.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    if grid == estimate.grid:
+        return estimate.nodes
+    return np.asarray(make_interp_spline(estimate.grid.nodes, estimate.nodes, k=5)(grid.nodes))
+
+
 __all__: Sequence[str] = (
     "JointEstimate",
     "JointPrior",
