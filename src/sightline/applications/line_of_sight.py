@@ -60,6 +60,8 @@ ROUNDS, DRAFT_ROUNDS = 4, 2
 #: Drafts of wide strips: nodes of the final grid per node of theirs, and how far from settled (in tolerances)
 #: they may stop, since the last pass linearises once more, which divides what is left by about four.
 DRAFT_NODES, DRAFT_TOLERANCE = 2, 3.0
+#: Tiles per pair that teach the whitening of drafts.
+DRAFT_TILES = 128
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
 
@@ -81,7 +83,7 @@ class RecoverOptions:
     passes : int
         At most so many compensated passes.
     draft_blocks : int
-        At most so many windows per row until the last pass, which has them side by side.
+        Strips of more windows per row are wide: they have so many at most until the last pass.
     tolerance : float
         Stop when the motion changes by less than this part of its sigma.
     """
@@ -98,7 +100,7 @@ class RecoverOptions:
 
 @dataclass(frozen=True, eq=False)
 class _Strip:
-    """What does not change from pass to pass."""
+    """What does not change from pass to pass; a `draft` is a wide strip before its last pass."""
 
     bands: tuple[Band, ...]
     surface: Surface
@@ -111,6 +113,15 @@ class _Strip:
     half_width: float
     ground_speed: float
     broad: PriorModel
+    draft: bool = False
+
+    def plan(
+        self, options: RecoverOptions, window: tuple[int, int], step: int, search: tuple[int, int] = (0, 0)
+    ) -> MatchingPlan:
+        """How a pass matches; drafts of wide strips thin the windows and the tiles of their whitening."""
+        if self.draft:
+            return MatchingPlan(window, step, search, options.draft_blocks, DRAFT_TILES)
+        return MatchingPlan(window, step, search)
 
     @property
     def scale(self) -> Array:
@@ -169,8 +180,8 @@ def recover_line_of_sight(
     tell = progress or (lambda text: None)
     strip = _prepare(bands, surface, options)
     wide = strip.nominal[0].columns // options.window[1] > options.draft_blocks
-    draft = replace(strip, grid=strip.grid.coarser(DRAFT_NODES)) if wide else strip
-    tolerance = options.tolerance * (DRAFT_TOLERANCE if wide else 1.0)
+    draft = replace(strip, grid=strip.grid.coarser(DRAFT_NODES), draft=True) if wide else strip
+    tolerance = options.tolerance * (DRAFT_TOLERANCE if draft.draft else 1.0)
     state = _first_pass(draft, options, height_sigma, tell)
     changes: list[float] = []
     for number in range(options.passes):
@@ -182,7 +193,7 @@ def recover_line_of_sight(
             break
     if wide:
         tell("last pass: windows side by side over the whole field")
-        state = _compensated_pass(strip, state, options.passes, options, height_sigma, tell, last=True)
+        state = _compensated_pass(strip, state, options.passes, options, height_sigma, tell)
     return _result(strip, state, changes)
 
 
@@ -278,9 +289,7 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
     tell("first pass: searching about the nominal prediction")
     nodes = np.zeros((strip.grid.count, 3))
     statics = np.zeros(len(strip.parameters))
-    plan = MatchingPlan(
-        options.first_window, 2 * options.first_window[0], options.search_px, options.draft_blocks
-    )
+    plan = strip.plan(options, options.first_window, 2 * options.first_window[0], options.search_px)
     records = tuple(_with_floor(r) for r in _match(strip, nodes, statics, plan))
     tried = sum(r.star.present.size for r in records)
     kept = sum(int(r.star.present.sum()) for r in records)
@@ -298,7 +307,7 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
         )
     state = _solve(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
     # once more about the motion found: what was left of the first linearisation is gone before dense matching
-    plan = MatchingPlan(options.first_window, options.first_window[0], (0, 0), options.draft_blocks)
+    plan = strip.plan(options, options.first_window, options.first_window[0])
     records = _match(strip, state.estimate.nodes, state.estimate.statics, plan)
     records = tuple(_with_floor(r) for r in records)
     return _solve(
@@ -346,16 +355,10 @@ def _compensated_pass(
     options: RecoverOptions,
     height_sigma: float,
     tell: Progress,
-    *,
-    last: bool = False,
 ) -> _State:
-    """Match again with windows moved by the motion found; refit the prior; solve.
-
-    Drafts thin the windows of wide strips; the `last` pass has them side by side.
-    """
+    """Match again with windows moved by the motion found; refit the prior; solve."""
     nodes, statics = nodes_on(state.estimate, strip.grid), state.estimate.statics
-    blocks = 0 if last else options.draft_blocks
-    plan = MatchingPlan(options.window, options.step, (0, 0), blocks)
+    plan = strip.plan(options, options.window, options.step)
     records = _match(strip, nodes, statics, plan, state.records)
     solved = _solve(strip, records, nodes, statics, state.model, height_sigma, before=state)
     if number == 0:
@@ -427,7 +430,7 @@ def _solve(
 
     settled = model is not strip.broad
     estimate, post, without = solution()
-    for _ in range(ROUNDS if settled else DRAFT_ROUNDS):
+    for _ in range(ROUNDS if settled and not strip.draft else DRAFT_ROUNDS):
         weights = [robust_weights(s, r, settled=settled) for s, r in zip(stars, post, strict=True)]
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
         stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.estimation.banded import BorderedFactor
+from sightline.estimation.banded import BandedFactor, BorderedFactor, band_times
 from sightline.estimation.prior import Autoregressive, Spectrum, Tone
-from sightline.motion.normal_equations import NormalEquations, TimeGrid, band_times
+from sightline.motion.normal_equations import NormalEquations, TimeGrid
 
 Array = NDArray[np.float64]
 
@@ -96,6 +96,11 @@ class JointEstimate:
     statics_sigma: Array
     _data: NormalEquations
     _prior: JointPrior
+    _banded: BandedFactor | None = None
+
+    def _factor(self, *, constants: bool) -> BorderedFactor:
+        """The factor of the solution, with or without a free constant per axis."""
+        return _factor(self._data, self._prior, constants=constants, banded=self._banded)
 
     def unknowns(self) -> Array:
         """Node values with relief where there is any, (count, 3 or 5)."""
@@ -121,7 +126,7 @@ class JointEstimate:
                 seed[:, axis] = shape
                 seeds.append(seed.ravel())
         h = np.stack(seeds, axis=1)
-        factor = _factor(data, self._prior, constants=False)
+        factor = self._factor(constants=False)
         top, bottom = data.times(h)
         x, _ = factor.solve(-top, -bottom)
         completed = (h + x).reshape(grid.count, data.block, -1)[:, :3]
@@ -139,18 +144,18 @@ class JointEstimate:
         scale : (3,)
             rad; angle that counts as one in the fit, per axis (one pixel; for yaw one at the field edge).
         """
-        factor = _factor(self._data, self._prior, constants=False)
+        factor = self._factor(constants=False)
         return projected_covariance(factor, self.grid, self._data.block, t, directions, scale)
 
     def absolute_covariance(self, t: Array) -> Array:
         """Covariance (N, 3, 3) rad^2 of the motion at `t`, its constants included."""
-        factor = _factor(self._data, self._prior, constants=True)
+        factor = self._factor(constants=True)
         return marginal_covariance(factor, self.grid, self._data.block, t)
 
     def covariance_band(self, nodes: int = 4) -> Array:
         """Lower band of the motion's covariance in time, over `nodes` neighbouring nodes (constants held)."""
         block = self._data.block
-        factor = _factor(self._data, self._prior, constants=False)
+        factor = self._factor(constants=False)
         band = factor.covariance_band(nodes * block - 1)
         if block == 3:
             return band
@@ -192,13 +197,19 @@ def _unmixed(directions: Array, u: Array) -> Array:
     return np.asarray(directions @ np.linalg.inv(content))
 
 
-def _factor(data: NormalEquations, prior: JointPrior, *, constants: bool) -> BorderedFactor:
-    """Factor of data + prior; the border holds the statics and, if asked, a free constant per axis."""
+def _factor(
+    data: NormalEquations, prior: JointPrior, *, constants: bool, banded: BandedFactor | None = None
+) -> BorderedFactor:
+    """Factor of data + prior; the border holds the statics and, if asked, a free constant per axis.
+
+    `banded`, the factor of the band alone, is the same with and without constants.
+    """
     p = prior.precision(data.grid, data.block)
-    width = max(len(p), len(data.ab))
-    ab = np.zeros((width, p.shape[1]))
-    ab[: len(data.ab)] = data.ab
-    ab[: len(p)] += p
+    if banded is None:
+        ab = np.zeros((max(len(p), len(data.ab)), p.shape[1]))
+        ab[: len(data.ab)] = data.ab
+        ab[: len(p)] += p
+        banded = BandedFactor(ab)
     statics = len(prior.statics_sigma)
     border, corner = data.border, data.corner + np.diag(1.0 / prior.statics_sigma**2)
     if constants:
@@ -211,7 +222,7 @@ def _factor(data: NormalEquations, prior: JointPrior, *, constants: bool) -> Bor
         grown[:statics, :statics] = corner
         grown[statics:, statics:] = ones.T @ pulled + np.diag(1.0 / np.square(prior.constant_sigma))
         corner = grown
-    return BorderedFactor(ab, border, corner)
+    return BorderedFactor(banded, border, corner)
 
 
 def solve_joint(data: NormalEquations, prior: JointPrior) -> JointEstimate:
@@ -223,7 +234,8 @@ def solve_joint(data: NormalEquations, prior: JointPrior) -> JointEstimate:
     nodes = x.reshape(data.grid.count, data.block)
     sigma = np.sqrt(np.diag(factor.border_covariance)[:statics])
     relief = nodes[:, 3:].copy() if data.block == 5 else None
-    return JointEstimate(data.grid, nodes[:, :3].copy(), relief, y[:statics], sigma, data, prior)
+    angles = nodes[:, :3].copy()
+    return JointEstimate(data.grid, angles, relief, y[:statics], sigma, data, prior, factor.banded)
 
 
 def _held(

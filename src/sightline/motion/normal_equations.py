@@ -18,6 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sightline.estimation.banded import band_times
 from sightline.execution import in_threads
 from sightline.motion.observations import Star
 
@@ -424,17 +425,6 @@ class NormalEquations:
     def times(self, x: Array) -> tuple[Array, Array]:
         """Information times a grid vector: (block*count, ...) -> same, and the statics' part (Q, ...)."""
         return band_times(self.ab, x), self.border.T @ x
-
-
-def band_times(ab: Array, x: Array) -> Array:
-    """Symmetric band in lower storage times x, (n,) or (n, k)."""
-    y = (ab[0] * x.T).T
-    for d in range(1, len(ab)):
-        below = ab[d, : len(x) - d]
-        if np.any(below):
-            y[d:] += (below * x[: len(x) - d].T).T
-            y[: len(x) - d] += (below * x[d:].T).T
-    return y
 
 
 def ground_times(star: Star, delay: float) -> Array:

@@ -39,6 +39,8 @@ Array = NDArray[np.float64]
 
 #: Columns between the places where the map of two images is evaluated: over relief, over smooth surfaces.
 RELIEF_SPACING, SMOOTH_SPACING = 16, 64
+#: Tiles that teach the whitening of a pair.
+TILES = 400
 #: A row that lost more than this share of its windows is tried again: the estimate may have been wrong.
 MOST_WRONG = 0.4
 
@@ -57,12 +59,15 @@ class MatchingPlan:
         px; half-range of the integer search; (0, 0) trusts the prediction.
     most_blocks : int
         At most so many windows per row; 0 lays them side by side.
+    tiles : int
+        At most so many tiles of each pair teach its whitening.
     """
 
     window: tuple[int, int]
     step: int
     search_px: tuple[int, int] = (0, 0)
     most_blocks: int = 0
+    tiles: int = TILES
 
     def grid(self, shape: tuple[int, int]) -> WindowGrid:
         """The windows of this plan on an image of `shape` (lines, columns)."""
@@ -154,7 +159,7 @@ def match_star(
             points,
             window=grid.window,
             search_px=plan.search_px,
-            whitening=pair_whitening(images[hub], laid, points[tried]),
+            whitening=pair_whitening(images[hub], laid, points[tried], plan.tiles),
         )
         values[:, j] = sampled_sensitivities(cameras, hub, partner, surface, grid, seen, statics)
         good = matches.kept & np.isfinite(values[:, j]).all(axis=(1, 2)) & seen
@@ -215,10 +220,12 @@ def found_wrong(before: StarRecord | None, hub: int, grid: WindowGrid, pairs: in
     return np.asarray((by_row & (by_row.mean(axis=1, keepdims=True) < MOST_WRONG)).reshape(none.shape))
 
 
-def pair_whitening(image: ImageSource, laid: ImageSource, points: Array) -> Whitening | None:
-    """Whitening filters of a pair at `points` (N, 2); None where there is too little to estimate them."""
+def pair_whitening(
+    image: ImageSource, laid: ImageSource, points: Array, tiles: int = TILES
+) -> Whitening | None:
+    """Whitening filters of a pair from some of `points` (N, 2); None where too little can be seen there."""
     try:
-        return estimate_whitening(image, laid, points, points)
+        return estimate_whitening(image, laid, points, points, most_tiles=tiles)
     except EstimationError:
         return None
 
