@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance
 from sightline.errors import EstimationError, InputError
+from sightline.estimation.likelihood import WORK
 from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
@@ -54,14 +55,14 @@ Progress = Callable[[str], None]
 LINEARISATION_SHARE = 0.07
 #: So many windows, most of them matching on the other side, prove a lag of the wrong sign.
 MIN_BACKWARDS = 10
-#: Times that matches are weighed by their own scatter and the motion solved again, in every pass:
-#: once a spectrum is fitted, and before.
+#: Times that matches are weighed by their own scatter and the motion solved again: once a spectrum is fitted
+#: in the pass, and in drafts and before.
 ROUNDS, DRAFT_ROUNDS = 4, 2
 #: Drafts of wide strips: nodes of the final grid per node of theirs, and how far from settled (in tolerances)
 #: they may stop, since the last pass linearises once more, which divides what is left by about four.
 DRAFT_NODES, DRAFT_TOLERANCE = 2, 3.0
-#: Tiles per pair that teach the whitening of drafts.
-DRAFT_TILES = 128
+#: Tiles per pair that teach the whitening of drafts, and what their spectra cost against the last ones.
+DRAFT_TILES, DRAFT_WORK = 128, 0.3
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
 
@@ -375,8 +376,10 @@ def _compensated_pass(
         start,
         solved.jumps(),
         state.model.noise_scale,
+        WORK * (DRAFT_WORK if strip.draft else 1.0),
     )
-    return _solve(strip, solved.records, nodes, statics, model, height_sigma, before=state)
+    rounds = DRAFT_ROUNDS if strip.draft else ROUNDS
+    return _solve(strip, solved.records, nodes, statics, model, height_sigma, before=state, rounds=rounds)
 
 
 def _match(
@@ -402,8 +405,10 @@ def _solve(
     model: PriorModel,
     height_sigma: float,
     before: _State | None,
+    *,
+    rounds: int = DRAFT_ROUNDS,
 ) -> _State:
-    """Solve; weigh the matches by their own scatter, let the motion jump where it did; solve again."""
+    """Solve; `rounds` times weigh matches by their scatter, let the motion jump where it did, solve again."""
     grid = strip.grid
     stars = [r.star for r in records]
     measured = [s.residual_px + modelled(s, grid, nodes, statics) for s in stars]
@@ -430,7 +435,7 @@ def _solve(
 
     settled = model is not strip.broad
     estimate, post, without = solution()
-    for _ in range(ROUNDS if settled and not strip.draft else DRAFT_ROUNDS):
+    for _ in range(rounds):
         weights = [robust_weights(s, r, settled=settled) for s, r in zip(stars, post, strict=True)]
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
         stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]

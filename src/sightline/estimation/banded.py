@@ -229,11 +229,6 @@ class BorderedFactor:
         return self._banded.n
 
     @property
-    def banded(self) -> BandedFactor:
-        """Factor of A alone."""
-        return self._banded
-
-    @property
     def q(self) -> int:
         """Number of unknowns of the border."""
         return int(self._border.shape[1])

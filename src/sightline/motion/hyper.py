@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
-from sightline.estimation.likelihood import FittedSpectrum, fit_spectrum
+from sightline.estimation.likelihood import WORK, FittedSpectrum, fit_spectrum
 from sightline.estimation.prior import Autoregressive, Matern, Spectrum
 from sightline.estimation.series import DifferenceSeries
 from sightline.execution import in_threads
@@ -161,6 +161,7 @@ def fit_prior_model(
     start: PriorModel | None = None,
     jumps: Sequence[Array] = (),
     grown_by: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    work: float = WORK,
 ) -> PriorModel:
     """Spectra of the three axes by marginal likelihood, tones found blind.
 
@@ -177,6 +178,8 @@ def fit_prior_model(
         part of a spectrum.
     grown_by : (3,)
         Noise scales that the stars' correlations hold already.
+    work : float
+        Allowed per evaluation of the likelihood, see `estimation.likelihood.WORK`.
     """
     differences = angle_differences(stars, post_px, estimate)
     if not differences:
@@ -190,6 +193,7 @@ def fit_prior_model(
             series,
             start=None if start is None else start.spectra[axis],
             offset_sigma=float(pixel[axis]),
+            work=work,
         )
 
     roll, pitch, yaw = in_threads(fitted, range(3))

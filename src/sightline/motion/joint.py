@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -96,11 +97,15 @@ class JointEstimate:
     statics_sigma: Array
     _data: NormalEquations
     _prior: JointPrior
-    _banded: BandedFactor | None = None
+
+    @cached_property
+    def _banded(self) -> BandedFactor:
+        """Factor of the band of data + prior, which is the same with and without constants."""
+        return _banded_factor(self._data, self._prior)
 
     def _factor(self, *, constants: bool) -> BorderedFactor:
-        """The factor of the solution, with or without a free constant per axis."""
-        return _factor(self._data, self._prior, constants=constants, banded=self._banded)
+        """Factor of data + prior, with or without a free constant per axis."""
+        return _factor(self._banded, self._data, self._prior, constants=constants)
 
     def unknowns(self) -> Array:
         """Node values with relief where there is any, (count, 3 or 5)."""
@@ -197,22 +202,23 @@ def _unmixed(directions: Array, u: Array) -> Array:
     return np.asarray(directions @ np.linalg.inv(content))
 
 
-def _factor(
-    data: NormalEquations, prior: JointPrior, *, constants: bool, banded: BandedFactor | None = None
-) -> BorderedFactor:
-    """Factor of data + prior; the border holds the statics and, if asked, a free constant per axis.
-
-    `banded`, the factor of the band alone, is the same with and without constants.
-    """
+def _banded_factor(data: NormalEquations, prior: JointPrior) -> BandedFactor:
+    """Factor of the banded part of data + prior."""
     p = prior.precision(data.grid, data.block)
-    if banded is None:
-        ab = np.zeros((max(len(p), len(data.ab)), p.shape[1]))
-        ab[: len(data.ab)] = data.ab
-        ab[: len(p)] += p
-        banded = BandedFactor(ab)
+    ab = np.zeros((max(len(p), len(data.ab)), p.shape[1]))
+    ab[: len(data.ab)] = data.ab
+    ab[: len(p)] += p
+    return BandedFactor(ab)
+
+
+def _factor(
+    banded: BandedFactor, data: NormalEquations, prior: JointPrior, *, constants: bool
+) -> BorderedFactor:
+    """Factor of data + prior; the border holds the statics and, if asked, a free constant per axis."""
     statics = len(prior.statics_sigma)
     border, corner = data.border, data.corner + np.diag(1.0 / prior.statics_sigma**2)
     if constants:
+        p = prior.precision(data.grid, data.block)
         ones = np.zeros((p.shape[1], 3))
         for axis in range(3):
             ones[axis :: data.block, axis] = 1.0
@@ -227,15 +233,14 @@ def _factor(
 
 def solve_joint(data: NormalEquations, prior: JointPrior) -> JointEstimate:
     """Posterior mean of motion, statics and relief for given data and prior."""
-    factor = _factor(data, prior, constants=True)
+    factor = _factor(_banded_factor(data, prior), data, prior, constants=True)
     statics = len(prior.statics_sigma)
     x, y = factor.solve(data.rhs, np.concatenate([data.rhs_static, np.zeros(3)]))
     x, y = _held(factor, data, prior, x, y)
     nodes = x.reshape(data.grid.count, data.block)
     sigma = np.sqrt(np.diag(factor.border_covariance)[:statics])
     relief = nodes[:, 3:].copy() if data.block == 5 else None
-    angles = nodes[:, :3].copy()
-    return JointEstimate(data.grid, angles, relief, y[:statics], sigma, data, prior, factor.banded)
+    return JointEstimate(data.grid, nodes[:, :3].copy(), relief, y[:statics], sigma, data, prior)
 
 
 def _held(

@@ -27,7 +27,7 @@ Array = NDArray[np.float64]
 #: Nodes of the local interpolation (cubic Lagrange).
 TAPS = 4
 #: Patches summed by one thread at a time, and how many such sums are held at once.
-PART_PATCHES, AT_ONCE = 16384, 8
+PART_PATCHES, AT_ONCE = 16384, 4
 
 
 @dataclass(frozen=True)
