@@ -427,10 +427,12 @@ def _solve(
         data = normal_equations(stars, measured, grid, delays=delays, relief=unknown_relief)
         found = solve_joint(data, prior)
         motion_only = [modelled(s, grid, found.nodes, found.statics) for s in stars]
+        without = [m - w for m, w in zip(measured, motion_only, strict=True)]
+        if not unknown_relief:
+            return found, without, without
         whole = [
             modelled(s, grid, found.unknowns(), found.statics, d) for s, d in zip(stars, delays, strict=True)
         ]
-        without = [m - w for m, w in zip(measured, motion_only, strict=True)]
         return found, [m - w for m, w in zip(measured, whole, strict=True)], without
 
     settled = model is not strip.broad

@@ -145,32 +145,37 @@ def match_star(
     covariance = np.tile(np.eye(2), (g, k, 1, 1))
     status = np.ones((g, k), dtype=np.uint8)
     score = np.full((g, k), np.nan)
-    values = np.zeros((g, k, 2, 7 + len(statics)), dtype=np.float32)
 
-    def work(j: int) -> None:
-        partner, seen = partners[j], np.isfinite(predicted[j].b[:, 0])
-        laid = laid_on(images, cameras, surface, hub, partner)
-        tried = seen & ~wrong[:, j]
-        points = np.where(tried[:, None], grid.centres, np.nan)
+    seen = [np.isfinite(one.b[:, 0]) for one in predicted]
+    laid = [laid_on(images, cameras, surface, hub, partner) for partner in partners]
+
+    def whitening(j: int) -> Whitening | None:
+        return pair_whitening(images[hub], laid[j], grid.centres[seen[j] & ~wrong[:, j]], plan.tiles)
+
+    def sensitivity(j: int) -> NDArray[np.float32]:
+        return sampled_sensitivities(cameras, hub, partners[j], surface, grid, seen[j], statics)
+
+    whitenings = in_threads(whitening, range(k))
+    values = np.stack(in_threads(sensitivity, range(k)), axis=1)
+    # one pair after the other: its blocks are matched on threads, and only so many are held at a time
+    for j, partner in enumerate(partners):
+        points = np.where((seen[j] & ~wrong[:, j])[:, None], grid.centres, np.nan)
         matches = match_images(
             images[hub],
-            laid,
+            laid[j],
             points,
             points,
             window=grid.window,
             search_px=plan.search_px,
-            whitening=pair_whitening(images[hub], laid, points[tried], plan.tiles),
+            whitening=whitenings[j],
         )
-        values[:, j] = sampled_sensitivities(cameras, hub, partner, surface, grid, seen, statics)
-        good = matches.kept & np.isfinite(values[:, j]).all(axis=(1, 2)) & seen
+        good = matches.kept & np.isfinite(values[:, j]).all(axis=(1, 2)) & seen[j]
         turn = predicted[j].affine[good]
         residual[good, j] = np.einsum("nij,nj->ni", turn, matches.b[good] - grid.centres[good])
         covariance[good, j] = turn @ matches.covariance_px[good] @ np.swapaxes(turn, 1, 2)
         beyond = ~_within(predicted[j].b, images[partner].shape, grid.window)
         status[:, j] = np.where(beyond & (matches.status == MASKED), OUTSIDE, matches.status)
         score[:, j] = matches.score
-
-    in_threads(work, range(k))
     camera = cameras[hub]
     star = Star(
         hub=hub,
