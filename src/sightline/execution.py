@@ -1,8 +1,8 @@
-"""Where work runs: one process, several processes, or a dask cluster.
+"""Where work runs: one process, its threads, several processes, or a dask cluster.
 
-The three give bitwise the same results: `map` returns them in the order of the items, every caller reduces
-them in that order, work is cut into items by its size, never by the number of workers, and linear algebra
-runs on one thread (`one_blas_thread`).
+All give bitwise the same results: they come in the order of the items, every caller reduces them in that
+order, work is cut into items by its size, never by the number of workers, and linear algebra runs on one
+thread (`one_blas_thread`).
 
 This file does not cut work into items: each caller knows its own.
 """
