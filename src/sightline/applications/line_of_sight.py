@@ -58,9 +58,10 @@ MIN_BACKWARDS = 10
 #: Times that matches are weighed by their own scatter and the motion solved again: once a spectrum is fitted
 #: in the pass, and in drafts and before.
 ROUNDS, DRAFT_ROUNDS = 4, 2
-#: Drafts of wide strips: nodes of the final grid per node of theirs, and how far from settled (in tolerances)
-#: they may stop, since the last pass linearises once more, which divides what is left by about four.
-DRAFT_NODES, DRAFT_TOLERANCE = 2, 3.0
+#: Drafts of wide strips: how much coarser their grid is (at 2 it would bend tones above 100 Hz, of which the
+#: one pass on the fine grid leaves a trace), and how far from settled (in tolerances) they may stop, since the
+#: last pass linearises once more, which divides what is left by about four.
+DRAFT_NODES, DRAFT_TOLERANCE = 1.5, 3.0
 #: Tiles per pair that teach the whitening of drafts, and what their spectra cost against the last ones.
 DRAFT_TILES, DRAFT_WORK = 128, 0.3
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.

@@ -43,9 +43,9 @@ class TimeGrid:
         """(count,) s."""
         return np.asarray(self.start + self.step * np.arange(self.count), dtype=np.float64)
 
-    def coarser(self, factor: int) -> TimeGrid:
+    def coarser(self, factor: float) -> TimeGrid:
         """A grid over the same time with nodes `factor` times as far apart."""
-        return TimeGrid(self.start, factor * self.step, -(-(self.count - 1) // factor) + 1)
+        return TimeGrid(self.start, factor * self.step, math.ceil((self.count - 1) / factor) + 1)
 
     def weights(self, t: Array) -> tuple[NDArray[np.intp], Array]:
         """First node (N,) and cubic Lagrange weights (N, 4) of the instants `t` (N,)."""
