@@ -59,8 +59,8 @@ MIN_BACKWARDS = 10
 #: in the pass, and in drafts and before.
 ROUNDS, DRAFT_ROUNDS = 4, 2
 #: Drafts of wide strips: how much coarser their grid is (at 2 it would bend tones above 100 Hz, of which the
-#: one pass on the fine grid leaves a trace), and how far from settled (in tolerances) they may stop, since the
-#: last pass linearises once more, which divides what is left by about four.
+#: one pass on the fine grid leaves a trace), and how far from settled (in tolerances) they may stop: the last
+#: pass linearises once more, which divides what is left by about four.
 DRAFT_NODES, DRAFT_TOLERANCE = 1.5, 3.0
 #: Tiles per pair that teach the whitening of drafts, and what their spectra cost against the last ones.
 DRAFT_TILES, DRAFT_WORK = 128, 0.3
