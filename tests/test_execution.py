@@ -12,6 +12,7 @@ from sightline.errors import InputError, SightlineError
 from sightline.execution import (
     available_processors,
     executor_from_name,
+    in_threads,
     one_blas_thread,
     process,
     serial,
@@ -58,6 +59,16 @@ def test_linear_algebra_runs_on_one_thread_where_that_is_asked_for_and_in_worker
     assert blas_threads.__name__ == one_blas_thread(blas_threads).__name__
     with process(1) as executor:
         assert list(executor.map(blas_threads, [0])) == [{1}]
+
+
+@pytest.mark.parametrize("threads", [1, 3])
+def test_threads_give_the_results_of_a_plain_loop_in_order_and_raise_what_an_item_raises(threads):
+    expected = [smoothed_noise(seed) for seed in range(13)]
+    got = in_threads(smoothed_noise, iter(range(13)), threads)
+    assert [one.tobytes() for one in got] == [one.tobytes() for one in expected]
+    assert in_threads(smoothed_noise, [], threads) == []
+    with pytest.raises(ValueError, match="item 3"):
+        in_threads(partial(fails_at, bad=3), range(10), threads)
 
 
 def test_the_first_failing_item_raises_its_own_exception():

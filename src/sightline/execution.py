@@ -1,8 +1,8 @@
-"""Where work runs: one process, several processes, or a dask cluster.
+"""Where work runs: one process, its threads, several processes, or a dask cluster.
 
-The three give bitwise the same results: `map` returns them in the order of the items, every caller reduces
-them in that order, work is cut into items by its size, never by the number of workers, and linear algebra
-runs on one thread (`one_blas_thread`).
+All give bitwise the same results: they come in the order of the items, every caller reduces them in that
+order, work is cut into items by its size, never by the number of workers, and linear algebra runs on one
+thread (`one_blas_thread`).
 
 This file does not cut work into items: each caller knows its own.
 """
@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from functools import wraps
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, Self, TypeVar
 
@@ -248,6 +249,31 @@ def available_processors() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+def in_threads(
+    function: Callable[[Item], Result], items: Iterable[Item], threads: int | None = None
+) -> list[Result]:
+    """Results of ``function(item)`` in the order of the items, computed on threads of this process.
+
+    For work that releases the interpreter's lock (compiled loops, linear algebra, files). An item must not
+    depend on another one: the results are then those of a plain loop.
+
+    Parameters
+    ----------
+    function
+        What to do with each item.
+    items
+        All of them are taken at once.
+    threads
+        Most threads at a time; None takes the number of processors this process may use.
+    """
+    jobs = list(items)
+    count = min(available_processors() if threads is None else threads, len(jobs))
+    if count <= 1:
+        return [function(job) for job in jobs]
+    with ThreadPoolExecutor(count) as pool:
+        return list(pool.map(function, jobs))
 
 
 def _limit_blas_of_this_process() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import EstimationError, InputError
-from sightline.estimation.banded import BandedFactor, BorderedFactor
+from sightline.estimation.banded import BandedFactor, BorderedFactor, band_times
 
 CASES = [
     (50, 3, 5),
@@ -60,6 +60,20 @@ def test_solutions_and_determinant_are_those_of_the_dense_matrix() -> None:
     np.testing.assert_allclose(factor.solve(rhs), np.linalg.solve(matrix, rhs), atol=1e-13)
     np.testing.assert_allclose(factor.solve(rhs[:, 0]), np.linalg.solve(matrix, rhs[:, 0]), atol=1e-13)
     assert factor.logdet == pytest.approx(np.linalg.slogdet(matrix)[1], rel=1e-12)
+
+
+@pytest.mark.parametrize(("n", "b", "width"), CASES)
+@pytest.mark.parametrize("columns", [1, 2, 3, 13])
+def test_products_and_solutions_of_any_number_of_columns_are_those_of_the_dense_matrix(
+    n: int, b: int, width: int, columns: int
+) -> None:
+    matrix = banded_matrix(n, b)
+    x = np.random.default_rng(columns).normal(size=(n, columns))
+    band = band_of(matrix, b)
+    # entries up to 2 b + 2, so products of about that size: rounding of 300 terms stays below 1e-14 of it
+    np.testing.assert_allclose(band_times(band, x), matrix @ x, atol=1e-14 * (2 * b + 2) * 10)
+    np.testing.assert_allclose(band_times(band, x[:, 0]), matrix @ x[:, 0], atol=1e-14 * (2 * b + 2) * 10)
+    np.testing.assert_allclose(BandedFactor(band).solve(x), np.linalg.solve(matrix, x), atol=1e-13)
 
 
 def bordered(q: int) -> tuple[np.ndarray, BorderedFactor]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance
 from sightline.errors import EstimationError, InputError
+from sightline.estimation.likelihood import WORK
 from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
@@ -35,6 +36,7 @@ from sightline.motion.joint import (
     innovation_weights,
     interpolation_variance,
     longest_gap,
+    nodes_on,
     remove_directions,
     solve_joint,
 )
@@ -56,9 +58,15 @@ Progress = Callable[[str], None]
 LINEARISATION_SHARE = 0.07
 #: So many windows, most of them matching on the other side, prove a lag of the wrong sign.
 MIN_BACKWARDS = 10
-#: Times that matches are weighed by their own scatter and the motion solved again, in every pass:
-#: once a spectrum is fitted, and before.
+#: Times that matches are weighed by their own scatter and the motion solved again: once a spectrum is fitted
+#: in the pass, and in drafts and before.
 ROUNDS, DRAFT_ROUNDS = 4, 2
+#: Drafts of wide strips: how much coarser their grid is (at 2 it would bend tones above 100 Hz, of which the
+#: one pass on the fine grid leaves a trace), and how far from settled (in tolerances) they may stop: the last
+#: pass linearises once more, which divides what is left by about four.
+DRAFT_NODES, DRAFT_TOLERANCE = 1.5, 3.0
+#: Tiles per pair that teach the whitening of drafts, and what their spectra cost against the last ones.
+DRAFT_TILES, DRAFT_WORK = 128, 0.3
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
 
@@ -80,7 +88,7 @@ class RecoverOptions:
     passes : int
         At most so many compensated passes.
     draft_blocks : int
-        At most so many windows per row until the last pass, which has them side by side.
+        Strips of more windows per row are wide: they have so many at most until the last pass.
     tolerance : float
         Stop when the motion changes by less than this part of its sigma.
     """
@@ -91,13 +99,13 @@ class RecoverOptions:
     search_px: tuple[int, int] = (8, 8)
     grid_lines: float = 2.0
     passes: int = 4
-    draft_blocks: int = 20
+    draft_blocks: int = 10
     tolerance: float = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class _Strip:
-    """What does not change from pass to pass."""
+    """What does not change from pass to pass; a `draft` is a wide strip before its last pass."""
 
     bands: tuple[Band, ...]
     surface: Surface
@@ -110,6 +118,15 @@ class _Strip:
     half_width: float
     ground_speed: float
     broad: PriorModel
+    draft: bool = False
+
+    def plan(
+        self, options: RecoverOptions, window: tuple[int, int], step: int, search: tuple[int, int] = (0, 0)
+    ) -> MatchingPlan:
+        """How a pass matches; drafts of wide strips thin the windows and the tiles of their whitening."""
+        if self.draft:
+            return MatchingPlan(window, step, search, options.draft_blocks, DRAFT_TILES)
+        return MatchingPlan(window, step, search)
 
     @property
     def scale(self) -> Array:
@@ -167,18 +184,21 @@ def recover_line_of_sight(
     options = options or RecoverOptions()
     tell = progress or (lambda text: None)
     strip = _prepare(bands, surface, options)
-    state = _first_pass(strip, options, height_sigma, tell)
+    wide = strip.nominal[0].columns // options.window[1] > options.draft_blocks
+    draft = replace(strip, grid=strip.grid.coarser(DRAFT_NODES), draft=True) if wide else strip
+    tolerance = options.tolerance * (DRAFT_TOLERANCE if draft.draft else 1.0)
+    state = _first_pass(draft, options, height_sigma, tell)
     changes: list[float] = []
     for number in range(options.passes):
         tell(f"pass {number + 1}: matching windows compensated by the motion found")
-        refined = _compensated_pass(strip, state, number, options, height_sigma, tell)
-        changes.append(_change(strip, state, refined))
+        refined = _compensated_pass(draft, state, number, options, height_sigma, tell)
+        changes.append(_change(draft, state, refined))
         state = refined
-        if changes[-1] < options.tolerance:
+        if changes[-1] < tolerance:
             break
-    if strip.nominal[0].columns // options.window[1] > options.draft_blocks:
+    if wide:
         tell("last pass: windows side by side over the whole field")
-        state = _compensated_pass(strip, state, options.passes, options, height_sigma, tell, last=True)
+        state = _compensated_pass(strip, state, options.passes, options, height_sigma, tell)
     return _result(strip, state, changes)
 
 
@@ -274,9 +294,7 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
     tell("first pass: searching about the nominal prediction")
     nodes = np.zeros((strip.grid.count, 3))
     statics = np.zeros(len(strip.parameters))
-    plan = MatchingPlan(
-        options.first_window, 2 * options.first_window[0], options.search_px, options.draft_blocks
-    )
+    plan = strip.plan(options, options.first_window, 2 * options.first_window[0], options.search_px)
     records = tuple(_with_floor(r) for r in _match(strip, nodes, statics, plan))
     tried = sum(r.star.present.size for r in records)
     kept = sum(int(r.star.present.sum()) for r in records)
@@ -294,7 +312,7 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
         )
     state = _solve(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
     # once more about the motion found: what was left of the first linearisation is gone before dense matching
-    plan = MatchingPlan(options.first_window, options.first_window[0], (0, 0), options.draft_blocks)
+    plan = strip.plan(options, options.first_window, options.first_window[0])
     records = _match(strip, state.estimate.nodes, state.estimate.statics, plan)
     records = tuple(_with_floor(r) for r in records)
     return _solve(
@@ -342,16 +360,10 @@ def _compensated_pass(
     options: RecoverOptions,
     height_sigma: float,
     tell: Progress,
-    *,
-    last: bool = False,
 ) -> _State:
-    """Match again with windows moved by the motion found; refit the prior; solve.
-
-    Drafts thin the windows of wide strips; the `last` pass has them side by side.
-    """
-    nodes, statics = state.estimate.nodes, state.estimate.statics
-    blocks = 0 if last else options.draft_blocks
-    plan = MatchingPlan(options.window, options.step, (0, 0), blocks)
+    """Match again with windows moved by the motion found; refit the prior; solve."""
+    nodes, statics = nodes_on(state.estimate, strip.grid), state.estimate.statics
+    plan = strip.plan(options, options.window, options.step)
     records = _match(strip, nodes, statics, plan, state.records)
     solved = _solve(strip, records, nodes, statics, state.model, height_sigma, before=state)
     if number == 0:
@@ -368,8 +380,10 @@ def _compensated_pass(
         start,
         solved.jumps(),
         state.model.noise_scale,
+        WORK * (DRAFT_WORK if strip.draft else 1.0),
     )
-    return _solve(strip, solved.records, nodes, statics, model, height_sigma, before=state)
+    rounds = DRAFT_ROUNDS if strip.draft else ROUNDS
+    return _solve(strip, solved.records, nodes, statics, model, height_sigma, before=state, rounds=rounds)
 
 
 def _match(
@@ -404,8 +418,10 @@ def _solve(
     model: PriorModel,
     height_sigma: float,
     before: _State | None,
+    *,
+    rounds: int = DRAFT_ROUNDS,
 ) -> _State:
-    """Solve; weigh the matches by their own scatter, let the motion jump where it did; solve again."""
+    """Solve; `rounds` times weigh matches by their scatter, let the motion jump where it did, solve again."""
     grid = strip.grid
     stars = [r.star for r in records]
     measured = [s.residual_px + modelled(s, grid, nodes, statics) for s in stars]
@@ -427,15 +443,17 @@ def _solve(
         apart = model.apart(grid, len(data.ab) // data.block) if long else None
         found = solve_joint(data, replace(prior, apart=apart))
         motion_only = [modelled(s, grid, found.nodes, found.statics) for s in stars]
+        without = [m - w for m, w in zip(measured, motion_only, strict=True)]
+        if not unknown_relief:
+            return found, without, without
         whole = [
             modelled(s, grid, found.unknowns(), found.statics, d) for s, d in zip(stars, delays, strict=True)
         ]
-        without = [m - w for m, w in zip(measured, motion_only, strict=True)]
         return found, [m - w for m, w in zip(measured, whole, strict=True)], without
 
     settled = model is not strip.broad
     estimate, post, without = solution()
-    for _ in range(ROUNDS if settled else DRAFT_ROUNDS):
+    for _ in range(rounds):
         ground = ground_weights(stars, post)
         weights = [robust_weights(s, r) * w for s, r, w in zip(stars, post, ground, strict=True)]
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]

@@ -15,6 +15,7 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
+from numba import njit
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded, solve_triangular
@@ -22,6 +23,57 @@ from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_bande
 from sightline.errors import EstimationError, InputError
 
 Array = NDArray[np.float64]
+
+
+#: Right sides from which on one sweep over the factor for all of them beats one sweep each (LAPACK's way).
+SWEEP_COLUMNS = 3
+
+
+@njit(cache=True, nogil=True)
+def _add_band_times(band, x, out):  # type: ignore[no-untyped-def]
+    """Add a symmetric matrix, in lower band storage, times `x` (n, k) to `out`."""
+    n, columns = x.shape
+    for d in range(min(band.shape[0], n)):
+        for i in range(n - d):
+            value = band[d, i]
+            if value == 0.0:
+                continue
+            for c in range(columns):
+                out[i + d, c] += value * x[i, c]
+            if d > 0:
+                for c in range(columns):
+                    out[i, c] += value * x[i + d, c]
+
+
+def band_times(band: Array, x: Array) -> Array:
+    """Product of a symmetric matrix in lower band storage (b + 1, n) with `x`, (n,) or (n, k)."""
+    columns = np.ascontiguousarray(x.reshape(len(x), -1), dtype=np.float64)
+    out = np.zeros(columns.shape)
+    _add_band_times(band, columns, out)
+    return out.reshape(x.shape)
+
+
+@njit(cache=True, nogil=True)
+def _sweep(lower, x):  # type: ignore[no-untyped-def]
+    """Solve L L' y = x in place for all columns of `x` (n, k) together; row j of `lower`: column j of L."""
+    n, columns = x.shape
+    depth = lower.shape[1]
+    for j in range(n):
+        inverse = 1.0 / lower[j, 0]
+        for c in range(columns):
+            x[j, c] *= inverse
+        for d in range(1, min(depth, n - j)):
+            value = lower[j, d]
+            for c in range(columns):
+                x[j + d, c] -= value * x[j, c]
+    for j in range(n - 1, -1, -1):
+        for d in range(1, min(depth, n - j)):
+            value = lower[j, d]
+            for c in range(columns):
+                x[j, c] -= value * x[j + d, c]
+        inverse = 1.0 / lower[j, 0]
+        for c in range(columns):
+            x[j, c] *= inverse
 
 
 class BandedFactor:
@@ -79,6 +131,10 @@ class BandedFactor:
 
     def solve(self, rhs: Array) -> Array:
         """Solution x of M x = rhs; `rhs` is (n,) or (n, k) and x has the same shape."""
+        if rhs.ndim == 2 and rhs.shape[1] >= SWEEP_COLUMNS:
+            x = np.array(rhs, dtype=np.float64, order="C")
+            _sweep(np.ascontiguousarray(self._lower.T), x)
+            return x
         return np.asarray(cho_solve_banded((self._lower, True), rhs, check_finite=False), dtype=np.float64)
 
     def inverse_band(self, width: int) -> Array:
@@ -128,8 +184,8 @@ class BorderedFactor:
 
     Parameters
     ----------
-    band : array (b + 1, n)
-        A in lower band storage.
+    band : array (b + 1, n) or BandedFactor
+        A in lower band storage, or its factor where that is known.
     border : array (n, q)
         B; q may be 0.
     corner : array (q, q)
@@ -143,8 +199,8 @@ class BorderedFactor:
         If the whole matrix is not positive definite.
     """
 
-    def __init__(self, band: Array, border: Array, corner: Array) -> None:
-        self._banded = BandedFactor(band)
+    def __init__(self, band: Array | BandedFactor, border: Array, corner: Array) -> None:
+        self._banded = band if isinstance(band, BandedFactor) else BandedFactor(band)
         border = np.asarray(border, dtype=np.float64)
         corner = np.asarray(corner, dtype=np.float64)
         n = self._banded.n

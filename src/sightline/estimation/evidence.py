@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sightline.estimation.banded import BorderedFactor
+from sightline.estimation.banded import BorderedFactor, band_times
 from sightline.estimation.prior import Autoregressive
 from sightline.estimation.series import NormalEquations
 from sightline.estimation.split import Layout, SplitPrior, gather_band, spread_band
@@ -193,17 +193,6 @@ def posterior(
     )
 
 
-def band_times(band: Array, x: Array) -> Array:
-    """Product of a symmetric matrix in lower band storage with `x`, (n,) or (n, k)."""
-    n = len(x)
-    out = band[0].reshape((-1,) + (1,) * (x.ndim - 1)) * x
-    for d in range(1, min(len(band), n)):
-        row = band[d, : n - d].reshape((-1,) + (1,) * (x.ndim - 1))
-        out[d:] += row * x[: n - d]
-        out[: n - d] += row * x[d:]
-    return np.asarray(out, dtype=np.float64)
-
-
 def _moments(mean: Array, covariance: Array, p: int) -> Moments:
     """Second moments from posterior mean and band of the covariance."""
     n = len(mean)
@@ -221,7 +210,7 @@ def _moments(mean: Array, covariance: Array, p: int) -> Moments:
     return Moments(start, inner)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _start_misfit(startup, variances, moments):  # type: ignore[no-untyped-def]
     """Expected sum of squared standardised innovations of the first p epochs."""
     total = 0.0

@@ -65,6 +65,7 @@ def fit_spectrum(
     offset_sigma: float | None = None,
     independent: float = 0.0,
     iterations: int = 60,
+    work: float = WORK,
 ) -> FittedSpectrum:
     """Spectrum and noise scale of a motion by marginal likelihood, tones found blind.
 
@@ -89,6 +90,8 @@ def fit_spectrum(
         See `normal_equations`.
     iterations : int
         Of the last search.
+    work : float
+        Allowed per evaluation, see `WORK`.
 
     Raises
     ------
@@ -100,7 +103,7 @@ def fit_spectrum(
         raise InputError("no series holds a finite measurement; check the matches of every pair")
     unit = math.sqrt(float(np.median(np.concatenate([s.variance[s.used] for s in used]))))
     scaled = [replace(s, values=s.values / unit, variance=s.variance / unit**2) for s in used]
-    grid, inside = _fitting_grid(scaled, step)
+    grid, inside = _fitting_grid(scaled, step, work)
 
     def summed(spectrum: Spectrum | None) -> NormalEquations:
         return normal_equations(
@@ -154,15 +157,15 @@ def span(series: Sequence[DifferenceSeries]) -> tuple[float, float]:
 
 
 def _fitting_grid(
-    series: Sequence[DifferenceSeries], step: float | None
+    series: Sequence[DifferenceSeries], step: float | None, work: float
 ) -> tuple[Grid, list[DifferenceSeries]]:
-    """Grid for the fit, coarse or short enough for `WORK`, and the measurements on it."""
+    """Grid for the fit, coarse or short enough for `work`, and the measurements on it."""
     first, last = span(series)
     lag = max(float(np.max(np.abs(s.lag[s.used]))) for s in series)
     if step is None:
         finest = default_step(series)
-        step = float(np.clip(((last - first) * lag**2 / WORK) ** (1 / 3), finest, 3.0 * finest))
-    length = max(WORK * step**3 / lag**2, 4.0 * lag)
+        step = float(np.clip(((last - first) * lag**2 / work) ** (1 / 3), finest, 3.0 * finest))
+    length = max(work * step**3 / lag**2, 4.0 * lag)
     if length < 0.9 * (last - first):
         middle = 0.5 * (first + last)
         first, last = middle - 0.5 * length, middle + 0.5 * length

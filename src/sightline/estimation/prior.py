@@ -363,7 +363,7 @@ def autoregressive(
     return Autoregressive(n, table[order].copy(), table[:order], variances[:order], float(variances[order]))
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _levinson(r):  # type: ignore[no-untyped-def]
     """Prediction coefficients of all orders 0 .. p (rows) and their innovation variances."""
     p = len(r) - 1
@@ -384,7 +384,7 @@ def _levinson(r):  # type: ignore[no-untyped-def]
     return table, variances
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _sum_rows(table, weights):  # type: ignore[no-untyped-def]
     """Lower band of the sum over rows t of weight[t] * row row', row t = table[min(t, p)] read backwards."""
     p = table.shape[0] - 1

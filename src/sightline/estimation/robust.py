@@ -59,7 +59,7 @@ def student_weights(expected: Array, *, degrees: float = DEGREES) -> Array:
     return np.asarray((degrees + 1.0) / (degrees + np.asarray(expected)), dtype=np.float64)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _row_variances(table, band):  # type: ignore[no-untyped-def]
     """Variance of every innovation row under a covariance given as a lower band."""
     p = table.shape[0] - 1

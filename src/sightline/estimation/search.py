@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError
-from sightline.estimation.evidence import Posterior, band_times, posterior
+from sightline.estimation.banded import band_times
+from sightline.estimation.evidence import Posterior, posterior
 from sightline.estimation.prior import ORDERS, Matern, Spectrum, Tone, autoregressive
 from sightline.estimation.series import NormalEquations
 

@@ -17,7 +17,7 @@ TAPS = 6
 REDUNDANT = 1e-6
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _window_weights(t, window, start, step, count, support, weights):  # type: ignore[no-untyped-def]
     """Interpolation weights at `t` averaged over `window`, into `weights`; returns the first node."""
     first = math.floor((t - 0.5 * window - start) / step + 1e-6) - (TAPS // 2 - 1)
@@ -41,14 +41,14 @@ def _window_weights(t, window, start, step, count, support, weights):  # type: i
     return first
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def fill_weights(t, window, start, step, count, first, weights):  # type: ignore[no-untyped-def]
     """Rows of interpolation weights for many instants."""
     for k in range(len(t)):
         first[k] = _window_weights(t[k], window, start, step, count, weights.shape[1], weights[k])
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _patch_weight(k0, m, image_a, image_b, var_a, var_b, var_own, lower, kept, weight):  # type: ignore[no-untyped-def]
     """Inverse covariance of the measurements of a patch, less redundant ones; returns (kept, log det)."""
     count, logdet = 0, 0.0
@@ -96,7 +96,7 @@ def _patch_weight(k0, m, image_a, image_b, var_a, var_b, var_own, lower, kept, w
     return count, logdet
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def accumulate(  # type: ignore[no-untyped-def]
     starts, t_a, t_b, window, y, image_a, image_b, var_a, var_b, var_own, start, step, support,
     band, rhs, border, corner, rhs_border,

@@ -271,7 +271,7 @@ def _interpolation(n: int, coarse: int, ratio: int) -> tuple[Index, Array]:
     return first, weights
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _spread(band, position, out):  # type: ignore[no-untyped-def]
     """Add a band to another, unknown i going to position[i]."""
     n = band.shape[1]
@@ -280,7 +280,7 @@ def _spread(band, position, out):  # type: ignore[no-untyped-def]
             out[position[i + d] - position[i], position[i]] += band[d, i]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _add_coarse(table, weights, first, taps, fine, coarse, band):  # type: ignore[no-untyped-def]
     """Blocks (fine, coarse) and (coarse, coarse) of the sum of innovation rows of z = x - P c."""
     p = table.shape[0] - 1

@@ -5,14 +5,11 @@ Not the prediction of where to look: positions come in as arrays (see `sightline
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
+from sightline.execution import in_threads
 from sightline.imaging.resample import kernel_table
 from sightline.imaging.source import ImageSource
 from sightline.matching import kernels, matches
@@ -160,7 +157,7 @@ def match_images(
             _BLOCK_PIXELS if part else _BLOCK_PIXELS // 20,
         )
     ]  # fmt: skip
-    _run(work, jobs, threads)
+    in_threads(work, jobs, threads)
     lowest = max(min_score, 4.0 / np.sqrt(window[0] * window[1]))
     return _assemble(points_a, predicted_b, fits, turns, status, lowest, max_sigma_px)
 
@@ -282,22 +279,6 @@ def _match_block(
         codes = np.array(reasons, np.uint8)
         status[todo] = codes[np.clip(out[:, 14], -2, 1).astype(int) + 2]
     return status, fits
-
-
-def _run(
-    work: Callable[[tuple[int, NDArray[np.intp]]], None],
-    jobs: list[tuple[int, NDArray[np.intp]]],
-    threads: int | None,
-) -> None:
-    """Do the jobs, in threads when there are several; each writes rows of its own."""
-    count = min(threads or os.cpu_count() or 1, len(jobs))
-    if count <= 1:
-        for job in jobs:
-            work(job)
-        return
-    with ThreadPoolExecutor(count) as pool:
-        for _ in pool.map(work, jobs):
-            pass
 
 
 def _assemble(

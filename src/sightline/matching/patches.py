@@ -20,6 +20,8 @@ __all__ = ["Block", "column_parts", "cut_blocks", "group_windows", "warp_block"]
 _EMPTY = np.zeros((0, 0), np.bool_)
 _FILL = 15
 _GROW = 4
+_LEAST_PIXELS = 40_000
+"""Pieces of a group that hold fewer pixels than this cost more in calls than the pixels between them."""
 _MARGIN = kernels.RADIUS + kernels.HALO + 8
 """What the filter, the derivative and the interpolation reach beyond a window, px."""
 
@@ -112,8 +114,9 @@ def group_windows(
 
     Notes
     -----
-    A group is halved along the longer side of its box until the box is small enough and not mostly empty.
-    The groups depend on the points only, never on the number of threads.
+    A group is halved along the longer side of its box until the box is small enough and not mostly empty,
+    then cut between columns of windows that stand far apart. The groups depend on the points only, never on
+    the number of threads.
     """
     stack = [rows]
     window = (size[0] + 2 * _MARGIN) * (size[1] + 2 * _MARGIN)
@@ -123,12 +126,26 @@ def group_windows(
         area = max(float(s.prod()) for s in spans)
         full = area <= most_pixels and area <= 12.0 * window * len(group)
         if len(group) == 1 or (full and len(group) <= 8192):
-            yield group
+            yield from _apart(points_a, group, size)
             continue
         axis = int(np.argmax(spans[0]))
         order = np.argsort(points_a[group, axis], kind="stable")
         half = len(group) // 2
         stack += [group[order[half:]], group[order[:half]]]
+
+
+def _apart(
+    points: NDArray[np.float64], group: NDArray[np.intp], size: tuple[int, int]
+) -> list[NDArray[np.intp]]:
+    """A group cut where no window needs the columns between, unless the pieces come out too small to pay."""
+    order = group[np.argsort(points[group, 1], kind="stable")]
+    gaps = np.flatnonzero(np.diff(points[order, 1]) > size[1] + 2 * _MARGIN) + 1
+    pieces = np.split(order, gaps)
+    tall = float(np.ptp(points[group, 0])) + size[0] + 2 * _MARGIN
+    wide = [float(np.ptp(points[piece, 1])) + size[1] + 2 * _MARGIN for piece in pieces]
+    if len(pieces) == 1 or tall * sum(wide) < _LEAST_PIXELS * len(pieces):
+        return [group]
+    return [np.sort(piece) for piece in pieces]
 
 
 def _filtered(pixels: NDArray[np.float32], taps: NDArray[np.float32] | None) -> NDArray[np.float32]:

@@ -41,9 +41,8 @@ BEYOND = 3.0
 BELOW = 2.0
 #: Columns whose pairs are tried as a row's line, and their least distance as a share of half the field.
 MOST_TRIED, APART = 16, 0.3
-#: Beside foreign windows, which have soft edges, departures speak so many times as loud,
-#: and what is too faint to show there makes a window count half.
-NEAR, DOUBTED = 3.0, 16.0
+#: Beside foreign windows, which have soft edges, departures speak so many times as loud.
+NEAR = 3.0
 #: Rows in which, neighbours included, more than this share is foreign say nothing.
 MOST_FOREIGN = 0.8
 #: A window is lonely where less than this share of those around it was matched.
@@ -167,14 +166,14 @@ def _with_neighbours(worst: Array, use: Flags, reach: int) -> Array:
     """Departures (rows, blocks) seen in the light of those around.
 
     Foreign is what stands among windows of its column most of which are; beside one, in its column or the
-    next, departures count NEAR times and are at least DOUBTED.
+    next, departures count NEAR times.
     """
     foreign = (use & (worst > FOREIGN)).astype(float)
     number = _sum_along(foreign, reach)
     most = number > 0.5 * _sum_along(use.astype(float), reach)
     wide = np.pad(number > 0, ((0, 0), (1, 1)))
     beside = wide[:, :-2] | wide[:, 1:-1] | wide[:, 2:]
-    return np.asarray(np.where(most, np.inf, np.where(beside, np.maximum(NEAR * worst, DOUBTED), worst)))
+    return np.asarray(np.where(most, np.inf, np.where(beside, NEAR * worst, worst)))
 
 
 def _told_by_brightness(shift: _Shift, worst: Array, brightness: Array, reaches: list[int]) -> Array:

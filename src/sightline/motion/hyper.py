@@ -16,10 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
-from sightline.estimation.likelihood import fit_spectrum
+from sightline.estimation.likelihood import WORK, FittedSpectrum, fit_spectrum
 from sightline.estimation.prior import Autoregressive, Matern, Spectrum
 from sightline.estimation.series import DifferenceSeries
 from sightline.estimation.split import SplitPrior, coarse_ratio, split
+from sightline.execution import in_threads
 from sightline.motion.differences import AngleDifferences
 from sightline.motion.joint import JointEstimate
 from sightline.motion.normal_equations import TimeGrid
@@ -175,6 +176,7 @@ def fit_prior_model(
     start: PriorModel | None = None,
     jumps: Sequence[Array] = (),
     grown_by: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    work: float = WORK,
 ) -> PriorModel:
     """Spectra of the three axes by marginal likelihood, tones found blind.
 
@@ -191,23 +193,29 @@ def fit_prior_model(
         part of a spectrum.
     grown_by : (3,)
         Noise scales that the stars' correlations hold already.
+    work : float
+        Allowed per evaluation of the likelihood, see `estimation.likelihood.WORK`.
     """
     differences = angle_differences(stars, post_px, estimate)
     if not differences:
         raise EstimationError("no row of windows is seen by any pair; check that the bands overlap")
-    spectra, scales = [], []
-    for axis in range(3):
+
+    def fitted(axis: int) -> FittedSpectrum:
         series = [scalar_series(d, axis) for d in differences]
         if jumps:
             series = [_without_jumps(one, jumps[axis]) for one in series]
-        fitted = fit_spectrum(
+        return fit_spectrum(
             series,
             start=None if start is None else start.spectra[axis],
             offset_sigma=float(pixel[axis]),
+            work=work,
         )
-        spectra.append(fitted.spectrum)
-        scales.append(float(fitted.noise_scale) * max(grown_by[axis], 1.0))
-    return PriorModel((spectra[0], spectra[1], spectra[2]), (scales[0], scales[1], scales[2]))
+
+    roll, pitch, yaw = in_threads(fitted, range(3))
+    scales = [
+        one.noise_scale * max(grown, 1.0) for one, grown in zip((roll, pitch, yaw), grown_by, strict=True)
+    ]
+    return PriorModel((roll.spectrum, pitch.spectrum, yaw.spectrum), (scales[0], scales[1], scales[2]))
 
 
 def _without_jumps(series: DifferenceSeries, jumps: Array) -> DifferenceSeries:

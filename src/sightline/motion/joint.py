@@ -12,16 +12,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.estimation.banded import BorderedFactor
+from sightline.estimation.banded import BandedFactor, BorderedFactor, band_times
 from sightline.estimation.prior import Autoregressive, Spectrum, Tone
 from sightline.estimation.split import LaidFactor, Layout, SplitPrior, farthest, spread_band
-from sightline.motion.normal_equations import NormalEquations, TimeGrid, band_times
+from sightline.motion.normal_equations import NormalEquations, TimeGrid
 
 Array = NDArray[np.float64]
+Index = NDArray[np.int64]
 Factor = BorderedFactor | LaidFactor
 
 #: 1-sigma of the constant of roll, pitch and yaw (rad). Images of one strip never see a constant of roll or
@@ -126,6 +128,15 @@ class JointEstimate:
     _data: NormalEquations
     _prior: JointPrior
 
+    @cached_property
+    def _banded(self) -> _Banded:
+        """Factor of the band of data + prior, which is the same with and without constants."""
+        return _banded_factor(self._data, self._prior)
+
+    def _factor(self, *, constants: bool) -> Factor:
+        """Factor of data + prior, with or without a free constant per axis."""
+        return _factor(self._banded, self._data, self._prior, constants=constants)
+
     def unknowns(self) -> Array:
         """Node values with relief where there is any, (count, 3 or 5)."""
         return self.nodes if self.relief is None else np.concatenate([self.nodes, self.relief], axis=1)
@@ -150,7 +161,7 @@ class JointEstimate:
                 seed[:, axis] = shape
                 seeds.append(seed.ravel())
         h = np.stack(seeds, axis=1)
-        factor = _factor(data, self._prior, constants=False)
+        factor = self._factor(constants=False)
         top, bottom = data.times(h)
         x, _ = factor.solve(-top, -bottom)
         completed = (h + x).reshape(grid.count, data.block, -1)[:, :3]
@@ -168,18 +179,18 @@ class JointEstimate:
         scale : (3,)
             rad; angle that counts as one in the fit, per axis (one pixel; for yaw one at the field edge).
         """
-        factor = _factor(self._data, self._prior, constants=False)
+        factor = self._factor(constants=False)
         return projected_covariance(factor, self.grid, self._data.block, t, directions, scale)
 
     def absolute_covariance(self, t: Array) -> Array:
         """Covariance (N, 3, 3) rad^2 of the motion at `t`, its constants included."""
-        factor = _factor(self._data, self._prior, constants=True)
+        factor = self._factor(constants=True)
         return marginal_covariance(factor, self.grid, self._data.block, t)
 
     def covariance_band(self, nodes: int = 4) -> Array:
         """Lower band of the motion's covariance in time, over `nodes` neighbouring nodes (constants held)."""
         block = self._data.block
-        factor = _factor(self._data, self._prior, constants=False)
+        factor = self._factor(constants=False)
         band = factor.covariance_band(nodes * block - 1)
         if block == 3:
             return band
@@ -221,22 +232,37 @@ def _unmixed(directions: Array, u: Array) -> Array:
     return np.asarray(directions @ np.linalg.inv(content))
 
 
-def _factor(data: NormalEquations, prior: JointPrior, *, constants: bool) -> Factor:
-    """Factor of data + prior; the border holds the statics and, if asked, a free constant per axis."""
+@dataclass(frozen=True, eq=False)
+class _Banded:
+    """Band of data + prior, factored: the same with and without a free constant per axis.
+
+    `place` is where the unknowns of the grid stand; None where there are no others between them.
+    """
+
+    factor: BandedFactor
+    prior_band: Array
+    place: Index | None
+
+
+def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
+    """Factor of the banded part of data + prior."""
     layout = prior.layout(data.grid.count, data.block)
     if layout is None:
-        p, place = prior.precision(data.grid, data.block), np.arange(data.block * data.grid.count)
-        reach = len(data.ab) - 1
-    else:
-        p, place = prior.laid_precision(layout), np.ascontiguousarray(layout.fine.ravel())
-        reach = farthest(place, len(data.ab) - 1)
-    size = p.shape[1]
-    ab = np.zeros((max(len(p), reach + 1), size))
-    if layout is None:
+        p = prior.precision(data.grid, data.block)
+        ab = np.zeros((max(len(p), len(data.ab)), p.shape[1]))
         ab[: len(data.ab)] = data.ab
     else:
+        p, place = prior.laid_precision(layout), np.ascontiguousarray(layout.fine.ravel())
+        ab = np.zeros((max(len(p), farthest(place, len(data.ab) - 1) + 1), p.shape[1]))
         spread_band(data.ab, place, ab)
     ab[: len(p)] += p
+    return _Banded(BandedFactor(ab), p, None if layout is None else place)
+
+
+def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, constants: bool) -> Factor:
+    """Factor of data + prior; the border holds the statics and, if asked, a free constant per axis."""
+    size = banded.factor.n
+    place = np.arange(size) if banded.place is None else banded.place
     statics = len(prior.statics_sigma)
     border, corner = np.zeros((size, statics)), data.corner + np.diag(1.0 / prior.statics_sigma**2)
     border[place] = data.border
@@ -244,14 +270,14 @@ def _factor(data: NormalEquations, prior: JointPrior, *, constants: bool) -> Fac
         ones = np.zeros((size, 3))
         for axis in range(3):
             ones[place[axis :: data.block], axis] = 1.0
-        pulled = band_times(p, ones)
+        pulled = band_times(banded.prior_band, ones)
         border = np.concatenate([border, -pulled], axis=1)
         grown = np.zeros((statics + 3, statics + 3))
         grown[:statics, :statics] = corner
         grown[statics:, statics:] = ones.T @ pulled + np.diag(1.0 / np.square(prior.constant_sigma))
         corner = grown
-    factor = BorderedFactor(ab, border, corner)
-    return factor if layout is None else LaidFactor(factor, place)
+    factor = BorderedFactor(banded.factor, border, corner)
+    return factor if banded.place is None else LaidFactor(factor, banded.place)
 
 
 def longest_gap(data: NormalEquations) -> int:
@@ -262,7 +288,7 @@ def longest_gap(data: NormalEquations) -> int:
 
 def solve_joint(data: NormalEquations, prior: JointPrior) -> JointEstimate:
     """Posterior mean of motion, statics and relief for given data and prior."""
-    factor = _factor(data, prior, constants=True)
+    factor = _factor(_banded_factor(data, prior), data, prior, constants=True)
     statics = len(prior.statics_sigma)
     x, y = factor.solve(data.rhs, np.concatenate([data.rhs_static, np.zeros(3)]))
     x, y = _held(factor, data, prior, x, y)
@@ -381,6 +407,19 @@ def directions_at(grid: TimeGrid, directions: Array, t: Array) -> Array:
 def angles_at(estimate: JointEstimate, t: Array) -> Array:
     """Estimated angles (N, 3) rad at the instants `t`."""
     return estimate.grid.interpolate(estimate.nodes, t)
+
+
+def nodes_on(estimate: JointEstimate, grid: TimeGrid) -> Array:
+    """Estimated angles (count, 3) rad at the nodes of a grid that may be finer than the estimate's own.
+
+    By a spline of degree 5: local cubics would leave images of the tones above the coarse grid's Nyquist
+    frequency (a tenth of a tone of four nodes per period), where windows of a few lines hardly see them.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    if grid == estimate.grid:
+        return estimate.nodes
+    return np.asarray(make_interp_spline(estimate.grid.nodes, estimate.nodes, k=5)(grid.nodes))
 
 
 __all__: Sequence[str] = (

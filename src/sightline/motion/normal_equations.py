@@ -18,12 +18,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sightline.estimation.banded import band_times
+from sightline.execution import in_threads
 from sightline.motion.observations import Star
 
 Array = NDArray[np.float64]
 
 #: Nodes of the local interpolation (cubic Lagrange).
 TAPS = 4
+#: Patches summed by one thread at a time, and how many such sums are held at once.
+PART_PATCHES, AT_ONCE = 16384, 4
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,10 @@ class TimeGrid:
     def nodes(self) -> Array:
         """(count,) s."""
         return np.asarray(self.start + self.step * np.arange(self.count), dtype=np.float64)
+
+    def coarser(self, factor: float) -> TimeGrid:
+        """A grid over the same time with nodes `factor` times as far apart."""
+        return TimeGrid(self.start, factor * self.step, math.ceil((self.count - 1) / factor) + 1)
 
     def weights(self, t: Array) -> tuple[NDArray[np.intp], Array]:
         """First node (N,) and cubic Lagrange weights (N, 4) of the instants `t` (N,)."""
@@ -66,7 +74,7 @@ class TimeGrid:
         return out
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _window_weights(t, duration, start, step, count, support, weights):  # type: ignore[no-untyped-def]
     """Lagrange weights averaged over a window of `duration` about `t`; returns the first node."""
     half = 0.5 * duration
@@ -95,7 +103,7 @@ def _window_weights(t, duration, start, step, count, support, weights):  # type:
     return first
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _scatter(local, index, used, n_local, block_n, ab, border, corner, rhs_grid, rhs_static):  # type: ignore[no-untyped-def]
     """Add one local normal matrix (last column: right side) to band, border and corner; clear it."""
     for i in range(n_local):
@@ -129,50 +137,36 @@ def _scatter(local, index, used, n_local, block_n, ab, border, corner, rhs_grid,
                 ab[high - low, low] += value
 
 
-@njit(cache=True)
-def _expand(product, w, compact, statics, relief, pairs, support, n_angles, n_local, local):  # type: ignore[no-untyped-def]
-    """Spread one patch's compact product over the nodes its instants are interpolated from."""
+@njit(cache=True, nogil=True)
+def _expand(product, w, compact, statics, pairs, support, n_local, local):  # type: ignore[no-untyped-def]
+    """Spread one patch's compact product over the nodes its instants are interpolated from.
+
+    Unknown p of the patch has the places ``p * support ..`` of `local`, one per node.
+    """
     moving = compact - statics
     for p in range(moving):
-        height_p = relief and p >= 3 * (1 + pairs)
-        group_p = 1 + pairs if height_p else p // 3
+        group_p = min(p // 3, 1 + pairs)
+        top = p * support
         for q in range(p, moving):
             value = product[p, q]
             if value == 0.0:
                 continue
-            height_q = relief and q >= 3 * (1 + pairs)
-            group_q = 1 + pairs if height_q else q // 3
+            group_q = min(q // 3, 1 + pairs)
+            left = q * support
             for m in range(support):
-                if height_p:
-                    i = n_angles + 2 * m + (p - 3 * (1 + pairs))
-                else:
-                    i = (group_p * support + m) * 3 + p % 3
                 share = value * w[group_p, m]
                 for n in range(m if p == q else 0, support):
-                    if height_q:
-                        j = n_angles + 2 * n + (q - 3 * (1 + pairs))
-                    else:
-                        j = (group_q * support + n) * 3 + q % 3
-                    if i <= j:
-                        local[i, j] += share * w[group_q, n]
-                    else:
-                        local[j, i] += share * w[group_q, n]
-        for s in range(statics + 1):
-            value = product[p, moving + s]
-            if value == 0.0:
-                continue
-            j = n_local - statics + s
-            for m in range(support):
-                if height_p:
-                    local[n_angles + 2 * m + (p - 3 * (1 + pairs)), j] += value * w[group_p, m]
-                else:
-                    local[(group_p * support + m) * 3 + p % 3, j] += value * w[group_p, m]
+                    local[top + m, left + n] += share * w[group_q, n]
+        for m in range(support):
+            share = w[group_p, m]
+            for s in range(statics + 1):
+                local[top + m, n_local - statics + s] += share * product[p, moving + s]
     for s in range(statics):
         for r in range(s, statics + 1):
             local[n_local - statics + s, n_local - statics + r] += product[moving + s, moving + r]
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _accumulate(  # type: ignore[no-untyped-def]
     t_hub,
     t,
@@ -191,20 +185,20 @@ def _accumulate(  # type: ignore[no-untyped-def]
     start,
     step,
     count,
+    node,
     ab,
     border,
     corner,
     rhs_grid,
     rhs_static,
 ):
-    """Sum the normal equations of one star; returns (squared whitened residual, rows, log|R|)."""
+    """Sum the normal equations of patches onto the nodes from `node` on; returns (chi-square, rows)."""
     patches, pairs = t.shape
     statics = by_static.shape[3]
     block = 5 if relief else 3
-    block_n = block * count
+    block_n = ab.shape[1]
     support = 4 + int(math.ceil(duration / step)) if duration > 0.0 else 4
-    n_angles = (1 + pairs) * support * 3
-    n_local = n_angles + (2 * support if relief else 0) + statics
+    n_local = (3 * (1 + pairs) + (2 if relief else 0)) * support + statics
     rows_max = 2 * pairs
     local = np.zeros((n_local, n_local + 1))
     index = np.zeros(n_local, np.int64)
@@ -218,7 +212,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
     product = np.zeros((compact, compact + 1))
     a = np.zeros((rows_max, compact + 1))
     r = np.zeros((rows_max, rows_max))
-    chi2, rows_total, log_r = 0.0, 0, 0.0
+    chi2, rows_total = 0.0, 0
     for s in range(statics):
         index[n_local - statics + s] = block_n + s
         used[n_local - statics + s] = True
@@ -288,7 +282,6 @@ def _accumulate(  # type: ignore[no-untyped-def]
                     total -= r[i, m] * r[j, m]
                 if i == j:
                     r[i, i] = math.sqrt(max(total, 1e-30))
-                    log_r += 2.0 * math.log(r[i, i])
                 else:
                     r[i, j] = total / r[j, j]
         for i in range(rows):
@@ -316,17 +309,17 @@ def _accumulate(  # type: ignore[no-untyped-def]
             if first[k] == -2:
                 continue
             previous[k] = first[k]
-            for m in range(support):
-                for axis in range(3):
-                    j = (k * support + m) * 3 + axis
-                    index[j] = (first[k] + m) * block + axis
+            for axis in range(3):
+                for m in range(support):
+                    j = (3 * k + axis) * support + m
+                    index[j] = (first[k] + m - node) * block + axis
                     used[j] = True
         if relief:
             previous[1 + pairs] = first[1 + pairs]
-            for m in range(support):
-                for axis in range(2):
-                    j = n_angles + 2 * m + axis
-                    index[j] = (first[1 + pairs] + m) * block + 3 + axis
+            for axis in range(2):
+                for m in range(support):
+                    j = (heights + axis) * support + m
+                    index[j] = (first[1 + pairs] + m - node) * block + 3 + axis
                     used[j] = True
         for i in range(compact):
             for j in range(i, compact + 1):
@@ -337,12 +330,12 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 if f != 0.0:
                     for j in range(i, compact + 1):
                         product[i, j] += f * a[row, j]
-        _expand(product, w, compact, statics, relief, pairs, support, n_angles, n_local, local)
+        _expand(product, w, compact, statics, pairs, support, n_local, local)
     _scatter(local, index, used, n_local, block_n, ab, border, corner, rhs_grid, rhs_static)
-    return chi2, rows_total, log_r
+    return chi2, rows_total
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def _modelled(  # type: ignore[no-untyped-def]
     t_hub,
     t,
@@ -434,17 +427,6 @@ class NormalEquations:
         return band_times(self.ab, x), self.border.T @ x
 
 
-def band_times(ab: Array, x: Array) -> Array:
-    """Symmetric band in lower storage times x, (n,) or (n, k)."""
-    y = (ab[0] * x.T).T
-    for d in range(1, len(ab)):
-        below = ab[d, : len(x) - d]
-        if np.any(below):
-            y[d:] += (below * x[: len(x) - d].T).T
-            y[: len(x) - d] += (below * x[d:].T).T
-    return y
-
-
 def ground_times(star: Star, delay: float) -> Array:
     """Instants that order the ground of several hubs on one axis: hub's time less its mean `delay` (s)."""
     return star.t_hub - delay
@@ -500,34 +482,98 @@ def normal_equations(
     border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
     rhs, rhs_static = np.zeros(n), np.zeros(statics)
     chi2, rows = 0.0, 0
-    for star, left, delay in zip(stars, measured, delays, strict=True):
-        part, number, _ = _accumulate(
-            star.t_hub,
-            star.t,
-            ground_times(star, delay),
-            star.duration,
-            np.ascontiguousarray(left),
-            star.covariance_px,
-            star.weight,
-            star.by_hub,
-            star.by_partner,
-            star.by_static,
-            star.by_height,
-            star.field,
-            star.correlation,
-            relief,
-            grid.start,
-            grid.step,
-            grid.count,
-            ab,
-            border,
-            corner,
-            rhs,
-            rhs_static,
-        )
-        chi2 += part
-        rows += number
+    pieces = [
+        _Piece(star, left, ground_times(star, delay), part)
+        for star, left, delay in zip(stars, measured, delays, strict=True)
+        for part in _parts(star)
+    ]
+    # some at a time: each holds a band of its own, and the order of the sums is that of the pieces
+    for begin in range(0, len(pieces), AT_ONCE):
+        for sums in in_threads(
+            lambda piece: _summed(piece, grid, block, width), pieces[begin : begin + AT_ONCE]
+        ):
+            here = slice(sums.first, sums.first + len(sums.rhs))
+            ab[: len(sums.ab), here] += sums.ab
+            border[here] += sums.border
+            rhs[here] += sums.rhs
+            corner += sums.corner
+            rhs_static += sums.rhs_static
+            chi2 += sums.chi2
+            rows += sums.rows
     return NormalEquations(grid, block, ab, border, corner, rhs, rhs_static, chi2, rows)
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """Some rows of windows of a star, what stands on their left side, and their ground's times."""
+
+    star: Star
+    measured: Array
+    t_ground: Array
+    part: slice
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """Normal equations of a piece, on the unknowns from `first` on."""
+
+    first: int
+    ab: Array
+    border: Array
+    corner: Array
+    rhs: Array
+    rhs_static: Array
+    chi2: float
+    rows: int
+
+
+def _parts(star: Star) -> list[slice]:
+    """Whole rows of windows of a star, some PART_PATCHES patches at a time."""
+    rows, blocks = star.shape
+    size = max(PART_PATCHES // blocks, 1) * blocks
+    return [slice(begin, min(begin + size, rows * blocks)) for begin in range(0, rows * blocks, size)]
+
+
+def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
+    """Sum one piece on the nodes it reaches, with bands of at most `width` subdiagonals."""
+    star, part = piece.star, piece.part
+    instants = np.concatenate([star.t_hub[part], star.t[part].ravel(), piece.t_ground[part]])
+    reach = 0.5 * star.duration + 4 * grid.step
+    low = math.floor((np.nanmin(instants) - reach - grid.start) / grid.step)
+    high = math.ceil((np.nanmax(instants) + reach - grid.start) / grid.step)
+    # rows at the end of the grid use its last nodes, wherever their instants are
+    support = 4 + math.ceil(star.duration / grid.step)
+    low, high = max(min(low, grid.count - support), 0), min(max(high, support), grid.count)
+    n, statics = block * (high - low), star.by_static.shape[3]
+    ab = np.zeros((min(width + 1, n), n))
+    border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
+    rhs, rhs_static = np.zeros(n), np.zeros(statics)
+    chi2, rows = _accumulate(
+        star.t_hub[part],
+        star.t[part],
+        piece.t_ground[part],
+        star.duration,
+        np.ascontiguousarray(piece.measured[part]),
+        star.covariance_px[part],
+        star.weight[part],
+        star.by_hub[part],
+        star.by_partner[part],
+        star.by_static[part],
+        star.by_height[part],
+        star.field[part],
+        star.correlation,
+        block == 5,
+        grid.start,
+        grid.step,
+        grid.count,
+        low,
+        ab,
+        border,
+        corner,
+        rhs,
+        rhs_static,
+    )
+    return _Sums(block * low, ab, border, corner, rhs, rhs_static, chi2, rows)
 
 
 def modelled(star: Star, grid: TimeGrid, nodes: Array, statics: Array, delay: float = 0.0) -> Array:
@@ -541,21 +587,27 @@ def modelled(star: Star, grid: TimeGrid, nodes: Array, statics: Array, delay: fl
         In the units of the static parameters.
     """
     out = np.empty(star.residual_px.shape)
-    _modelled(
-        star.t_hub,
-        star.t,
-        ground_times(star, delay),
-        star.duration,
-        star.by_hub,
-        star.by_partner,
-        star.by_static,
-        star.by_height,
-        star.field,
-        nodes.shape[1] == 5,
-        grid.start,
-        grid.step,
-        np.ascontiguousarray(nodes),
-        np.asarray(statics, dtype=float),
-        out,
-    )
+    t_ground, nodes = ground_times(star, delay), np.ascontiguousarray(nodes)
+    values = np.asarray(statics, dtype=float)
+
+    def work(part: slice) -> None:
+        _modelled(
+            star.t_hub[part],
+            star.t[part],
+            t_ground[part],
+            star.duration,
+            star.by_hub[part],
+            star.by_partner[part],
+            star.by_static[part],
+            star.by_height[part],
+            star.field[part],
+            nodes.shape[1] == 5,
+            grid.start,
+            grid.step,
+            nodes,
+            values,
+            out[part],
+        )
+
+    in_threads(work, _parts(star))
     return out

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
+from sightline.execution import in_threads
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Dem, Surface
 from sightline.imaging.source import ImageSource
@@ -40,6 +41,8 @@ Array = NDArray[np.float64]
 
 #: Columns between the places where the map of two images is evaluated: over relief, over smooth surfaces.
 RELIEF_SPACING, SMOOTH_SPACING = 16, 64
+#: Tiles that teach the whitening of a pair.
+TILES = 400
 #: A row that lost more than this share of its windows is tried again: the estimate may have been wrong.
 MOST_WRONG = 0.4
 #: Windows of another image are not found nearer than this to the ends of an image (px): the kernel that lays
@@ -63,12 +66,15 @@ class MatchingPlan:
         px; half-range of the integer search; (0, 0) trusts the prediction.
     most_blocks : int
         At most so many windows per row; 0 lays them side by side.
+    tiles : int
+        At most so many tiles of each pair teach its whitening.
     """
 
     window: tuple[int, int]
     step: int
     search_px: tuple[int, int] = (0, 0)
     most_blocks: int = 0
+    tiles: int = TILES
 
     def grid(self, shape: tuple[int, int]) -> WindowGrid:
         """The windows of this plan on an image of `shape` (lines, columns)."""
@@ -165,24 +171,32 @@ def match_star(
     covariance = np.tile(np.eye(2), (g, k, 1, 1))
     status = np.ones((g, k), dtype=np.uint8)
     score = np.full((g, k), np.nan)
-    values = np.zeros((g, k, 2, 7 + len(statics)), dtype=np.float32)
+
+    seen = [np.isfinite(one.b[:, 0]) for one in predicted]
+    laid = [laid_on(images, cameras, surface, hub, partner) for partner in partners]
+
+    def whitening(j: int) -> Whitening | None:
+        points = _learning(grid.centres[seen[j] & ~wrong[:, j]], images[hub], plan)
+        return pair_whitening(images[hub], laid[j], points, plan.tiles)
+
+    def sensitivity(j: int) -> NDArray[np.float32]:
+        return sampled_sensitivities(cameras, hub, partners[j], surface, grid, seen[j], statics)
+
+    whitenings = in_threads(whitening, range(k))
+    values = np.stack(in_threads(sensitivity, range(k)), axis=1)
+    # one pair after the other: its blocks are matched on threads, and only so many are held at a time
     for j, partner in enumerate(partners):
-        laid = laid_on(images, cameras, surface, hub, partner)
-        tried = np.isfinite(predicted[j].b[:, 0]) & ~wrong[:, j]
-        points = np.where(tried[:, None], grid.centres, np.nan)
+        points = np.where((seen[j] & ~wrong[:, j])[:, None], grid.centres, np.nan)
         matches = match_images(
             images[hub],
-            laid,
+            laid[j],
             points,
             points,
             window=grid.window,
             search_px=plan.search_px,
-            whitening=pair_whitening(images[hub], laid, _learning(points[tried], images[hub], plan)),
+            whitening=whitenings[j],
         )
-        values[:, j] = sampled_sensitivities(
-            cameras, hub, partner, surface, grid, np.isfinite(predicted[j].b[:, 0]), statics
-        )
-        good = matches.kept & np.isfinite(values[:, j]).all(axis=(1, 2)) & np.isfinite(predicted[j].b[:, 0])
+        good = matches.kept & np.isfinite(values[:, j]).all(axis=(1, 2)) & seen[j]
         turn = predicted[j].affine[good]
         residual[good, j] = np.einsum("nij,nj->ni", turn, matches.b[good] - grid.centres[good])
         covariance[good, j] = turn @ matches.covariance_px[good] @ np.swapaxes(turn, 1, 2)
@@ -247,10 +261,12 @@ def _learning(points: Array, image: ImageSource, plan: MatchingPlan) -> Array:
     return everywhere[np.linspace(0, len(everywhere) - 1, min(ENOUGH, len(everywhere))).astype(int)]
 
 
-def pair_whitening(image: ImageSource, laid: ImageSource, points: Array) -> Whitening | None:
-    """Whitening filters of a pair at `points` (N, 2); None where there is too little to estimate them."""
+def pair_whitening(
+    image: ImageSource, laid: ImageSource, points: Array, tiles: int = TILES
+) -> Whitening | None:
+    """Whitening filters of a pair from some of `points` (N, 2); None where too little can be seen there."""
     try:
-        return estimate_whitening(image, laid, points, points)
+        return estimate_whitening(image, laid, points, points, most_tiles=tiles)
     except EstimationError:
         return None
 

@@ -1,0 +1,35 @@
+"""Groups of windows whose boxes stay small."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sightline.matching.patches import group_windows
+
+WINDOW = (4, 100)
+
+
+def grid(columns: np.ndarray) -> np.ndarray:
+    """Centres of windows in 500 rows 4 lines apart, (N, 2)."""
+    line, column = np.meshgrid(40.0 + 4.0 * np.arange(500), columns, indexing="ij")
+    return np.stack([line.ravel(), column.ravel()], axis=1)
+
+
+@pytest.mark.parametrize("apart", [100.0, 600.0], ids=["side by side", "far apart"])
+def test_every_window_is_in_one_group_and_none_reads_columns_between_windows_far_apart(apart):
+    points = grid(300.0 + apart * np.arange(9))
+    rows = np.arange(len(points))[::2]
+    groups = list(group_windows(points, points, rows, WINDOW, 1_500_000))
+    assert np.array_equal(np.sort(np.concatenate(groups)), rows)
+    widest = max(np.ptp(points[group, 1]) for group in groups)
+    if apart > 300:
+        assert widest == 0
+    else:
+        assert widest > apart
+
+
+def test_few_windows_far_apart_stay_together():
+    # two rows at nine columns: pieces of 40 x 140 px each, whose calls would cost more than what lies between
+    points = grid(300.0 + 600.0 * np.arange(9))[:18]
+    assert len(list(group_windows(points, points, np.arange(18), WINDOW, 1_500_000))) == 1
