@@ -102,29 +102,36 @@ def window_means(image: ImageSource, grid: WindowGrid) -> Array:
     height, width = grid.window
     top = np.rint(grid.lines - (height - 1) / 2).astype(np.intp)
     left = np.rint(grid.columns - (width - 1) / 2).astype(np.intp)
-    rows = max(1, _READ_PIXELS // (image.shape[1] * height))
+    far = np.maximum(height, _READ_PIXELS // image.shape[1])
     out = np.full(grid.shape, np.nan)
-    for first in range(0, len(top), rows):
-        part = top[first : first + rows]
+    first = 0
+    while first < len(top):
+        # rows of windows that are near each other are read together
+        last = int(np.searchsorted(top, top[first] + far, side="right"))
+        part = top[first:last]
         pixels = image.read((int(part[0]), int(part[-1]) + height), (0, image.shape[1]))
         measured = np.isfinite(pixels)
-        total, count = (
-            _area_sums(table, part - part[0], left, height, width)
-            for table in (np.where(measured, pixels, 0.0), measured)
+        whole = bool(measured.all())
+        total = _area_sums(
+            pixels if whole else np.where(measured, pixels, 0.0), part - part[0], left, grid.window
         )
+        count = np.full(total.shape, float(height * width))
+        if not whole:
+            count = _area_sums(measured.astype(np.float32), part - part[0], left, grid.window)
         seen = count > 0
-        out[first : first + rows][seen] = total[seen] / count[seen]
+        out[first:last][seen] = total[seen] / count[seen]
+        first = last
     return out.ravel()
 
 
 def _area_sums(
-    table: NDArray[np.generic], top: NDArray[np.intp], left: NDArray[np.intp], height: int, width: int
+    table: NDArray[np.float32], top: NDArray[np.intp], left: NDArray[np.intp], window: tuple[int, int]
 ) -> Array:
-    """Sums (rows, blocks) over windows of a table, by summed areas."""
-    total = np.zeros((table.shape[0] + 1, table.shape[1] + 1))
-    np.cumsum(np.cumsum(table, axis=0, dtype=np.float64), axis=1, out=total[1:, 1:])
-    columns = total[:, left + width] - total[:, left]
-    return np.asarray(columns[top + height] - columns[top])
+    """Sums (rows, blocks) over windows of a table."""
+    height, width = window
+    lines = np.stack([table[:, c : c + width].sum(axis=1, dtype=np.float64) for c in left], axis=1)
+    total = np.concatenate([np.zeros((1, len(left))), np.cumsum(lines, axis=0)])
+    return np.asarray(total[top + height] - total[top])
 
 
 def predict_windows(
