@@ -173,6 +173,15 @@ class TestClouds:
         assert not got[66:94].any()
         assert got[:50].mean() > 0.9
 
+    def test_rows_whose_line_the_clouds_took_say_nothing(self):
+        star = seeing_heights(star_of(2))
+        post = noise(star, 17)
+        # ten of twelve: more than twice the ground
+        post[60:100, :10, :, 0] -= 10 * SIGMA * np.array([0.5, 1.0])
+        got = weights(star, post)
+        assert not got[62:98].any()
+        assert got[:50].mean() > 0.9
+
 
 class TestBrightness:
     """Two layers that agree with themselves in a stretch of rows; elsewhere the brighter one is rare."""

@@ -45,6 +45,8 @@ MOST_TRIED, APART = 16, 0.3
 NEAR = 3.0
 #: Rows in which, neighbours included, more than this share is foreign say nothing.
 MOST_FOREIGN = 0.8
+#: A row is undermined where more than this share of its windows lie below its line.
+UNDERMINED = 0.1
 #: A window is lonely where less than this share of those around it was matched.
 LONELY = 0.15
 #: What brightness tells is learned from rows of which this share agrees, in at most so many steps of
@@ -109,13 +111,30 @@ def _foreign(star: Star, post_px: Array, least: Array) -> Array:
     up = _upwards(star, shift.lag)
     worst = _worst_departures(shift, reaches, up, least)
     if star.brightness is not None:
-        by_brightness = _told_by_brightness(shift, worst, star.brightness.reshape(star.shape), reaches)
+        clear = ~_undermined(shift, worst, reaches, up)
+        by_brightness = _told_by_brightness(shift, worst, star.brightness.reshape(star.shape), reaches, clear)
         if by_brightness.any():
             worst = _worst_departures(shift, reaches, up, np.maximum(by_brightness, least))
     # where hardly any window saw the ground, nothing vouches for those that seem to
     foreign = _sum_along((shift.seen & (worst > FOREIGN)).sum(axis=1).astype(float), reaches[0])
     lost = foreign > MOST_FOREIGN * _sum_along(shift.seen.sum(axis=1).astype(float), reaches[0])
+    lost |= _undermined(shift, worst, reaches, up)
     return np.where(shift.seen & ~lost[:, None], worst, np.inf)
+
+
+def _undermined(shift: _Shift, worst: Array, reaches: list[int], up: Array) -> Flags:
+    """Rows of which more foreign windows lie below the line than above, neighbours included: (rows,).
+
+    Nothing lies below the ground: there a cloud was most of the row, and took the line.
+    """
+    weight = np.where(shift.seen, _weight(worst), 0.0)
+    departure, _, use = _from_row_line(shift, weight, reaches[-1])
+    foreign = use & (worst > FOREIGN)
+    side = departure @ up
+    below = _sum_along((foreign & (side < 0.0)).sum(axis=1).astype(float), reaches[0])
+    above = _sum_along((foreign & (side > 0.0)).sum(axis=1).astype(float), reaches[0])
+    seen = _sum_along(shift.seen.sum(axis=1).astype(float), reaches[0])
+    return np.asarray((below > above) & (below > UNDERMINED * seen))
 
 
 def _on_same_ground(star: Star, first: Star, foreign: Array) -> Array:
@@ -176,16 +195,18 @@ def _with_neighbours(worst: Array, use: Flags, reach: int) -> Array:
     return np.asarray(np.where(most, np.inf, np.where(beside, NEAR * worst, worst)))
 
 
-def _told_by_brightness(shift: _Shift, worst: Array, brightness: Array, reaches: list[int]) -> Array:
+def _told_by_brightness(
+    shift: _Shift, worst: Array, brightness: Array, reaches: list[int], clear: Flags
+) -> Array:
     """Squared size of the lasting departure that windows of such brightness have where the ground is seen.
 
     Clouds are bright, and so are some fields: whether brightness tells of foreign motion is learned from the
-    rows of which most windows agree. Zero throughout where it does not.
+    rows, of those in `clear` view, of which most windows agree. Zero throughout where it does not.
     """
     weight = np.where(shift.seen, _weight(worst), 0.0)
     departure, variance, use = _from_row_line(shift, weight, reaches[-1])
     seen = shift.seen.sum(axis=1)
-    clear = (seen >= MIN_BLOCKS) & ((weight > TRUSTED).sum(axis=1) >= MOSTLY * seen)
+    clear = clear & (seen >= MIN_BLOCKS) & ((weight > TRUSTED).sum(axis=1) >= MOSTLY * seen)
     learn = use & clear[:, None] & np.isfinite(brightness)
     rows = 2 * reaches[0] + 1
     bins = min(MOST_BINS, int(learn.sum()) // (10 * rows))
