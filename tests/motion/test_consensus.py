@@ -74,6 +74,16 @@ class TestClearView:
         star = star_of(2, blocks)
         assert_allclose(weights(star, noise(star, 7)), 1.0)
 
+    def test_images_of_one_instant_tell_nothing_and_lose_nothing(self):
+        star = star_of()
+        star = replace(star, t=star.t_hub[:, None].copy())
+        assert_allclose(weights(star, noise(star, 33)), 1.0)
+
+    def test_a_first_star_of_one_row_is_no_judge(self):
+        one, other = plain_star(1, 6, 1, SIGMA), replace(plain_star(1, 5, 1, SIGMA), hub=1, images=(0,))
+        got = ground_weights([one, other], [np.zeros((6, 1, 2)), np.zeros((5, 1, 2))])
+        assert all((g == 1.0).all() for g in got)
+
     def test_absent_windows_have_no_weight(self):
         star = star_of(2)
         post = noise(star, 8)

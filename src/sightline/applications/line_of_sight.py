@@ -194,7 +194,7 @@ def recover_line_of_sight(
         refined = _compensated_pass(draft, state, number, options, height_sigma, tell)
         changes.append(_change(draft, state, refined))
         state = refined
-        if changes[-1] < tolerance:
+        if number and changes[-1] < tolerance:  # the first of them has no spectrum of its own yet
             break
     if wide:
         tell("last pass: windows side by side over the whole field")
@@ -366,7 +366,7 @@ def _compensated_pass(
     plan = strip.plan(options, options.window, options.step)
     records = _match(strip, nodes, statics, plan, state.records)
     solved = _solve(strip, records, nodes, statics, state.model, height_sigma, before=state)
-    if number == 0:
+    if number == 0 and options.passes > 1:
         # the first linearisation still shows in this pass: a spectrum fitted to it would hold its error
         return solved
     tell("fitting the spectrum of the motion")

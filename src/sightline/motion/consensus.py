@@ -106,7 +106,8 @@ def _foreign(star: Star, post_px: Array, least: Array) -> Array:
         return least
     shift = _common_shift(star, post_px)
     reaches = _reaches(star)
-    shift = replace(shift, seen=shift.seen & ~_lonely(shift.seen, reaches[0]))
+    told = shift.seen
+    shift = replace(shift, seen=told & ~_lonely(told, reaches[0]))
     shift = shift.scaled(_row_noise(shift, reaches[0]))
     up = _upwards(star, shift.lag)
     worst = _worst_departures(shift, reaches, up, least)
@@ -119,7 +120,10 @@ def _foreign(star: Star, post_px: Array, least: Array) -> Array:
     foreign = _sum_along((shift.seen & (worst > FOREIGN)).sum(axis=1).astype(float), reaches[0])
     lost = foreign > MOST_FOREIGN * _sum_along(shift.seen.sum(axis=1).astype(float), reaches[0])
     lost |= _undermined(shift, worst, reaches, up)
-    return np.where(shift.seen & ~lost[:, None], worst, np.inf)
+    # images of one instant see a cloud where they see the ground: of their matches nothing is told
+    matched = np.asarray(np.isfinite(post_px).all(axis=-1)).any(axis=1).reshape(rows, blocks)
+    untold = np.where(matched & ~told, least, np.inf)
+    return np.where(shift.seen & ~lost[:, None], worst, untold)
 
 
 def _undermined(shift: _Shift, worst: Array, reaches: list[int], up: Array) -> Flags:
@@ -144,16 +148,20 @@ def _on_same_ground(star: Star, first: Star, foreign: Array) -> Array:
     where `first` looked and saw none.
     """
     least = np.zeros(len(star.t_hub))
-    if first.hub not in star.images or first.shape[1] < MIN_BLOCKS:
+    if first.hub not in star.images or first.shape[1] < MIN_BLOCKS or first.shape[0] < 2:
         return least.reshape(star.shape)
     rows, blocks = first.shape
     t = first.t_hub.reshape(rows, blocks)[:, 0]
     instant = star.t[:, star.images.index(first.hub)]
     column = np.abs(star.field[:, None] - first.field[:blocks]).argmin(axis=1)
     reach = _reaches(first)[0]
+    rising = np.argsort(t, kind="stable")
+    index = np.interp(instant, t[rising], rising.astype(float), left=-np.inf, right=np.inf)
     step = float(np.median(np.diff(t)))
     for k in np.flatnonzero(np.isfinite(instant)):
-        row = (instant[k] - t[0]) / step
+        row = index[k]
+        if not np.isfinite(row):  # beyond an end: so many rows
+            row = (instant[k] - t[0]) / step
         if not -reach <= row <= rows - 1 + reach:
             continue
         near = np.arange(max(0, math.floor(row) - reach), min(rows, math.ceil(row) + reach + 1))
@@ -299,9 +307,11 @@ def _sensitivity(star: Star, lag: Array) -> Array:
 
 def _upwards(star: Star, lag: Array) -> Array:
     """(2,) which way a higher target shifts; zero where the lines of sight do not tell heights apart."""
-    with np.errstate(invalid="ignore"):
-        by_height = np.nanmedian(np.where(np.isfinite(star.by_height), star.by_height, np.nan), axis=0)
-    up = np.nansum(by_height * lag[:, None], axis=0)
+    up = np.zeros(2)
+    for k in range(len(lag)):
+        known = np.isfinite(star.by_height[:, k]).all(axis=-1)
+        if known.any():
+            up += lag[k] * np.median(star.by_height[known, k], axis=0)
     return np.asarray(up / max(float(np.hypot(*up)), 1e-30), dtype=np.float64)
 
 

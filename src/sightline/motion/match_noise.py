@@ -25,6 +25,8 @@ ROW_REACH = 6
 ROW_LAGS = 8
 #: Errors beyond this many sigmas lose weight (1 % of two Gaussian components), beyond REJECT all (4e-6).
 SOFT, REJECT = 3.0, 5.0
+#: Blocks per row, and runs of rows, from which errors shared by neighbouring windows are told; their most.
+LEAST_BESIDE, MOST_BESIDE = 6, 4.0
 #: Scaled residuals are cut to this size where covariances are summed.
 CLIP = 6.0
 
@@ -91,10 +93,45 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     for shift in range(1, min(ROW_LAGS, len(v) - 1) + 1):
         step = covariance(shift) * (1.0 - shift / (ROW_LAGS + 1.0))
         total = total + step + step.T
+    beside = np.tile(np.sqrt(_error_beside(v)), pairs)
+    total = total * np.outer(beside, beside)
+    scale = scale * beside
     # long-run sums may fall below the plain variance by chance or by overlap; never trust more than half
     values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
     total = (vectors * np.maximum(values, 0.05)) @ vectors.T * np.outer(scale, scale)
     return np.asarray(0.5 * (total + total.T))
+
+
+def _error_beside(v: Array) -> Array:
+    """(2,) variance of a row's mean over that of independent windows, for errors along lines and columns.
+
+    Texture that reaches over several windows makes neighbours err alike, and the line fitted to a short row
+    hides most of that. What residuals of a row with correlation rho between neighbours look like after the
+    fit is compared with what they are, over runs of rows (``v``: (rows, blocks, 2K), zero where absent).
+    """
+    rows, blocks = v.shape[:2]
+    run = ROW_LAGS + 1
+    if blocks < LEAST_BESIDE or rows < LEAST_BESIDE * run:
+        return np.ones(2)
+    total = np.cumsum(np.concatenate([np.zeros_like(v[:1]), v]), axis=0)
+    runs = total[run:] - total[:-run]
+    x = np.linspace(-1.0, 1.0, blocks)
+    line = np.stack([np.ones(blocks), x], axis=1)
+    kept = np.eye(blocks) - line @ np.linalg.pinv(line)
+    beside = np.eye(blocks, k=1) + np.eye(blocks, k=-1)
+    expected = [[np.trace(kept @ c @ kept, offset=d) for c in (np.eye(blocks), beside)] for d in range(5)]
+    out = np.ones(2)
+    for axis in range(2):
+        part = runs[:, :, axis::2]
+        product = np.einsum("rbi,rci->bc", part, part)
+        found = [np.trace(product, offset=d) for d in range(5)]
+        alone, shared = np.linalg.lstsq(np.array(expected), np.array(found), rcond=None)[0]
+        rho = shared / max(float(alone), 1e-30)
+        # of so many independent runs of windows; a correlation that chance makes as large is none
+        if rho > 2.5 / np.sqrt(blocks * rows / run):
+            plain = found[0] / expected[0][0]
+            out[axis] = np.clip(alone / plain * (1.0 + 2.0 * rho * (1.0 - 1.0 / blocks)), 1.0, MOST_BESIDE)
+    return out
 
 
 def row_weights(star: Star, post_px: Array) -> Array:

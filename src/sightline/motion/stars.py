@@ -114,8 +114,9 @@ def hub_windows(
     Notes
     -----
     What a later image took in its very first and last lines cannot be found in it (`END`), but can be cut
-    from it and found in the images before: without such windows, which follow the search, the motion at the
-    ends of a strip would be extrapolated over 4 ms.
+    from it and found in the first: without such windows, which follow the search, the motion at the ends of a
+    strip would be extrapolated over 4 ms. In the first only: pairs of it with the others on that ground are
+    among its own windows.
     """
     out = []
     for place, hub in enumerate(order):
@@ -135,7 +136,7 @@ def hub_windows(
             out.append((hub, partners, grid))
         if place and max(plan.search_px) == 0:
             lines = _end_lines(shapes[hub][0], grid.window[0], plan.step)
-            out.append((hub, tuple(order[:place]), WindowGrid(grid.window, lines, grid.columns)))
+            out.append((hub, tuple(order[:1]), WindowGrid(grid.window, lines, grid.columns)))
     return out
 
 
