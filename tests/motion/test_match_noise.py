@@ -97,8 +97,8 @@ class TestCorrelation:
         star = plain_star(1500, 10, 1, SIGMA)
         fresh = SIGMA * np.random.default_rng(31).standard_normal((1500, 11, 1, 2))
         shared = (fresh[:, 1:] + fresh[:, :-1]) / np.sqrt(2)
-        # correlation 1/2 between neighbours: the mean of ten has 1 + 2 * 0.5 * 0.9 = 1.9 times the variance of
-        # independent ones. Of 1667 runs of nine rows the fit errs by some 2 / sqrt(1667) = 5 %; four of these
+        # correlation 1/2 between neighbours: the mean of ten has 1 + 2 * 0.5 * 0.9 = 1.9 times the variance
+        # of independent ones. Of 1667 runs of nine rows the fit errs by 2 / sqrt(1667) = 5 %; four of these
         got = estimate_correlation(star, shared.reshape(-1, 1, 2))
         assert_allclose(np.diag(got), 1.9, rtol=0.2)
         own = estimate_correlation(star, drawn(star, 32))
