@@ -5,7 +5,7 @@ from scipy.linalg import toeplitz
 from sightline.errors import InputError
 from sightline.estimation.prior import Matern, Spectrum
 from sightline.geometry.trajectory import Motion
-from sightline.motion.tones import detect_tones, spectrum
+from sightline.motion.tones import detect_tones, lowest_sought, spectrum
 
 STEP, COUNT = 2e-3, 1000
 T = STEP * np.arange(COUNT)
@@ -16,16 +16,27 @@ MOTIONS = {
 }
 
 
-def draws(prior, number, seed):
-    c = toeplitz(prior.autocovariance(STEP * np.arange(COUNT)))
-    root = np.linalg.cholesky(c + 1e-9 * c[0, 0] * np.eye(COUNT))
-    return (root @ np.random.default_rng(seed).standard_normal((COUNT, 3 * number))).reshape(COUNT, number, 3)
+#: 800 lines of 0.5 ms: twenty frequencies below a peak are known from 62.5 Hz on only.
+SHORT = 5e-4 * np.arange(800)
+#: Red, flat and falling where few frequencies below tell the level: corners (Hz) 0.4, 30, 60 and 4.
+SHORT_MOTIONS = {
+    "white": Spectrum((Matern(1.0, 1e-6),)),
+    "drift and broadband": Spectrum((Matern(2.0, 1.0, "5/2"), Matern(0.1, 9.2e-3))),
+    "flat to 60 Hz, then nothing": Spectrum((Matern(0.1, 1.1e-2, "17/2"),)),
+    "fast drift and broadband": Spectrum((Matern(2.0, 0.1, "5/2"), Matern(0.1, 9.2e-3))),
+}
 
 
-def with_tones(x, tones, phase=0.3):
+def draws(prior, number, seed, t=T):
+    c = toeplitz(prior.autocovariance(t))
+    root = np.linalg.cholesky(c + 1e-9 * c[0, 0] * np.eye(len(t)))
+    return (root @ np.random.default_rng(seed).standard_normal((len(t), 3 * number))).reshape(-1, number, 3)
+
+
+def with_tones(x, tones, phase=0.3, t=T):
     out = x.copy()
     for frequency, amplitude in tones:
-        out += amplitude * np.sin(2 * np.pi * frequency * T + phase)[:, None]
+        out += amplitude * np.sin(2 * np.pi * frequency * t + phase)[:, None]
     return out
 
 
@@ -56,6 +67,40 @@ def test_tones_in_drift_and_broadband_are_found_with_true_sigmas():
                 )
     # 360 tones. The level is the larger of two medians, so the sigmas err to the large side by some 10 %.
     assert np.sqrt(np.mean(np.square(pulls), axis=0)) == pytest.approx([0.9, 0.9], abs=0.2)
+
+
+@pytest.mark.parametrize("name", SHORT_MOTIONS)
+def test_slow_tones_are_not_seen_where_there_are_none(name):
+    x = draws(SHORT_MOTIONS[name], 300, 7, SHORT)
+    found = [detect_tones(Motion(SHORT, x[:, i]), false_alarm=0.02) for i in range(300)]
+    # 900 axes at 2 %: 18 expected at most, sd 4.2; three of them on top. 17 of some 390 frequencies are below
+    # 62.5 Hz: 0.8 of the 18, and more than 3 of them once in a hundred.
+    assert sum(len({tone.axis for tone in tones}) for tones in found) <= 31
+    assert sum(tone.frequency < 62.0 for tones in found for tone in tones) <= 3
+
+
+def test_the_three_tones_of_a_strip_of_800_lines_are_named():
+    x = draws(SHORT_MOTIONS["drift and broadband"], 20, 8, SHORT)
+    tones = [(47.0, 0.42), (83.0, 0.21), (121.0, 0.11)]
+    for i in range(20):
+        found = detect_tones(Motion(SHORT, with_tones(x[:, i], tones, t=SHORT)))
+        for axis in ("roll", "pitch", "yaw"):
+            slowest = next(tone for tone in found if tone.axis == axis)
+            # The level is taken at half the frequency and the motion falls as f^-4: sigmas err to the large
+            # side, so that 4 of them hold 60 draws.
+            assert abs(slowest.frequency - 47.0) < 4.0 * slowest.sigma_frequency < 1.0
+            assert abs(slowest.amplitude - 0.42) < 4.0 * slowest.sigma_amplitude < 0.3
+            assert [round(tone.frequency / 2.5) for tone in found if tone.axis == axis] == [19, 33, 48]
+
+
+def test_a_strong_tone_is_named_from_eight_cycles_on_and_its_flank_is_none():
+    x = 1e-3 * np.random.default_rng(9).standard_normal((len(SHORT), 3))
+    lowest = lowest_sought(Motion(SHORT, x))
+    assert lowest == pytest.approx(20.0, rel=2e-3)
+    for frequency, number in ((lowest, 3), (lowest - 4.0, 0)):
+        found = detect_tones(Motion(SHORT, with_tones(x, [(frequency, 0.3)], t=SHORT)))
+        assert len(found) == number
+        assert all(tone.frequency == pytest.approx(frequency, abs=0.05) for tone in found)
 
 
 def test_a_single_sinusoid_is_known_to_1_percent_and_its_frequency_to_0_1_percent():
@@ -106,7 +151,9 @@ def test_uneven_times_are_put_on_an_even_grid():
 
 
 def test_a_motion_too_short_to_tell_a_level_has_no_tones():
-    assert detect_tones(Motion(T[:40], np.sin(T[:40])[:, None] * np.ones(3))) == ()
+    short = Motion(T[:40], np.sin(T[:40])[:, None] * np.ones(3))
+    assert detect_tones(short) == ()
+    assert lowest_sought(short) == np.inf
 
 
 def test_a_false_alarm_of_zero_is_refused():

@@ -48,6 +48,14 @@ def test_without_tones_none_is_claimed(recovery):
     assert "No tone stands out" in " ".join(words.sentences(recovery.result, recovery.summary, []))
 
 
+def test_the_words_say_from_which_frequency_tones_are_sought(said, recovery):
+    start, end = recovery.result.motion.span
+    lowest = f"{8.0 / (end - start):.3g} Hz, eight cycles in all"
+    assert f"None is sought below {lowest}" in said
+    without = " ".join(words.sentences(recovery.result, recovery.summary, [])).replace("\u00a0", " ")
+    assert f"above {lowest}" in without
+
+
 def test_the_tables_have_a_row_for_every_pair_static_and_tone(recovery):
     tones = tones_of(recovery.summary["tones"])
     assert len(words.tone_rows(recovery.result, tones)) == len(tones) >= 3

@@ -29,6 +29,12 @@ OWN = 2
 #: The lowest frequencies belong to the removed parabola and to the Hann window.
 FIRST_BIN = 3
 
+#: Fewest frequencies below a peak that tell its level. Those above it cannot alone: drift rises towards zero.
+FEWEST_BELOW = 3
+
+#: Epochs below which tones are not sought.
+SHORTEST = 2 * (2 * (NEIGHBOURS + OWN) + FIRST_BIN)
+
 #: Peaks closer than this many 1/T are one tone whose phase wanders.
 MERGE_BINS = 4.0
 
@@ -98,6 +104,14 @@ def spectrum(motion: Motion) -> MotionSpectrum:
     return MotionSpectrum(frequency, psd, noise)
 
 
+def lowest_sought(motion: Motion) -> float:
+    """Hz; from where `detect_tones` looks: eight cycles over the motion; infinite where it is too short."""
+    n = len(motion.t)
+    if n < SHORTEST:
+        return math.inf
+    return (FIRST_BIN + FEWEST_BELOW + OWN) * (n - 1) / (n * (motion.span[1] - motion.span[0]))
+
+
 def detect_tones(
     motion: Motion,
     *,
@@ -115,7 +129,7 @@ def detect_tones(
     false_alarm : float
         Probability, per axis, that a motion without any tone yields one.
     lowest, highest : float, optional
-        Hz; where to look. By default from where twenty lower frequencies are known (about 25/T) to Nyquist.
+        Hz; where to look. By default from `lowest_sought`, 8/T, to Nyquist; never lower.
     limit : int
         Most peaks taken per axis.
 
@@ -128,13 +142,17 @@ def detect_tones(
     The level around a frequency is the larger of the medians of the 20 frequencies below and above it: that
     of a steep spectrum, or of its corner, is not underestimated. Without a tone the ratio r of a peak to its
     level then exceeds x with probability at most ``N (1 + x/20)^-20`` among N frequencies (the law of an
-    exponential over the mean of 20 others; checked by simulation for white and for steep motions). The
-    strongest peak is fitted, removed, and the rest looked at again.
+    exponential over the mean of 20 others; checked by simulation for white and for steep motions). Where
+    only m < 20 lower frequencies are left, down to 3, their median may be alone in telling the level, and
+    the law is ``N (1 + x/q)^-q``, q = 1 + m/3: by simulation a bound for the median of m neighbours of a
+    Hann-windowed periodogram, two of which tell hardly more than one. A tone must be the stronger there the
+    lower it is: for 1e-3 and a hundred frequencies x > 630 at 8/T, 38 at 19/T, 16 from 25/T on. The
+    strongest of the peaks is fitted, removed, and the rest looked at again.
     """
     if not 0.0 < false_alarm < 1.0:
         raise InputError(f"`false_alarm` must be between 0 and 1, got {false_alarm}")
     step, x = _even(motion)
-    if len(x) < 2 * (2 * (NEIGHBOURS + OWN) + FIRST_BIN):
+    if len(x) < SHORTEST:
         return ()
     x = _detrended(x)
     bounds = (lowest or 0.0, highest or 0.5 / step)
@@ -152,31 +170,47 @@ def _peaks(
     """Peaks of one axis from the strongest on, each removed before the next is sought."""
     rest, tones = x.copy(), []
     for _ in range(limit):
-        ratio, level, frequency = _ratios(rest, step)
+        ratio, level, freedom, frequency = _ratios(rest, step)
         inside = (frequency >= bounds[0]) & (frequency <= bounds[1])
-        if not inside.any():
+        chance = np.minimum(1.0, np.count_nonzero(inside) * (1.0 + ratio / freedom) ** -freedom)
+        significant = inside & (chance <= false_alarm)
+        if not significant.any():
             break
-        best = int(np.argmax(np.where(inside, ratio, 0.0)))
-        chance = min(1.0, np.count_nonzero(inside) * (1.0 + ratio[best] / NEIGHBOURS) ** -NEIGHBOURS)
-        if chance > false_alarm:
-            break
-        tone, rest = _fitted(rest, step, float(frequency[best]), float(level[best]), chance)
+        best = int(np.argmax(np.where(significant, ratio, 0.0)))
+        tone, rest = _fitted(rest, step, float(frequency[best]), float(level[best]), float(chance[best]))
         tones.append(tone)
     return tones
 
 
-def _ratios(x: Array, step: float) -> tuple[Array, Array, Array]:
-    """Periodogram over its surrounding level, that level (unit^2/Hz, one-sided), and frequencies (Hz)."""
+def _ratios(x: Array, step: float) -> tuple[Array, Array, Array, Array]:
+    """Ratio of peaks to the level around them, and what is needed to judge it.
+
+    Returns
+    -------
+    ratio : (F,)
+        Periodogram over the level; 0 where a neighbour is higher, so that the flank of a tone outside what
+        is looked at is no tone.
+    level : (F,)
+        Unit^2/Hz, one-sided.
+    freedom : (F,)
+        The exponent q of the ratio's law: how many independent frequencies the level is worth.
+    frequency : (F,)
+        Hz.
+    """
     window = _hann(len(x))
     power = np.abs(np.fft.rfft(x * window)) ** 2 * (2.0 * step / np.sum(window**2))
     frequency = np.asarray(np.fft.rfftfreq(len(x), step), dtype=np.float64)
     power, frequency = power[FIRST_BIN:-1], frequency[FIRST_BIN:-1]
-    medians = np.median(sliding_window_view(power, NEIGHBOURS), axis=1) / math.log(2.0)
-    at = np.arange(NEIGHBOURS + OWN, len(power))
-    below = medians[at - OWN - NEIGHBOURS]
+    medians = np.median(sliding_window_view(power, NEIGHBOURS), axis=1)
+    at = np.arange(FEWEST_BELOW + OWN, len(power))
+    count = np.minimum(at - OWN, NEIGHBOURS)
+    few = [float(np.median(power[:m])) for m in range(FEWEST_BELOW, NEIGHBOURS)]
+    below = np.concatenate([few, medians[: len(at) - len(few)]])
     above = medians[np.minimum(at + OWN + 1, len(medians) - 1)]
-    level = np.maximum(np.maximum(below, above), 1e-300)
-    return np.asarray(power[at] / level), level, frequency[at]
+    level = np.maximum(np.maximum(below, above) / math.log(2.0), 1e-300)
+    crest = power[at] >= np.maximum(power[at - 1], np.append(power[at[1:]], 0.0))
+    freedom = np.where(count < NEIGHBOURS, 1.0 + count / 3.0, NEIGHBOURS)
+    return np.where(crest, power[at] / level, 0.0), level, freedom, frequency[at]
 
 
 def _fitted(x: Array, step: float, near: float, level: float, chance: float) -> tuple[DetectedTone, Array]:

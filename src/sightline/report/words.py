@@ -16,7 +16,7 @@ from sightline.applications.results import LineOfSight
 from sightline.evaluation.observed import SEEN_TONE_PX
 from sightline.geometry.camera import FrameCamera
 from sightline.motion.observability import Passbands
-from sightline.motion.tones import DetectedTone
+from sightline.motion.tones import DetectedTone, lowest_sought
 from sightline.report.motion_figures import FEW_EPOCHS, visible_motion_px
 from sightline.report.style import AXES, AXIS_UNITS
 
@@ -170,8 +170,11 @@ def _residuals(result: LineOfSight) -> str:
 
 
 def _tones(result: LineOfSight, tones: Sequence[DetectedTone]) -> str:
+    lowest = lowest_sought(result.motion)
+    if not np.isfinite(lowest):
+        return "The motion has too few instants for tones to be sought."
     if not tones:
-        return "No tone stands out of the spectrum."
+        return f"No tone stands out of the spectrum above {lowest:.3g} Hz, eight cycles in all."
     said = []
     for axis in AXES:
         own = sorted((tone for tone in tones if tone.axis == axis), key=lambda tone: -tone.amplitude)
@@ -179,7 +182,10 @@ def _tones(result: LineOfSight, tones: Sequence[DetectedTone]) -> str:
         if own:
             listed = ", ".join(f"{t.frequency:.1f} Hz ({t.amplitude / scale:.2g} px)" for t in own[:4])
             said.append(f"{axis} at {listed}" + (f" and {len(own) - 4} more" if len(own) > 4 else ""))
-    return "Tones, with their amplitude: " + "; ".join(said) + "."
+    return (
+        f"Tones, with their amplitude: {'; '.join(said)}. "
+        f"None is sought below {lowest:.3g} Hz, eight cycles in all."
+    )
 
 
 def _passbands(summary: Mapping[str, Any]) -> str:
