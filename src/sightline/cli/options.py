@@ -11,7 +11,9 @@ Out = Annotated[
     Path,
     typer.Option("--out", metavar="DIR", help="Folder to write; made if missing, refused if it holds files."),
 ]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files of the same names in DIR.")]
+Overwrite = Annotated[
+    bool, typer.Option("--overwrite", help="Replace an earlier result in DIR; other files stay.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON on stdout.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Same seed, same scene, bit for bit.")]
 ExecutorName = Annotated[
