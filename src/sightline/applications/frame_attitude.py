@@ -276,8 +276,8 @@ def _warnings(
     out = []
     if changes and changes[-1] > 1.0:
         out.append(
-            f"the passes did not settle: the last changed the attitudes by {changes[-1]:.1f} sigma; allow "
-            "more passes or check the camera description"
+            f"the passes did not settle: the last changed the attitudes by {changes[-1]:.1f} sigma; check "
+            "the camera description, or allow more with [matching] passes"
         )
     if not observed.all():
         unseen = (~observed).sum()
