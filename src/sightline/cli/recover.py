@@ -21,7 +21,7 @@ def recover(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Recover roll, pitch and yaw per line, with their sigma, from the bands of one strip."""
+    """Recover roll, pitch and yaw with their sigma: per line of a strip's bands, or per frame."""
     from sightline.cli.output import output_folder, remove_earlier
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.io.results import RESULT_FILES
