@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance
+from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.likelihood import WORK
 from sightline.execution import one_blas_thread
@@ -201,7 +201,7 @@ def recover_line_of_sight(
     if wide:
         tell("last pass: windows side by side over the whole field")
         state = _compensated_pass(strip, state, options.passes, options, height_sigma, tell)
-    return _result(strip, state, changes)
+    return _result(strip, state, changes, options.window)
 
 
 @dataclass(frozen=True, eq=False)
@@ -503,7 +503,7 @@ def _change(strip: _Strip, old: _State, new: _State) -> float:
     return float(np.sqrt((moved**2).mean(axis=0) / variance.mean(axis=0)).max())
 
 
-def _result(strip: _Strip, state: _State, changes: list[float]) -> LineOfSight:
+def _result(strip: _Strip, state: _State, changes: list[float], window: tuple[int, int]) -> LineOfSight:
     """The last state as a result at the lines of the first band."""
     camera, estimate = strip.nominal[0], state.estimate
     t = camera.times(np.arange(camera.lines, dtype=float))
@@ -520,6 +520,7 @@ def _result(strip: _Strip, state: _State, changes: list[float]) -> LineOfSight:
     )
     names = [f"{kind} of {axis}" for kind in ("constant", "drift") for axis in ("roll", "pitch", "yaw")]
     observed = _observed(strip, state, t)
+    cameras = tuple(strip.cameras(estimate.nodes, estimate.statics))
     return LineOfSight(
         motion=motion,
         absolute_sigma=np.full((len(t), 3), np.inf),
@@ -531,10 +532,10 @@ def _result(strip: _Strip, state: _State, changes: list[float]) -> LineOfSight:
         half_field=strip.half_field,
         statics=statics,
         spectra=state.model.spectra,
-        records=state.records,
+        records=tuple(without_common_ground(r, cameras, strip.surface, window) for r in state.records),
         before_px=state.before_px,
         after_px=state.post_px,
-        cameras=tuple(strip.cameras(estimate.nodes, estimate.statics)),
+        cameras=cameras,
         image_names=tuple(b.name for b in strip.bands),
         changes=tuple(changes),
         band=TimeCovariance(strip.grid.nodes, estimate.nodes, estimate.covariance_band()),
