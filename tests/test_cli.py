@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import re
 import sys
 import warnings
+from pathlib import Path
 
 import pytest
 
@@ -129,6 +131,46 @@ def test_version_and_schema_print_on_stdout(capsys):
     assert json.loads(capsys.readouterr().out)["properties"]["platform"]
     assert command.run(["schema", "acquisitoin"]) == 2
     assert "acquisition" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["lines", "columns"])
+def test_the_help_of_simulate_states_the_size_of_every_case(name):
+    from sightline.cli import simulate
+    from sightline.simulate.strip_options import CASE_OPTIONS, StripOptions
+
+    usual = getattr(StripOptions(), name)
+    other = [f"; {case}: {given[name]}" for case, given in CASE_OPTIONS.items() if name in given]
+    assert getattr(simulate, f"_{name.upper()}") == f"{usual}{''.join(other)}"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["simulate", "line-of-sight"], ["3000; real: 2400", "1000; real: 640"]),
+        (["recover"], ["per line of a strip's bands, or per frame"]),
+        (["schema"], ["there is one: acquisition"]),
+    ],
+)
+def test_help_says_what_a_first_reader_asks(capsys, words, said):
+    assert command.run([*words, "--help"]) == 0
+    shown = " ".join(re.sub(r"[│\s]+", " ", capsys.readouterr().out).split())
+    assert all(text in shown for text in said), shown
+
+
+def test_no_document_names_an_option_that_no_command_has():
+    import typer.main
+
+    from sightline.cli.main import app
+
+    def options(group):
+        for entry in getattr(group, "commands", {}).values():
+            yield from options(entry)
+        yield from (name for option in group.params for name in [*option.opts, *option.secondary_opts])
+
+    known = {*options(typer.main.get_command(app)), "--help"}
+    for page in ("README.md", "docs/gotchas.md", "docs/formats.md"):
+        text = (Path(__file__).resolve().parents[1] / page).read_text(encoding="utf-8")
+        assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= known, page
 
 
 def test_json_has_no_numbers_that_json_does_not_know(capsys):

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from sightline.cli.output import check_output_folder, output_folder
+from sightline.cli.output import check_output_folder, output_folder, remove_earlier
 from sightline.errors import InputError
 
 
@@ -68,6 +68,13 @@ def test_a_folder_of_an_earlier_result_is_replaced_whole(tmp_path):
         (staging / "maps").mkdir()
         (staging / "maps" / "new.tif").write_text("new")
     assert names(tmp_path / "maps") == ["new.tif"]
+
+
+def test_only_the_named_files_of_an_earlier_run_go_and_no_input(tmp_path):
+    for name in ("attitude.aem", "hidden.csv", "mine.txt"):
+        (tmp_path / name).write_text("x")
+    remove_earlier(tmp_path, ["attitude.aem", "hidden.csv", "report.html"], [tmp_path / "attitude.aem"])
+    assert names(tmp_path) == ["attitude.aem", "mine.txt"]
 
 
 def test_a_file_is_no_output_folder(tmp_path):

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import json
 import math
+import shutil
 
 import pytest
 
 from sightline.cli import demo as demo_command
 from sightline.cli.main import run
+from sightline.io.results import RESULT_FILES
 
-FILES = [
-    "attitude.aem", "attitude.csv", "covariance.npz", "hidden.csv", "motion.csv", "report.html",
-    "spectrum.csv", "summary.json",
-]  # fmt: skip
+FILES = sorted(RESULT_FILES)
 
 
 @pytest.fixture
@@ -80,6 +79,21 @@ def test_a_failed_run_over_an_older_result_keeps_the_older_result(quick, tmp_pat
     assert run([*quick, str(out), "--overwrite"]) == 70
     assert sorted(entry.name for entry in out.iterdir()) == FILES
     assert (out / "motion.csv").read_bytes() == before
+
+
+def test_overwriting_leaves_no_file_of_the_earlier_result_and_every_other_file(
+    quick, recovery, tmp_path, capsys
+):
+    scene, out = shutil.copytree(recovery.scene, tmp_path / "scene"), tmp_path / "result"
+    assert run([*quick, str(out)]) == 0
+    (out / "notes.txt").write_text("keep")
+    toml = scene / "acquisition.toml"
+    text = toml.read_text(encoding="utf-8").replace('epoch = "2026-01-01T00:00:00Z"\n', "")
+    toml.write_text(text, encoding="utf-8")
+    assert run(["recover", str(toml), "--out", str(out), "--overwrite"]) == 0
+    # without an epoch there is no CCSDS file, and that of the first acquisition must not stay
+    expected = sorted({*FILES, "notes.txt"} - {"attitude.aem"})
+    assert sorted(entry.name for entry in out.iterdir()) == expected
 
 
 def test_a_folder_with_files_is_refused_and_left_as_it_is(quick, tmp_path, capsys):

@@ -61,3 +61,17 @@ def test_a_table_without_sigmas_is_refused(result, capsys):
     (result / "motion.csv").write_text(truth.read_text())
     assert run(["score", str(result), str(truth)]) == 2
     assert "no sigma columns" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("folder", ["nodir", "."], ids=["no such folder", "no result in it"])
+def test_a_folder_that_recover_did_not_write_is_named(result, capsys, folder):
+    place = result.parent / folder
+    assert run(["score", str(place), str(result.parent / "truth.csv")]) == 2
+    said = capsys.readouterr().err
+    assert f"{place}: DIR must be a folder that `recover` wrote (motion.csv is missing)" in said
+
+
+def test_a_missing_truth_is_named_and_not_looked_for_in_a_toml_file(result, capsys):
+    assert run(["score", str(result), "nope.csv"]) == 2
+    said = capsys.readouterr().err
+    assert "nope.csv: no such truth file" in said and "TOML" not in said

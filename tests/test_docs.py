@@ -80,8 +80,19 @@ def test_the_readme_lists_every_command():
     from sightline.cli.main import app
 
     text = (ROOT / "README.md").read_text(encoding="utf-8")
-    commands = set(get_command(app).commands) - {"version"}
+    commands = set(get_command(app).commands)
     assert {name for name in commands if f"`sightline {name}" in text} == commands
+
+
+def test_the_readme_links_the_documents_it_names_and_states_every_exit_status():
+    from sightline.cli import main
+
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    bare = re.findall(r"(?<!\[)`((?:docs/[\w./-]*|[A-Z]+\.md))`", text)
+    assert not bare, f"named without a link: {bare}"
+    stated = text[text.index("Exit status:") :].split("\n\n")[0]
+    statuses = {0, main.DATA_CANNOT_ANSWER, main.WRONG_INPUT, main.DEFECT, main.INTERRUPTED}
+    assert {int(number) for number in re.findall(r"\b\d+\b", stated)} == statuses
 
 
 def test_versions_agree():

@@ -81,6 +81,14 @@ def test_the_result_has_what_the_report_and_the_files_need(known):
     assert result.changes[-1] < 1.0
 
 
+def test_windows_beyond_a_frame_are_not_counted_as_masked(known):
+    for _, result in known:
+        # nothing is masked in these scenes; frames four apart share no ground at all
+        assert all("masked" not in pair.rejected for pair in result.pairs)
+        apart = next(pair for pair in result.pairs if pair.images == (0, 4))
+        assert (apart.tried, apart.kept) == (0, 0)
+
+
 def test_an_unknown_focal_length_is_found_from_the_frames():
     scene = frames_case(2, **{**SMALL, "focal_length_px": 500.0, "interval": 5.0})
     guess = replace(scene.detector, focal_length_px=700.0)

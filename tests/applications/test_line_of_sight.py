@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from motion.strips import strip_cameras
+from motion.strips import plain_star, strip_cameras
 from sightline import execution
-from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+from sightline.applications.line_of_sight import RecoverOptions, _lost_windows, recover_line_of_sight
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.surface import Dem, Plane
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import ArrayImage
+from sightline.matching.matches import KEPT, LOW_SCORE, NO_CONVERGENCE, OUTSIDE
 from sightline.motion.band import Band
 from sightline.motion.joint import remove_directions
 from sightline.motion.predict import predict_match
-from sightline.motion.stars import MatchingPlan, match_star
+from sightline.motion.stars import MatchingPlan, StarRecord, match_star
 from sightline.motion.windows import window_grid
 
 SHAPE = (160, 220)
@@ -60,7 +64,13 @@ class TestRefused:
         said = str(problem.value)
         assert said.startswith("the images do not match where the cameras say: ")
         assert "windows kept within (8, 8) px of the prediction" in said
-        assert said.endswith("check look angles, line times and that the bands overlap")
+        assert said.endswith("that the bands overlap, or search farther: [matching] search_px")
+
+    def test_the_refusal_counts_the_windows_by_what_became_of_them(self):
+        with pytest.raises(EstimationError) as problem:
+            recover_line_of_sight(bands((4000.0, 0.0)), Plane())
+        # 4000 px ahead of an image of 160 lines: every window lies beyond the other image
+        assert re.search(r"0 of (\d+) windows kept .* \(\1 outside\); check look angles", str(problem.value))
 
     def test_a_dem_that_does_not_cover_the_strip_is_named(self):
         far = Dem(np.zeros((4, 4)), (1e6, 10.0, 0.0, 1e6, 0.0, -10.0), None)
@@ -68,6 +78,36 @@ class TestRefused:
             EstimationError, match=r"the middle of the strip does not meet the surface.*extent of the DEM"
         ):
             recover_line_of_sight(bands(), far)
+
+
+class TestWarned:
+    def test_offsets_held_exact_are_named_where_the_passes_do_not_settle(self, recovery):
+        acquisition = recovery.acquisition
+        held = [replace(band, offset_sigma_px=0.0, rotation_sigma=0.0) for band in acquisition.bands]
+        # the strip's offsets are of about a pixel, dozens of sigmas of the motion
+        result = recover_line_of_sight(held, acquisition.surface, options=RecoverOptions(passes=1))
+        unsettled, exact = result.warnings[:2]
+        assert unsettled.startswith("the passes did not settle")
+        assert unsettled.endswith("or allow more with [matching] passes")
+        assert exact == (
+            "band offsets are given as exact (offset_sigma_px = 0); give a sigma if they are not"
+        )
+
+    def test_few_kept_windows_are_told_with_their_share_and_the_main_reason(self):
+        star = plain_star(5, 4, 1, sigma=0.1)
+        # 16 of 20 windows lie on both images; 5 are kept, and one more was thrown out for what it said
+        codes = [OUTSIDE] * 4 + [NO_CONVERGENCE] * 7 + [LOW_SCORE] * 3 + [KEPT] * 6
+        status = np.array(codes, dtype=np.uint8)[:, None]
+        weight = np.ones((20, 1))
+        weight[-1] = 0.0
+        residual = np.where((status == KEPT)[..., None], 0.0, np.nan)
+        record = StarRecord(replace(star, weight=weight, residual_px=residual), status, np.ones((20, 1)))
+        assert _lost_windows([record]).startswith(
+            "only 31 % of the windows tried were kept; the others are mostly 'no convergence' (7 of 11)"
+        )
+
+    def test_a_strip_that_matched_says_nothing_of_lost_windows(self, recovery):
+        assert _lost_windows(recovery.result.records) == ""
 
 
 class TestRendered:

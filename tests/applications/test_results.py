@@ -10,9 +10,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from motion.strips import plain_star
-from sightline.applications.results import LineOfSight
+from sightline.applications.line_of_sight import RecoverOptions
+from sightline.applications.results import LineOfSight, without_common_ground
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTSIDE
+from sightline.motion.predict import predict_match
 from sightline.motion.stars import StarRecord
 
 
@@ -66,6 +68,22 @@ def test_windows_beyond_the_partner_were_not_tried_and_the_others_are_accounted_
     assert (first.tried, first.kept) == (7, 4)
     assert first.rejected == {"masked": 1, "low score": 1, "outlier": 1}
     assert first.tried == first.kept + sum(first.rejected.values())
+
+
+def test_masked_windows_stay_masked_where_the_partner_has_ground_for_them(recovery):
+    result, surface = recovery.result, recovery.acquisition.surface
+    record = result.records[0]
+    masked = replace(record, status=np.full_like(record.status, MASKED))
+    said = without_common_ground(masked, result.cameras, surface, RecoverOptions().window).status
+    star, lines = record.star, recovery.acquisition.bands[0].camera.lines
+    for k, image in enumerate(star.images):
+        found = predict_match(result.cameras[star.hub], result.cameras[image], surface, star.pixels)[:, 0]
+        # a dozen lines from the ends no kernel reaches beyond them, whatever its size
+        within, beyond = (found > 12) & (found < lines - 13), ~((found > 0) & (found < lines - 1))
+        assert within.any() and beyond.any()
+        assert (said[:, k][beyond] == OUTSIDE).all()
+        columns = star.pixels[:, 1] == np.median(star.pixels[:, 1])
+        assert (said[:, k][within & columns] == MASKED).all()
 
 
 def test_figures_are_of_the_kept_windows_only(result):

@@ -112,6 +112,13 @@ def test_an_epoch_may_be_written_as_a_toml_date_time(folder):
     assert load_acquisition(folder.write()).epoch == "2026-01-01T00:00:00+00:00"
 
 
+@pytest.mark.parametrize("epoch", ["yesterday", "2026-13-01T00:00:00Z", "2026-01-01T00:00:00+02:00", ""])
+def test_an_epoch_that_is_no_utc_instant_is_refused_when_the_file_is_read(folder, epoch):
+    said = message(folder.replace('"2026-01-01T00:00:00Z"', f'"{epoch}"'))
+    assert f"acquisition.epoch: {epoch!r} is not allowed" in said
+    assert 'an ISO 8601 instant in UTC is, such as "2026-01-31T12:00:00Z"' in said
+
+
 def test_the_json_schema_describes_every_table_and_can_be_printed():
     schema = json_schema("acquisition")
     assert {"platform", "band", "frame", "camera", "surface", "attitude_sensor"} <= set(schema["properties"])

@@ -26,7 +26,7 @@ from sightline.applications.frame_passes import (
     next_pass,
     start,
 )
-from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance
+from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
 from sightline.errors import InputError
 from sightline.execution import one_blas_thread
 from sightline.geometry.pointing import FixedMount
@@ -219,10 +219,12 @@ def _result(sequence: FrameSequence, state: PassState, changes: list[float]) -> 
         StaticEstimate(p.name, p.unit, float(value), float(sigma), p.sigma)
         for p, value, sigma in zip(unknowns.statics, estimate.x[3 * n : unknowns.lens], sigmas, strict=True)
     )
-    records = tuple(
+    matched = [
         StarRecord(line.with_correlation(_both_axes(estimate.noise.of(star.lags))), star.status, star.score)
         for star, line in zip(state.stars, estimate.stars, strict=True)
-    )
+    ]
+    window = sequence.options.window
+    records = tuple(without_common_ground(r, estimate.cameras, sequence.surface, window) for r in matched)
     nominal = [frame.camera for frame in sequence.frames]
     detector = estimate.cameras[0].detector
     observed = _observed(state.stars, n)
@@ -276,8 +278,8 @@ def _warnings(
     out = []
     if changes and changes[-1] > 1.0:
         out.append(
-            f"the passes did not settle: the last changed the attitudes by {changes[-1]:.1f} sigma; allow "
-            "more passes or check the camera description"
+            f"the passes did not settle: the last changed the attitudes by {changes[-1]:.1f} sigma; check "
+            "the camera description, or allow more with [matching] passes"
         )
     if not observed.all():
         unseen = (~observed).sum()

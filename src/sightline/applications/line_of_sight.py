@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance
+from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.likelihood import WORK
 from sightline.execution import one_blas_thread
@@ -24,7 +24,7 @@ from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.matching.match_images import match_images
-from sightline.matching.matches import OUTSIDE
+from sightline.matching.matches import KEPT, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.band import Band
 from sightline.motion.consensus import ground_weights
 from sightline.motion.hyper import BROAD, ORDER, PriorModel, fit_prior_model
@@ -69,6 +69,8 @@ DRAFT_NODES, DRAFT_TOLERANCE = 1.5, 3.0
 DRAFT_TILES, DRAFT_WORK = 128, 0.3
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
+#: Fewer windows than this share kept at the end are worth a warning.
+ENOUGH_KEPT = 0.5
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,7 @@ def recover_line_of_sight(
     if wide:
         tell("last pass: windows side by side over the whole field")
         state = _compensated_pass(strip, state, options.passes, options, height_sigma, tell)
-    return _result(strip, state, changes)
+    return _result(strip, state, changes, options.window)
 
 
 @dataclass(frozen=True, eq=False)
@@ -307,8 +309,8 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
             )
         raise EstimationError(
             f"the images do not match where the cameras say: {kept} of {tried} windows kept within "
-            f"{options.search_px} px of the prediction; check look angles, line times and that the bands "
-            "overlap"
+            f"{options.search_px} px of the prediction ({_counts(records)}); check look angles, line times "
+            "and that the bands overlap, or search farther: [matching] search_px"
         )
     state = _solve(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
     # once more about the motion found: what was left of the first linearisation is gone before dense matching
@@ -318,6 +320,13 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
     return _solve(
         strip, records, state.estimate.nodes, state.estimate.statics, strip.broad, height_sigma, before=state
     )
+
+
+def _counts(records: Sequence[StarRecord]) -> str:
+    """How many windows ended how, the most frequent first: ``"150 low score, 90 outside"``."""
+    numbers = np.bincount(np.concatenate([r.status.ravel() for r in records]), minlength=len(STATUS_NAMES))
+    order = np.argsort(-numbers, kind="stable")
+    return ", ".join(f"{numbers[code]} {STATUS_NAMES[code]}" for code in order if numbers[code])
 
 
 def _backwards(strip: _Strip, options: RecoverOptions) -> str:
@@ -494,7 +503,7 @@ def _change(strip: _Strip, old: _State, new: _State) -> float:
     return float(np.sqrt((moved**2).mean(axis=0) / variance.mean(axis=0)).max())
 
 
-def _result(strip: _Strip, state: _State, changes: list[float]) -> LineOfSight:
+def _result(strip: _Strip, state: _State, changes: list[float], window: tuple[int, int]) -> LineOfSight:
     """The last state as a result at the lines of the first band."""
     camera, estimate = strip.nominal[0], state.estimate
     t = camera.times(np.arange(camera.lines, dtype=float))
@@ -511,6 +520,7 @@ def _result(strip: _Strip, state: _State, changes: list[float]) -> LineOfSight:
     )
     names = [f"{kind} of {axis}" for kind in ("constant", "drift") for axis in ("roll", "pitch", "yaw")]
     observed = _observed(strip, state, t)
+    cameras = tuple(strip.cameras(estimate.nodes, estimate.statics))
     return LineOfSight(
         motion=motion,
         absolute_sigma=np.full((len(t), 3), np.inf),
@@ -522,10 +532,10 @@ def _result(strip: _Strip, state: _State, changes: list[float]) -> LineOfSight:
         half_field=strip.half_field,
         statics=statics,
         spectra=state.model.spectra,
-        records=state.records,
+        records=tuple(without_common_ground(r, cameras, strip.surface, window) for r in state.records),
         before_px=state.before_px,
         after_px=state.post_px,
-        cameras=tuple(strip.cameras(estimate.nodes, estimate.statics)),
+        cameras=cameras,
         image_names=tuple(b.name for b in strip.bands),
         changes=tuple(changes),
         band=TimeCovariance(strip.grid.nodes, estimate.nodes, estimate.covariance_band()),
@@ -548,6 +558,24 @@ def _observed(strip: _Strip, state: _State, t: Array) -> NDArray[np.bool_]:
     return np.asarray(near <= reach)
 
 
+def _lost_windows(records: Sequence[StarRecord]) -> str:
+    """What to say where most windows of the largest star that lay on both images were lost; "" if not so."""
+    largest = max(records, key=lambda record: record.status.size)
+    tried, kept = largest.status != OUTSIDE, largest.star.present
+    if not tried.any() or kept.sum() >= ENOUGH_KEPT * tried.sum():
+        return ""
+    # matched, but thrown out for what it said
+    ended = np.where((largest.status == KEPT) & ~kept, OUTLIER, largest.status)[tried & ~kept]
+    numbers = np.bincount(ended, minlength=len(STATUS_NAMES))
+    worst = int(np.argmax(numbers))
+    share = 100.0 * kept.sum() / tried.sum()
+    return (
+        f"only {share:.0f} % of the windows tried were kept; the others are mostly "
+        f"{STATUS_NAMES[worst]!r} ({numbers[worst]} of {len(ended)}): clouds, water, or cameras that say the "
+        "wrong place"
+    )
+
+
 def _warnings(
     strip: _Strip, state: _State, motion: Motion, observed: NDArray[np.bool_], changes: list[float]
 ) -> tuple[str, ...]:
@@ -555,9 +583,14 @@ def _warnings(
     out = []
     if changes and changes[-1] > 1.0:
         out.append(
-            f"the passes did not settle: the last changed the motion by {changes[-1]:.1f} sigma; allow more "
-            "passes or check the camera description"
+            f"the passes did not settle: the last changed the motion by {changes[-1]:.1f} sigma; check the "
+            "camera description, or allow more with [matching] passes"
         )
+        if all(band.offset_sigma_px == 0.0 for band in strip.bands):
+            out.append("band offsets are given as exact (offset_sigma_px = 0); give a sigma if they are not")
+    lost = _lost_windows(state.records)
+    if lost:
+        out.append(lost)
     if not observed.all():
         out.append(
             f"{(~observed).sum()} of {len(observed)} lines are seen by no match: the motion there is "

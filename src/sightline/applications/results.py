@@ -5,6 +5,7 @@ Not here: how it is found (``line_of_sight.py``), how it is written (``io/``) or
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,9 +13,10 @@ from numpy.typing import NDArray
 
 from sightline.estimation.prior import Spectrum
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
-from sightline.matching.matches import STATUS_NAMES
-from sightline.motion.stars import StarRecord
+from sightline.matching.matches import MASKED, OUTSIDE, STATUS_NAMES
+from sightline.motion.stars import END, StarRecord
 
 Array = NDArray[np.float64]
 
@@ -151,6 +153,39 @@ class TimeCovariance:
     t: Array
     angles: Array
     band: Array
+
+
+def without_common_ground(
+    record: StarRecord,
+    cameras: Sequence[PushbroomCamera | FrameCamera],
+    surface: Surface,
+    window: tuple[int, int],
+) -> StarRecord:
+    """The record with windows that leave a partner's image called outside, not masked.
+
+    The matcher cannot tell: an image laid on another has no pixels there, as under a mask.
+
+    Parameters
+    ----------
+    record : StarRecord
+    cameras : sequence of cameras
+        Of all images, as recovered.
+    surface : Surface
+    window : (lines, columns)
+        px.
+    """
+    star, status = record.star, record.status.copy()
+    rows = np.flatnonzero((status == MASKED).any(axis=1))
+    ground = cameras[star.hub].locate(star.pixels[rows], surface)
+    # whole windows only, and what the kernels read around them
+    margin = (np.array(window) - 1) / 2.0 + END
+    for k, image in enumerate(star.images):
+        partner = cameras[image]
+        shape = partner.shape if isinstance(partner, FrameCamera) else (partner.lines, partner.columns)
+        at = partner.project(ground)
+        inside = ((at >= margin) & (at <= np.array(shape) - 1 - margin)).all(axis=1)
+        status[rows, k] = np.where(~inside & (status[rows, k] == MASKED), OUTSIDE, status[rows, k])
+    return StarRecord(star, status, record.score)
 
 
 def _pair(record: StarRecord, before: Array, after: Array, k: int, images: tuple[int, int]) -> PairResiduals:

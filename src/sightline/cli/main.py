@@ -110,7 +110,7 @@ def _status_of(error: Exception) -> int:
         complain("error", f"the system refused a file: {error.strerror or error}{place}")
         return WRONG_INPUT
     if isinstance(error, MemoryError):
-        complain("error", "memory ran out; use fewer workers, or a shorter strip")
+        complain("error", "memory ran out; recover a shorter strip, or fewer frames")
         return DATA_CANNOT_ANSWER
     complain(
         "defect",

@@ -11,14 +11,12 @@ Out = Annotated[
     Path,
     typer.Option("--out", metavar="DIR", help="Folder to write; made if missing, refused if it holds files."),
 ]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace files of the same names in DIR.")]
+Overwrite = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite",
+        help="Replace files of the same names in DIR; `recover` removes all of an earlier result.",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON on stdout.")]
 Seed = Annotated[int, typer.Option("--seed", min=0, help="Same seed, same scene, bit for bit.")]
-ExecutorName = Annotated[
-    str,
-    typer.Option("--executor", metavar="NAME", help="serial, process, or dask:ADDRESS of a scheduler."),
-]
-Workers = Annotated[
-    int | None,
-    typer.Option("--workers", min=1, help="Processes, for --executor process; default: every processor."),
-]

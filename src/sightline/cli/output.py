@@ -7,7 +7,7 @@ This file writes no result itself: ``io`` and ``report`` do, into the folder giv
 from __future__ import annotations
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -65,6 +65,25 @@ def check_output_folder(folder: Path, *, overwrite: bool = False) -> None:
                 f"the output folder is not empty: {folder} holds {shown}; an empty or new folder is allowed; "
                 "add --overwrite to replace files of the same names, or give another --out"
             )
+
+
+def remove_earlier(folder: Path, names: Iterable[str], keep: Iterable[Path]) -> None:
+    """Remove what an earlier run left in `folder` and this one did not write again.
+
+    Parameters
+    ----------
+    folder
+        Where the results lie.
+    names
+        Files that the command may write and did not write now; other files are not touched.
+    keep
+        Files that stay whatever they are called, such as inputs that lie in `folder` too.
+    """
+    kept = {path.resolve() for path in keep}
+    for name in names:
+        path = folder / name
+        if path.is_file() and path.resolve() not in kept:
+            path.unlink()
 
 
 def _prepare(folder: Path, overwrite: bool) -> Path:

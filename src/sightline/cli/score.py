@@ -28,6 +28,12 @@ def score_folder(result: Path, truth: Path) -> dict[str, Any]:
     from sightline.io.hidden import read_hidden, read_summary
     from sightline.io.tables import read_motion
 
+    if not (result / "motion.csv").is_file():
+        raise FormatError(f"{result}: DIR must be a folder that `recover` wrote (motion.csv is missing)")
+    if not truth.is_file():
+        raise FormatError(
+            f"{truth}: no such truth file; give a CSV file t,roll,pitch,yaw (`simulate` writes truth.csv)"
+        )
     motion, true = read_motion(result / "motion.csv"), read_motion(truth)
     if motion.sigma is None:
         raise FormatError(

@@ -15,6 +15,8 @@ from sightline.cli.terminal import print_json, say
 app = typer.Typer(help="Render a scene whose truth is known.", no_args_is_help=True)
 
 _CASES = "nominal, relief, clouds, hard, real, other-family"
+# Said in --help, which must not wait for the import of the cases.
+_LINES, _COLUMNS = "3000; real: 2400", "1000; real: 640"
 _MOTIONS = "nominal, curve, real, other-family, ck, isd, none"
 
 
@@ -23,8 +25,12 @@ def line_of_sight(
     out: Out,
     case: Annotated[str, typer.Option("--case", metavar="CASE", help=f"One of: {_CASES}.")] = "nominal",
     seed: Seed = 0,
-    lines: Annotated[int | None, typer.Option("--lines", min=16, help="Lines of every band.")] = None,
-    columns: Annotated[int | None, typer.Option("--columns", min=16, help="Columns of every band.")] = None,
+    lines: Annotated[
+        int | None, typer.Option("--lines", min=16, help="Lines of every band.", show_default=_LINES)
+    ] = None,
+    columns: Annotated[
+        int | None, typer.Option("--columns", min=16, help="Columns of every band.", show_default=_COLUMNS)
+    ] = None,
     motion: Annotated[
         str | None, typer.Option("--motion", metavar="NAME", help=f"In place of the case's: {_MOTIONS}.")
     ] = None,

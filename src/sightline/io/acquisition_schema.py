@@ -13,6 +13,9 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from sightline.errors import FormatError
+from sightline.io.ccsds import parse_utc
+
 Estimate = Literal["estimate"]
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Sigma = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
@@ -42,6 +45,19 @@ class HeaderSection(Section):
     def _epoch_as_text(cls, value: object) -> object:
         """TOML's own date-times are taken as well as quoted ones."""
         return value.isoformat() if isinstance(value, datetime) else value
+
+    @field_validator("epoch")
+    @classmethod
+    def _epoch_is_an_instant(cls, value: str | None) -> str | None:
+        """What CCSDS files would refuse at the very end is refused at once."""
+        if value is not None:
+            try:
+                parse_utc(value, "epoch")
+            except FormatError:
+                raise ValueError(
+                    f'{value!r} is not allowed: an ISO 8601 instant in UTC is, such as "2026-01-31T12:00:00Z"'
+                ) from None
+        return value
 
 
 class LevelFlight(Section):

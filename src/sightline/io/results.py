@@ -36,6 +36,11 @@ from sightline.motion.tones import detect_tones, spectrum
 
 Array = NDArray[np.float64]
 
+#: Every file a recovery may leave in its folder; which of them it does depends on the data.
+RESULT_FILES = (
+    "attitude.aem", "attitude.csv", "covariance.npz", "hidden.csv", "motion.csv", "report.html",
+    "spectrum.csv", "summary.json",
+)  # fmt: skip
 #: The highest frequency spoken of, in units of the line rate: windows of some lines cut beyond.
 HIGHEST_FREQUENCY = 0.25
 #: Names of the world axes in CCSDS messages.
