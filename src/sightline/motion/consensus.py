@@ -31,9 +31,10 @@ Flags = NDArray[np.bool_]
 MIN_BLOCKS = 4
 #: Departures are averaged over so many lines to either side: a small cloud's half, a large one's.
 REACHES = (26.0, 80.0)
-#: Squared departure, in variances of the mean of two components, up to which a window counts in full (3 %
-#: of true ones lie beyond for one of two reaches: at 13 % the noise that is left would look a tenth smaller than it is); then its
-#: weight falls as its inverse, as that of an error that lasts; beyond FOREIGN (0.005 %) it counts no more.
+#: Squared departure, in variances of the mean of two components, up to which a window counts in full (3 % of
+#: windows that saw the ground lie beyond at one of the reaches: at 13 % the noise that is left would look a
+#: tenth smaller than it is); then its weight falls as its inverse, as that of an error that lasts; beyond
+#: FOREIGN (0.005 %) it counts no more.
 USUAL, FOREIGN = 8.0, 20.0
 #: Departures beyond this many sigmas count alike when a row's line is sought.
 BEYOND = 3.0
