@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from sightline.evaluation.observed import observed
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import STATUS_NAMES
-from sightline.report import match_figures, motion_figures
+from sightline.report import match_figures, motion_figures, spectrum_figures
 
 
 @pytest.fixture
@@ -80,3 +81,11 @@ def test_the_map_of_residuals_has_the_residuals_of_its_pair(result):
     kept = record.star.present[:, view.partner]
     across = np.where(kept, result.after_px[view.index][:, view.partner, 1], np.nan)
     np.testing.assert_allclose(np.asarray(maps[3].z).T, across.reshape(record.star.shape))
+
+
+def test_pairs_matched_both_ways_are_drawn_once(result):
+    seen = observed(result, np.linspace(1.0, 400.0, 50))
+    assert any((b, a) in seen.blind for a, b in seen.blind)  # ends of later images, found in the first
+    figure = spectrum_figures.visibility_figure(result, seen, result.image_names)
+    rows = [trace.name for trace in figure.data if trace.mode == "markers"]
+    assert len(rows) == len({frozenset(pair) for pair in seen.blind})

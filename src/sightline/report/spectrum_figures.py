@@ -69,7 +69,11 @@ def spectrum_figure(
 
 def visibility_figure(result: LineOfSight, seen: Observed, names: Sequence[str]) -> go.Figure:
     """Smallest tone that would stand out, per axis, and below it the blind frequencies of every pair."""
-    pairs = {f"{names[hub]} – {names[image]}": at for (hub, image), at in seen.blind.items()}
+    # a pair matched both ways is blind at the same frequencies: once is enough
+    once: dict[frozenset[int], tuple[int, int]] = {}
+    for pair in seen.blind:
+        once.setdefault(frozenset(pair), pair)
+    pairs = {f"{names[a]} – {names[b]}": seen.blind[a, b] for a, b in once.values()}
     share = 0.10 + 0.04 * len(pairs)
     figure = panels(2, 400 + 24 * len(pairs), shared_xaxes=True, row_heights=[1.0 - share, share])
     f = seen.frequency[1:]
