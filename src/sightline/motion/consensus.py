@@ -94,10 +94,9 @@ def ground_weights(stars: Sequence[Star], post_px: Sequence[Array]) -> list[Arra
 def _pair_weights(star: Star, foreign: Array) -> Array:
     """Weights (G, K) of the pairs of windows whose worst departure has this squared size, (rows, blocks)."""
     squared = foreign.reshape(-1, 1)
+    ground = squared <= FOREIGN
     sensitivity = _sensitivity(star, _relative_lags(star))
-    return np.where(
-        squared <= FOREIGN, _weight(np.where(squared <= FOREIGN, squared, 0.0) * sensitivity), 0.0
-    )
+    return np.where(ground, _weight(np.where(ground, squared, 0.0) * sensitivity), 0.0)
 
 
 def _foreign(star: Star, post_px: Array, least: Array) -> Array:
@@ -112,15 +111,17 @@ def _foreign(star: Star, post_px: Array, least: Array) -> Array:
     shift = shift.scaled(_row_noise(shift, reaches[0]))
     up = _upwards(star, shift.lag)
     worst = _worst_departures(shift, reaches, up, least)
+    undermined = _undermined(shift, worst, reaches, up)
     if star.brightness is not None:
-        clear = ~_undermined(shift, worst, reaches, up)
-        by_brightness = _told_by_brightness(shift, worst, star.brightness.reshape(star.shape), reaches, clear)
+        brightness = star.brightness.reshape(star.shape)
+        by_brightness = _told_by_brightness(shift, worst, brightness, reaches, ~undermined)
         if by_brightness.any():
             worst = _worst_departures(shift, reaches, up, np.maximum(by_brightness, least))
+            undermined = _undermined(shift, worst, reaches, up)
     # where hardly any window saw the ground, nothing vouches for those that seem to
     foreign = _sum_along((shift.seen & (worst > FOREIGN)).sum(axis=1).astype(float), reaches[0])
     lost = foreign > MOST_FOREIGN * _sum_along(shift.seen.sum(axis=1).astype(float), reaches[0])
-    lost |= _undermined(shift, worst, reaches, up)
+    lost |= undermined
     # images of one instant see a cloud where they see the ground: of their matches nothing is told
     matched = np.asarray(np.isfinite(post_px).all(axis=-1)).any(axis=1).reshape(rows, blocks)
     untold = np.where(matched & ~told, least, np.inf)

@@ -489,10 +489,10 @@ def normal_equations(
     ]
     # some at a time: each holds a band of its own, and the order of the sums is that of the pieces
     for begin in range(0, len(pieces), AT_ONCE):
-        for sums in in_threads(
+        for first, sums in in_threads(
             lambda piece: _summed(piece, grid, block, width), pieces[begin : begin + AT_ONCE]
         ):
-            here = slice(sums.first, sums.first + len(sums.rhs))
+            here = slice(first, first + len(sums.rhs))
             ab[: len(sums.ab), here] += sums.ab
             border[here] += sums.border
             rhs[here] += sums.rhs
@@ -513,20 +513,6 @@ class _Piece:
     part: slice
 
 
-@dataclass(frozen=True, eq=False)
-class _Sums:
-    """Normal equations of a piece, on the unknowns from `first` on."""
-
-    first: int
-    ab: Array
-    border: Array
-    corner: Array
-    rhs: Array
-    rhs_static: Array
-    chi2: float
-    rows: int
-
-
 def _parts(star: Star) -> list[slice]:
     """Whole rows of windows of a star, some PART_PATCHES patches at a time."""
     rows, blocks = star.shape
@@ -534,8 +520,8 @@ def _parts(star: Star) -> list[slice]:
     return [slice(begin, min(begin + size, rows * blocks)) for begin in range(0, rows * blocks, size)]
 
 
-def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
-    """Sum one piece on the nodes it reaches, with bands of at most `width` subdiagonals."""
+def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> tuple[int, NormalEquations]:
+    """Sum one piece on the nodes it reaches, with at most `width` subdiagonals; their first unknown first."""
     star, part = piece.star, piece.part
     instants = np.concatenate([star.t_hub[part], star.t[part].ravel(), piece.t_ground[part]])
     reach = 0.5 * star.duration + 4 * grid.step
@@ -573,7 +559,8 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
         rhs,
         rhs_static,
     )
-    return _Sums(block * low, ab, border, corner, rhs, rhs_static, chi2, rows)
+    reached = TimeGrid(grid.start + grid.step * low, grid.step, high - low)
+    return block * low, NormalEquations(reached, block, ab, border, corner, rhs, rhs_static, chi2, rows)
 
 
 def modelled(star: Star, grid: TimeGrid, nodes: Array, statics: Array, delay: float = 0.0) -> Array:

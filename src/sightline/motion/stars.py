@@ -222,7 +222,7 @@ def match_star(
         field=field_positions(grid.centres[:, 1], images[hub].shape[1]),
         correlation=shared_image_correlation(k),
         weight=np.ones((g, k)),
-        brightness=window_means(images[hub], grid),
+        brightness=_brightness(before, images[hub], hub, grid),
     )
     return StarRecord(star, status, score)
 
@@ -245,13 +245,23 @@ def laid_on(
 def found_wrong(before: StarRecord | None, hub: int, grid: WindowGrid, pairs: int) -> NDArray[np.bool_]:
     """(G, K): windows that an earlier pass matched and threw out; none in rows that lost most of theirs."""
     none = np.zeros((len(grid.centres), pairs), dtype=bool)
-    if before is None or before.star.hub != hub or before.star.t.shape != none.shape:
-        return none
-    if not np.array_equal(before.star.pixels, grid.centres):
+    if before is None or not _same_windows(before, hub, grid) or before.star.t.shape != none.shape:
         return none
     wrong = (before.star.weight == 0.0) & ((before.status == KEPT) | (before.status == OUTLIER))
     by_row = wrong.reshape(*grid.shape, pairs)
     return np.asarray((by_row & (by_row.mean(axis=1, keepdims=True) < MOST_WRONG)).reshape(none.shape))
+
+
+def _same_windows(before: StarRecord, hub: int, grid: WindowGrid) -> bool:
+    """Whether an earlier pass cut these very windows from the same image."""
+    return before.star.hub == hub and np.array_equal(before.star.pixels, grid.centres)
+
+
+def _brightness(before: StarRecord | None, image: ImageSource, hub: int, grid: WindowGrid) -> Array:
+    """(G,) mean of each window in the hub; read once for passes that cut the same windows."""
+    if before is not None and before.star.brightness is not None and _same_windows(before, hub, grid):
+        return before.star.brightness
+    return window_means(image, grid)
 
 
 def _learning(points: Array, image: ImageSource, plan: MatchingPlan) -> Array:
