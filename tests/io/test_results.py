@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from sightline.io.acquired import AttitudeSensor
 from sightline.io.hidden import read_hidden
 from sightline.io.results import summarize
 from sightline.io.tables import read_attitudes, read_motion
+from sightline.motion.sensors import AttitudeSensor
 
 HEADER = (
     "t,roll,pitch,yaw,sigma_roll,sigma_pitch,sigma_yaw,"

@@ -27,6 +27,17 @@ from sightline.matching.match_images import match_images
 from sightline.matching.matches import KEPT, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.band import Band
 from sightline.motion.consensus import ground_weights
+from sightline.motion.fusion import (
+    UNSEEN_PX,
+    SensorRows,
+    attitude_rows,
+    control_rows,
+    own_parts,
+    reweighted,
+    tie,
+    unfelt_tones,
+    uses,
+)
 from sightline.motion.hyper import BROAD, ORDER, PriorModel, fit_prior_model
 from sightline.motion.joint import (
     JointEstimate,
@@ -41,10 +52,11 @@ from sightline.motion.joint import (
     solve_joint,
 )
 from sightline.motion.match_noise import estimate_correlation, robust_weights, row_weights
-from sightline.motion.normal_equations import TimeGrid, modelled, normal_equations
+from sightline.motion.normal_equations import TimeGrid, modelled, no_information, normal_equations
 from sightline.motion.observations import Star, shared_image_correlation
 from sightline.motion.predict import MovingCamera, StaticParameter, predict_match
 from sightline.motion.relief import hub_delay, relief_length, relief_matters, row_processes
+from sightline.motion.sensors import AttitudeSensor, ControlPoints
 from sightline.motion.stars import MatchingPlan, StarRecord, hub_windows, match_star
 from sightline.motion.statics import apply_statics, band_statics
 from sightline.motion.windows import window_grid
@@ -69,6 +81,8 @@ DRAFT_NODES, DRAFT_TOLERANCE = 1.5, 3.0
 DRAFT_TILES, DRAFT_WORK = 128, 0.3
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
+#: Times that control points are linearised before the first matching.
+INITIAL_ROUNDS = 3
 #: Fewer windows than this share kept at the end are worth a warning.
 ENOUGH_KEPT = 0.5
 
@@ -120,6 +134,8 @@ class _Strip:
     half_width: float
     ground_speed: float
     broad: PriorModel
+    sensors: tuple[AttitudeSensor, ...] = ()
+    control: ControlPoints | None = None
     draft: bool = False
 
     def plan(
@@ -150,6 +166,8 @@ def recover_line_of_sight(
     surface: Surface,
     *,
     height_sigma: float = 0.0,
+    sensors: Sequence[AttitudeSensor] = (),
+    control_points: ControlPoints | None = None,
     options: RecoverOptions | None = None,
     progress: Progress | None = None,
 ) -> LineOfSight:
@@ -163,6 +181,10 @@ def recover_line_of_sight(
         What the lines of sight meet; a DEM removes the parallax of relief.
     height_sigma : float
         m; what is not known of the surface's height: the sigma then owns what relief can hide.
+    sensors : sequence of AttitudeSensor
+        Star trackers and gyros: where matching starts, and observations in the same estimate.
+    control_points : ControlPoints, optional
+        Likewise.
     options : RecoverOptions, optional
     progress : callable, optional
         Told in words what is being done.
@@ -185,7 +207,7 @@ def recover_line_of_sight(
     """
     options = options or RecoverOptions()
     tell = progress or (lambda text: None)
-    strip = _prepare(bands, surface, options)
+    strip = replace(_prepare(bands, surface, options), sensors=tuple(sensors), control=control_points)
     wide = strip.nominal[0].columns // options.window[1] > options.draft_blocks
     draft = replace(strip, grid=strip.grid.coarser(DRAFT_NODES), draft=True) if wide else strip
     tolerance = options.tolerance * (DRAFT_TOLERANCE if draft.draft else 1.0)
@@ -294,8 +316,8 @@ def _on_ground(camera: PushbroomCamera, surface: Surface) -> tuple[float, float]
 def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tell: Progress) -> _State:
     """Search about the nominal prediction with large windows; solve under a broad prior."""
     tell("first pass: searching about the nominal prediction")
-    nodes = np.zeros((strip.grid.count, 3))
     statics = np.zeros(len(strip.parameters))
+    nodes = _initial_attitude(strip, statics)
     plan = strip.plan(options, options.first_window, 2 * options.first_window[0], options.search_px)
     records = tuple(_with_floor(r) for r in _match(strip, nodes, statics, plan))
     tried = sum(r.star.present.size for r in records)
@@ -320,6 +342,38 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
     return _solve(
         strip, records, state.estimate.nodes, state.estimate.statics, strip.broad, height_sigma, before=state
     )
+
+
+def _initial_attitude(strip: _Strip, statics: Array) -> Array:
+    """Angles (count, 3) that sensors and control points tell before any matching (S1, claim 12)."""
+    nodes = np.zeros((strip.grid.count, 3))
+    grid = strip.grid
+    prior = JointPrior(strip.broad.processes(grid), np.array([p.sigma for p in strip.parameters]))
+    nothing = no_information(grid, len(strip.parameters))
+    for _ in range(INITIAL_ROUNDS if strip.control is not None else 1):
+        rows = _sensor_rows(strip, strip.broad, nodes, statics)
+        if not rows:
+            return nodes
+        nodes = solve_joint(nothing, prior, tie(rows, grid, 3)).nodes
+    return nodes
+
+
+def _sensor_rows(
+    strip: _Strip, model: PriorModel, nodes: Array, statics: Array, memory: float = 0.0
+) -> list[SensorRows]:
+    """Rows of all sensors about the present estimate; `model` tells which tones they may not feel."""
+    grid, first = strip.grid, strip.nominal[0]
+    span = (grid.start, grid.start + grid.step * (grid.count - 1))
+    unseen = (UNSEEN_PX if model is strip.broad else 0.0) * strip.scale
+    unfelt = unfelt_tones(model.spectra)
+    rows = [
+        attitude_rows(s, span, len(strip.parameters), unfelt, unseen, first.trajectory, memory)
+        for s in strip.sensors
+    ]
+    if strip.control is not None:
+        cameras = strip.cameras(nodes, statics)
+        rows.append(control_rows(strip.control, cameras, strip.parameters, grid, nodes, statics))
+    return [r for r in rows if r is not None]
 
 
 def _counts(records: Sequence[StarRecord]) -> str:
@@ -445,12 +499,17 @@ def _solve(
     else:
         length = 0.0
 
+    # errors of a gyro are followed twice as far as the images tie the motion to itself
+    longest = 2.0 * max(float(np.nanmax(np.abs(s.t - s.t_hub[:, None]), initial=0.0)) for s in stars)
+    rows = _sensor_rows(strip, model, nodes, statics, longest)
+
     def solution() -> tuple[JointEstimate, list[Array], list[Array]]:
         data = normal_equations(stars, measured, grid, delays=delays, relief=unknown_relief)
         # across a gap longer than its memory an autoregression knows no slope of the drift
         long = longest_gap(data) > ORDER
         apart = model.apart(grid, len(data.ab) // data.block) if long else None
-        found = solve_joint(data, replace(prior, apart=apart))
+        ties = tie(rows, grid, data.block) if rows else None
+        found = solve_joint(data, replace(prior, apart=apart), ties)
         motion_only = [modelled(s, grid, found.nodes, found.statics) for s in stars]
         without = [m - w for m, w in zip(measured, motion_only, strict=True)]
         if not unknown_relief:
@@ -472,11 +531,23 @@ def _solve(
         ]
         if settled:
             prior = replace(prior, innovation_weights=innovation_weights(estimate))
+            rows = _reweighted(rows, estimate)
         estimate, post, without = solution()
     if unknown_relief:
         length = relief_length(stars, without, height_sigma, strip.half_width)
     kept = tuple(StarRecord(s, r.status, r.score) for s, r in zip(stars, records, strict=True))
     return _State(estimate, prior, model, kept, tuple(post), tuple(measured), length)
+
+
+def _reweighted(rows: Sequence[SensorRows], estimate: JointEstimate) -> list[SensorRows]:
+    """Sensor rows weighed by what the estimate leaves of them."""
+    if estimate.ties is None:
+        return list(rows)
+    own = own_parts(estimate.ties, estimate.own)
+    nodes = estimate.unknowns()
+    return [
+        reweighted(r, estimate.grid, nodes, estimate.statics, part) for r, part in zip(rows, own, strict=True)
+    ]
 
 
 def _correlations(stars: Sequence[Star], post: Sequence[Array]) -> list[Array]:
@@ -523,7 +594,7 @@ def _result(strip: _Strip, state: _State, changes: list[float], window: tuple[in
     cameras = tuple(strip.cameras(estimate.nodes, estimate.statics))
     return LineOfSight(
         motion=motion,
-        absolute_sigma=np.full((len(t), 3), np.inf),
+        absolute_sigma=estimate.absolute_sigma(t),
         hidden=hidden,
         hidden_names=tuple(names[: hidden.shape[2]]),
         observed=observed,
@@ -539,6 +610,7 @@ def _result(strip: _Strip, state: _State, changes: list[float], window: tuple[in
         image_names=tuple(b.name for b in strip.bands),
         changes=tuple(changes),
         band=TimeCovariance(strip.grid.nodes, estimate.nodes, estimate.covariance_band()),
+        sensors=() if estimate.ties is None else uses(estimate.ties, estimate.own, estimate.own_sigma),
         warnings=_warnings(strip, state, motion, observed, changes),
     )
 

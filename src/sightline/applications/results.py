@@ -16,6 +16,7 @@ from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import MASKED, OUTSIDE, STATUS_NAMES
+from sightline.motion.fusion import SensorUse
 from sightline.motion.stars import END, StarRecord
 
 Array = NDArray[np.float64]
@@ -95,6 +96,8 @@ class LineOfSight:
         Per pass: change of the motion in units of its sigma.
     band : TimeCovariance or None
         Banded covariance of the motion in time.
+    sensors : tuple of SensorUse
+        What attitude sensors and control points gave.
     warnings : tuple of str
     """
 
@@ -115,6 +118,7 @@ class LineOfSight:
     image_names: tuple[str, ...]
     changes: tuple[float, ...]
     band: TimeCovariance | None = None
+    sensors: tuple[SensorUse, ...] = ()
     warnings: tuple[str, ...] = ()
 
     @property

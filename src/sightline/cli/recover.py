@@ -81,6 +81,8 @@ def recover_acquisition(acquired: Acquisition, report: Progress) -> LineOfSight:
         acquired.bands,
         acquired.surface,
         height_sigma=acquired.height_sigma,
+        sensors=acquired.sensors,
+        control_points=acquired.control_points,
         options=RecoverOptions(**acquired.matching),
         progress=report,
     )

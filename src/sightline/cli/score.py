@@ -51,6 +51,7 @@ def score_folder(result: Path, truth: Path) -> dict[str, Any]:
         true.angles,
         hidden=directions,
         hidden_names=names,
+        absolute_sigma=motion.sigma_absolute,
         ifov=summary.get("ifov"),
         half_field_px=summary.get("half_field_px"),
     ).as_dict()

@@ -39,6 +39,9 @@ def line_of_sight(
     ] = True,
     star_tracker: Annotated[bool, typer.Option("--star-tracker", help="Also write its table.")] = False,
     gyro: Annotated[bool, typer.Option("--gyro", help="Also write its table.")] = False,
+    control_points: Annotated[
+        int, typer.Option("--control-points", min=0, help="Also write so many, known to a metre.")
+    ] = 0,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -51,7 +54,10 @@ def line_of_sight(
     given: dict[str, Any] = {"lines": lines, "columns": columns, "motion": motion}
     scenario = line_of_sight_case(case, seed, **{k: v for k, v in given.items() if v is not None})
     with output_folder(out, overwrite=overwrite) as folder:
-        names = list(write_strip(scenario, folder, dem=dem, star_tracker=star_tracker, gyro=gyro))
+        written = write_strip(
+            scenario, folder, dem=dem, star_tracker=star_tracker, gyro=gyro, control_points=control_points
+        )
+        names = list(written)
     _say(out, names, time.perf_counter() - begin, as_json)
 
 

@@ -75,6 +75,8 @@ class Score:
         Compared.
     hidden : tuple of str
         Names of the directions that were removed.
+    absolute : dict
+        Axis -> score of the whole angle against its absolute sigma, where that is finite.
     """
 
     roll: AxisScore
@@ -82,6 +84,7 @@ class Score:
     yaw: AxisScore
     lines: int
     hidden: tuple[str, ...]
+    absolute: dict[str, AxisScore]
 
     @property
     def axes(self) -> dict[str, AxisScore]:
@@ -91,7 +94,13 @@ class Score:
     def as_dict(self) -> dict[str, Any]:
         """Plain numbers and words, for JSON."""
         numbers = {name: dict(vars(axis)) for name, axis in self.axes.items()}
-        return {"lines": self.lines, "hidden_directions_removed": list(self.hidden), **numbers}
+        whole = {name: dict(vars(axis)) for name, axis in self.absolute.items()}
+        return {
+            "lines": self.lines,
+            "hidden_directions_removed": list(self.hidden),
+            **numbers,
+            "absolute": whole,
+        }
 
 
 def score_motion(
@@ -103,6 +112,7 @@ def score_motion(
     *,
     hidden: ArrayLike | None = None,
     hidden_names: tuple[str, ...] | None = None,
+    absolute_sigma: ArrayLike | None = None,
     ifov: float | None = None,
     half_field_px: float | None = None,
 ) -> Score:
@@ -120,6 +130,8 @@ def score_motion(
         Motions that the images cannot see, at `t`, of any size. By default a constant per axis.
     hidden_names : tuple of str, optional
         One per direction.
+    absolute_sigma : (N, 3), optional
+        rad; of the whole angle, hidden part included. Axes where it is finite everywhere are scored so too.
     ifov : float, optional
         rad; with it errors are given in px, yaw in px at the field's edge.
     half_field_px : float, optional
@@ -148,7 +160,12 @@ def score_motion(
     raw = estimate - truth.at(np.clip(times, truth.t[0], truth.t[-1]))
     error = remove_directions(raw * per_rad, directions * per_rad[:, None]) / per_rad
     scored = [_score_axis(error[:, x], stated[:, x], *units[x]) for x in range(3)]
-    return Score(scored[0], scored[1], scored[2], len(times), names)
+    absolute = {}
+    if absolute_sigma is not None:
+        whole = np.asarray(absolute_sigma, dtype=np.float64)
+        tied = [x for x in range(3) if np.isfinite(whole[:, x]).all()]
+        absolute = {AXES[x]: _score_axis(raw[:, x], whole[:, x], *units[x]) for x in tied}
+    return Score(scored[0], scored[1], scored[2], len(times), names, absolute)
 
 
 def remove_directions(values: Array, directions: Array) -> Array:

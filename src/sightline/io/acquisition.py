@@ -17,7 +17,7 @@ import numpy as np
 from sightline.errors import FormatError
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.io import tables
-from sightline.io.acquired import Acquisition, AttitudeSensor, ControlPoints, InputFolder, world_kind
+from sightline.io.acquired import Acquisition, InputFolder, world_kind
 from sightline.io.acquisition_schema import AcquisitionFile, CameraModelPlatform, SensorSection
 from sightline.io.bands import build_bands
 from sightline.io.config import read_toml, validate
@@ -25,6 +25,7 @@ from sightline.io.frames import build_frames, lens_knowledge
 from sightline.io.ground import build_surface, check_coverage, check_overlap, check_sampling
 from sightline.io.model_bands import build_model_bands
 from sightline.io.platform import to_world
+from sightline.motion.sensors import AttitudeSensor, ControlPoints
 
 __all__ = ["Acquisition", "load_acquisition", "read_acquisition"]
 

@@ -161,6 +161,8 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "matches": _matches(result),
         "pairs": [_pair(result, k) for k in range(len(result.pairs))],
         "statics": [vars(static) for static in result.statics],
+        "sensors": [vars(sensor) for sensor in result.sensors],
+        "absolute_sigma_px": _per_axis(np.sqrt((result.absolute_sigma**2).mean(axis=0)) / result.scale),
         "hidden_directions": None,
         "changes": list(result.changes),
         "warnings": [*result.warnings, *_unused(acquisition)],
@@ -172,11 +174,13 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
 
 def _unused(acquisition: Acquisition) -> list[str]:
     """What was given and read but does not take part in the estimate."""
+    if not acquisition.frames:
+        return []
     given = [sensor.name for sensor in acquisition.sensors]
     given += ["control points"] if acquisition.control_points is not None else []
     if not given:
         return []
-    return [f"not used: {', '.join(given)}; the motion is recovered from the images alone"]
+    return [f"not used: {', '.join(given)}; of frames the motion is recovered from the images alone"]
 
 
 def _per_axis(values: Array) -> dict[str, float]:

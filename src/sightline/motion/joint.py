@@ -11,15 +11,17 @@ Not here: choosing the prior (``estimation/likelihood.py``).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from sightline.estimation.banded import BandedFactor, BorderedFactor, band_times
 from sightline.estimation.prior import Autoregressive, Spectrum, Tone
 from sightline.estimation.split import LaidFactor, Layout, SplitPrior, farthest, spread_band
+from sightline.motion.fusion import Ties, joined
 from sightline.motion.normal_equations import NormalEquations, TimeGrid
 
 Array = NDArray[np.float64]
@@ -31,6 +33,8 @@ Factor = BorderedFactor | LaidFactor
 #: them away, and a constant pitch of D turns the yaw y(t) into a roll -D y(t). That of yaw turns bands that
 #: look ahead sideways.
 CONSTANT_SIGMA = (1e-5, 1e-5, 1e-2)
+#: The same of an axis that sensors or control points tie to the world (rad): they alone say where it is.
+TIED_SIGMA = 1.0
 
 #: Innovations beyond this many sigmas are taken for jumps.
 JUMP = 4.5
@@ -54,6 +58,8 @@ class JointPrior:
         Below 1 where the motion may jump.
     constant_sigma : (3,)
         rad; of the free constant of each axis.
+    own_precision : (S, S) or None
+        Of the constants of attitude sensors, unknowns beside the static parameters.
     apart : three SplitPrior or None
         The same processes with their drifts on a coarse grid of their own, of one ratio: for gaps longer than
         the memory of `angles`.
@@ -64,7 +70,14 @@ class JointPrior:
     relief: tuple[Autoregressive, Autoregressive] | None = None
     innovation_weights: Array | None = None
     constant_sigma: tuple[float, float, float] = CONSTANT_SIGMA
+    own_precision: Array | None = None
     apart: tuple[SplitPrior, SplitPrior, SplitPrior] | None = None
+
+    @property
+    def border_precision(self) -> Array:
+        """(Q + S, Q + S) of the static parameters and the sensors' own constants."""
+        own = np.zeros((0, 0)) if self.own_precision is None else self.own_precision
+        return np.asarray(block_diag(np.diag(1.0 / self.statics_sigma**2), own))
 
     def layout(self, count: int, block: int) -> Layout | None:
         """Where the unknowns of the grid stand between coarse nodes; None where there are none."""
@@ -118,6 +131,10 @@ class JointEstimate:
         m; mean height and slope (at the field edge).
     statics : (Q,)
         Estimates of the static parameters; `statics_sigma` their posterior sigmas.
+    own : (S,)
+        Estimates of the constants of attitude sensors; `own_sigma` their posterior sigmas.
+    ties : Ties or None
+        What sensors and control points said.
     """
 
     grid: TimeGrid
@@ -125,8 +142,16 @@ class JointEstimate:
     relief: Array | None
     statics: Array
     statics_sigma: Array
-    _data: NormalEquations
+    _images: NormalEquations
     _prior: JointPrior
+    own: Array = field(default_factory=lambda: np.zeros(0))
+    own_sigma: Array = field(default_factory=lambda: np.zeros(0))
+    ties: Ties | None = None
+
+    @cached_property
+    def _data(self) -> NormalEquations:
+        """Information of images and sensors."""
+        return self._images if self.ties is None else joined(self._images, self.ties)
 
     @cached_property
     def _banded(self) -> _Banded:
@@ -142,7 +167,7 @@ class JointEstimate:
         return self.nodes if self.relief is None else np.concatenate([self.nodes, self.relief], axis=1)
 
     def hidden_directions(self, *, drifts: bool) -> Array:
-        """Motions that leave every measurement as it is, (count, 3, H) rad; of unit size at their own axis.
+        """Motions that leave every image as it is, (count, 3, H) rad; of unit size at their own axis.
 
         A constant per axis, and with `drifts` a linear drift per axis, each with what exact rays tie to it:
         the change of the other axes and of the free static parameters that cancels its effect on the images.
@@ -152,7 +177,7 @@ class JointEstimate:
         A seed h is completed to the hidden direction h + x by the least informative x:
         ``(N + P) x = -N h``, N the data's information and P the prior's, so that h + x leaves the data alone.
         """
-        data, grid = self._data, self.grid
+        data, grid = self._images, self.grid
         u = np.linspace(-1.0, 1.0, grid.count)
         seeds = []
         for shape in [np.ones(grid.count), u] if drifts else [np.ones(grid.count)]:
@@ -161,7 +186,11 @@ class JointEstimate:
                 seed[:, axis] = shape
                 seeds.append(seed.ravel())
         h = np.stack(seeds, axis=1)
-        factor = self._factor(constants=False)
+        if self.ties is None:
+            factor = self._factor(constants=False)
+        else:  # what sensors see of a motion does not make it less hidden from the images
+            alone = replace(self._prior, own_precision=None)
+            factor = _factor(_banded_factor(data, alone), data, alone, constants=False)
         top, bottom = data.times(h)
         x, _ = factor.solve(-top, -bottom)
         completed = (h + x).reshape(grid.count, data.block, -1)[:, :3]
@@ -179,13 +208,19 @@ class JointEstimate:
         scale : (3,)
             rad; angle that counts as one in the fit, per axis (one pixel; for yaw one at the field edge).
         """
-        factor = self._factor(constants=False)
+        # images say nothing of constants; what sensors say of them can lean on the rest of the motion
+        factor = self._factor(constants=self.ties is not None)
         return projected_covariance(factor, self.grid, self._data.block, t, directions, scale)
 
-    def absolute_covariance(self, t: Array) -> Array:
-        """Covariance (N, 3, 3) rad^2 of the motion at `t`, its constants included."""
-        factor = self._factor(constants=True)
-        return marginal_covariance(factor, self.grid, self._data.block, t)
+    def absolute_sigma(self, t: Array) -> Array:
+        """Sigma (N, 3) rad of the motion at `t`, hidden part included; infinite on axes that nothing ties."""
+        out = np.full((len(t), 3), np.inf)
+        if self.ties is not None and self.ties.tied.any():
+            factor = self._factor(constants=True)
+            covariance = marginal_covariance(factor, self.grid, self._data.block, t)
+            tied = self.ties.tied
+            out[:, tied] = np.sqrt(covariance[:, [0, 1, 2], [0, 1, 2]][:, tied])
+        return out
 
     def covariance_band(self, nodes: int = 4) -> Array:
         """Lower band of the motion's covariance in time, over `nodes` neighbouring nodes (constants held)."""
@@ -263,8 +298,9 @@ def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, consta
     """Factor of data + prior; the border holds the statics and, if asked, a free constant per axis."""
     size = banded.factor.n
     place = np.arange(size) if banded.place is None else banded.place
-    statics = len(prior.statics_sigma)
-    border, corner = np.zeros((size, statics)), data.corner + np.diag(1.0 / prior.statics_sigma**2)
+    precision = prior.border_precision
+    statics = len(precision)
+    border, corner = np.zeros((size, statics)), data.corner + precision
     border[place] = data.border
     if constants:
         ones = np.zeros((size, 3))
@@ -286,16 +322,43 @@ def longest_gap(data: NormalEquations) -> int:
     return int(np.diff(seen).max(initial=1)) - 1
 
 
-def solve_joint(data: NormalEquations, prior: JointPrior) -> JointEstimate:
-    """Posterior mean of motion, statics and relief for given data and prior."""
+def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = None) -> JointEstimate:
+    """Posterior mean of motion, statics and relief for given data and prior.
+
+    Parameters
+    ----------
+    images : NormalEquations
+        What the matches say.
+    prior : JointPrior
+    ties : Ties, optional
+        What attitude sensors and control points say. Axes that they tie to the world have a free constant.
+    """
+    data = images
+    if ties is not None:
+        data = joined(images, ties)
+        loose = np.where(ties.tied, TIED_SIGMA, prior.constant_sigma)
+        prior = replace(
+            prior, own_precision=ties.own_precision, constant_sigma=(loose[0], loose[1], loose[2])
+        )
     factor = _factor(_banded_factor(data, prior), data, prior, constants=True)
     statics = len(prior.statics_sigma)
     x, y = factor.solve(data.rhs, np.concatenate([data.rhs_static, np.zeros(3)]))
     x, y = _held(factor, data, prior, x, y)
     nodes = x.reshape(data.grid.count, data.block)
-    sigma = np.sqrt(np.diag(factor.border_covariance)[:statics])
+    sigma = np.sqrt(np.diag(factor.border_covariance)[:-3])
     relief = nodes[:, 3:].copy() if data.block == 5 else None
-    return JointEstimate(data.grid, nodes[:, :3].copy(), relief, y[:statics], sigma, data, prior)
+    return JointEstimate(
+        data.grid,
+        nodes[:, :3].copy(),
+        relief,
+        y[:statics],
+        sigma[:statics],
+        images,
+        prior,
+        y[statics:-3],
+        sigma[statics:],
+        ties,
+    )
 
 
 def _held(
@@ -305,14 +368,16 @@ def _held(
 
     A slow process of large sigma would carry a mean of its own past the prior of the constant; conditioning
     on the mean over the grid is an exact update of rank two. What it moves is hidden: relative covariances
-    stay.
+    stay. Axes tied to the world keep their mean.
     """
     block, count = data.block, data.grid.count
-    mean = np.zeros((block * count, 2))
-    for axis in range(2):
-        mean[axis::block, axis] = 1.0 / count
+    axes = [axis for axis in range(2) if prior.constant_sigma[axis] < TIED_SIGMA]
+    mean = np.zeros((block * count, len(axes)))
+    for k, axis in enumerate(axes):
+        mean[axis::block, k] = 1.0 / count
     top, bottom = factor.times(mean)
-    gain = np.linalg.inv(mean.T @ top + np.diag(np.square(prior.constant_sigma[:2]))) @ (mean.T @ x)
+    held = np.diag(np.square([prior.constant_sigma[axis] for axis in axes]))
+    gain = np.linalg.inv(mean.T @ top + held) @ (mean.T @ x)
     return x - top @ gain, y - bottom @ gain
 
 

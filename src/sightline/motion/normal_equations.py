@@ -503,6 +503,15 @@ def normal_equations(
     return NormalEquations(grid, block, ab, border, corner, rhs, rhs_static, chi2, rows)
 
 
+def no_information(grid: TimeGrid, statics: int, block: int = 3) -> NormalEquations:
+    """Equations of no measurement at all."""
+    n = block * grid.count
+    border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
+    return NormalEquations(
+        grid, block, np.zeros((1, n)), border, corner, np.zeros(n), np.zeros(statics), 0.0, 0
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class _Piece:
     """Some rows of windows of a star, what stands on their left side, and their ground's times."""

@@ -1,12 +1,17 @@
-"""Star trackers and gyros: tables that feel the body, not the instrument's own modes.
+"""Star trackers and gyros, which feel the body and not the instrument's own modes; control points.
 
-Rows are the columns of the ACQUISITION contract's ``[[attitude_sensor]]`` tables; ``files.py`` writes them.
+Rows are the columns of the ACQUISITION contract's tables; ``files.py`` writes them.
 """
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
 
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.simulate.texture import Array
 
@@ -75,3 +80,45 @@ def gyro_table(
     increments = np.diff(angles, axis=0) + sigma[:, None] * rng.standard_normal((width.size, 3))
     increments += width[:, None] * bias * rng.standard_normal(3)
     return np.column_stack([edges[:-1], edges[1:], increments, sigma])
+
+
+def control_point_table(
+    cameras: Sequence[PushbroomCamera],
+    surface: Surface,
+    seed: np.random.SeedSequence,
+    *,
+    count: int,
+    sigma: float,
+    pointing_px: float = 0.1,
+) -> tuple[NDArray[np.intp], Array]:
+    """Ground points of known coordinates, each pointed at in one image.
+
+    Parameters
+    ----------
+    cameras : sequence of PushbroomCamera
+        The true ones.
+    surface : Surface
+        The true ground.
+    seed : numpy.random.SeedSequence
+    count : int
+    sigma : float
+        m, error of each coordinate.
+    pointing_px : float
+        px, error of line and column.
+
+    Returns
+    -------
+    images : (count,) numbers of the images
+    table : (count, 6) x, y, z, sigma, line, column
+    """
+    rng = np.random.default_rng(seed)
+    images = rng.integers(0, len(cameras), count)
+    table = np.empty((count, 6))
+    for k, image in enumerate(images):
+        camera = cameras[image]
+        pixel = rng.uniform([0.0, 0.0], [camera.lines - 1.0, camera.columns - 1.0])
+        ground = camera.locate(pixel[None], surface)[0]
+        table[k, :3] = ground + sigma * rng.standard_normal(3)
+        table[k, 3] = sigma
+        table[k, 4:] = pixel + pointing_px * rng.standard_normal(2)
+    return images, table

@@ -20,6 +20,8 @@ from sightline.simulate.scenarios import StripScenario
 from sightline.simulate.scene import Relief
 from sightline.simulate.texture import Array
 
+CONTROL_POINTS = "control_points.csv"
+
 
 def write_strip(
     scenario: StripScenario,
@@ -28,6 +30,7 @@ def write_strip(
     dem: bool = True,
     star_tracker: bool = False,
     gyro: bool = False,
+    control_points: int = 0,
 ) -> dict[str, Path]:
     """Render `scenario` into `folder`.
 
@@ -41,6 +44,8 @@ def write_strip(
         mean height and, as ``height_sigma``, the standard deviation of the relief about it.
     star_tracker, gyro : bool
         Also write and name the attitude tables.
+    control_points : int
+        Also write and name so many ground control points, known to a metre.
 
     Returns
     -------
@@ -67,13 +72,20 @@ def write_strip(
         columns = "t_start,t_end,roll,pitch,yaw,sigma"
         written.append(write_table(folder / "gyro.csv", columns, scenario.gyro()))
         sensors.append(("gyro", "gyro.csv"))
+    if control_points > 0:
+        written.append(_write_control(folder / CONTROL_POINTS, *scenario.control_points(control_points)))
     toml = folder / "acquisition.toml"
-    toml.write_text(acquisition_toml(scenario, dem=dem, sensors=sensors))
+    text = acquisition_toml(scenario, dem=dem, sensors=sensors, control_points=control_points > 0)
+    toml.write_text(text)
     return {path.name: path for path in [toml, *written]}
 
 
 def acquisition_toml(
-    scenario: StripScenario, *, dem: bool = True, sensors: Sequence[tuple[str, str]] = ()
+    scenario: StripScenario,
+    *,
+    dem: bool = True,
+    sensors: Sequence[tuple[str, str]] = (),
+    control_points: bool = False,
 ) -> str:
     """The ACQUISITION file of a strip: what a user would know, never the truth.
 
@@ -84,6 +96,7 @@ def acquisition_toml(
         "[acquisition]",
         f'name = "simulated {scenario.case}, seed {scenario.seed}"',
         'epoch = "2026-01-01T00:00:00Z"',
+        *([f'control_points = "{CONTROL_POINTS}"'] if control_points else []),
         "",
         "[platform]",
         'kind = "level-flight"',
@@ -162,6 +175,15 @@ def write_table(path: Path, header: str, table: Array) -> Path:
     """A CSV of numbers that read back to the same float64."""
     rows = [",".join(repr(float(value)) for value in row) for row in table]
     path.write_text("\n".join([header, *rows]) + "\n")
+    return path
+
+
+def _write_control(path: Path, images: Sequence[str], table: Array) -> Path:
+    rows = [
+        ",".join([*(repr(float(v)) for v in row[:4]), image, *(repr(float(v)) for v in row[4:])])
+        for image, row in zip(images, table, strict=True)
+    ]
+    path.write_text("\n".join(["x,y,z,sigma,image,line,column", *rows]) + "\n")
     return path
 
 

@@ -24,7 +24,12 @@ from sightline.geometry.instrument import LineDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.simulate import measured
-from sightline.simulate.attitude_sensors import ARC_SECOND, gyro_table, star_tracker_table
+from sightline.simulate.attitude_sensors import (
+    ARC_SECOND,
+    control_point_table,
+    gyro_table,
+    star_tracker_table,
+)
 from sightline.simulate.jitter import (
     ChirpJitter,
     JitterPart,
@@ -165,6 +170,13 @@ class StripScenario:
         span = (0.0, self.options.duration)
         return gyro_table(self.body, span, self._stream("gyro"), rate=rate, random_walk=random_walk)
 
+    def control_points(self, count: int, sigma: float = 1.0) -> tuple[list[str], Array]:
+        """Names of images and table x, y, z, sigma (m), line, column of `count` points on the true ground."""
+        images, table = control_point_table(
+            self.cameras, self.scene.surface, self._stream("control-points"), count=count, sigma=sigma
+        )
+        return [self.bands[image].name for image in images], table
+
     def _stream(self, purpose: str, index: int = 0) -> np.random.SeedSequence:
         return _streams(self.seed)[purpose].spawn(index + 1)[index]
 
@@ -172,6 +184,7 @@ class StripScenario:
 def _streams(seed: int) -> dict[str, np.random.SeedSequence]:
     """The independent random streams of a scenario, by purpose."""
     purposes = ("motion", "detectors", "texture", "relief", "clouds", "noise", "star-tracker", "gyro")
+    purposes += ("control-points",)
     return dict(zip(purposes, np.random.SeedSequence(seed).spawn(len(purposes)), strict=True))
 
 

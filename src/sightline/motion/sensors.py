@@ -1,0 +1,68 @@
+"""What else than images tells of the attitude: star trackers, gyros, ground control points.
+
+Not here: reading their tables (``io/``), what they say in the joint estimate (``fusion.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class AttitudeSensor:
+    """Angles measured by something else than the camera, relative to the reference attitude.
+
+    Attributes
+    ----------
+    name, kind : str
+        Kind is ``"star-tracker"`` (angles at an instant) or ``"gyro"`` (increments over an interval).
+    t_start, t_end : (N,)
+        s; equal for a star tracker.
+    angles : (N, 3)
+        rad; roll, pitch, yaw.
+    sigma : (N,)
+        rad, 1-sigma of each angle.
+    alignment_sigma : float
+        rad; a constant error of the sensor's axes against the camera's.
+    bias_sigma : float
+        rad (star tracker) or rad/s (gyro); constant.
+    correlation_time : float
+        s; 0 = errors independent from row to row.
+    """
+
+    name: str
+    kind: str
+    t_start: Array
+    t_end: Array
+    angles: Array
+    sigma: Array
+    alignment_sigma: float
+    bias_sigma: float
+    correlation_time: float
+
+
+@dataclass(frozen=True, eq=False)
+class ControlPoints:
+    """Ground points of known coordinates and where they were seen.
+
+    Attributes
+    ----------
+    points : (N, 3)
+        m, world axes.
+    sigma : (N,)
+        m, per coordinate.
+    images : (N,) int
+        Number of the band or frame.
+    pixels : (N, 2)
+        (line, column).
+    """
+
+    points: Array
+    sigma: Array
+    images: NDArray[np.intp]
+    pixels: Array
