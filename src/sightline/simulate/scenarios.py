@@ -22,6 +22,7 @@ from sightline.errors import InputError
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.instrument import LineDetector
 from sightline.geometry.pointing import FixedMount
+from sightline.geometry.surface import Dem, Plane
 from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.simulate import measured
 from sightline.simulate.attitude_sensors import (
@@ -172,8 +173,10 @@ class StripScenario:
 
     def control_points(self, count: int, sigma: float = 1.0) -> tuple[list[str], Array]:
         """Names of images and table x, y, z, sigma (m), line, column of `count` points on the true ground."""
+        relief = self.scene.relief
+        ground = Plane(0.0) if relief is None else Dem(relief.heights, relief.transform)
         images, table = control_point_table(
-            self.cameras, self.scene.surface, self._stream("control-points"), count=count, sigma=sigma
+            self.cameras, ground, self._stream("control-points"), count=count, sigma=sigma
         )
         return [self.bands[image].name for image in images], table
 
@@ -183,8 +186,8 @@ class StripScenario:
 
 def _streams(seed: int) -> dict[str, np.random.SeedSequence]:
     """The independent random streams of a scenario, by purpose."""
-    purposes = ("motion", "detectors", "texture", "relief", "clouds", "noise", "star-tracker", "gyro")
-    purposes += ("control-points",)
+    purposes = ["motion", "detectors", "texture", "relief", "clouds", "noise", "star-tracker", "gyro"]
+    purposes += ["control-points"]
     return dict(zip(purposes, np.random.SeedSequence(seed).spawn(len(purposes)), strict=True))
 
 
