@@ -29,6 +29,7 @@ from sightline.motion.sensors import AttitudeSensor
 
 Array = NDArray[np.float64]
 
+PX = 5e-6  # rad; the package works in rad, the table is in px
 STEP, COUNT = 1e-3, 2000
 EVERY, LAGS = 5, (172, 22, 7, 15)  # ms
 BANDWIDTH = 0.8  # Hz
@@ -39,7 +40,7 @@ GYRO_UNIT = np.deg2rad(1.0) / 60.0 / 5e-6  # px per root second of one degree pe
 T = np.arange(COUNT) * STEP
 SPECTRUM = Spectrum(
     (Matern(2.0, 1.0, "5/2"), Matern(0.1, CORNER, "3/2"), *(Tone(s, f, BANDWIDTH) for s, f in TONES))
-)
+).scaled(PX)
 
 
 @dataclass(frozen=True)
@@ -145,7 +146,7 @@ def image_equations(case: Case, motion: Array, rng: np.random.Generator) -> Norm
             at = np.arange(0, COUNT - lag, EVERY)
             values = motion[at + lag, axis] - motion[at, axis] + errors[:, axis]
             ones = np.ones(len(at))
-            series.append(DifferenceSeries(T[at], lag * STEP * ones, values, case.images**2 * ones))
+            series.append(DifferenceSeries(T[at], lag * STEP * ones, values, (PX * case.images) ** 2 * ones))
         parts.append(series_equations(series, Grid(0.0, STEP, COUNT)))
     depth = len(parts[0].band)
     ab, rhs = np.zeros((3 * depth - 2, 3 * COUNT)), np.zeros(3 * COUNT)
@@ -161,13 +162,13 @@ def sensor_rows(case: Case, body: Array, rng: np.random.Generator) -> list[Senso
     """Rows of the sensors' tables."""
     sensors = []
     if case.tracker is not None:
-        angles = body[FIXES] + case.tracker * rng.normal(size=(len(FIXES), 3))
-        sigma = np.full(len(FIXES), case.tracker)
+        angles = body[FIXES] + PX * case.tracker * rng.normal(size=(len(FIXES), 3))
+        sigma = np.full(len(FIXES), PX * case.tracker)
         sensors.append(
             AttitudeSensor("tracker", "star-tracker", T[FIXES], T[FIXES], angles, sigma, 0.0, 0.0, 0.0)
         )
     if case.gyro is not None:
-        sigma = np.full(len(EDGES) - 1, case.gyro * np.sqrt(10 * STEP))
+        sigma = np.full(len(EDGES) - 1, PX * case.gyro * np.sqrt(10 * STEP))
         angles = np.diff(body[EDGES], axis=0) + sigma[:, None] * rng.normal(size=(len(sigma), 3))
         sensors.append(
             AttitudeSensor("gyro", "gyro", T[EDGES[:-1]], T[EDGES[1:]], angles, sigma, 0.0, 0.0, 0.0)
@@ -189,8 +190,8 @@ def run(
     prior = JointPrior((process, process, process), np.zeros(0), apart=apart)
     absolute, relative, whole, part = [], [], [], []
     for _ in range(-(-trials // 3)):
-        body = roots[0] @ rng.normal(size=(COUNT, 3))
-        motion = body + roots[1] @ rng.normal(size=(COUNT, 3))
+        body = PX * roots[0] @ rng.normal(size=(COUNT, 3))
+        motion = body + PX * roots[1] @ rng.normal(size=(COUNT, 3))
         rows = sensor_rows(case, body, rng)
         ties = tie(rows, GRID, 3) if rows else None
         found = solve_joint(image_equations(case, motion, rng), prior, ties)
@@ -201,7 +202,7 @@ def run(
         relative.append(error - error.mean(axis=0))
         whole.append(found.absolute_sigma(T))
         part.append(np.sqrt(covariance[:, [0, 1, 2], [0, 1, 2]]))
-    e, r, s, p = (np.array(x) for x in (absolute, relative, whole, part))
+    e, r, s, p = (np.array(x) / PX for x in (absolute, relative, whole, part))
     return (
         float(np.sqrt(np.mean(e**2))),
         float(np.sqrt(np.mean(s**2))),

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from sightline.io.hidden import read_hidden
-from sightline.io.results import summarize
+from sightline.io.results import _unused
 from sightline.io.tables import read_attitudes, read_motion
 from sightline.motion.sensors import AttitudeSensor
 
@@ -119,10 +119,10 @@ def test_the_hashes_are_those_of_every_file_that_was_read(recovery):
     assert {"acquisition.toml", "PAN.tif", "B1.tif", "B0.tif", "B2.tif"} <= set(recovery.summary["inputs"])
 
 
-def test_sensors_that_take_no_part_are_named_among_the_warnings(recovery):
+def test_sensors_beside_frames_take_no_part_and_are_named_among_the_warnings(recovery):
     sensor = AttitudeSensor(
         "star tracker", "star-tracker", np.zeros(1), np.zeros(1), np.zeros((1, 3)), np.ones(1), 0.0, 0.0, 0.0
     )
-    summary = summarize(recovery.result, replace(recovery.acquisition, sensors=(sensor,)), wall_seconds=1.0)
-    assert any(said.startswith("not used: star tracker;") for said in summary["warnings"])
-    assert not any(said.startswith("not used") for said in recovery.summary["warnings"])
+    frames = replace(recovery.acquisition, sensors=(sensor,), frames=("any",))
+    assert any(said.startswith("not used: star tracker;") for said in _unused(frames))
+    assert _unused(replace(frames, frames=())) == []

@@ -1,0 +1,122 @@
+"""A rendered strip with gyro, star tracker and control points: where matching starts, what is absolute."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+from sightline.evaluation.score import score_motion
+from sightline.geometry.trajectory import Motion, Trajectory
+from sightline.io.tables import read_motion
+from sightline.motion.sensors import AttitudeSensor, ControlPoints
+
+#: rad/s; between PAN and B1, 0.15 s apart, this is 30 px, and the first search goes 8 px far.
+RAMP = np.array([0.0, 200.0 * 5e-6, 0.0])
+TWO_PASSES = RecoverOptions(passes=2)
+
+
+@pytest.fixture(scope="module")
+def turning(recovery):
+    """The strip of `recovery` with a reference attitude that turns away by RAMP: bands, truth against it."""
+    old = recovery.acquisition.bands[0].camera.trajectory
+    t = np.linspace(*old.span, 201)
+    turned = old.at(t).world_from_body * Rotation.from_rotvec(-np.outer(t, RAMP))
+    reference = Trajectory(old.t_position, old.position, t, turned, velocity=old.velocity)
+    bands = [replace(b, camera=b.camera.with_trajectory(reference)) for b in recovery.acquisition.bands]
+    true = read_motion(recovery.scene / "truth.csv")
+    # the reference falls behind by RAMP t
+    whole = Rotation.from_rotvec(np.outer(true.t, RAMP)) * Rotation.from_rotvec(true.angles)
+    truth = Motion(true.t, whole.as_rotvec())
+    return SimpleNamespace(
+        bands=bands,
+        truth=truth,
+        surface=recovery.acquisition.surface,
+        base=recovery,
+        truth_of_base=Motion(true.t, true.angles),
+    )
+
+
+def gyro(truth: Motion, rng, sigma: float) -> AttitudeSensor:
+    """Increments at 100 Hz."""
+    edges = np.arange(truth.t[0], truth.t[-1], 0.01)
+    angles = np.diff(truth.at(edges), axis=0) + sigma * rng.standard_normal((len(edges) - 1, 3))
+    return AttitudeSensor(
+        "gyro", "gyro", edges[:-1], edges[1:], angles, np.full(len(angles), sigma), 0.0, 0.0, 0.0
+    )
+
+
+def tracker(truth: Motion, rng, sigma: float) -> AttitudeSensor:
+    """Ten fixes."""
+    t = np.linspace(truth.t[0], truth.t[-1], 10)
+    angles = truth.at(t) + sigma * rng.standard_normal((10, 3))
+    return AttitudeSensor("tracker", "star-tracker", t, t, angles, np.full(10, sigma), 0.0, 0.0, 0.0)
+
+
+def control(bands, truth: Motion, surface, rng, count: int) -> ControlPoints:
+    """Points of the first band, whose true place in its focal plane is not known: sigma 3.4 m is one px."""
+    camera = bands[0].camera.with_trajectory(bands[0].camera.trajectory.with_motion(truth))
+    pixels = rng.uniform([20.0, 0.0], [620.0, 319.0], (count, 2))
+    points = camera.locate(pixels, surface) + 3.4 * rng.standard_normal((count, 3)) * [1.0, 1.0, 0.0]
+    return ControlPoints(points, np.full(count, 3.4), np.zeros(count, dtype=np.intp), pixels)
+
+
+def kept_share(result) -> float:
+    """Of the windows tried between the first and the second image, 0.17 s apart."""
+    pair = next(p for p in result.pairs if p.images == (0, 1))
+    return pair.kept / pair.tried
+
+
+def test_a_motion_beyond_the_search_loses_the_long_lags_without_sensors(turning):
+    result = recover_line_of_sight(turning.bands, turning.surface, options=TWO_PASSES)
+    assert kept_share(result) < 0.1
+    assert any("windows tried were kept" in said for said in result.warnings)
+
+
+def test_a_gyro_leads_the_matches_and_a_tracker_gives_the_constant(turning):
+    rng = np.random.default_rng(5)
+    sensors = [gyro(turning.truth, rng, 0.05 * 5e-6), tracker(turning.truth, rng, 3.0 * 5e-6)]
+    result = recover_line_of_sight(turning.bands, turning.surface, sensors=sensors, options=TWO_PASSES)
+    score = score_motion(
+        result.motion.t,
+        result.motion.angles,
+        result.sigma,
+        turning.truth.t,
+        turning.truth.angles,
+        hidden=result.hidden,
+        absolute_sigma=result.absolute_sigma,
+        ifov=result.ifov,
+        half_field_px=159.5,
+    )
+    assert kept_share(result) > 0.9
+    for axis in score.axes.values():
+        # the bound of test_cli_recover: some 150 independent errors, sigma known to 10 % on so short a strip
+        assert abs(axis.nees - 1.0) < 5.0 * np.sqrt(2.0 / axis.effective_samples) + 0.2
+    # ten fixes of 3 px, known to each other by the gyro to far less
+    for name in ("roll", "pitch"):
+        assert score.absolute[name].sigma == pytest.approx(3.0 / np.sqrt(10.0), rel=0.1)
+        # a constant of one draw: 4 sigma
+        assert score.absolute[name].rms < 4.0 * score.absolute[name].sigma
+    assert [use.name for use in result.sensors] == ["gyro", "tracker"]
+    assert result.sensors[1].used == 10
+    assert all(factor == 1.0 for factor in result.sensors[0].sigma_factor)
+
+
+def test_control_points_tie_what_they_see(turning):
+    rng = np.random.default_rng(6)
+    points = control(turning.base.acquisition.bands, turning.truth_of_base, turning.surface, rng, 12)
+    result = recover_line_of_sight(
+        turning.base.acquisition.bands, turning.surface, control_points=points, options=TWO_PASSES
+    )
+    error = result.motion.angles - turning.truth_of_base.at(result.motion.t)
+    sigma = result.absolute_sigma
+    assert np.isfinite(sigma).all()
+    assert (np.abs(error.mean(axis=0)) < 4.0 * sigma.mean(axis=0)).all()
+    # twelve points of one px, and the offset of their own band, known to one px a priori and better beside
+    # the other bands, whose offsets differ: between 1 / sqrt(12) and 1.1 px
+    assert (sigma[:, :2].mean(axis=0) / 5e-6 > 0.28).all()
+    assert (sigma[:, :2].mean(axis=0) / 5e-6 < 1.1).all()
