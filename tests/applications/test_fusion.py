@@ -10,9 +10,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.evaluation.score import score_motion
 from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.io.tables import read_motion
+from sightline.motion.hyper import KnownContent
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
 
 #: rad/s; between PAN and B1, 0.15 s apart, this is 30 px, and the first search goes 8 px far.
@@ -120,3 +122,17 @@ def test_control_points_tie_what_they_see(turning):
     # the other bands, whose offsets differ: between 1 / sqrt(12) and 1.1 px
     assert (sigma[:, :2].mean(axis=0) / 5e-6 > 0.28).all()
     assert (sigma[:, :2].mean(axis=0) / 5e-6 < 1.1).all()
+
+
+def test_a_given_spectrum_is_taken_as_it_is(turning):
+    acquisition = turning.base.acquisition
+    # half a px^2 up to 60 Hz, nothing above
+    px = [5e-6, 5e-6, 1.0 / 159.5]
+    given = [Spectrum((TabulatedPsd((0.0, 60.0), (0.5 / 60.0, 0.5 / 60.0)),)).scaled(p) for p in px]
+    known = KnownContent(spectra=(given[0], given[1], given[2]))
+    result = recover_line_of_sight(acquisition.bands, acquisition.surface, known=known, options=TWO_PASSES)
+    assert result.spectra == known.spectra
+    found = np.abs(np.fft.rfft(result.motion.angles[:, 0] * np.hanning(640)))
+    f = np.fft.rfftfreq(640, 5e-4)
+    # the strip's own tone of 83 Hz (0.15 px) and all else above is not let through
+    assert found[f > 75.0].max() < 0.05 * found[(f > 1.0) & (f < 60.0)].max()

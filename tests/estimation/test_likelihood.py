@@ -107,6 +107,18 @@ def test_a_tone_above_the_sampling_nyquist_is_found_where_it_is() -> None:
     assert [round(tone.frequency) for tone in found.spectrum.tones] == [121]
 
 
+def test_a_known_tone_is_in_the_spectrum_however_small() -> None:
+    # 0.01 of the noise of 0.03: no periodogram shows it
+    t = STEP * np.arange(N)
+    series = measured(0.01 * np.sin(2 * np.pi * 61.0 * t), 0.03)
+    assert fit_spectrum(series, iterations=10).spectrum.tones == ()
+    (tone,) = fit_spectrum(series, known_tones=[61.0], iterations=10).spectrum.tones
+    # its place is free within the resolution, its size is bounded by what the noise hides (0.03, some 800
+    # measurements: amplitudes of 0.03 * 2 / sqrt(800) = 0.002; ten of them)
+    assert tone.frequency == pytest.approx(61.0, abs=3.0)
+    assert tone.sigma < 0.03
+
+
 def test_pure_noise_has_no_tone_and_little_motion() -> None:
     found = fit_spectrum(measured(np.zeros(N), 0.03))
     assert found.spectrum.tones == ()

@@ -5,7 +5,7 @@ import pytest
 from scipy.linalg import toeplitz
 
 from sightline.errors import InputError
-from sightline.estimation.prior import NUGGET, Matern, Spectrum, Tone, autoregressive
+from sightline.estimation.prior import NUGGET, Matern, Spectrum, TabulatedPsd, Tone, autoregressive
 
 STEP = 1e-3
 SPECTRUM = Spectrum((Matern(2.0, 1.0, "5/2"), Matern(0.1, 0.005, "3/2"), Tone(0.3, 47.0, 0.8)))
@@ -136,3 +136,44 @@ def test_wrong_values_are_named() -> None:
         autoregressive([1.0, 0.5], 3, 5)
     with pytest.raises(InputError, match="positive finite numbers"):
         SPECTRUM.autoregressive(STEP, 3, 9).precision_band(np.zeros(9))
+
+
+class TestTabulatedPsd:
+    def test_its_autocovariance_is_the_cosine_transform_of_its_straight_pieces(self):
+        part = TabulatedPsd((0.0, 3.0, 10.0, 40.0), (2.0, 0.5, 1.0, 0.0))
+        f = np.linspace(0.0, 40.0, 400_001)
+        for lag in (0.0, 1e-4, 0.003, 0.1, 2.0):
+            expected = np.trapezoid(part.psd(f) * np.cos(2 * np.pi * f * lag), f)
+            # the trapezoidal rule with 0.1 mHz steps: relative (2 pi lag df)^2 / 12 of the variance of 27
+            assert float(part.autocovariance(np.array([lag]))[0]) == pytest.approx(expected, abs=1e-5)
+
+    def test_nothing_is_outside_the_table(self):
+        part = TabulatedPsd((5.0, 10.0), (1.0, 1.0))
+        assert part.psd(np.array([0.0, 4.9, 7.0, 10.1])).tolist() == [0.0, 0.0, 1.0, 0.0]
+        assert part.sigma == pytest.approx(5.0**0.5)
+
+    def test_a_change_of_unit_scales_the_density_by_its_square(self):
+        spectrum = Spectrum((TabulatedPsd((0.0, 10.0), (0.4, 0.4)),))
+        assert spectrum.scaled(3.0).sigma == pytest.approx(6.0)
+
+    def test_a_prior_of_a_band_lets_no_other_frequency_pass(self):
+        # flat to 40 Hz on a grid of 500 Hz: a motion of 20 Hz is likely, one of 100 Hz is not
+        prior = Spectrum((TabulatedPsd((0.0, 40.0), (1.0, 1.0)),)).autoregressive(2e-3, 60, 500)
+        t = 2e-3 * np.arange(500)
+        inside, outside = (prior.innovations(np.sin(2 * np.pi * f * t)) for f in (20.0, 100.0))
+        assert np.mean(outside[60:] ** 2) > 1e4 * np.mean(inside[60:] ** 2)
+
+    @pytest.mark.parametrize(
+        ("frequency", "density", "words"),
+        [
+            ((0.0,), (1.0,), "two or more"),
+            ((0.0, 1.0), (1.0,), "two or more"),
+            ((1.0, 1.0), (1.0, 1.0), "must increase"),
+            ((-1.0, 1.0), (1.0, 1.0), "must increase"),
+            ((0.0, 1.0), (1.0, -1.0), "0 or more"),
+            ((0.0, 1.0), (0.0, 0.0), "positive somewhere"),
+        ],
+    )
+    def test_what_is_no_spectrum_is_refused(self, frequency, density, words):
+        with pytest.raises(InputError, match=words):
+            TabulatedPsd(frequency, density)

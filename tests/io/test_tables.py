@@ -144,3 +144,22 @@ def test_an_empty_file_and_a_missing_one_are_named(tmp_path):
     assert "the file is empty" in message(tables.read_positions, csv(tmp_path, "\n"))
     assert "no rows below the header" in message(tables.read_positions, csv(tmp_path, "t,x,y,z\n"))
     assert "no such file" in message(tables.read_positions, tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("0,1,1,1\n", "two frequencies or more"),
+        ("1,1,1,1\n1,1,1,1\n", "f must increase"),
+        ("0,1,1,1\n5,1,-1,1\n", "row 2 holds a negative density"),
+        ("0,1,0,1\n5,1,0,1\n", "pitch is 0 at every frequency"),
+    ],
+)
+def test_a_table_that_is_no_spectrum_is_refused(tmp_path, rows, words):
+    assert words in message(tables.read_psd, csv(tmp_path, "f,roll,pitch,yaw\n" + rows))
+
+
+def test_a_spectrum_is_read_by_axis(tmp_path):
+    f, density = tables.read_psd(csv(tmp_path, "f,roll,pitch,yaw\n0,1,2,3\n50,4,5,6\n"))
+    assert f.tolist() == [0.0, 50.0]
+    assert density.tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]

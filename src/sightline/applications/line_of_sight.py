@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ from sightline.motion.fusion import (
     unfelt_tones,
     uses,
 )
-from sightline.motion.hyper import BROAD, ORDER, PriorModel, fit_prior_model
+from sightline.motion.hyper import BROAD, ORDER, KnownContent, PriorModel, fit_prior_model
 from sightline.motion.joint import (
     JointEstimate,
     JointPrior,
@@ -83,6 +83,8 @@ DRAFT_TILES, DRAFT_WORK = 128, 0.3
 MIN_KEPT_SHARE = 0.02
 #: Times that control points are linearised before the first matching.
 INITIAL_ROUNDS = 3
+#: A sensor whose residuals are so many times its sigma is worth a warning.
+DOUBTFUL = 2.0
 #: Fewer windows than this share kept at the end are worth a warning.
 ENOUGH_KEPT = 0.5
 
@@ -136,6 +138,7 @@ class _Strip:
     broad: PriorModel
     sensors: tuple[AttitudeSensor, ...] = ()
     control: ControlPoints | None = None
+    known: KnownContent = field(default_factory=KnownContent)
     draft: bool = False
 
     def plan(
@@ -168,6 +171,7 @@ def recover_line_of_sight(
     height_sigma: float = 0.0,
     sensors: Sequence[AttitudeSensor] = (),
     control_points: ControlPoints | None = None,
+    known: KnownContent | None = None,
     options: RecoverOptions | None = None,
     progress: Progress | None = None,
 ) -> LineOfSight:
@@ -185,6 +189,8 @@ def recover_line_of_sight(
         Star trackers and gyros: where matching starts, and observations in the same estimate.
     control_points : ControlPoints, optional
         Likewise.
+    known : KnownContent, optional
+        Frequencies of the motion that are known beforehand.
     options : RecoverOptions, optional
     progress : callable, optional
         Told in words what is being done.
@@ -207,7 +213,12 @@ def recover_line_of_sight(
     """
     options = options or RecoverOptions()
     tell = progress or (lambda text: None)
-    strip = replace(_prepare(bands, surface, options), sensors=tuple(sensors), control=control_points)
+    strip = replace(
+        _prepare(bands, surface, options),
+        sensors=tuple(sensors),
+        control=control_points,
+        known=known or KnownContent(),
+    )
     wide = strip.nominal[0].columns // options.window[1] > options.draft_blocks
     draft = replace(strip, grid=strip.grid.coarser(DRAFT_NODES), draft=True) if wide else strip
     tolerance = options.tolerance * (DRAFT_TOLERANCE if draft.draft else 1.0)
@@ -432,19 +443,21 @@ def _compensated_pass(
     if number == 0 and options.passes > 1:
         # the first linearisation still shows in this pass: a spectrum fitted to it would hold its error
         return solved
-    tell("fitting the spectrum of the motion")
-    stars = [r.star for r in solved.records]
-    start = state.model if number > 1 else None
-    model = fit_prior_model(
-        stars,
-        solved.post_px,
-        solved.estimate,
-        strip.scale,
-        start,
-        solved.jumps(),
-        state.model.noise_scale,
-        WORK * (DRAFT_WORK if strip.draft else 1.0),
-    )
+    if strip.known.spectra is not None:
+        model = PriorModel(strip.known.spectra)
+    else:
+        tell("fitting the spectrum of the motion")
+        model = fit_prior_model(
+            [r.star for r in solved.records],
+            solved.post_px,
+            solved.estimate,
+            strip.scale,
+            state.model if number > 1 else None,
+            solved.jumps(),
+            state.model.noise_scale,
+            WORK * (DRAFT_WORK if strip.draft else 1.0),
+            strip.known.tones,
+        )
     rounds = DRAFT_ROUNDS if strip.draft else ROUNDS
     return _solve(strip, solved.records, nodes, statics, model, height_sigma, before=state, rounds=rounds)
 
@@ -648,6 +661,26 @@ def _lost_windows(records: Sequence[StarRecord]) -> str:
     )
 
 
+def _sensor_warnings(strip: _Strip, estimate: JointEstimate) -> list[str]:
+    """Sensors that said nothing, or something else than the images."""
+    used = () if estimate.ties is None else uses(estimate.ties, estimate.own, estimate.own_sigma)
+    silent = [s.name for s in strip.sensors if s.name not in {use.name for use in used}]
+    out = [
+        f"{name}: no reading during the images, so it takes no part; check the times of its table"
+        for name in silent
+    ]
+    if strip.control is not None and "control points" not in {use.kind for use in used}:
+        out.append("no control point is seen where its image says: they take no part; check x, y, z and line")
+    for use in used:
+        worst = max(use.sigma_factor)
+        if worst > DOUBTFUL:
+            out.append(
+                f"{use.name}: its residuals are {worst:.2g} times what its sigma says, and it is believed so "
+                "much less; check its sigma, its axes (alignment_sigma) and its times"
+            )
+    return out
+
+
 def _warnings(
     strip: _Strip, state: _State, motion: Motion, observed: NDArray[np.bool_], changes: list[float]
 ) -> tuple[str, ...]:
@@ -668,6 +701,7 @@ def _warnings(
             f"{(~observed).sum()} of {len(observed)} lines are seen by no match: the motion there is "
             "interpolated, its sigma grown"
         )
+    out += _sensor_warnings(strip, state.estimate)
     covariance = motion.covariance
     assert covariance is not None
     prior_yaw = state.model.spectra[2].sigma

@@ -83,6 +83,7 @@ def recover_acquisition(acquired: Acquisition, report: Progress) -> LineOfSight:
         height_sigma=acquired.height_sigma,
         sensors=acquired.sensors,
         control_points=acquired.control_points,
+        known=acquired.known_motion,
         options=RecoverOptions(**acquired.matching),
         progress=report,
     )

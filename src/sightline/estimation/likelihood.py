@@ -59,6 +59,7 @@ def fit_spectrum(
     *,
     step: float | None = None,
     start: Spectrum | None = None,
+    known_tones: Sequence[float] = (),
     max_tones: int = 8,
     false_alarm: float = 1e-3,
     fit_noise: bool = True,
@@ -78,6 +79,9 @@ def fit_spectrum(
     start : Spectrum, optional
         A further place to start: its first Matern 5/2, its other Matern part and its tones. The search
         starts there or from the data's size, whichever explains them better.
+    known_tones : sequence of float
+        Hz; tones that are there whether the data show them or not, such as of wheels and coolers. Their size
+        and width are fitted, and their frequency within the resolution of the data.
     max_tones : int
         At most this many tones, those of `start` included; 0 looks for none.
     false_alarm : float
@@ -113,7 +117,9 @@ def fit_spectrum(
     offset = 1.0 if offset_sigma is None else offset_sigma / unit
     search = Search(summed(None), offset, fit_noise, grid.step * grid.count)
     guesses = _guesses(inside, grid) + ([] if start is None else [Model.of(start.scaled(1.0 / unit))])
-    model = search.improve(min(guesses, key=search.deviance), iterations if max_tones == 0 else 12)
+    model = min(guesses, key=search.deviance)
+    model = search.with_known_tones(model, known_tones)
+    model = search.improve(model, iterations if max_tones == 0 else 12)
     for _ in range(max_tones - len(model.tones)):
         found = search.unexplained_tones(model, false_alarm)
         if not found:

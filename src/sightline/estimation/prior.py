@@ -163,6 +163,65 @@ class Tone:
 
 
 @dataclass(frozen=True)
+class TabulatedPsd:
+    """A spectrum known beforehand at some frequencies, straight between them and nothing outside.
+
+    Parameters
+    ----------
+    frequency : tuple of float
+        Hz, increasing from 0 or more.
+    density : tuple of float
+        One-sided power spectral density, unit squared per Hz; not negative, not all zero.
+
+    Examples
+    --------
+    >>> flat = TabulatedPsd((0.0, 10.0), (0.1, 0.1))
+    >>> float(flat.autocovariance(np.array([0.0]))[0])
+    1.0
+    """
+
+    frequency: tuple[float, ...]
+    density: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        f, s = np.array(self.frequency), np.array(self.density)
+        if f.ndim != 1 or len(f) < 2 or f.shape != s.shape:
+            raise InputError(
+                f"`frequency` and `density` must be two or more numbers each, got {len(f)} and {len(s)}"
+            )
+        if not (np.isfinite(f).all() and f[0] >= 0.0 and (np.diff(f) > 0.0).all()):
+            raise InputError("`frequency` must increase from 0 Hz or more")
+        if not (np.isfinite(s).all() and (s >= 0.0).all() and s.any()):
+            raise InputError("`density` must be 0 or more everywhere and positive somewhere")
+
+    @property
+    def sigma(self) -> float:
+        """Standard deviation, in the unit of the motion."""
+        return math.sqrt(float(np.trapezoid(self.density, self.frequency)))
+
+    def autocovariance(self, lags: Array) -> Array:
+        """Covariance of two values `lags` (s) apart: the cosine transform, exact for straight pieces."""
+        w = 2.0 * math.pi * np.abs(np.asarray(lags, dtype=np.float64))
+        f, s = np.array(self.frequency), np.array(self.density)
+        total = np.zeros(w.shape)
+        for f0, f1, s0, s1 in zip(f[:-1], f[1:], s[:-1], s[1:], strict=True):
+            # the mean of the piece and its slope about the middle, each against cos(w f)
+            half, middle = 0.5 * (f1 - f0), 0.5 * (f0 + f1)
+            x = w * half
+            even = np.sinc(x / math.pi)
+            small = x < 1e-2
+            safe = np.where(small, 1.0, x)
+            odd = np.where(small, x / 3.0, (np.sin(safe) - safe * np.cos(safe)) / safe**2)
+            total += (f1 - f0) * 0.5 * (s0 + s1) * even * np.cos(w * middle)
+            total -= (f1 - f0) * 0.5 * (s1 - s0) * odd * np.sin(w * middle)
+        return total
+
+    def psd(self, frequency: Array) -> Array:
+        """One-sided power spectral density at `frequency` (Hz)."""
+        return np.interp(np.asarray(frequency), self.frequency, self.density, left=0.0, right=0.0)
+
+
+@dataclass(frozen=True)
 class Spectrum:
     """A motion's prior: the sum of independent parts.
 
@@ -173,7 +232,7 @@ class Spectrum:
     4.09
     """
 
-    components: tuple[Matern | Tone, ...]
+    components: tuple[Matern | Tone | TabulatedPsd, ...]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "components", tuple(self.components))
@@ -207,10 +266,12 @@ class Spectrum:
 
     def scaled(self, factor: float) -> Spectrum:
         """The same spectrum of a motion `factor` times as large (a change of unit)."""
-        parts: list[Matern | Tone] = []
+        parts: list[Matern | Tone | TabulatedPsd] = []
         for c in self.components:
             if isinstance(c, Tone):
                 parts.append(Tone(c.sigma * factor, c.frequency, c.bandwidth))
+            elif isinstance(c, TabulatedPsd):
+                parts.append(TabulatedPsd(c.frequency, tuple(d * factor**2 for d in c.density)))
             else:
                 parts.append(Matern(c.sigma * factor, c.timescale, c.order))
         return Spectrum(tuple(parts))

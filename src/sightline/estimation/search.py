@@ -8,6 +8,7 @@ Not here: the steps in their order (``likelihood.py``), the evidence of one mode
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,7 +48,7 @@ class Model:
     drift, broadband : Matern
         The drift of order 5/2, the broadband part of any.
     tones : tuple of Tone
-        In the order they were found; `gains` are their significances.
+        In the order they were found; `gains` are their significances, infinite for those known beforehand.
     noise_scale : float
         Factor on the measurement variances.
     """
@@ -221,6 +222,21 @@ class Search:
             slope[-1] = now.deviance_by_noise_scale
         return now.deviance, slope
 
+    def with_known_tones(self, model: Model, frequencies: Sequence[float]) -> Model:
+        """The model with a tone at each of these frequencies (Hz), as large as the noise to begin with.
+
+        Tones of the model within the resolution of one of them give way to it.
+        """
+        for f in frequencies:
+            if not 0.0 < f < 0.5 / self._equations.grid.step:
+                continue
+            near = [k for k, tone in enumerate(model.tones) if abs(tone.frequency - f) < 1.5 / self._length]
+            size = max((model.tones[k].sigma for k in near), default=0.1)
+            for k in reversed(near):
+                model = model.without_tone(k)
+            model = model.with_tone(Tone(size, f, min(1.0 / self._length, 0.1 * f)), math.inf)
+        return model
+
     # -- tones ------------------------------------------------------------------------------------
 
     def unexplained_tones(self, model: Model, false_alarm: float) -> list[tuple[Tone, float]]:
@@ -263,6 +279,8 @@ class Search:
         is shows only once the other tones are known.
         """
         for k, tone in enumerate(model.tones):
+            if model.gains[k] == math.inf:
+                continue
             others = model.without_tone(k)
             rivals = self.unexplained_tones(others, false_alarm)
             # A gain is a log-likelihood: what lies 20 below the best is no rival.
@@ -332,6 +350,8 @@ class Search:
     def without_idle_tones(self, model: Model) -> Model:
         """The model less every tone that three parameters do not pay for (Akaike)."""
         for k in reversed(range(len(model.tones))):
+            if model.gains[k] == math.inf:
+                continue
             fewer = model.without_tone(k)
             present = self.deviance(model)
             if self.deviance(fewer) > present + 30.0:

@@ -17,6 +17,7 @@ from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
 from sightline.io.acquisition_schema import AcquisitionFile
 from sightline.motion.band import Band, Frame, LensKnowledge
+from sightline.motion.hyper import KnownContent
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
 
 
@@ -38,6 +39,7 @@ class Acquisition:
         m; what is not known about it.
     sensors : tuple of AttitudeSensor
     control_points : ControlPoints or None
+    known_motion : KnownContent
     lens : LensKnowledge
     matching : dict
         What ``[matching]`` gives, by the names of ``RecoverOptions``; empty where the default is wanted.
@@ -58,6 +60,7 @@ class Acquisition:
     height_sigma: float
     sensors: tuple[AttitudeSensor, ...]
     control_points: ControlPoints | None
+    known_motion: KnownContent
     lens: LensKnowledge
     matching: dict[str, Any]
     platform: str

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline.errors import FormatError
+from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.io import tables
 from sightline.io.acquired import Acquisition, InputFolder, world_kind
@@ -25,6 +26,7 @@ from sightline.io.frames import build_frames, lens_knowledge
 from sightline.io.ground import build_surface, check_coverage, check_overlap, check_sampling
 from sightline.io.model_bands import build_model_bands
 from sightline.io.platform import to_world
+from sightline.motion.hyper import KnownContent
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
 
 __all__ = ["Acquisition", "load_acquisition", "read_acquisition"]
@@ -83,6 +85,7 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
         height_sigma=config.surface.height_sigma,
         sensors=tuple(read_sensor(entry, files) for entry in config.attitude_sensor),
         control_points=read_control(config, files, names),
+        known_motion=read_known_motion(config, files),
         lens=lens_knowledge(config, frames[0].image.shape if frames else None),
         matching=config.matching.model_dump(exclude_none=True),
         platform=config.platform.kind,
@@ -110,6 +113,16 @@ def read_sensor(entry: SensorSection, files: InputFolder) -> AttitudeSensor:
         bias_sigma=entry.bias_sigma,
         correlation_time=entry.correlation_time,
     )
+
+
+def read_known_motion(config: AcquisitionFile, files: InputFolder) -> KnownContent:
+    """Tones, or the spectra of the table that ``[known_motion]`` names."""
+    section = config.known_motion
+    if section.psd is None:
+        return KnownContent(tuple(section.tones))
+    f, density = tables.read_psd(files(section.psd))
+    spectra = [Spectrum((TabulatedPsd(tuple(f.tolist()), tuple(column.tolist())),)) for column in density.T]
+    return KnownContent((), (spectra[0], spectra[1], spectra[2]))
 
 
 def read_control(config: AcquisitionFile, files: InputFolder, names: Sequence[str]) -> ControlPoints | None:

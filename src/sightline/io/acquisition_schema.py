@@ -285,6 +285,24 @@ class ControlPointSection(Section):
     column: Finite
 
 
+class KnownMotionSection(Section):
+    """``[known_motion]``: what is known of the motion's frequencies beforehand."""
+
+    tones: list[Positive] = Field(
+        default=[], description="Hz; tones of wheels, coolers, ... that are there, of whatever size"
+    )
+    psd: str | None = Field(
+        default=None,
+        description="CSV f,roll,pitch,yaw: one-sided spectrum, rad^2/Hz; taken as it is, nothing is fitted",
+    )
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> KnownMotionSection:
+        if self.tones and self.psd is not None:
+            raise ValueError("tones and psd are both given; a psd is the whole spectrum: keep one of them")
+        return self
+
+
 WindowSize = tuple[Annotated[int, Field(ge=3)], Annotated[int, Field(ge=3)]]
 
 
@@ -321,6 +339,7 @@ class AcquisitionFile(Section):
     world: WorldSection = WorldSection()
     attitude_sensor: list[SensorSection] = []
     control_point: list[ControlPointSection] = []
+    known_motion: KnownMotionSection = KnownMotionSection()
     matching: MatchingSection = MatchingSection()
 
     def _refuse_what_would_be_ignored(self) -> None:
@@ -328,6 +347,8 @@ class AcquisitionFile(Section):
         lens = sorted(self.camera.model_fields_set - {"mount", "body_from_camera"})
         if self.band and lens:
             raise ValueError(f"[camera] {lens[0]} describes frames, but [[band]] is given; remove it")
+        if self.frame and self.known_motion.model_fields_set:
+            raise ValueError("[known_motion] is of lines of a strip, but [[frame]] is given; remove it")
         line = sorted(self.instrument.model_fields_set)
         if self.frame and line:
             raise ValueError(

@@ -137,10 +137,28 @@ def _understood(acquisition: Acquisition) -> list[str]:
     lines.append(
         f"ground: {type(acquisition.surface).__name__}, height known to {acquisition.height_sigma:g} m"
     )
-    lines += [f"{sensor.kind} {sensor.name}: {len(sensor.t_start)} rows" for sensor in acquisition.sensors]
+    first, last = _strip_times(acquisition)
+    for sensor in acquisition.sensors:
+        during = int(((sensor.t_start >= first) & (sensor.t_end <= last)).sum())
+        lines.append(f"{sensor.kind} {sensor.name}: {len(sensor.t_start)} rows, {during} during the images")
+    if acquisition.known_motion.spectra is not None:
+        lines.append("spectrum of the motion: given, nothing will be fitted")
+    elif acquisition.known_motion.tones:
+        lines.append("known tones: " + ", ".join(f"{f:g} Hz" for f in acquisition.known_motion.tones))
     if acquisition.control_points is not None:
         lines.append(f"{len(acquisition.control_points.sigma)} control points")
     return lines
+
+
+def _strip_times(acquisition: Acquisition) -> tuple[float, float]:
+    """First and last exposure of all images, s."""
+    ends: list[float] = []
+    for camera in acquisition.cameras:
+        if isinstance(camera, PushbroomCamera):
+            ends += camera.times(np.array([0.0, camera.lines - 1.0])).tolist()
+        else:
+            ends.append(camera.t)
+    return min(ends), max(ends)
 
 
 def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:

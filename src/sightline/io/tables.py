@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 POSITIONS = ("t", "x", "y", "z")
 ATTITUDES = ("t", "qx", "qy", "qz", "qw")
 STAR_TRACKER = ("t", "roll", "pitch", "yaw", "sigma")
+PSD = ("f", "roll", "pitch", "yaw")
 GYRO = ("t_start", "t_end", "roll", "pitch", "yaw", "sigma")
 CONTROL_POINTS = ("x", "y", "z", "sigma", "image", "line", "column")
 DIRECTIONS = ("column", "x", "y", "z")
@@ -252,6 +253,27 @@ def read_control_points(path: Path) -> tuple[Array, Array, list[str], Array]:
     table = read_columns(path, CONTROL_POINTS, text=("image",))
     names = [str(name) for name in table["image"]]
     return _matrix(table, "xyz"), _sigma(path, table), names, _matrix(table, ("line", "column"))
+
+
+def read_psd(path: Path) -> tuple[Array, Array]:
+    """``f,roll,pitch,yaw``: frequencies (N,) Hz, one-sided spectra (N, 3) rad^2/Hz."""
+    table = read_columns(path, PSD)
+    f, density = _matrix(table, ["f"])[:, 0], _matrix(table, ANGLES)
+    if len(f) < 2:
+        raise FormatError(f"{path}: {len(f)} row; a spectrum needs two frequencies or more")
+    falls = np.flatnonzero((np.diff(f, prepend=-1.0) <= 0.0) | (f < 0.0))
+    if falls.size:
+        row = int(falls[0])
+        raise FormatError(f"{path}: row {row + 1} has f = {f[row]:g}; f must increase from 0 Hz or more")
+    bad = np.flatnonzero((density < 0.0).any(axis=1))
+    if bad.size:
+        raise FormatError(f"{path}: row {int(bad[0]) + 1} holds a negative density; rad^2/Hz is 0 or more")
+    for axis, column in zip(ANGLES, density.T, strict=True):
+        if not column.any():
+            raise FormatError(
+                f"{path}: {axis} is 0 at every frequency; give a small density if it hardly moves"
+            )
+    return f, density
 
 
 def read_directions(path: Path) -> Array:

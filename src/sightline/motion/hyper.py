@@ -83,6 +83,22 @@ _WIDE = Spectrum((Matern(20.0, 1.0, "5/2"), Matern(0.5, 0.01, "3/2")))
 BROAD = PriorModel((_WIDE, _WIDE, _WIDE))
 
 
+@dataclass(frozen=True)
+class KnownContent:
+    """What is known of the motion's frequencies before the images are looked at (S1, claim 8).
+
+    Attributes
+    ----------
+    tones : tuple of float
+        Hz; tones of any axis that are there whether the images show them or not.
+    spectra : three Spectrum or None
+        Of roll, pitch, yaw (rad): taken as they are, nothing is fitted.
+    """
+
+    tones: tuple[float, ...] = ()
+    spectra: tuple[Spectrum, Spectrum, Spectrum] | None = None
+
+
 def angle_differences(
     stars: Sequence[Star], post_px: Sequence[Array], estimate: JointEstimate
 ) -> list[AngleDifferences]:
@@ -177,6 +193,7 @@ def fit_prior_model(
     jumps: Sequence[Array] = (),
     grown_by: tuple[float, float, float] = (1.0, 1.0, 1.0),
     work: float = WORK,
+    known_tones: Sequence[float] = (),
 ) -> PriorModel:
     """Spectra of the three axes by marginal likelihood, tones found blind.
 
@@ -195,6 +212,8 @@ def fit_prior_model(
         Noise scales that the stars' correlations hold already.
     work : float
         Allowed per evaluation of the likelihood, see `estimation.likelihood.WORK`.
+    known_tones : sequence of float
+        Hz; see `estimation.likelihood.fit_spectrum`.
     """
     differences = angle_differences(stars, post_px, estimate)
     if not differences:
@@ -209,6 +228,7 @@ def fit_prior_model(
             start=None if start is None else start.spectra[axis],
             offset_sigma=float(pixel[axis]),
             work=work,
+            known_tones=known_tones,
         )
 
     roll, pitch, yaw = in_threads(fitted, range(3))

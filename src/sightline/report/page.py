@@ -92,6 +92,7 @@ def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[
         overlay=composite(result, acquisition),
         tones=words.tone_rows(result, tones),
         statics=words.static_rows(result),
+        sensors=words.sensor_rows(result),
         pairs=words.pair_rows(result),
     )
 

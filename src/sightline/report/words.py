@@ -50,10 +50,19 @@ def axis_cards(result: LineOfSight, summary: Mapping[str, Any]) -> list[dict[str
             "sigma_angle": _angle(sigma[k] * result.scale[k], 2),
             "worst": digits(worst[k], 2),
             "worst_angle": _angle(worst[k] * result.scale[k], 2),
+            "absolute": _absolute(result, k),
             "seen": _short_bands(summary["passbands"][axis]) if len(result.motion.t) >= FEW_EPOCHS else "",
         }
         for k, axis in enumerate(AXES)
     ]
+
+
+def _absolute(result: LineOfSight, axis: int) -> str:
+    """Median sigma of the whole angle; "" where nothing ties it."""
+    sigma = float(np.median(result.absolute_sigma[:, axis]))
+    if not np.isfinite(sigma):
+        return ""
+    return f"{digits(sigma / result.scale[axis], 2)} px ({_angle(sigma, 2)})"
 
 
 def tone_rows(result: LineOfSight, tones: Sequence[DetectedTone]) -> list[list[str]]:
@@ -88,6 +97,31 @@ def static_rows(result: LineOfSight) -> list[list[str]]:
                 digits(factor * static.prior_sigma, 2),
                 unit,
                 f"{100.0 * max(told, 0.0):.0f} %",
+            ]
+        )
+    return rows
+
+
+def sensor_rows(result: LineOfSight) -> list[list[str]]:
+    """Table of attitude sensors and control points: name, kind, readings, outliers, sigma, constants."""
+    rows = []
+    for use in result.sensors:
+        factors = (
+            "as given"
+            if max(use.sigma_factor) == 1.0
+            else "x " + " / ".join(f"{factor:.2g}" for factor in use.sigma_factor)
+        )
+        constants = [
+            f"{name} {1e6 * value:+.3g} ± {1e6 * sigma:.2g}" for name, (value, sigma) in use.constants.items()
+        ]
+        rows.append(
+            [
+                use.name,
+                use.kind,
+                f"{use.used} of {use.given}",
+                str(use.outliers),
+                factors,
+                "; ".join(constants) or "none",
             ]
         )
     return rows

@@ -67,11 +67,23 @@ def state_space(prior: Spectrum, step: float) -> StateSpace:
     """
     from scipy.linalg import block_diag
 
-    parts = [_tone(c, step) if isinstance(c, Tone) else _matern(c, step) for c in prior.components]
+    parts = [_part(c, step) for c in prior.components]
     transition = block_diag(*(f for f, _ in parts))
     stationary = block_diag(*(p for _, p in parts))
     output = np.concatenate([np.eye(len(f))[0] for f, _ in parts])
     return StateSpace(transition, stationary - transition @ stationary @ transition.T, stationary, output)
+
+
+def _part(part: object, step: float) -> tuple[Array, Array]:
+    """Transition and stationary covariance of one part of a spectrum."""
+    if isinstance(part, Tone):
+        return _tone(part, step)
+    if isinstance(part, Matern):
+        return _matern(part, step)
+    raise InputError(
+        f"`prior` holds a {type(part).__name__}, which has no state-space form; describe the motion by "
+        "Matern parts and tones, or use `smooth`"
+    )
 
 
 def _tone(tone: Tone, step: float) -> tuple[Array, Array]:
