@@ -81,7 +81,7 @@ def fit_spectrum(
         starts there or from the data's size, whichever explains them better.
     known_tones : sequence of float
         Hz; tones that are there whether the data show them or not, such as of wheels and coolers. Their size
-        and width are fitted, and their frequency within the resolution of the data.
+        and width are fitted, their frequency is taken as it is.
     max_tones : int
         At most this many tones, those of `start` included; 0 looks for none.
     false_alarm : float

@@ -158,8 +158,8 @@ class Search:
             (math.log(1e-3), math.log(30.0 * drift)),
             (math.log(0.2 * step), math.log(0.2 * length)),
         ]
-        for tone in model.tones:
-            farthest = min(1.0, 0.2 * tone.frequency * length)
+        for tone, gain in zip(model.tones, model.gains, strict=True):
+            farthest = 0.0 if gain == math.inf else min(1.0, 0.2 * tone.frequency * length)
             widest = max(10.0 / length, 0.1 * tone.frequency)
             bounds += [
                 (math.log(1e-3), math.log(30.0 * drift)),
