@@ -17,7 +17,7 @@ app = typer.Typer(help="Render a scene whose truth is known.", no_args_is_help=T
 _CASES = "nominal, relief, clouds, hard, real, other-family"
 # Said in --help, which must not wait for the import of the cases.
 _LINES, _COLUMNS = "3000; real: 2400", "1000; real: 640"
-_MOTIONS = "nominal, curve, real, other-family, ck, isd, none"
+_MOTIONS = "nominal, late-tone, step, curve, real, other-family, ck, isd, none"
 
 
 @app.command("line-of-sight")

@@ -116,16 +116,20 @@ class ToneJitter:
         Root mean square, in the unit of the profile; the amplitude is sqrt(2) times larger.
     frequency : float
         Hz.
+    since : float
+        Where it begins, as a part of the span: 0.5 starts it in the middle, at once.
     """
 
     rms: float
     frequency: float
     instrument: bool = True
+    since: float = 0.0
 
     def sample(self, t: Array, rng: np.random.Generator) -> Array:
-        """The sinusoid, its phase uniform over the circle."""
+        """The sinusoid, its phase uniform over the circle; nothing before it begins."""
         phase = rng.uniform(0.0, 2.0 * np.pi)
-        return self.rms * np.sqrt(2.0) * np.sin(2.0 * np.pi * self.frequency * t + phase)
+        wave = self.rms * np.sqrt(2.0) * np.sin(2.0 * np.pi * self.frequency * t + phase)
+        return np.where(t >= t[0] + self.since * (t[-1] - t[0]), wave, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -315,6 +319,11 @@ def nominal_profile(constant_px: float = 2.0) -> JitterProfile:
         ToneJitter(0.08, 121.0),
     )
     return JitterProfile(parts, parts, parts)
+
+
+def with_part(profile: JitterProfile, part: JitterPart) -> JitterProfile:
+    """The profile with one more part on every axis."""
+    return JitterProfile((*profile.roll, part), (*profile.pitch, part), (*profile.yaw, part))
 
 
 def curve_profile(

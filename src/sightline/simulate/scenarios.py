@@ -39,6 +39,7 @@ from sightline.simulate.jitter import (
     ToneJitter,
     curve_profile,
     nominal_profile,
+    with_part,
 )
 from sightline.simulate.scene import (
     BandShine,
@@ -265,6 +266,10 @@ def motion_profile(name: str, data: Path | None = None) -> JitterProfile:
         return JitterProfile((), (), ())
     if name == "nominal":
         return nominal_profile()
+    if name == "late-tone":
+        return with_part(nominal_profile(), ToneJitter(0.2, 64.0, since=0.5))
+    if name == "step":
+        return with_part(nominal_profile(), StepJitter(1.0))
     if name == "ck":
         t, angles = measured.mro_ck_curve(data)
         # the kernel was made from images that told nothing about yaw: pitch played backwards takes its place
@@ -275,7 +280,7 @@ def motion_profile(name: str, data: Path | None = None) -> JitterProfile:
         return curve_profile(*measured.isd_attitude_curve(path), rms_px=0.5, stretch=4.0, extra=tones)
     extras = {"curve": (), "real": tones, "other-family": foreign}
     if name not in extras:
-        allowed = "nominal, curve, real, other-family, ck, isd, none"
+        allowed = "nominal, late-tone, step, curve, real, other-family, ck, isd, none"
         raise InputError(f"unknown motion: got {name!r}; allowed are {allowed}")
     return curve_profile(*measured.hirise_curve(data), extra=extras[name])
 
