@@ -20,7 +20,7 @@ def test_the_page_opens_without_an_error_and_asks_nobody_for_anything(recovery, 
     opened.wait_for_timeout(500)
     assert problems == []
     figures = opened.locator(".js-plotly-plot")
-    assert figures.count() == 8
+    assert figures.count() == 10
     # Each figure has been drawn: it has the drawing, of a size that can be seen.
     for k in range(figures.count()):
         box = figures.nth(k).locator("svg.main-svg").first.bounding_box()
@@ -59,7 +59,7 @@ def test_the_page_says_in_words_what_was_found(text, recovery):
 def test_every_figure_has_a_heading_a_caption_and_axes_with_units(recovery):
     sections = page.sections(recovery.result, recovery.summary)
     assert [section.name for section in sections] == [
-        "attitude", "close", "sigma", "spectrum", "seen", "residuals", "histogram", "matches",
+        "attitude", "close", "sigma", "spectrum", "seen", "tones", "smear", "residuals", "histogram", "matches",
     ]  # fmt: skip
     for section in sections:
         assert section.title and section.caption.endswith(".")

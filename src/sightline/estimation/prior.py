@@ -246,6 +246,12 @@ class Spectrum:
         return tuple(sorted(tones, key=lambda tone: tone.frequency))
 
     @property
+    def without_tones(self) -> Spectrum | None:
+        """The spectrum less its tones; None where it is nothing else."""
+        parts = tuple(c for c in self.components if not isinstance(c, Tone))
+        return Spectrum(parts) if parts else None
+
+    @property
     def sigma(self) -> float:
         """Standard deviation of the whole motion."""
         return math.sqrt(sum(c.sigma**2 for c in self.components))

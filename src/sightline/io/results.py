@@ -1,7 +1,7 @@
 """A recovered line of sight → the files of its folder: what a chain reads, and the summary.
 
-``motion.csv``, ``attitude.csv``, ``attitude.aem``, ``hidden.csv``, ``spectrum.csv``, ``covariance.npz``,
-``summary.json``; their columns are described in ``docs/formats.md``.
+``motion.csv``, ``attitude.csv``, ``attitude.aem``, ``hidden.csv``, ``spectrum.csv``, ``smear.csv``,
+``covariance.npz``, ``summary.json``; their columns are described in ``docs/formats.md``.
 
 Not here: the page for people (``report/``).
 """
@@ -30,6 +30,7 @@ from sightline.io.acquired import Acquisition
 from sightline.io.ccsds import write_aem
 from sightline.io.hidden import write_hidden
 from sightline.io.json_text import json_text
+from sightline.io.microvibration import microvibration_summary, write_smear
 from sightline.io.tables import ANGLES, MotionTable, write_attitudes, write_motion, write_spectrum
 from sightline.motion.observability import Passbands
 from sightline.motion.tones import detect_tones, spectrum
@@ -39,7 +40,7 @@ Array = NDArray[np.float64]
 #: Every file a recovery may leave in its folder; which of them it does depends on the data.
 RESULT_FILES = (
     "attitude.aem", "attitude.csv", "covariance.npz", "hidden.csv", "motion.csv", "report.html",
-    "spectrum.csv", "summary.json",
+    "smear.csv", "spectrum.csv", "summary.json",
 )  # fmt: skip
 #: The highest frequency spoken of, in units of the line rate: windows of some lines cut beyond.
 HIGHEST_FREQUENCY = 0.25
@@ -83,6 +84,8 @@ def write_result(
     if result.hidden.shape[2]:
         summary["hidden_directions"] = write_hidden(folder, motion.t, result.hidden, result.hidden_names)
     _write_spectrum(folder / "spectrum.csv", result, summary["passbands"])
+    if _is_strip(acquisition):
+        write_smear(folder / "smear.csv", result)
     if result.band is not None:
         _write_covariance(folder / "covariance.npz", result)
     write_json(folder / "summary.json", summary)
@@ -134,7 +137,8 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
     seen = observed(result, np.linspace(0.0, upper, _FREQUENCIES))
     in_px = remove_directions(result.motion.angles / result.scale, result.hidden / result.scale[:, None])
     visible = in_px * result.scale
-    tones = [vars(tone) for tone in detect_tones(result.motion, highest=min(upper, _row_nyquist(result)))]
+    tones = detect_tones(result.motion, highest=min(upper, _row_nyquist(result)))
+    bands = dict(zip(ANGLES, seen.passbands, strict=True))
     return {
         "name": acquisition.name,
         "version": version("sightline"),
@@ -146,9 +150,10 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "half_field": result.half_field,
         "reference_image": result.image_names[0],
         "highest_frequency": upper,
-        "passbands": dict(zip(ANGLES, seen.passbands, strict=True)),
+        "passbands": bands,
         "blind_frequencies": {_name(result.image_names, pair): list(f) for pair, f in seen.blind.items()},
-        "tones": {axis: [tone for tone in tones if tone["axis"] == axis] for axis in ANGLES},
+        "tones": {axis: [vars(tone) for tone in tones if tone.axis == axis] for axis in ANGLES},
+        "microvibration": microvibration_summary(result, tones, bands) if _is_strip(acquisition) else None,
         "rms_motion": _per_axis(np.sqrt((visible**2).mean(axis=0))),
         "rms_motion_px": _per_axis(np.sqrt((in_px**2).mean(axis=0))),
         "rms_sigma": _per_axis(np.sqrt((result.sigma**2).mean(axis=0))),
@@ -170,6 +175,11 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "peak_memory_bytes": peak_memory(),
         "inputs": acquisition.input_hashes(),
     }
+
+
+def _is_strip(acquisition: Acquisition) -> bool:
+    """Whether the motion is given line by line."""
+    return isinstance(acquisition.cameras[0], PushbroomCamera)
 
 
 def _unused(acquisition: Acquisition) -> list[str]:

@@ -93,7 +93,7 @@ def spectrum(motion: Motion) -> MotionSpectrum:
     The integral over frequency is the variance; a resolution of 1/T, a scatter of 100 % per frequency.
     """
     step, x = _even(motion)
-    window = _hann(len(x))
+    window = hann(len(x))
     transform = np.fft.rfft(_detrended(x) * window[:, None], axis=0)
     psd = 2.0 * step * np.abs(transform) ** 2 / np.sum(window**2)
     frequency = np.asarray(np.fft.rfftfreq(len(x), step), dtype=np.float64)
@@ -197,7 +197,7 @@ def _ratios(x: Array, step: float) -> tuple[Array, Array, Array, Array]:
     frequency : (F,)
         Hz.
     """
-    window = _hann(len(x))
+    window = hann(len(x))
     power = np.abs(np.fft.rfft(x * window)) ** 2 * (2.0 * step / np.sum(window**2))
     frequency = np.asarray(np.fft.rfftfreq(len(x), step), dtype=np.float64)
     power, frequency = power[FIRST_BIN:-1], frequency[FIRST_BIN:-1]
@@ -223,7 +223,7 @@ def _fitted(x: Array, step: float, near: float, level: float, chance: float) -> 
     ``var omega = 2 s^2 sum (w tau)^2 / (A sum w tau^2)^2``, tau the time from the middle.
     """
     n = len(x)
-    tau, window = step * (np.arange(n) - 0.5 * (n - 1)), _hann(n)
+    tau, window = step * (np.arange(n) - 0.5 * (n - 1)), hann(n)
 
     def transform(frequency: float) -> complex:
         return complex(np.sum(window * x * np.exp(-2j * np.pi * frequency * tau)))
@@ -319,6 +319,12 @@ def _detrended(x: Array) -> Array:
     return np.asarray(x - terms @ np.linalg.lstsq(terms, x, rcond=None)[0])
 
 
-def _hann(n: int) -> Array:
-    """Periodic about the middle; no weight is zero."""
+def evenly_detrended(motion: Motion) -> tuple[float, Array]:
+    """Step (s) and angles (n, 3) of a motion on an even grid of as many epochs, less a parabola."""
+    step, x = _even(motion)
+    return step, _detrended(x)
+
+
+def hann(n: int) -> Array:
+    """Hann window of n samples, periodic about the middle; no weight is zero."""
     return np.asarray(np.sin(np.pi * (np.arange(n) + 0.5) / n) ** 2)

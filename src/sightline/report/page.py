@@ -22,7 +22,14 @@ from plotly.offline import get_plotlyjs
 from sightline.applications.results import LineOfSight
 from sightline.evaluation.observed import observed
 from sightline.io.acquired import Acquisition
-from sightline.report import match_figures, motion_figures, spectrum_figures, style, words
+from sightline.report import (
+    match_figures,
+    microvibration_figures,
+    motion_figures,
+    spectrum_figures,
+    style,
+    words,
+)
 from sightline.report.composite import composite
 
 #: Frequencies at which visibility is drawn.
@@ -94,6 +101,8 @@ def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[
         statics=words.static_rows(result),
         sensors=words.sensor_rows(result),
         pairs=words.pair_rows(result),
+        close=words.close_rows(summary),
+        above=words.above_band(summary),
     )
 
 
@@ -116,7 +125,12 @@ def sections(result: LineOfSight, summary: Mapping[str, Any]) -> list[Section]:
         "How well each axis is known at every instant. It grows at the ends and where matches are missing."
     )
     found.append(Section("sigma", "Sigma against time", caption, motion_figures.sigma_figure(result)))
-    return found + _frequency_sections(result, summary) + _match_sections(result)
+    return (
+        found
+        + _frequency_sections(result, summary)
+        + _microvibration_sections(result, summary)
+        + _match_sections(result)
+    )
 
 
 def _frequency_sections(result: LineOfSight, summary: Mapping[str, Any]) -> list[Section]:
@@ -143,6 +157,30 @@ def _frequency_sections(result: LineOfSight, summary: Mapping[str, Any]) -> list
             spectrum_figures.visibility_figure(result, seen, result.image_names),
         ),
     ]
+
+
+def _microvibration_sections(result: LineOfSight, summary: Mapping[str, Any]) -> list[Section]:
+    """Tones through time and the smear of the lines; none for frames."""
+    found = summary["microvibration"]
+    if found is None:
+        return []
+    out = []
+    tones = microvibration_figures.tone_figure(found)
+    if tones is not None:
+        caption = (
+            "Amplitude of each tone in short pieces of the strip, ± 1 sigma. “Varies”: a steady tone would "
+            "scatter so much less than once in a thousand strips."
+        )
+        out.append(Section("tones", "Tones through the strip", caption, tones))
+    smear = found["smear_px"]
+    caption = (
+        "How far the image moves during one line period beside the nominal scan. It multiplies the MTF at "
+        f"half a cycle per pixel by {smear['roll']['mtf_at_nyquist']:.4f} across and "
+        f"{smear['pitch']['mtf_at_nyquist']:.4f} along, on average over the lines."
+    )
+    smeared = microvibration_figures.smear_figure(result)
+    out.append(Section("smear", "Smear of each line", caption, smeared))
+    return out
 
 
 def _match_sections(result: LineOfSight) -> list[Section]:

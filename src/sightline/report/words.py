@@ -5,6 +5,7 @@ Not here: the figures; nothing is computed but shares and units.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -81,6 +82,38 @@ def tone_rows(result: LineOfSight, tones: Sequence[DetectedTone]) -> list[list[s
             ]
         )
     return rows
+
+
+def close_rows(summary: Mapping[str, Any]) -> list[list[str]]:
+    """Table of tones closer than 1/T: axis, both frequencies, both amplitudes."""
+    found = summary["microvibration"]
+    rows = []
+    for pair in found["close_pairs"] if found is not None else []:
+        both = zip(pair["frequencies"], pair["sigma_frequencies"], strict=True)
+        sizes = zip(pair["amplitudes_px"], pair["sigma_amplitudes_px"], strict=True)
+        rows.append(
+            [
+                pair["axis"],
+                " and ".join(f"{f:.3f} ± {sigma:.3f}" for f, sigma in both),
+                " and ".join(f"{a:.4f} ± {sigma:.4f}" for a, sigma in sizes),
+            ]
+        )
+    return rows
+
+
+def above_band(summary: Mapping[str, Any]) -> str:
+    """What lies above the frequencies that were seen, in a sentence; "" for frames."""
+    found = summary["microvibration"]
+    if found is None:
+        return ""
+    parts = []
+    for axis in AXES:
+        above = found["above_passband"][axis]
+        if above["rms_px"] is not None and math.isfinite(above["rms_px"]):
+            parts.append(f"{axis} {digits(above['rms_px'], 2)} px rms above {above['from']:.4g} Hz")
+    if not parts:
+        return ""
+    return "Above the frequencies that were seen, the fitted spectrum believes in: " + "; ".join(parts) + "."
 
 
 def static_rows(result: LineOfSight) -> list[list[str]]:

@@ -1,0 +1,126 @@
+"""Microvibration of a recovered motion: tones through time, what lies above the band, smear of each line.
+
+Not here: finding tones (``motion/tones.py``), their history (``motion/tone_history.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.applications.results import LineOfSight
+from sightline.evaluation.error_spectrum import error_psd
+from sightline.motion.tone_history import ToneHistory, TonePair, close_pairs, tone_histories
+from sightline.motion.tones import AXES, DetectedTone
+
+Array = NDArray[np.float64]
+
+#: A tone scatters more than a steady one would with a smaller probability than this: it is said to vary.
+STEADY = 1e-3
+#: Frequencies over which errors are summed.
+FREQUENCIES = 2048
+
+
+@dataclass(frozen=True, eq=False)
+class Smear:
+    """How far the image moves while one line is exposed, beside the nominal scan.
+
+    Attributes
+    ----------
+    px : (N, 3)
+        px per line period, of roll (across), pitch (along) and yaw (along, at the field's edge).
+    sigma_px : (3,)
+        px; of each.
+    """
+
+    px: Array
+    sigma_px: Array
+
+    @property
+    def mtf_at_nyquist(self) -> Array:
+        """(3,) mean over the lines of the MTF factor at half a cycle per px: ``sinc(smear / 2)``."""
+        return np.asarray(np.sinc(0.5 * self.px).mean(axis=0))
+
+
+@dataclass(frozen=True)
+class Microvibration:
+    """What trembles, and what it does to the image.
+
+    Attributes
+    ----------
+    histories : tuple of ToneHistory
+        Of the tones that last long enough to be cut into pieces.
+    pairs : tuple of TonePair
+        Tones closer than the resolution of the strip.
+    above : dict
+        Axis -> (Hz, rad): from the highest frequency at which motion is seen, and the rms that the spectrum
+        fitted to the images holds above it: believed, not measured.
+    smear : Smear
+    """
+
+    histories: tuple[ToneHistory, ...]
+    pairs: tuple[TonePair, ...]
+    above: dict[str, tuple[float, float]]
+    smear: Smear
+
+    def varies(self, tone: DetectedTone) -> bool | None:
+        """Whether a tone swells or fades along the strip; None where that cannot be told."""
+        for history in self.histories:
+            if history.tone is tone:
+                return history.steady_chance < STEADY
+        return None
+
+
+def microvibration(
+    result: LineOfSight, tones: tuple[DetectedTone, ...], passbands: dict[str, list[tuple[float, float]]]
+) -> Microvibration:
+    """Tones through time, unresolved pairs, what is above the passbands, smear per line.
+
+    Parameters
+    ----------
+    result : LineOfSight
+        Of a strip: its motion is given line by line.
+    tones : tuple of DetectedTone
+        As ``motion.tones.detect_tones`` finds them.
+    passbands : dict
+        Axis -> (low, high) Hz of every band in which motion is seen.
+    """
+    return Microvibration(
+        tone_histories(result.motion, tones),
+        close_pairs(result.motion, tones),
+        {axis: _above(result, k, passbands[axis]) for k, axis in enumerate(AXES)},
+        line_smear(result),
+    )
+
+
+def _above(result: LineOfSight, axis: int, bands: list[tuple[float, float]]) -> tuple[float, float]:
+    """The upper end of the last passband (Hz), and the rms (rad) of the fitted spectrum beyond it."""
+    edge = bands[-1][1] if bands else 0.0
+    if result.spectra is None:
+        return edge, math.nan
+    spectrum = result.spectra[axis]
+    # spectra fall as f^-4 or faster: a hundred times the edge holds all but a millionth
+    f = np.geomspace(max(edge, 1e-3), 1e2 * max(edge, 1.0), FREQUENCIES)
+    inside = np.array([tone.sigma**2 for tone in spectrum.tones if tone.frequency > edge])
+    broad = spectrum.without_tones
+    density = broad.psd(f) if broad is not None else np.zeros(len(f))
+    return edge, math.sqrt(float(np.trapezoid(density, f)) + float(inside.sum()))
+
+
+def line_smear(result: LineOfSight) -> Smear:
+    """Motion during the exposure of each line, taken as one line period, and its sigma.
+
+    Notes
+    -----
+    Half the change between the lines before and after. Its error is that of the motion through the filter
+    ``sin(2 pi f Te)`` of this difference, summed over the error's spectrum.
+    """
+    angles = result.motion.angles / result.scale
+    period = float(np.median(np.diff(result.motion.t)))
+    f = np.linspace(0.0, 0.5 / period, FREQUENCIES)[1:]
+    error = error_psd(result, f) * np.sin(2.0 * np.pi * f * period)[:, None] ** 2
+    sigma = np.sqrt(np.trapezoid(error, f, axis=0)) / result.scale
+    return Smear(np.gradient(angles, axis=0), sigma)
