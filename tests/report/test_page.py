@@ -59,7 +59,8 @@ def test_the_page_says_in_words_what_was_found(text, recovery):
 def test_every_figure_has_a_heading_a_caption_and_axes_with_units(recovery):
     sections = page.sections(recovery.result, recovery.summary)
     assert [section.name for section in sections] == [
-        "attitude", "close", "sigma", "spectrum", "seen", "tones", "smear", "residuals", "histogram", "matches",
+        "attitude", "close", "sigma", "spectrum", "seen", "tones", "smear", "residuals", "histogram",
+        "matches",
     ]  # fmt: skip
     for section in sections:
         assert section.title and section.caption.endswith(".")
