@@ -1,0 +1,204 @@
+"""The report of a choice of layouts: one HTML page that asks no network for anything.
+
+Not here: its figures (``layout_figures.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from sightline.applications.focal_plane import (
+    BALANCED,
+    BALANCED_SHARE,
+    LEAST_SIGMA,
+    JudgedLayout,
+    LayoutChoice,
+)
+from sightline.report import layout_figures
+from sightline.report.page import Section, render, write_page
+from sightline.report.words import digits
+
+#: Groups of lags that are blind together shown per layout, the largest first.
+_GROUPS = 8
+
+
+def write_layout_report(path: Path, choice: LayoutChoice, summary: Mapping[str, Any]) -> None:
+    """Write ``report.html``, complete or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Of the page.
+    choice : LayoutChoice
+    summary : mapping
+        As ``io.layouts.write_layouts`` gives it.
+    """
+    write_page(path, layout_html(choice, summary))
+
+
+def layout_html(choice: LayoutChoice, summary: Mapping[str, Any]) -> str:
+    """The page as text; parameters as of `write_layout_report`."""
+    return render(
+        "layout.html.j2",
+        summary=summary,
+        sentences=sentences(choice),
+        sections=sections(choice),
+        ranked=layout_rows(choice.ranked, summary["ranked"], numbered=True),
+        compared=layout_rows(choice.compared, summary["compared"]),
+        common=common_rows([*layout_figures.standing_out(choice), *_published(choice)]),
+    )
+
+
+def _published(choice: LayoutChoice) -> list[JudgedLayout]:
+    return [layout for layout in choice.compared if layout.source == "published"]
+
+
+def sections(choice: LayoutChoice) -> list[Section]:
+    """All figures in the order of the page."""
+    return [
+        Section(
+            "information",
+            "Information against frequency",
+            "How much each layout tells of a steady motion, in units of what one image knows of its own place: "
+            "at most the number of images. The pass-band is shaded; where a curve dips to the floor, all pairs of "
+            "the layout are blind together.",
+            layout_figures.information_figure(choice),
+        ),
+        Section(
+            "places",
+            "Where the detectors stand",
+            "One mark per detector. Close ones see fast motion, distant ones slow motion.",
+            layout_figures.places_figure(choice),
+        ),
+        Section(
+            "span",
+            "What a longer focal plane brings",
+            "For every span the layout whose worst frequency in the band is seen best (above), and what it knows "
+            "of the whole motion, slow drift included (below). The best layout for the band alone is often short; "
+            "a longer one pays for slow motion with a little of the band.",
+            layout_figures.span_figure(choice),
+        ),
+        Section(
+            "remaining",
+            "What remains unknown",
+            "Spectrum of the motion that is expected, and of the error that each layout leaves of it. Peaks are "
+            "frequencies that the layout hardly sees.",
+            layout_figures.remaining_figure(choice),
+        ),
+    ]
+
+
+def sentences(choice: LayoutChoice) -> list[str]:
+    """The choice in plain words."""
+    return [_sought(choice), _best(choice), _others(choice), _alternatives(choice), _model(choice)]
+
+
+def _sought(choice: LayoutChoice) -> str:
+    plane, (low, high) = choice.focal_plane, choice.passband
+    where = (
+        f"lines of one detector ({len(plane.lines)} to choose from)"
+        if plane.lines is not None
+        else f"detectors within {1e3 * plane.span_px / plane.ground_rate_px:.4g} ms"
+    )
+    how = (
+        f"All {choice.tried:,.0f} layouts on the grid were gone through"
+        if choice.exhaustive
+        else f"{choice.tried:,.0f} layouts were judged; no move of one or two detectors betters the best"
+    )
+    return f"{plane.detectors} {where} were placed for motion of {low:g} to {high:g} Hz. {how}."
+
+
+def _best(choice: LayoutChoice) -> str:
+    best = choice.best
+    places = ", ".join(f"{1e3 * t:.4g}" for t in best.positions)
+    blind = [f"{b.frequency:.4g}" for b in best.blind if b.frequency > choice.passband[1]]
+    beyond = f" Beyond the band it is blind at {', '.join(blind[:4])} Hz." if blind else ""
+    return (
+        f"The best one stands at {places} ms. At its worst frequency of the band, "
+        f"{best.worst_frequency:.4g} Hz, it sees a motion as well as {best.worst_images:.3g} images that knew the "
+        f"ground would; {len(best.positions)} is the limit.{beyond}"
+    )
+
+
+def _others(choice: LayoutChoice) -> str:
+    said = [
+        f"{x.name} is blind at {x.worst_frequency:.4g} Hz"
+        if x.blind_in_band
+        else f"{choice.best.worst_images / x.worst_images:.3g} times that of {x.name} "
+        f"(worst at {x.worst_frequency:.4g} Hz)"
+        for x in choice.compared
+    ]
+    return "Its worst case is " + "; ".join(said) + "."
+
+
+def _alternatives(choice: LayoutChoice) -> str:
+    named = {layout.name: layout for layout in choice.ranked if layout.name}
+    said = [
+        f"Of the whole motion, slow drift included, {digits(choice.best.sigma_px, 2)} px remain unknown with it "
+        f"({digits(choice.best.band_sigma_px, 2)} px of them in the band)"
+    ]
+    if BALANCED in named:
+        said.append(
+            f"“{BALANCED}” gives up at most {100 * (1 - BALANCED_SHARE):.0f} % of the worst case and leaves "
+            f"{digits(named[BALANCED].sigma_px, 2)} px"
+        )
+    if LEAST_SIGMA in named:
+        said.append(
+            f"the least that any layout leaves is about {digits(named[LEAST_SIGMA].sigma_px, 2)} px, with "
+            f"{digits(named[LEAST_SIGMA].worst_images, 2)} images' worth at its worst frequency"
+        )
+    return "; ".join(said) + "."
+
+
+def _model(choice: LayoutChoice) -> str:
+    return (
+        "Each image has one error per row of windows, which all its pairs share: adding pairs of the same images "
+        f"adds nothing. Sigmas are for a strip of {choice.duration:.4g} s and the motion less its mean. Not in the "
+        "account: relief, whose parallax grows with the lag and favours short ones, and bands that look different."
+    )
+
+
+def layout_rows(
+    layouts: Sequence[JudgedLayout], rows: Sequence[Mapping[str, Any]], *, numbered: bool = False
+) -> list[list[str]]:
+    """Table of layouts: (rank,) name, places in ms and px, worst case, frequency, sigmas, blind frequencies."""
+    out = []
+    for rank, (layout, row) in enumerate(zip(layouts, rows, strict=True), 1):
+        blind = [f"{b.frequency:.4g}" for b in layout.blind]
+        cells = [
+            layout.name,
+            " ".join(f"{1e3 * t:.2f}" for t in layout.positions),
+            " ".join(f"{px:.4g}" for px in row["positions_px"]),
+            "blind" if layout.blind_in_band else digits(layout.worst_images, 3),
+            f"{layout.worst_frequency:.4g}",
+            digits(layout.sigma_px, 3),
+            digits(layout.band_sigma_px, 3),
+            ", ".join(blind[:3]) + (", …" if len(blind) > 3 else "") or "–",
+        ]
+        out.append([str(rank), *cells] if numbered else cells)
+    return out
+
+
+def common_rows(layouts: Sequence[JudgedLayout]) -> list[list[str]]:
+    """Table of lags that go blind together: layout, frequency, lags (ms), whole periods in each, mismatch."""
+    out = []
+    for layout in layouts:
+        largest = sorted(layout.common, key=lambda common: (-len(common.pairs), common.frequency))[:_GROUPS]
+        every = len(layout.positions) * (len(layout.positions) - 1) // 2
+        for common in sorted(largest, key=lambda group: group.frequency):
+            lags = [layout.positions[b] - layout.positions[a] for a, b in common.pairs]
+            shown = sorted(zip(lags, common.periods, strict=True))
+            more = ", …" if len(shown) > 6 else ""
+            out.append(
+                [
+                    layout.name,
+                    f"{common.frequency:.4g}",
+                    "all" if len(common.pairs) == every else f"{len(common.pairs)} of {every}",
+                    ", ".join(f"{1e3 * lag:.4g}" for lag, _ in shown[:6]) + more,
+                    " : ".join(str(periods) for _, periods in shown[:6]) + more,
+                    f"{100.0 * common.mismatch:.1f} %",
+                ]
+            )
+    return out
