@@ -413,8 +413,9 @@ class _Judge:
 
     def _smoothed(self, name: str, positions: Array, noise: RowNoise, harmonic: float) -> float:
         """Rms of the smoother's sigma over the strip; the harmonic one where that would take too long."""
-        rows = max(1, math.floor(1.0 / (EPOCHS_PER_PERIOD * self.passband[1] * noise.period)))
-        step, span = rows * noise.period, float(np.ptp(positions))
+        wanted, span = 1.0 / (EPOCHS_PER_PERIOD * self.passband[1]), float(np.ptp(positions))
+        whole = noise.period / wanted  # nodes between rows, or rows between nodes
+        step = noise.period / math.ceil(whole) if whole > 1.0 else noise.period * math.floor(1.0 / whole)
         if self.duration <= 2.0 * span or self.duration / step * (span / step) ** 2 > SMOOTHER_WORK:
             why = "too short for its span" if self.duration <= 2.0 * span else "too long for the smoother"
             self.warnings.append(
@@ -518,7 +519,8 @@ def _by_span(
 ) -> tuple[Array, Array, Array]:
     """Span (s), worst-case information (px^-2 per row) and harmonic sigma (px) of the best of each span."""
     seen = np.flatnonzero(np.isfinite(found.by_span))
-    seen = seen[np.unique(np.linspace(0, len(seen) - 1, min(len(seen), 80)).round().astype(int))]
+    shown = np.unique(np.linspace(0, len(seen) - 1, min(len(seen), 80)).round().astype(int))
+    seen = seen[np.union1d(shown, [np.argmax(found.by_span[seen])])]
     positions = candidates.t[found.by_span_places[seen]]
     sigma = [
         harmonic_sigma(

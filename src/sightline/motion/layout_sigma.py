@@ -153,21 +153,23 @@ def smoother_sigma(
     duration : float
         s; every detector exposes from 0 to here.
     step : float, optional
-        s; of the smoother's grid, by default the period of rows.
+        s; of the smoother's grid, by default the period of rows. Motion that the grid cannot hold counts as
+        an error of each match.
 
     Returns
     -------
     t, sigma : (N,)
-        s and px, of the motion less its mean over the strip.
+        s and px, at the rows (or at the nodes, where they are further apart), of the motion less its mean.
     """
     series = pair_rows(positions, noise, duration)
     step = noise.period if step is None else step
     margin = 0.5 * TAPS * step
     grid = Grid.covering(-margin, duration + margin, step)
-    equations = normal_equations(series, grid)
+    equations = normal_equations(series, grid, spectrum=prior)
     apart = split(prior, grid.step, ORDER, grid.count, width=len(equations.band) - 1)
     believed = prior.autoregressive(grid.step, ORDER, grid.count) if apart is None else apart
-    t = np.arange(0.0, duration + 0.5 * step, step)
+    every = max(step, noise.period)
+    t = np.arange(0.0, duration + 0.5 * every, every)
     _, variance = reduced(posterior(equations, believed), t)
     return t, np.sqrt(variance)
 

@@ -31,9 +31,7 @@ _LOOK = {
 }
 _YOURS = (AXIS_COLOURS[1], "#d98a6f", "#7a3b22")
 _PUBLISHED = ("#57606a", "#2a9d8f", "#c77dba")
-#: Lowest information drawn, in images' worth; below lies a blind frequency.
-_FLOOR = 1e-3
-_POINTS = 4000
+_POINTS = 3000
 _BAND = "rgba(47, 108, 163, 0.08)"
 
 
@@ -43,28 +41,35 @@ def standing_out(choice: LayoutChoice) -> list[JudgedLayout]:
 
 
 def information_figure(choice: LayoutChoice) -> go.Figure:
-    """Information against frequency: found and own layouts above, published ones below, the band shaded."""
-    top = min(choice.highest, 1.6 * choice.passband[1])
-    f = np.linspace(top / _POINTS, top, _POINTS)
-    figure = panels(2, 760, gap_px=44, shared_xaxes=True, top=58,
-                    subplot_titles=("layouts found, and yours", "published layouts, beside the best found"))  # fmt: skip
-    published = [x for x in choice.compared if x.source == "published"]
-    for row, layouts in enumerate((standing_out(choice), [choice.best, *published]), 1):
-        for layout in layouts:
-            worth = layout.information(f) / float(layout.noise.weights.mean())
-            shown = row == 1 or layout is not choice.best
-            figure.add_scatter(
-                x=f, y=np.maximum(worth, 1e-2 * _FLOOR), name=layout.name, legendgroup=layout.name,
-                showlegend=shown, line=_line(choice, layout), mode="lines", row=row, col=1,
-            )  # fmt: skip
-        figure.add_vrect(*choice.passband, fillcolor=_BAND, line_width=0, layer="below", row=row, col=1)
-    most = max(len(x.positions) for x in choice.compared)
-    figure.update_yaxes(
-        type="log", range=[np.log10(_FLOOR), np.log10(1.5 * most)], title_text="information (images' worth)",
-        dtick=1, exponentformat="power",
-    )  # fmt: skip
-    figure.update_xaxes(range=[0.0, top])
-    figure.update_xaxes(title_text="frequency (Hz)", row=2)
+    """Information against frequency, a panel per layout; the band shaded and its worst frequency marked."""
+    low, high = choice.passband
+    start, top = max(0.0, low - 0.3 * (high - low)), min(choice.highest, high + 0.3 * (high - low))
+    shown = [*standing_out(choice), *(x for x in choice.compared if x.source == "published")]
+    titles = [f"{x.name} ({len(x.positions)} detectors)" for x in shown]
+    figure = panels(
+        len(shown), 90 + 128 * len(shown), gap_px=34, top=30, shared_xaxes=True, subplot_titles=titles
+    )
+    for row, layout in enumerate(shown, 1):
+        f = np.linspace(start, top, _POINTS)
+        colour = _line(choice, layout)["color"]
+        worth = layout.information(f) / float(layout.noise.weights.mean())
+        place: dict[str, Any] = {"row": row, "col": 1}
+        figure.add_scatter(
+            x=f, y=worth, mode="lines", line={"color": colour, "width": 1.4}, showlegend=False,
+            name=layout.name, **place,
+        )  # fmt: skip
+        figure.add_scatter(
+            x=[layout.worst_frequency], y=[layout.worst_images], mode="markers+text", showlegend=False,
+            name="worst in the band", cliponaxis=False,
+            marker={"size": 8, "color": INK, "symbol": "circle-open"}, textposition="middle right",
+            text=[f"{layout.worst_images:.2f} at {layout.worst_frequency:.4g} Hz"], **place,
+        )  # fmt: skip
+        figure.add_vrect(x0=low, x1=high, fillcolor=_BAND, line_width=0, layer="below", **place)
+        count = len(layout.positions)
+        figure.update_yaxes(range=[-0.04 * count, 1.08 * count], dtick=2, **place)
+    figure.update_yaxes(title_text="information (images' worth)", row=(len(shown) + 1) // 2)
+    figure.update_xaxes(range=[start, top])
+    figure.update_xaxes(title_text="frequency (Hz)", row=len(shown))
     return figure
 
 
@@ -107,7 +112,7 @@ def span_figure(choice: LayoutChoice) -> go.Figure:
                 legendgroup=layout.name, showlegend=row == 1, row=row, col=1,
             )  # fmt: skip
     figure.update_yaxes(title_text="worst case in the band (images' worth)", rangemode="tozero", row=1)
-    figure.update_yaxes(title_text="posterior sigma (px)", type="log", row=2)
+    figure.update_yaxes(title_text="posterior sigma (px)", type="log", dtick=1, minor_showgrid=True, row=2)
     figure.update_xaxes(title_text="span from the first to the last detector (ms)", row=2)
     return figure
 
@@ -119,7 +124,7 @@ def remaining_figure(choice: LayoutChoice) -> go.Figure:
     figure = panels(1, 460)
     motion = choice.prior.psd(f)
     figure.add_scatter(
-        x=f, y=motion, name="motion expected (prior)", line={"color": INK, "width": 1.4, "dash": "dot"}
+        x=f, y=motion, name="motion expected", line={"color": INK, "width": 1.4, "dash": "dot"}
     )
     lowest = [float(motion.min())]
     for layout in standing_out(choice):
@@ -128,10 +133,10 @@ def remaining_figure(choice: LayoutChoice) -> go.Figure:
         figure.add_scatter(x=f, y=left, name=layout.name, line=_line(choice, layout), mode="lines")
     figure.add_vrect(*choice.passband, fillcolor=_BAND, line_width=0, layer="below")
     figure.update_yaxes(
-        type="log", exponentformat="power", title_text="unknown motion (px²/Hz)",
+        type="log", exponentformat="power", title_text="unknown motion (px²/Hz)", dtick=1,
         range=[np.log10(min(lowest)) - 0.3, np.log10(float(motion.max())) + 0.4],
     )  # fmt: skip
-    figure.update_xaxes(type="log", title_text="frequency (Hz)")
+    figure.update_xaxes(type="log", title_text="frequency (Hz)", dtick=1)
     return figure
 
 

@@ -61,9 +61,9 @@ def sections(choice: LayoutChoice) -> list[Section]:
         Section(
             "information",
             "Information against frequency",
-            "How much each layout tells of a steady motion, in units of what one image knows of its own place: "
-            "at most the number of images. The pass-band is shaded; where a curve dips to the floor, all pairs of "
-            "the layout are blind together.",
+            "How much each layout tells of a steady motion, in units of what one image knows of its own "
+            "place: at most the number of images. The pass-band is shaded, the worst frequency in it marked; "
+            "where a curve touches zero, all pairs of the layout are blind together.",
             layout_figures.information_figure(choice),
         ),
         Section(
@@ -75,16 +75,16 @@ def sections(choice: LayoutChoice) -> list[Section]:
         Section(
             "span",
             "What a longer focal plane brings",
-            "For every span the layout whose worst frequency in the band is seen best (above), and what it knows "
-            "of the whole motion, slow drift included (below). The best layout for the band alone is often short; "
-            "a longer one pays for slow motion with a little of the band.",
+            "For every span the layout whose worst frequency in the band is seen best (above), and what "
+            "remains unknown with it of the whole motion, slow drift included (below). The best layout for "
+            "the band alone is often short; a longer one gains slow motion for a little of the band.",
             layout_figures.span_figure(choice),
         ),
         Section(
             "remaining",
             "What remains unknown",
-            "Spectrum of the motion that is expected, and of the error that each layout leaves of it. Peaks are "
-            "frequencies that the layout hardly sees.",
+            "Spectrum of the motion that is expected, and of the error that each layout leaves of it. Peaks "
+            "are frequencies that the layout hardly sees.",
             layout_figures.remaining_figure(choice),
         ),
     ]
@@ -117,27 +117,29 @@ def _best(choice: LayoutChoice) -> str:
     beyond = f" Beyond the band it is blind at {', '.join(blind[:4])} Hz." if blind else ""
     return (
         f"The best one stands at {places} ms. At its worst frequency of the band, "
-        f"{best.worst_frequency:.4g} Hz, it sees a motion as well as {best.worst_images:.3g} images that knew the "
-        f"ground would; {len(best.positions)} is the limit.{beyond}"
+        f"{best.worst_frequency:.4g} Hz, it tells as much as {best.worst_images:.3g} images over ground that "
+        f"is known would; {len(best.positions)} is the limit.{beyond}"
     )
 
 
 def _others(choice: LayoutChoice) -> str:
-    said = [
-        f"{x.name} is blind at {x.worst_frequency:.4g} Hz"
-        if x.blind_in_band
-        else f"{choice.best.worst_images / x.worst_images:.3g} times that of {x.name} "
+    blind = [f"{x.name} at {x.worst_frequency:.4g} Hz" for x in choice.compared if x.blind_in_band]
+    seeing = [
+        f"{choice.best.worst_images / x.worst_images:.3g} times that of {x.name} "
         f"(worst at {x.worst_frequency:.4g} Hz)"
         for x in choice.compared
+        if not x.blind_in_band
     ]
-    return "Its worst case is " + "; ".join(said) + "."
+    said = [f"Its worst case is {', '.join(seeing)}." if seeing else ""]
+    said.append(f"Quite blind within the band: {', '.join(blind)}." if blind else "")
+    return " ".join(filter(None, said))
 
 
 def _alternatives(choice: LayoutChoice) -> str:
     named = {layout.name: layout for layout in choice.ranked if layout.name}
     said = [
-        f"Of the whole motion, slow drift included, {digits(choice.best.sigma_px, 2)} px remain unknown with it "
-        f"({digits(choice.best.band_sigma_px, 2)} px of them in the band)"
+        f"Of the whole motion, slow drift included, {digits(choice.best.sigma_px, 2)} px remain unknown "
+        f"with it, {digits(choice.best.band_sigma_px, 2)} px of them in the band"
     ]
     if BALANCED in named:
         said.append(
@@ -154,30 +156,34 @@ def _alternatives(choice: LayoutChoice) -> str:
 
 def _model(choice: LayoutChoice) -> str:
     return (
-        "Each image has one error per row of windows, which all its pairs share: adding pairs of the same images "
-        f"adds nothing. Sigmas are for a strip of {choice.duration:.4g} s and the motion less its mean. Not in the "
-        "account: relief, whose parallax grows with the lag and favours short ones, and bands that look different."
+        "Each image has one error per row of windows, which all its pairs share: more pairs of the same "
+        f"images add nothing. Sigmas are for a strip of {choice.duration:.4g} s, the motion less its mean. "
+        "Not in the account: relief, whose parallax grows with the lag, and so favours short ones."
     )
 
 
 def layout_rows(
     layouts: Sequence[JudgedLayout], rows: Sequence[Mapping[str, Any]], *, numbered: bool = False
 ) -> list[list[str]]:
-    """Table of layouts: (rank,) name, places in ms and px, worst case, frequency, sigmas, blind frequencies."""
+    """Table of layouts: name, places in ms, worst case, its frequency, sigmas, blind frequencies.
+
+    With `numbered`, the rank before and the places in px too.
+    """
     out = []
     for rank, (layout, row) in enumerate(zip(layouts, rows, strict=True), 1):
         blind = [f"{b.frequency:.4g}" for b in layout.blind]
         cells = [
             layout.name,
             " ".join(f"{1e3 * t:.2f}" for t in layout.positions),
-            " ".join(f"{px:.4g}" for px in row["positions_px"]),
             "blind" if layout.blind_in_band else digits(layout.worst_images, 3),
             f"{layout.worst_frequency:.4g}",
             digits(layout.sigma_px, 3),
             digits(layout.band_sigma_px, 3),
             ", ".join(blind[:3]) + (", …" if len(blind) > 3 else "") or "–",
         ]
-        out.append([str(rank), *cells] if numbered else cells)
+        if numbered:
+            cells = [str(rank), *cells[:2], " ".join(f"{px:.1f}" for px in row["positions_px"]), *cells[2:]]
+        out.append(cells)
     return out
 
 
