@@ -299,8 +299,8 @@ def simulated(layouts: dict[str, Array], trials: int) -> None:
 def simulated_blind(layouts: dict[str, Array]) -> None:
     """Motions of another family, nothing known of them: rms against the sigma that the estimate states.
 
-    A layout of 16 ms sees so little of the slow part that its prior cannot be found in the data: its figures are
-    printed, and only those within the band are required.
+    A layout of 16 ms sees so little of the slow part that its prior cannot be found in the data: its figures
+    are printed, and only those within the band are required.
     """
     t = PERIOD * np.arange(round(DURATION / PERIOD) + 1)
     within: dict[str, float] = {}

@@ -106,6 +106,8 @@ def test_a_search_that_is_not_exhaustive_says_so():
         ({"step_lines": 5.0}, BAND, "sample motion up to 100 Hz"),
         ({"window_lines": 8.0}, (10.0, 62.0), None),
         ({"span_px": 1.0}, BAND, "do not fit"),
+        ({"span_px": 8000.0}, BAND, "1200 periods of 150 Hz long, the search holds 500"),
+        ({"lines": np.arange(200_000.0), "span_px": 199_999.0}, BAND, "more than the search can hold"),
     ],
 )
 def test_what_cannot_be_placed_is_refused(change, band, message):
@@ -117,3 +119,14 @@ def test_what_cannot_be_placed_is_refused(change, band, message):
         return
     with pytest.raises(InputError, match=message):
         choose_layout(plane, band)
+
+
+def test_no_layout_is_listed_twice_nor_its_mirror():
+    # the search of many starts meets a layout and its mirror
+    plane = replace(PLANE, image_sigma_px=(0.02,) * 5, span_px=50.0, prior=None, layouts=())
+    ranked = choose_layout(plane, BAND, count=6, exhaustive=False).ranked
+    for k, one in enumerate(ranked):
+        for other in ranked[k + 1 :]:
+            mirrored = other.positions[-1] - other.positions[::-1]
+            apart = min(np.abs(one.positions - p).max() for p in (other.positions, mirrored))
+            assert apart >= 0.25 / BAND[1]

@@ -34,14 +34,18 @@ Array = NDArray[np.float64]
 
 #: Free places are sought on a grid of so many steps per period of the band's upper end, then moved off it.
 STEPS_PER_PERIOD = 32
-#: Most places of such a grid; a longer focal plane takes a coarser one (down to 8 steps per period).
-MOST_PLACES = 6000
+#: Most places of such a grid; a longer focal plane takes a coarser one, down to the least steps per period.
+MOST_PLACES, LEAST_STEPS = 4000, 8
+#: Images' worth below which a layout counts as blind at its worst frequency.
+BLIND_IMAGES = 1e-6
+#: Layouts with less than this part of the best worst case are listed only where they stand out.
+WORTH_LISTING = 0.01
 #: Layouts count as one where no detector is further apart than this part of a period of the upper end.
 SAME = 0.25
 #: Spans whose best layouts are listed beside the best of all.
 LISTED_SPANS = 6
 #: Epochs of the smoother's grid per period of the upper end, and the work (n b^2) up to which it is asked.
-EPOCHS_PER_PERIOD, SMOOTHER_WORK = 10.0, 4.0e9
+EPOCHS_PER_PERIOD, SMOOTHER_WORK = 10.0, 2.0e9
 #: A motion to judge by where none is given: px, s, and a corner at the band's upper end.
 DRIFT, BROADBAND = Matern(2.0, 1.0, "5/2"), 0.1
 #: Names of the layouts that stand out.
@@ -221,8 +225,8 @@ class JudgedLayout:
 
     @property
     def blind_in_band(self) -> bool:
-        """Whether it sees nothing at all, but for rounding, at some frequency of the band."""
-        return self.worst_images < 1e-9
+        """Whether it sees nothing worth the name at some frequency of the band."""
+        return self.worst_images < BLIND_IMAGES
 
     def information(self, frequency: Array) -> Array:
         """Information at each frequency (Hz), px^-2 per row, (F,)."""
@@ -326,7 +330,7 @@ def choose_layout(
     progress("judging the layouts found")
     chosen = _shortlist(focal_plane, candidates, found, (low, high), prior, duration, count)
     ranked = [judge(name, "found", positions, order) for name, positions, order in chosen]
-    ranked = _balanced(sorted(ranked, key=lambda layout: -layout.worst_information))
+    ranked = _named(sorted(ranked, key=lambda layout: -layout.worst_information))
     compared = [judge(own.name, own.source, own.positions) for own in (*focal_plane.layouts, *PUBLISHED)]
     spans, worst, sigma = _by_span(focal_plane, candidates, found, prior, duration)
     if not found.exhaustive:
@@ -343,6 +347,12 @@ def choose_layout(
 def _checked_band(plane: FocalPlane, passband: Sequence[float]) -> tuple[float, float]:
     """The band, refused where rows of matches do not sample it or their windows hide it."""
     low, high = checked_passband(passband)
+    span = plane.span_px / plane.ground_rate_px
+    if plane.step_px is None and plane.lines is None and span * high * LEAST_STEPS > MOST_PLACES:
+        raise InputError(
+            f"the focal plane is {span * high:.0f} periods of {high:g} Hz long, the search holds "
+            f"{MOST_PLACES / LEAST_STEPS:.0f} at most; lower the band, shorten the span or give step_px"
+        )
     if high > 0.5 * plane.row_rate:
         raise InputError(
             f"the pass-band ends at {high:g} Hz, but rows of matches every {1e3 / plane.row_rate:g} ms "
@@ -369,8 +379,9 @@ def _believed(plane: FocalPlane, low: float, high: float) -> tuple[Spectrum, flo
     return Spectrum((DRIFT, broadband)), duration, [said]
 
 
-def _balanced(ranked: list[JudgedLayout]) -> list[JudgedLayout]:
-    """The same list with the balanced layout named, unless it stands out already."""
+def _named(ranked: list[JudgedLayout]) -> list[JudgedLayout]:
+    """The same list with the best and the balanced layout named, the latter unless it stands out already."""
+    ranked = [replace(ranked[0], name=BEST), *ranked[1:]]
     enough = BALANCED_SHARE * ranked[0].worst_information
     balanced = min((x for x in ranked if x.worst_information >= enough), key=lambda x: x.sigma_px)
     return [replace(x, name=BALANCED) if x is balanced and not x.name else x for x in ranked]
@@ -384,7 +395,15 @@ class _Judge:
     ) -> None:
         self.plane, self.passband, self.prior, self.duration = plane, passband, prior, duration
         self.highest = min(2.0 * passband[1], 0.5 * plane.row_rate)
-        self.warnings: list[str] = []
+        self.endless: dict[str, list[str]] = {}
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was left out, and of which layouts."""
+        return [
+            f"sigma leaves out the ends, a strip of {self.duration:g} s being too {why}: {', '.join(names)}"
+            for why, names in self.endless.items()
+        ]
 
     def __call__(
         self, name: str, source: str, positions: Array, order: Sequence[int] | None = None
@@ -417,10 +436,8 @@ class _Judge:
         whole = noise.period / wanted  # nodes between rows, or rows between nodes
         step = noise.period / math.ceil(whole) if whole > 1.0 else noise.period * math.floor(1.0 / whole)
         if self.duration <= 2.0 * span or self.duration / step * (span / step) ** 2 > SMOOTHER_WORK:
-            why = "too short for its span" if self.duration <= 2.0 * span else "too long for the smoother"
-            self.warnings.append(
-                f"sigma of {name or 'a layout'} leaves out the ends: a strip of {self.duration:g} s is {why}"
-            )
+            why = "short for their span" if self.duration <= 2.0 * span else "long for the smoother"
+            self.endless.setdefault(why, []).append(name or f"{1e3 * span:.4g} ms of span")
             return harmonic
         _, sigma = smoother_sigma(positions, noise, self.prior, self.duration, step=step)
         return math.sqrt(float(np.mean(sigma**2)))
@@ -442,7 +459,12 @@ class _Shortlist:
     def holds(self, positions: Array, order: Sequence[int]) -> bool:
         """Whether a layout like this is listed."""
         same = SAME / self.passband[1]
-        return any(tuple(order) == o and np.abs(positions - p).max() < same for _, p, o in self.entries)
+        sigma, mirrored = self.noise(order).sigma_px, positions[0] + positions[-1] - positions[::-1]
+        return any(
+            (sigma == self.noise(o).sigma_px and np.abs(positions - p).max() < same)
+            or (sigma[::-1] == self.noise(o).sigma_px and np.abs(mirrored - p).max() < same)
+            for _, p, o in self.entries
+        )
 
     def add(
         self,
@@ -479,9 +501,8 @@ def _shortlist(
     """Name, positions (s) and order of the layouts to list: the best, some spans' best, of least sigma."""
     listed = _Shortlist(plane, candidates, passband)
     for row in _apart(candidates.t[found.places], found.order, SAME / passband[1], 3 * count):
-        if len(listed.entries) < count:
-            name = "" if listed.entries else BEST
-            listed.add(name, candidates.t[found.places[row]], found.order[row])
+        if len(listed.entries) < count and found.worst[row] >= WORTH_LISTING * found.worst[0]:
+            listed.add("", candidates.t[found.places[row]], found.order[row])
     seen = np.flatnonzero(np.isfinite(found.by_span))
     enough = seen[found.by_span[seen] >= BALANCED_SHARE * found.worst[0]]
     longest = enough[-1] if len(enough) else seen[-1]
@@ -489,6 +510,8 @@ def _shortlist(
     wanted = np.geomspace(max(seen[0], 1), max(seen[-1], 1), LISTED_SPANS)
     for row in np.unique(seen[np.clip(np.searchsorted(seen, wanted), 0, len(seen) - 1)]):
         full = bool(row == seen[-1])
+        if not full and found.by_span[row] < WORTH_LISTING * found.worst[0]:
+            continue
         positions, order = candidates.t[found.by_span_places[row]], found.by_span_order[row]
         listed.add(FULL_SPAN if full else "", positions, order, fixed_span=full)
 

@@ -31,12 +31,14 @@ Index = NDArray[np.int64]
 EXHAUSTIVE = 1_000_000_000
 #: Frequencies per 1 / span in the search; the layouts found are judged more finely afterwards.
 PER_PERIOD = 24
+#: Most phasors (places x frequencies) held, and the frequencies per 1 / span that they must still allow.
+MOST_CELLS, LEAST_PER_PERIOD = 16_000_000, 6
 #: Good layouts kept for ranking.
 KEPT = 4000
 #: Starts of the search that is not exhaustive, and how many of their results are improved by pairs.
 STARTS, IMPROVED = 600, 12
 #: Pairs of moves that improving them may cost, per sweep.
-PAIR_WORK = 1.0e9
+PAIR_WORK = 3.0e8
 #: Spans, and starts for each, whose best layouts are sought where the search is not exhaustive.
 SPANS, SPAN_STARTS = 24, 40
 
@@ -224,8 +226,14 @@ class _Tables:
     @classmethod
     def of(cls, candidates: Candidates, noise: RowNoise, passband: tuple[float, float]) -> _Tables:
         low, high = passband
-        count = math.ceil(PER_PERIOD * (high - low) * (float(np.ptp(candidates.t)) + noise.window))
-        f = np.linspace(low, high, max(count, 16) + 1)
+        periods, places = (high - low) * (float(np.ptp(candidates.t)) + noise.window), len(candidates.t)
+        count = min(PER_PERIOD * periods, MOST_CELLS / places)
+        if count < LEAST_PER_PERIOD * periods:
+            raise InputError(
+                f"{places} places over {periods:.0f} periods of the band are more than the search can hold; "
+                "give fewer places, a shorter span or a narrower band"
+            )
+        f = np.linspace(low, high, max(math.ceil(count), 16) + 1)
         # neighbours are alike: in random order a bad layout is found out sooner
         f = np.random.default_rng(0).permutation(f)
         phase = 2.0 * np.pi * (candidates.t - candidates.t[0])[:, None] * f

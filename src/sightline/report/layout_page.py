@@ -47,6 +47,7 @@ def layout_html(choice: LayoutChoice, summary: Mapping[str, Any]) -> str:
         sections=sections(choice),
         ranked=layout_rows(choice.ranked, summary["ranked"], numbered=True),
         compared=layout_rows(choice.compared, summary["compared"]),
+        unlike=len(set(choice.focal_plane.image_sigma_px)) > 1,
         common=common_rows([*layout_figures.standing_out(choice), *_published(choice)]),
     )
 
@@ -167,7 +168,7 @@ def layout_rows(
 ) -> list[list[str]]:
     """Table of layouts: name, places in ms, worst case, its frequency, sigmas, blind frequencies.
 
-    With `numbered`, the rank before and the places in px too.
+    With `numbered`, the rank before and the places in px too, and which image stands where if they differ.
     """
     out = []
     for rank, (layout, row) in enumerate(zip(layouts, rows, strict=True), 1):
@@ -182,7 +183,10 @@ def layout_rows(
             ", ".join(blind[:3]) + (", …" if len(blind) > 3 else "") or "–",
         ]
         if numbered:
-            cells = [str(rank), *cells[:2], " ".join(f"{px:.1f}" for px in row["positions_px"]), *cells[2:]]
+            px = " ".join(f"{place:.1f}" for place in row["positions_px"])
+            images = " ".join(str(image) for image in layout.order)
+            unlike = len(set(layout.noise.sigma_px)) > 1
+            cells = [str(rank), *cells[:2], px, *([images] if unlike else []), *cells[2:]]
         out.append(cells)
     return out
 
