@@ -123,7 +123,7 @@ def test_what_cannot_be_placed_is_refused(change, band, message):
 
 def test_no_layout_is_listed_twice_nor_its_mirror():
     # the search of many starts meets a layout and its mirror
-    plane = replace(PLANE, image_sigma_px=(0.02,) * 5, span_px=50.0, prior=None, layouts=())
+    plane = replace(PLANE, image_sigma_px=(0.02,) * 4, span_px=30.0, layouts=())
     ranked = choose_layout(plane, BAND, count=6, exhaustive=False).ranked
     for k, one in enumerate(ranked):
         for other in ranked[k + 1 :]:
