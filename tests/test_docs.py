@@ -53,11 +53,14 @@ def test_every_convention_names_a_test_and_every_test_of_conventions_is_named():
     assert all("test_" in row for row in rows[1:]), "a line of the table names no test"
 
 
-def test_every_key_of_the_acquisition_file_is_described():
+@pytest.mark.parametrize("name", ["acquisition", "instrument"])
+def test_every_key_of_a_file_is_described(name):
     from sightline.io.config import json_schema
 
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
-    schema = json_schema("acquisition")
+    start = text.index(f"## {name.upper()}.toml")
+    text = text[start : text.index("\n## ", start + 1)]
+    schema = json_schema(name)
     sections = [schema, *schema["$defs"].values()]
     keys = {key for section in sections for key in section.get("properties", {})}
     undescribed = sorted(key for key in keys if not re.search(rf"[`\[.]{key}[`\] ]", text))
@@ -72,6 +75,17 @@ def test_every_key_of_the_summary_is_described():
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
     part = text[text.index("### `summary.json`") : text.index("## Written by `simulate`")]
     assert keys and not [key for key in keys if f"`{key}`" not in part]
+
+
+def test_every_key_of_the_summary_of_layouts_is_described():
+    tree = ast.parse((ROOT / "src" / "sightline" / "io" / "layouts.py").read_text(encoding="utf-8"))
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    part = text[text.index("## Written by `layout`") :]
+    for name in ("summarize_layouts", "as_row"):
+        function = next(node for node in tree.body if getattr(node, "name", "") == name)
+        returned = next(node.value for node in ast.walk(function) if isinstance(node, ast.Return))
+        keys = [ast.literal_eval(key) for key in returned.keys]
+        assert keys and not [key for key in keys if f"`{key}`" not in part]
 
 
 def test_the_readme_lists_every_command():

@@ -10,6 +10,7 @@ from importlib.metadata import version as _installed_version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sightline.applications.focal_plane import FocalPlane, LayoutChoice, choose_layout
     from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
     from sightline.applications.frame_passes import FrameOptions
     from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from sightline.imaging.source import ArrayImage, ImageSource
     from sightline.io.acquired import Acquisition
     from sightline.io.acquisition import load_acquisition
+    from sightline.io.instrument import load_instrument
     from sightline.matching.match_images import match_images
     from sightline.matching.matches import Matches
     from sightline.matching.select import grid_points
@@ -56,6 +58,7 @@ _MODULE_OF = {
     "EstimationError": "sightline.errors",
     "Executor": "sightline.execution",
     "FixedMount": "sightline.geometry.pointing",
+    "FocalPlane": "sightline.applications.focal_plane",
     "FormatError": "sightline.errors",
     "Frame": "sightline.motion.band",
     "FrameAttitude": "sightline.applications.frame_attitude",
@@ -65,6 +68,7 @@ _MODULE_OF = {
     "ImageSource": "sightline.imaging.source",
     "InputError": "sightline.errors",
     "Instrument": "sightline.geometry.instrument",
+    "LayoutChoice": "sightline.applications.focal_plane",
     "LineDetector": "sightline.geometry.instrument",
     "LineOfSight": "sightline.applications.results",
     "Matches": "sightline.matching.matches",
@@ -82,10 +86,12 @@ _MODULE_OF = {
     "Surface": "sightline.geometry.surface",
     "Trajectory": "sightline.geometry.trajectory",
     "UnobservableBandWarning": "sightline.errors",
+    "choose_layout": "sightline.applications.focal_plane",
     "executor_from_name": "sightline.execution",
     "grid_points": "sightline.matching.select",
     "line_of_sight_case": "sightline.simulate.scenarios",
     "load_acquisition": "sightline.io.acquisition",
+    "load_instrument": "sightline.io.instrument",
     "match_images": "sightline.matching.match_images",
     "predict_match": "sightline.motion.predict",
     "recover_frame_attitude": "sightline.applications.frame_attitude",
@@ -105,6 +111,7 @@ __all__ = [
     "EstimationError",
     "Executor",
     "FixedMount",
+    "FocalPlane",
     "FormatError",
     "Frame",
     "FrameAttitude",
@@ -114,6 +121,7 @@ __all__ = [
     "ImageSource",
     "InputError",
     "Instrument",
+    "LayoutChoice",
     "LineDetector",
     "LineOfSight",
     "Matches",
@@ -131,10 +139,12 @@ __all__ = [
     "Surface",
     "Trajectory",
     "UnobservableBandWarning",
+    "choose_layout",
     "executor_from_name",
     "grid_points",
     "line_of_sight_case",
     "load_acquisition",
+    "load_instrument",
     "match_images",
     "predict_match",
     "recover_frame_attitude",

@@ -16,11 +16,12 @@ from pydantic import BaseModel, ValidationError
 
 from sightline.errors import FormatError
 from sightline.io.acquisition_schema import AcquisitionFile
+from sightline.io.instrument_schema import InstrumentFile
 
 Model = TypeVar("Model", bound=BaseModel)
 
 #: The files that have a schema, by the name given to ``sightline schema``.
-SCHEMAS: dict[str, type[BaseModel]] = {"acquisition": AcquisitionFile}
+SCHEMAS: dict[str, type[BaseModel]] = {"acquisition": AcquisitionFile, "instrument": InstrumentFile}
 
 #: What a later version may do; said plainly instead of "unknown value".
 NOT_IN_THIS_VERSION = {
@@ -35,7 +36,7 @@ def json_schema(name: str) -> dict[str, Any]:
     Parameters
     ----------
     name : str
-        ``"acquisition"``.
+        ``"acquisition"`` or ``"instrument"``.
 
     Returns
     -------
@@ -52,6 +53,12 @@ def json_schema(name: str) -> dict[str, Any]:
             f"no schema is called {name!r}{_near(name, SCHEMAS)}; there are: {', '.join(sorted(SCHEMAS))}"
         )
     return SCHEMAS[name].model_json_schema()
+
+
+def kind_of(path: Path) -> str:
+    """Which of `SCHEMAS` a TOML file is meant for: the one that knows most of its keys, else acquisition."""
+    keys = set(read_toml(path))
+    return max(SCHEMAS, key=lambda name: len(keys & set(SCHEMAS[name].model_fields)))
 
 
 def read_toml(path: Path) -> dict[str, Any]:

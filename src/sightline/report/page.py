@@ -75,14 +75,18 @@ def write_report(
     summary : mapping
         As ``io.results.write_result`` gives it.
     """
+    write_page(path, report_html(result, acquisition, summary))
+
+
+def write_page(path: Path, text: str) -> None:
+    """Write a page, complete or not at all."""
     temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(report_html(result, acquisition, summary), encoding="utf-8")
+    temporary.write_text(text, encoding="utf-8")
     os.replace(temporary, path)
 
 
-def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[str, Any]) -> str:
-    """The page as text; parameters as of `write_report`."""
-    tones = spectrum_figures.tones_of(summary["tones"])
+def render(template: str, **values: Any) -> str:
+    """A page of this folder as text; the drawing library is put in once."""
     environment = Environment(
         loader=PackageLoader("sightline.report", "."),
         autoescape=True,
@@ -90,9 +94,15 @@ def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("page.html.j2").render(
+    return environment.get_template(template).render(library=Markup(get_plotlyjs()), **values)
+
+
+def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[str, Any]) -> str:
+    """The page as text; parameters as of `write_report`."""
+    tones = spectrum_figures.tones_of(summary["tones"])
+    return render(
+        "page.html.j2",
         summary=summary,
-        library=Markup(get_plotlyjs()),
         sentences=words.sentences(result, summary, tones),
         cards=words.axis_cards(result, summary),
         sections=sections(result, summary),

@@ -1,0 +1,103 @@
+"""``sightline layout``: where to put the detectors, or which lines of one to use, for a band of jitter."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.cli.options import Json, Overwrite
+from sightline.cli.terminal import Progress
+
+if TYPE_CHECKING:
+    from sightline.applications.focal_plane import LayoutChoice
+
+
+def layout(
+    instrument: Annotated[Path, typer.Argument(metavar="INSTRUMENT.toml", help="What is known of it.")],
+    passband: Annotated[
+        tuple[float, float],
+        typer.Option("--passband", metavar="F1 F2", help="Hz; the band of jitter to be seen."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            help="Folder for layouts.csv, summary.json and report.html; without it only a table is printed.",
+        ),
+    ] = None,
+    count: Annotated[
+        int, typer.Option("--count", min=1, help="Best layouts listed, besides those that stand out.")
+    ] = 10,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Rank layouts of the focal plane by what they tell of the motion in a band, beside other layouts."""
+    import time
+
+    from sightline.applications.focal_plane import choose_layout
+    from sightline.cli.output import check_output_folder
+    from sightline.cli.terminal import complain, print_json, progress
+    from sightline.io.instrument import load_instrument
+    from sightline.io.layouts import summarize_layouts
+
+    begin = time.perf_counter()
+    if out is not None:
+        check_output_folder(out, overwrite=overwrite)
+    with progress() as report:
+        plane = load_instrument(instrument)
+        choice = choose_layout(plane, passband, count=count, progress=report)
+        if out is None:
+            summary = summarize_layouts(choice, instrument, wall_seconds=time.perf_counter() - begin)
+        else:
+            summary = _write(out, choice, instrument, begin, report, overwrite)
+    if as_json:
+        print_json(summary)
+        return
+    for warning in choice.warnings:
+        complain("warning", warning)
+    _tell(choice, out)
+
+
+def _write(
+    out: Path, choice: LayoutChoice, instrument: Path, begin: float, report: Progress, overwrite: bool
+) -> dict[str, Any]:
+    """Write every file of the result; gives the summary."""
+    import time
+
+    from sightline.cli.output import output_folder
+    from sightline.io.layouts import write_layouts
+    from sightline.report.layout_page import write_layout_report
+
+    report("writing the layouts and their report")
+    with output_folder(out, overwrite=overwrite) as folder:
+        summary = write_layouts(folder, choice, instrument, wall_seconds=time.perf_counter() - begin)
+        write_layout_report(folder / "report.html", choice, summary)
+    return summary
+
+
+def _tell(choice: LayoutChoice, out: Path | None) -> None:
+    """The ranked layouts as a table, the others below, and how much better the best is."""
+    from sightline.cli.terminal import say
+
+    low, high = choice.passband
+    say(f"worst case over {low:g}-{high:g} Hz in images' worth, posterior sigma of all and in the band (px):")
+    say(f"{'rank':>4}  {'worst':>7} at Hz    sigma  in band  positions (ms)")
+    names = {layout.name: "" for layout in choice.compared}
+    for rank, layout in enumerate((*choice.ranked, *choice.compared), 1):
+        number = str(rank) if layout.name not in names else "-"
+        places = " ".join(f"{1e3 * t:.2f}" for t in layout.positions)
+        say(
+            f"{number:>4}  {layout.worst_images:7.4f} {layout.worst_frequency:5.4g}  {layout.sigma_px:7.4f}"
+            f"  {layout.band_sigma_px:7.4f}  {places}" + (f"  ({layout.name})" if layout.name else "")
+        )
+    for other in choice.compared:
+        if other.blind_in_band:
+            say(f"{other.name} is blind at {other.worst_frequency:.4g} Hz")
+        else:
+            gain = choice.best.worst_images / other.worst_images
+            say(f"the best sees its worst frequency {gain:.3g} times as well as {other.name} its own")
+    if out is not None:
+        say(f"{out / 'layouts.csv'}, {out / 'report.html'}")
