@@ -139,7 +139,8 @@ def image_equations(case: Case, motion: Array, rng: np.random.Generator) -> Norm
     if case.images is None:
         return no_information(GRID, 0)
     parts = []
-    noise = [case.images * rng.normal(size=(len(np.arange(0, COUNT - lag, EVERY)), 3)) for lag in case.lags]
+    size = PX * case.images
+    noise = [size * rng.normal(size=(len(np.arange(0, COUNT - lag, EVERY)), 3)) for lag in case.lags]
     for axis in range(3):
         series = []
         for lag, errors in zip(case.lags, noise, strict=True):

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.estimation.evidence import posterior
-from sightline.estimation.prior import Spectrum, Tone
+from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.series import DifferenceSeries, Grid, normal_equations
 from sightline.estimation.series_kernels import TAPS
 from sightline.estimation.split import split
@@ -84,7 +84,7 @@ def quadrature_frequencies(positions: Array, prior: Spectrum, duration: float, h
     for tone in prior.tones:  # a line narrower than the even step keeps its variance
         reach = np.sinh(np.linspace(-8.0, 8.0, 161)) * tone.bandwidth * 0.05
         fine.append(tone.frequency + reach)
-    drift = [c.corner for c in prior.components if not isinstance(c, Tone)]
+    drift = [c.corner for c in prior.components if isinstance(c, Matern)]
     if drift:
         fine.append(np.geomspace(1e-3 * min(drift), highest, 400))
     every = np.unique(np.concatenate(fine))
