@@ -127,7 +127,7 @@ def pictures(written: Written, before: Sequence[BandFit], summary: Mapping[str, 
 
 
 def _busiest_crop(fit: BandFit, images: Sequence[ImageSource]) -> tuple[tuple[int, int], tuple[int, int]]:
-    """Lines and columns of a crop about a window that lay further off than most, where all images have values.
+    """Lines and columns of a crop about a window that lay far off, where all images have values.
 
     The fullest of a few tried is taken where none is full.
     """
