@@ -18,8 +18,8 @@ pixel) are made beforehand and not counted; ours are evaluated inside.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
-import resource
 import sys
 import time
 from collections.abc import Callable
@@ -174,12 +174,28 @@ def scipy_spline(image: Array, maps: tuple[Array, Array], threads: int) -> Array
 
 
 def timed(call: Callable[[], Array]) -> tuple[Array, float, float, float]:
-    """Result, CPU seconds, wall seconds, growth of the peak memory (GiB, result included)."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    """Result, CPU seconds, wall seconds, peak memory of the call (GiB, its result included)."""
+    forget_peak()
+    before = memory("VmRSS")
     cpu, wall = time.process_time(), time.perf_counter()
     out = call()
     cpu, wall = time.process_time() - cpu, time.perf_counter() - wall
-    return out, cpu, wall, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - peak) / 2**20
+    return out, cpu, wall, memory("VmHWM") - before
+
+
+def forget_peak() -> None:
+    """Let the peak memory count from now on (Linux)."""
+    with contextlib.suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+def memory(key: str) -> float:
+    """GiB: resident now (VmRSS) or at its peak (VmHWM); NaN where the system does not say."""
+    try:
+        status = Path("/proc/self/status").read_text()
+    except OSError:
+        return float("nan")
+    return float(status.split(f"{key}:")[1].split()[0]) / 2**20
 
 
 def best_taps(cut: float, taps: int = 16) -> float:
@@ -234,7 +250,7 @@ def both_cases(size: int, threads: int, spline: bool) -> None:
     shifts = jitter(size, 4)
     rng = np.random.default_rng(5)
     print(f"\n{size} x {size} float32, texture up to {ACCEPTED_CUT} c/px, {threads} threads")
-    print("case      method       rms error   ratio   CPU s  ratio   wall s   ns/px CPU   GiB more")
+    print("case      method       rms error   ratio   CPU s  ratio   wall s   ns/px CPU   GiB peak")
     for name in ("per line", "general"):
         position, nodes = places(size, shifts, general=name == "general")
         maps = dense(position, nodes)
