@@ -324,10 +324,13 @@ def _begin(strip: _Strip, options: RecoverOptions, height_sigma: float, tell: Pr
     for count in range(3, len(strip.order) + 1):
         some = replace(strip, order=strip.order[:count])
         tell(f"adding {strip.bands[some.order[-1]].name}, predicted by the motion found so far")
-        plan = some.plan(options, options.first_window, options.first_window[0], options.search_px)
-        nodes, statics = state.estimate.nodes, state.estimate.statics
-        records = tuple(_with_floor(r) for r in _match(some, nodes, statics, plan))
-        state = _solve(some, records, nodes, statics, some.broad, height_sigma, before=state)
+        # the second time about where the band was found: a linearisation about pixels too far away lets what
+        # is hidden drift, and the next band would be sought there
+        for search in (options.search_px, (0, 0)):
+            plan = some.plan(options, options.first_window, options.first_window[0], search)
+            nodes, statics = state.estimate.nodes, state.estimate.statics
+            records = tuple(_with_floor(r) for r in _match(some, nodes, statics, plan))
+            state = _solve(some, records, nodes, statics, some.broad, height_sigma, before=state)
     return state
 
 
