@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
     from sightline.applications.frame_passes import FrameOptions
     from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+    from sightline.applications.registration import Registration, register_bands
     from sightline.applications.results import LineOfSight
     from sightline.errors import (
         EstimationError,
@@ -75,6 +76,7 @@ _MODULE_OF = {
     "PushbroomCamera": "sightline.geometry.camera",
     "Rays": "sightline.geometry.camera",
     "RecoverOptions": "sightline.applications.line_of_sight",
+    "Registration": "sightline.applications.registration",
     "ScanMirror": "sightline.geometry.pointing",
     "Score": "sightline.evaluation.score",
     "SightlineError": "sightline.errors",
@@ -90,6 +92,7 @@ _MODULE_OF = {
     "predict_match": "sightline.motion.predict",
     "recover_frame_attitude": "sightline.applications.frame_attitude",
     "recover_line_of_sight": "sightline.applications.line_of_sight",
+    "register_bands": "sightline.applications.registration",
     "score_motion": "sightline.evaluation.score",
 }
 
@@ -124,6 +127,7 @@ __all__ = [
     "PushbroomCamera",
     "Rays",
     "RecoverOptions",
+    "Registration",
     "ScanMirror",
     "Score",
     "SightlineError",
@@ -139,6 +143,7 @@ __all__ = [
     "predict_match",
     "recover_frame_attitude",
     "recover_line_of_sight",
+    "register_bands",
     "score_motion",
 ]
 
