@@ -17,7 +17,8 @@ from sightline.io.recovered import Recovered
 from sightline.io.registered import Written
 from sightline.io.results import peak_memory
 from sightline.products.band_fit import BandFit
-from sightline.products.register_bands import MAP_TOLERANCE, MASK_SHARE
+from sightline.products.image_map import MAP_TOLERANCE
+from sightline.products.register_bands import MASK_SHARE
 from sightline.products.resample import BAND, TAPS
 
 #: Less of a band than this with a value is worth a warning.

@@ -1,16 +1,15 @@
 """A band laid on the grid of another by the cameras of both: read window by window, masks kept.
 
-The map from one image to the other is evaluated at every line and at as many columns as it takes to be linear
-between them (`MAP_TOLERANCE`, checked in every window). Pixels that cannot be used (masked, no data, beyond
-the image) are made up from their neighbours before the kernel runs; where they weigh too much (`MASK_SHARE`)
-the result has no value.
+Pixels that cannot be used (masked, no data, beyond the image) are made up from their neighbours before the
+kernel runs; where they weigh too much (`MASK_SHARE`) the result has no value.
 
-Not here: the kernel (``resample.py``), how well bands fit (``band_fit.py``), files (``io/registered.py``).
+Not here: the kernel (``resample.py``), how often the map is evaluated (``image_map.py``), how well bands fit
+(``band_fit.py``), files (``io/registered.py``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,19 +19,12 @@ from sightline.execution import available_processors, in_threads
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
+from sightline.products.image_map import Mapping, sample_map
 from sightline.products.resample import BEFORE, TAPS, kernel_table, resample_rows
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
-Mapping = Callable[[Array, Array], Array]
 
-#: px; deviation of the map from linear halfway between two of its columns up to which they serve: a tenth of
-#: what motion is known to at its best.
-MAP_TOLERANCE = 1e-3
-#: Columns between the places where the map is evaluated: the first that holds the tolerance.
-SPACINGS = (256, 128, 64, 32, 16, 8, 4)
-#: Lines of a window on which the spacing is checked.
-CHECKED_LINES = 4
 #: Magnitude of weights on pixels that cannot be used from which a result has no value. All weights sum to 1;
 #: what is made up for such pixels is off by the local contrast, so the error is below 2 % of that.
 MASK_SHARE = 0.02
@@ -102,8 +94,8 @@ class RegisteredImage:
             First and one past the last line (column) of the grid.
         """
         out = np.full((lines[1] - lines[0], columns[1] - columns[0]), np.nan, dtype=np.float32)
-        nodes, _ = self.nodes(lines, columns)
-        position = self.mapping(np.arange(*lines, dtype=np.float64), nodes.astype(np.float64))
+        sampled = sample_map(self.mapping, lines, columns)
+        position, nodes = sampled.position, sampled.nodes
         seen: NDArray[np.bool_] = np.isfinite(position[..., 0]) & np.isfinite(position[..., 1])
         rows = np.flatnonzero(seen.any(axis=1))
         if not len(rows):
@@ -124,28 +116,6 @@ class RegisteredImage:
     def mask(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.bool_] | None:
         """None: pixels without a value are NaN in `read`."""
         return None
-
-    def nodes(self, lines: tuple[int, int], columns: tuple[int, int]) -> tuple[NDArray[np.int64], float]:
-        """Columns at which the map of a window is evaluated, and how far from linear it is between them.
-
-        Returns
-        -------
-        nodes : (M,)
-            From the first column to one past the last.
-        error : float
-            px; largest deviation halfway between nodes, on some of the window's lines.
-        """
-        checked = np.unique(np.linspace(lines[0], lines[1] - 1, CHECKED_LINES).astype(int)).astype(float)
-        for spacing in SPACINGS:
-            inner = np.arange(columns[0], columns[1], spacing)
-            nodes = np.append(inner, columns[1])
-            halfway = 0.5 * (nodes[1:] + nodes[:-1])
-            ends, middle = self.mapping(checked, nodes.astype(float)), self.mapping(checked, halfway)
-            off = np.abs(middle - 0.5 * (ends[:, 1:] + ends[:, :-1]))
-            error = float(np.nanmax(off)) if np.isfinite(off).any() else 0.0
-            if error <= MAP_TOLERANCE:
-                break
-        return nodes, error
 
     def _piece(self, position: Array) -> tuple[Pixels | None, NDArray[np.bool_] | None, Array]:
         """What the kernel reads about `position`, flags of what cannot be used, and the corner of both.
