@@ -48,7 +48,7 @@ def test_both_ways_give_the_same_motion_within_its_sigma(count):
 
 
 def test_two_bands_have_one_pair_and_one_answer():
-    _, bands = strip(2, size=(400, 120))
+    _, bands = strip(2)
     one, other = (recovered(bands, how) for how in ("global", "iterative"))
     np.testing.assert_array_equal(one.motion.angles, other.motion.angles)
 

@@ -113,6 +113,7 @@ def _deviation(mapping: Mapping, lines: tuple[int, int], columns: tuple[int, int
     steps = np.unique(np.linspace(0, count - 1, CHECKED_LINES).astype(int))
     rows = np.unique(np.minimum(lines[0] + steps * spacing + spacing // 2, lines[1] - 1)).astype(np.float64)
     found = _position(mapping, rows, nodes, spacing, lines)
-    exact = mapping(rows, 0.5 * (nodes[1:] + nodes[:-1]))
+    halfway = 0.5 * (nodes[1:] + nodes[:-1]).astype(np.float64)
+    exact = mapping(rows, halfway)
     off = np.abs(exact - 0.5 * (found[:, 1:] + found[:, :-1]))
     return float(np.nanmax(off)) if np.isfinite(off).any() else 0.0
