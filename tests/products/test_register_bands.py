@@ -120,6 +120,24 @@ def test_blocks_make_up_the_image_whatever_the_threads(pixels, monkeypatch, thre
         np.testing.assert_array_equal(joined, expected)
 
 
+class Watched(ArrayImage):
+    """An image that remembers how many lines were read at most."""
+
+    most = 0
+
+    def read(self, lines, columns):
+        Watched.most = max(Watched.most, lines[1] - lines[0])
+        return super().read(lines, columns)
+
+
+def test_the_whole_strip_is_never_read(pixels, monkeypatch):
+    monkeypatch.setattr(register_bands, "BLOCK_PIXELS", 10 * SHAPE[1])
+    image = RegisteredImage(Watched(np.tile(pixels, (5, 1))), shifted(0.4, 0.1), (480, SHAPE[1]))
+    assert len(list(line_blocks([image], threads=2))) == 48
+    # ten lines and what the kernel reads about them
+    assert 10 < Watched.most <= 10 + 2 * 12
+
+
 def test_the_map_of_two_cameras_is_that_of_their_rays():
     from sightline.geometry.surface import Plane
     from sightline.motion.predict import predict_match

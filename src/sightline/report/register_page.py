@@ -115,7 +115,9 @@ def pictures(written: Written, before: Sequence[BandFit], summary: Mapping[str, 
     fit = max(fits, key=lambda one: float((one.offset_px**2).mean()))
     others = [k for k in range(len(written.after)) if k not in fit.images]
     shown = sorted([*fit.images, *others[:1]])
-    lines, columns = _busiest_crop(fit, [written.before[k] for k in shown])
+    lines, columns = _busiest_crop(
+        fit, [images[k] for images in (written.before, written.after) for k in shown]
+    )
     names = [summary["bands"][k]["name"] for k in shown]
     hues = ("red", "green", "blue") if len(shown) == 3 else ("red", "cyan")
     legend = ", ".join(f"{name} in {hue}" for name, hue in zip(names, hues, strict=True))
