@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 WINDOW, MOST_WINDOWS = (16, 48), 3000
 #: Windows this many robust sigmas from the median are false matches.
 OUTLYING = 5.0
-#: Windows with less than this share of pixels unusable are matched.
+#: Fewer windows kept than this say nothing.
 _FEWEST = 20
 
 
