@@ -142,6 +142,10 @@ def negative_altitude(folder):
     edit(folder, "altitude = ", "altitude = -")
 
 
+def pairs_brought_together_otherwise(folder):
+    edit(folder, "[surface]", '[matching]\nhybridise = "both"\n\n[surface]')
+
+
 def image_missing(folder):
     (folder / "B1.tif").unlink()
 
@@ -167,6 +171,7 @@ BAD = [
     (wrong_key, 2, r"unknown key 'platform\.groundspeed'; did you mean ground_speed\?"),
     (wrong_kind, 2, r"'level-fligth' is not known; did you mean level-flight\?"),
     (not_toml, 2, r"not valid TOML.*line"),
+    (pairs_brought_together_otherwise, 2, r"matching\.hybridise = 'both'.*iterative"),
     (negative_altitude, 2, r"platform\.altitude = -680000\.0"),
 ]
 

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
     from sightline.applications.frame_passes import FrameOptions
     from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+    from sightline.applications.registration import Registration, register_bands
     from sightline.applications.results import LineOfSight
     from sightline.errors import (
         EstimationError,
@@ -79,6 +80,7 @@ _MODULE_OF = {
     "PushbroomCamera": "sightline.geometry.camera",
     "Rays": "sightline.geometry.camera",
     "RecoverOptions": "sightline.applications.line_of_sight",
+    "Registration": "sightline.applications.registration",
     "ScanMirror": "sightline.geometry.pointing",
     "Score": "sightline.evaluation.score",
     "SightlineError": "sightline.errors",
@@ -96,6 +98,7 @@ _MODULE_OF = {
     "predict_match": "sightline.motion.predict",
     "recover_frame_attitude": "sightline.applications.frame_attitude",
     "recover_line_of_sight": "sightline.applications.line_of_sight",
+    "register_bands": "sightline.applications.registration",
     "score_motion": "sightline.evaluation.score",
 }
 
@@ -132,6 +135,7 @@ __all__ = [
     "PushbroomCamera",
     "Rays",
     "RecoverOptions",
+    "Registration",
     "ScanMirror",
     "Score",
     "SightlineError",
@@ -149,6 +153,7 @@ __all__ = [
     "predict_match",
     "recover_frame_attitude",
     "recover_line_of_sight",
+    "register_bands",
     "score_motion",
 ]
 

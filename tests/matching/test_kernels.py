@@ -117,6 +117,14 @@ def test_the_compiled_fit_equals_its_python_body(smooth_pair):
     assert np.allclose(compiled[0, 2:14], python[0, 2:14], rtol=5e-3, atol=1e-6)
 
 
+def test_a_window_of_unusable_pixels_is_outside(smooth_pair):
+    # a search may lead to where nothing of the other image can be used
+    fa, fb = smooth_pair
+    corner = np.array([[22, 25]])
+    got = refine(fa, fb, corner, corner + np.array([2.0, 11.5]), (5, 24), bad_b=np.ones(fb.shape, np.bool_))
+    assert got[0, 14] == -1.0
+
+
 def test_column_parts_follow_an_affine_that_changes_along_the_window(smooth_pair):
     # b is a, sheared: lines move by 0.003 px per column; the fit at the centre must not see it
     fa, _ = smooth_pair

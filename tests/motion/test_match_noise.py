@@ -113,6 +113,13 @@ class TestCorrelation:
         star = plain_star(20, 5, 2, SIGMA)
         assert_allclose(estimate_correlation(star, drawn(star, 9)), shared_image_correlation(2))
 
+    def test_a_pair_without_any_match_leaves_the_start_value(self):
+        star = plain_star(400, 8, 2, SIGMA)
+        residuals = drawn(star, 9)
+        residuals[:, 1] = np.nan
+        nothing = star.with_weight(star.weight * [1.0, 0.0])
+        assert_allclose(estimate_correlation(nothing, residuals), shared_image_correlation(2))
+
     def test_the_result_is_a_covariance_even_of_errors_that_are_the_same_in_both_pairs(self):
         star = plain_star(400, 8, 2, SIGMA)
         one = drawn(star, 10)[:, :1]

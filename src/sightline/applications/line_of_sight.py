@@ -54,6 +54,7 @@ from sightline.motion.joint import (
 from sightline.motion.match_noise import estimate_correlation, robust_weights, row_weights
 from sightline.motion.normal_equations import TimeGrid, modelled, no_information, normal_equations
 from sightline.motion.observations import Star, shared_image_correlation
+from sightline.motion.pair_order import best_first, pair_correlations
 from sightline.motion.predict import MovingCamera, StaticParameter, predict_match
 from sightline.motion.relief import hub_delay, relief_length, relief_matters, row_processes
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
@@ -85,6 +86,8 @@ MIN_KEPT_SHARE = 0.02
 INITIAL_ROUNDS = 3
 #: A sensor whose residuals are so many times its sigma is worth a warning.
 DOUBTFUL = 2.0
+#: How pairs may be brought together.
+HYBRIDISE = ("global", "iterative")
 #: Fewer windows than this share kept at the end are worth a warning.
 ENOUGH_KEPT = 0.5
 
@@ -109,6 +112,9 @@ class RecoverOptions:
         Strips of more windows per row are wide: they have so many at most until the last pass.
     tolerance : float
         Stop when the motion changes by less than this part of its sigma.
+    hybridise : str
+        How pairs begin: ``"global"``, all at once; ``"iterative"``, the best correlated one, whose motion
+        then predicts where to match the next image, and so on (S1, claim 10). Later passes take all.
     """
 
     first_window: tuple[int, int] = (10, 100)
@@ -119,6 +125,15 @@ class RecoverOptions:
     passes: int = 4
     draft_blocks: int = 10
     tolerance: float = 0.2
+    hybridise: str = "global"
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown word."""
+        if self.hybridise not in HYBRIDISE:
+            raise InputError(
+                f"`hybridise` is {self.hybridise!r}; allowed are {', '.join(HYBRIDISE)}: all pairs at once, "
+                "or one after the other"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,10 +234,13 @@ def recover_line_of_sight(
         control=control_points,
         known=known or KnownContent(),
     )
+    if options.hybridise == "iterative":
+        tell("comparing pairs: the best correlated one comes first")
+        strip = replace(strip, order=_best_first(strip, options))
     wide = strip.nominal[0].columns // options.window[1] > options.draft_blocks
     draft = replace(strip, grid=strip.grid.coarser(DRAFT_NODES), draft=True) if wide else strip
     tolerance = options.tolerance * (DRAFT_TOLERANCE if draft.draft else 1.0)
-    state = _first_pass(draft, options, height_sigma, tell)
+    state = _begin(draft, options, height_sigma, tell)
     changes: list[float] = []
     for number in range(options.passes):
         tell(f"pass {number + 1}: matching windows compensated by the motion found")
@@ -322,6 +340,31 @@ def _on_ground(camera: PushbroomCamera, surface: Surface) -> tuple[float, float]
     t = camera.times(pixels[2:, 0])
     speed = float(np.linalg.norm(ground[3] - ground[2]) / (t[1] - t[0]))
     return float(np.linalg.norm(ground[1] - ground[0])) / 2.0, speed
+
+
+def _best_first(strip: _Strip, options: RecoverOptions) -> tuple[int, ...]:
+    """The bands in the order in which pairs are taken one after the other."""
+    images = [band.image for band in strip.bands]
+    window, search = options.first_window, options.search_px
+    return best_first(pair_correlations(images, strip.nominal, strip.surface, window, search))
+
+
+def _begin(strip: _Strip, options: RecoverOptions, height_sigma: float, tell: Progress) -> _State:
+    """The first state: from all bands, or from the first pair, then with one band after the other."""
+    if options.hybridise == "global":
+        return _first_pass(strip, options, height_sigma, tell)
+    state = _first_pass(replace(strip, order=strip.order[:2]), options, height_sigma, tell)
+    for count in range(3, len(strip.order) + 1):
+        some = replace(strip, order=strip.order[:count])
+        tell(f"adding {strip.bands[some.order[-1]].name}, predicted by the motion found so far")
+        # the second time about where the band was found: a linearisation about pixels too far away lets what
+        # is hidden drift, and the next band would be sought there
+        for search in (options.search_px, (0, 0)):
+            plan = some.plan(options, options.first_window, options.first_window[0], search)
+            nodes, statics = state.estimate.nodes, state.estimate.statics
+            records = tuple(_with_floor(r) for r in _match(some, nodes, statics, plan))
+            state = _solve(some, records, nodes, statics, some.broad, height_sigma, before=state)
+    return state
 
 
 def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tell: Progress) -> _State:

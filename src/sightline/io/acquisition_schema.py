@@ -324,6 +324,9 @@ class MatchingSection(Section):
     passes: Annotated[int, Field(ge=1)] | None = Field(
         default=None, description="At most so many compensated passes"
     )
+    hybridise: Literal["global", "iterative"] | None = Field(
+        default=None, description="Pairs of bands all at once, or one after the other, best correlated first"
+    )
 
 
 class AcquisitionFile(Section):

@@ -121,6 +121,11 @@ class RasterImage:
         """(lines, columns)."""
         return self._shape
 
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of its pixels in the file."""
+        return self._type
+
     def _dataset(self) -> Any:
         """The handle of this thread."""
         dataset = getattr(self._local, "dataset", None)
@@ -211,6 +216,11 @@ class NpyImage:
         """Map the file again."""
         self.__dict__.update(state)
         self._array = self._map()
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Type of its pixels in the file."""
+        return self._array.dtype
 
     @property
     def shape(self) -> tuple[int, int]:

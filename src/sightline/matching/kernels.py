@@ -368,6 +368,10 @@ def refine_windows(  # type: ignore[no-untyped-def]
                         bad = bad or bad_b[rb, min(max(left + c, 0), bad_b.shape[1] - 1)]
                     m[r * width + c] = np.float32(0.0) if bad else np.float32(1.0)
                     count += m[r * width + c]
+        if not count > 4.0:
+            # the search led to where (almost) nothing can be used: fewer pixels than the fit has parameters
+            out[w, 14] = -1.0
+            continue
         var_a = _centre(a, m, count, n)
         dy, dx = start[w, 0], start[w, 1]
         done = 0.0

@@ -69,12 +69,12 @@ def scatter(star: Star, post_px: Array) -> tuple[Array, Array]:
 def estimate_correlation(star: Star, post_px: Array) -> Array:
     """Error correlation (2K, 2K) of a star's pairs, rows' long-run correlation included.
 
-    Falls back to the shared-image start value where the rows hold too few windows.
+    Falls back to the shared-image start value where the rows hold too few windows, or none of some pair.
     """
     pairs = star.t.shape[1]
     z, degrees = scatter(star, post_px)
     counted = float(degrees.sum())
-    if counted < 200 * pairs:
+    if counted < 200 * pairs or not np.isfinite(z).any(axis=(0, 1)).all():
         return shared_image_correlation(pairs)
     clipped = np.clip(z, -CLIP, CLIP)
     v = np.where(np.isfinite(clipped), clipped, 0.0)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import base64
 import struct
 import zlib
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -67,7 +68,7 @@ def composite(result: LineOfSight, acquisition: Acquisition) -> Composite | None
     pictures = []
     for cameras in (acquisition.cameras, result.cameras):
         laid = laid_on(acquisition.images, cameras, acquisition.surface, hub, partner).read(lines, columns)
-        pictures.append(_red_cyan(own, laid.astype(np.float64)))
+        pictures.append(colours([own, laid.astype(np.float64)]))
     return Composite(
         result.image_names[hub],
         result.image_names[partner],
@@ -127,15 +128,26 @@ def _busiest_place(
     return first[0], first[1]
 
 
-def _red_cyan(red: Array, cyan: Array) -> Pixels:
-    """The two images, each stretched by itself, in complementary colours; black where one is missing."""
-    out = np.zeros((*red.shape, 3), dtype=np.uint8)
-    for values, channels in ((red, [0]), (cyan, [1, 2])):
+def colours(bands: Sequence[Array]) -> Pixels:
+    """Two images in complementary colours, or three in red, green and blue.
+
+    Parameters
+    ----------
+    bands : sequence of (lines, columns)
+        Two or three; each is stretched by itself; black where one is NaN.
+
+    Returns
+    -------
+    (lines, columns, 3) uint8
+    """
+    out = np.zeros((*bands[0].shape, 3), dtype=np.uint8)
+    channels = ([0], [1, 2]) if len(bands) == 2 else ([0], [1], [2])
+    for values, own in zip(bands, channels, strict=True):
         finite = values[np.isfinite(values)]
         if not len(finite):
             continue
         low, high = np.percentile(finite, [CLIPPED, 100.0 - CLIPPED])
         grey = np.nan_to_num(255.0 * np.clip((values - low) / max(high - low, 1e-9), 0.0, 1.0))
-        for channel in channels:
+        for channel in own:
             out[..., channel] = grey.astype(np.uint8)
     return out

@@ -200,7 +200,7 @@ def _draw_scene(
     )
     track = options.ground_speed * options.interval * options.count
     extent = Extent(-reach, reach, -reach - 1e-9, track + reach)
-    texture, bands = scene_layers(texture_seed, extent, law, 1.0, (1.0,), (1.0,))
+    texture, bands = scene_layers(texture_seed, extent, law, (1.0,), (1.0,), (1.0,))
     relief = None
     if options.relief_rms > 0.0:
         posting = max(30.0, 2.0 * gsd)

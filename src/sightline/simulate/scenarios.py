@@ -343,7 +343,7 @@ def _draw_scene(
     if options.ground == "spectrum":
         law = TextureLaw(options.contrast, options.gsd, options.mtf_nyquist)
         texture, bands = scene_layers(
-            streams["texture"], extent, law, options.coherence, options.gains, options.gammas
+            streams["texture"], extent, law, options.common_weights, options.gains, options.gammas
         )
     elif options.ground == "landsat":
         bands = _landsat_shine(options, extent, data)

@@ -344,32 +344,32 @@ def scene_layers(
     seed: np.random.SeedSequence,
     extent: Extent,
     law: TextureLaw,
-    coherence: float,
+    weights: tuple[float, ...],
     gains: tuple[float, ...],
     gammas: tuple[float, ...],
     *,
     largest: int = 8192,
 ) -> tuple[Layer, tuple[BandShine, ...]]:
-    """The common texture and, per band, its own part, so that any two bands have the `coherence` asked.
+    """The common texture and, per band, its own part; two bands of `weights` v and w have the coherence v w.
 
     Layers are sampled at half the pixel. No side of a layer exceeds about `largest` samples: longer scenes
     repeat each layer with a period of its own, so that their combination does not repeat.
     """
-    if not 0.0 < coherence <= 1.0:
+    if not all(0.0 < weight <= 1.0 for weight in weights):
         raise InputError(
-            f"`coherence` must lie in (0, 1], got {coherence:g}; it is the amplitude correlation"
+            f"the coherence of bands must lie in (0, 1], got weights {weights}; it is that of amplitudes"
         )
     spacing = (0.5 * law.gsd[0], 0.5 * law.gsd[1])
     origin = (extent.west, extent.south)
     seeds = seed.spawn(1 + len(gains))
     texture = random_layer(seeds[0], layer_shape(extent, spacing, largest), spacing, law.psd, origin)
     bands = []
-    for index, (gain, gamma) in enumerate(zip(gains, gammas, strict=True)):
+    for index, (weight, gain, gamma) in enumerate(zip(weights, gains, gammas, strict=True)):
         own = None
-        if coherence < 1.0:
+        if weight < 1.0:
             shape = layer_shape(extent, spacing, largest // 2, 1.0 + 0.0371 * (index + 1))
             own = random_layer(seeds[1 + index], shape, spacing, law.psd, origin)
-        bands.append(BandShine(own, float(np.sqrt(coherence)), gain, gamma))
+        bands.append(BandShine(own, weight, gain, gamma))
     return texture, tuple(bands)
 
 

@@ -36,6 +36,9 @@ class StripOptions:
         Of each band.
     coherence : float
         Amplitude correlation of the textures of any two bands.
+    coherence_with_first : tuple of float
+        In its place, that of each band with the first (whose own entry must be 1); empty: `coherence` for
+        all. Two later bands then correlate as the product of theirs.
     snr, contrast, mtf_nyquist : float
         Mean over noise; standard deviation over mean of the ground; system MTF at Nyquist.
     offset_sigma_px, rotation_sigma : float
@@ -69,6 +72,7 @@ class StripOptions:
     gains: tuple[float, ...] = (1.0, 0.85, 0.9, 0.8)
     gammas: tuple[float, ...] = (1.0, 0.9, 1.0, 0.8)
     coherence: float = 0.97
+    coherence_with_first: tuple[float, ...] = ()
     snr: float = 120.0
     contrast: float = 0.2
     mtf_nyquist: float = 0.15
@@ -94,6 +98,18 @@ class StripOptions:
                 "`names`, `lags`, `gains` and `gammas` must have one entry per band, got lengths "
                 f"{len(self.names)}, {len(self.lags)}, {len(self.gains)}, {len(self.gammas)}"
             )
+
+        given = self.coherence_with_first
+        if given and (len(given) != len(self.names) or given[0] != 1.0 or min(given) <= 0 or max(given) > 1):
+            raise InputError(
+                "`coherence_with_first` must have one entry per band in (0, 1], 1 for the first; got "
+                f"{given} for {len(self.names)} bands"
+            )
+
+    @property
+    def common_weights(self) -> tuple[float, ...]:
+        """Amplitude of the common ground in the texture of each band."""
+        return self.coherence_with_first or (float(np.sqrt(self.coherence)),) * len(self.names)
 
     @property
     def gsd(self) -> tuple[float, float]:

@@ -1,0 +1,117 @@
+"""S1, claim 11: bands laid on one of them by the recovered line of sight, and how well they then fit.
+
+Not here: resampling (``products/``), files (``io/``), the page (``report/``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from sightline.errors import InputError
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.surface import Surface
+from sightline.geometry.trajectory import Motion
+from sightline.imaging.source import ImageSource
+from sightline.motion.band import Band
+from sightline.motion.statics import apply_statics, band_statics
+from sightline.products.band_fit import BandFit, fit_bands
+from sightline.products.register_bands import RegisteredImage, band_map
+
+
+@dataclass(frozen=True, eq=False)
+class Registration:
+    """Bands on the grid of one of them, by two sets of cameras.
+
+    Attributes
+    ----------
+    reference : int
+        The band whose grid it is.
+    before, after : tuple of ImageSource
+        All bands, by the nominal and by the recovered cameras; the reference is its own image in both.
+    """
+
+    reference: int
+    before: tuple[ImageSource, ...]
+    after: tuple[ImageSource, ...]
+
+
+def recovered_cameras(
+    bands: Sequence[Band], motion: Motion, statics: Mapping[str, float]
+) -> tuple[PushbroomCamera, ...]:
+    """Cameras that carry a recovered motion and recovered statics.
+
+    Parameters
+    ----------
+    bands : sequence of Band
+        With their nominal cameras.
+    motion : Motion
+        Departure from the reference attitude; lines outside its span will have no place.
+    statics : mapping
+        Name of a static parameter to its value; names of other things than these bands' are passed over.
+    """
+    moved = [band.camera.with_trajectory(band.camera.trajectory.with_motion(motion)) for band in bands]
+    parameters = band_statics(
+        [b.name for b in bands], [b.offset_sigma_px for b in bands], [b.rotation_sigma for b in bands]
+    )
+    values = np.array([statics.get(parameter.name, 0.0) for parameter in parameters])
+    return tuple(c for c in apply_statics(moved, parameters, values) if isinstance(c, PushbroomCamera))
+
+
+def register_bands(
+    bands: Sequence[Band],
+    surface: Surface,
+    motion: Motion,
+    statics: Mapping[str, float] | None = None,
+    *,
+    onto: str | None = None,
+) -> Registration:
+    """Bands of one strip on the grid of one of them; nothing is read before its pixels are asked for.
+
+    Parameters
+    ----------
+    bands : sequence of Band
+    surface : Surface
+        What the lines of sight meet; a DEM takes the parallax of relief out.
+    motion : Motion
+        As recovered.
+    statics : mapping, optional
+        Offsets and rotations of the bands as recovered, by name.
+    onto : str, optional
+        Name of the band whose grid is wanted; the first by default.
+
+    Returns
+    -------
+    Registration
+
+    Raises
+    ------
+    InputError
+        No band of that name.
+    """
+    names = [band.name for band in bands]
+    if onto is not None and onto not in names:
+        raise InputError(f"no band is called {onto!r}: the bands are {', '.join(names)}; name one of them")
+    reference = 0 if onto is None else names.index(onto)
+    nominal = tuple(band.camera for band in bands)
+    refined = recovered_cameras(bands, motion, statics or {})
+
+    def laid(cameras: Sequence[PushbroomCamera]) -> tuple[ImageSource, ...]:
+        shape = bands[reference].image.shape
+        return tuple(
+            band.image
+            if k == reference
+            else RegisteredImage(band.image, band_map(cameras[reference], cameras[k], surface), shape)
+            for k, band in enumerate(bands)
+        )
+
+    return Registration(reference, laid(nominal), laid(refined))
+
+
+def fit_pairs(images: Sequence[ImageSource], *, search_px: tuple[int, int] = (8, 8)) -> list[BandFit]:
+    """How every pair of images of one grid fits (`products.band_fit.fit_bands`)."""
+    pairs = combinations(range(len(images)), 2)
+    return [fit_bands(images[a], images[b], (a, b), search_px=search_px) for a, b in pairs]

@@ -1,0 +1,109 @@
+"""``sightline register``: the bands of a strip laid on one of them by the recovered line of sight."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sightline.cli.options import Json, Out, Overwrite
+from sightline.cli.terminal import Progress
+
+
+class PixelType(StrEnum):
+    """Types of pixels that may be asked for in place of those of the images."""
+
+    UINT8 = "uint8"
+    UINT16 = "uint16"
+    INT16 = "int16"
+    FLOAT32 = "float32"
+
+
+def register(
+    acquisition: Annotated[Path, typer.Argument(metavar="ACQUISITION.toml", help="What was acquired.")],
+    motion: Annotated[
+        Path, typer.Option("--motion", metavar="DIR", help="Folder that `recover` wrote for it.")
+    ],
+    out: Out,
+    onto: Annotated[
+        str | None,
+        typer.Option("--onto", metavar="BAND", help="Band whose grid is kept; the first if not given."),
+    ] = None,
+    pixels: Annotated[
+        PixelType | None,
+        typer.Option("--type", help="Type of the pixels written; that of the images if not given."),
+    ] = None,
+    stack: Annotated[bool, typer.Option("--stack", help="One file of all bands, not one for each.")] = False,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Lay the bands of a strip on one of them, and say how well they fit before and after."""
+    from sightline.cli.output import output_folder
+    from sightline.cli.terminal import complain, print_json, progress, say
+
+    with output_folder(out, overwrite=overwrite) as folder, progress() as report:
+        summary = register_into(
+            folder, acquisition, motion, report, onto=onto, pixels=pixels and pixels.value, stack=stack
+        )
+    if as_json:
+        print_json(summary)
+        return
+    for warning in summary["warnings"]:
+        complain("warning", warning)
+    for pair in summary["pairs"]:
+        before, after = pair["before"]["rms_px"], pair["after"]["rms_px"]
+        say(f"{' - '.join(pair['images']):16}  {_length(before)} px apart, now {_length(after)} px (rms)")
+    say(f"{', '.join(summary['files'])}, {out / 'report.html'}")
+
+
+def _length(rms: list[float] | tuple[float, ...]) -> str:
+    """Length of an rms along and across."""
+    return f"{sum(part * part for part in rms) ** 0.5:.4f}"
+
+
+def register_into(
+    folder: Path,
+    acquisition: Path,
+    motion: Path,
+    report: Progress,
+    *,
+    onto: str | None = None,
+    pixels: str | None = None,
+    stack: bool = False,
+) -> dict[str, Any]:
+    """Register the strip of `acquisition`, write images, summary and report into `folder`; the summary."""
+    import time
+
+    from sightline.applications.registration import fit_pairs, register_bands
+    from sightline.errors import InputError
+    from sightline.io.acquisition import load_acquisition
+    from sightline.io.recovered import read_recovered
+    from sightline.io.registered import write_products
+    from sightline.io.registration_summary import summarize_registration
+    from sightline.io.results import write_json
+    from sightline.report.register_page import write_register_report
+
+    begin = time.perf_counter()
+    report("reading the acquisition and what was recovered of it")
+    acquired = load_acquisition(acquisition)
+    if not acquired.bands:
+        raise InputError(
+            f"{acquisition}: frames are given; `register` takes the bands of a strip: give [[band]]"
+        )
+    recovered = read_recovered(motion, acquired)
+    registration = register_bands(
+        acquired.bands, acquired.surface, recovered.motion, recovered.statics, onto=onto
+    )
+    search = tuple(acquired.matching.get("search_px", (8, 8)))
+    with write_products(folder, registration, acquired, pixels=pixels, stack=stack, tell=report) as written:
+        report("matching all pairs of bands, as they were and as they are now")
+        before = fit_pairs(written.before, search_px=(int(search[0]), int(search[1])))
+        after = fit_pairs(written.after, search_px=(int(search[0]), int(search[1])))
+        summary = summarize_registration(acquired, registration, recovered, written, before, after)
+        summary["wall_seconds"] = time.perf_counter() - begin
+        report("writing the report")
+        write_register_report(folder / "report.html", written, before, after, summary)
+    write_json(folder / "summary.json", summary)
+    return summary

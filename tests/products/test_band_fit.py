@@ -1,0 +1,77 @@
+"""How well two images fit: known shifts, false matches, too little to say."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from sightline.imaging.source import ArrayImage
+from sightline.products.band_fit import WINDOW, BandFit, fit_bands, fit_points
+
+SHAPE = (220, 400)
+
+
+@pytest.fixture(scope="module")
+def pair():
+    """Two images of one texture, the second shifted by (0.3, -0.2) px by Fourier phase, each with noise."""
+    rng = np.random.default_rng(0)
+    half = np.fft.rfft2(rng.standard_normal(SHAPE))
+    fy, fx = np.fft.fftfreq(SHAPE[0])[:, None], np.fft.rfftfreq(SHAPE[1])[None, :]
+    half *= np.exp(-8.0 * (fy**2 + fx**2)) / np.sqrt(fy**2 + fx**2 + 1e-4)
+    half[0, 0] = 0.0
+    images = [
+        np.fft.irfft2(half * np.exp(-2j * np.pi * (fy * a + fx * b)), s=SHAPE)
+        for a, b in ((0, 0), (0.3, -0.2))
+    ]
+    scale = 100.0 / images[0].std()
+    return [1000.0 + scale * image + rng.standard_normal(SHAPE) * 2.0 for image in images]
+
+
+def test_a_shift_is_found_on_both_axes(pair):
+    fit = fit_bands(ArrayImage(pair[0]), ArrayImage(pair[1]), (0, 1))
+    # some 90 windows, each good to a few hundredths of a pixel by its own sigma
+    slack = 4.0 * np.array(fit.noise_px) / math.sqrt(len(fit.points))
+    assert np.all(np.abs(np.array(fit.mean_px) - [0.3, -0.2]) < slack + 1e-3)
+    assert fit.rms_px == pytest.approx((0.3, 0.2), abs=0.02)
+
+
+def test_images_that_fit_are_apart_by_their_noise_only(pair):
+    rng = np.random.default_rng(1)
+    again = ArrayImage(pair[0] + rng.standard_normal(SHAPE) * 2.0)
+    fit = fit_bands(ArrayImage(pair[0]), again, (0, 1))
+    # 90 windows: their rms scatters by 1 / sqrt(180) about its expectation
+    assert np.hypot(*fit.rms_px) == pytest.approx(np.hypot(*fit.noise_px), rel=0.35)
+
+
+def test_a_moving_thing_is_left_out(pair):
+    spoiled = pair[1].copy()
+    spoiled[60:120, 100:200] = np.roll(pair[1], (3, 3), axis=(0, 1))[60:120, 100:200]
+    fit = fit_bands(ArrayImage(pair[0]), ArrayImage(spoiled), (0, 1))
+    assert np.hypot(*fit.rms_px) < 0.5  # with the windows on it 1.3
+    assert len(fit.points) < fit.tried
+
+
+def test_nothing_alike_says_nothing(pair):
+    noise = ArrayImage(np.random.default_rng(2).standard_normal(SHAPE))
+    fit = fit_bands(ArrayImage(pair[0]), noise, (0, 1), search_px=(0, 0))
+    assert all(math.isnan(value) for value in (*fit.rms_px, *fit.noise_px, *fit.mean_px))
+
+
+def test_an_image_smaller_than_a_window_has_no_points():
+    assert fit_points((10, 30)).shape == (0, 2)
+    tiny = ArrayImage(np.zeros((10, 30)))
+    assert fit_bands(tiny, tiny, (0, 1)).tried == 0
+
+
+def test_windows_lie_inside_and_are_not_too_many():
+    points = fit_points((5000, 3000), most=500)
+    assert len(points) <= 500
+    half = 0.5 * (np.array(WINDOW) - 1)
+    assert (points - half >= 0).all() and (points + half <= np.array([4999, 2999])).all()
+
+
+def test_numbers_of_an_empty_fit_are_unknown():
+    empty = np.empty((0, 2))
+    assert math.isnan(BandFit((0, 1), empty, empty, empty, 0).rms_px[0])

@@ -1,0 +1,104 @@
+"""`sightline register`: what it writes and says, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import pytest
+
+from sightline.cli.main import run
+
+
+@pytest.fixture(scope="module")
+def registered(recovery, tmp_path_factory):
+    """The rendered strip of `recovery`, registered: folder and summary."""
+    import contextlib
+    import io
+
+    out, said = tmp_path_factory.mktemp("registered") / "out", io.StringIO()
+    words = ["register", str(recovery.scene / "acquisition.toml"), "--motion", str(recovery.folder)]
+    with contextlib.redirect_stdout(said):
+        assert run([*words, "--out", str(out), "--json"]) == 0
+    return out, json.loads(said.getvalue())
+
+
+def words(recovery, tmp_path, *more):
+    toml = recovery.scene / "acquisition.toml"
+    return ["register", str(toml), "--motion", str(recovery.folder), "--out", str(tmp_path / "out"), *more]
+
+
+def test_images_summary_and_page_are_written_and_nothing_else(registered):
+    out, summary = registered
+    expected = ["B0.tif", "B1.tif", "B2.tif", "PAN.tif", "report.html", "summary.json"]
+    assert sorted(entry.name for entry in out.iterdir()) == expected
+    assert json.loads((out / "summary.json").read_text()) == summary
+    assert summary["onto"] == "PAN" and summary["files"] == ["PAN.tif", "B1.tif", "B0.tif", "B2.tif"]
+
+
+def test_bands_fit_as_well_as_they_can_be_matched(registered):
+    _, summary = registered
+    assert len(summary["pairs"]) == 6
+    for pair in summary["pairs"]:
+        before, after, noise = (
+            sum(x * x for x in pair[when][key]) ** 0.5
+            for when, key in (("before", "rms_px"), ("after", "rms_px"), ("after", "noise_px"))
+        )
+        assert after < 0.2 * before
+        # a hundred windows scatter by 7 %; the motion of so short and narrow a strip is known to 0.02 px
+        assert after < 1.25 * (noise**2 + 2 * 0.02**2) ** 0.5, pair
+
+
+def test_the_page_opens_without_asking_anybody(registered, open_page):
+    out, _ = registered
+    page, problems = open_page(out / "report.html")
+    assert not problems
+    assert page.locator("#pairs tbody tr").count() == 6
+    assert page.locator("#pictures img").count() == 2
+    assert page.locator("#misfit .plotly").count() >= 1
+
+
+def test_onto_type_and_stack(recovery, tmp_path, capsys):
+    import rasterio
+
+    assert run(words(recovery, tmp_path, "--onto", "B0", "--type", "float32", "--stack")) == 0
+    said = capsys.readouterr().out.splitlines()
+    assert len(said) == 7 and said[0].startswith("PAN - B1") and "registered.tif" in said[-1]
+    with rasterio.open(tmp_path / "out" / "registered.tif") as file:
+        assert file.descriptions == ("PAN", "B1", "B0", "B2") and set(file.dtypes) == {"float32"}
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        (["--onto", "NIR"], "no band is called 'NIR'"),
+        (["--type", "float64"], "float64"),
+        (["--motion", "nowhere"], "motion.csv is missing"),
+    ],
+)
+def test_wrong_words_are_refused_and_nothing_is_written(recovery, tmp_path, capsys, more, message):
+    assert run(words(recovery, tmp_path, *more)) == 2
+    said = capsys.readouterr().err
+    assert message in said and "Traceback" not in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_motion_it_says_what_is_missing(recovery, tmp_path, capsys):
+    assert run(["register", str(recovery.scene / "acquisition.toml"), "--out", str(tmp_path / "out")]) == 2
+    assert "--motion" in capsys.readouterr().err
+
+
+def test_the_motion_of_another_strip_is_refused(recovery, tmp_path, capsys):
+    scene = shutil.copytree(recovery.scene, tmp_path / "scene")
+    toml = scene / "acquisition.toml"
+    toml.write_text(toml.read_text() + "\n[matching]\npasses = 3\n")
+    assert run(["register", str(toml), "--motion", str(recovery.folder), "--out", str(tmp_path / "out")]) == 2
+    assert "does not belong to" in capsys.readouterr().err
+
+
+def test_frames_are_refused(recovery, tmp_path, capsys):
+    scene = tmp_path / "frames"
+    assert run(["simulate", "frames", "--count", "3", "--out", str(scene)]) == 0
+    toml = scene / "acquisition.toml"
+    assert run(["register", str(toml), "--motion", str(recovery.folder), "--out", str(tmp_path / "out")]) == 2
+    assert "[[band]]" in capsys.readouterr().err
