@@ -28,8 +28,9 @@ from sightline.motion.observations import Star
 
 Array = NDArray[np.float64]
 
-#: Order of the autoregressive priors.
-ORDER = 40
+#: Order of the autoregressive priors. An autoregression tells tones apart that its memory holds a period of
+#: their difference of; the band of the data's rows is about as wide anyway.
+ORDER = 80
 #: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
 MOST_ACROSS = 0.5
 
