@@ -5,6 +5,9 @@ Not the matching itself: see `match_images`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -12,7 +15,12 @@ from sightline.errors import InputError
 from sightline.imaging.source import ImageSource, read_padded
 from sightline.matching import kernels
 
-__all__ = ["grid_points", "select_points", "spread_subset", "texture_strength"]
+__all__ = ["Selection", "chosen_windows", "grid_points", "select_points", "spread_subset", "texture_strength"]
+
+#: Ways to choose among the windows of a grid (S1, claim 3).
+WAYS = ("all", "textured", "spread", "listed")
+#: Cells along lines and columns over which a well spread subset is dealt out.
+SPREAD_CELLS = (64, 8)
 
 _STRIP_PIXELS = 4_000_000
 
@@ -193,3 +201,77 @@ def select_points(
         return points[strength > 0]
     strength[~(strength > 0)] = np.nan
     return points[spread_subset(points, strength, count, cells)]
+
+
+@dataclass(frozen=True, eq=False)
+class Selection:
+    """Which windows of a grid are matched.
+
+    Attributes
+    ----------
+    way : str
+        ``"all"``; ``"textured"``: those that can be located in two directions, the double gradient of S1;
+        ``"spread"``: the strongest, evenly spread over the image; ``"listed"``: those that hold a feature.
+    strength : float
+        For "textured": least weaker curvature, in units of its median over the image.
+    points : int
+        For "spread": at most so many windows.
+    features : mapping of int to (N, 2), optional
+        For "listed": known features of each image, (line, column) px.
+    """
+
+    way: str = "all"
+    strength: float = 1.0
+    points: int = 2000
+    features: Mapping[int, NDArray[np.float64]] | None = None
+
+    def __post_init__(self) -> None:
+        if self.way not in WAYS:
+            raise InputError(f"`way` is {self.way!r}; allowed are {', '.join(WAYS)}")
+        if self.way == "listed" and not self.features:
+            raise InputError('`way` is "listed" but no features are given; list image, line, column of each')
+
+
+def chosen_windows(
+    image: ImageSource,
+    number: int,
+    centres: NDArray[np.float64],
+    window: tuple[int, int],
+    selection: Selection,
+) -> NDArray[np.bool_]:
+    """Windows that a selection takes, (G,).
+
+    Parameters
+    ----------
+    image : ImageSource
+        The one they are cut from, image `number`.
+    centres : (G, 2)
+        (line, column) px.
+    window : (lines, columns)
+    selection : Selection
+    """
+    if selection.way == "all":
+        return np.ones(len(centres), dtype=bool)
+    if selection.way == "listed":
+        features = (selection.features or {}).get(number, np.empty((0, 2)))
+        return _holding(centres, window, features)
+    strength = texture_strength(image, centres, window)
+    usable = strength > 0.0
+    if selection.way == "textured":
+        middle = float(np.median(strength[usable])) if usable.any() else np.inf
+        return np.asarray(usable & (strength >= selection.strength * middle))
+    strength[~usable] = np.nan
+    chosen = np.zeros(len(centres), dtype=bool)
+    chosen[spread_subset(centres, strength, selection.points, SPREAD_CELLS)] = True
+    return chosen
+
+
+def _holding(
+    centres: NDArray[np.float64], window: tuple[int, int], features: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Windows within which a feature lies."""
+    half = 0.5 * np.array(window)
+    found = np.zeros(len(centres), dtype=bool)
+    for feature in features:
+        found |= np.all(np.abs(centres - feature) <= half, axis=1)
+    return found
