@@ -26,6 +26,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import KEPT, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.band import Band
+from sightline.motion.common_view import Views, common_views
 from sightline.motion.consensus import ground_weights
 from sightline.motion.hyper import BROAD, ORDER, PriorModel, fit_prior_model
 from sightline.motion.joint import (
@@ -93,6 +94,8 @@ class RecoverOptions:
         Strips of more windows per row are wide: they have so many at most until the last pass.
     tolerance : float
         Stop when the motion changes by less than this part of its sigma.
+    pairs : tuple of (str, str)
+        Names of the pairs of bands that are matched; empty: every pair that shares ground.
     """
 
     first_window: tuple[int, int] = (10, 100)
@@ -103,6 +106,7 @@ class RecoverOptions:
     passes: int = 4
     draft_blocks: int = 10
     tolerance: float = 0.2
+    pairs: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +117,7 @@ class _Strip:
     surface: Surface
     nominal: tuple[PushbroomCamera, ...]
     parameters: tuple[StaticParameter, ...]
+    views: Views
     grid: TimeGrid
     order: tuple[int, ...]
     pixel_angle: float
@@ -255,6 +260,7 @@ def _prepare(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
         surface=surface,
         nominal=cameras,
         parameters=tuple(parameters),
+        views=common_views(cameras, surface, _numbered(options.pairs, bands)),
         grid=TimeGrid(start, step, count),
         order=tuple(range(len(bands))),
         pixel_angle=pixel_angle,
@@ -263,6 +269,15 @@ def _prepare(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
         ground_speed=ground_speed,
         broad=BROAD.scaled(pixel_angle, half_field),
     )
+
+
+def _numbered(pairs: Sequence[tuple[str, str]], bands: Sequence[Band]) -> list[tuple[int, int]] | None:
+    """Pairs of names as pairs of numbers of `bands`; None, for all pairs, where none are given."""
+    names = [band.name for band in bands]
+    for name in (name for pair in pairs for name in pair):
+        if name not in names:
+            raise InputError(f"`pairs` names the band {name!r}; bands are: {', '.join(names)}")
+    return [(names.index(a), names.index(b)) for a, b in pairs] or None
 
 
 def _field(camera: PushbroomCamera) -> tuple[float, float]:
@@ -402,7 +417,7 @@ def _match(
     earlier = {(record.star.hub, record.star.images): record for record in before}
     cameras = strip.cameras(nodes, statics)
     images = [band.image for band in strip.bands]
-    hubs = hub_windows(cameras, strip.surface, [i.shape for i in images], strip.order, plan)
+    hubs = hub_windows(cameras, strip.surface, [i.shape for i in images], strip.order, plan, strip.views)
     return tuple(
         match_star(
             images,

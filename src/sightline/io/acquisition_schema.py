@@ -366,6 +366,9 @@ class MatchingSection(Section):
     passes: Annotated[int, Field(ge=1)] | None = Field(
         default=None, description="At most so many compensated passes"
     )
+    pairs: Annotated[tuple[tuple[str, str], ...], Field(min_length=1)] | None = Field(
+        default=None, description="[[a, b], ...], names of the pairs of bands that are matched; default: all"
+    )
 
 
 class AcquisitionFile(Section):
@@ -410,6 +413,20 @@ class AcquisitionFile(Section):
                 raise ValueError(
                     '[world] is given, but kind = "level-flight" has axes of its own; remove [world]'
                 )
+
+    @model_validator(mode="after")
+    def _pairs_name_bands(self) -> AcquisitionFile:
+        names = [item.name for item in self.band]
+        for a, b in self.matching.pairs or ():
+            for name in (a, b):
+                if name not in names:
+                    raise ValueError(
+                        f"[matching] pairs names {name!r}, which is no [[band]]; there are: "
+                        f"{', '.join(names) or 'none'}"
+                    )
+            if a == b:
+                raise ValueError(f"[matching] pairs: {a!r} with itself; a pair is two different bands")
+        return self
 
     @model_validator(mode="after")
     def _images_are_enough(self) -> AcquisitionFile:

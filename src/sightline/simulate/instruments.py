@@ -134,8 +134,9 @@ class InstrumentOptions:
         limit = 0.98 * np.arcsin(6.35e6 / (6.37e6 + self.altitude))
         if not abs(self.off_nadir) < limit:
             raise InputError(
-                f"the middle of the strip looks past the Earth: off-nadir angle {np.degrees(self.off_nadir):.4g} "
-                f"degrees; from {self.altitude / 1e3:.0f} km up to {np.degrees(limit):.3g} are seen"
+                "the middle of the strip looks past the Earth: off-nadir angle "
+                f"{np.degrees(self.off_nadir):.4g} degrees; from {self.altitude / 1e3:.0f} km up to "
+                f"{np.degrees(limit):.3g} are seen"
             )
 
     @property
