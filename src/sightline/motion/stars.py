@@ -50,9 +50,9 @@ MOST_WRONG = 0.4
 #: one image on the other reads 4, the derivative another 4.
 END = 8
 #: Windows in a row of a narrow view, and their least width (px).
-NARROW_BLOCKS, LEAST_WIDTH = 4, 9
+NARROW_BLOCKS, LEAST_WIDTH = 4, 16
 #: Columns that a tile for whitening leaves free on both sides in a narrow view: where it is searched for.
-TILE_MARGIN = 9
+TILE_MARGIN = 12
 #: Lines of such a tile, and its fewest columns.
 TILE_LINES = 16
 #: Windows enough to learn whitening from; a star of fewer looks all over its image instead.
