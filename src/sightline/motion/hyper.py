@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 
 #: Order of the autoregressive priors.
 ORDER = 40
+#: Information (rad^-2, sigma 0.1 rad) that keeps the angles finite of a row that cannot see them all.
+WEAK = 1e2
 #: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
 MOST_ACROSS = 0.5
 
@@ -150,9 +152,12 @@ def _collapse(star: Star, post: Array, k: int) -> _Rows:
     right = np.einsum("gca,gcd,gd->ga", j, weight, y).reshape(rows, blocks, 3).sum(1)
     w = np.where(seen, 1.0, 0.0).reshape(rows, blocks)
     count = w.sum(1)
-    # a few counts of very weak information keep an axis that a row cannot see finite (sigma 0.1 rad)
-    inverse = np.linalg.inv(normal + 1e2 * np.eye(3))
+    inverse = np.linalg.inv(normal + WEAK * np.eye(3))
     angles = np.einsum("rab,rb->ra", inverse, right)
+    # an axis, or a mix of axes, that a row cannot see: what it says there is what was put in
+    diagonal = inverse[:, [0, 1, 2], [0, 1, 2]]
+    unseen = WEAK * (inverse**2).sum(axis=2) > 0.5 * diagonal
+    inverse[:, [0, 1, 2], [0, 1, 2]] = np.where(unseen, np.inf, diagonal)
     with np.errstate(invalid="ignore", divide="ignore"):
         t_hub = np.where(count > 0, (w * star.t_hub.reshape(rows, blocks)).sum(1) / count, np.nan)
         t = np.nansum(w * np.nan_to_num(star.t[:, k]).reshape(rows, blocks), axis=1) / count
