@@ -148,6 +148,44 @@ class ScanMirror(ReadOnlyArrays):
         )
 
 
+@dataclass(frozen=True, eq=False)
+class TurnedBody:
+    """A pointing told in other axes of the same body.
+
+    Attributes
+    ----------
+    pointing : Pointing
+        In the body axes it was given in.
+    body_from_other : Rotation
+        From the other axes to those.
+    """
+
+    pointing: Pointing
+    body_from_other: Rotation
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """That of the pointing."""
+        return self.pointing.span
+
+    def to_body(self, directions: Array, t: Array) -> Array:
+        """Directions (N, 3) in camera axes at times t (N,), in the other axes."""
+        return np.asarray(self.pointing.to_body(directions, t) @ self.body_from_other.as_matrix())
+
+    def to_camera(self, directions: Array, t: Array) -> Array:
+        """Directions (N, 3) in the other axes at times t (N,), in camera axes."""
+        return self.pointing.to_camera(
+            as_points(directions, "directions") @ self.body_from_other.as_matrix().T, t
+        )
+
+
+def turned_pointing(pointing: Pointing, body_from_other: Rotation) -> Pointing:
+    """The same pointing in other body axes; a fixed mount stays one."""
+    if isinstance(pointing, FixedMount):
+        return FixedMount(body_from_other.inv() * pointing.body_from_camera)
+    return TurnedBody(pointing, body_from_other)
+
+
 def pointing_matrices(pointing: Pointing, t: Array) -> Array:
     """Matrices body_from_camera at times `t` (N,): (N, 3, 3); det = -1 behind an odd number of mirrors."""
     times = as_times(t)

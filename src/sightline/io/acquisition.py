@@ -70,7 +70,8 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
     ]
     names = [*(band.name for band in bands), *(frame.name for frame in frames)]
     surface = build_surface(config, files, cameras)
-    check_coverage(path, surface, cameras)
+    sweeps = config.platform.kind == "spin" or config.pointing.kind == "scan-mirror"
+    check_coverage(path, surface, cameras, sweeps=sweeps)
     check_sampling(path, surface, cameras, names)
     check_overlap(path, surface, cameras, names)
     return Acquisition(

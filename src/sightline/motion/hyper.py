@@ -53,6 +53,21 @@ class PriorModel:
         size = np.sqrt(np.tile([0.5 * (pitch + yaw), roll], len(correlation) // 2))
         return np.asarray(correlation * np.outer(size, size))
 
+    def with_turns(self) -> PriorModel:
+        """The model with a drift about the line of sight no smaller than those across it (rad).
+
+        A narrow field hardly shows that angle: its likelihood is as content with none as with a large one,
+        and a spectrum of none would be certain of it. Nothing holds a body stiller about one axis than
+        another.
+        """
+        across = max((_drift(s) for s in self.spectra[:2]), key=lambda part: part.sigma)
+        yaw = self.spectra[2]
+        about = _drift(yaw)
+        if about.sigma >= across.sigma:
+            return self
+        parts = tuple(across if part is about else part for part in yaw.components)
+        return replace(self, spectra=(*self.spectra[:2], Spectrum(parts)))
+
     def scaled(self, pixel_angle: float, half_field: float) -> PriorModel:
         """The model given in px (yaw: px at the field edge) as one in rad."""
         yaw = pixel_angle / max(half_field, pixel_angle)
@@ -78,6 +93,11 @@ class PriorModel:
         parts = [split(s, grid.step, ORDER, grid.count, ratio=ratio) for s in self.spectra]
         roll, pitch, yaw = parts
         return None if roll is None or pitch is None or yaw is None else (roll, pitch, yaw)
+
+
+def _drift(spectrum: Spectrum) -> Matern:
+    """The slow part of a spectrum: its first Matern part of order 5/2."""
+    return next(c for c in spectrum.components if isinstance(c, Matern) and c.order == "5/2")
 
 
 _WIDE = Spectrum((Matern(20.0, 1.0, "5/2"), Matern(0.5, 0.01, "3/2")))
@@ -220,7 +240,8 @@ def fit_prior_model(
     scales = [
         one.noise_scale * max(grown, 1.0) for one, grown in zip((roll, pitch, yaw), grown_by, strict=True)
     ]
-    return PriorModel((roll.spectrum, pitch.spectrum, yaw.spectrum), (scales[0], scales[1], scales[2]))
+    model = PriorModel((roll.spectrum, pitch.spectrum, yaw.spectrum), (scales[0], scales[1], scales[2]))
+    return model.with_turns()
 
 
 def _without_jumps(series: DifferenceSeries, jumps: Array) -> DifferenceSeries:

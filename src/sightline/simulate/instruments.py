@@ -160,13 +160,12 @@ class InstrumentOptions:
 
     @property
     def rad_per_px(self) -> Array:
-        """(3,) rad of a departure that moves the image by one pixel where it moves it most.
+        """(3,) rad of one pixel of roll and pitch, and of yaw at the edge of the field.
 
-        Yaw turns about the body's z; behind a mirror that looks far from it, it shifts the whole image.
+        Behind a mirror, which looks far from the body's z, yaw shifts the whole image as roll and pitch do:
+        one pixel of it is as small as theirs.
         """
-        lever = self.half_field
-        if self.scan == "mirror":
-            lever = max(lever, np.sin(abs(self.off_nadir) + 0.5 * self.duration * self.scan_rate))
+        lever = 1.0 if self.scan == "mirror" else self.half_field
         return np.array([self.ifov, self.ifov, self.ifov / lever])
 
 
@@ -192,9 +191,9 @@ _SAME = {"coherence": 1.0, "rotation_sigma": 1e-5, "offset_sigma_px": 0.1}
 
 INSTRUMENT_OPTIONS: dict[str, dict[str, Any]] = {
     "pushbroom": {},
-    # 2 turns per minute, as JunoCam's spacecraft
+    # 2 turns per minute, as JunoCam's spacecraft; 1 turn per minute
     "spin-leo": _case(scan="spin", altitude=700e3, ifov=1e-4, line_period=1e-4 / 0.20944),
-    "spin-geo": _case(scan="spin", **_GEO, line_period=28e-6 / 0.20944),
+    "spin-geo": _case(scan="spin", **_GEO, line_period=28e-6 / 0.10472),
     "mirror-leo": _case(scan="mirror", altitude=700e3, ifov=42e-6, line_period=2e-4),
     "mirror-geo": _case(scan="mirror", **_GEO, line_period=2e-4),
     "staggered": _case(detectors=_PAIR, coherence=1.0),
