@@ -272,7 +272,9 @@ def _prepare(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
                 f"image and camera of band {band.name!r} differ: image {band.image.shape}, camera {expected} "
                 "(lines, columns); give the image its own size in the instrument description"
             )
-    axes = viewing_axes([band.camera for band in bands])
+    pairs = _numbered(options.pairs, bands)
+    views = common_views([band.camera for band in bands], surface, pairs)
+    axes = viewing_axes([band.camera for band in bands], views)
     cameras = tuple(band.camera if axes is None else in_axes(band.camera, axes) for band in bands)
     parameters = band_statics(
         [b.name for b in bands], [b.offset_sigma_px for b in bands], [b.rotation_sigma for b in bands]
@@ -291,7 +293,7 @@ def _prepare(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
         nominal=cameras,
         turn=np.eye(3) if axes is None else axes.as_matrix(),
         parameters=tuple(parameters),
-        views=common_views(cameras, surface, _numbered(options.pairs, bands)),
+        views=views,
         grid=TimeGrid(start, step, count),
         order=tuple(range(len(bands))),
         pixel_angle=pixel_angle,
@@ -680,8 +682,8 @@ def _warnings(
     if spanned < ENOUGH_FIELD:
         out.append(
             f"yaw is nearly blind: the matches span {100 * spanned:.0f} % of the field (30 % or more tell "
-            f"it); it is known to {sigma_yaw / strip.scale[2]:.2g} px at the field's edge, and roll and pitch no "
-            "better where no match is"
+            f"it); it is known to {sigma_yaw / strip.scale[2]:.2g} px at the field's edge, roll and pitch "
+            "no better away from the matches"
         )
     elif sigma_yaw > 0.3 * prior_yaw:
         out.append(

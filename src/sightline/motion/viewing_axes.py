@@ -21,35 +21,46 @@ from scipy.spatial.transform import Rotation
 from sightline.estimation.prior import Spectrum
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.pointing import pointing_matrices, turned_pointing
+from sightline.motion.common_view import Views, usable
 from sightline.motion.observations import Star
 
 Array = NDArray[np.float64]
 
-#: The line of sight is off the body's z where the angle between them (rad) is larger than this and than so
-#: many half fields: there yaw shifts the image by more than it turns it.
-OFF_AXIS, OFF_FIELDS = 0.02, 2.0
+#: The line of sight is off the body's z where the angle between them (rad) is larger than so many times half
+#: of what the matches span across the field: there yaw shifts the image by more than it turns it. Where the
+#: matches span the whole field it is also larger than OFF_AXIS.
+OFF_SPANS, OFF_AXIS = 2.0, 0.02
 #: Lines of each image at which the line of sight is looked at.
 _LINES = 9
 
 
-def viewing_axes(cameras: Sequence[PushbroomCamera]) -> Rotation | None:
-    """body_from_viewing: the least turn that takes the body's z to the mean line of sight.
+def viewing_axes(cameras: Sequence[PushbroomCamera], views: Views) -> Rotation | None:
+    """body_from_viewing: the least turn that takes the body's z to the mean line of sight of the matches.
 
     None where they are near each other, and body axes serve as they are.
+
+    Parameters
+    ----------
+    cameras : sequence of PushbroomCamera
+    views : mapping
+        What they see in common, from `common_view.common_views`.
     """
-    looks = []
-    for camera in cameras:
+    looks, half_spans, whole = [], [], True
+    for (image, _), (first, last) in sorted(views.items()):
+        camera = cameras[image]
         t = camera.times(np.linspace(0.0, camera.lines - 1.0, _LINES))
-        middle = camera.detector.directions_at([(camera.columns - 1) / 2.0])[0]
+        middle = camera.detector.directions_at([0.5 * (first + last)])[0]
         looks.append(pointing_matrices(camera.pointing, t) @ middle)
+        half_spans.append(0.5 * camera.detector.pixel_step * (last - first))
+        whole &= usable((first, last), camera.columns) is None
+    if not looks:
+        return None
     mean = np.concatenate(looks).mean(axis=0)
     mean /= np.sqrt(mean @ mean)
     axis = np.cross([0.0, 0.0, 1.0], mean)
     sine = float(np.sqrt(axis @ axis))
     angle = float(np.arctan2(sine, mean[2]))
-    first = cameras[0].detector
-    half_field = 0.5 * first.pixel_step * (first.columns - 1)
-    if angle <= max(OFF_AXIS, OFF_FIELDS * half_field):
+    if angle <= max(OFF_AXIS if whole else 0.0, OFF_SPANS * min(half_spans)):
         return None
     # looking back along the body's -z any axis across it serves
     axis = np.array([1.0, 0.0, 0.0]) if sine < 1e-9 else axis / sine
