@@ -28,7 +28,7 @@ from sightline.simulate.instruments import INSTRUMENT_CASES, instrument_case
 
 
 def off_nadir_angles(case: str) -> tuple[float, ...]:
-    """Degrees in the middle of the strip; from a geostationary orbit the limb is 8.7 off, the last lines miss."""
+    """Degrees in the middle of the strip; from geostationary height the last lines look past the limb."""
     return (2.0, 7.6) if case.endswith("geo") else (5.0, 30.0)
 
 

@@ -66,6 +66,7 @@ def fit_spectrum(
     independent: float = 0.0,
     iterations: int = 60,
     work: float = WORK,
+    known: Sequence[float] = (),
 ) -> FittedSpectrum:
     """Spectrum and noise scale of a motion by marginal likelihood, tones found blind.
 
@@ -92,6 +93,8 @@ def fit_spectrum(
         Of the last search.
     work : float
         Allowed per evaluation, see `WORK`.
+    known : sequence of float
+        Hz; there a tone stands, however weak: its size is fitted, and it is never left out.
 
     Raises
     ------
@@ -121,10 +124,10 @@ def fit_spectrum(
         model = search.improve(model.with_tone(*found[0]), 10)
     if model.tones:
         model = search.without_aliases(search.improve(model, 25), false_alarm)
-    model = search.with_smoothness(model)
+    model = search.with_smoothness(search.with_known_tones(model, known))
     # Now that its spectrum is known, what the motion does between nodes need not pass for noise.
     search.use(summed(model.spectrum))
-    model = search.improve(search.without_idle_tones(model), iterations)
+    model = search.improve(search.without_idle_tones(model, known), iterations)
     fitted = model.spectrum.scaled(unit)
     order = np.argsort([tone.frequency for tone in model.tones])
     return FittedSpectrum(

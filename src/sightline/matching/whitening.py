@@ -332,7 +332,13 @@ def estimate_whitening(
             f"{len(chosen)} points; at least 8 are needed; give more points, a smaller `tile`, or "
             "whitening=None"
         )
-    cross, auto_a, auto_b = _spectra(*_aligned(a, b, reach))
+    a, b = _aligned(a, b, reach)
+    cross, auto_a, auto_b = _spectra(a, b) if len(a) else (a, a, a)
+    if len(cross) == 0:
+        raise EstimationError(
+            f"whitening cannot be estimated: none of {count} points lies within {reach} px of where it is "
+            "predicted; check the predicted positions or raise `reach`"
+        )
     # each tile weighs the same whatever its contrast, but scaled alike in a and b
     scale = 1.0 / np.sqrt(auto_a[:, 1:, 1:].mean(axis=(1, 2)) * auto_b[:, 1:, 1:].mean(axis=(1, 2)))
     scale = np.minimum(scale, 4 * np.median(scale)) / max(len(scale), 1)

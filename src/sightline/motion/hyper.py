@@ -32,6 +32,8 @@ Array = NDArray[np.float64]
 ORDER = 40
 #: Information (rad^-2, sigma 0.1 rad) that keeps the angles finite of a row that cannot see them all.
 WEAK = 1e2
+#: Tones that are looked for per axis.
+MOST_TONES = 8
 #: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
 MOST_ACROSS = 0.5
 
@@ -54,19 +56,17 @@ class PriorModel:
         return np.asarray(correlation * np.outer(size, size))
 
     def with_turns(self) -> PriorModel:
-        """The model with a drift about the line of sight no smaller than those across it (rad).
+        """The model with a motion about the line of sight no smaller than that across it (rad).
 
         A narrow field hardly shows that angle: its likelihood is as content with none as with a large one,
         and a spectrum of none would be certain of it. Nothing holds a body stiller about one axis than
-        another.
+        another: where the drift found is the smaller, the whole spectrum of the larger of the others stands
+        in its place.
         """
-        across = max((_drift(s) for s in self.spectra[:2]), key=lambda part: part.sigma)
-        yaw = self.spectra[2]
-        about = _drift(yaw)
-        if about.sigma >= across.sigma:
+        across = max(self.spectra[:2], key=lambda spectrum: _drift(spectrum).sigma)
+        if _drift(self.spectra[2]).sigma >= _drift(across).sigma:
             return self
-        parts = tuple(across if part is about else part for part in yaw.components)
-        return replace(self, spectra=(*self.spectra[:2], Spectrum(parts)))
+        return replace(self, spectra=(*self.spectra[:2], across))
 
     def scaled(self, pixel_angle: float, half_field: float) -> PriorModel:
         """The model given in px (yaw: px at the field edge) as one in rad."""
@@ -225,23 +225,47 @@ def fit_prior_model(
     if not differences:
         raise EstimationError("no row of windows is seen by any pair; check that the bands overlap")
 
-    def fitted(axis: int) -> FittedSpectrum:
+    def fitted(axis: int, known: Sequence[float] = (), begin: Spectrum | None = None) -> FittedSpectrum:
         series = [scalar_series(d, axis) for d in differences]
         if jumps:
             series = [_without_jumps(one, jumps[axis]) for one in series]
         return fit_spectrum(
             series,
-            start=None if start is None else start.spectra[axis],
+            start=begin or (None if start is None else start.spectra[axis]),
             offset_sigma=float(pixel[axis]),
             work=work,
+            known=known,
+            max_tones=MOST_TONES if begin is None else 0,
         )
 
-    roll, pitch, yaw = in_threads(fitted, range(3))
+    first = in_threads(fitted, range(3))
+    apart = 1.5 / (max(d.t.max() for d in differences) - min(d.t.min() for d in differences))
+    missing = [_tones_elsewhere([one.spectrum for one in first], axis, apart) for axis in range(3)]
+
+    def shared(axis: int) -> FittedSpectrum:
+        return fitted(axis, missing[axis], first[axis].spectrum) if missing[axis] else first[axis]
+
+    roll, pitch, yaw = in_threads(shared, range(3))
     scales = [
         one.noise_scale * max(grown, 1.0) for one, grown in zip((roll, pitch, yaw), grown_by, strict=True)
     ]
     model = PriorModel((roll.spectrum, pitch.spectrum, yaw.spectrum), (scales[0], scales[1], scales[2]))
     return model.with_turns()
+
+
+def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> list[float]:
+    """Frequencies (Hz), `apart` at least, of tones that other axes have and this one does not.
+
+    What shakes a spacecraft shakes all axes of it. A tone too weak to be found by itself would be owned by
+    nobody; where another axis shows it, its size here is a question to the data like any other.
+    """
+    own = [tone.frequency for tone in spectra[axis].tones]
+    out: list[float] = []
+    for other, spectrum in enumerate(spectra):
+        for tone in spectrum.tones:
+            if other != axis and all(abs(tone.frequency - f) > apart for f in [*own, *out]):
+                out.append(float(tone.frequency))
+    return out
 
 
 def _without_jumps(series: DifferenceSeries, jumps: Array) -> DifferenceSeries:
