@@ -94,7 +94,7 @@ def fit_spectrum(
     work : float
         Allowed per evaluation, see `WORK`.
     known : sequence of float
-        Hz; there a tone stands, however weak: its size is fitted, and it is never left out.
+        Hz; there a tone stands, of at most the size below which it is not found.
 
     Raises
     ------
@@ -124,10 +124,11 @@ def fit_spectrum(
         model = search.improve(model.with_tone(*found[0]), 10)
     if model.tones:
         model = search.without_aliases(search.improve(model, 25), false_alarm)
-    model = search.with_smoothness(search.with_known_tones(model, known))
+    model = search.with_smoothness(model)
     # Now that its spectrum is known, what the motion does between nodes need not pass for noise.
     search.use(summed(model.spectrum))
-    model = search.improve(search.without_idle_tones(model, known), iterations)
+    model = search.improve(search.without_idle_tones(model), iterations)
+    model = search.with_known_tones(model, known, false_alarm)
     fitted = model.spectrum.scaled(unit)
     order = np.argsort([tone.frequency for tone in model.tones])
     return FittedSpectrum(

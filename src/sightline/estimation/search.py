@@ -34,8 +34,6 @@ BELIEF = 3.0
 #: The same of a tone's bandwidth, about one over the length of the data: below that a bandwidth hardly
 #: shows, and one that is too narrow costs more than one that is too wide.
 BANDWIDTH_BELIEF = 1.2
-#: Size, in units of the noise of one measurement, from which that of a tone known by its frequency is sought.
-WEAK_TONE = 0.3
 #: A smoother broadband part is believed when it lowers the deviance by this much (Akaike's price of a
 #: parameter, thrice: there are three steps to take).
 SMOOTHER = 6.0
@@ -332,21 +330,28 @@ class Search:
             model = smoother
         return model
 
-    def with_known_tones(self, model: Model, known: Sequence[float]) -> Model:
-        """The model and a weak tone at every `known` frequency (Hz) where it has none."""
-        for frequency in known:
-            if not self._has_tone(model, frequency):
-                model = model.with_tone(Tone(WEAK_TONE, frequency, 1.0 / self._length), math.nan)
+    def with_known_tones(self, model: Model, known: Sequence[float], false_alarm: float) -> Model:
+        """The model and a tone at every `known` frequency (Hz) where it has none, as large as may go unseen.
+
+        A size fitted to data that do not show the tone is an accident: nothing at a blind frequency. What
+        gains `unexplained_tones`' threshold on average has the variance 2 threshold / c'Fc.
+        """
+        apart = 1.5 / self._length
+        new = [f for f in known if all(abs(tone.frequency - f) > apart for tone in model.tones)]
+        if not new:
+            return model
+        now = self.posterior(model)
+        u = band_times(now.prior_band, now.mean)
+        _, expected = self._exact_gain(now, u, np.array(new))
+        threshold = math.log(0.3 / self._equations.grid.step * self._length / false_alarm)
+        for frequency, information in zip(new, expected, strict=True):
+            size = min(math.sqrt(2.0 * threshold / float(information)), model.drift.sigma)
+            model = model.with_tone(Tone(size, frequency, 1.0 / self._length), math.nan)
         return model
 
-    def _has_tone(self, model: Model, frequency: float) -> bool:
-        return any(abs(tone.frequency - frequency) < 1.5 / self._length for tone in model.tones)
-
-    def without_idle_tones(self, model: Model, known: Sequence[float] = ()) -> Model:
-        """The model less every tone that three parameters do not pay for (Akaike); `known` ones (Hz) stay."""
+    def without_idle_tones(self, model: Model) -> Model:
+        """The model less every tone that three parameters do not pay for (Akaike)."""
         for k in reversed(range(len(model.tones))):
-            if any(abs(model.tones[k].frequency - f) < 1.5 / self._length for f in known):
-                continue
             fewer = model.without_tone(k)
             present = self.deviance(model)
             if self.deviance(fewer) > present + 30.0:

@@ -257,7 +257,7 @@ def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> li
     """Frequencies (Hz), `apart` at least, of tones that other axes have and this one does not.
 
     What shakes a spacecraft shakes all axes of it. A tone too weak to be found by itself would be owned by
-    nobody; where another axis shows it, its size here is a question to the data like any other.
+    nobody; where another axis shows it, it may be here too, as large as goes unseen.
     """
     own = [tone.frequency for tone in spectra[axis].tones]
     out: list[float] = []

@@ -174,7 +174,7 @@ def _case(**changes: Any) -> dict[str, Any]:
 
 
 _GEO = {"altitude": 35_786e3, "inclination": np.radians(0.1), "ifov": 28e-6, "off_nadir": np.radians(5.0)}
-# One lag alone is blind at n / 0.1375 s: none of the motion's tones falls there.
+# One lag alone, blind at its multiples: seen 20 degrees off the nadir it is 7 periods of the tone of 47 Hz.
 _PAIR = (DetectorOptions("CCD1", 0.0, 500, -226.0), DetectorOptions("CCD2", 275.0, 500, 226.0))
 
 
