@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sightline.errors import FormatError, SpanError
+from sightline.errors import FormatError, GeometryError, SpanError
 from sightline.io import tables
 from sightline.io.acquisition import load_acquisition
 
@@ -160,3 +160,40 @@ def test_a_sensor_model_takes_no_mirror(folder):
     assert 'kind = "camera-model" brings its own; remove [pointing]' in message(
         mirror(folder, [0, 1], [0, 0])
     )
+
+
+def test_a_sweep_may_begin_and_end_past_the_limb(folder):
+    """From 700 km the northern limb is atan(6357 / sqrt(7078^2 - 6378^2)) = 64.23 degrees off.
+
+    A spin that starts at 64.05 turns by 0.28 degrees during the image: a third of it looks past.
+    """
+    tilt = np.radians(64.05)
+    half = -np.pi / 4 + tilt / 2  # looking down, turned forward about y
+    down = [0.0, float(np.sin(half)), 0.0, float(np.cos(half))]
+    spin = SPIN.replace("[0.0, 0.0, 700e3]", "[7078137.0, 0.0, 0.0]").replace("rate = 0.01", "rate = 0.05")
+    spin = spin.replace("[0.7071067811865476, 0.7071067811865476, 0.0, 0.0]", repr(down))
+    acquisition = load_acquisition(folder.replace(LEVEL, spin).write())
+    ground = acquisition.cameras[0].locate([[0.0, 59.5], [199.0, 59.5]], acquisition.surface)
+    assert np.isfinite(ground[0]).all() and np.isnan(ground[1]).all()
+    over = SPIN.replace("[0.0, 0.0, 700e3]", "[7078137.0, 0.0, 0.0]")
+    # the attitude of a flat world points the other way: nothing is seen
+    said = message(folder.replace(spin, over), GeometryError)
+    assert "100 % of image number 1 looks past the ground" in said
+
+
+@pytest.mark.parametrize(
+    ("pairs", "words"),
+    [
+        ('[["PAN", "NIR"]]', "[matching] pairs names 'NIR', which is no [[band]]; there are: PAN, XS"),
+        ('[["PAN", "PAN"]]', "[matching] pairs: 'PAN' with itself"),
+        ('[["PAN"]]', "matching.pairs"),
+        ("[]", "matching.pairs = [] is not allowed"),
+    ],
+)
+def test_what_is_wrong_with_pairs_is_said(folder, pairs, words):
+    assert words in message(folder.add(f"[matching]\npairs = {pairs}\n"))
+
+
+def test_pairs_reach_the_recovery_by_name(folder):
+    acquisition = load_acquisition(folder.add('[matching]\npairs = [["PAN", "XS"]]\n').write())
+    assert acquisition.matching["pairs"] == (("PAN", "XS"),)

@@ -63,8 +63,8 @@ class PriorModel:
         another: where the drift found is the smaller, the whole spectrum of the larger of the others stands
         in its place.
         """
-        across = max(self.spectra[:2], key=lambda spectrum: _drift(spectrum).sigma)
-        if _drift(self.spectra[2]).sigma >= _drift(across).sigma:
+        across = max(self.spectra[:2], key=_slow)
+        if _slow(self.spectra[2]) >= _slow(across):
             return self
         return replace(self, spectra=(*self.spectra[:2], across))
 
@@ -95,9 +95,9 @@ class PriorModel:
         return None if roll is None or pitch is None or yaw is None else (roll, pitch, yaw)
 
 
-def _drift(spectrum: Spectrum) -> Matern:
-    """The slow part of a spectrum: its first Matern part of order 5/2."""
-    return next(c for c in spectrum.components if isinstance(c, Matern) and c.order == "5/2")
+def _slow(spectrum: Spectrum) -> float:
+    """Standard deviation (rad) of the largest broad part of a spectrum: its drift."""
+    return max((c.sigma for c in spectrum.components if isinstance(c, Matern)), default=0.0)
 
 
 _WIDE = Spectrum((Matern(20.0, 1.0, "5/2"), Matern(0.5, 0.01, "3/2")))
