@@ -212,7 +212,11 @@ def check_sampling(
         line, column = (camera.lines - 1) / 2.0, (camera.columns - 1) / 2.0
         spots = np.array([[line, column], [line + 1.0, column], [line, column + 1.0]])
         here, ahead, aside = camera.locate(spots, base_surface(surface))
-        along, across = float(np.linalg.norm(ahead - here)), float(np.linalg.norm(aside - here))
+        # square to the line of sight: near the limb of a planet the ground itself is stretched without end
+        look = camera.rays(spots[:1]).directions[0]
+        along, across = (
+            float(np.linalg.norm(step - look * (look @ step))) for step in (ahead - here, aside - here)
+        )
         if isinstance(surface, Infinity) or not np.isfinite(along + across):
             continue
         if not 1.0 / LARGEST_STEP_RATIO < along / across < LARGEST_STEP_RATIO:
