@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
 from sightline.cli.recover import recover_acquisition
@@ -20,6 +21,7 @@ from sightline.imaging.source import ArrayImage
 from sightline.io.acquisition import load_acquisition
 from sightline.motion.band import Band
 from sightline.motion.joint import remove_directions
+from sightline.motion.viewing_axes import in_axes
 from sightline.simulate.instrument_files import write_instrument
 from sightline.simulate.instruments import DetectorOptions, instrument_case
 
@@ -101,10 +103,6 @@ def test_a_body_told_in_other_axes_moves_the_same(tmp_path):
 
     Both are estimated about the line of sight: less what is hidden they differ by far less than a sigma.
     """
-    from scipy.spatial.transform import Rotation
-
-    from sightline.motion.viewing_axes import in_axes
-
     scenario = instrument_case("pushbroom", 1, lines=400, columns=220)
     images = [ArrayImage(scenario.image(k)) for k in range(4)]
     turn = Rotation.from_rotvec([0.35, 0.0, 0.0])
@@ -120,6 +118,32 @@ def test_a_body_told_in_other_axes_moves_the_same(tmp_path):
     moved = remove_directions(back - along.motion.angles, along.hidden, along.scale)
     assert np.sqrt(np.mean((moved / along.sigma) ** 2, axis=0)).max() < 0.35
     assert np.isfinite(tilted.band.band).all() and len(tilted.spectra[1].components) > 2
+
+
+def test_a_spin_told_wrong_is_a_drift_that_the_motion_takes(tmp_path):
+    """The rate 0.5 % and the axis 1 mrad off: departures of 0.2 mrad, 2 px, from what is told."""
+    scenario = instrument_case("spin-leo", 1, lines=400, columns=220, off_nadir=np.radians(10.0))
+    told = replace(scenario.spin, rate=1.005 * scenario.spin.rate, axis=[1e-3, 1.0, 0.0])
+    write_instrument(replace(scenario, spin=told), tmp_path)
+    acquired = load_acquisition(tmp_path / "acquisition.toml")
+    result = recover_acquisition(acquired, lambda text: None)
+    t, true = scenario.truth[:, 0], scenario.spin
+    departed = told.at(t).inv() * true.at(t) * Rotation.from_rotvec(scenario.truth[:, 1:])
+    truth = departed.as_rotvec()
+    drift = np.ptp(truth - scenario.truth[:, 1:], axis=0) / scenario.options.ifov
+    assert 1.5 < drift[1] < 2.5
+    score = score_motion(
+        result.motion.t, result.motion.angles, result.sigma, t, truth,
+        hidden=result.hidden, hidden_names=result.hidden_names,
+        ifov=acquired.ifov, half_field_px=acquired.half_field_px,
+    )  # fmt: skip
+    for name, axis in score.axes.items():
+        assert axis.rms < 1.5 * axis.sigma, (name, axis)
+    # to first order the departure is what `Spin.departures` says of those errors
+    across = true.departures(t)
+    errors = np.array([true.rate - told.rate, 0.0, 0.0])
+    rate_only = across @ errors
+    assert np.abs((truth - scenario.truth[:, 1:] - rate_only)[:, 1]).max() < 0.02 * np.abs(rate_only).max()
 
 
 def test_pairs_must_name_bands():
