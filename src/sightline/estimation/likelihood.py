@@ -94,7 +94,7 @@ def fit_spectrum(
     work : float
         Allowed per evaluation, see `WORK`.
     known : sequence of float
-        Hz; there a tone stands, of a size that is not found by itself.
+        Hz; there a tone stands, of at most the size below which it is not found.
 
     Raises
     ------

@@ -331,11 +331,10 @@ class Search:
         return model
 
     def with_known_tones(self, model: Model, known: Sequence[float], false_alarm: float) -> Model:
-        """The model and a tone at every `known` frequency (Hz) where it has none, of a size that goes unseen.
+        """The model and a tone at every `known` frequency (Hz) where it has none, as large as may go unseen.
 
         A size fitted to data that do not show the tone is an accident: nothing at a blind frequency. What
-        gains `unexplained_tones`' threshold on average has the variance 2 threshold / c'Fc; amplitudes spread
-        evenly below that have a third of it.
+        gains `unexplained_tones`' threshold on average has the variance 2 threshold / c'Fc.
         """
         apart = 1.5 / self._length
         new = [f for f in known if all(abs(tone.frequency - f) > apart for tone in model.tones)]
@@ -346,7 +345,7 @@ class Search:
         _, expected = self._exact_gain(now, u, np.array(new))
         threshold = math.log(0.3 / self._equations.grid.step * self._length / false_alarm)
         for frequency, information in zip(new, expected, strict=True):
-            size = min(math.sqrt(2.0 / 3.0 * threshold / float(information)), model.drift.sigma)
+            size = min(math.sqrt(2.0 * threshold / float(information)), model.drift.sigma)
             model = model.with_tone(Tone(size, frequency, 1.0 / self._length), math.nan)
         return model
 
