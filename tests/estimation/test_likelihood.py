@@ -165,3 +165,23 @@ def test_bad_input_is_named() -> None:
     good = DifferenceSeries(t, t + 1.0, t, t + 1.0)
     with pytest.raises(InputError, match="`start` needs a Matern component"):
         fit_spectrum([good], start=Spectrum((Tone(1.0, 1.0, 1.0),)))
+
+
+def test_a_tone_that_other_axes_have_is_as_large_as_goes_unseen(series) -> None:  # type: ignore[no-untyped-def]
+    """60 Hz is seen well by all lags: little goes unseen there, and what is found elsewhere stays."""
+    known = fit_spectrum(series, possible=(60.0,)).spectrum.tones
+    (tone,) = [t for t in known if abs(t.frequency - 60.0) < 1e-9]
+    # 770 differences of sigma 0.03 and gain 2 tell a sinusoid to 0.03 / sqrt(770) / 2 = 0.0005 at best; the
+    # threshold of ln(300 / 1e-3) = 12.6 asks for 5 of them, the broadband of 0.1 beside it for ten times that
+    assert 0.0015 < tone.sigma < 0.05
+    assert any(abs(t.frequency - 47.0) < 1.0 for t in known)
+
+
+def test_at_a_blind_frequency_a_known_tone_may_be_as_large_as_the_drift(motion) -> None:  # type: ignore[no-untyped-def]
+    (only,) = [s for s in measured(motion, 0.03) if abs(s.lag[0] - 0.022) < 1e-9]
+    seen, blind = (
+        next(t.sigma for t in fit_spectrum([only], possible=(f,)).spectrum.tones if t.frequency == f)
+        for f in (1.5 / 0.022, 2.0 / 0.022)
+    )
+    # |G| is 2 at the one and 0 at the other
+    assert blind > 5.0 * seen

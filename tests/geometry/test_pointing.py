@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError, SpanError
-from sightline.geometry.pointing import FixedMount, ScanMirror, pointing_matrices
+from sightline.geometry.pointing import FixedMount, ScanMirror, pointing_matrices, turned_pointing
 from sightline.geometry.rotations import NADIR_MOUNT
 
 MIRROR = ScanMirror(Rotation.identity(), [0, 2.0, 0], [1.0, 0, -1.0], [0.0, 1.0], [0.0, 0.1])
@@ -48,3 +48,15 @@ def test_a_mirror_turns_the_image_over_and_undoes_itself():
 def test_the_mirror_angle_is_not_extrapolated():
     with pytest.raises(SpanError, match=r"mirror angle is known for t = \[0\.000000, 1\.000000\] s"):
         MIRROR.to_body(np.array([[0, 0, 1.0]]), np.array([2.0]))
+
+
+def test_other_body_axes_leave_the_camera_where_it_is():
+    """Directions in the other axes, turned back into the body's, are those of the pointing itself."""
+    turn, t = Rotation.from_rotvec([0.2, -0.1, 0.4]), np.array([0.0, 0.5, 1.0])
+    vectors = np.random.default_rng(2).normal(size=(3, 3))
+    for pointing in (FixedMount(), MIRROR):
+        other = turned_pointing(pointing, turn)
+        there = other.to_body(vectors, t)
+        assert_allclose(turn.apply(there), pointing.to_body(vectors, t), atol=1e-14)
+        assert_allclose(other.to_camera(there, t), vectors, atol=1e-14)
+        assert other.span == pointing.span

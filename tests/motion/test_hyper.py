@@ -11,11 +11,12 @@ from numpy.testing import assert_allclose
 
 from motion.strips import IFOV, plain_star
 from sightline.errors import EstimationError
-from sightline.estimation.prior import Matern, Spectrum
+from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.motion import hyper
 from sightline.motion.hyper import (
     BROAD,
     PriorModel,
+    _tones_elsewhere,
     angle_differences,
     averaged,
     fit_prior_model,
@@ -130,6 +131,24 @@ class TestPriorModel:
         ratio = [s.sigma / b.sigma for s, b in zip(scaled.spectra, BROAD.spectra, strict=True)]
         assert_allclose(ratio, [5e-6, 5e-6, 5e-6 / 8e-4])
 
+    def test_a_turn_about_the_line_of_sight_is_no_smaller_than_those_across_it(self):
+        roll = Spectrum((Matern(2e-6, 1.0, "5/2"), Matern(1e-7, 0.01, "3/2")))
+        pitch = Spectrum((Matern(5e-6, 1.0, "5/2"), Matern(1e-7, 0.02, "3/2"), Tone(1e-6, 47.0, 1.0)))
+        unseen = Spectrum((Matern(1e-9, 1.0, "5/2"), Matern(1e-9, 0.01, "3/2")))
+        assert PriorModel((roll, pitch, unseen)).with_turns().spectra == (roll, pitch, pitch)
+        # an unseen roll stays: shifts of the whole image are seen, or hidden, in any field
+        large = Spectrum((Matern(4e-3, 1.0, "5/2"), Matern(1e-4, 0.01, "3/2")))
+        assert PriorModel((unseen, pitch, large)).with_turns().spectra == (unseen, pitch, large)
+
+    def test_tones_of_other_axes_that_an_axis_does_not_have_are_named_once(self):
+        drift = (Matern(1.0, 1.0, "5/2"), Matern(0.1, 0.01, "3/2"))
+        tones = [
+            Spectrum((*drift, *(Tone(0.1, f, 1.0) for f in fs))) for fs in ((47.0, 83.0), (47.6,), (121.0,))
+        ]
+        assert _tones_elsewhere(tones, 0, 2.0) == [121.0]
+        assert _tones_elsewhere(tones, 1, 2.0) == [83.0, 121.0]
+        assert _tones_elsewhere(tones, 2, 2.0) == [47.0, 83.0]
+
     def test_its_processes_have_the_variance_of_their_spectra(self):
         spectra = tuple(Spectrum((Matern(s, 0.05, "3/2"),)) for s in (1.0, 2.0, 3.0))
         grid = TimeGrid(0.0, STEP, 30)
@@ -189,3 +208,11 @@ class TestPriorModel:
             EstimationError, match="no row of windows is seen by any pair; check that the bands overlap"
         ):
             fit_prior_model([blind], [star.residual_px], estimate_of(star, still), np.ones(3))
+
+
+def test_rows_of_one_window_say_nothing_of_yaw_and_pitch():
+    """One window per row, beside the middle of the field: along the lines pitch and yaw do the same to it."""
+    star = plain_star(125, 1, 2, SIGMA)
+    for found in angle_differences([star], [star.residual_px], estimate_of(star, still)):
+        assert np.isinf(found.covariance[:, [1, 2], [1, 2]]).all()
+        assert_allclose(found.covariance[:, 0, 0], (SIGMA * IFOV) ** 2, rtol=0.01)

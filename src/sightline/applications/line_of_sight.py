@@ -26,6 +26,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import KEPT, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.band import Band
+from sightline.motion.common_view import Views, common_views
 from sightline.motion.consensus import ground_weights
 from sightline.motion.fusion import (
     UNSEEN_PX,
@@ -60,6 +61,14 @@ from sightline.motion.relief import hub_delay, relief_length, relief_matters, ro
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
 from sightline.motion.stars import MatchingPlan, StarRecord, hub_windows, match_star
 from sightline.motion.statics import apply_statics, band_statics
+from sightline.motion.viewing_axes import (
+    in_axes,
+    turned_band,
+    turned_directions,
+    turned_spectra,
+    turned_star,
+    viewing_axes,
+)
 from sightline.motion.windows import window_grid
 
 Array = NDArray[np.float64]
@@ -90,6 +99,10 @@ DOUBTFUL = 2.0
 HYBRIDISE = ("global", "iterative")
 #: Fewer windows than this share kept at the end are worth a warning.
 ENOUGH_KEPT = 0.5
+#: Matches that span less than this share of the field hardly tell yaw.
+ENOUGH_FIELD = 0.3
+#: Lines at which the ground of a strip is sought.
+GROUND_PLACES = 9
 
 
 @dataclass(frozen=True)
@@ -115,6 +128,8 @@ class RecoverOptions:
     hybridise : str
         How pairs begin: ``"global"``, all at once; ``"iterative"``, the best correlated one, whose motion
         then predicts where to match the next image, and so on (S1, claim 10). Later passes take all.
+    pairs : tuple of (str, str)
+        Names of the pairs of bands that are matched; empty: every pair that shares ground.
     """
 
     first_window: tuple[int, int] = (10, 100)
@@ -126,6 +141,7 @@ class RecoverOptions:
     draft_blocks: int = 10
     tolerance: float = 0.2
     hybridise: str = "global"
+    pairs: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse an unknown word."""
@@ -138,12 +154,17 @@ class RecoverOptions:
 
 @dataclass(frozen=True, eq=False)
 class _Strip:
-    """What does not change from pass to pass; a `draft` is a wide strip before its last pass."""
+    """What does not change from pass to pass; a `draft` is a wide strip before its last pass.
+
+    `nominal` are the cameras in the axes of the estimate; `turn` (3, 3) leads from them to body axes.
+    """
 
     bands: tuple[Band, ...]
     surface: Surface
     nominal: tuple[PushbroomCamera, ...]
+    turn: Array
     parameters: tuple[StaticParameter, ...]
+    views: Views
     grid: TimeGrid
     order: tuple[int, ...]
     pixel_angle: float
@@ -171,10 +192,23 @@ class _Strip:
 
     def cameras(self, nodes: Array, statics: Array) -> list[MovingCamera]:
         """Cameras that carry the motion and statics found so far."""
+        return self._moved(self.nominal, self._motion(nodes), statics)
+
+    def body_cameras(self, nodes: Array, statics: Array) -> list[MovingCamera]:
+        """The same in body axes."""
+        motion = self._motion(nodes)
+        turned = Motion(motion.t, motion.angles @ self.turn.T)
+        return self._moved([band.camera for band in self.bands], turned, statics)
+
+    def _motion(self, nodes: Array) -> Motion:
         half = self.grid.step / 2.0
         t = self.grid.nodes[0] + half * np.arange(2 * self.grid.count - 1)
-        motion = Motion(t, self.grid.interpolate(nodes, t))
-        moved = [c.with_trajectory(c.trajectory.with_motion(motion)) for c in self.nominal]
+        return Motion(t, self.grid.interpolate(nodes, t))
+
+    def _moved(
+        self, cameras: Sequence[PushbroomCamera], motion: Motion, statics: Array
+    ) -> list[MovingCamera]:
+        moved = [c.with_trajectory(c.trajectory.with_motion(motion)) for c in cameras]
         return apply_statics(moved, self.parameters, statics)
 
 
@@ -289,7 +323,10 @@ def _prepare(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
                 f"image and camera of band {band.name!r} differ: image {band.image.shape}, camera {expected} "
                 "(lines, columns); give the image its own size in the instrument description"
             )
-    cameras = tuple(band.camera for band in bands)
+    pairs = _numbered(options.pairs, bands)
+    views = common_views([band.camera for band in bands], surface, pairs)
+    axes = viewing_axes([band.camera for band in bands], views)
+    cameras = tuple(band.camera if axes is None else in_axes(band.camera, axes) for band in bands)
     parameters = band_statics(
         [b.name for b in bands], [b.offset_sigma_px for b in bands], [b.rotation_sigma for b in bands]
     )
@@ -305,7 +342,9 @@ def _prepare(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
         bands=tuple(bands),
         surface=surface,
         nominal=cameras,
+        turn=np.eye(3) if axes is None else axes.as_matrix(),
         parameters=tuple(parameters),
+        views=views,
         grid=TimeGrid(start, step, count),
         order=tuple(range(len(bands))),
         pixel_angle=pixel_angle,
@@ -314,6 +353,15 @@ def _prepare(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
         ground_speed=ground_speed,
         broad=BROAD.scaled(pixel_angle, half_field),
     )
+
+
+def _numbered(pairs: Sequence[tuple[str, str]], bands: Sequence[Band]) -> list[tuple[int, int]] | None:
+    """Pairs of names as pairs of numbers of `bands`; None, for all pairs, where none are given."""
+    names = [band.name for band in bands]
+    for name in (name for pair in pairs for name in pair):
+        if name not in names:
+            raise InputError(f"`pairs` names the band {name!r}; bands are: {', '.join(names)}")
+    return [(names.index(a), names.index(b)) for a, b in pairs] or None
 
 
 def _field(camera: PushbroomCamera) -> tuple[float, float]:
@@ -326,20 +374,24 @@ def _field(camera: PushbroomCamera) -> tuple[float, float]:
 
 
 def _on_ground(camera: PushbroomCamera, surface: Surface) -> tuple[float, float]:
-    """Half of the swath (m) and speed of its middle over the ground (m/s), at the middle of the strip."""
-    middle, right = (camera.lines - 1) / 2.0, camera.columns - 1.0
-    centre = right / 2.0
-    step = max(camera.lines / 10.0, 1.0)
-    pixels = np.array([[middle, 0.0], [middle, right], [middle - step, centre], [middle + step, centre]])
-    ground = camera.locate(pixels, surface)
-    if not np.isfinite(ground).all():
-        raise EstimationError(
-            "the middle of the strip does not meet the surface: its rays miss, or the DEM does not cover it; "
-            "check the platform's height and attitude and the extent of the DEM"
-        )
-    t = camera.times(pixels[2:, 0])
-    speed = float(np.linalg.norm(ground[3] - ground[2]) / (t[1] - t[0]))
-    return float(np.linalg.norm(ground[1] - ground[0])) / 2.0, speed
+    """Half of the swath (m) and speed of its middle over the ground (m/s), as near the middle as it is seen.
+
+    Sweeps of a spin or a mirror may look past the limb at either end.
+    """
+    right = camera.columns - 1.0
+    centre, step = right / 2.0, max(camera.lines / 10.0, 1.0)
+    places = np.linspace(step, max(camera.lines - 1.0 - step, step), GROUND_PLACES)
+    for line in sorted(places, key=lambda place: abs(place - (camera.lines - 1) / 2.0)):
+        pixels = np.array([[line, 0.0], [line, right], [line - step, centre], [line + step, centre]])
+        ground = camera.locate(pixels, surface)
+        if np.isfinite(ground).all():
+            t = camera.times(pixels[2:, 0])
+            speed = float(np.linalg.norm(ground[3] - ground[2]) / (t[1] - t[0]))
+            return float(np.linalg.norm(ground[1] - ground[0])) / 2.0, speed
+    raise EstimationError(
+        "the strip does not meet the surface: its rays miss, or the DEM does not cover it; "
+        "check the platform's height and attitude and the extent of the DEM"
+    )
 
 
 def _best_first(strip: _Strip, options: RecoverOptions) -> tuple[int, ...]:
@@ -420,9 +472,11 @@ def _sensor_rows(
     span = (grid.start, grid.start + grid.step * (grid.count - 1))
     unseen = (UNSEEN_PX if model is strip.broad else 0.0) * strip.scale
     unfelt = unfelt_tones(model.spectra)
+    # angles of the body about the axes of the estimate
+    sensors = [replace(s, angles=s.angles @ strip.turn) for s in strip.sensors]
     rows = [
         attitude_rows(s, span, len(strip.parameters), unfelt, unseen, first.trajectory, memory)
-        for s in strip.sensors
+        for s in sensors
     ]
     if strip.control is not None:
         cameras = strip.cameras(nodes, statics)
@@ -512,7 +566,7 @@ def _match(
     earlier = {(record.star.hub, record.star.images): record for record in before}
     cameras = strip.cameras(nodes, statics)
     images = [band.image for band in strip.bands]
-    hubs = hub_windows(cameras, strip.surface, [i.shape for i in images], strip.order, plan)
+    hubs = hub_windows(cameras, strip.surface, [i.shape for i in images], strip.order, plan, strip.views)
     return tuple(
         match_star(
             images,
@@ -635,22 +689,26 @@ def _result(strip: _Strip, state: _State, changes: list[float], window: tuple[in
     camera, estimate = strip.nominal[0], state.estimate
     t = camera.times(np.arange(camera.lines, dtype=float))
     free = any(p.sigma > 0 for p in strip.parameters)
-    on_grid = estimate.hidden_directions(drifts=free)
+    turn = strip.turn
+    on_grid = turned_directions(estimate.hidden_directions(drifts=free), turn)
     hidden = directions_at(strip.grid, on_grid, t)
-    covariance = estimate.relative_covariance(t, hidden, strip.scale)
+    covariance = estimate.relative_covariance(t, hidden, strip.scale, turn)
+    between = np.zeros((len(t), 3, 3))
     for axis, spectrum in enumerate(state.model.spectra):
-        covariance[:, axis, axis] += interpolation_variance(spectrum, strip.grid, t)
-    motion = Motion(t, angles_at(estimate, t), covariance)
+        between[:, axis, axis] = interpolation_variance(spectrum, strip.grid, t)
+    covariance += turn @ between @ turn.T
+    motion = Motion(t, angles_at(estimate, t) @ turn.T, covariance)
     statics = tuple(
         StaticEstimate(p.name, p.unit, float(v), float(s), p.sigma)
         for p, v, s in zip(strip.parameters, estimate.statics, estimate.statics_sigma, strict=True)
     )
     names = [f"{kind} of {axis}" for kind in ("constant", "drift") for axis in ("roll", "pitch", "yaw")]
     observed = _observed(strip, state, t)
-    cameras = tuple(strip.cameras(estimate.nodes, estimate.statics))
+    cameras = tuple(strip.body_cameras(estimate.nodes, estimate.statics))
+    records = [replace(r, star=turned_star(r.star, turn)) for r in state.records]
     return LineOfSight(
         motion=motion,
-        absolute_sigma=estimate.absolute_sigma(t),
+        absolute_sigma=estimate.absolute_sigma(t, turn),
         hidden=hidden,
         hidden_names=tuple(names[: hidden.shape[2]]),
         observed=observed,
@@ -658,15 +716,17 @@ def _result(strip: _Strip, state: _State, changes: list[float], window: tuple[in
         ifov=strip.pixel_angle,
         half_field=strip.half_field,
         statics=statics,
-        spectra=state.model.spectra,
-        records=tuple(without_common_ground(r, cameras, strip.surface, window) for r in state.records),
+        spectra=turned_spectra(state.model.spectra, turn),
+        records=tuple(without_common_ground(r, cameras, strip.surface, window) for r in records),
         before_px=state.before_px,
         after_px=state.post_px,
         cameras=cameras,
         image_names=tuple(b.name for b in strip.bands),
         changes=tuple(changes),
-        band=TimeCovariance(strip.grid.nodes, estimate.nodes, estimate.covariance_band()),
         sensors=() if estimate.ties is None else uses(estimate.ties, estimate.own, estimate.own_sigma),
+        band=TimeCovariance(
+            strip.grid.nodes, estimate.nodes @ turn.T, turned_band(estimate.covariance_band(), turn)
+        ),
         warnings=_warnings(strip, state, motion, observed, changes),
     )
 
@@ -684,6 +744,26 @@ def _observed(strip: _Strip, state: _State, t: Array) -> NDArray[np.bool_]:
     near = np.minimum(np.abs(t - instants[at - 1]), np.abs(t - instants[np.minimum(at, len(instants) - 1)]))
     reach = 0.5 * (max(r.star.duration for r in state.records) + strip.grid.step)
     return np.asarray(near <= reach)
+
+
+def _spanned_field(strip: _Strip, records: Sequence[StarRecord]) -> float:
+    """Share of the field of all detectors that the kept windows (all but 5 % at either side) reach over."""
+    low: list[Array] = []
+    high: list[Array] = []
+    ends: list[float] = []
+    for band in strip.bands:
+        across = band.camera.detector.tangents[[0, -1], 0]
+        ends += [float(across.min()), float(across.max())]
+    for record in records:
+        star, detector = record.star, strip.bands[record.star.hub].camera.detector
+        columns = star.pixels[star.present.any(axis=1), 1]
+        half = (star.window[1] - 1) / 2.0 if star.window else 0.0
+        for out, side in ((low, -half), (high, half)):
+            out.append(detector.directions_at(columns + side)[:, 0])
+    seen = np.concatenate(low)
+    if len(seen) == 0 or max(ends) <= min(ends):
+        return 0.0
+    return float(np.quantile(np.concatenate(high), 0.95) - np.quantile(seen, 0.05)) / (max(ends) - min(ends))
 
 
 def _lost_windows(records: Sequence[StarRecord]) -> str:
@@ -747,9 +827,16 @@ def _warnings(
     out += _sensor_warnings(strip, state.estimate)
     covariance = motion.covariance
     assert covariance is not None
-    prior_yaw = state.model.spectra[2].sigma
+    prior_yaw = turned_spectra(state.model.spectra, strip.turn)[2].sigma
     sigma_yaw = float(np.sqrt(np.median(covariance[:, 2, 2])))
-    if sigma_yaw > 0.3 * prior_yaw:
+    spanned = _spanned_field(strip, state.records)
+    if spanned < ENOUGH_FIELD:
+        out.append(
+            f"yaw is nearly blind: the matches span {100 * spanned:.0f} % of the field (30 % or more tell "
+            f"it); it is known to {sigma_yaw / strip.scale[2]:.2g} px at the field's edge, roll and pitch "
+            "no better away from the matches"
+        )
+    elif sigma_yaw > 0.3 * prior_yaw:
         out.append(
             f"yaw is hardly observable: its sigma, {sigma_yaw / strip.scale[2]:.2g} px at the field edge, is "
             f"close to that of the prior; the field of {2 * strip.half_field:.2g} rad is narrow, or the "

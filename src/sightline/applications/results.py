@@ -176,13 +176,13 @@ def without_common_ground(
         Of all images, as recovered.
     surface : Surface
     window : (lines, columns)
-        px.
+        px; of windows whose star does not say.
     """
     star, status = record.star, record.status.copy()
     rows = np.flatnonzero((status == MASKED).any(axis=1))
     ground = cameras[star.hub].locate(star.pixels[rows], surface)
     # whole windows only, and what the kernels read around them
-    margin = (np.array(window) - 1) / 2.0 + END
+    margin = (np.array(star.window or window) - 1) / 2.0 + END
     for k, image in enumerate(star.images):
         partner = cameras[image]
         shape = partner.shape if isinstance(partner, FrameCamera) else (partner.lines, partner.columns)

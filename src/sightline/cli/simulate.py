@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from pathlib import Path
 from typing import Annotated, Any
@@ -15,15 +16,22 @@ from sightline.cli.terminal import print_json, say
 app = typer.Typer(help="Render a scene whose truth is known.", no_args_is_help=True)
 
 _CASES = "nominal, relief, clouds, hard, real, other-family"
+_INSTRUMENTS = (
+    "pushbroom, spin-leo, spin-geo, mirror-leo, mirror-geo, staggered, every-line, dedicated-matrix, "
+    "dedicated-strip, multi-line"
+)
 # Said in --help, which must not wait for the import of the cases.
-_LINES, _COLUMNS = "3000; real: 2400", "1000; real: 640"
+_LINES, _COLUMNS = "3000; real: 2400; instruments: 1500", "1000; real: 640; instruments: 400"
 _MOTIONS = "nominal, late-tone, step, curve, real, other-family, ck, isd, none"
 
 
 @app.command("line-of-sight")
 def line_of_sight(
     out: Out,
-    case: Annotated[str, typer.Option("--case", metavar="CASE", help=f"One of: {_CASES}.")] = "nominal",
+    case: Annotated[
+        str,
+        typer.Option("--case", metavar="CASE", help=f"One of: {_CASES}; over a real orbit: {_INSTRUMENTS}."),
+    ] = "nominal",
     seed: Seed = 0,
     lines: Annotated[
         int | None, typer.Option("--lines", min=16, help="Lines of every band.", show_default=_LINES)
@@ -33,6 +41,9 @@ def line_of_sight(
     ] = None,
     motion: Annotated[
         str | None, typer.Option("--motion", metavar="NAME", help=f"In place of the case's: {_MOTIONS}.")
+    ] = None,
+    off_nadir: Annotated[
+        float | None, typer.Option("--off-nadir", help="Degrees, of the instruments over a real orbit.")
     ] = None,
     dem: Annotated[
         bool, typer.Option("--dem/--no-dem", help="Write the relief, or only how rough it is.")
@@ -46,19 +57,45 @@ def line_of_sight(
     as_json: Json = False,
 ) -> None:
     """Bands of one pushbroom strip: ACQUISITION.toml for `recover`, and truth.csv for `score`."""
+    from sightline.errors import InputError
     from sightline.simulate.files import write_strip
+    from sightline.simulate.instruments import INSTRUMENT_CASES
     from sightline.simulate.scenarios import line_of_sight_case
 
     check_output_folder(out, overwrite=overwrite)
     begin = time.perf_counter()
-    given: dict[str, Any] = {"lines": lines, "columns": columns, "motion": motion}
-    scenario = line_of_sight_case(case, seed, **{k: v for k, v in given.items() if v is not None})
+    options: dict[str, Any] = {"lines": lines, "columns": columns, "motion": motion}
+    given = {k: v for k, v in options.items() if v is not None}
+    if case in INSTRUMENT_CASES:
+        others = {"--no-dem": not dem, "--star-tracker": star_tracker, "--gyro": gyro}
+        others["--control-points"] = control_points > 0
+        refused = [name for name, asked in others.items() if asked]
+        if refused:
+            raise InputError(f"{refused[0]} is not for case {case!r}, which has no relief and no sensors")
+        if off_nadir is not None:
+            given["off_nadir"] = math.radians(off_nadir)
+        names = _instrument(case, seed, given, out, overwrite)
+        _say(out, names, time.perf_counter() - begin, as_json)
+        return
+    if off_nadir is not None:
+        raise InputError(f"--off-nadir is not for case {case!r}; it is for: {', '.join(INSTRUMENT_CASES)}")
+    scenario = line_of_sight_case(case, seed, **given)
     with output_folder(out, overwrite=overwrite) as folder:
         written = write_strip(
             scenario, folder, dem=dem, star_tracker=star_tracker, gyro=gyro, control_points=control_points
         )
         names = list(written)
     _say(out, names, time.perf_counter() - begin, as_json)
+
+
+def _instrument(case: str, seed: int, given: dict[str, Any], out: Path, overwrite: bool) -> list[str]:
+    """Render a strip of one of the instruments over a real orbit; the names of its files."""
+    from sightline.simulate.instrument_files import write_instrument
+    from sightline.simulate.instruments import instrument_case
+
+    scenario = instrument_case(case, seed, **given)
+    with output_folder(out, overwrite=overwrite) as folder:
+        return list(write_instrument(scenario, folder))
 
 
 @app.command("frames")

@@ -67,6 +67,7 @@ def fit_spectrum(
     independent: float = 0.0,
     iterations: int = 60,
     work: float = WORK,
+    possible: Sequence[float] = (),
 ) -> FittedSpectrum:
     """Spectrum and noise scale of a motion by marginal likelihood, tones found blind.
 
@@ -80,8 +81,9 @@ def fit_spectrum(
         A further place to start: its first Matern 5/2, its other Matern part and its tones. The search
         starts there or from the data's size, whichever explains them better.
     known_tones : sequence of float
-        Hz; tones that are there whether the data show them or not, such as of wheels and coolers. Their size
-        and width are fitted, their frequency is taken as it is.
+        Hz; tones that are there whether the data show them or not, such as of wheels and coolers. Their
+        frequency is taken as it is, size and width are fitted; one that the data do not show is as large as
+        goes unseen.
     max_tones : int
         At most this many tones, those of `start` included; 0 looks for none.
     false_alarm : float
@@ -96,6 +98,8 @@ def fit_spectrum(
         Of the last search.
     work : float
         Allowed per evaluation, see `WORK`.
+    possible : sequence of float
+        Hz; there a tone stands, of at most the size below which it is not found.
 
     Raises
     ------
@@ -118,7 +122,7 @@ def fit_spectrum(
     search = Search(summed(None), offset, fit_noise, grid.step * grid.count)
     guesses = _guesses(inside, grid) + ([] if start is None else [Model.of(start.scaled(1.0 / unit))])
     model = min(guesses, key=search.deviance)
-    model = search.with_known_tones(model, known_tones)
+    model = search.with_given_tones(model, known_tones)
     model = search.improve(model, iterations if max_tones == 0 else 12)
     for _ in range(max_tones - len(model.tones)):
         found = search.unexplained_tones(model, false_alarm)
@@ -131,6 +135,7 @@ def fit_spectrum(
     # Now that its spectrum is known, what the motion does between nodes need not pass for noise.
     search.use(summed(model.spectrum))
     model = search.improve(search.without_idle_tones(model), iterations)
+    model = search.with_possible_tones(model, [*known_tones, *possible], false_alarm)
     fitted = model.spectrum.scaled(unit)
     order = np.argsort([tone.frequency for tone in model.tones])
     return FittedSpectrum(

@@ -223,7 +223,7 @@ class Search:
             slope[-1] = now.deviance_by_noise_scale
         return now.deviance, slope
 
-    def with_known_tones(self, model: Model, frequencies: Sequence[float]) -> Model:
+    def with_given_tones(self, model: Model, frequencies: Sequence[float]) -> Model:
         """The model with a tone at each of these frequencies (Hz), as large as the noise to begin with.
 
         Tones of the model within the resolution of one of them give way to it.
@@ -348,11 +348,28 @@ class Search:
             model = smoother
         return model
 
+    def with_possible_tones(self, model: Model, possible: Sequence[float], false_alarm: float) -> Model:
+        """The model and a tone at every `possible` frequency (Hz) it has none at, as large as may go unseen.
+
+        A size fitted to data that do not show the tone is an accident: nothing at a blind frequency. What
+        gains `unexplained_tones`' threshold on average has the variance 2 threshold / c'Fc.
+        """
+        apart = 1.5 / self._length
+        new = [f for f in possible if all(abs(tone.frequency - f) > apart for tone in model.tones)]
+        if not new:
+            return model
+        now = self.posterior(model)
+        u = band_times(now.prior_band, now.mean)
+        _, expected = self._exact_gain(now, u, np.array(new))
+        threshold = math.log(0.3 / self._equations.grid.step * self._length / false_alarm)
+        for frequency, information in zip(new, expected, strict=True):
+            size = min(math.sqrt(2.0 * threshold / float(information)), model.drift.sigma)
+            model = model.with_tone(Tone(size, frequency, 1.0 / self._length), math.nan)
+        return model
+
     def without_idle_tones(self, model: Model) -> Model:
         """The model less every tone that three parameters do not pay for (Akaike)."""
         for k in reversed(range(len(model.tones))):
-            if model.gains[k] == math.inf:
-                continue
             fewer = model.without_tone(k)
             present = self.deviance(model)
             if self.deviance(fewer) > present + 30.0:

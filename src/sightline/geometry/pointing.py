@@ -31,6 +31,11 @@ from sightline.geometry.rotations import NADIR_MOUNT
 class Pointing(Protocol):
     """How camera axes sit in the body: fixed mount, scan mirror, ..."""
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time (s) at which it is known."""
+        ...
+
     def to_body(self, directions: Array, t: Array) -> Array:
         """Directions (N, 3) in camera axes at times t (N,), in body axes."""
         ...
@@ -58,6 +63,11 @@ class FixedMount:
             raise InputError(
                 f"`body_from_camera` must be one rotation, got {len(self.body_from_camera)}; use rotation[0]"
             )
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """All times."""
+        return -np.inf, np.inf
 
     def to_body(self, directions: Array, t: Array) -> Array:
         """Directions (N, 3) in camera axes, in body axes; the same at all times."""
@@ -108,6 +118,11 @@ class ScanMirror(ReadOnlyArrays):
         object.__setattr__(self, "angle", frozen(as_times(self.angle, "angle")))
         same_length(self.t, "t", self.angle, "angle")
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time (s) of the table of angles."""
+        return float(self.t[0]), float(self.t[-1])
+
     def _reflect(self, directions: Array, t: Array) -> Array:
         """Mirror images of body `directions` (N, 3) at times `t` (N,)."""
         times = as_times(t)
@@ -131,6 +146,44 @@ class ScanMirror(ReadOnlyArrays):
         return np.asarray(
             self._reflect(as_points(directions, "directions"), t) @ self.body_from_camera.as_matrix()
         )
+
+
+@dataclass(frozen=True, eq=False)
+class TurnedBody:
+    """A pointing told in other axes of the same body.
+
+    Attributes
+    ----------
+    pointing : Pointing
+        In the body axes it was given in.
+    body_from_other : Rotation
+        From the other axes to those.
+    """
+
+    pointing: Pointing
+    body_from_other: Rotation
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """That of the pointing."""
+        return self.pointing.span
+
+    def to_body(self, directions: Array, t: Array) -> Array:
+        """Directions (N, 3) in camera axes at times t (N,), in the other axes."""
+        return np.asarray(self.pointing.to_body(directions, t) @ self.body_from_other.as_matrix())
+
+    def to_camera(self, directions: Array, t: Array) -> Array:
+        """Directions (N, 3) in the other axes at times t (N,), in camera axes."""
+        return self.pointing.to_camera(
+            as_points(directions, "directions") @ self.body_from_other.as_matrix().T, t
+        )
+
+
+def turned_pointing(pointing: Pointing, body_from_other: Rotation) -> Pointing:
+    """The same pointing in other body axes; a fixed mount stays one."""
+    if isinstance(pointing, FixedMount):
+        return FixedMount(body_from_other.inv() * pointing.body_from_camera)
+    return TurnedBody(pointing, body_from_other)
 
 
 def pointing_matrices(pointing: Pointing, t: Array) -> Array:

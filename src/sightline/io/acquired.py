@@ -11,8 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.geometry.earth import local_axes
+from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
 from sightline.io.acquisition_schema import AcquisitionFile
@@ -47,6 +50,8 @@ class Acquisition:
         Kind of ``[platform]``.
     world : str
         ``"local"`` (x east, y north, z up) or ``"earth-fixed"``.
+    spin : Spin or None
+        How the body turns, where it spins, and how well that is known.
     inputs : tuple of Path
         Every file that was read or will be.
     """
@@ -65,6 +70,7 @@ class Acquisition:
     matching: dict[str, Any]
     platform: str
     world: str
+    spin: Spin | None
     inputs: tuple[Path, ...] = field(repr=False)
 
     @property
@@ -141,3 +147,14 @@ def world_kind(config: AcquisitionFile) -> str:
     """``"local"`` for level flight and for local axes without an origin, else ``"earth-fixed"``."""
     local = config.world.frame == "local" and config.world.origin is None
     return "local" if config.platform.kind == "level-flight" or local else "earth-fixed"
+
+
+def attitude_to_world(attitude: Rotation, config: AcquisitionFile) -> Rotation:
+    """Attitudes in the axes of ``[world]`` → the axes of computation.
+
+    Quaternions are Earth-fixed unless the frame is "local"; with "lonlat" only positions are geodetic.
+    """
+    if config.world.frame == "local" and config.world.origin is not None:
+        lon, lat = np.radians(config.world.origin[:2])
+        return local_axes(lon, lat) * attitude
+    return attitude

@@ -26,6 +26,7 @@ from sightline.io.frames import build_frames, lens_knowledge
 from sightline.io.ground import build_surface, check_coverage, check_overlap, check_sampling
 from sightline.io.model_bands import build_model_bands
 from sightline.io.platform import to_world
+from sightline.io.spin import spin_of
 from sightline.motion.hyper import KnownContent
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
 
@@ -72,7 +73,8 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
     ]
     names = [*(band.name for band in bands), *(frame.name for frame in frames)]
     surface = build_surface(config, files, cameras)
-    check_coverage(path, surface, cameras)
+    sweeps = config.platform.kind == "spin" or config.pointing.kind == "scan-mirror"
+    check_coverage(path, surface, cameras, sweeps=sweeps)
     check_sampling(path, surface, cameras, names)
     check_overlap(path, surface, cameras, names)
     return Acquisition(
@@ -90,6 +92,7 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
         matching=config.matching.model_dump(exclude_none=True),
         platform=config.platform.kind,
         world=world_kind(config),
+        spin=spin_of(config),
         inputs=tuple(files.used),
     )
 

@@ -18,8 +18,10 @@ from sightline.io.acquired import Acquisition
 from sightline.io.ground import shared_ground
 from sightline.motion.observability import blind_frequencies, passbands
 
-# Lines at which a pair is looked for, as parts of the image: the middle first.
+# Lines and columns at which a pair is looked for, as parts of the image: the middle first; staggered
+# detectors share their ends only.
 _PLACES = (0.5, 0.3, 0.7, 0.1, 0.9)
+_COLUMNS = (0.5, 0.97, 0.03, 0.75, 0.25)
 # Blind frequencies named per pair; the rest are their multiples.
 _NAMED = 4
 # Half a field (px) below which matches to 0.03 px tell yaw no better than attitude control does (1 mrad).
@@ -56,10 +58,12 @@ def pair_geometry(acquisition: Acquisition, first: int, second: int) -> PairGeom
     a, b = acquisition.cameras[first], acquisition.cameras[second]
     names = acquisition.names[first], acquisition.names[second]
     shape = acquisition.images[first].shape
-    pixels = np.array([[part * (shape[0] - 1), 0.5 * (shape[1] - 1)] for part in _PLACES])
+    last = np.array(shape) - 1.0
+    pixels = np.array([[part * last[0], side * last[1]] for side in _COLUMNS for part in _PLACES])
     ground = a.locate(pixels, acquisition.surface)
     seen = b.project(ground)
-    both = np.flatnonzero(np.isfinite(seen).all(axis=1))
+    inside = ((seen >= 0.0) & (seen <= np.array(b.shape) - 1.0)).all(axis=1)
+    both = np.flatnonzero(inside)
     if not both.size:
         return PairGeometry(*names, None, None, 0.0)
     place = both[:1]

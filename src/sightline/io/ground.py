@@ -26,6 +26,8 @@ MovingCamera = PushbroomCamera | FrameCamera
 GRID = 9
 #: Share of an image that may look beside the ground or the DEM before the whole is refused.
 UNCOVERED_SHARE = 0.02
+#: The same for a spinning camera or a scan mirror, whose sweeps begin and end beyond the limb.
+LIMB_SHARE = 0.75
 #: Largest ratio between the ground step of a line and the ground size of a pixel (either way).
 LARGEST_STEP_RATIO = 100.0
 #: Lines and columns of the grid with which common ground is looked for.
@@ -106,7 +108,9 @@ def _horizontal(points: Array, local: bool, radii: tuple[float, float]) -> Array
     return points[:, :2] if local else np.degrees(to_geodetic(points, radii)[:, :2])
 
 
-def check_coverage(path: Path, surface: Surface, cameras: Sequence[MovingCamera]) -> None:
+def check_coverage(
+    path: Path, surface: Surface, cameras: Sequence[MovingCamera], *, sweeps: bool = False
+) -> None:
     """Refuse a ground that the cameras look past, or an elevation raster that ends inside the strip.
 
     Parameters
@@ -115,6 +119,8 @@ def check_coverage(path: Path, surface: Surface, cameras: Sequence[MovingCamera]
         The TOML file, named in the message.
     surface : Surface
     cameras : sequence of cameras
+    sweeps : bool
+        Whether a spin or a mirror carries them over the ground, and past its limb.
 
     Raises
     ------
@@ -126,7 +132,7 @@ def check_coverage(path: Path, surface: Surface, cameras: Sequence[MovingCamera]
     points = [camera.locate(image_grid(camera), base) for camera in cameras]
     missed = [float(np.mean(~np.isfinite(p[:, 0]))) for p in points]
     worst = int(np.argmax(missed))
-    if missed[worst] > UNCOVERED_SHARE:
+    if missed[worst] > (LIMB_SHARE if sweeps else UNCOVERED_SHARE):
         raise GeometryError(
             f"{path}: {100 * missed[worst]:.0f} % of image number {worst + 1} looks past the ground; check "
             f"the attitudes "
@@ -206,7 +212,11 @@ def check_sampling(
         line, column = (camera.lines - 1) / 2.0, (camera.columns - 1) / 2.0
         spots = np.array([[line, column], [line + 1.0, column], [line, column + 1.0]])
         here, ahead, aside = camera.locate(spots, base_surface(surface))
-        along, across = float(np.linalg.norm(ahead - here)), float(np.linalg.norm(aside - here))
+        # square to the line of sight: near the limb of a planet the ground itself is stretched without end
+        look = camera.rays(spots[:1]).directions[0]
+        along, across = (
+            float(np.linalg.norm(step - look * (look @ step))) for step in (ahead - here, aside - here)
+        )
         if isinstance(surface, Infinity) or not np.isfinite(along + across):
             continue
         if not 1.0 / LARGEST_STEP_RATIO < along / across < LARGEST_STEP_RATIO:

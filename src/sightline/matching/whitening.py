@@ -116,7 +116,9 @@ def _tiles(
     corner_a = np.rint(points_a - (size - 1) / 2).astype(int)
     moved = corner_a + (size - 1) / 2 - points_a
     centre_b = predicted_b + moved + np.einsum("nij,nj->ni", linear, moved)
-    half = 0.5 * big + np.abs(linear) @ (0.5 * big) + 5
+    # rounding to a whole pixel; what the kernel reads where tiles are warped
+    beside = np.where(linear.any(axis=(1, 2)), 5.0, 1.0)
+    half = 0.5 * big + np.abs(linear) @ (0.5 * big) + beside[:, None]
     low, high = np.floor(centre_b - half).astype(int), np.ceil(centre_b + half).astype(int) + 1
     inside = np.all((corner_a >= 0) & (corner_a + size <= images[0].shape), axis=1)
     inside &= np.all((low >= -_OVER) & (high <= np.array(images[1].shape) + _OVER), axis=1)
@@ -330,7 +332,13 @@ def estimate_whitening(
             f"{len(chosen)} points; at least 8 are needed; give more points, a smaller `tile`, or "
             "whitening=None"
         )
-    cross, auto_a, auto_b = _spectra(*_aligned(a, b, reach))
+    a, b = _aligned(a, b, reach)
+    cross, auto_a, auto_b = _spectra(a, b) if len(a) else (a, a, a)
+    if len(cross) == 0:
+        raise EstimationError(
+            f"whitening cannot be estimated: none of {count} points lies within {reach} px of where it is "
+            "predicted; check the predicted positions or raise `reach`"
+        )
     # each tile weighs the same whatever its contrast, but scaled alike in a and b
     scale = 1.0 / np.sqrt(auto_a[:, 1:, 1:].mean(axis=(1, 2)) * auto_b[:, 1:, 1:].mean(axis=(1, 2)))
     scale = np.minimum(scale, 4 * np.median(scale)) / max(len(scale), 1)

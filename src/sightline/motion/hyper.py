@@ -31,6 +31,10 @@ Array = NDArray[np.float64]
 #: Order of the autoregressive priors. An autoregression tells tones apart that its memory holds a period of
 #: their difference of; the band of the data's rows is about as wide anyway.
 ORDER = 80
+#: Information (rad^-2, sigma 0.1 rad) that keeps the angles finite of a row that cannot see them all.
+WEAK = 1e2
+#: Tones that are looked for per axis.
+MOST_TONES = 8
 #: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
 MOST_ACROSS = 0.5
 
@@ -51,6 +55,19 @@ class PriorModel:
         roll, pitch, yaw = (max(scale, 1.0) for scale in self.noise_scale)
         size = np.sqrt(np.tile([0.5 * (pitch + yaw), roll], len(correlation) // 2))
         return np.asarray(correlation * np.outer(size, size))
+
+    def with_turns(self) -> PriorModel:
+        """The model with a motion about the line of sight no smaller than that across it (rad).
+
+        A narrow field hardly shows that angle: its likelihood is as content with none as with a large one,
+        and a spectrum of none would be certain of it. Nothing holds a body stiller about one axis than
+        another: where the drift found is the smaller, the whole spectrum of the larger of the others stands
+        in its place.
+        """
+        across = max(self.spectra[:2], key=_slow)
+        if _slow(self.spectra[2]) >= _slow(across):
+            return self
+        return replace(self, spectra=(*self.spectra[:2], across))
 
     def scaled(self, pixel_angle: float, half_field: float) -> PriorModel:
         """The model given in px (yaw: px at the field edge) as one in rad."""
@@ -77,6 +94,11 @@ class PriorModel:
         parts = [split(s, grid.step, ORDER, grid.count, ratio=ratio) for s in self.spectra]
         roll, pitch, yaw = parts
         return None if roll is None or pitch is None or yaw is None else (roll, pitch, yaw)
+
+
+def _slow(spectrum: Spectrum) -> float:
+    """Standard deviation (rad) of the largest broad part of a spectrum: its drift."""
+    return max((c.sigma for c in spectrum.components if isinstance(c, Matern)), default=0.0)
 
 
 _WIDE = Spectrum((Matern(20.0, 1.0, "5/2"), Matern(0.5, 0.01, "3/2")))
@@ -167,9 +189,12 @@ def _collapse(star: Star, post: Array, k: int) -> _Rows:
     right = np.einsum("gca,gcd,gd->ga", j, weight, y).reshape(rows, blocks, 3).sum(1)
     w = np.where(seen, 1.0, 0.0).reshape(rows, blocks)
     count = w.sum(1)
-    # a few counts of very weak information keep an axis that a row cannot see finite (sigma 0.1 rad)
-    inverse = np.linalg.inv(normal + 1e2 * np.eye(3))
+    inverse = np.linalg.inv(normal + WEAK * np.eye(3))
     angles = np.einsum("rab,rb->ra", inverse, right)
+    # an axis, or a mix of axes, that a row cannot see: what it says there is what was put in
+    diagonal = inverse[:, [0, 1, 2], [0, 1, 2]]
+    unseen = WEAK * (inverse**2).sum(axis=2) > 0.5 * diagonal
+    inverse[:, [0, 1, 2], [0, 1, 2]] = np.where(unseen, np.inf, diagonal)
     with np.errstate(invalid="ignore", divide="ignore"):
         t_hub = np.where(count > 0, (w * star.t_hub.reshape(rows, blocks)).sum(1) / count, np.nan)
         t = np.nansum(w * np.nan_to_num(star.t[:, k]).reshape(rows, blocks), axis=1) / count
@@ -220,23 +245,48 @@ def fit_prior_model(
     if not differences:
         raise EstimationError("no row of windows is seen by any pair; check that the bands overlap")
 
-    def fitted(axis: int) -> FittedSpectrum:
+    def fitted(axis: int, possible: Sequence[float] = (), begin: Spectrum | None = None) -> FittedSpectrum:
         series = [scalar_series(d, axis) for d in differences]
         if jumps:
             series = [_without_jumps(one, jumps[axis]) for one in series]
         return fit_spectrum(
             series,
-            start=None if start is None else start.spectra[axis],
+            start=begin or (None if start is None else start.spectra[axis]),
             offset_sigma=float(pixel[axis]),
             work=work,
             known_tones=known_tones,
+            possible=possible,
+            max_tones=MOST_TONES if begin is None else 0,
         )
 
-    roll, pitch, yaw = in_threads(fitted, range(3))
+    first = in_threads(fitted, range(3))
+    apart = 1.5 / (max(d.t.max() for d in differences) - min(d.t.min() for d in differences))
+    missing = [_tones_elsewhere([one.spectrum for one in first], axis, apart) for axis in range(3)]
+
+    def shared(axis: int) -> FittedSpectrum:
+        return fitted(axis, missing[axis], first[axis].spectrum) if missing[axis] else first[axis]
+
+    roll, pitch, yaw = in_threads(shared, range(3))
     scales = [
         one.noise_scale * max(grown, 1.0) for one, grown in zip((roll, pitch, yaw), grown_by, strict=True)
     ]
-    return PriorModel((roll.spectrum, pitch.spectrum, yaw.spectrum), (scales[0], scales[1], scales[2]))
+    model = PriorModel((roll.spectrum, pitch.spectrum, yaw.spectrum), (scales[0], scales[1], scales[2]))
+    return model.with_turns()
+
+
+def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> list[float]:
+    """Frequencies (Hz), `apart` at least, of tones that other axes have and this one does not.
+
+    What shakes a spacecraft shakes all axes of it. A tone too weak to be found by itself would be owned by
+    nobody; where another axis shows it, it may be here too, as large as goes unseen.
+    """
+    own = [tone.frequency for tone in spectra[axis].tones]
+    out: list[float] = []
+    for other, spectrum in enumerate(spectra):
+        for tone in spectrum.tones:
+            if other != axis and all(abs(tone.frequency - f) > apart for f in [*own, *out]):
+                out.append(float(tone.frequency))
+    return out
 
 
 def _without_jumps(series: DifferenceSeries, jumps: Array) -> DifferenceSeries:

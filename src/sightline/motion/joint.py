@@ -196,7 +196,9 @@ class JointEstimate:
         completed = (h + x).reshape(grid.count, data.block, -1)[:, :3]
         return _unmixed(completed, u)
 
-    def relative_covariance(self, t: Array, directions: Array, scale: Array) -> Array:
+    def relative_covariance(
+        self, t: Array, directions: Array, scale: Array, turn: Array | None = None
+    ) -> Array:
         """Covariance (N, 3, 3) rad^2 of the motion at `t` after the hidden `directions` are fitted away.
 
         Parameters
@@ -207,19 +209,32 @@ class JointEstimate:
             Hidden directions at these instants.
         scale : (3,)
             rad; angle that counts as one in the fit, per axis (one pixel; for yaw one at the field edge).
+        turn : (3, 3), optional
+            Rotation from the axes of the estimate to those of `directions`, `scale` and the result.
         """
         # images say nothing of constants; what sensors say of them can lean on the rest of the motion
         factor = self._factor(constants=self.ties is not None)
-        return projected_covariance(factor, self.grid, self._data.block, t, directions, scale)
+        return projected_covariance(factor, self.grid, self._data.block, t, directions, scale, turn)
 
-    def absolute_sigma(self, t: Array) -> Array:
-        """Sigma (N, 3) rad of the motion at `t`, hidden part included; infinite on axes that nothing ties."""
+    def absolute_sigma(self, t: Array, turn: Array | None = None) -> Array:
+        """Sigma (N, 3) rad of the motion at `t`, hidden part included; infinite on axes that nothing ties.
+
+        Parameters
+        ----------
+        t : (N,)
+            s.
+        turn : (3, 3), optional
+            Rotation from the axes of the estimate to those of the result.
+        """
         out = np.full((len(t), 3), np.inf)
         if self.ties is not None and self.ties.tied.any():
+            turn = np.eye(3) if turn is None else turn
             factor = self._factor(constants=True)
             covariance = marginal_covariance(factor, self.grid, self._data.block, t)
-            tied = self.ties.tied
-            out[:, tied] = np.sqrt(covariance[:, [0, 1, 2], [0, 1, 2]][:, tied])
+            variance = np.einsum("ij,njk,ik->ni", turn, covariance, turn)
+            # an axis that leans on one that nothing ties is tied by nothing
+            tied = ~(np.abs(turn[:, ~self.ties.tied]) > 1e-9).any(axis=1)
+            out[:, tied] = np.sqrt(variance[:, tied])
         return out
 
     def covariance_band(self, nodes: int = 4) -> Array:
@@ -403,9 +418,17 @@ def marginal_covariance(factor: Factor, grid: TimeGrid, block: int, t: Array) ->
 
 
 def projected_covariance(
-    factor: Factor, grid: TimeGrid, block: int, t: Array, directions: Array, scale: Array
+    factor: Factor,
+    grid: TimeGrid,
+    block: int,
+    t: Array,
+    directions: Array,
+    scale: Array,
+    turn: Array | None = None,
 ) -> Array:
     """(N, 3, 3) covariance at `t` of the motion with `directions` (N, 3, H) removed by one unweighted fit.
+
+    `turn` (3, 3) leads from the axes of the factor to those of the directions; none where they are the same.
 
     Notes
     -----
@@ -415,13 +438,17 @@ def projected_covariance(
     n = len(t)
     q3 = _orthonormal(directions, scale)
     h = q3.shape[2]
+    turn = np.eye(3) if turn is None else turn
+    # a pixel of each axis of the result, in the axes of the factor
+    unit = turn / scale[:, None]
+    in_factor = np.einsum("nph,pa->nah", q3, unit)
     on_grid = np.zeros((grid.count, block, h))
     for axis in range(3):
-        on_grid[:, axis] = grid.spread(q3[:, axis] / scale[axis], t)
+        on_grid[:, axis] = grid.spread(in_factor[:, axis], t)
     cq_grid, _ = factor.times(on_grid.reshape(-1, h))
-    cq = grid.interpolate(cq_grid.reshape(grid.count, block, h)[:, :3], t) / scale[None, :, None]
+    cq = unit @ grid.interpolate(cq_grid.reshape(grid.count, block, h)[:, :3], t)
     inner = q3.reshape(n * 3, h).T @ cq.reshape(n * 3, h)
-    c = marginal_covariance(factor, grid, block, t) / np.outer(scale, scale)
+    c = unit @ marginal_covariance(factor, grid, block, t) @ unit.T
     cross = np.einsum("nph,nqh->npq", cq, q3)
     left = c - cross - cross.transpose(0, 2, 1) + np.einsum("nph,hk,nqk->npq", q3, inner, q3)
     return np.asarray(left * np.outer(scale, scale))

@@ -57,6 +57,8 @@ class Star:
         Robust weight of each match in [0, 1].
     brightness : (G,), optional
         Mean of each window in the hub, in units of the image.
+    window : (lines, columns), optional
+        Size of the windows, px.
     """
 
     hub: int
@@ -76,6 +78,7 @@ class Star:
     correlation: Array
     weight: Array
     brightness: Array | None = None
+    window: tuple[int, int] | None = None
 
     @property
     def present(self) -> NDArray[np.bool_]:

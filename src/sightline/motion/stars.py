@@ -25,6 +25,7 @@ from sightline.imaging.warp import WarpedImage
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import KEPT, MASKED, OUTLIER, OUTSIDE
 from sightline.matching.whitening import Whitening, estimate_whitening
+from sightline.motion.common_view import Views, common_views, partners_of, usable
 from sightline.motion.observations import Star, shared_image_correlation
 from sightline.motion.predict import MovingCamera, StaticParameter
 from sightline.motion.sampled_sensitivities import sampled_sensitivities
@@ -48,6 +49,12 @@ MOST_WRONG = 0.4
 #: Windows of another image are not found nearer than this to the ends of an image (px): the kernel that lays
 #: one image on the other reads 4, the derivative another 4.
 END = 8
+#: Windows in a row of a narrow view, and their least width (px).
+NARROW_BLOCKS, LEAST_WIDTH = 4, 16
+#: Columns that a tile for whitening leaves free on both sides in a narrow view: where it is searched for.
+TILE_MARGIN = 12
+#: Lines of such a tile, and its fewest columns.
+TILE_LINES = 16
 #: Windows enough to learn whitening from; a star of fewer looks all over its image instead.
 ENOUGH = 100
 
@@ -76,8 +83,18 @@ class MatchingPlan:
     most_blocks: int = 0
     tiles: int = TILES
 
-    def grid(self, shape: tuple[int, int]) -> WindowGrid:
-        """The windows of this plan on an image of `shape` (lines, columns)."""
+    def grid(self, shape: tuple[int, int], columns: tuple[int, int] | None = None) -> WindowGrid:
+        """The windows of this plan on an image of `shape` (lines, columns).
+
+        Where the partners see only part of the `columns` (first, last), it holds a few windows, narrow if
+        need be: rows of several tell shift from tilt, and error from motion.
+        """
+        if columns is not None:
+            room = columns[1] - columns[0] + 1
+            blocks = max(room // self.window[1], min(NARROW_BLOCKS, room // LEAST_WIDTH), 1)
+            width = min(room // blocks, self.window[1])
+            part = window_grid((shape[0], room), (self.window[0], width), self.step)
+            return WindowGrid(part.window, part.lines, part.columns + columns[0])
         width = min(self.window[1], shape[1])
         blocks = max(shape[1] // width, 1)
         apart = -(-blocks // self.most_blocks) if self.most_blocks else 1
@@ -108,36 +125,64 @@ def hub_windows(
     shapes: Sequence[tuple[int, int]],
     order: Sequence[int],
     plan: MatchingPlan,
+    views: Views | None = None,
 ) -> list[tuple[int, tuple[int, ...], WindowGrid]]:
     """Which windows to cut from which image: (hub, partners, grid) for every hub in `order`.
+
+    Parameters
+    ----------
+    cameras, shapes
+        Of all images.
+    surface : Surface
+    order : sequence of int
+        Images, the first hub first.
+    plan : MatchingPlan
+    views : mapping, optional
+        From `common_view.common_views`; found here unless given.
 
     Notes
     -----
     What a later image took in its very first and last lines cannot be found in it (`END`), but can be cut
-    from it and found in the first: without such windows, which follow the search, the motion at the ends of a
-    strip would be extrapolated over 4 ms. In the first only: pairs of it with the others on that ground are
-    among its own windows.
+    from it and found in an earlier one: without such windows, which follow the search, the motion at the ends
+    of a strip would be extrapolated over 4 ms. In the first such image only: pairs of it with the others on
+    that ground are among its own windows.
     """
+    if views is None:
+        views = common_views(cameras, surface)
     out = []
     for place, hub in enumerate(order):
-        partners = tuple(order[place + 1 :])
-        grid = plan.grid(shapes[hub])
-        if place and partners:
-            middle = grid.columns[len(grid.columns) // 2]
-            pixels = np.stack([grid.lines, np.full(len(grid.lines), middle)], axis=1)
-            ground = cameras[hub].locate(pixels, surface)
-            reach = plan.window[0] / 2
-            fresh = np.ones(len(pixels), dtype=bool)
-            for earlier in order[:place]:
-                line = cameras[earlier].project(ground)[:, 0]
-                fresh &= ~(np.isfinite(line) & (line > reach) & (line < shapes[earlier][0] - 1 - reach))
-            grid = WindowGrid(grid.window, grid.lines[fresh], grid.columns)
-        if partners and len(grid.lines):
-            out.append((hub, partners, grid))
-        if place and max(plan.search_px) == 0:
+        for group in partners_of(views, order, place, shapes[hub][1]):
+            grid = plan.grid(shapes[hub], group.columns)
+            if group.earlier:
+                grid = _fresh(cameras, surface, shapes, hub, group.earlier, grid)
+            if len(grid.lines):
+                out.append((hub, group.images, grid))
+        first = next((image for image in order[:place] if (hub, image) in views), None)
+        if first is not None and max(plan.search_px) == 0:
+            grid = plan.grid(shapes[hub], usable(views[hub, first], shapes[hub][1]))
             lines = _end_lines(shapes[hub][0], grid.window[0], plan.step)
-            out.append((hub, tuple(order[:1]), WindowGrid(grid.window, lines, grid.columns)))
+            out.append((hub, (first,), WindowGrid(grid.window, lines, grid.columns)))
     return out
+
+
+def _fresh(
+    cameras: Sequence[MovingCamera],
+    surface: Surface,
+    shapes: Sequence[tuple[int, int]],
+    hub: int,
+    earlier: Sequence[int],
+    grid: WindowGrid,
+) -> WindowGrid:
+    """The rows of a hub's windows whose ground no `earlier` hub sees."""
+    middle = grid.columns[len(grid.columns) // 2]
+    pixels = np.stack([grid.lines, np.full(len(grid.lines), middle)], axis=1)
+    ground = cameras[hub].locate(pixels, surface)
+    reach = grid.window[0] / 2
+    fresh = np.ones(len(pixels), dtype=bool)
+    for image in earlier:
+        line = cameras[image].project(ground)[:, 0]
+        fresh &= ~(np.isfinite(line) & (line > reach) & (line < shapes[image][0] - 1 - reach))
+    return WindowGrid(grid.window, grid.lines[fresh], grid.columns)
 
 
 def _end_lines(lines: int, height: int, step: int) -> Array:
@@ -177,6 +222,8 @@ def match_star(
     laid = [laid_on(images, cameras, surface, hub, partner) for partner in partners]
 
     def whitening(j: int) -> Whitening | None:
+        if grid.narrow(images[hub].shape[1]):
+            return _narrow_whitening(images[hub], laid[j], grid, plan)
         points = _learning(grid.centres[seen[j] & ~wrong[:, j]], images[hub], plan)
         return pair_whitening(images[hub], laid[j], points, plan.tiles)
 
@@ -223,6 +270,7 @@ def match_star(
         correlation=shared_image_correlation(k),
         weight=np.ones((g, k)),
         brightness=_brightness(before, images[hub], hub, grid),
+        window=grid.window,
     )
     return StarRecord(star, status, score)
 
@@ -272,12 +320,27 @@ def _learning(points: Array, image: ImageSource, plan: MatchingPlan) -> Array:
     return everywhere[np.linspace(0, len(everywhere) - 1, min(ENOUGH, len(everywhere))).astype(int)]
 
 
+def _narrow_whitening(
+    image: ImageSource, laid: ImageSource, grid: WindowGrid, plan: MatchingPlan
+) -> Whitening | None:
+    """Whitening filters from tiles in the middle of a narrow view, of a size that fits in."""
+    first, last = grid.sides
+    tile = (min(TILE_LINES, image.shape[0] // 2), int(last - first) - 2 * TILE_MARGIN)
+    lines = plan.grid(image.shape).lines
+    points = np.stack([lines, np.full(len(lines), 0.5 * (first + last - 1.0))], axis=1)
+    return pair_whitening(image, laid, points, plan.tiles, tile) if tile[1] >= TILE_LINES else None
+
+
 def pair_whitening(
-    image: ImageSource, laid: ImageSource, points: Array, tiles: int = TILES
+    image: ImageSource,
+    laid: ImageSource,
+    points: Array,
+    tiles: int = TILES,
+    tile: tuple[int, int] | None = None,
 ) -> Whitening | None:
     """Whitening filters of a pair from some of `points` (N, 2); None where too little can be seen there."""
     try:
-        return estimate_whitening(image, laid, points, points, most_tiles=tiles)
+        return estimate_whitening(image, laid, points, points, most_tiles=tiles, tile=tile)
     except EstimationError:
         return None
 

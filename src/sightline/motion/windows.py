@@ -23,6 +23,8 @@ from sightline.imaging.source import ImageSource
 Array = NDArray[np.float64]
 #: Images are read in stretches of about so many pixels.
 _READ_PIXELS = 4_000_000
+#: Windows that reach over less than this share of a line are laid for a partner that sees no more of it.
+NARROW = 0.5
 MovingCamera = PushbroomCamera | FrameCamera
 
 
@@ -44,6 +46,17 @@ class WindowGrid:
         """(rows * blocks, 2) px, (line, column); at half pixels where the size is even."""
         line, column = np.meshgrid(self.lines, self.columns, indexing="ij")
         return np.stack([line.ravel(), column.ravel()], axis=1)
+
+    @property
+    def sides(self) -> tuple[float, float]:
+        """First column of the first window, and one past the last of the last; px."""
+        half = self.window[1] / 2.0
+        return float(self.columns[0] - half + 0.5), float(self.columns[-1] + half + 0.5)
+
+    def narrow(self, columns: int) -> bool:
+        """Whether the windows leave a good part of a line of so many columns out."""
+        first, last = self.sides
+        return last - first < NARROW * columns
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,54 @@
+"""``sightline simulate line-of-sight`` of the instruments over a real orbit, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from sightline.cli import simulate
+from sightline.cli.main import run
+from sightline.simulate.instruments import INSTRUMENT_CASES
+
+COMMAND = ["simulate", "line-of-sight", "--lines", "64", "--columns", "48"]
+
+
+def test_the_help_names_every_case():
+    assert simulate._INSTRUMENTS.split(", ") == list(INSTRUMENT_CASES)
+
+
+def test_an_instrument_is_rendered_and_checked(tmp_path, capsys):
+    folder = tmp_path / "scene"
+    arguments = ["--case", "spin-geo", "--off-nadir", "3", "--lines", "240", "--out", str(folder)]
+    assert run([*COMMAND, *arguments]) == 0
+    assert {"acquisition.toml", "positions.csv", "PAN.tif", "truth.csv"} <= {p.name for p in folder.iterdir()}
+    capsys.readouterr()
+    assert run(["check", str(folder / "acquisition.toml"), "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["pairs"][0]["lag"] == pytest.approx(97 * 28e-6 / 0.10472, rel=1e-2)
+
+
+def test_check_finds_the_few_columns_that_staggered_detectors_share(tmp_path, capsys):
+    folder = tmp_path / "scene"
+    arguments = ["--case", "staggered", "--lines", "400", "--out", str(folder)]
+    assert run(["simulate", "line-of-sight", *arguments]) == 0
+    capsys.readouterr()
+    assert run(["check", str(folder / "acquisition.toml")]) == 0
+    said = capsys.readouterr().out
+    assert "see no common ground" not in said and "CCD1 - CCD2: lag" in said
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--case", "spin-leo", "--off-nadir", "80"], "looks past the Earth"),
+        (["--case", "nominal", "--off-nadir", "5"], "--off-nadir is not for case 'nominal'"),
+        (["--case", "mirror-leo", "--no-dem"], "--no-dem is not for case 'mirror-leo'"),
+        (["--case", "staggered", "--gyro"], "--gyro is not for case 'staggered'"),
+        (["--case", "multi-line", "--motion", "wobble"], "unknown motion: got 'wobble'"),
+    ],
+)
+def test_what_an_instrument_does_not_have_is_refused(tmp_path, capsys, arguments, words):
+    assert run([*COMMAND, *arguments, "--out", str(tmp_path / "scene")]) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "scene").exists()
