@@ -154,12 +154,18 @@ class PushbroomCamera(ReadOnlyArrays):
         end = np.where(places < 0, self.line_times[0], self.line_times[-1])
         return np.where(slope > 0, end + slope * (places - ends), inside)
 
+    @property
+    def _span(self) -> tuple[float, float]:
+        """First and last time (s) at which trajectory and pointing are both known."""
+        (begin, end), (first, last) = self.trajectory.span, self.pointing.span
+        return max(begin, first), min(end, last)
+
     @cached_property
     def _table(self) -> PoseTable:
         """Poses at the whole lines that the trajectory covers, a few lines more than the image if it can."""
         places = np.arange(-_MARGIN_LINES, self.lines + _MARGIN_LINES)
         t = self.times(places)
-        begin, end = self.trajectory.span
+        begin, end = self._span
         covered = np.flatnonzero((t >= begin - TIME_SLACK) & (t <= end + TIME_SLACK))
         if len(covered) == 0:
             raise SpanError(
@@ -249,7 +255,7 @@ class PushbroomCamera(ReadOnlyArrays):
             return
         line = least if least < low else most
         t = float(self.times(line)[0])
-        begin, end = self.trajectory.span
+        begin, end = self._span
         if begin <= t <= end:
             raise SpanError(
                 f"line {line:.6g} lies outside the image of {self.lines} lines and the {_MARGIN_LINES} lines "

@@ -31,6 +31,11 @@ from sightline.geometry.rotations import NADIR_MOUNT
 class Pointing(Protocol):
     """How camera axes sit in the body: fixed mount, scan mirror, ..."""
 
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time (s) at which it is known."""
+        ...
+
     def to_body(self, directions: Array, t: Array) -> Array:
         """Directions (N, 3) in camera axes at times t (N,), in body axes."""
         ...
@@ -58,6 +63,11 @@ class FixedMount:
             raise InputError(
                 f"`body_from_camera` must be one rotation, got {len(self.body_from_camera)}; use rotation[0]"
             )
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """All times."""
+        return -np.inf, np.inf
 
     def to_body(self, directions: Array, t: Array) -> Array:
         """Directions (N, 3) in camera axes, in body axes; the same at all times."""
@@ -107,6 +117,11 @@ class ScanMirror(ReadOnlyArrays):
         object.__setattr__(self, "t", frozen(as_times(self.t, "t", increasing=True)))
         object.__setattr__(self, "angle", frozen(as_times(self.angle, "angle")))
         same_length(self.t, "t", self.angle, "angle")
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time (s) of the table of angles."""
+        return float(self.t[0]), float(self.t[-1])
 
     def _reflect(self, directions: Array, t: Array) -> Array:
         """Mirror images of body `directions` (N, 3) at times `t` (N,)."""

@@ -12,8 +12,11 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.geometry.earth import local_axes
+from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
 from sightline.io.acquisition_schema import AcquisitionFile
@@ -102,6 +105,8 @@ class Acquisition:
         Kind of ``[platform]``.
     world : str
         ``"local"`` (x east, y north, z up) or ``"earth-fixed"``.
+    spin : Spin or None
+        How the body turns, where it spins, and how well that is known.
     inputs : tuple of Path
         Every file that was read or will be.
     """
@@ -119,6 +124,7 @@ class Acquisition:
     matching: dict[str, Any]
     platform: str
     world: str
+    spin: Spin | None
     inputs: tuple[Path, ...] = field(repr=False)
 
     @property
@@ -195,3 +201,14 @@ def world_kind(config: AcquisitionFile) -> str:
     """``"local"`` for level flight and for local axes without an origin, else ``"earth-fixed"``."""
     local = config.world.frame == "local" and config.world.origin is None
     return "local" if config.platform.kind == "level-flight" or local else "earth-fixed"
+
+
+def attitude_to_world(attitude: Rotation, config: AcquisitionFile) -> Rotation:
+    """Attitudes in the axes of ``[world]`` → the axes of computation.
+
+    Quaternions are Earth-fixed unless the frame is "local"; with "lonlat" only positions are geodetic.
+    """
+    if config.world.frame == "local" and config.world.origin is not None:
+        lon, lat = np.radians(config.world.origin[:2])
+        return local_axes(lon, lat) * attitude
+    return attitude

@@ -25,6 +25,7 @@ from sightline.io.frames import build_frames, lens_knowledge
 from sightline.io.ground import build_surface, check_coverage, check_overlap, check_sampling
 from sightline.io.model_bands import build_model_bands
 from sightline.io.platform import to_world
+from sightline.io.spin import spin_of
 
 __all__ = ["Acquisition", "load_acquisition", "read_acquisition"]
 
@@ -86,6 +87,7 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
         matching=config.matching.model_dump(exclude_none=True),
         platform=config.platform.kind,
         world=world_kind(config),
+        spin=spin_of(config),
         inputs=tuple(files.used),
     )
 

@@ -21,6 +21,7 @@ Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 Sigma = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Quaternion = tuple[Finite, Finite, Finite, Finite]
+Vector = tuple[Finite, Finite, Finite]
 
 
 class Section(BaseModel):
@@ -88,9 +89,68 @@ class CameraModelPlatform(Section):
     )
 
 
+class SpinPlatform(Section):
+    """``[platform]`` kind spin: a body that turns evenly about an axis of its own."""
+
+    kind: Literal["spin"]
+    positions: str | None = Field(default=None, description="CSV t,x,y,z or CCSDS OEM")
+    position: Vector | None = Field(
+        default=None, description="The same place at all times, axes of [world]; with neither: the origin"
+    )
+    attitude: Quaternion = Field(description="world_from_body at t = 0, [x, y, z, w]")
+    axis: Vector = Field(description="Axis of the spin in body axes, of any length")
+    axis_sigma: Sigma = Field(
+        default=0.0, description="How well its direction is known, rad, each way across it; 0 = exactly"
+    )
+    rate: Finite = Field(description="rad/s about the axis, right-handed, relative to the stars")
+    rate_sigma: Sigma = Field(default=0.0, description="How well the rate is known, rad/s; 0 = exactly")
+    world_rate: Finite | None = Field(
+        default=None,
+        description="rad/s at which the axes of [world] turn about their z relative to the stars; default: "
+        "the Earth's; 0 for local axes without an origin and where [surface] is infinity or has radii",
+    )
+
+    @model_validator(mode="after")
+    def _turns(self) -> SpinPlatform:
+        if self.positions is not None and self.position is not None:
+            raise ValueError("positions and position are both given; keep one of them")
+        if not any(self.axis):
+            raise ValueError("axis = [0, 0, 0] has no direction; give the axis of the spin in body axes")
+        if self.rate == 0.0:
+            raise ValueError(
+                'rate = 0 is no spin; a body that does not turn is kind = "ephemeris" with attitudes'
+            )
+        return self
+
+
 PlatformSection = Annotated[
-    LevelFlight | EphemerisPlatform | CameraModelPlatform, Field(discriminator="kind")
+    LevelFlight | EphemerisPlatform | SpinPlatform | CameraModelPlatform, Field(discriminator="kind")
 ]
+
+
+class FixedPointing(Section):
+    """``[pointing]`` kind fixed: the camera is bolted to the body."""
+
+    kind: Literal["fixed"]
+
+
+class ScanMirrorPointing(Section):
+    """``[pointing]`` kind scan-mirror: the camera looks through a plane mirror that turns."""
+
+    kind: Literal["scan-mirror"]
+    axis: Vector = Field(description="Axis the mirror turns about, body axes, of any length")
+    normal: Vector = Field(description="Normal of the mirror at angle 0, body axes, of any length")
+    angles: str = Field(description="CSV t,angle: s, rad of the mirror about its axis")
+
+    @model_validator(mode="after")
+    def _have_directions(self) -> ScanMirrorPointing:
+        for key in ("axis", "normal"):
+            if not any(getattr(self, key)):
+                raise ValueError(f"{key} = [0, 0, 0] has no direction; give it in body axes")
+        return self
+
+
+PointingSection = Annotated[FixedPointing | ScanMirrorPointing, Field(discriminator="kind")]
 
 
 class LineGeometry(Section):
@@ -315,6 +375,7 @@ class AcquisitionFile(Section):
     platform: PlatformSection
     instrument: LineGeometry = LineGeometry()
     camera: CameraSection = CameraSection()
+    pointing: PointingSection = FixedPointing(kind="fixed")
     band: list[BandSection] = []
     frame: list[FrameSection] = []
     surface: SurfaceSection = SurfaceSection()
@@ -333,6 +394,17 @@ class AcquisitionFile(Section):
             raise ValueError(
                 f"[instrument] {line[0]} describes detector lines, but [[frame]] is given; remove it"
             )
+        if isinstance(self.platform, CameraModelPlatform) and self.pointing.kind != "fixed":
+            raise ValueError(
+                '[pointing] is given, but kind = "camera-model" brings its own; remove [pointing]'
+            )
+        if isinstance(self.platform, SpinPlatform):
+            placed = self.platform.positions is not None or self.platform.position is not None
+            if not placed and self.surface.kind != "infinity":
+                raise ValueError(
+                    '[platform] kind = "spin" has neither positions nor position; only [surface] kind = '
+                    '"infinity" does without'
+                )
         if isinstance(self.platform, LevelFlight) and (self.world.frame != "local" or self.world.origin):
             if self.world.model_fields_set:
                 raise ValueError(

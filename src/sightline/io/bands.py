@@ -12,22 +12,20 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.instrument import LineDetector
-from sightline.geometry.pointing import FixedMount
 from sightline.io import tables
 from sightline.io.acquired import InputFolder
 from sightline.io.acquisition_schema import (
     AcquisitionFile,
     BandSection,
-    CameraSection,
     LineGeometry,
 )
 from sightline.io.images import Source, check_content, open_image
 from sightline.io.platform import build_trajectory
+from sightline.io.spin import pointing_of
 from sightline.motion.band import Band
 
 Array = NDArray[np.float64]
@@ -77,13 +75,16 @@ def build_bands(config: AcquisitionFile, files: InputFolder, *, look: bool = Tru
         for index, (band, image) in enumerate(zip(config.band, images, strict=True))
     ]
     spans = [timing.span for _, timing in plans]
-    trajectory = build_trajectory(config, files, (min(s[0] for s in spans), max(s[1] for s in spans)))
-    mount = pointing_of(config.camera)
+    span = min(s[0] for s in spans), max(s[1] for s in spans)
+    trajectory = build_trajectory(config, files, span)
+    pointing = pointing_of(config, files, span)
     return tuple(
         Band(
             band.name,
             image,
-            PushbroomCamera(detector, trajectory, mount, timing.first, timing.lines, line_times=timing.table),
+            PushbroomCamera(
+                detector, trajectory, pointing, timing.first, timing.lines, line_times=timing.table
+            ),
             band.offset_sigma_px,
             band.rotation_sigma,
         )
@@ -104,19 +105,6 @@ def open_band_image(band: BandSection, files: InputFolder, *, look: bool) -> Sou
     if look:
         check_content(image)
     return image
-
-
-def pointing_of(camera: CameraSection) -> FixedMount:
-    """``[camera]`` mount or body_from_camera."""
-    if camera.body_from_camera is None:
-        return FixedMount()
-    quaternion = np.array(camera.body_from_camera)
-    length = float(np.linalg.norm(quaternion))
-    if abs(length - 1.0) > tables.QUATERNION_TOLERANCE:
-        raise FormatError(
-            f"[camera] body_from_camera has length {length:.6g}; a unit quaternion [x, y, z, w] is expected"
-        )
-    return FixedMount(Rotation.from_quat(quaternion / length))
 
 
 def _given(config: AcquisitionFile, band: BandSection, key: str) -> Any:

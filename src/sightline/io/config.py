@@ -22,10 +22,10 @@ Model = TypeVar("Model", bound=BaseModel)
 #: The files that have a schema, by the name given to ``sightline schema``.
 SCHEMAS: dict[str, type[BaseModel]] = {"acquisition": AcquisitionFile}
 
-#: What a later version may do; said plainly instead of "unknown value".
-NOT_IN_THIS_VERSION = {
-    ("platform", "kind"): {"spin": "a spinning platform"},
-    ("pointing",): {"": "a scan mirror ([pointing])"},
+#: Values of ``kind`` by table: pydantic names the one it tried in the place of a mistake.
+KINDS = {
+    "platform": ("camera-model", "ephemeris", "level-flight", "spin"),
+    "pointing": ("fixed", "scan-mirror"),
 }
 
 
@@ -86,7 +86,6 @@ def validate(model: type[Model], data: dict[str, Any], path: Path) -> Model:
     -------
     Model
     """
-    _refuse_later_versions(data, path)
     unknown = next(_unknown_keys(model, data, ()), None)
     if unknown is not None:
         raise FormatError(f"{path}: {unknown}")
@@ -97,19 +96,6 @@ def validate(model: type[Model], data: dict[str, Any], path: Path) -> Model:
         more = error.error_count() - 1
         tail = f" (and {more} more)" if more else ""
         raise FormatError(f"{path}: {_explain(first)}{tail}") from None
-
-
-def _refuse_later_versions(data: dict[str, Any], path: Path) -> None:
-    """Say so when the file asks for something this version does not do."""
-    for keys, values in NOT_IN_THIS_VERSION.items():
-        node: Any = data
-        for key in keys:
-            node = node.get(key) if isinstance(node, dict) else None
-        for value, words in values.items():
-            if node is not None and (value == "" or node == value):
-                raise FormatError(
-                    f"{path}: {words} is not handled by this version; remove it or use a later one"
-                )
 
 
 def _near(word: str, allowed: Sequence[str] | dict[str, Any]) -> str:
@@ -178,14 +164,14 @@ def _key(where: Sequence[str | int]) -> str:
 
 def _explain(error: Any) -> str:
     """One pydantic complaint in our form: key, value, what is allowed."""
-    tags = {"level-flight", "ephemeris", "camera-model"}
+    tags = {tag for kinds in KINDS.values() for tag in kinds}
     where = tuple(part for part in error["loc"] if part not in tags and not _is_type_tag(part))
     key, kind, given = _key(where), error["type"], error["input"]
     context = error.get("ctx", {})
     if kind == "missing":
         return f"key {key!r} is missing; add it"
     if kind == "union_tag_not_found":
-        return f"key {_key((*where, 'kind'))!r} is missing; allowed: {', '.join(sorted(tags))}"
+        return f"key {_key((*where, 'kind'))!r} is missing; allowed: {', '.join(KINDS[str(where[-1])])}"
     if kind == "union_tag_invalid":
         tag, allowed = str(context["tag"]), str(context["expected_tags"])
         options = [word.strip(" '") for word in allowed.split(",")]

@@ -16,11 +16,11 @@ from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.trajectory import Trajectory
 from sightline.io.acquired import InputFolder
 from sightline.io.acquisition_schema import AcquisitionFile, CameraModelPlatform, FrameSection
-from sightline.io.bands import pointing_of
 from sightline.io.ccsds import seconds_from_epoch
 from sightline.io.exif import read_exif
 from sightline.io.images import Source, check_content, open_image
 from sightline.io.platform import build_trajectory
+from sightline.io.spin import pointing_of
 from sightline.motion.band import Frame, LensKnowledge
 
 #: Start value of an unknown focal length and its sigma, in larger sides of the frame (1.0: 53 degrees).
@@ -65,13 +65,13 @@ def build_frames(config: AcquisitionFile, files: InputFolder, *, look: bool = Tr
     shake = 5.0 * max(entry.time_sigma for entry in config.frame) + abs(config.camera.readout_time)
     span = min(times) - abs(config.camera.readout_time), max(times) + abs(config.camera.readout_time)
     trajectory = extended(build_trajectory(config, files, span), shake)
-    mount = pointing_of(config.camera)
+    pointing = pointing_of(config, files, span)
     names = [entry.name or Path(entry.image).stem for entry in config.frame]
     return tuple(
         Frame(
             name,
             image,
-            FrameCamera(detector, trajectory, mount, t, config.camera.readout_time),
+            FrameCamera(detector, trajectory, pointing, t, config.camera.readout_time),
             entry.time_sigma,
         )
         for name, image, t, entry in zip(names, images, times, config.frame, strict=True)

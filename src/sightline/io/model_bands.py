@@ -11,8 +11,9 @@ from sightline.errors import FormatError
 from sightline.geometry.camera import PushbroomCamera
 from sightline.io.acquired import InputFolder
 from sightline.io.acquisition_schema import AcquisitionFile, BandSection
-from sightline.io.bands import open_band_image, pointing_of
+from sightline.io.bands import open_band_image
 from sightline.io.isd import LineScanModel, read_line_scan_model
+from sightline.io.spin import mount_of
 from sightline.motion.band import Band
 
 
@@ -77,5 +78,5 @@ def _placed(model: LineScanModel, band: BandSection, config: AcquisitionFile) ->
     if band.first_line_time is not None:
         times = None if times is None else times + (band.first_line_time - first)
         first = band.first_line_time
-    mount = pointing_of(config.camera) if config.camera.body_from_camera is not None else camera.pointing
+    mount = mount_of(config.camera) if config.camera.body_from_camera is not None else camera.pointing
     return PushbroomCamera(detector, camera.trajectory, mount, first, camera.lines, line_times=times)

@@ -1,9 +1,10 @@
 """``[platform]`` and ``[world]`` → a Trajectory in the axes everything is computed in.
 
-Level flight over a flat Earth; positions and attitudes from CSV tables or CCSDS messages, in
-Earth-fixed, local or geodetic coordinates.
+Level flight over a flat Earth; a spinning body; positions and attitudes from CSV tables or CCSDS messages,
+in Earth-fixed, local or geodetic coordinates.
 
-Not here: sensor-model files, which bring trajectory and detector together (``isd.py``).
+Not here: what a spin's keys mean (``spin.py``), sensor-model files, which bring trajectory and detector
+together (``isd.py``).
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import FormatError, SpanError
+from sightline.errors import FormatError
 from sightline.geometry.earth import WGS84, from_geodetic, local_axes, to_geodetic
 from sightline.geometry.trajectory import Trajectory
 from sightline.io import ccsds, tables
-from sightline.io.acquired import InputFolder, world_kind
-from sightline.io.acquisition_schema import AcquisitionFile, EphemerisPlatform, LevelFlight
+from sightline.io.acquired import InputFolder, attitude_to_world, world_kind
+from sightline.io.acquisition_schema import AcquisitionFile, EphemerisPlatform, LevelFlight, SpinPlatform
+from sightline.io.spin import must_cover, spin_of
 
 Array = NDArray[np.float64]
 
@@ -32,7 +34,7 @@ MARGIN = 1.0
 
 
 def build_trajectory(config: AcquisitionFile, files: InputFolder, span: tuple[float, float]) -> Trajectory:
-    """The nominal trajectory of ``[platform]`` kinds level-flight and ephemeris.
+    """The nominal trajectory of ``[platform]`` kinds level-flight, ephemeris and spin.
 
     Parameters
     ----------
@@ -58,18 +60,13 @@ def build_trajectory(config: AcquisitionFile, files: InputFolder, span: tuple[fl
         return Trajectory.level_flight(
             platform.altitude, platform.ground_speed, span[0] - margin, span[1] + margin
         )
+    if isinstance(platform, SpinPlatform):
+        return _spinning(config, platform, files, span)
     if not isinstance(platform, EphemerisPlatform):
         raise FormatError(
             f"{files.toml}: [platform] kind {platform.kind!r} takes its trajectory from the model file"
         )
-    path = files(platform.positions)
-    t_position, raw, raw_velocity = read_positions(path, config.acquisition.epoch)
-    _must_cover(path, "positions", t_position, span)
-    if raw_velocity is not None and config.world.frame != "earth-fixed":
-        raise FormatError(
-            f'{path}: an OEM is in Earth-fixed axes; [world] frame must be "earth-fixed" or left out'
-        )
-    position = to_world(raw, config, path)
+    t_position, position, velocity = _positions(config, files(platform.positions), span)
     if platform.attitudes == "along-track":
         t_attitude, attitude = (
             t_position,
@@ -78,11 +75,43 @@ def build_trajectory(config: AcquisitionFile, files: InputFolder, span: tuple[fl
     else:
         path = files(platform.attitudes)
         t_attitude, quat_xyzw = read_attitudes(path, config.acquisition.epoch)
-        _must_cover(path, "attitudes", t_attitude, span)
+        must_cover(path, "attitudes", t_attitude, span)
         attitude = attitude_to_world(Rotation.from_quat(quat_xyzw), config)
     return Trajectory(
-        t_position, position, t_attitude, attitude, epoch=config.acquisition.epoch, velocity=raw_velocity
+        t_position, position, t_attitude, attitude, epoch=config.acquisition.epoch, velocity=velocity
     )
+
+
+def _positions(
+    config: AcquisitionFile, path: Path, span: tuple[float, float]
+) -> tuple[Array, Array, Array | None]:
+    """Times (N,) s, positions (N, 3) and velocities (N, 3) or None of a table, axes of computation."""
+    t, raw, velocity = read_positions(path, config.acquisition.epoch)
+    must_cover(path, "positions", t, span)
+    if velocity is not None and config.world.frame != "earth-fixed":
+        raise FormatError(
+            f'{path}: an OEM is in Earth-fixed axes; [world] frame must be "earth-fixed" or left out'
+        )
+    return t, to_world(raw, config, path), velocity
+
+
+def _spinning(
+    config: AcquisitionFile, platform: SpinPlatform, files: InputFolder, span: tuple[float, float]
+) -> Trajectory:
+    """The trajectory of ``[platform]`` kind spin."""
+    margin = MARGIN + MARGIN_SHARE * (span[1] - span[0])
+    wide = span[0] - margin, span[1] + margin
+    velocity: Array | None = None
+    if platform.positions is not None:
+        t, position, velocity = _positions(config, files(platform.positions), span)
+    else:
+        at = np.zeros((1, 3))  # only directions matter: the ground is at infinity
+        if platform.position is not None:
+            at = to_world(np.array([platform.position]), config, files.toml)
+        t, position = np.array(wide), np.repeat(at, 2, axis=0)
+    spin = spin_of(config)
+    assert spin is not None  # the platform is one
+    return spin.trajectory(t, position, wide, velocity=velocity, epoch=config.acquisition.epoch)
 
 
 def read_positions(path: Path, epoch: str | None) -> tuple[Array, Array, Array | None]:
@@ -99,17 +128,6 @@ def read_attitudes(path: Path, epoch: str | None) -> tuple[Array, Array]:
         attitude = ccsds.read_aem(path, ccsds.need_epoch(path, epoch))
         return attitude.t, attitude.quat_xyzw
     return tables.read_attitudes(path)
-
-
-def _must_cover(path: Path, what: str, t: Array, span: tuple[float, float]) -> None:
-    """SpanError unless the table reaches from the first line to the last."""
-    if t[0] <= span[0] and t[-1] >= span[1]:
-        return
-    raise SpanError(
-        f"{path}: the {what} cover [{t[0]:.6f}, {t[-1]:.6f}] s, the images are exposed in "
-        f"[{span[0]:.6f}, {span[1]:.6f}] s; supply {what} over that span, or check the epoch and "
-        f"first_line_time"
-    )
 
 
 def to_world(points: Array, config: AcquisitionFile, path: Path | None = None) -> Array:
@@ -149,17 +167,6 @@ def to_world(points: Array, config: AcquisitionFile, path: Path | None = None) -
                 f'{low:.3g} m; are they in km, or in other axes ([world] frame = "local" or "lonlat")?'
             )
     return points
-
-
-def attitude_to_world(attitude: Rotation, config: AcquisitionFile) -> Rotation:
-    """Attitudes in the axes of ``[world]`` → the axes of computation.
-
-    Quaternions are Earth-fixed unless the frame is "local"; with "lonlat" only positions are geodetic.
-    """
-    if config.world.frame == "local" and config.world.origin is not None:
-        lon, lat = np.radians(config.world.origin[:2])
-        return local_axes(lon, lat) * attitude
-    return attitude
 
 
 def along_track_attitude(

@@ -28,6 +28,7 @@ GYRO = ("t_start", "t_end", "roll", "pitch", "yaw", "sigma")
 CONTROL_POINTS = ("x", "y", "z", "sigma", "image", "line", "column")
 DIRECTIONS = ("column", "x", "y", "z")
 LINE_TIMES = ("line", "t")
+MIRROR_ANGLES = ("t", "angle")
 ANGLES = ("roll", "pitch", "yaw")
 TRUTH = ("t", *ANGLES)
 MOTION = (
@@ -276,6 +277,14 @@ def read_line_times(path: Path) -> Array:
     t = _matrix(table, ["t"])[:, 0]
     check_times(path, t)
     return t
+
+
+def read_mirror_angles(path: Path) -> tuple[Array, Array]:
+    """``t,angle``: times (N,) s, increasing, and angles of a scan mirror (N,) rad."""
+    table = read_columns(path, MIRROR_ANGLES)
+    t = _matrix(table, ["t"])[:, 0]
+    check_times(path, t)
+    return t, _matrix(table, ["angle"])[:, 0]
 
 
 def _check_count(path: Path, name: str, values: Array) -> None:
