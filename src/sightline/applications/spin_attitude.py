@@ -30,6 +30,7 @@ from sightline.motion.frame_matches import FrameStar
 from sightline.motion.spin_frames import (
     DEPARTURE_START,
     SPIN_NAMES,
+    AttitudeSigma,
     SpinEstimate,
     SpinUnknowns,
     solve_spin,
@@ -107,7 +108,7 @@ def recover_spin_attitude(
     *,
     lens: LensKnowledge | None = None,
     chip: ChipKnowledge | None = None,
-    attitude_sigma: float = 0.1,
+    attitude_sigma: AttitudeSigma | None = None,
     parallax_sigma: float = 0.0,
     options: SpinOptions | None = None,
     progress: Progress | None = None,
@@ -126,8 +127,8 @@ def recover_spin_attitude(
         How well the nominal lens is known; exactly by default.
     chip : ChipKnowledge, optional
         How well the places of the strips are known; exactly by default.
-    attitude_sigma : float
-        rad; how well the attitude at t = 0 is known.
+    attitude_sigma : AttitudeSigma, optional
+        How well the attitude at t = 0 is known; to 0.1 rad by default.
     parallax_sigma : float
         rad/s; speed over distance of what is seen, where the surface is infinity and neither is known.
     options : SpinOptions, optional
@@ -180,7 +181,7 @@ def _prepare(
     spin: Spin,
     lens: LensKnowledge,
     chip: ChipKnowledge | None,
-    attitude_sigma: float,
+    attitude_sigma: AttitudeSigma,
     parallax_sigma: float,
 ) -> SpinUnknowns:
     """Check the input and list what is unknown."""
@@ -235,8 +236,8 @@ def _change(old: SpinEstimate, new: SpinEstimate) -> float:
     return float(np.abs((new.x - old.x)[:first] / sigma).max())
 
 
-def _record(number: int, star: FrameStar, estimate: SpinEstimate) -> tuple[StarRecord, Array]:
-    """A star as the report shows it, mismatches without weight, and its residuals (G, 1, 2) px."""
+def _record(number: int, star: FrameStar, estimate: SpinEstimate) -> StarRecord:
+    """A star as the report shows it, mismatches without weight."""
     rows = estimate.rows
     line = rows.lines[number]
     believed = np.zeros(line.weight.shape)
@@ -246,7 +247,7 @@ def _record(number: int, star: FrameStar, estimate: SpinEstimate) -> tuple[StarR
     s = np.ones(2) * scale
     covariance = line.covariance_px * s[:, None] * s[None, :]
     shown = replace(line, weight=believed, covariance_px=covariance).with_correlation(np.eye(2))
-    return StarRecord(shown, star.status, star.score), line.residual_px
+    return StarRecord(shown, star.status, star.score)
 
 
 def _result(
@@ -260,8 +261,8 @@ def _result(
     relative = relative_covariance(covariance, directions, scale)
     blocks = np.stack([relative[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(n)])
     change = unknowns.to_angles(estimate.x)
-    prior = change @ np.diag(unknowns.prior_sigma**2) @ change.T
-    shown = [_record(k, star, estimate) for k, star in enumerate(stars)]
+    root = change @ unknowns.prior_root
+    prior = root @ root.T
     nominal = [frame.camera for frame in unknowns.frames]
     detector = estimate.cameras[0].detector
     observed = _observed(stars, estimate, n)
@@ -277,9 +278,9 @@ def _result(
         half_field=math.atan((detector.shape[1] - 1) / 2.0 / detector.focal_length_px),
         statics=_statics(estimate),
         spectra=None,
-        records=tuple(record for record, _ in shown),
+        records=tuple(_record(k, star, estimate) for k, star in enumerate(stars)),
         before_px=tuple(star.residuals(nominal, surface) for star in stars),
-        after_px=tuple(after for _, after in shown),
+        after_px=tuple(star.residuals(estimate.cameras, surface) for star in stars),
         cameras=tuple(estimate.cameras),
         image_names=tuple(frame.name for frame in unknowns.frames),
         changes=tuple(changes),

@@ -107,7 +107,7 @@ def velocity_between(first: ArrayLike, second: ArrayLike, interval: float, mu: f
     found = root(miss, (b - a) / size, tol=1e-13)
     if not np.abs(miss(found.x)).max() < 1e-8:
         raise GeometryError(
-            f"no two-body arc of {interval:g} s joins the positions {a.tolist()} and {b.tolist()} m; check the "
-            "time between them, their units (m) and `mu`"
+            f"no two-body arc of {interval:g} s joins the positions {a.tolist()} and {b.tolist()} m; check "
+            "the time between them, their units (m) and `mu`"
         )
     return np.asarray(found.x * size / interval)

@@ -21,6 +21,7 @@ from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
 from sightline.io.acquisition_schema import AcquisitionFile
 from sightline.motion.band import Band, ChipKnowledge, Frame, LensKnowledge
+from sightline.motion.spin_frames import AttitudeSigma
 
 Array = NDArray[np.float64]
 
@@ -109,8 +110,8 @@ class Acquisition:
         How the body turns, where it spins, and how well that is known.
     chip : ChipKnowledge
         How well the strips of a frame are known.
-    attitude_sigma : float
-        rad; how well the attitude of a spinning body at t = 0 is known, each axis.
+    attitude_sigma : AttitudeSigma or None
+        How well the attitude of a spinning body at t = 0 is known.
     parallax_sigma : float
         rad/s; how fast directions may drift because the platform moves (ground at infinity).
     inputs : tuple of Path
@@ -132,7 +133,7 @@ class Acquisition:
     world: str
     spin: Spin | None
     chip: ChipKnowledge
-    attitude_sigma: float
+    attitude_sigma: AttitudeSigma | None
     parallax_sigma: float
     inputs: tuple[Path, ...] = field(repr=False)
 

@@ -31,7 +31,7 @@ from sightline.io.ground import build_surface, check_coverage, check_overlap, ch
 from sightline.io.model_bands import build_model_bands
 from sightline.io.platform import to_world
 from sightline.io.spin import spin_of
-from sightline.io.strips import chip_knowledge
+from sightline.io.strips import attitude_sigma, chip_knowledge
 
 __all__ = ["Acquisition", "load_acquisition", "read_acquisition"]
 
@@ -99,7 +99,7 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
         world=world_kind(config),
         spin=spin_of(config),
         chip=chip_knowledge(config),
-        attitude_sigma=config.platform.attitude_sigma if isinstance(config.platform, SpinPlatform) else 0.0,
+        attitude_sigma=attitude_sigma(config),
         parallax_sigma=config.surface.parallax_sigma,
         inputs=tuple(files.used),
     )

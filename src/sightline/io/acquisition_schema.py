@@ -101,6 +101,11 @@ class SpinPlatform(Section):
     attitude_sigma: Sigma = Field(
         default=0.1, description="How well that is known, rad about each axis (frames only)"
     )
+    attitude_turn_sigma: Sigma | None = Field(
+        default=None,
+        description="The same about the line to the origin of [world] (the centre of the body), where it is "
+        "known less well: the outline of a body hardly tells it",
+    )
     axis: Vector = Field(description="Axis of the spin in body axes, of any length")
     axis_sigma: Sigma = Field(
         default=0.0, description="How well its direction is known, rad, each way across it; 0 = exactly"

@@ -38,16 +38,16 @@ LINES, COLUMNS, COLUMN = 128, 1648, 814.21
 FOCAL = 10.95637e-3 / 7.4e-6
 #: Radial distortion in tangents (published per px^2 and px^4).
 DISTORTION = (-5.962420945566733e-8 * FOCAL**2, 2.738191004225615e-14 * FOCAL**4)
-#: What is not known of these: focal length (share), column of the axis (px), k1, common line (px), strips (px),
-#: and how differently colours are magnified.
+#: What is not known of these: focal length (share), column of the axis (px), k1, common line (px), strips
+#: (px), and how differently colours are magnified.
 FOCAL_SIGMA, COLUMN_SIGMA, K1_SIGMA, LINE_SIGMA, STRIP_SIGMA, SCALE_SIGMA = 1e-3, 1.0, 1e-3, 30.0, 0.1, 3e-4
 #: s that the camera's clock adds to the delay between exposures, and the delay where no metadata says it.
 CLOCK, DELAY = 1e-3, 0.373
 #: Spin: rad per exposure about the column axis (line numbers fall with time) and its sigma; rad of the axis.
 TURN, TURN_SIGMA, AXIS_SIGMA = -0.0778, 2e-4, 0.01
-#: rad; of an attitude from the limb (its turn about the centre is weak), and rad/s of speed over distance
-#: where neither is known: 40 km/s at 100,000 km.
-ATTITUDE_SIGMA, PARALLAX_SIGMA = 0.05, 4e-4
+#: rad; of an attitude from the limb: where the centre is, and the turn about the line to it. rad/s; speed over
+#: distance where neither is known: 40 km/s at 100,000 km.
+ATTITUDE_SIGMA, TURN_ABOUT_SIGMA, PARALLAX_SIGMA = 1e-3, 0.05, 4e-4
 #: Levels (8 bit) of blue, green, red below which a pixel is night or sky, and how far around these nothing is
 #: used (px): the limb is no texture.
 DARK, AROUND = (14.0, 18.0, 18.0), 8
@@ -141,15 +141,15 @@ def read_framelets(path: Path) -> Pixels:
     lines, columns = image.shape
     if columns != COLUMNS or lines % (LINES * len(STRIPS)):
         raise FormatError(
-            f"{path}: {lines} lines x {columns} columns; a raw JunoCam colour image has {COLUMNS} columns and "
-            f"a multiple of {LINES * len(STRIPS)} lines (blue, green, red framelets of {LINES} lines)"
+            f"{path}: {lines} lines x {columns} columns; a raw JunoCam colour image has {COLUMNS} columns "
+            f"and a multiple of {LINES * len(STRIPS)} lines (blue, green, red framelets of {LINES} lines)"
         )
     pixels = image.read((0, lines), (0, columns))
     return np.rint(pixels).astype(np.uint8).reshape(-1, len(STRIPS), LINES, COLUMNS)
 
 
-def unusable(framelet: Pixels, dark: float) -> NDArray[np.bool_]:
-    """Pixels of a framelet that must not be matched: radiation hits, sky, night side and limb.
+def radiation_hits(framelet: Pixels, dark: float) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:
+    """Pixels of a framelet that particles brightened, and the levels around every pixel.
 
     Parameters
     ----------
@@ -157,6 +157,12 @@ def unusable(framelet: Pixels, dark: float) -> NDArray[np.bool_]:
         8 bit, square-root coded: noise is about the same at all levels.
     dark : float
         Level of sky and night.
+
+    Returns
+    -------
+    hits : (lines, columns) bool
+    median : (lines, columns) float32
+        Of 5 x 5 pixels.
     """
     from scipy import ndimage
 
@@ -165,9 +171,25 @@ def unusable(framelet: Pixels, dark: float) -> NDArray[np.bool_]:
     lit = median > dark
     spread = 1.4826 * float(np.median(np.abs(level - median)[lit])) if lit.sum() > 100 else 1.0
     hit = np.abs(level - median) > max(HIT_SIGMAS * max(spread, 0.7), HIT_LEVELS)
-    out = ndimage.binary_dilation(hit, np.ones((3, 3)))
-    night = ndimage.binary_opening(ndimage.uniform_filter(median, 7) < dark, np.ones((5, 5)))
-    out |= ndimage.binary_dilation(night, np.ones((2 * AROUND + 1, 2 * AROUND + 1)))
+    # the limb is steep, and no hit
+    steep = ndimage.maximum_filter(median, 5) - ndimage.minimum_filter(median, 5) > 4.0 * HIT_LEVELS
+    return ndimage.binary_dilation(hit & ~steep, np.ones((3, 3), bool)), median
+
+
+def unusable(hits: NDArray[np.bool_], median: NDArray[np.float32], dark: float) -> NDArray[np.bool_]:
+    """Pixels of a framelet that must not be matched: radiation hits, sky, night side and limb.
+
+    Parameters
+    ----------
+    hits, median : (lines, columns)
+        Of `radiation_hits`.
+    dark : float
+        Level of sky and night.
+    """
+    from scipy import ndimage
+
+    night = ndimage.binary_opening(ndimage.uniform_filter(median, 7) < dark, np.ones((5, 5), bool))
+    out = hits | ndimage.binary_dilation(night, np.ones((2 * AROUND + 1,) * 2, bool))
     out[:, :BLIND] = True
     return np.asarray(out)
 
@@ -330,7 +352,7 @@ def write_junocam_acquisition(
         platform = _located(framelets, interval, known, own[0], out)
         surface = [f"radii = [{RADII[0]}, {RADII[1]}]"]
         epoch = [f'epoch = "{known[own[0]].start.isoformat()}"']
-    text = _toml(image.stem, epoch, platform, surface, interval, exposures)
+    text = _toml(image.stem, epoch, platform, surface, interval, exposures, far=far)
     path = out / "acquisition.toml"
     path.write_text(text, encoding="utf-8")
     return path
@@ -339,16 +361,24 @@ def write_junocam_acquisition(
 def _write_frames(framelets: Pixels, out: Path) -> list[int]:
     """Decoded exposures and their masks as files; numbers of those that show the lit disc."""
     table = companding_table()
-    masks = [
-        np.concatenate([unusable(strip, dark) for strip, dark in zip(exposure, DARK, strict=True)])
-        for exposure in framelets
-    ]
+    levels, masks = [], []
+    for exposure in framelets:
+        cleaned, marked = [], []
+        for strip, dark in zip(exposure, DARK, strict=True):
+            hits, median = radiation_hits(strip, dark)
+            # what stands in place of a hit is for the eye; it is masked all the same
+            cleaned.append(np.where(hits, median, strip).astype(np.uint8))
+            marked.append(unusable(hits, median, dark))
+        levels.append(np.concatenate(cleaned))
+        masks.append(np.concatenate(marked))
     lit = np.flatnonzero([not mask.all() for mask in masks])
     if len(lit) < 2:
         raise FormatError("no lit disc in the image: fewer than two exposures are brighter than the sky")
     exposures = list(range(int(lit[0]), int(lit[-1]) + 1))
     for k in exposures:
-        np.save(out / f"exposure_{k:02}.npy", table[framelets[k].reshape(-1, COLUMNS)])
+        pixels = table[levels[k]]
+        pixels[:, :BLIND] = np.nan
+        np.save(out / f"exposure_{k:02}.npy", pixels)
         np.save(out / f"mask_{k:02}.npy", masks[k].astype(np.uint8))
     return exposures
 
@@ -378,6 +408,8 @@ def _toml(
     surface: list[str],
     interval: float,
     exposures: Sequence[int],
+    *,
+    far: bool,
 ) -> str:
     """The text of the acquisition file."""
     strips = [
@@ -399,7 +431,8 @@ def _toml(
         "[platform]",
         'kind = "spin"',
         *platform,
-        f"attitude_sigma = {ATTITUDE_SIGMA}",
+        f"attitude_sigma = {0.0 if far else ATTITUDE_SIGMA}",
+        f"attitude_turn_sigma = {0.0 if far else TURN_ABOUT_SIGMA}",
         "axis = [1.0, 0.0, 0.0]",
         f"axis_sigma = {AXIS_SIGMA}",
         f"rate = {TURN / interval:.9f}",

@@ -15,8 +15,9 @@ from itertools import pairwise
 from sightline.errors import FormatError
 from sightline.imaging.part import ImageLines
 from sightline.io.acquired import InputFolder
-from sightline.io.acquisition_schema import AcquisitionFile, StripSection
+from sightline.io.acquisition_schema import AcquisitionFile, SpinPlatform, StripSection
 from sightline.motion.band import ChipKnowledge, Frame
+from sightline.motion.spin_frames import AttitudeSigma
 
 
 def cut_into_strips(
@@ -91,3 +92,12 @@ def chip_knowledge(config: AcquisitionFile) -> ChipKnowledge:
         tuple(strip.axis_line_sigma_px for strip in strips),
         tuple(strip.scale_sigma for strip in strips),
     )
+
+
+def attitude_sigma(config: AcquisitionFile) -> AttitudeSigma | None:
+    """How well the attitude of a spinning body is known; None for other platforms."""
+    platform = config.platform
+    if not isinstance(platform, SpinPlatform):
+        return None
+    about = platform.attitude_turn_sigma
+    return AttitudeSigma(platform.attitude_sigma, platform.attitude_sigma if about is None else about)

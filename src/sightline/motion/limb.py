@@ -9,6 +9,7 @@ Not here: refining by the motion of what is seen on the body (``spin_frames.py``
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,13 +77,13 @@ def attitude_from_limb(
     axes = np.array([radii[0], radii[0], radii[1]])
     distance = np.linalg.norm(positions, axis=1)
 
-    def miss(x: Array) -> Array:
+    def miss(x: Array, kept: NDArray[np.bool_] | slice = slice(None)) -> Array:
         """Angle by which each ray passes outside the outline, rad."""
         shrink = 1.0 / (axes + x[3])
         ray, origin = Rotation.from_rotvec(x[:3]).apply(directions) * shrink, positions * shrink
         nearest = -(origin * ray).sum(axis=1) / (ray**2).sum(axis=1)
         reach = np.linalg.norm(origin + nearest[:, None] * ray, axis=1)
-        return np.asarray((reach - 1.0) * radii[0] / distance)
+        return np.asarray((reach - 1.0) * radii[0] / distance)[kept]
 
     middle = directions.mean(axis=0) / np.linalg.norm(directions.mean(axis=0))
     down = -positions.mean(axis=0) / np.linalg.norm(positions.mean(axis=0))
@@ -91,7 +92,7 @@ def attitude_from_limb(
     kept = np.ones(len(directions), dtype=bool)
     for _ in range(ROUNDS):
         fit = least_squares(
-            lambda x: miss(x)[kept],  # noqa: B023
+            partial(miss, kept=kept),
             x,
             loss="soft_l1",
             f_scale=SOFT,

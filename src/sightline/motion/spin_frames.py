@@ -48,8 +48,32 @@ DEPARTURE_START, DEPARTURE_LIMITS = 5e-5, (1e-7, 2e-3)
 #: Residuals beyond so many sigmas (of the distance in both axes) are mismatches: one in a thousand of two
 #: Gaussian components.
 REJECT = 3.7
+#: Relative change of the departures' size at which it has settled.
+SETTLED = 1e-3
 #: Rounds of weighing matches, learning their errors and the size of the departures, within a pass.
-ROUNDS, DEPARTURE_ROUNDS = 5, 20
+ROUNDS, DEPARTURE_ROUNDS = 5, 200
+
+
+@dataclass(frozen=True)
+class AttitudeSigma:
+    """How well an attitude is known.
+
+    Attributes
+    ----------
+    across : float
+        rad; about axes across the line to the world's origin (the centre of the body): where the body is in
+        the images says it.
+    about : float
+        rad; about that line.
+    """
+
+    across: float
+    about: float
+
+    def root(self, down: Array) -> Array:
+        """(3, 3) symmetric root of the covariance; `down` (3,) is that line, body axes."""
+        out = max(self.across, EXACT) * np.eye(3)
+        return np.asarray(out + (max(self.about, EXACT) - max(self.across, EXACT)) * np.outer(down, down))
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,8 +86,8 @@ class SpinUnknowns:
         Images with nominal cameras.
     spin : Spin
         Nominal.
-    attitude_sigma : float
-        rad; of the attitude at t = 0.
+    attitude_sigma : AttitudeSigma
+        Of the attitude at t = 0.
     statics : tuple of StaticParameter
         Lens, chip, parallax.
     departure_sigma : (3,)
@@ -72,7 +96,7 @@ class SpinUnknowns:
 
     frames: tuple[Frame, ...]
     spin: Spin
-    attitude_sigma: float
+    attitude_sigma: AttitudeSigma
     statics: tuple[StaticParameter, ...]
     departure_sigma: Array
 
@@ -100,9 +124,25 @@ class SpinUnknowns:
     @property
     def prior_sigma(self) -> Array:
         """(size,) 1-sigma of every unknown beforehand, each in its unit."""
-        spin = [self.spin.rate_sigma, self.spin.axis_sigma, self.spin.axis_sigma, *3 * [self.attitude_sigma]]
+        return np.asarray(np.sqrt((self.prior_root**2).sum(axis=1)))
+
+    @property
+    def prior_root(self) -> Array:
+        """(size, size) symmetric root of the prior covariance."""
+        spin = [self.spin.rate_sigma, self.spin.axis_sigma, self.spin.axis_sigma, 0.0, 0.0, 0.0]
         constants = np.maximum([*spin, *(p.sigma for p in self.statics)], EXACT)
-        return np.concatenate([constants, np.tile(self.departure_sigma, len(self.t))])
+        out = np.diag(np.concatenate([constants, np.tile(self.departure_sigma, len(self.t))]))
+        out[3:6, 3:6] = self.attitude_sigma.root(self._down())
+        return out
+
+    def _down(self) -> Array:
+        """(3,) unit vector from the platform to the world's origin at t = 0, body axes; 0 at the origin."""
+        trajectory = self.frames[0].camera.trajectory
+        begin, end = trajectory.span
+        place = trajectory.at(float(np.clip(0.0, begin, end))).position[0]
+        down = self.spin.attitude.inv().apply(-place)
+        length = float(np.linalg.norm(down))
+        return np.asarray(down / length if length > 0.0 else down)
 
     def angles(self, x: Array) -> Array:
         """(n, 3) rad; departure of the body from its nominal attitude at every exposure."""
@@ -419,7 +459,7 @@ def solve_spin(
         fit = _Fit(rows, unknowns, len(pairs))
         fit.run(ROUNDS)
         x, unknowns = fit.x, fit.unknowns
-    rows = linear_rows(stars, unknowns, surface, pairs, x)
+    rows = replace(fit.rows, residual=fit.rows.left(x), at=x)
     return SpinEstimate(
         unknowns,
         x,
@@ -441,7 +481,7 @@ class _Fit:
         self.rows, self.unknowns = rows, unknowns
         self.x, self.kept = rows.at.copy(), np.ones(len(rows.residual), dtype=bool)
         self.scale = np.full((pairs, 2), 3.0)
-        self.covariance = np.diag(unknowns.prior_sigma**2)
+        self.covariance = unknowns.prior_root @ unknowns.prior_root
         self.information = np.zeros_like(self.covariance)
 
     def run(self, rounds: int) -> None:
@@ -462,14 +502,17 @@ class _Fit:
         target = rows.residual + rows.design @ rows.at
         rhs = np.einsum("mip,mi->p", weighed, target)
         for _ in range(departure_rounds):
-            sigma = self.unknowns.prior_sigma
+            root = self.unknowns.prior_root
             # unit prior: what is known exactly and what is free differ by many powers of ten
-            scaled = self.information * np.outer(sigma, sigma) + np.eye(len(sigma))
-            inverse = np.linalg.inv(scaled)
-            self.covariance = 0.5 * (inverse + inverse.T) * np.outer(sigma, sigma)
+            inverse = np.linalg.inv(root @ self.information @ root + np.eye(len(root)))
+            covariance = root @ inverse @ root
+            self.covariance = 0.5 * (covariance + covariance.T)
             self.x = self.covariance @ rhs
             if departure_rounds > 1:
-                self.unknowns = replace(self.unknowns, departure_sigma=self._departure_sigma())
+                before, after = self.unknowns.departure_sigma, self._departure_sigma()
+                self.unknowns = replace(self.unknowns, departure_sigma=after)
+                if np.abs(np.log(after / before)).max() < SETTLED:
+                    break
 
     def _departure_sigma(self) -> Array:
         """(3,) rad; what departures and their sigmas say of their size."""

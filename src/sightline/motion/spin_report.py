@@ -246,8 +246,8 @@ def rank_of(estimate: SpinEstimate) -> Rank:
     """Information of the images on the constants, departures taken out."""
     unknowns = estimate.unknowns
     first = unknowns.constants
-    sigma = unknowns.prior_sigma
-    scaled = estimate.information * np.outer(sigma, sigma)
+    sigma, root = unknowns.prior_sigma, unknowns.prior_root
+    scaled = root @ estimate.information @ root
     own, cross = scaled[first:, first:] + np.eye(len(sigma) - first), scaled[:first, first:]
     left = scaled[:first, :first] - cross @ np.linalg.solve(own, cross.T)
     free = np.flatnonzero(sigma[:first] > EXACT)
