@@ -148,7 +148,8 @@ def recover_spin_attitude(
     """
     tell = progress or (lambda text: None)
     options = options or SpinOptions()
-    unknowns = _prepare(frames, surface, spin, lens or LensKnowledge(), chip, attitude_sigma, parallax_sigma)
+    tied = attitude_sigma or AttitudeSigma(0.1, 0.1)
+    unknowns = _prepare(frames, surface, spin, lens or LensKnowledge(), chip, tied, parallax_sigma)
     pairs = strip_pairs(unknowns.frames)
     if not pairs:
         raise EstimationError(

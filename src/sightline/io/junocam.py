@@ -45,8 +45,8 @@ FOCAL_SIGMA, COLUMN_SIGMA, K1_SIGMA, LINE_SIGMA, STRIP_SIGMA, SCALE_SIGMA = 1e-3
 CLOCK, DELAY = 1e-3, 0.373
 #: Spin: rad per exposure about the column axis (line numbers fall with time) and its sigma; rad of the axis.
 TURN, TURN_SIGMA, AXIS_SIGMA = -0.0778, 2e-4, 0.01
-#: rad; of an attitude from the limb: where the centre is, and the turn about the line to it. rad/s; speed over
-#: distance where neither is known: 40 km/s at 100,000 km.
+#: rad; of an attitude from the limb: where the centre is, and the turn about the line to it. rad/s; speed
+#: over distance where neither is known: 40 km/s at 100,000 km.
 ATTITUDE_SIGMA, TURN_ABOUT_SIGMA, PARALLAX_SIGMA = 1e-3, 0.05, 4e-4
 #: Levels (8 bit) of blue, green, red below which a pixel is night or sky, and how far around these nothing is
 #: used (px): the limb is no texture.
