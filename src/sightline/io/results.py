@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.results import LineOfSight
+from sightline.applications.spin_attitude import SpinAttitude
 from sightline.evaluation.error_spectrum import error_psd
 from sightline.evaluation.observed import observed
 from sightline.evaluation.score import remove_directions
@@ -30,6 +31,7 @@ from sightline.io.acquired import Acquisition
 from sightline.io.ccsds import write_aem
 from sightline.io.hidden import write_hidden
 from sightline.io.json_text import json_text
+from sightline.io.spin_summary import spin_summary
 from sightline.io.tables import ANGLES, MotionTable, write_attitudes, write_motion, write_spectrum
 from sightline.motion.observability import Passbands
 from sightline.motion.tones import detect_tones, spectrum
@@ -80,6 +82,8 @@ def write_result(
             folder / "attitude.aem", motion.t, attitude, acquisition.epoch, object_name=name, frame=frame
         )
     summary = summarize(result, acquisition, wall_seconds=wall_seconds)
+    if isinstance(result, SpinAttitude):
+        summary["spin"] = spin_summary(result, acquisition.chip.names)
     if result.hidden.shape[2]:
         summary["hidden_directions"] = write_hidden(folder, motion.t, result.hidden, result.hidden_names)
     _write_spectrum(folder / "spectrum.csv", result, summary["passbands"])
@@ -111,7 +115,7 @@ def highest_frequency(acquisition: Acquisition) -> float:
         return HIGHEST_FREQUENCY / min(
             c.detector.line_period for c in cameras if isinstance(c, PushbroomCamera)
         )
-    times = np.sort([camera.t for camera in cameras if not isinstance(camera, PushbroomCamera)])
+    times = np.unique([camera.t for camera in cameras if not isinstance(camera, PushbroomCamera)])
     return float(0.5 / np.median(np.diff(times)))
 
 

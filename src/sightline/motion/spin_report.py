@@ -62,7 +62,7 @@ class StripClosure:
     Attributes
     ----------
     name : str
-        For example ``"0-1 + 1-2 - 0-2"``, strips by number, lags in brackets.
+        For example ``"0-1 (1) + 1-2 (1) - 0-2 (2)"``: strips by number, exposures in brackets.
     value_px, sigma_px : (line, column)
     """
 
