@@ -33,6 +33,7 @@ from sightline.motion.spin_frames import (
     AttitudeSigma,
     SpinEstimate,
     SpinUnknowns,
+    layers_of,
     solve_spin,
     spin_statics,
 )
@@ -208,9 +209,10 @@ def _prepare(
             )
     strips = sorted({frame.strip for frame in frames})
     zeros = (0.0,) * len(strips)
-    known = chip or ChipKnowledge(tuple(f"strip {k}" for k in strips), 0.0, zeros, zeros)
+    known = chip or ChipKnowledge(tuple(f"strip {k}" for k in strips), 0.0, zeros, zeros, zeros)
     statics = spin_statics(frames, surface, lens, known, parallax_sigma)
-    return SpinUnknowns(tuple(frames), spin, attitude_sigma, statics, np.full(3, DEPARTURE_START))
+    start, layers = np.full(3, DEPARTURE_START), layers_of(surface, known)
+    return SpinUnknowns(tuple(frames), spin, attitude_sigma, statics, start, layers)
 
 
 def _enough(stars: Sequence[FrameStar]) -> None:
@@ -297,13 +299,12 @@ def _result(
 def _statics(estimate: SpinEstimate) -> tuple[StaticEstimate, ...]:
     """Spin and constants; departure from nominal."""
     unknowns = estimate.unknowns
-    units = [unit for _, unit in SPIN_NAMES] + [p.unit for p in unknowns.statics]
     sigmas = np.sqrt(np.diag(estimate.covariance))
     return tuple(
         StaticEstimate(name, unit, float(value), float(sigma), float(before))
         for name, unit, value, sigma, before in zip(
             unknowns.names,
-            units,
+            unknowns.units,
             estimate.x[: unknowns.constants],
             sigmas[: unknowns.constants],
             unknowns.prior_sigma[: unknowns.constants],

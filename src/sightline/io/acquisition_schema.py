@@ -245,6 +245,11 @@ class StripSection(Section):
     scale_sigma: Sigma = Field(
         default=0.0, description="How well its focal length is known relative to the others'; 0 = exactly"
     )
+    height_sigma: Sigma = Field(
+        default=0.0,
+        description="m; how well the height of the layer that it sees is known (colours see different depths "
+        "of clouds); 0 = the surface itself",
+    )
 
 
 class CameraSection(Section):

@@ -40,7 +40,9 @@ FOCAL = 10.95637e-3 / 7.4e-6
 DISTORTION = (-5.962420945566733e-8 * FOCAL**2, 2.738191004225615e-14 * FOCAL**4)
 #: What is not known of these: focal length (share), column of the axis (px), k1, common line (px), strips
 #: (px), and how differently colours are magnified.
-FOCAL_SIGMA, COLUMN_SIGMA, K1_SIGMA, LINE_SIGMA, STRIP_SIGMA, SCALE_SIGMA = 1e-3, 1.0, 1e-3, 30.0, 0.1, 3e-4
+FOCAL_SIGMA, COLUMN_SIGMA, K1_SIGMA, LINE_SIGMA, STRIP_SIGMA, SCALE_SIGMA = 1e-3, 1.0, 1e-3, 30.0, 0.1, 1e-4
+#: m; of the layer of clouds and haze that each colour sees: about a scale height of the atmosphere.
+LAYER_SIGMA = 25e3
 #: s that the camera's clock adds to the delay between exposures, and the delay where no metadata says it.
 CLOCK, DELAY = 1e-3, 0.373
 #: Spin: rad per exposure about the column axis (line numbers fall with time) and its sigma; rad of the axis.
@@ -415,7 +417,7 @@ def _toml(
     strips = [
         f'[[camera.strip]]\nname = "{strip}"\nfirst_line = {k * LINES}\nlines = {LINES}\n'
         f"axis_line = {line + COMMON_LINE:.2f}\naxis_line_sigma_px = {STRIP_SIGMA}\n"
-        f"scale_sigma = {SCALE_SIGMA}\n"
+        f"scale_sigma = {SCALE_SIGMA}\n" + ("" if far else f"height_sigma = {LAYER_SIGMA}\n")
         for k, (strip, line) in enumerate(STRIPS)
     ]
     frames = [

@@ -85,12 +85,13 @@ def chip_knowledge(config: AcquisitionFile) -> ChipKnowledge:
     """How well the strips are known; a frame without strips is one strip that is known."""
     strips = config.camera.strip
     if not strips:
-        return ChipKnowledge(("frame",), 0.0, (0.0,), (0.0,))
+        return ChipKnowledge(("frame",), 0.0, (0.0,), (0.0,), (0.0,))
     return ChipKnowledge(
         tuple(strip.name for strip in strips),
         config.camera.common_line_sigma_px,
         tuple(strip.axis_line_sigma_px for strip in strips),
         tuple(strip.scale_sigma for strip in strips),
+        tuple(strip.height_sigma for strip in strips),
     )
 
 

@@ -91,9 +91,12 @@ class ChipKnowledge:
         px; of each strip's own place along the lines.
     scale_sigma : tuple of float
         Of each strip's focal length relative to the common one (colours are magnified differently).
+    height_sigma : tuple of float
+        m; of the layer that each strip sees above the surface (colours see clouds of different depth).
     """
 
     names: tuple[str, ...]
     common_line_sigma_px: float = 0.0
     line_sigma_px: tuple[float, ...] = ()
     scale_sigma: tuple[float, ...] = ()
+    height_sigma: tuple[float, ...] = ()

@@ -41,6 +41,8 @@ SPIN_NAMES = (
 )
 #: Steps of their finite differences.
 SPIN_STEPS = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6])
+#: m; step of the finite difference by the height of a layer.
+LAYER_STEP = 1e3
 #: Sigma of what is said to be known exactly, in units of nothing: so small that nothing moves it.
 EXACT = 1e-12
 #: rad; departures of single exposures before the data have said how large they are; their least and most.
@@ -92,6 +94,9 @@ class SpinUnknowns:
         Lens, chip, parallax.
     departure_sigma : (3,)
         rad; prior of the departures about each axis.
+    layers : tuple of (str, float)
+        Per strip, its name and how well the height of the layer that it sees is known, m; empty where all
+        see one surface.
     """
 
     frames: tuple[Frame, ...]
@@ -99,6 +104,7 @@ class SpinUnknowns:
     attitude_sigma: AttitudeSigma
     statics: tuple[StaticParameter, ...]
     departure_sigma: Array
+    layers: tuple[tuple[str, float], ...] = ()
 
     @property
     def t(self) -> Array:
@@ -109,7 +115,7 @@ class SpinUnknowns:
     @property
     def constants(self) -> int:
         """Number of unknowns before the departures."""
-        return len(SPIN_NAMES) + len(self.statics)
+        return len(SPIN_NAMES) + len(self.statics) + len(self.layers)
 
     @property
     def size(self) -> int:
@@ -119,7 +125,17 @@ class SpinUnknowns:
     @property
     def names(self) -> tuple[str, ...]:
         """Of the constants."""
-        return (*(name for name, _ in SPIN_NAMES), *(p.name for p in self.statics))
+        layers = (f"{name} height" for name, _ in self.layers)
+        return (*(name for name, _ in SPIN_NAMES), *(p.name for p in self.statics), *layers)
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Of the constants."""
+        return (
+            *(unit for _, unit in SPIN_NAMES),
+            *(p.unit for p in self.statics),
+            *("m",) * len(self.layers),
+        )
 
     @property
     def prior_sigma(self) -> Array:
@@ -130,7 +146,8 @@ class SpinUnknowns:
     def prior_root(self) -> Array:
         """(size, size) symmetric root of the prior covariance."""
         spin = [self.spin.rate_sigma, self.spin.axis_sigma, self.spin.axis_sigma, 0.0, 0.0, 0.0]
-        constants = np.maximum([*spin, *(p.sigma for p in self.statics)], EXACT)
+        known = [*spin, *(p.sigma for p in self.statics), *(sigma for _, sigma in self.layers)]
+        constants = np.maximum(known, EXACT)
         out = np.diag(np.concatenate([constants, np.tile(self.departure_sigma, len(self.t))]))
         out[3:6, 3:6] = self.attitude_sigma.root(self._down())
         return out
@@ -143,6 +160,10 @@ class SpinUnknowns:
         down = self.spin.attitude.inv().apply(-place)
         length = float(np.linalg.norm(down))
         return np.asarray(down / length if length > 0.0 else down)
+
+    def heights(self, x: Array) -> Array:
+        """(strips,) m; of the layer that each strip sees, above the surface."""
+        return x[self.constants - len(self.layers) : self.constants]
 
     def angles(self, x: Array) -> Array:
         """(n, 3) rad; departure of the body from its nominal attitude at every exposure."""
@@ -177,7 +198,8 @@ class SpinUnknowns:
             trajectory = frame.camera.trajectory
             motion = Motion(np.array(trajectory.span), np.tile(angles[frame.exposure], (2, 1)))
             moved.append(frame.camera.with_trajectory(trajectory.with_motion(motion)))
-        adjusted = apply_statics(moved, self.statics, x[len(SPIN_NAMES) : self.constants])
+        first = len(SPIN_NAMES)
+        adjusted = apply_statics(moved, self.statics, x[first : first + len(self.statics)])
         return [camera for camera in adjusted if isinstance(camera, FrameCamera)]
 
 
@@ -224,6 +246,13 @@ def spin_statics(
             change = _drifting(axis, surface.distance)
             out.append(StaticParameter(f"parallax {name}", "rad/s", parallax_sigma, 1e-6, change, every))
     return tuple(out)
+
+
+def layers_of(surface: Surface, chip: ChipKnowledge) -> tuple[tuple[str, float], ...]:
+    """Strips that see layers of their own; none at infinity, or where all heights are known."""
+    if isinstance(surface, Infinity) or not any(sigma > 0.0 for sigma in chip.height_sigma):
+        return ()
+    return tuple(zip(chip.names, chip.height_sigma, strict=True))
 
 
 def _changed(
@@ -324,9 +353,11 @@ def linear_rows(
     x: Array,
 ) -> SpinRows:
     """All matches about the unknowns `x`."""
-    lines = linearise_frames(stars, unknowns.cameras(x), surface, unknowns.statics)
+    cameras = unknowns.cameras(x)
+    lines = linearise_frames(stars, cameras, surface, unknowns.statics)
     by_spin = unknowns.by_spin(x)
     six, constants = len(SPIN_NAMES), unknowns.constants
+    seventh = constants - len(unknowns.layers)
     residual, design, covariance, pair, own, number, window = [], [], [], [], [], [], []
     for k, (star, line) in enumerate(zip(stars, lines, strict=True)):
         rows = np.flatnonzero(line.present[:, 0])
@@ -336,10 +367,17 @@ def linear_rows(
         part = np.zeros((len(rows), 2, unknowns.size))
         by_hub, by_partner = line.by_hub[rows, 0], line.by_partner[rows, 0]
         part[:, :, :six] = by_hub @ by_spin[hub] + by_partner @ by_spin[partner]
-        part[:, :, six:constants] = line.by_static[rows, 0]
+        part[:, :, six:seventh] = line.by_static[rows, 0]
+        left = line.residual_px[rows, 0]
+        if unknowns.layers:
+            lifted = _by_layer(star, cameras, surface, rows)
+            of_hub, of_partner = (unknowns.frames[image].strip for image in (star.hub, star.images[0]))
+            part[:, :, seventh + of_partner] += lifted
+            part[:, :, seventh + of_hub] -= lifted
+            left = left - part[:, :, seventh:constants] @ unknowns.heights(x)
         part[:, :, constants + 3 * hub : constants + 3 * hub + 3] += by_hub
         part[:, :, constants + 3 * partner : constants + 3 * partner + 3] += by_partner
-        residual.append(line.residual_px[rows, 0])
+        residual.append(left)
         design.append(part)
         covariance.append(line.covariance_px[rows, 0])
         pair.append(np.full(len(rows), pair_of(star, unknowns.frames, pairs)))
@@ -357,6 +395,20 @@ def linear_rows(
         x.copy(),
         lines,
     )
+
+
+def _by_layer(
+    star: FrameStar, cameras: Sequence[FrameCamera], surface: Surface, rows: NDArray[np.intp]
+) -> Array:
+    """(M, 2) px per m that what the partner sees lies higher than what the hub sees.
+
+    Both strips look at the same ground from nearly the same place: only the difference of heights counts.
+    """
+    ground = cameras[star.hub].locate(star.pixels[rows], surface)
+    up = ground / np.linalg.norm(ground, axis=1, keepdims=True)
+    partner = cameras[star.images[0]]
+    plus, minus = (partner.project(ground + side * LAYER_STEP * up) for side in (1.0, -1.0))
+    return np.nan_to_num((plus - minus) / (2.0 * LAYER_STEP))
 
 
 @dataclass(frozen=True, eq=False)

@@ -203,8 +203,10 @@ def departure_limit(departures: Array, sigmas: Array) -> Array:
 def rate_sigmas(estimate: SpinEstimate) -> tuple[float, float, float]:
     """Sigma of the rate (rad/s): images alone, what lens and chip add, what parallax adds."""
     names = list(estimate.unknowns.names)
-    camera = [k for k, name in enumerate(names) if k >= len(SPIN_NAMES) and not name.startswith("parallax")]
-    parallax = [k for k, name in enumerate(names) if name.startswith("parallax")]
+    first = len(SPIN_NAMES)
+    camera = list(range(first, first + len(estimate.unknowns.statics)))
+    parallax = [k for k in camera if names[k].startswith("parallax")]
+    camera = [k for k in camera if k not in parallax]
     whole = float(estimate.covariance[0, 0])
     held = _held(estimate.covariance, parallax)
     alone = _held(estimate.covariance, camera + parallax)

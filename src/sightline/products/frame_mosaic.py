@@ -60,6 +60,31 @@ class BeforeSky:
 
 
 @dataclass(frozen=True, eq=False)
+class Layer:
+    """What lies above the points of a body: clouds that one filter sees higher than another.
+
+    Attributes
+    ----------
+    body : Surface
+        Centred on the origin of the world axes.
+    height : float
+        m.
+    """
+
+    body: Surface
+    height: float
+
+    def intersect(self, origins: Array, directions: Array) -> Array:
+        """Points (N, 3) m, `height` above where the rays meet the body."""
+        hit = self.body.intersect(origins, directions)
+        return np.asarray(hit * (1.0 + self.height / np.linalg.norm(hit, axis=1, keepdims=True)))
+
+    def raised(self, height: float) -> Layer:
+        """The same over the body `height` metres higher."""
+        return Layer(self.body.raised(height), self.height)
+
+
+@dataclass(frozen=True, eq=False)
 class Mosaic:
     """A picture per strip, all in one geometry.
 
@@ -84,6 +109,7 @@ def frame_mosaic(
     surface: Surface,
     *,
     names: Sequence[str] | None = None,
+    heights: Sequence[float] | None = None,
     masked: bool = True,
 ) -> Mosaic:
     """All exposures as one picture per strip, seen from where the middle one was taken.
@@ -98,6 +124,8 @@ def frame_mosaic(
         The body; what misses it is sky.
     names : sequence of str, optional
         Of the strips.
+    heights : sequence of float, optional
+        m; of the layer that each strip sees above the surface.
     masked : bool
         Leave out masked pixels. Masks that only say where not to match (limb, night) are for
         ``masked=False``.
