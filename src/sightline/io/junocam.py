@@ -52,7 +52,7 @@ TURN, TURN_SIGMA, AXIS_SIGMA = -0.0778, 2e-4, 0.01
 ATTITUDE_SIGMA, TURN_ABOUT_SIGMA, PARALLAX_SIGMA = 1e-3, 0.05, 4e-4
 #: Levels (8 bit) of blue, green, red below which a pixel is night or sky, and how far around these nothing is
 #: used (px): the limb is no texture.
-DARK, AROUND = (14.0, 18.0, 18.0), 8
+DARK, AROUND = (14.0, 18.0, 18.0), 24
 #: Columns at the left that see nothing.
 BLIND = 26
 #: A radiation hit stands out of its surroundings by so many sigmas, and so many levels.

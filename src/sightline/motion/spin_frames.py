@@ -322,8 +322,8 @@ class SpinRows:
         Which pair of strips.
     own : (M,)
         Share of the window's pixels that is its own.
-    star, window : (M,) int
-        Where the match stands in the list of stars.
+    star, window, hub : (M,) int
+        Where the match stands in the list of stars, and the image its window was cut from.
     at : (P,)
         The unknowns about which this is.
     lines : list of Star
@@ -337,6 +337,7 @@ class SpinRows:
     own: Array
     star: NDArray[np.intp]
     window: NDArray[np.intp]
+    hub: NDArray[np.intp]
     at: Array
     lines: list[Star]
 
@@ -358,7 +359,7 @@ def linear_rows(
     by_spin = unknowns.by_spin(x)
     six, constants = len(SPIN_NAMES), unknowns.constants
     seventh = constants - len(unknowns.layers)
-    residual, design, covariance, pair, own, number, window = [], [], [], [], [], [], []
+    residual, design, covariance, pair, own, number, window, images = ([] for _ in range(8))
     for k, (star, line) in enumerate(zip(stars, lines, strict=True)):
         rows = np.flatnonzero(line.present[:, 0])
         if not len(rows):
@@ -384,6 +385,7 @@ def linear_rows(
         own.append(reuse(star)[rows])
         number.append(np.full(len(rows), k))
         window.append(rows)
+        images.append(np.full(len(rows), star.hub))
     return SpinRows(
         np.concatenate(residual),
         np.concatenate(design),
@@ -392,6 +394,7 @@ def linear_rows(
         np.concatenate(own),
         np.concatenate(number),
         np.concatenate(window),
+        np.concatenate(images),
         x.copy(),
         lines,
     )

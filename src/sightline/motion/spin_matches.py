@@ -38,6 +38,8 @@ NARROW_END = 1
 #: px along columns: structure larger than the second, and noise smaller than the first, is taken out before
 #: narrow overlaps are compared.
 NARROW_BAND = (0.7, 6.0)
+#: px; narrow windows known less well than this say little, and some of them lie.
+NARROW_SIGMA = 0.25
 
 
 @dataclass(frozen=True)
@@ -217,6 +219,7 @@ def _match_narrow(
         affine=affine,
         search_px=(0, search_px),
         whitening=None,
+        max_sigma_px=NARROW_SIGMA,
     )
     good = found.kept & (free[best, np.arange(len(best))] >= 0.0)
     b = np.where(good[:, None], found.b, np.nan)

@@ -15,8 +15,8 @@ from sightline.motion.spin_frames import EXACT, SPIN_NAMES, SpinEstimate
 
 Array = NDArray[np.float64]
 
-#: Fewest matches of a pair of strips in one exposure whose mean is spoken of.
-LEAST_OF_FRAME = 10
+#: Fewest independent windows of a pair of strips in one exposure whose mean is spoken of.
+LEAST_OF_FRAME = 4.0
 #: Components of a direction that are named.
 NAMED_SHARE = 0.2
 #: Information (in units of the prior's) below which nothing at all is seen of a direction.
@@ -283,15 +283,20 @@ def strip_residuals(estimate: SpinEstimate) -> tuple[StripResiduals, ...]:
                 _two(np.sqrt((left[good] ** 2).mean(axis=0))),
                 _two(estimate.noise.scale[number]),
                 _two(((left[good] / sigma[good]) ** 2).mean(axis=0)),
-                _two(_frame_means(left[good], rows.star[good])),
+                _two(_frame_means(left[good], rows.star[good], rows.own[good], sigma[good])),
             )
         )
     return tuple(out)
 
 
-def _frame_means(left: Array, star: NDArray[np.intp]) -> Array:
-    """(2,) rms of the means over single stars (one exposure and pair each)."""
-    means = [left[star == k].mean(axis=0) for k in np.unique(star) if (star == k).sum() >= LEAST_OF_FRAME]
+def _frame_means(left: Array, star: NDArray[np.intp], own: Array, sigma: Array) -> Array:
+    """(2,) rms of the weighted means over single stars (one exposure and pair each)."""
+    means = []
+    for k in np.unique(star):
+        of = star == k
+        if own[of].sum() >= LEAST_OF_FRAME:
+            weight = own[of, None] / sigma[of] ** 2
+            means.append((weight * left[of]).sum(axis=0) / weight.sum(axis=0))
     if not means:
         return np.full(2, np.nan)
     return np.asarray(np.sqrt((np.array(means) ** 2).mean(axis=0)))
