@@ -24,9 +24,8 @@ from sightline.io.junocam import write_junocam_acquisition
 from sightline.motion.spin_frames import SPIN_NAMES, SpinEstimate
 from sightline.motion.spin_report import at_camera
 
-DATA = (
-    Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[1] / "../shared/data")) / "junocam_spin_scan"
-)
+DATA = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[1] / "../shared/data"))
+IMAGES = DATA / "junocam_spin_scan"
 LOCATED, ALONE = ("44C00030", "44C00032"), "36C00061"
 #: px, rad per exposure: what is asked.
 MEAN, CLOSURE, FRAMES, RED_GREEN, OTHERS = 0.05, 0.1, 0.1, 0.25, 0.35

@@ -170,8 +170,8 @@ def test_bad_frames_are_refused_before_any_work():
     with pytest.raises(InputError, match="give the camera the size of its image"):
         recover_spin_attitude(small, Infinity(), spin)
     fast = replace(spin, rate=10.0 * spin.rate)
-    swept = [replace(f, camera=f.camera.with_trajectory(fast.trajectory((-1.0, 5.0), np.zeros((2, 3)), (-1.0, 5.0))))
-             for f in frames]  # fmt: skip
+    trajectory = fast.trajectory((-1.0, 5.0), np.zeros((2, 3)), (-1.0, 5.0))
+    swept = [replace(f, camera=f.camera.with_trajectory(trajectory)) for f in frames]
     with pytest.raises(EstimationError, match="no strip sees again"):
         recover_spin_attitude(swept, Infinity(), fast)
     blank = [replace(f, image=ArrayImage(np.zeros((LINES, COLUMNS), np.float32))) for f in frames]

@@ -1,7 +1,7 @@
 """A spinning camera worked out by hand, sharing no code with the package: rays in closed form.
 
-Camera axes = body axes: x to larger columns, y to larger lines, z ahead. The body turns about `axis` by `rate`
-per exposure; strip s has the optical axis at line `axis_lines[s]` of its own.
+Camera axes = body axes: x to larger columns, y to larger lines, z ahead. The body turns about `axis` by
+`rate` per exposure; strip s has the optical axis at line `axis_lines[s]` of its own.
 """
 
 from __future__ import annotations
