@@ -119,8 +119,10 @@ def print_strips(result: SpinAttitude, names: tuple[str, ...]) -> None:
     for closure in result.found.closures:
         value, sigma = np.array(closure.value_px), np.array(closure.sigma_px)
         good = bool((np.abs(value) <= CLOSURE).all() and (np.abs(value) <= SIGMAS * sigma).all())
+        (a, b, c), (first, second) = closure.strips, closure.lags
+        name = f"{names[a]}-{names[b]} {first}, {names[b]}-{names[c]} {second}, less {names[a]}-{names[c]}"
         line, column = (f"{v:+.3f} +- {s:.3f}" for v, s in zip(value, sigma, strict=True))
-        print(f"| {closure.name} | {line} | {column} | {verdict(good)} |")
+        print(f"| {name} | {line} | {column} | {verdict(good)} |")
 
 
 def crossed_nees(estimate: SpinEstimate, which: tuple[int, int, int]) -> float:
@@ -137,7 +139,8 @@ def crossed_nees(estimate: SpinEstimate, which: tuple[int, int, int]) -> float:
 
 def fused_camera(first: SpinEstimate, second: SpinEstimate) -> np.ndarray:
     """The constants of lens and chip that both images together ask for (they are one camera)."""
-    rows = slice(len(SPIN_NAMES), len(SPIN_NAMES) + len(first.unknowns.statics))
+    own_parallax = sum(parameter.name.startswith("parallax") for parameter in first.unknowns.statics)
+    rows = slice(len(SPIN_NAMES), len(SPIN_NAMES) + len(first.unknowns.statics) - own_parallax)
     weight = -np.diag(first.unknowns.prior_sigma[rows] ** -2.0)
     right = np.zeros(len(weight))
     for estimate in (first, second):

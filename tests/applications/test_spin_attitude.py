@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from tests.motion.spinning import SpinningCamera, Texture
 
 from sightline.applications.spin_attitude import SpinOptions, recover_spin_attitude
 from sightline.errors import EstimationError, InputError
@@ -22,9 +21,6 @@ from sightline.imaging.source import ArrayImage
 from sightline.motion.band import ChipKnowledge, Frame, LensKnowledge
 from sightline.motion.frame_hidden import without
 from sightline.motion.spin_frames import AttitudeSigma
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "motion"))
-from spinning import SpinningCamera, Texture
 
 INTERVAL, EXPOSURES, LINES, COLUMNS, FOCAL = 0.4, 7, 72, 220, 600.0
 TURN = -0.075  # rad per exposure: 45 px
@@ -69,11 +65,16 @@ def nominal_spin() -> Spin:
     return Spin(Rotation.identity(), np.array([1.0, 0.0, 0.0]), TURN / INTERVAL, 0.0, 0.01, 2e-3)
 
 
-@pytest.fixture(scope="module", params=[0, 1])
-def case(request):
+@pytest.fixture(scope="module")
+def frames():
+    """Rendered once for all tests of this file."""
+    return frames_of(truth_of(0), 0, nominal_spin())
+
+
+@pytest.fixture(scope="module")
+def case(frames):
     """Truth, and what was recovered of it."""
-    truth, spin = truth_of(request.param), nominal_spin()
-    frames = frames_of(truth, request.param, spin)
+    truth, spin = truth_of(0), nominal_spin()
     lens = LensKnowledge(0.6, 0.0, 0.0)
     result = recover_spin_attitude(
         frames,
@@ -156,9 +157,8 @@ def test_rate_and_focal_length_are_told_apart_in_the_sigma(case):
     assert 0.3e-3 < found.rate_sigma_camera / abs(found.rate) < 1.05e-3
 
 
-def test_bad_frames_are_refused_before_any_work():
-    truth, spin = truth_of(0), nominal_spin()
-    frames = frames_of(truth, 0, spin)
+def test_bad_frames_are_refused_before_any_work(frames):
+    spin = nominal_spin()
     with pytest.raises(InputError, match="one exposure cannot show motion"):
         recover_spin_attitude(frames[:3], Infinity(), spin)
     with pytest.raises(InputError, match="numbered 0, 1, 2"):

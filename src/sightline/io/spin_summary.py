@@ -47,7 +47,10 @@ def spin_summary(result: SpinAttitude, names: tuple[str, ...]) -> dict[str, Any]
             {**vars(strip), "hub": names[strip.hub], "partner": names[strip.partner]}
             for strip in found.strips
         ],
-        "closures": [vars(closure) for closure in found.closures],
+        "closures": [
+            {**vars(closure), "strips": [names[strip] for strip in closure.strips]}
+            for closure in found.closures
+        ],
         "departures": {key: dict(zip(ANGLES, values.tolist(), strict=True)) for key, values in axes.items()},
         "exposures": [
             {

@@ -61,12 +61,15 @@ class StripClosure:
 
     Attributes
     ----------
-    name : str
-        For example ``"0-1 (1) + 1-2 (1) - 0-2 (2)"``: strips by number, exposures in brackets.
+    strips : (int, int, int)
+        First, by way of the second, to the third.
+    lags : (int, int)
+        Exposures from first to second and from second to third.
     value_px, sigma_px : (line, column)
     """
 
-    name: str
+    strips: tuple[int, int, int]
+    lags: tuple[int, int]
     value_px: tuple[float, float]
     sigma_px: tuple[float, float]
 
@@ -313,8 +316,7 @@ def closures(strips: Sequence[StripResiduals]) -> tuple[StripClosure, ...]:
                 continue
             value = np.array(one.mean_px) + two.mean_px - np.array(direct.mean_px)
             variance = sum(np.array(part.mean_sigma_px) ** 2 for part in (one, two, direct))
-            name = f"{a}-{b} ({first}) + {b}-{d} ({second}) - {a}-{d} ({first + second})"
-            out.append(StripClosure(name, _two(value), _two(np.sqrt(variance))))
+            out.append(StripClosure((a, b, d), (first, second), _two(value), _two(np.sqrt(variance))))
     return tuple(out)
 
 

@@ -20,10 +20,12 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from sightline.applications.results import LineOfSight
+from sightline.applications.spin_attitude import SpinAttitude
 from sightline.evaluation.observed import observed
 from sightline.io.acquired import Acquisition
 from sightline.report import match_figures, motion_figures, spectrum_figures, style, words
 from sightline.report.composite import composite
+from sightline.report.spin_words import spin_section
 
 #: Frequencies at which visibility is drawn.
 _FREQUENCIES = 2401
@@ -83,6 +85,7 @@ def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    spin = spin_section(result, acquisition.chip.names) if isinstance(result, SpinAttitude) else None
     return environment.get_template("page.html.j2").render(
         summary=summary,
         library=Markup(get_plotlyjs()),
@@ -92,7 +95,8 @@ def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[
         overlay=composite(result, acquisition),
         tones=words.tone_rows(result, tones),
         statics=words.static_rows(result),
-        pairs=words.pair_rows(result),
+        pairs=[] if spin else words.pair_rows(result),
+        spin=spin,
     )
 
 
