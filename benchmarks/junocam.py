@@ -90,9 +90,10 @@ def print_strips(result: SpinAttitude, names: tuple[str, ...]) -> None:
     """What the pairs of strips left over."""
     print(
         "\n| pair, exposures | windows | mean line px | <= .05 | rms line, column px | <= .25 / .35 "
-        "| per-exposure means line, column px | <= .1 | scale | NEES | .8-1.25 | odd exposures by even |"
+        "| per-exposure means line, column px | <= .1 | their NEES "
+        "| scale | NEES | .8-1.25 | odd exposures by even |"
     )
-    print("|---" * 12 + "|")
+    print("|---" * 13 + "|")
     for strip in result.found.strips:
         pair = {names[strip.hub], names[strip.partner]}
         limit = RED_GREEN if pair == {"red", "green"} else OTHERS
@@ -109,6 +110,7 @@ def print_strips(result: SpinAttitude, names: tuple[str, ...]) -> None:
             verdict(max(strip.rms_px) <= limit),
             f"{means[0]:.3f}, {means[1]:.3f}",
             verdict(max(means) <= FRAMES) if asked else "",
+            f"{np.mean(strip.frame_nees):.2f}",
             f"{strip.scale[0]:.2f}, {strip.scale[1]:.2f}",
             f"{nees:.2f}",
             verdict(NEES[0] <= nees <= NEES[1]),

@@ -21,6 +21,7 @@ from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Infinity, Surface
 from sightline.geometry.trajectory import Motion
 from sightline.motion.band import ChipKnowledge, Frame, LensKnowledge
+from sightline.motion.departure_size import departure_sizes
 from sightline.motion.frame_linear import linearise_frames
 from sightline.motion.frame_matches import FrameStar
 from sightline.motion.observations import Star
@@ -45,15 +46,13 @@ SPIN_STEPS = np.array([1e-6, 1e-6, 1e-6, 1e-6, 1e-6, 1e-6])
 LAYER_STEP = 1e3
 #: Sigma of what is said to be known exactly, in units of nothing: so small that nothing moves it.
 EXACT = 1e-12
-#: rad; departures of single exposures before the data have said how large they are; their least and most.
-DEPARTURE_START, DEPARTURE_LIMITS = 5e-5, (1e-7, 2e-3)
+#: rad; departures of single exposures before the data have said how large they are.
+DEPARTURE_START = 5e-5
 #: Residuals beyond so many sigmas (of the distance in both axes) are mismatches: one in a thousand of two
 #: Gaussian components.
 REJECT = 3.7
-#: Relative change of the departures' size at which it has settled.
-SETTLED = 1e-3
-#: Rounds of weighing matches, learning their errors and the size of the departures, within a pass.
-ROUNDS, DEPARTURE_ROUNDS = 5, 200
+#: Rounds of weighing matches and learning their errors, within a pass.
+ROUNDS = 5
 
 
 @dataclass(frozen=True)
@@ -451,6 +450,8 @@ class SpinEstimate:
         Matches that are believed.
     noise : SpinNoise
     pairs : tuple of StripPair
+    departure_limit : (3,)
+        rad; size of the departures about each axis that 95 % of what is likely stays below.
     """
 
     unknowns: SpinUnknowns
@@ -462,6 +463,7 @@ class SpinEstimate:
     kept: NDArray[np.bool_]
     noise: SpinNoise
     pairs: tuple[StripPair, ...]
+    departure_limit: Array
 
     @property
     def angles(self) -> Array:
@@ -525,6 +527,7 @@ def solve_spin(
         fit.kept,
         SpinNoise(fit.scale),
         tuple(pairs),
+        fit.limit,
     )
 
 
@@ -538,42 +541,43 @@ class _Fit:
         self.scale = np.full((pairs, 2), 3.0)
         self.covariance = unknowns.prior_root @ unknowns.prior_root
         self.information = np.zeros_like(self.covariance)
+        self.rhs, self.limit = np.zeros(len(self.covariance)), np.zeros(3)
 
     def run(self, rounds: int) -> None:
         """Solve, tell mismatches, learn; again."""
         for number in range(rounds):
-            self._solve(DEPARTURE_ROUNDS if number >= 1 else 1)
-            left = self.rows.left(self.x)
-            self._learn(left, first=number == 0)
-        self._solve(DEPARTURE_ROUNDS)
+            self._solve()
+            self._learn(self.rows.left(self.x), first=number == 0)
+        self._solve()
+        self._size_departures()
+        self._solve()
 
-    def _solve(self, departure_rounds: int) -> None:
-        """Unknowns and the size of the departures, by expectation-maximisation (from the second round on)."""
+    def _solve(self) -> None:
+        """All unknowns for the present weights."""
         rows = self.rows
         weight = np.linalg.inv(SpinNoise(self.scale).covariance(rows))
         weight *= np.where(self.kept, rows.own, 0.0)[:, None, None]
         weighed = np.einsum("mij,mjp->mip", weight, rows.design)
         self.information = np.einsum("mip,miq->pq", rows.design, weighed, optimize=True)
-        target = rows.residual + rows.design @ rows.at
-        rhs = np.einsum("mip,mi->p", weighed, target)
-        for _ in range(departure_rounds):
-            root = self.unknowns.prior_root
-            # unit prior: what is known exactly and what is free differ by many powers of ten
-            inverse = np.linalg.inv(root @ self.information @ root + np.eye(len(root)))
-            covariance = root @ inverse @ root
-            self.covariance = 0.5 * (covariance + covariance.T)
-            self.x = self.covariance @ rhs
-            if departure_rounds > 1:
-                before, after = self.unknowns.departure_sigma, self._departure_sigma()
-                self.unknowns = replace(self.unknowns, departure_sigma=after)
-                if np.abs(np.log(after / before)).max() < SETTLED:
-                    break
+        self.rhs = np.einsum("mip,mi->p", weighed, rows.residual + rows.design @ rows.at)
+        root = self.unknowns.prior_root
+        # unit prior: what is known exactly and what is free differ by many powers of ten
+        inverse = np.linalg.inv(root @ self.information @ root + np.eye(len(root)))
+        covariance = root @ inverse @ root
+        self.covariance = 0.5 * (covariance + covariance.T)
+        self.x = self.covariance @ self.rhs
 
-    def _departure_sigma(self) -> Array:
-        """(3,) rad; what departures and their sigmas say of their size."""
+    def _size_departures(self) -> None:
+        """What the data say of the departures' size, the constants taken out."""
         first = self.unknowns.constants
-        square = self.x[first:] ** 2 + np.diag(self.covariance)[first:]
-        return np.clip(np.sqrt(square.reshape(-1, 3).mean(axis=0)), *DEPARTURE_LIMITS)
+        root = self.unknowns.prior_root[:first, :first]
+        own = root @ self.information[:first, :first] @ root + np.eye(first)
+        cross = root @ self.information[:first, first:]
+        out = np.linalg.solve(own, np.column_stack([cross, root @ self.rhs[:first]]))
+        information = self.information[first:, first:] - cross.T @ out[:, :-1]
+        rhs = self.rhs[first:] - cross.T @ out[:, -1]
+        size, self.limit = departure_sizes(information, rhs, self.unknowns.departure_sigma)
+        self.unknowns = replace(self.unknowns, departure_sigma=size)
 
     def _learn(self, left: Array, *, first: bool) -> None:
         """Factors of the matcher's sigma for every pair of strips, and which matches are believed."""

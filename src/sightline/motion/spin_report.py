@@ -15,8 +15,8 @@ from sightline.motion.spin_frames import EXACT, SPIN_NAMES, SpinEstimate
 
 Array = NDArray[np.float64]
 
-#: Fewest independent windows of a pair of strips in one exposure whose mean is spoken of.
-LEAST_OF_FRAME = 4.0
+#: px; the mean over the windows of one exposure is spoken of where it is known to this.
+FRAME_SIGMA = 0.1
 #: Components of a direction that are named.
 NAMED_SHARE = 0.2
 #: Information (in units of the prior's) below which nothing at all is seen of a direction.
@@ -39,7 +39,10 @@ class StripResiduals:
         Mean residual with its sigma, rms of single windows, the factor by which the matcher's sigma was
         rescaled, and mean square of the residuals in units of the sigma so rescaled.
     frame_means_px : (line, column)
-        rms over the exposures of the mean over each exposure's windows; NaN where none has enough.
+        rms over the exposures of the mean over each exposure's windows, where that is known to 0.1 px; NaN
+        where none is.
+    frame_nees : (line, column)
+        Mean square of the means of all exposures in units of their sigma.
     """
 
     hub: int
@@ -53,6 +56,7 @@ class StripResiduals:
     scale: tuple[float, float]
     nees: tuple[float, float]
     frame_means_px: tuple[float, float]
+    frame_nees: tuple[float, float]
 
 
 @dataclass(frozen=True)
@@ -138,8 +142,8 @@ class SpinFindings:
     strips : tuple of StripResiduals
     closures : tuple of StripClosure
     departure_rms, departure_sigma, departure_size, departure_limit : (3,)
-        rad: rms of the departures found, rms of their sigmas, the size of departures that the data ask for,
-        and the rms that they exclude at 95 %.
+        rad: rms of the departures found, rms of their sigmas, the size that was taken for them, and the size
+        that 95 % of what is likely stays below.
     """
 
     rate: float
@@ -191,16 +195,8 @@ def findings(estimate: SpinEstimate) -> SpinFindings:
         np.sqrt((departures**2).mean(axis=0)),
         np.sqrt((sigmas**2).mean(axis=0)),
         unknowns.departure_sigma,
-        departure_limit(departures, sigmas),
+        estimate.departure_limit,
     )
-
-
-def departure_limit(departures: Array, sigmas: Array) -> Array:
-    """(3,) rad; rms of departures that n exposures with these results exclude at 95 %."""
-    from scipy.stats import chi2
-
-    square = (departures**2 + sigmas**2).sum(axis=0)
-    return np.asarray(np.sqrt(square / chi2.ppf(0.05, len(departures))))
 
 
 def rate_sigmas(estimate: SpinEstimate) -> tuple[float, float, float]:
@@ -286,23 +282,28 @@ def strip_residuals(estimate: SpinEstimate) -> tuple[StripResiduals, ...]:
                 _two(np.sqrt((left[good] ** 2).mean(axis=0))),
                 _two(estimate.noise.scale[number]),
                 _two(((left[good] / sigma[good]) ** 2).mean(axis=0)),
-                _two(_frame_means(left[good], rows.star[good], rows.own[good], sigma[good])),
+                *_frame_means(left[good], rows.star[good], rows.own[good], sigma[good]),
             )
         )
     return tuple(out)
 
 
-def _frame_means(left: Array, star: NDArray[np.intp], own: Array, sigma: Array) -> Array:
-    """(2,) rms of the weighted means over single stars (one exposure and pair each)."""
-    means = []
+def _frame_means(
+    left: Array, star: NDArray[np.intp], own: Array, sigma: Array
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Means over single stars (one exposure and pair each): rms (px), and mean square in their sigma."""
+    means, sigmas = [], []
     for k in np.unique(star):
         of = star == k
-        if own[of].sum() >= LEAST_OF_FRAME:
-            weight = own[of, None] / sigma[of] ** 2
-            means.append((weight * left[of]).sum(axis=0) / weight.sum(axis=0))
-    if not means:
-        return np.full(2, np.nan)
-    return np.asarray(np.sqrt((np.array(means) ** 2).mean(axis=0)))
+        weight = own[of, None] / sigma[of] ** 2
+        means.append((weight * left[of]).sum(axis=0) / weight.sum(axis=0))
+        sigmas.append(1.0 / np.sqrt(weight.sum(axis=0)))
+    mean, error = np.array(means), np.array(sigmas)
+    rms = []
+    for axis in range(2):
+        known = mean[error[:, axis] <= FRAME_SIGMA, axis]
+        rms.append(float(np.sqrt((known**2).mean())) if len(known) else float("nan"))
+    return (rms[0], rms[1]), _two(((mean / error) ** 2).mean(axis=0))
 
 
 def closures(strips: Sequence[StripResiduals]) -> tuple[StripClosure, ...]:

@@ -74,8 +74,8 @@ def _spin(result: SpinAttitude) -> str:
     return (
         f"The body turns by {found.rate * dt:+.7f} rad per exposure of {dt:.4g} s ({turns:.5f} turns a "
         f"minute), {', '.join(parts)}, about the body axis [{axis}], known to "
-        f"{digits(1e6 * found.axis_sigma.max(), 2)} µrad. What the images give themselves is rate times focal "
-        f"length: {product} px per exposure."
+        f"{digits(1e6 * found.axis_sigma.max(), 2)} µrad. What the images give themselves is rate times "
+        f"focal length: {product} px per exposure."
     )
 
 
