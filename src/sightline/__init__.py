@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from sightline.applications.frame_passes import FrameOptions
     from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
     from sightline.applications.results import LineOfSight
+    from sightline.applications.spin_attitude import SpinAttitude, SpinOptions, recover_spin_attitude
     from sightline.errors import (
         EstimationError,
         FormatError,
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
     from sightline.geometry.camera import Camera, FrameCamera, PushbroomCamera, Rays
     from sightline.geometry.instrument import AreaDetector, Instrument, LineDetector
     from sightline.geometry.pointing import FixedMount, Pointing, ScanMirror
+    from sightline.geometry.spin import Spin
     from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface
     from sightline.geometry.trajectory import Motion, Pose, Trajectory
     from sightline.imaging.source import ArrayImage, ImageSource
@@ -36,9 +38,10 @@ if TYPE_CHECKING:
     from sightline.matching.match_images import match_images
     from sightline.matching.matches import Matches
     from sightline.matching.select import grid_points
-    from sightline.motion.band import Band, Frame
+    from sightline.motion.band import Band, ChipKnowledge, Frame, LensKnowledge
     from sightline.motion.differences import AngleDifferences
     from sightline.motion.predict import predict_match
+    from sightline.products.frame_mosaic import frame_mosaic
     from sightline.simulate.scenarios import line_of_sight_case
 
     __version__: str
