@@ -53,8 +53,8 @@ ATTITUDE_SIGMA, TURN_ABOUT_SIGMA, PARALLAX_SIGMA = 1e-3, 0.05, 4e-4
 #: Levels (8 bit) of blue, green, red below which a pixel is night or sky, and how far around these nothing is
 #: used (px): the limb is no texture.
 DARK, AROUND = (14.0, 18.0, 18.0), 24
-#: Columns at the left that see nothing.
-BLIND = 26
+#: Columns at the left that see nothing, and pixels (of all framelets of an exposure) that are a lit disc.
+BLIND, LEAST_LIT = 26, 1000
 #: A radiation hit stands out of its surroundings by so many sigmas, and so many levels.
 HIT_SIGMAS, HIT_LEVELS = 6.0, 6.0
 
@@ -363,17 +363,19 @@ def write_junocam_acquisition(
 def _write_frames(framelets: Pixels, out: Path) -> list[int]:
     """Decoded exposures and their masks as files; numbers of those that show the lit disc."""
     table = companding_table()
-    levels, masks = [], []
+    levels, masks, lit_pixels = [], [], []
     for exposure in framelets:
         cleaned, marked = [], []
+        lit_pixels.append(0)
         for strip, dark in zip(exposure, DARK, strict=True):
             hits, median = radiation_hits(strip, dark)
+            lit_pixels[-1] += int((median[:, BLIND:] > dark).sum())
             # what stands in place of a hit is for the eye; it is masked all the same
             cleaned.append(np.where(hits, median, strip).astype(np.uint8))
             marked.append(unusable(hits, median, dark))
         levels.append(np.concatenate(cleaned))
         masks.append(np.concatenate(marked))
-    lit = np.flatnonzero([not mask.all() for mask in masks])
+    lit = np.flatnonzero(np.array(lit_pixels) > LEAST_LIT)
     if len(lit) < 2:
         raise FormatError("no lit disc in the image: fewer than two exposures are brighter than the sky")
     exposures = list(range(int(lit[0]), int(lit[-1]) + 1))
