@@ -17,12 +17,17 @@ import time
 from pathlib import Path
 
 import numpy as np
+from scipy.ndimage import uniform_filter
 
 from sightline.applications.spin_attitude import SpinAttitude, recover_spin_attitude
+from sightline.imaging.source import ArrayImage
 from sightline.io.acquisition import load_acquisition
 from sightline.io.junocam import write_junocam_acquisition
+from sightline.matching.match_images import match_images
 from sightline.motion.spin_frames import SPIN_NAMES, SpinEstimate
 from sightline.motion.spin_report import at_camera
+from sightline.motion.windows import window_grid
+from sightline.products.frame_mosaic import frame_mosaic
 
 DATA = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[1] / "../shared/data"))
 IMAGES = DATA / "junocam_spin_scan"
@@ -31,6 +36,8 @@ LOCATED, ALONE = ("44C00030", "44C00032"), "36C00061"
 MEAN, CLOSURE, FRAMES, RED_GREEN, OTHERS = 0.05, 0.1, 0.1, 0.25, 0.35
 RATE_SIGMA, RATE_DIFFERENCE, SIGMAS = 2e-5, 4e-5, 3.0
 NEES = (0.8, 1.25)
+#: px; of the windows that compare colours of the registered picture.
+PICTURE_WINDOW = (48, 48)
 
 
 def recovered(folder: Path, name: str, *, infinity: bool) -> tuple[SpinAttitude, tuple[str, ...]]:
@@ -139,6 +146,39 @@ def crossed_nees(estimate: SpinEstimate, which: tuple[int, int, int]) -> float:
     return float((square[of & odd] / even_level).mean())
 
 
+def print_picture(result: SpinAttitude, names: tuple[str, ...], out: Path) -> None:
+    """How far the colours of the registered picture lie apart, nominal and recovered cameras."""
+    acquired = load_acquisition(out / "acquisition.toml", look=False)
+    unknowns = result.estimate.unknowns
+    heights = unknowns.heights(result.estimate.x).tolist() if unknowns.layers else None
+    nominal = [frame.camera for frame in acquired.frames]
+    print(
+        "\n| registered picture | windows | mean line, column px | rms line, column px |\n|---|---|---|---|"
+    )
+    for what, cameras, layers in (("nominal", nominal, None), ("recovered", result.cameras, heights)):
+        made = frame_mosaic(
+            acquired.frames, cameras, acquired.surface, names=names, heights=layers, masked=True
+        )
+        for colour in ("red", "blue"):
+            hub, other = (made.pixels[made.names.index(name)] for name in ("green", colour))
+            whole = np.isfinite(hub) & np.isfinite(other)
+            share = uniform_filter(whole.astype(float), PICTURE_WINDOW)
+            points = window_grid(hub.shape, PICTURE_WINDOW, PICTURE_WINDOW[0]).centres
+            at = np.rint(points).astype(int)
+            points = points[share[at[:, 0], at[:, 1]] > 0.9]
+            found = match_images(
+                ArrayImage(hub), ArrayImage(other), points, points, window=PICTURE_WINDOW,
+                search_px=(6, 6), whitening=None,
+            )  # fmt: skip
+            apart = (found.b - found.a)[found.kept]
+            apart = apart[(np.abs(apart - np.median(apart, axis=0)) < 1.0).all(axis=1)]
+            mean, rms = apart.mean(axis=0), np.sqrt((apart**2).mean(axis=0))
+            print(
+                f"| green-{colour}, {what} cameras | {len(apart)} | {mean[0]:+.3f}, {mean[1]:+.3f} "
+                f"| {rms[0]:.3f}, {rms[1]:.3f} |"
+            )
+
+
 def fused_camera(first: SpinEstimate, second: SpinEstimate) -> np.ndarray:
     """The constants of lens and chip that both images together ask for (they are one camera)."""
     own_parallax = sum(parameter.name.startswith("parallax") for parameter in first.unknowns.statics)
@@ -177,6 +217,8 @@ def main() -> None:
         result, names = recovered(folder, name, infinity=infinity)
         print_spin(result)
         print_strips(result, names)
+        if not infinity:
+            print_picture(result, names, folder / name)
         found[name, infinity] = result
     print("\n## Two images, 19 minutes apart\n")
     for infinity, what in ((False, "ellipsoid"), (True, "infinity")):

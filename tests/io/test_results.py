@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.io.acquired import AttitudeSensor
 from sightline.io.hidden import read_hidden
-from sightline.io.results import summarize
+from sightline.io.results import on_another_body, summarize
 from sightline.io.tables import read_attitudes, read_motion
 
 HEADER = (
@@ -126,3 +127,8 @@ def test_sensors_that_take_no_part_are_named_among_the_warnings(recovery):
     summary = summarize(recovery.result, replace(recovery.acquisition, sensors=(sensor,)), wall_seconds=1.0)
     assert any(said.startswith("not used: star tracker;") for said in summary["warnings"])
     assert not any(said.startswith("not used") for said in recovery.summary["warnings"])
+
+
+def test_attitudes_over_another_body_go_into_no_message_in_earth_fixed_axes():
+    assert on_another_body(Ellipsoid(71492e3, 66854e3))
+    assert not on_another_body(Ellipsoid()) and not on_another_body(Plane())

@@ -150,6 +150,11 @@ def test_a_wrong_key_is_one_clear_error(strips, old, new, expected):
     assert expected in message(strips.replace(old, new))
 
 
+def test_a_frame_of_the_sky_alone_may_be_masked(strips):
+    write_tif(strips.path / "m0.tif", np.ones((150, 201), np.uint8))
+    assert load_acquisition(strips.write()).frames[0].image.mask((0, 70), (0, 201)).all()
+
+
 def test_a_common_line_without_strips_is_refused(strips):
     first, last = strips.text.index("[[camera.strip]]"), strips.text.index("[[frame]]")
     strips.text = strips.text[:first] + strips.text[last:]

@@ -90,9 +90,13 @@ def _missing(acquisition: Acquisition, pairs: list[StripPair]) -> list[str]:
         ("column of the axis", lens.principal_point_sigma_px, "px"),
         ("distortion k1", lens.distortion_sigma, ""),
         ("line of the axis", chip.common_line_sigma_px, "px"),
-        *((f"{n}: place", s, "px") for n, s in zip(chip.names, chip.line_sigma_px, strict=True)),
-        *((f"{n}: focal length, relative", s, "") for n, s in zip(chip.names, chip.scale_sigma, strict=True)),
     ]
+    for what, sigmas, unit in (
+        ("place", chip.line_sigma_px, "px"),
+        ("focal length, relative", chip.scale_sigma, ""),
+        ("height of what it sees", chip.height_sigma, "m"),
+    ):
+        known += [(f"{name}: {what}", sigma, unit) for name, sigma in zip(chip.names, sigmas, strict=True)]
     lines = [
         f"{name}: known to {sigma:.4g} {unit}".rstrip() + ", will be estimated"
         for name, sigma, unit in known

@@ -15,7 +15,7 @@ from sightline.geometry.camera import FrameCamera
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.trajectory import Trajectory
 from sightline.io.acquired import InputFolder
-from sightline.io.acquisition_schema import AcquisitionFile, CameraModelPlatform, FrameSection
+from sightline.io.acquisition_schema import AcquisitionFile, CameraModelPlatform, FrameSection, SpinPlatform
 from sightline.io.ccsds import seconds_from_epoch
 from sightline.io.exif import read_exif
 from sightline.io.images import Source, check_content, open_image
@@ -54,7 +54,8 @@ def build_frames(config: AcquisitionFile, files: InputFolder, *, look: bool = Tr
         raise FormatError(
             f'{files.toml}: [platform] kind "camera-model" takes [[band]]; frames need another kind'
         )
-    images = [_open_frame_image(entry, files, look=look) for entry in config.frame]
+    spins = isinstance(config.platform, SpinPlatform)
+    images = [_open_frame_image(entry, files, look=look, sky=spins) for entry in config.frame]
     detector = area_detector(config, images[0], files)
     times = [frame_time(entry, config.acquisition.epoch, files) for entry in config.frame]
     _check_frames(config, images, times, files)
@@ -78,12 +79,12 @@ def build_frames(config: AcquisitionFile, files: InputFolder, *, look: bool = Tr
     return cut_into_strips(config, frames, files) if config.camera.strip else frames
 
 
-def _open_frame_image(entry: FrameSection, files: InputFolder, *, look: bool) -> Source:
-    """The image of a frame, opened and looked into."""
+def _open_frame_image(entry: FrameSection, files: InputFolder, *, look: bool, sky: bool) -> Source:
+    """The image of a frame, opened and looked into; it may be masked as a whole where it may show the sky."""
     mask = None if entry.mask is None else files(entry.mask)
     image = open_image(files(entry.image), entry.image_band, mask)
     if look:
-        check_content(image)
+        check_content(image, may_be_masked=sky)
     return image
 
 

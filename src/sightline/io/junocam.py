@@ -349,7 +349,7 @@ def write_junocam_acquisition(
     if far:
         platform = ["attitude = [0.0, 0.0, 0.0, 1.0]"]
         surface = ['kind = "infinity"', f"parallax_sigma = {PARALLAX_SIGMA}"]
-        epoch = [f'epoch = "{known[own[0]].start.isoformat()}"'] if own else []
+        epoch: list[str] = []  # attitudes in axes of their own belong into no message
     else:
         platform = _located(framelets, interval, known, own[0], out)
         surface = [f"radii = [{RADII[0]}, {RADII[1]}]"]

@@ -26,7 +26,9 @@ from sightline.evaluation.error_spectrum import error_psd
 from sightline.evaluation.observed import observed
 from sightline.evaluation.score import remove_directions
 from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.earth import WGS84
 from sightline.geometry.rotations import to_quat_xyzw
+from sightline.geometry.surface import Dem, Ellipsoid, Surface
 from sightline.io.acquired import Acquisition
 from sightline.io.ccsds import write_aem
 from sightline.io.hidden import write_hidden
@@ -76,7 +78,7 @@ def write_result(
     write_motion(folder / "motion.csv", table)
     attitude = refined_attitude(result, acquisition)
     write_attitudes(folder / "attitude.csv", motion.t, attitude)
-    if acquisition.epoch is not None:
+    if acquisition.epoch is not None and not on_another_body(acquisition.surface):
         frame, name = AEM_FRAMES[acquisition.world], acquisition.name.upper()
         write_aem(
             folder / "attitude.aem", motion.t, attitude, acquisition.epoch, object_name=name, frame=frame
@@ -91,6 +93,17 @@ def write_result(
         _write_covariance(folder / "covariance.npz", result)
     write_json(folder / "summary.json", summary)
     return summary
+
+
+def on_another_body(surface: Surface) -> bool:
+    """Whether a surface is another body's than the Earth's: a message in Earth-fixed axes would be wrong."""
+    if isinstance(surface, Dem):
+        radii = surface.radii
+    elif isinstance(surface, Ellipsoid):
+        radii = (surface.a, surface.b)
+    else:
+        return False
+    return abs(radii[0] / WGS84[0] - 1.0) > 1e-3
 
 
 def _row_nyquist(result: LineOfSight) -> float:
