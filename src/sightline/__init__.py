@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
     from sightline.applications.registration import Registration, register_bands
     from sightline.applications.results import LineOfSight
+    from sightline.applications.spin_attitude import SpinAttitude, SpinOptions, recover_spin_attitude
     from sightline.errors import (
         EstimationError,
         FormatError,
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
     from sightline.geometry.camera import Camera, FrameCamera, PushbroomCamera, Rays
     from sightline.geometry.instrument import AreaDetector, Instrument, LineDetector
     from sightline.geometry.pointing import FixedMount, Pointing, ScanMirror
+    from sightline.geometry.spin import Spin
     from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface
     from sightline.geometry.trajectory import Motion, Pose, Trajectory
     from sightline.imaging.source import ArrayImage, ImageSource
@@ -39,9 +41,10 @@ if TYPE_CHECKING:
     from sightline.matching.match_images import match_images
     from sightline.matching.matches import Matches
     from sightline.matching.select import grid_points
-    from sightline.motion.band import Band, Frame
+    from sightline.motion.band import Band, ChipKnowledge, Frame, LensKnowledge
     from sightline.motion.differences import AngleDifferences
     from sightline.motion.predict import predict_match
+    from sightline.products.frame_mosaic import frame_mosaic
     from sightline.simulate.scenarios import line_of_sight_case
 
     __version__: str
@@ -54,6 +57,7 @@ _MODULE_OF = {
     "ArrayImage": "sightline.imaging.source",
     "Band": "sightline.motion.band",
     "Camera": "sightline.geometry.camera",
+    "ChipKnowledge": "sightline.motion.band",
     "Dem": "sightline.geometry.surface",
     "Ellipsoid": "sightline.geometry.surface",
     "EstimationError": "sightline.errors",
@@ -70,6 +74,7 @@ _MODULE_OF = {
     "InputError": "sightline.errors",
     "Instrument": "sightline.geometry.instrument",
     "LayoutChoice": "sightline.applications.focal_plane",
+    "LensKnowledge": "sightline.motion.band",
     "LineDetector": "sightline.geometry.instrument",
     "LineOfSight": "sightline.applications.results",
     "Matches": "sightline.matching.matches",
@@ -85,11 +90,15 @@ _MODULE_OF = {
     "Score": "sightline.evaluation.score",
     "SightlineError": "sightline.errors",
     "SpanError": "sightline.errors",
+    "Spin": "sightline.geometry.spin",
+    "SpinAttitude": "sightline.applications.spin_attitude",
+    "SpinOptions": "sightline.applications.spin_attitude",
     "Surface": "sightline.geometry.surface",
     "Trajectory": "sightline.geometry.trajectory",
     "UnobservableBandWarning": "sightline.errors",
     "choose_layout": "sightline.applications.focal_plane",
     "executor_from_name": "sightline.execution",
+    "frame_mosaic": "sightline.products.frame_mosaic",
     "grid_points": "sightline.matching.select",
     "line_of_sight_case": "sightline.simulate.scenarios",
     "load_acquisition": "sightline.io.acquisition",
@@ -99,6 +108,7 @@ _MODULE_OF = {
     "recover_frame_attitude": "sightline.applications.frame_attitude",
     "recover_line_of_sight": "sightline.applications.line_of_sight",
     "register_bands": "sightline.applications.registration",
+    "recover_spin_attitude": "sightline.applications.spin_attitude",
     "score_motion": "sightline.evaluation.score",
 }
 
@@ -109,6 +119,7 @@ __all__ = [
     "ArrayImage",
     "Band",
     "Camera",
+    "ChipKnowledge",
     "Dem",
     "Ellipsoid",
     "EstimationError",
@@ -125,6 +136,7 @@ __all__ = [
     "InputError",
     "Instrument",
     "LayoutChoice",
+    "LensKnowledge",
     "LineDetector",
     "LineOfSight",
     "Matches",
@@ -140,11 +152,15 @@ __all__ = [
     "Score",
     "SightlineError",
     "SpanError",
+    "Spin",
+    "SpinAttitude",
+    "SpinOptions",
     "Surface",
     "Trajectory",
     "UnobservableBandWarning",
     "choose_layout",
     "executor_from_name",
+    "frame_mosaic",
     "grid_points",
     "line_of_sight_case",
     "load_acquisition",
@@ -153,6 +169,7 @@ __all__ = [
     "predict_match",
     "recover_frame_attitude",
     "recover_line_of_sight",
+    "recover_spin_attitude",
     "register_bands",
     "score_motion",
 ]

@@ -107,9 +107,9 @@ def test_an_instant_that_cannot_be_read_is_refused(frames):
     assert "'6.5 s after' is not a UTC instant" in said
 
 
-def test_filters_on_a_frame_are_said_to_be_for_a_later_version(frames):
+def test_filters_on_a_frame_need_a_spin(frames):
     frames.replace("[[frame]]", '[[camera.strip]]\nname = "red"\nfirst_line = 0\nlines = 10\n\n[[frame]]')
-    assert "[[camera.strip]] is not handled by this version" in message(frames)
+    assert '[[camera.strip]] needs [platform] kind = "spin"' in message(frames)
 
 
 def test_one_frame_alone_is_refused(frames):

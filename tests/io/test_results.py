@@ -8,8 +8,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.io.hidden import read_hidden
-from sightline.io.results import _unused
+from sightline.io.results import _unused, on_another_body
 from sightline.io.tables import read_attitudes, read_motion
 from sightline.motion.sensors import AttitudeSensor
 
@@ -126,3 +127,8 @@ def test_sensors_beside_frames_take_no_part_and_are_named_among_the_warnings(rec
     frames = replace(recovery.acquisition, sensors=(sensor,), frames=("any",))
     assert any(said.startswith("not used: star tracker;") for said in _unused(frames))
     assert _unused(replace(frames, frames=())) == []
+
+
+def test_attitudes_over_another_body_go_into_no_message_in_earth_fixed_axes():
+    assert on_another_body(Ellipsoid(71492e3, 66854e3))
+    assert not on_another_body(Ellipsoid()) and not on_another_body(Plane())

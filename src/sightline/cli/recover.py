@@ -63,11 +63,25 @@ def recover_into(folder: Path, acquisition: Path, report: Progress) -> dict[str,
 
 
 def recover_acquisition(acquired: Acquisition, report: Progress) -> LineOfSight:
-    """Recover what an acquisition holds: bands of a strip, or frames of a matrix instrument."""
+    """Recover what an acquisition holds: bands of a strip, or frames of a camera, spinning or not."""
     from sightline.applications.frame_attitude import recover_frame_attitude
     from sightline.applications.frame_passes import FrameOptions
     from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
 
+    if acquired.frames and acquired.spin is not None:
+        from sightline.applications.spin_attitude import SpinOptions, recover_spin_attitude
+
+        return recover_spin_attitude(
+            acquired.frames,
+            acquired.surface,
+            acquired.spin,
+            lens=acquired.lens,
+            chip=acquired.chip,
+            attitude_sigma=acquired.attitude_sigma,
+            parallax_sigma=acquired.parallax_sigma,
+            options=SpinOptions.from_matching(acquired.matching),
+            progress=report,
+        )
     if acquired.frames:
         return recover_frame_attitude(
             acquired.frames,

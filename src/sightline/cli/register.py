@@ -39,7 +39,7 @@ def register(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Lay the bands of a strip on one of them, and say how well they fit before and after."""
+    """Lay the bands of a strip on one of them, or the frames of a spinning camera into one picture."""
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
 
@@ -50,8 +50,11 @@ def register(
     if as_json:
         print_json(summary)
         return
-    for warning in summary["warnings"]:
+    for warning in summary.get("warnings", ()):
         complain("warning", warning)
+    if "pairs" not in summary:
+        say(f"{summary['lines']} x {summary['columns']} px: {out / 'picture.tif'}, {out / 'picture.png'}")
+        return
     for pair in summary["pairs"]:
         before, after = pair["before"]["rms_px"], pair["after"]["rms_px"]
         say(f"{' - '.join(pair['images']):16}  {_length(before)} px apart, now {_length(after)} px (rms)")
@@ -73,7 +76,7 @@ def register_into(
     pixels: str | None = None,
     stack: bool = False,
 ) -> dict[str, Any]:
-    """Register the strip of `acquisition`, write images, summary and report into `folder`; the summary."""
+    """Register what `acquisition` holds, write images, summary and report into `folder`; the summary."""
     import time
 
     from sightline.applications.registration import fit_pairs, register_bands
@@ -81,6 +84,7 @@ def register_into(
     from sightline.io.acquisition import load_acquisition
     from sightline.io.recovered import read_recovered
     from sightline.io.registered import write_products
+    from sightline.io.registered_frames import register_frames
     from sightline.io.registration_summary import summarize_registration
     from sightline.io.results import write_json
     from sightline.report.register_page import write_register_report
@@ -88,9 +92,18 @@ def register_into(
     begin = time.perf_counter()
     report("reading the acquisition and what was recovered of it")
     acquired = load_acquisition(acquisition)
+    if acquired.frames and acquired.spin is not None:
+        if onto is not None or pixels is not None or stack:
+            raise InputError(
+                "--onto, --type and --stack are for bands of a strip; frames of a spinning camera become one "
+                "picture: leave them out"
+            )
+        report("laying the frames together")
+        return register_frames(folder, acquired, motion)
     if not acquired.bands:
         raise InputError(
-            f"{acquisition}: frames are given; `register` takes the bands of a strip: give [[band]]"
+            f"{acquisition}: frames are given; `register` takes the bands of a strip, or frames of a camera "
+            'that spins ([platform] kind = "spin")'
         )
     recovered = read_recovered(motion, acquired)
     registration = register_bands(

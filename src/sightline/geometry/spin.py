@@ -5,7 +5,7 @@ Not here: departures from the even turn, which are a ``Motion``; a mirror that t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -96,6 +96,24 @@ class Spin(ReadOnlyArrays):
         parts = [times * self.axis]
         parts += [np.sin(phi) * e - (1.0 - np.cos(phi)) * np.cross(self.axis, e) for e in across]
         return np.stack(parts, axis=2)
+
+    def adjusted(self, change: ArrayLike) -> Spin:
+        """The spin with rate, axis and attitude a little changed.
+
+        Parameters
+        ----------
+        change : (6,)
+            Of the rate, rad/s; of the axis, rad along two directions across it (those of `departures`); of
+            the attitude at t = 0, a rotation vector in body axes, rad.
+        """
+        given = as_vector(change, "change", 6)
+        first, second = _across(self.axis)
+        return replace(
+            self,
+            rate=self.rate + float(given[0]),
+            axis=self.axis + given[1] * first + given[2] * second,
+            attitude=self.attitude * Rotation.from_rotvec(np.array(given[3:])),
+        )
 
     def trajectory(
         self,

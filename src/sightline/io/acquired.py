@@ -19,9 +19,10 @@ from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
 from sightline.io.acquisition_schema import AcquisitionFile
-from sightline.motion.band import Band, Frame, LensKnowledge
+from sightline.motion.band import Band, ChipKnowledge, Frame, LensKnowledge
 from sightline.motion.hyper import KnownContent
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
+from sightline.motion.spin_frames import AttitudeSigma
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +53,12 @@ class Acquisition:
         ``"local"`` (x east, y north, z up) or ``"earth-fixed"``.
     spin : Spin or None
         How the body turns, where it spins, and how well that is known.
+    chip : ChipKnowledge
+        How well the strips of a frame are known.
+    attitude_sigma : AttitudeSigma or None
+        How well the attitude of a spinning body at t = 0 is known.
+    parallax_sigma : float
+        rad/s; how fast directions may drift because the platform moves (ground at infinity).
     inputs : tuple of Path
         Every file that was read or will be.
     """
@@ -71,6 +78,9 @@ class Acquisition:
     platform: str
     world: str
     spin: Spin | None
+    chip: ChipKnowledge
+    attitude_sigma: AttitudeSigma | None
+    parallax_sigma: float
     inputs: tuple[Path, ...] = field(repr=False)
 
     @property

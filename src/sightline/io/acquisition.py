@@ -19,14 +19,20 @@ from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.io import tables
 from sightline.io.acquired import Acquisition, InputFolder, world_kind
-from sightline.io.acquisition_schema import AcquisitionFile, CameraModelPlatform, SensorSection
+from sightline.io.acquisition_schema import (
+    AcquisitionFile,
+    CameraModelPlatform,
+    SensorSection,
+    SpinPlatform,
+)
 from sightline.io.bands import build_bands
 from sightline.io.config import read_toml, validate
 from sightline.io.frames import build_frames, lens_knowledge
-from sightline.io.ground import build_surface, check_coverage, check_overlap, check_sampling
+from sightline.io.ground import build_surface, check_coverage, check_overlap, check_sampling, check_seen
 from sightline.io.model_bands import build_model_bands
 from sightline.io.platform import to_world
 from sightline.io.spin import spin_of
+from sightline.io.strips import attitude_sigma, chip_knowledge
 from sightline.motion.hyper import KnownContent
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
 
@@ -73,10 +79,14 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
     ]
     names = [*(band.name for band in bands), *(frame.name for frame in frames)]
     surface = build_surface(config, files, cameras)
-    sweeps = config.platform.kind == "spin" or config.pointing.kind == "scan-mirror"
-    check_coverage(path, surface, cameras, sweeps=sweeps)
-    check_sampling(path, surface, cameras, names)
-    check_overlap(path, surface, cameras, names)
+    if isinstance(config.platform, SpinPlatform) and frames:
+        # a spinning camera sees the sky for most of its turn, and with it some of its frames
+        check_seen(path, surface, cameras)
+    else:
+        sweeps = config.platform.kind == "spin" or config.pointing.kind == "scan-mirror"
+        check_coverage(path, surface, cameras, sweeps=sweeps)
+        check_sampling(path, surface, cameras, names)
+        check_overlap(path, surface, cameras, names)
     return Acquisition(
         path=path,
         name=config.acquisition.name,
@@ -93,6 +103,9 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
         platform=config.platform.kind,
         world=world_kind(config),
         spin=spin_of(config),
+        chip=chip_knowledge(config),
+        attitude_sigma=attitude_sigma(config),
+        parallax_sigma=config.surface.parallax_sigma,
         inputs=tuple(files.used),
     )
 

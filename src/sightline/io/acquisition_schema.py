@@ -98,6 +98,14 @@ class SpinPlatform(Section):
         default=None, description="The same place at all times, axes of [world]; with neither: the origin"
     )
     attitude: Quaternion = Field(description="world_from_body at t = 0, [x, y, z, w]")
+    attitude_sigma: Sigma = Field(
+        default=0.1, description="How well that is known, rad about each axis (frames only)"
+    )
+    attitude_turn_sigma: Sigma | None = Field(
+        default=None,
+        description="The same about the line to the origin of [world] (the centre of the body), where it is "
+        "known less well: the outline of a body hardly tells it",
+    )
     axis: Vector = Field(description="Axis of the spin in body axes, of any length")
     axis_sigma: Sigma = Field(
         default=0.0, description="How well its direction is known, rad, each way across it; 0 = exactly"
@@ -222,9 +230,26 @@ class StripSection(Section):
     """``[[camera.strip]]``: lines of a frame that lie behind one filter."""
 
     name: str = Field(min_length=1)
-    first_line: Annotated[int, Field(ge=0)]
-    lines: Annotated[int, Field(ge=1)]
-    axis_line: Finite | None = None
+    first_line: Annotated[int, Field(ge=0)] = Field(
+        description="Of the frame's image, where the strip begins"
+    )
+    lines: Annotated[int, Field(ge=1)] = Field(description="How many")
+    axis_line: Finite | None = Field(
+        default=None,
+        description="Line of the optical axis counted from the strip's first line (outside the strip as a "
+        "rule); default: as if the frame's image were the chip",
+    )
+    axis_line_sigma_px: Sigma = Field(
+        default=0.0, description="px; how well the strip's place on the chip is known; 0 = exactly"
+    )
+    scale_sigma: Sigma = Field(
+        default=0.0, description="How well its focal length is known relative to the others'; 0 = exactly"
+    )
+    height_sigma: Sigma = Field(
+        default=0.0,
+        description="m; how well the height of the layer that it sees is known (colours see different depths "
+        "of clouds); 0 = the surface itself",
+    )
 
 
 class CameraSection(Section):
@@ -249,6 +274,10 @@ class CameraSection(Section):
     distortion_sigma: Sigma = Field(default=0.0, description="Of k1 (k2, k3 likewise); 0 = exactly")
     readout_time: Finite = Field(
         default=0.0, description="s from the first to the last line of a rolling shutter"
+    )
+    common_line_sigma_px: Sigma = Field(
+        default=0.0,
+        description="px; how well the line of the optical axis is known, common to all strips; 0 = exactly",
     )
     strip: list[StripSection] = []
 
@@ -290,11 +319,20 @@ class SurfaceSection(Section):
         default=None, description="[equatorial, polar] of another body, m"
     )
     height_sigma: Sigma = Field(default=0.0, description="What is not known about the height, m")
+    parallax_sigma: Sigma = Field(
+        default=0.0,
+        description="rad/s; speed of the platform over the distance of what it sees, where neither is known: "
+        "directions may drift so fast (kind infinity and a spin only)",
+    )
 
     @model_validator(mode="after")
     def _datum_is_complete(self) -> SurfaceSection:
         if self.kind == "infinity" and self.dem is not None:
             raise ValueError('kind = "infinity" takes no dem; remove one of the two')
+        if self.kind != "infinity" and self.parallax_sigma > 0.0:
+            raise ValueError(
+                'parallax_sigma is for kind = "infinity", where distance and speed are unknown; remove it'
+            )
         if self.datum == "geoid" and self.geoid is None:
             raise ValueError('datum = "geoid" needs geoid = a raster of geoid heights, or a number in metres')
         if self.datum == "ellipsoid" and self.geoid is not None:
@@ -438,6 +476,25 @@ class AcquisitionFile(Section):
                     '[world] is given, but kind = "level-flight" has axes of its own; remove [world]'
                 )
 
+    def _strips_are_a_chip(self) -> None:
+        """Strips have names of their own, and belong to a camera that spins."""
+        names = [strip.name for strip in self.camera.strip]
+        repeated = sorted({name for name in names if names.count(name) > 1})
+        if repeated:
+            raise ValueError(
+                f"two strips are called {repeated[0]!r}; every [[camera.strip]] needs a name of its own"
+            )
+        spins = isinstance(self.platform, SpinPlatform)
+        if names and not spins:
+            raise ValueError(
+                f'[[camera.strip]] needs [platform] kind = "spin", here it is {self.platform.kind!r}; leave '
+                "the strips out: whole frames are matched"
+            )
+        if self.camera.common_line_sigma_px > 0.0 and not names:
+            raise ValueError("common_line_sigma_px is given without a [[camera.strip]]; remove it")
+        if self.surface.parallax_sigma > 0.0 and not (spins and self.frame):
+            raise ValueError('parallax_sigma is for [[frame]] of a [platform] kind = "spin"; remove it')
+
     @model_validator(mode="after")
     def _pairs_name_bands(self) -> AcquisitionFile:
         names = [item.name for item in self.band]
@@ -466,6 +523,7 @@ class AcquisitionFile(Section):
                 f"add a [[{table}]]"
             )
         self._refuse_what_would_be_ignored()
+        self._strips_are_a_chip()
         names = [item.name for item in self.band]
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:

@@ -15,6 +15,7 @@ import numpy as np
 
 from sightline.geometry.camera import PushbroomCamera
 from sightline.io.acquired import Acquisition
+from sightline.io.describe_spin import describe_spin
 from sightline.io.ground import shared_ground
 from sightline.motion.observability import blind_frequencies, passbands
 
@@ -83,7 +84,10 @@ def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
         ``understood``, ``missing``, ``observable``: lists of sentences. ``pairs``: a, b, lag (s),
         blind_frequencies (Hz), parallax (px per metre), overlap (share). ``passbands``: (low, high) in Hz,
         where the pairs together leave at least half of a motion ten times stronger (in power) than the noise.
+        Frames of a spinning camera: ``describe_spin``.
     """
+    if acquisition.frames and acquisition.spin is not None:
+        return describe_spin(acquisition)
     reach = len(acquisition.bands) or _FRAMES_APART
     indices = combinations(range(len(acquisition.names)), 2)
     pairs = [pair_geometry(acquisition, i, j) for i, j in indices if j - i <= reach]
@@ -115,7 +119,7 @@ def _highest_frequency(acquisition: Acquisition) -> float:
     cameras = acquisition.cameras
     if isinstance(cameras[0], PushbroomCamera):
         return 0.25 / cameras[0].detector.line_period
-    times = np.sort([camera.t for camera in cameras if not isinstance(camera, PushbroomCamera)])
+    times = np.unique([camera.t for camera in cameras if not isinstance(camera, PushbroomCamera)])
     return float(0.5 / np.median(np.diff(times)))
 
 

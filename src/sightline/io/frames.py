@@ -15,12 +15,13 @@ from sightline.geometry.camera import FrameCamera
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.trajectory import Trajectory
 from sightline.io.acquired import InputFolder
-from sightline.io.acquisition_schema import AcquisitionFile, CameraModelPlatform, FrameSection
+from sightline.io.acquisition_schema import AcquisitionFile, CameraModelPlatform, FrameSection, SpinPlatform
 from sightline.io.ccsds import seconds_from_epoch
 from sightline.io.exif import read_exif
 from sightline.io.images import Source, check_content, open_image
 from sightline.io.platform import build_trajectory
 from sightline.io.spin import pointing_of
+from sightline.io.strips import cut_into_strips
 from sightline.motion.band import Frame, LensKnowledge
 
 #: Start value of an unknown focal length and its sigma, in larger sides of the frame (1.0: 53 degrees).
@@ -53,12 +54,8 @@ def build_frames(config: AcquisitionFile, files: InputFolder, *, look: bool = Tr
         raise FormatError(
             f'{files.toml}: [platform] kind "camera-model" takes [[band]]; frames need another kind'
         )
-    if config.camera.strip:
-        raise FormatError(
-            f"{files.toml}: [[camera.strip]] is not handled by this version of recover; leave it out: "
-            "whole frames are matched"
-        )
-    images = [_open_frame_image(entry, files, look=look) for entry in config.frame]
+    spins = isinstance(config.platform, SpinPlatform)
+    images = [_open_frame_image(entry, files, look=look, sky=spins) for entry in config.frame]
     detector = area_detector(config, images[0], files)
     times = [frame_time(entry, config.acquisition.epoch, files) for entry in config.frame]
     _check_frames(config, images, times, files)
@@ -67,23 +64,27 @@ def build_frames(config: AcquisitionFile, files: InputFolder, *, look: bool = Tr
     trajectory = extended(build_trajectory(config, files, span), shake)
     pointing = pointing_of(config, files, span)
     names = [entry.name or Path(entry.image).stem for entry in config.frame]
-    return tuple(
+    frames = tuple(
         Frame(
             name,
             image,
             FrameCamera(detector, trajectory, pointing, t, config.camera.readout_time),
             entry.time_sigma,
+            exposure,
         )
-        for name, image, t, entry in zip(names, images, times, config.frame, strict=True)
+        for exposure, (name, image, t, entry) in enumerate(
+            zip(names, images, times, config.frame, strict=True)
+        )
     )
+    return cut_into_strips(config, frames, files) if config.camera.strip else frames
 
 
-def _open_frame_image(entry: FrameSection, files: InputFolder, *, look: bool) -> Source:
-    """The image of a frame, opened and looked into."""
+def _open_frame_image(entry: FrameSection, files: InputFolder, *, look: bool, sky: bool) -> Source:
+    """The image of a frame, opened and looked into; it may be masked as a whole where it may show the sky."""
     mask = None if entry.mask is None else files(entry.mask)
     image = open_image(files(entry.image), entry.image_band, mask)
     if look:
-        check_content(image)
+        check_content(image, may_be_masked=sky)
     return image
 
 

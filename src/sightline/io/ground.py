@@ -229,6 +229,21 @@ def check_sampling(
             )
 
 
+def check_seen(path: Path, surface: Surface, cameras: Sequence[MovingCamera]) -> None:
+    """Refuse a body that no image of a spinning camera sees.
+
+    Raises
+    ------
+    GeometryError
+        If all images look past the ground.
+    """
+    if not any(np.isfinite(camera.locate(image_grid(camera), surface)).any() for camera in cameras):
+        raise GeometryError(
+            f"{path}: no image sees the ground; check attitude (world_from_body at t = 0, scalar last), "
+            "axis, rate (rad/s, right-handed about the axis) and the positions"
+        )
+
+
 def check_overlap(
     path: Path, surface: Surface, cameras: Sequence[MovingCamera], names: Sequence[str]
 ) -> None:

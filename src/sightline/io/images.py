@@ -297,8 +297,14 @@ def open_image(path: Path, band: int | str = 1, mask: Path | None = None) -> Ras
     return RasterImage(Path(path), band, extra)
 
 
-def check_content(image: RasterImage | NpyImage) -> None:
+def check_content(image: RasterImage | NpyImage, *, may_be_masked: bool = False) -> None:
     """Look into an image (first, middle and last lines) before work starts.
+
+    Parameters
+    ----------
+    image : RasterImage or NpyImage
+    may_be_masked : bool
+        Do not mind an image of which no pixel is usable: one of many that sees the sky.
 
     Raises
     ------
@@ -318,6 +324,8 @@ def check_content(image: RasterImage | NpyImage) -> None:
         data, bad = image.read(*window), image.mask(*window)
         values.append(data.ravel() if bad is None else data[~bad])
     pixels = np.concatenate(values)
+    if pixels.size == 0 and may_be_masked:
+        return
     if pixels.size == 0:
         raise FormatError(
             f"{image.path}: no usable pixel in its first, middle and last lines (no data, NaN or masked); "

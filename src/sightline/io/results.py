@@ -21,16 +21,20 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.results import LineOfSight
+from sightline.applications.spin_attitude import SpinAttitude
 from sightline.evaluation.error_spectrum import error_psd
 from sightline.evaluation.observed import observed
 from sightline.evaluation.score import remove_directions
 from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.earth import WGS84
 from sightline.geometry.rotations import to_quat_xyzw
+from sightline.geometry.surface import Dem, Ellipsoid, Surface
 from sightline.io.acquired import Acquisition
 from sightline.io.ccsds import write_aem
 from sightline.io.hidden import write_hidden
 from sightline.io.json_text import json_text
 from sightline.io.microvibration import microvibration_summary, write_smear
+from sightline.io.spin_summary import spin_summary
 from sightline.io.tables import ANGLES, MotionTable, write_attitudes, write_motion, write_spectrum
 from sightline.motion.observability import Passbands
 from sightline.motion.tones import detect_tones, spectrum
@@ -75,12 +79,14 @@ def write_result(
     write_motion(folder / "motion.csv", table)
     attitude = refined_attitude(result, acquisition)
     write_attitudes(folder / "attitude.csv", motion.t, attitude)
-    if acquisition.epoch is not None:
+    if acquisition.epoch is not None and not on_another_body(acquisition.surface):
         frame, name = AEM_FRAMES[acquisition.world], acquisition.name.upper()
         write_aem(
             folder / "attitude.aem", motion.t, attitude, acquisition.epoch, object_name=name, frame=frame
         )
     summary = summarize(result, acquisition, wall_seconds=wall_seconds)
+    if isinstance(result, SpinAttitude):
+        summary["spin"] = spin_summary(result, acquisition.chip.names)
     if result.hidden.shape[2]:
         summary["hidden_directions"] = write_hidden(folder, motion.t, result.hidden, result.hidden_names)
     _write_spectrum(folder / "spectrum.csv", result, summary["passbands"])
@@ -90,6 +96,17 @@ def write_result(
         _write_covariance(folder / "covariance.npz", result)
     write_json(folder / "summary.json", summary)
     return summary
+
+
+def on_another_body(surface: Surface) -> bool:
+    """Whether a surface is another body's than the Earth's: a message in Earth-fixed axes would be wrong."""
+    if isinstance(surface, Dem):
+        radii = surface.radii
+    elif isinstance(surface, Ellipsoid):
+        radii = (surface.a, surface.b)
+    else:
+        return False
+    return abs(radii[0] / WGS84[0] - 1.0) > 1e-3
 
 
 def _row_nyquist(result: LineOfSight) -> float:
@@ -114,7 +131,7 @@ def highest_frequency(acquisition: Acquisition) -> float:
         return HIGHEST_FREQUENCY / min(
             c.detector.line_period for c in cameras if isinstance(c, PushbroomCamera)
         )
-    times = np.sort([camera.t for camera in cameras if not isinstance(camera, PushbroomCamera)])
+    times = np.unique([camera.t for camera in cameras if not isinstance(camera, PushbroomCamera)])
     return float(0.5 / np.median(np.diff(times)))
 
 

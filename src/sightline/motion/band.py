@@ -46,12 +46,17 @@ class Frame:
         Nominal, at the stamped time.
     time_sigma : float
         s; how well the time is known (0: exactly).
+    exposure, strip : int
+        Images of one exposure share time and attitude; images of one strip of the chip (one filter) share
+        its place on the chip. Without strips every frame is an exposure of its own.
     """
 
     name: str
     image: ImageSource
     camera: FrameCamera
     time_sigma: float = 0.0
+    exposure: int = 0
+    strip: int = 0
 
 
 @dataclass(frozen=True)
@@ -70,3 +75,28 @@ class LensKnowledge:
     focal_length_sigma_px: float = 0.0
     principal_point_sigma_px: float = 0.0
     distortion_sigma: float = 0.0
+
+
+@dataclass(frozen=True)
+class ChipKnowledge:
+    """How well the strips of one chip (filters in front of one detector) are known, 1-sigma; 0 = exactly.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the strips.
+    common_line_sigma_px : float
+        px; of the line of the optical axis on the chip, common to all strips.
+    line_sigma_px : tuple of float
+        px; of each strip's own place along the lines.
+    scale_sigma : tuple of float
+        Of each strip's focal length relative to the common one (colours are magnified differently).
+    height_sigma : tuple of float
+        m; of the layer that each strip sees above the surface (colours see clouds of different depth).
+    """
+
+    names: tuple[str, ...]
+    common_line_sigma_px: float = 0.0
+    line_sigma_px: tuple[float, ...] = ()
+    scale_sigma: tuple[float, ...] = ()
+    height_sigma: tuple[float, ...] = ()

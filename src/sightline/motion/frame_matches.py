@@ -185,11 +185,12 @@ def match_hub(
     partners: tuple[int, ...],
     grid: WindowGrid,
     plan: FramePlan,
-    whitenings: dict[int, Whitening | None],
+    whitenings: dict[int, Whitening | None] | None,
 ) -> FrameStar | None:
     """The windows of one frame found in some others; None if none shares enough ground.
 
-    `whitenings` holds the filters of each lag once they are known: one camera took all frames.
+    `whitenings` holds the filters of each lag once they are known: one camera took all frames. Without it
+    windows are compared as they are.
     """
     predicted = predict_windows(cameras, hub, partners, surface, grid)
     ground = cameras[hub].locate(grid.centres, surface)
@@ -208,7 +209,7 @@ def match_hub(
             continue
         laid = ArrayImage(laid_frame(images, cameras, surface, hub, partner).read((0, lines), (0, columns)))
         lag = partner - hub
-        if whitenings.get(lag) is None:
+        if whitenings is not None and whitenings.get(lag) is None:
             whitenings[lag] = pair_whitening(whole, laid, grid.centres[inside])
         found = match_images(
             whole,
@@ -217,7 +218,7 @@ def match_hub(
             grid.centres,
             window=grid.window,
             search_px=(plan.search_px, plan.search_px),
-            whitening=whitenings[lag],
+            whitening=None if whitenings is None else whitenings[lag],
         )
         good = found.kept & inside
         b, covariance = np.full((g, 2), np.nan), np.tile(np.eye(2), (g, 1, 1))

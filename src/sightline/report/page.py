@@ -20,6 +20,7 @@ from markupsafe import Markup
 from plotly.offline import get_plotlyjs
 
 from sightline.applications.results import LineOfSight
+from sightline.applications.spin_attitude import SpinAttitude
 from sightline.evaluation.observed import observed
 from sightline.io.acquired import Acquisition
 from sightline.report import (
@@ -31,6 +32,7 @@ from sightline.report import (
     words,
 )
 from sightline.report.composite import composite
+from sightline.report.spin_words import spin_section
 
 #: Frequencies at which visibility is drawn.
 _FREQUENCIES = 2401
@@ -100,6 +102,7 @@ def render(template: str, **values: Any) -> str:
 def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[str, Any]) -> str:
     """The page as text; parameters as of `write_report`."""
     tones = spectrum_figures.tones_of(summary["tones"])
+    spin = spin_section(result, acquisition.chip.names) if isinstance(result, SpinAttitude) else None
     return render(
         "page.html.j2",
         summary=summary,
@@ -110,9 +113,10 @@ def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[
         tones=words.tone_rows(result, tones),
         statics=words.static_rows(result),
         sensors=words.sensor_rows(result),
-        pairs=words.pair_rows(result),
         close=words.close_rows(summary),
         above=words.above_band(summary),
+        pairs=[] if spin else words.pair_rows(result),
+        spin=spin,
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight
+from sightline.applications.spin_attitude import SpinAttitude
 from sightline.evaluation.observed import SEEN_TONE_PX
 from sightline.geometry.camera import FrameCamera
 from sightline.motion.observability import Passbands
@@ -282,6 +283,8 @@ def _hidden(result: LineOfSight) -> str:
     if not all(name.startswith("constant of ") for name in result.hidden_names):
         frames = isinstance(result.cameras[0], FrameCamera)
         unknown = "instants and an unknown lens" if frames else "places of the detector lines"
+        if isinstance(result, SpinAttitude):
+            unknown = "rate and axis of the spin and an unknown lens"
         imitated = f", and unknown {unknown} imitate the rest"
     return (
         f"Images compared with each other cannot tell {_grouped(result.hidden_names)}: a constant changes "
