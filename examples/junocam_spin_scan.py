@@ -2,8 +2,8 @@
 
 Run: python examples/junocam_spin_scan.py [OUT] [44C00030 | 44C00032 | 36C00061] [infinity]
 
-Writes OUT/acquisition.toml with its frames and masks; OUT/recovered and OUT/picture are what `sightline recover`
-and `sightline register` make of it.
+Writes OUT/acquisition.toml with its frames and masks; OUT/recovered and OUT/picture are what `recover`
+and `register` make of it.
 """
 
 from __future__ import annotations
