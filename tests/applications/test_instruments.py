@@ -27,11 +27,11 @@ from sightline.simulate.instruments import DetectorOptions, instrument_case
 
 #: Lines, columns, degrees off the nadir; detectors of fewer columns keep their own.
 SCENES = {
-    "pushbroom": (500, 220, 30.0),
-    "spin-leo": (500, 220, 30.0),
-    "spin-geo": (500, 220, 5.0),
-    "mirror-leo": (500, 220, 25.0),
-    "mirror-geo": (500, 220, 5.0),
+    "pushbroom": (400, 220, 30.0),
+    "spin-leo": (400, 220, 30.0),
+    "spin-geo": (400, 220, 5.0),
+    "mirror-leo": (400, 220, 25.0),
+    "mirror-geo": (400, 220, 5.0),
     "staggered": (800, 0, 10.0),
     "every-line": (300, 220, 20.0),
     "dedicated-matrix": (700, 500, 5.0),
@@ -49,8 +49,8 @@ def recovered(case, folder, **overrides):
     scenario = instrument_case(case, 1, **options)
     write_instrument(scenario, folder)
     acquired = load_acquisition(folder / "acquisition.toml")
-    # one compensated pass less than usual: tests must be quick
-    quick = replace(acquired, matching={**acquired.matching, "passes": 3})
+    # two compensated passes less than usual: tests must be quick
+    quick = replace(acquired, matching={**acquired.matching, "passes": 2})
     result = recover_acquisition(quick, lambda text: None)
     truth = scenario.truth
     score = score_motion(

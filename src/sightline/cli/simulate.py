@@ -21,7 +21,7 @@ _INSTRUMENTS = (
     "dedicated-strip, multi-line"
 )
 # Said in --help, which must not wait for the import of the cases.
-_LINES, _COLUMNS = "3000; real: 2400; instruments: 1500", "1000; real: 640; instruments: 400"
+_LINES, _COLUMNS = "3000; real: 2400; instruments: 1500", "1000; real: 640; instruments: 640"
 _MOTIONS = "nominal, late-tone, step, curve, real, other-family, ck, isd, none"
 
 

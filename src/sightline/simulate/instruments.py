@@ -114,7 +114,7 @@ class InstrumentOptions:
     ifov: float = 5e-6
     line_period: float = 5e-4
     lines: int = 1500
-    columns: int = 400
+    columns: int = 640
     detectors: tuple[DetectorOptions, ...] = _COLOURS
     pairs: tuple[tuple[str, str], ...] = ()
     coherence: float = 0.97
