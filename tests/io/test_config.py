@@ -145,3 +145,17 @@ def test_choices_of_matching_are_those_of_the_recovery(folder):
     options = RecoverOptions(**load_acquisition(folder.write()).matching)
     assert (options.window, options.step, options.search_px) == ((6, 80), 3, (20, 12))
     assert options.first_window == RecoverOptions().first_window
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ('select = "best"', "'all', 'textured', 'spread' or 'listed'"),
+        ("points = 50", 'points is for select = "spread"'),
+        ('select = "listed"', "needs features = a CSV file"),
+        ('similarity = "mutual"', "'whitened', 'radiometric' or 'gradient'"),
+        ('weighting = "score"', "'covariance' or 'none'"),
+    ],
+)
+def test_choices_of_matching_that_do_not_fit_are_refused(folder, text, words):
+    assert words in message(folder.add(f"[matching]\n{text}\n"))

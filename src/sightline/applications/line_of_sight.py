@@ -24,7 +24,8 @@ from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.matching.match_images import match_images
-from sightline.matching.matches import KEPT, OUTLIER, OUTSIDE, STATUS_NAMES
+from sightline.matching.matches import KEPT, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
+from sightline.matching.select import Selection
 from sightline.motion.band import Band
 from sightline.motion.common_view import Views, common_views
 from sightline.motion.consensus import ground_weights
@@ -59,7 +60,14 @@ from sightline.motion.pair_order import best_first, pair_correlations
 from sightline.motion.predict import MovingCamera, StaticParameter, predict_match
 from sightline.motion.relief import hub_delay, relief_length, relief_matters, row_processes
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
-from sightline.motion.stars import MatchingPlan, StarRecord, hub_windows, match_star
+from sightline.motion.stars import (
+    SIMILARITIES,
+    WEIGHTINGS,
+    MatchingPlan,
+    StarRecord,
+    hub_windows,
+    match_star,
+)
 from sightline.motion.statics import apply_statics, band_statics
 from sightline.motion.viewing_axes import (
     in_axes,
@@ -128,6 +136,12 @@ class RecoverOptions:
     hybridise : str
         How pairs begin: ``"global"``, all at once; ``"iterative"``, the best correlated one, whose motion
         then predicts where to match the next image, and so on (S1, claim 10). Later passes take all.
+    selection : Selection
+        Which windows are matched (S1, claim 3).
+    similarity : str
+        What is compared: ``"whitened"`` images, ``"radiometric"``: as they are, ``"gradient"``: their edges.
+    weighting : str
+        ``"covariance"``: each match counts for what it knows; ``"none"``: all alike, for comparison.
     pairs : tuple of (str, str)
         Names of the pairs of bands that are matched; empty: every pair that shares ground.
     """
@@ -141,6 +155,9 @@ class RecoverOptions:
     draft_blocks: int = 10
     tolerance: float = 0.2
     hybridise: str = "global"
+    selection: Selection = field(default_factory=Selection)
+    similarity: str = "whitened"
+    weighting: str = "covariance"
     pairs: tuple[tuple[str, str], ...] = ()
 
     def __post_init__(self) -> None:
@@ -150,6 +167,12 @@ class RecoverOptions:
                 f"`hybridise` is {self.hybridise!r}; allowed are {', '.join(HYBRIDISE)}: all pairs at once, "
                 "or one after the other"
             )
+        for name, given, allowed in (
+            ("similarity", self.similarity, SIMILARITIES),
+            ("weighting", self.weighting, WEIGHTINGS),
+        ):
+            if given not in allowed:
+                raise InputError(f"`{name}` is {given!r}; allowed are {', '.join(allowed)}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,8 +205,15 @@ class _Strip:
     ) -> MatchingPlan:
         """How a pass matches; drafts of wide strips thin the windows and the tiles of their whitening."""
         if self.draft:
-            return MatchingPlan(window, step, search, options.draft_blocks, DRAFT_TILES)
-        return MatchingPlan(window, step, search)
+            plan = MatchingPlan(window, step, search, options.draft_blocks, DRAFT_TILES)
+        else:
+            plan = MatchingPlan(window, step, search)
+        return replace(
+            plan,
+            selection=options.selection,
+            similarity=options.similarity,
+            weighting=options.weighting,
+        )
 
     @property
     def scale(self) -> Array:
@@ -426,7 +456,7 @@ def _first_pass(strip: _Strip, options: RecoverOptions, height_sigma: float, tel
     nodes = _initial_attitude(strip, statics)
     plan = strip.plan(options, options.first_window, 2 * options.first_window[0], options.search_px)
     records = tuple(_with_floor(r) for r in _match(strip, nodes, statics, plan))
-    tried = sum(r.star.present.size for r in records)
+    tried = sum(int((r.status != NOT_CHOSEN).sum()) for r in records)
     kept = sum(int(r.star.present.sum()) for r in records)
     if kept < max(20, MIN_KEPT_SHARE * tried):
         backwards = _backwards(strip, options)
@@ -769,7 +799,8 @@ def _spanned_field(strip: _Strip, records: Sequence[StarRecord]) -> float:
 def _lost_windows(records: Sequence[StarRecord]) -> str:
     """What to say where most windows of the largest star that lay on both images were lost; "" if not so."""
     largest = max(records, key=lambda record: record.status.size)
-    tried, kept = largest.status != OUTSIDE, largest.star.present
+    tried = (largest.status != OUTSIDE) & (largest.status != NOT_CHOSEN)
+    kept = largest.star.present
     if not tried.any() or kept.sum() >= ENOUGH_KEPT * tried.sum():
         return ""
     # matched, but thrown out for what it said

@@ -15,7 +15,7 @@ from sightline.estimation.prior import Spectrum
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
-from sightline.matching.matches import MASKED, OUTSIDE, STATUS_NAMES
+from sightline.matching.matches import MASKED, NOT_CHOSEN, OUTSIDE, STATUS_NAMES
 from sightline.motion.fusion import SensorUse
 from sightline.motion.stars import END, StarRecord
 
@@ -196,7 +196,7 @@ def _pair(record: StarRecord, before: Array, after: Array, k: int, images: tuple
     star = record.star
     kept = star.present[:, k]
     status = record.status[:, k]
-    inside = status != STATUS_NAMES.index("outside")
+    inside = (status != OUTSIDE) & (status != NOT_CHOSEN)
     rejected = {
         name: int((status == code).sum())
         for code, name in enumerate(STATUS_NAMES)

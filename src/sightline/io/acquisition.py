@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,6 +34,7 @@ from sightline.io.model_bands import build_model_bands
 from sightline.io.platform import to_world
 from sightline.io.spin import spin_of
 from sightline.io.strips import attitude_sigma, chip_knowledge
+from sightline.matching.select import Selection
 from sightline.motion.hyper import KnownContent
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
 
@@ -99,7 +101,7 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
         control_points=read_control(config, files, names),
         known_motion=read_known_motion(config, files),
         lens=lens_knowledge(config, frames[0].image.shape if frames else None),
-        matching=config.matching.model_dump(exclude_none=True),
+        matching=read_matching(config, files, names),
         platform=config.platform.kind,
         world=world_kind(config),
         spin=spin_of(config),
@@ -139,6 +141,24 @@ def read_known_motion(config: AcquisitionFile, files: InputFolder) -> KnownConte
     f, density = tables.read_psd(files(section.psd))
     spectra = [Spectrum((TabulatedPsd(tuple(f.tolist()), tuple(column.tolist())),)) for column in density.T]
     return KnownContent((), (spectra[0], spectra[1], spectra[2]))
+
+
+def read_matching(config: AcquisitionFile, files: InputFolder, names: Sequence[str]) -> dict[str, Any]:
+    """What ``[matching]`` gives, by the names of ``RecoverOptions``; the selection as one of them."""
+    given = config.matching.model_dump(exclude_none=True)
+    chosen = {key: given.pop(key) for key in ("select", "strength", "points", "features") if key in given}
+    if "select" not in chosen:
+        return given
+    options: dict[str, Any] = {"way": chosen.pop("select")}
+    if "features" in chosen:
+        path = files(chosen.pop("features"))
+        images, pixels = tables.read_features(path)
+        unknown = [name for name in images if name not in names]
+        if unknown:
+            raise FormatError(f"{path}: image {unknown[0]!r} is none of: {', '.join(names)}")
+        numbers = np.array([names.index(name) for name in images])
+        options["features"] = {int(k): pixels[numbers == k] for k in np.unique(numbers)}
+    return {**given, "selection": Selection(**options, **chosen)}
 
 
 def read_control(config: AcquisitionFile, files: InputFolder, names: Sequence[str]) -> ControlPoints | None:

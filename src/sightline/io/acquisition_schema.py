@@ -401,6 +401,10 @@ class KnownMotionSection(Section):
         return self
 
 
+#: Keys of ``[matching]`` that say nothing about frames.
+BANDS_ONLY = frozenset(
+    {"hybridise", "pairs", "select", "strength", "points", "features", "similarity", "weighting"}
+)
 WindowSize = tuple[Annotated[int, Field(ge=3)], Annotated[int, Field(ge=3)]]
 
 
@@ -425,9 +429,37 @@ class MatchingSection(Section):
     hybridise: Literal["global", "iterative"] | None = Field(
         default=None, description="Pairs of bands all at once, or one after the other, best correlated first"
     )
+    select: Literal["all", "textured", "spread", "listed"] | None = Field(
+        default=None,
+        description="Which windows are matched: all; those with texture in two directions; the strongest, "
+        "well spread; those that hold a listed feature",
+    )
+    strength: Positive | None = Field(
+        default=None,
+        description="select = textured: least texture, in units of the image's median (default 1)",
+    )
+    points: Annotated[int, Field(ge=1)] | None = Field(
+        default=None, description="select = spread: at most so many windows of an image (default 2000)"
+    )
+    features: str | None = Field(default=None, description="select = listed: CSV image,line,column")
+    similarity: Literal["whitened", "radiometric", "gradient"] | None = Field(
+        default=None, description="What is compared: whitened images, images as they are, or their edges"
+    )
+    weighting: Literal["covariance", "none"] | None = Field(
+        default=None, description="Whether a match counts for what it knows, or all alike (for comparison)"
+    )
     pairs: Annotated[tuple[tuple[str, str], ...], Field(min_length=1)] | None = Field(
         default=None, description="[[a, b], ...], names of the pairs of bands that are matched; default: all"
     )
+
+    @model_validator(mode="after")
+    def _choices_fit(self) -> MatchingSection:
+        for key, way in (("strength", "textured"), ("points", "spread"), ("features", "listed")):
+            if getattr(self, key) is not None and self.select != way:
+                raise ValueError(f'{key} is for select = "{way}"; add it, or remove {key}')
+        if self.select == "listed" and self.features is None:
+            raise ValueError('select = "listed" needs features = a CSV file image,line,column')
+        return self
 
 
 class AcquisitionFile(Section):
@@ -452,6 +484,9 @@ class AcquisitionFile(Section):
         lens = sorted(self.camera.model_fields_set - {"mount", "body_from_camera"})
         if self.band and lens:
             raise ValueError(f"[camera] {lens[0]} describes frames, but [[band]] is given; remove it")
+        ignored = sorted(self.matching.model_fields_set & BANDS_ONLY)
+        if self.frame and ignored:
+            raise ValueError(f"[matching] {ignored[0]} is for [[band]], but [[frame]] is given; remove it")
         if self.frame and self.known_motion.model_fields_set:
             raise ValueError("[known_motion] is of lines of a strip, but [[frame]] is given; remove it")
         line = sorted(self.instrument.model_fields_set)

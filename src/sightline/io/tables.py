@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 POSITIONS = ("t", "x", "y", "z")
 ATTITUDES = ("t", "qx", "qy", "qz", "qw")
 STAR_TRACKER = ("t", "roll", "pitch", "yaw", "sigma")
+FEATURES = ("image", "line", "column")
 PSD = ("f", "roll", "pitch", "yaw")
 GYRO = ("t_start", "t_end", "roll", "pitch", "yaw", "sigma")
 CONTROL_POINTS = ("x", "y", "z", "sigma", "image", "line", "column")
@@ -254,6 +255,14 @@ def read_control_points(path: Path) -> tuple[Array, Array, list[str], Array]:
     table = read_columns(path, CONTROL_POINTS, text=("image",))
     names = [str(name) for name in table["image"]]
     return _matrix(table, "xyz"), _sigma(path, table), names, _matrix(table, ("line", "column"))
+
+
+def read_features(path: Path) -> tuple[list[str], Array]:
+    """``image,line,column``: image names and pixels (N, 2) of known features."""
+    table = read_columns(path, FEATURES, text=("image",))
+    if not len(table["line"]):
+        raise FormatError(f"{path}: no feature; list at least one image,line,column")
+    return [str(name) for name in table["image"]], _matrix(table, ("line", "column"))
 
 
 def read_psd(path: Path) -> tuple[Array, Array]:

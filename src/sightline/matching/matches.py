@@ -22,9 +22,11 @@ SATURATED = 4
 NO_CONVERGENCE = 5
 LOW_SCORE = 6
 OUTLIER = 7
+NOT_CHOSEN = 8
 
 STATUS_NAMES = (
     "kept", "outside", "masked", "textureless", "saturated", "no convergence", "low score", "outlier",
+    "not chosen",
 )  # fmt: skip
 """Plain words of the status codes, in the order of the codes."""
 

@@ -15,7 +15,7 @@ from sightline.imaging.resample import delay_weights, kernel_table
 from sightline.imaging.source import ImageSource, read_padded
 from sightline.matching import kernels
 
-__all__ = ["Whitening", "estimate_whitening"]
+__all__ = ["Whitening", "estimate_whitening", "gradient_filter"]
 
 _QUADRANT = (7, 7)
 _GRID = 64
@@ -88,6 +88,16 @@ class Whitening:
         cy = twice * np.cos(2 * np.pi * fy[:, :1] * k)
         cx = twice * np.cos(2 * np.pi * fx[0][:, None] * k)
         return np.asarray(cy @ taps.astype(np.float64) @ cx.T)
+
+
+def gradient_filter(corner: float = 0.18) -> Whitening:
+    """A fixed filter that compares edges: the size of the gradient, |f|, below a Gaussian corner (cycles/px).
+
+    A texture of power f^-2 becomes white; differences of brightness over an area do not count.
+    """
+    fy, fx = _frequencies()
+    f = np.hypot(fy, fx)
+    return Whitening.from_response(f * np.exp(-0.5 * (f / corner) ** 2))
 
 
 def _frequencies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:

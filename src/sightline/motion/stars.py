@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,9 @@ from sightline.geometry.surface import Dem, Surface
 from sightline.imaging.source import ImageSource
 from sightline.imaging.warp import WarpedImage
 from sightline.matching.match_images import match_images
-from sightline.matching.matches import KEPT, MASKED, OUTLIER, OUTSIDE
-from sightline.matching.whitening import Whitening, estimate_whitening
+from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE
+from sightline.matching.select import Selection, chosen_windows
+from sightline.matching.whitening import Whitening, estimate_whitening, gradient_filter
 from sightline.motion.common_view import Views, common_views, partners_of, usable
 from sightline.motion.observations import Star, shared_image_correlation
 from sightline.motion.predict import MovingCamera, StaticParameter
@@ -55,6 +56,11 @@ NARROW_BLOCKS, LEAST_WIDTH = 4, 16
 TILE_MARGIN = 12
 #: Lines of such a tile, and its fewest columns.
 TILE_LINES = 16
+#: What may be compared, and how matches may count.
+SIMILARITIES = ("whitened", "radiometric", "gradient")
+WEIGHTINGS = ("covariance", "none")
+#: The filter of similarity "gradient".
+GRADIENT = gradient_filter()
 #: Windows enough to learn whitening from; a star of fewer looks all over its image instead.
 ENOUGH = 100
 
@@ -75,6 +81,12 @@ class MatchingPlan:
         At most so many windows per row; 0 lays them side by side.
     tiles : int
         At most so many tiles of each pair teach its whitening.
+    selection : Selection
+        Which windows are matched.
+    similarity : str
+        One of SIMILARITIES: what is compared.
+    weighting : str
+        One of WEIGHTINGS: how matches count.
     """
 
     window: tuple[int, int]
@@ -82,6 +94,9 @@ class MatchingPlan:
     search_px: tuple[int, int] = (0, 0)
     most_blocks: int = 0
     tiles: int = TILES
+    selection: Selection = field(default_factory=Selection)
+    similarity: str = "whitened"
+    weighting: str = "covariance"
 
     def grid(self, shape: tuple[int, int], columns: tuple[int, int] | None = None) -> WindowGrid:
         """The windows of this plan on an image of `shape` (lines, columns).
@@ -213,6 +228,7 @@ def match_star(
     predicted = predict_windows(cameras, hub, partners, surface, grid)
     g, k = len(grid.centres), len(partners)
     wrong = found_wrong(before, hub, grid, k)
+    chosen = chosen_windows(images[hub], hub, grid.centres, grid.window, plan.selection)
     residual = np.full((g, k, 2), np.nan)
     covariance = np.tile(np.eye(2), (g, k, 1, 1))
     status = np.ones((g, k), dtype=np.uint8)
@@ -222,6 +238,8 @@ def match_star(
     laid = [laid_on(images, cameras, surface, hub, partner) for partner in partners]
 
     def whitening(j: int) -> Whitening | None:
+        if plan.similarity != "whitened":
+            return GRADIENT if plan.similarity == "gradient" else None
         if grid.narrow(images[hub].shape[1]):
             return _narrow_whitening(images[hub], laid[j], grid, plan)
         points = _learning(grid.centres[seen[j] & ~wrong[:, j]], images[hub], plan)
@@ -234,7 +252,7 @@ def match_star(
     values = np.stack(in_threads(sensitivity, range(k)), axis=1)
     # one pair after the other: its blocks are matched on threads, and only so many are held at a time
     for j, partner in enumerate(partners):
-        points = np.where((seen[j] & ~wrong[:, j])[:, None], grid.centres, np.nan)
+        points = np.where((seen[j] & ~wrong[:, j] & chosen)[:, None], grid.centres, np.nan)
         matches = match_images(
             images[hub],
             laid[j],
@@ -250,6 +268,9 @@ def match_star(
         covariance[good, j] = turn @ matches.covariance_px[good] @ np.swapaxes(turn, 1, 2)
         beyond = ~_within(predicted[j].b, images[partner].shape, grid.window)
         status[:, j] = np.where(beyond & (matches.status == MASKED), OUTSIDE, matches.status)
+        status[seen[j] & ~chosen, j] = NOT_CHOSEN
+        if plan.weighting == "none" and good.any():
+            covariance[good, j] = 0.5 * np.einsum("nii->n", covariance[good, j]).mean() * np.eye(2)
         score[:, j] = matches.score
     camera = cameras[hub]
     star = Star(

@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 #: One colour per status code of a match, in the order of ``STATUS_NAMES``.
 STATUS_COLOURS = (
     "#7fa8cc", "#f3f4f6", "#b8bec5", "#e3b34c", "#8f5aa8", "#c1502e", "#e08a64", "#7a1f1f",
+    "#dfe3e8",
 )  # fmt: skip
 _HOVER = "line %{x:.0f}, column %{y:.0f}: "
 COMPONENTS = ("along (lines)", "across (columns)")
