@@ -22,6 +22,11 @@ def scene():
     return ArrayImage(image), grid_points(SHAPE, window=WINDOW)
 
 
+def within(centres):
+    """Windows with texture that do not touch the border, where no gradient can be taken."""
+    return (centres[:, 0] > 45) & (centres[:, 0] < 190) & (centres[:, 1] > 30) & (centres[:, 1] < 370)
+
+
 def take(scene, **options):
     image, centres = scene
     return centres, chosen_windows(image, 0, centres, WINDOW, Selection(**options))
@@ -34,23 +39,24 @@ def test_by_default_every_window_is_taken(scene):
 
 def test_textured_takes_what_reaches_the_median_and_never_what_has_none(scene):
     centres, chosen = take(scene, way="textured")
-    assert not chosen[centres[:, 0] < 40].any()
-    right = centres[:, 1] > 200
-    # half of the windows with texture are ten times stronger: the median lies between the halves
-    assert chosen[right & (centres[:, 0] > 45)].all()
-    assert not chosen[~right].any()
+    # beside the border a window sees its edge
+    assert not chosen[centres[:, 0] < 30].any()
+    left, right = centres[:, 1] < 150, centres[:, 1] > 200
+    # of the windows with texture half are ten times stronger: the median is that of a weak one of these
+    assert chosen[right & within(centres)].mean() > 0.7
+    assert not chosen[left].any()
 
 
 def test_a_lower_strength_takes_the_weak_half_too(scene):
     centres, chosen = take(scene, way="textured", strength=1e-3)
-    assert chosen[centres[:, 0] > 45].all()
+    assert chosen[within(centres)].all()
 
 
 def test_spread_takes_so_many_over_the_whole_image(scene):
     centres, chosen = take(scene, way="spread", points=40)
     assert chosen.sum() == 40
-    # as many from the weak half as from the strong one: spread comes first
-    assert (centres[chosen, 1] < 200).sum() == 20
+    # 3 x 6 cells give two windows each, weak or strong; the last four go to the strongest
+    assert (centres[chosen, 1] < 200).sum() >= 16
 
 
 def test_listed_takes_the_windows_that_hold_a_feature(scene):
@@ -71,6 +77,5 @@ def test_what_cannot_be_chosen_is_refused(options, words):
 
 def test_the_gradient_filter_is_blind_to_brightness_and_grows_with_frequency():
     response = np.abs(gradient_filter().response())
-    # 13 taps and a soft cut of the ideal |f|: a tenth of its crest is left at frequency zero at most
-    assert response[0, 0] < 0.1 * response.max()
+    assert response[0, 0] < 1e-6 * response.max()
     assert response[2, 0] < response[5, 0] < response[10, 0]

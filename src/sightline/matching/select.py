@@ -19,8 +19,8 @@ __all__ = ["Selection", "chosen_windows", "grid_points", "select_points", "sprea
 
 #: Ways to choose among the windows of a grid (S1, claim 3).
 WAYS = ("all", "textured", "spread", "listed")
-#: Cells along lines and columns over which a well spread subset is dealt out.
-SPREAD_CELLS = (64, 8)
+#: Most cells across the field over which a well spread subset is dealt out.
+CELLS_ACROSS = 8
 
 _STRIP_PIXELS = 4_000_000
 
@@ -262,7 +262,10 @@ def chosen_windows(
         return np.asarray(usable & (strength >= selection.strength * middle))
     strength[~usable] = np.nan
     chosen = np.zeros(len(centres), dtype=bool)
-    chosen[spread_subset(centres, strength, selection.points, SPREAD_CELLS)] = True
+    # two windows of a cell at least: else the strongest cells would take all
+    across = max(min(CELLS_ACROSS, int(np.sqrt(selection.points))), 1)
+    cells = (max(selection.points // (2 * across), 1), across)
+    chosen[spread_subset(centres, strength, selection.points, cells)] = True
     return chosen
 
 

@@ -97,7 +97,12 @@ def gradient_filter(corner: float = 0.18) -> Whitening:
     """
     fy, fx = _frequencies()
     f = np.hypot(fy, fx)
-    return Whitening.from_response(f * np.exp(-0.5 * (f / corner) ** 2))
+    taps = _taps(f * np.exp(-0.5 * (f / corner) ** 2))
+    # what cutting the filter to 13 taps left of brightness is taken out again, smoothly
+    smooth = np.outer(*[np.cos(0.5 * np.pi * np.arange(7) / 7.5)] * 2)
+    twice = np.where(np.arange(7) == 0, 1.0, 2.0)
+    taps = taps - smooth * (twice @ taps @ twice) / (twice @ smooth @ twice)
+    return Whitening(np.asarray(taps, dtype=np.float32), np.asarray(taps, dtype=np.float32))
 
 
 def _frequencies() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
