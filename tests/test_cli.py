@@ -136,10 +136,12 @@ def test_version_and_schema_print_on_stdout(capsys):
 @pytest.mark.parametrize("name", ["lines", "columns"])
 def test_the_help_of_simulate_states_the_size_of_every_case(name):
     from sightline.cli import simulate
+    from sightline.simulate.instruments import InstrumentOptions
     from sightline.simulate.strip_options import CASE_OPTIONS, StripOptions
 
     usual = getattr(StripOptions(), name)
     other = [f"; {case}: {given[name]}" for case, given in CASE_OPTIONS.items() if name in given]
+    other.append(f"; instruments: {getattr(InstrumentOptions(), name)}")
     assert getattr(simulate, f"_{name.upper()}") == f"{usual}{''.join(other)}"
 
 

@@ -107,8 +107,8 @@ _MODULE_OF = {
     "predict_match": "sightline.motion.predict",
     "recover_frame_attitude": "sightline.applications.frame_attitude",
     "recover_line_of_sight": "sightline.applications.line_of_sight",
-    "register_bands": "sightline.applications.registration",
     "recover_spin_attitude": "sightline.applications.spin_attitude",
+    "register_bands": "sightline.applications.registration",
     "score_motion": "sightline.evaluation.score",
 }
 

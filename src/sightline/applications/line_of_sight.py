@@ -516,6 +516,8 @@ def _sensor_rows(
 
 def _counts(records: Sequence[StarRecord]) -> str:
     """How many windows ended how, the most frequent first: ``"150 low score, 90 outside"``."""
+    if not records:
+        return "no two of them see the same ground"
     numbers = np.bincount(np.concatenate([r.status.ravel() for r in records]), minlength=len(STATUS_NAMES))
     order = np.argsort(-numbers, kind="stable")
     return ", ".join(f"{numbers[code]} {STATUS_NAMES[code]}" for code in order if numbers[code])

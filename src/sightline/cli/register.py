@@ -102,8 +102,8 @@ def register_into(
         return register_frames(folder, acquired, motion)
     if not acquired.bands:
         raise InputError(
-            f"{acquisition}: frames are given; `register` takes the bands of a strip, or frames of a camera "
-            'that spins ([platform] kind = "spin")'
+            f"{acquisition}: frames are given; `register` takes the bands of a strip ([[band]]), or frames "
+            'of a camera that spins ([platform] kind = "spin")'
         )
     recovered = read_recovered(motion, acquired)
     registration = register_bands(

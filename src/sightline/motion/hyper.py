@@ -33,6 +33,8 @@ Array = NDArray[np.float64]
 ORDER = 80
 #: Information (rad^-2, sigma 0.1 rad) that keeps the angles finite of a row that cannot see them all.
 WEAK = 1e2
+#: Tones of two axes nearer than this (Hz) are one mode.
+SAME_TONE = 1.5
 #: Tones that are looked for per axis.
 MOST_TONES = 8
 #: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
@@ -61,13 +63,13 @@ class PriorModel:
 
         A narrow field hardly shows that angle: its likelihood is as content with none as with a large one,
         and a spectrum of none would be certain of it. Nothing holds a body stiller about one axis than
-        another: where the drift found is the smaller, the whole spectrum of the larger of the others stands
-        in its place.
+        another: where the drift found is the smaller, every part of the spectrum of the larger of the others
+        stands in the place of a smaller one, and what the field does show stays.
         """
         across = max(self.spectra[:2], key=_slow)
         if _slow(self.spectra[2]) >= _slow(across):
             return self
-        return replace(self, spectra=(*self.spectra[:2], across))
+        return replace(self, spectra=(*self.spectra[:2], _larger_parts(self.spectra[2], across)))
 
     def scaled(self, pixel_angle: float, half_field: float) -> PriorModel:
         """The model given in px (yaw: px at the field edge) as one in rad."""
@@ -99,6 +101,23 @@ class PriorModel:
 def _slow(spectrum: Spectrum) -> float:
     """Standard deviation (rad) of the largest broad part of a spectrum: its drift."""
     return max((c.sigma for c in spectrum.components if isinstance(c, Matern)), default=0.0)
+
+
+def _larger_parts(one: Spectrum, other: Spectrum) -> Spectrum:
+    """Drift, broadband and each tone of two spectra, whichever is the larger."""
+
+    def broad(spectrum: Spectrum) -> list[Matern]:
+        return [c for c in spectrum.components if isinstance(c, Matern)]
+
+    parts = [max(pair, key=lambda part: part.sigma) for pair in zip(broad(one), broad(other), strict=False)]
+    tones = list(one.tones)
+    for tone in other.tones:
+        near = [k for k, own in enumerate(tones) if abs(own.frequency - tone.frequency) < SAME_TONE]
+        if not near:
+            tones.append(tone)
+        elif tone.sigma > tones[near[0]].sigma:
+            tones[near[0]] = tone
+    return Spectrum((*parts, *sorted(tones, key=lambda tone: tone.frequency)))
 
 
 _WIDE = Spectrum((Matern(20.0, 1.0, "5/2"), Matern(0.5, 0.01, "3/2")))

@@ -58,11 +58,11 @@ class JointPrior:
         Below 1 where the motion may jump.
     constant_sigma : (3,)
         rad; of the free constant of each axis.
-    own_precision : (S, S) or None
-        Of the constants of attitude sensors, unknowns beside the static parameters.
     apart : three SplitPrior or None
         The same processes with their drifts on a coarse grid of their own, of one ratio: for gaps longer than
         the memory of `angles`.
+    own_precision : (S, S) or None
+        Of the constants of attitude sensors, unknowns beside the static parameters.
     """
 
     angles: tuple[Autoregressive, Autoregressive, Autoregressive]
@@ -70,8 +70,8 @@ class JointPrior:
     relief: tuple[Autoregressive, Autoregressive] | None = None
     innovation_weights: Array | None = None
     constant_sigma: tuple[float, float, float] = CONSTANT_SIGMA
-    own_precision: Array | None = None
     apart: tuple[SplitPrior, SplitPrior, SplitPrior] | None = None
+    own_precision: Array | None = None
 
     @property
     def border_precision(self) -> Array:

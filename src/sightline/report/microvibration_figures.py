@@ -71,6 +71,6 @@ def smear_figure(result: LineOfSight) -> go.Figure:
             name=f"{name} (± {sigma:.2g} px)", line={"color": AXIS_COLOURS[axis], "width": 1.1},
             row=axis + 1, col=1,
         )  # fmt: skip
-        figure.update_yaxes(title_text="px per line", row=axis + 1, col=1)
+        figure.update_yaxes(title_text="motion (px per line)", row=axis + 1, col=1)
     figure.update_xaxes(title_text="time from the epoch (s)", row=3, col=1)
     return figure
