@@ -1,0 +1,104 @@
+"""How far the nominal strip is from what its pixels allow: all columns of every line, four images.
+
+    python validation/nominal_bound.py [--seeds 100 101]
+
+The bound of one line against the same line of another image is the coherence form of the Cramer-Rao bound,
+``J = N integral of (2 pi f)^2 c / (1 - c)``, c from the scene's own law (contrast, MTF, noise, coherence).
+Over all lines and four images, with the true spectrum of the motion as prior, the error that remains is
+``1 / (1 / S + J)``, integrated over frequency from one period per strip on; without ends, and without what
+free offsets hide, so that a real strip cannot do better. Seeds add the errors of recovered strips.
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from sightline.applications.line_of_sight import Band, recover_line_of_sight
+from sightline.estimation.prior import Matern, Spectrum, Tone
+from sightline.evaluation.score import score_motion
+from sightline.geometry.surface import Plane
+from sightline.imaging.source import ArrayImage
+from sightline.motion.layout_information import RowNoise
+from sightline.motion.layout_sigma import harmonic_sigma
+from sightline.simulate.scenarios import line_of_sight_case
+from sightline.simulate.scene import TextureLaw
+
+#: Steps per cycle/px of the integral over the plane of frequencies.
+STEPS = 1201
+#: px; the motion of the nominal case (tones as narrow as a strip of 1.5 s can tell).
+MOTION = Spectrum(
+    (
+        Matern(2.0, 1.0, "5/2"),
+        Matern(0.1, np.sqrt(3.0) / (2.0 * np.pi * 30.0), "3/2"),
+        *(Tone(rms, f, 0.05) for rms, f in ((0.30, 47.0), (0.15, 83.0), (0.08, 121.0))),
+    )
+)
+
+
+def line_sigma() -> tuple[float, float]:
+    """px; of one line of the nominal strip in one image, along and across, from all of its columns."""
+    options = line_of_sight_case("nominal", 0, lines=64, columns=64).options
+    columns = 1000
+    law = TextureLaw(options.contrast, (1.0, 1.0), options.mtf_nyquist)
+    f = np.linspace(-0.5, 0.5, STEPS)
+    fx, fy = np.meshgrid(f, f)
+    signal = law.psd(fx, fy)
+    noise = 1.0 / options.snr**2
+    coherence = (options.coherence * signal / (signal + noise)) ** 2
+    density = coherence / (1.0 - coherence)
+    step = (f[1] - f[0]) ** 2
+    pair = [1.0 / np.sqrt(columns * float(((2.0 * np.pi * g) ** 2 * density).sum()) * step) for g in (fy, fx)]
+    return pair[0] / np.sqrt(2.0), pair[1] / np.sqrt(2.0)
+
+
+def main() -> None:
+    """Print the bound, and how far recovered strips are from it."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", nargs="*", type=int, default=[100, 101])
+    np.seterr(all="ignore")
+    along, across = line_sigma()
+    options = line_of_sight_case("nominal", 0, lines=64, columns=64).options
+    duration = 3000 * options.line_period
+    print(f"one line of one image: {along:.4f} px along, {across:.4f} px across")
+    # yaw moves a column by its place in the field, -1 to 1: a third of the information
+    per_axis = {"roll": across, "pitch": along, "yaw": along * np.sqrt(3.0)}
+    bound = {}
+    for axis, sigma in per_axis.items():
+        noise = RowNoise((sigma,) * 4, options.line_period)
+        band = (1.0 / duration, 0.5 / options.line_period)
+        bound[axis] = harmonic_sigma(options.lags, noise, MOTION, duration, passband=band)
+    print("| strip | " + " | ".join(f"{axis} px" for axis in bound) + " |")
+    print("|---|---|---|---|")
+    print("| bound | " + " | ".join(f"{value:.4f}" for value in bound.values()) + " |")
+    for seed in parser.parse_args().seeds:
+        scenario = line_of_sight_case("nominal", seed)
+        sigmas = (options.offset_sigma_px, options.rotation_sigma)
+        bands = [
+            Band(band.name, ArrayImage(scenario.image(k)), scenario.nominal_cameras[k], *sigmas)
+            for k, band in enumerate(scenario.bands)
+        ]
+        result = recover_line_of_sight(bands, Plane(0.0))
+        truth = scenario.truth
+        score = score_motion(
+            result.motion.t,
+            result.motion.angles,
+            result.sigma,
+            truth[:, 0],
+            truth[:, 1:],
+            hidden=result.hidden,
+            ifov=result.ifov,
+            half_field_px=result.half_field / result.ifov,
+        )
+        cells = [
+            f"{axis.rms:.4f} = {axis.rms / bound[name]:.2f} x, NEES {axis.nees:.2f}"
+            for name, axis in score.axes.items()
+        ]
+        print(f"| seed {seed} | " + " | ".join(cells) + " |", flush=True)
+
+
+if __name__ == "__main__":
+    main()
