@@ -16,7 +16,7 @@ import time
 import numpy as np
 
 from sightline.applications.line_of_sight import Band, recover_line_of_sight
-from sightline.evaluation.score import score_motion
+from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Dem, Plane, Surface
 from sightline.imaging.source import ArrayImage
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case
@@ -46,17 +46,7 @@ def run(case: str, seed: int, dem: bool, verbose: bool, overrides: dict[str, int
     result = recover_line_of_sight(bands, surface, height_sigma=height_sigma, progress=tell)
     seconds = time.perf_counter() - begun
     truth = scenario.truth
-    score = score_motion(
-        result.motion.t,
-        result.motion.angles,
-        result.sigma,
-        truth[:, 0],
-        truth[:, 1:],
-        hidden=result.hidden,
-        hidden_names=result.hidden_names,
-        ifov=result.ifov,
-        half_field_px=result.half_field / result.ifov,
-    )
+    score = score_result(result, truth[:, 0], truth[:, 1:])
     label = f"{case}{'' if dem or scenario.scene.relief is None else ' no dem'}"
     for name in ("roll", "pitch", "yaw"):
         axis = getattr(score, name)

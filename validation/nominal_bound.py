@@ -17,7 +17,7 @@ import numpy as np
 
 from sightline.applications.line_of_sight import Band, recover_line_of_sight
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.evaluation.score import score_motion
+from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.layout_information import RowNoise
@@ -83,16 +83,7 @@ def main() -> None:
         ]
         result = recover_line_of_sight(bands, Plane(0.0))
         truth = scenario.truth
-        score = score_motion(
-            result.motion.t,
-            result.motion.angles,
-            result.sigma,
-            truth[:, 0],
-            truth[:, 1:],
-            hidden=result.hidden,
-            ifov=result.ifov,
-            half_field_px=result.half_field / result.ifov,
-        )
+        score = score_result(result, truth[:, 0], truth[:, 1:])
         cells = [
             f"{axis.rms:.4f} = {axis.rms / bound[name]:.2f} x, NEES {axis.nees:.2f}"
             for name, axis in score.axes.items()

@@ -13,7 +13,7 @@ import argparse
 import numpy as np
 
 from sightline.applications.line_of_sight import Band, RecoverOptions, recover_line_of_sight
-from sightline.evaluation.score import score_motion
+from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.matching.select import Selection
@@ -66,16 +66,7 @@ def main() -> None:
         for name, options in choices(scenario).items():
             result = recover_line_of_sight(bands, Plane(0.0), options=options)
             truth = scenario.truth
-            score = score_motion(
-                result.motion.t,
-                result.motion.angles,
-                result.sigma,
-                truth[:, 0],
-                truth[:, 1:],
-                hidden=result.hidden,
-                ifov=result.ifov,
-                half_field_px=result.half_field / result.ifov,
-            )
+            score = score_result(result, truth[:, 0], truth[:, 1:])
             axes = " | ".join(f"{axis.rms:.4f} ({axis.nees:.2f})" for axis in score.axes.values())
             print(f"| {name} | {seed} | {axes} | {sum(p.kept for p in result.pairs)} |", flush=True)
 

@@ -66,13 +66,6 @@ class Microvibration:
     above: dict[str, tuple[float, float]]
     smear: Smear
 
-    def varies(self, tone: DetectedTone) -> bool | None:
-        """Whether a tone swells or fades along the strip; None where that cannot be told."""
-        for history in self.histories:
-            if history.tone is tone:
-                return history.steady_chance < STEADY
-        return None
-
 
 def microvibration(
     result: LineOfSight, tones: tuple[DetectedTone, ...], passbands: dict[str, list[tuple[float, float]]]
@@ -118,9 +111,13 @@ def line_smear(result: LineOfSight) -> Smear:
     Half the change between the lines before and after. Its error is that of the motion through the filter
     ``sin(2 pi f Te)`` of this difference, summed over the error's spectrum.
     """
-    angles = result.motion.angles / result.scale
     period = float(np.median(np.diff(result.motion.t)))
     f = np.linspace(0.0, 0.5 / period, FREQUENCIES)[1:]
     error = error_psd(result, f) * np.sin(2.0 * np.pi * f * period)[:, None] ** 2
     sigma = np.sqrt(np.trapezoid(error, f, axis=0)) / result.scale
-    return Smear(np.gradient(angles, axis=0), sigma)
+    return Smear(smear_px(result), sigma)
+
+
+def smear_px(result: LineOfSight) -> Array:
+    """(N, 3) px that the image moves during each line: half the change between its neighbours."""
+    return np.asarray(np.gradient(result.motion.angles / result.scale, axis=0))

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,6 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from sightline.errors import InputError, SpanError
 from sightline.geometry.checks import as_points, as_times, same_length
 from sightline.geometry.trajectory import Motion
+
+if TYPE_CHECKING:  # reading a folder's score needs none of what made it
+    from sightline.applications.results import LineOfSight
 
 Array = NDArray[np.float64]
 
@@ -166,6 +169,22 @@ def score_motion(
         tied = [x for x in range(3) if np.isfinite(whole[:, x]).all()]
         absolute = {AXES[x]: _score_axis(raw[:, x], whole[:, x], *units[x]) for x in tied}
     return Score(scored[0], scored[1], scored[2], len(times), names, absolute)
+
+
+def score_result(result: LineOfSight, truth_t: ArrayLike, truth_angles: ArrayLike) -> Score:
+    """Score of a recovery as it stands in memory; truth as of `score_motion`."""
+    return score_motion(
+        result.motion.t,
+        result.motion.angles,
+        result.sigma,
+        truth_t,
+        truth_angles,
+        hidden=result.hidden,
+        hidden_names=result.hidden_names,
+        absolute_sigma=result.absolute_sigma,
+        ifov=result.ifov,
+        half_field_px=result.half_field / result.ifov,
+    )
 
 
 def remove_directions(values: Array, directions: Array) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-__all__ = ["PHASES", "TAPS", "delay_weights", "kernel_table", "sample"]
+__all__ = ["PHASES", "TAPS", "delay_weights", "kernel_table", "sample", "weights_of_sum_one"]
 
 TAPS = 8
 """Taps of the kernel along each axis; the sample lies between taps 3 and 4."""
@@ -53,7 +53,12 @@ def delay_weights(
     k = np.arange(taps, dtype=np.float64) - (taps // 2 - 1)
     normal = 2 * band * np.sinc(2 * band * (k[:, None] - k[None, :]))
     right = 2 * band * np.sinc(2 * band * (k[:, None] - np.asarray(fractions, dtype=np.float64)[None, :]))
-    inverse = np.linalg.inv(normal + 1e-9 * np.eye(taps))
+    return weights_of_sum_one(normal + 1e-9 * np.eye(taps), right)
+
+
+def weights_of_sum_one(normal: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Least-squares weights (N, taps) of sum 1 for a normal matrix (taps, taps) and right sides (taps, N)."""
+    inverse = np.linalg.inv(normal)
     free = inverse @ right
     ones = inverse.sum(axis=1)
     return np.ascontiguousarray((free + np.outer(ones / ones.sum(), 1.0 - free.sum(axis=0))).T)

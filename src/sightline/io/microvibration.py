@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from sightline.applications.results import LineOfSight
-from sightline.evaluation.microvibration import line_smear, microvibration
+from sightline.evaluation.microvibration import microvibration, smear_px
 from sightline.io.tables import ANGLES, write_columns
 from sightline.motion.observability import Passbands
 from sightline.motion.tones import DetectedTone
@@ -74,10 +74,18 @@ def microvibration_summary(
     }
 
 
-def write_smear(path: Path, result: LineOfSight) -> None:
-    """``smear.csv``: px that the image moves during each line, beside the nominal scan."""
-    smear = line_smear(result)
-    columns = {"t": result.motion.t, **{axis: smear.px[:, k] for k, axis in enumerate(ANGLES)}}
-    for k, axis in enumerate(ANGLES):
-        columns[f"sigma_{axis}"] = np.full(len(smear.px), smear.sigma_px[k])
+def write_smear(path: Path, result: LineOfSight, found: Mapping[str, Any]) -> None:
+    """``smear.csv``: px that the image moves during each line, beside the nominal scan.
+
+    Parameters
+    ----------
+    path : Path
+    result : LineOfSight
+    found : mapping
+        As `microvibration_summary` gives it.
+    """
+    px = smear_px(result)
+    columns = {"t": result.motion.t, **{axis: px[:, k] for k, axis in enumerate(ANGLES)}}
+    for axis in ANGLES:
+        columns[f"sigma_{axis}"] = np.full(len(px), found["smear_px"][axis]["sigma"])
     write_columns(path, columns)

@@ -91,7 +91,7 @@ def write_result(
         summary["hidden_directions"] = write_hidden(folder, motion.t, result.hidden, result.hidden_names)
     _write_spectrum(folder / "spectrum.csv", result, summary["passbands"])
     if _is_strip(acquisition):
-        write_smear(folder / "smear.csv", result)
+        write_smear(folder / "smear.csv", result, summary["microvibration"])
     if result.band is not None:
         _write_covariance(folder / "covariance.npz", result)
     write_json(folder / "summary.json", summary)

@@ -15,6 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sightline.imaging.resample import weights_of_sum_one
+
 __all__ = ["BEFORE", "TAPS", "delay_weights", "kernel_table", "resample_rows"]
 
 Array = NDArray[np.float64]
@@ -73,10 +75,9 @@ def delay_weights(fractions: Array, taps: int = TAPS, band: float = BAND) -> Arr
     def correlation(lag: Array) -> Array:
         return np.asarray(np.cos(2.0 * np.pi * lag[..., None] * f) @ power)
 
-    inverse = np.linalg.inv(correlation(k[:, None] - k[None, :]) + 1e-13 * np.eye(taps))
-    free = inverse @ correlation(k[:, None] - np.asarray(fractions, dtype=np.float64)[None, :])
-    ones = inverse.sum(axis=1)
-    return np.ascontiguousarray((free + np.outer(ones / ones.sum(), 1.0 - free.sum(axis=0))).T)
+    normal = correlation(k[:, None] - k[None, :]) + 1e-13 * np.eye(taps)
+    right = correlation(k[:, None] - np.asarray(fractions, dtype=np.float64)[None, :])
+    return weights_of_sum_one(normal, right)
 
 
 @cache

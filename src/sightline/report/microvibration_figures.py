@@ -13,7 +13,7 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight
-from sightline.evaluation.microvibration import STEADY, line_smear
+from sightline.evaluation.microvibration import STEADY, smear_px
 from sightline.report.reduce import envelope_rows
 from sightline.report.style import AXES, AXIS_COLOURS, AXIS_UNITS, faint, panels
 
@@ -57,15 +57,22 @@ def tone_figure(found: Mapping[str, Any]) -> go.Figure | None:
     return figure
 
 
-def smear_figure(result: LineOfSight) -> go.Figure:
-    """Motion of the image during each line: across (roll), along (pitch), and what yaw adds at the edge."""
-    smear = line_smear(result)
+def smear_figure(result: LineOfSight, found: Mapping[str, Any]) -> go.Figure:
+    """Motion of the image during each line: across (roll), along (pitch), and what yaw adds at the edge.
+
+    Parameters
+    ----------
+    result : LineOfSight
+    found : mapping
+        ``microvibration`` of ``summary.json``.
+    """
+    smear = smear_px(result)
     figure = panels(3, 560, shared_xaxes=True)
     names = ("across, by roll", "along, by pitch", "along at the field's edge, by yaw")
     for axis, name in enumerate(names):
-        values = smear.px[:, axis]
+        values = smear[:, axis]
         rows = envelope_rows(values)
-        sigma = float(smear.sigma_px[axis])
+        sigma = found["smear_px"][AXES[axis]]["sigma"]
         figure.add_scatter(
             x=result.motion.t[rows], y=values[rows], mode="lines",
             name=f"{name} (± {sigma:.2g} px)", line={"color": AXIS_COLOURS[axis], "width": 1.1},

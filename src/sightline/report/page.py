@@ -192,7 +192,7 @@ def _microvibration_sections(result: LineOfSight, summary: Mapping[str, Any]) ->
         f"half a cycle per pixel by {smear['roll']['mtf_at_nyquist']:.4f} across and "
         f"{smear['pitch']['mtf_at_nyquist']:.4f} along, on average over the lines."
     )
-    smeared = microvibration_figures.smear_figure(result)
+    smeared = microvibration_figures.smear_figure(result, found)
     out.append(Section("smear", "Smear of each line", caption, smeared))
     return out
 
