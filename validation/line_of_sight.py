@@ -15,10 +15,9 @@ import time
 
 import numpy as np
 
-from sightline.applications.line_of_sight import Band, recover_line_of_sight
+from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Dem, Plane, Surface
-from sightline.imaging.source import ArrayImage
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case
 
 
@@ -36,11 +35,7 @@ def run(case: str, seed: int, dem: bool, verbose: bool, overrides: dict[str, int
     """Render, recover, score and print one strip."""
     scenario = line_of_sight_case(case, seed, **overrides)
     surface, height_sigma = surface_of(scenario, dem)
-    sigma = (scenario.options.offset_sigma_px, scenario.options.rotation_sigma)
-    bands = [
-        Band(band.name, ArrayImage(scenario.image(k)), scenario.nominal_cameras[k], *sigma)
-        for k, band in enumerate(scenario.bands)
-    ]
+    bands = scenario.as_told()
     begun = time.perf_counter()
     tell = (lambda text: print("   ", text, flush=True)) if verbose else None
     result = recover_line_of_sight(bands, surface, height_sigma=height_sigma, progress=tell)

@@ -15,11 +15,10 @@ import argparse
 
 import numpy as np
 
-from sightline.applications.line_of_sight import Band, recover_line_of_sight
+from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Plane
-from sightline.imaging.source import ArrayImage
 from sightline.motion.layout_information import RowNoise
 from sightline.motion.layout_sigma import harmonic_sigma
 from sightline.simulate.scenarios import line_of_sight_case
@@ -76,12 +75,7 @@ def main() -> None:
     print("| bound | " + " | ".join(f"{value:.4f}" for value in bound.values()) + " |")
     for seed in parser.parse_args().seeds:
         scenario = line_of_sight_case("nominal", seed)
-        sigmas = (options.offset_sigma_px, options.rotation_sigma)
-        bands = [
-            Band(band.name, ArrayImage(scenario.image(k)), scenario.nominal_cameras[k], *sigmas)
-            for k, band in enumerate(scenario.bands)
-        ]
-        result = recover_line_of_sight(bands, Plane(0.0))
+        result = recover_line_of_sight(scenario.as_told(), Plane(0.0))
         truth = scenario.truth
         score = score_result(result, truth[:, 0], truth[:, 1:])
         cells = [

@@ -12,10 +12,9 @@ import argparse
 
 import numpy as np
 
-from sightline.applications.line_of_sight import Band, RecoverOptions, recover_line_of_sight
+from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
 from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Plane
-from sightline.imaging.source import ArrayImage
 from sightline.matching.select import Selection
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case
 
@@ -57,12 +56,8 @@ def main() -> None:
             image = scenario.image(k).astype(float)
             half = image[:, image.shape[1] // 2 :]
             half += 10.0 * image.mean() / scenario.options.snr * rng.standard_normal(half.shape)
-            images.append(ArrayImage(image))
-        sigma = (scenario.options.offset_sigma_px, scenario.options.rotation_sigma)
-        bands = [
-            Band(b.name, i, c, *sigma)
-            for b, i, c in zip(scenario.bands, images, scenario.nominal_cameras, strict=True)
-        ]
+            images.append(image)
+        bands = scenario.as_told(images)
         for name, options in choices(scenario).items():
             result = recover_line_of_sight(bands, Plane(0.0), options=options)
             truth = scenario.truth

@@ -23,7 +23,6 @@ import numpy as np
 from sightline.applications.line_of_sight import Band, RecoverOptions, recover_line_of_sight
 from sightline.errors import EstimationError
 from sightline.geometry.surface import Plane
-from sightline.imaging.source import ArrayImage
 from sightline.matching.match_images import match_images
 from sightline.motion.predict import MovingCamera, predict_match
 from sightline.motion.windows import window_grid
@@ -103,11 +102,7 @@ def main() -> None:
                 "nominal", seed, lines=given.lines, columns=given.columns, names=NAMES,
                 coherence_with_first=(1.0, 0.97, 0.97, coherence),
             )  # fmt: skip
-            sigma = (scenario.options.offset_sigma_px, scenario.options.rotation_sigma)
-            bands = [
-                Band(band.name, ArrayImage(scenario.image(k)), scenario.nominal_cameras[k], *sigma)
-                for k, band in enumerate(scenario.bands)
-            ]
+            bands = scenario.as_told()
             show("nominal cameras", map_error(scenario, bands[0].camera, bands[-1].camera))
             for window in WINDOWS:
                 direct(scenario, bands, window)

@@ -9,8 +9,6 @@ from sightline.applications.line_of_sight import RecoverOptions, recover_line_of
 from sightline.errors import InputError
 from sightline.evaluation.score import remove_directions
 from sightline.geometry.surface import Plane
-from sightline.imaging.source import ArrayImage
-from sightline.motion.band import Band
 from sightline.motion.predict import predict_match
 from sightline.simulate.scenarios import line_of_sight_case
 
@@ -25,10 +23,7 @@ def strip(count, weak=None, size=(500, 200)):
         gains=(1.0,) * count, gammas=(1.0,) * count,
         coherence_with_first=(*coherence[:-1], weak or coherence[-1]),
     )  # fmt: skip
-    bands = [
-        Band(b.name, ArrayImage(scenario.image(k)), scenario.nominal_cameras[k])
-        for k, b in enumerate(scenario.bands)
-    ]
+    bands = scenario.as_told()
     return scenario, bands
 
 

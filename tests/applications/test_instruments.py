@@ -148,10 +148,7 @@ def test_a_spin_told_wrong_is_a_drift_that_the_motion_takes(tmp_path):
 
 def test_pairs_must_name_bands():
     scenario = instrument_case("multi-line", 0, lines=64, columns=64)
-    bands = [
-        Band(b.options.name, ArrayImage(scenario.image(k)), scenario.nominal_cameras[k])
-        for k, b in enumerate(scenario.bands)
-    ]
+    bands = scenario.as_told()
     with pytest.raises(InputError, match="`pairs` names the band 'X'; bands are: T00, T23, T41, T63"):
         recover_line_of_sight(bands, Ellipsoid(), options=RecoverOptions(pairs=(("T00", "X"),)))
 

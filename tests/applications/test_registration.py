@@ -8,8 +8,6 @@ import pytest
 from sightline.applications.registration import fit_pairs, recovered_cameras, register_bands
 from sightline.errors import InputError
 from sightline.geometry.surface import Dem, Plane
-from sightline.imaging.source import ArrayImage
-from sightline.motion.band import Band
 from sightline.motion.predict import predict_match
 from sightline.simulate.scenarios import line_of_sight_case
 
@@ -18,10 +16,7 @@ from sightline.simulate.scenarios import line_of_sight_case
 def strip():
     """A strip over relief, its bands as a user knows them, its DEM and the true statics."""
     scenario = line_of_sight_case("relief", 4, lines=600, columns=160)
-    bands = [
-        Band(band.name, ArrayImage(scenario.image(k)), scenario.nominal_cameras[k])
-        for k, band in enumerate(scenario.bands)
-    ]
+    bands = scenario.as_told()
     relief = scenario.scene.relief
     statics = {}
     for band in scenario.bands:

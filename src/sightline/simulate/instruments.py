@@ -31,6 +31,7 @@ from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.simulate.earth_view import ViewPlane, earth_chunks
 from sightline.simulate.jitter import nominal_profile
 from sightline.simulate.orbit import CircularOrbit
+from sightline.simulate.rendered import RenderedStrip
 from sightline.simulate.scenarios import GROUND_MARGIN_PX, MOTION_MARGIN_LINES, motion_profile
 from sightline.simulate.scene import Scene, TextureLaw, scene_layers
 from sightline.simulate.sensor import Radiometry
@@ -244,9 +245,14 @@ class DetectorTruth:
     nominal: LineDetector
     true: LineDetector
 
+    @property
+    def name(self) -> str:
+        """Name of its image."""
+        return self.options.name
+
 
 @dataclass(frozen=True, eq=False)
-class InstrumentScenario:
+class InstrumentScenario(RenderedStrip):
     """A strip of one instrument: truth, what a user would know, and the images.
 
     Parameters
@@ -278,16 +284,6 @@ class InstrumentScenario:
     motion: Motion
     body: Motion
     radiometry: Radiometry
-
-    @property
-    def line_times(self) -> Array:
-        """(lines,) s, alike for every band."""
-        return np.arange(self.options.lines, dtype=np.float64) * self.options.line_period
-
-    @property
-    def truth(self) -> Array:
-        """(lines, 4) t, roll, pitch, yaw at every line."""
-        return np.column_stack([self.line_times, self.motion.at(self.line_times)])
 
     def _camera(self, detector: LineDetector, trajectory: Trajectory) -> PushbroomCamera:
         return PushbroomCamera(detector, trajectory, self.pointing, 0.0, self.options.lines)
@@ -323,10 +319,6 @@ class InstrumentScenario:
         """Image of one band as (first line, block of lines), top to bottom; again alike at every call."""
         noise = self._stream("noise").spawn(len(self.bands))[band]
         yield from earth_chunks(self.cameras[band], self.scene, self.plane, band, self.radiometry, noise)
-
-    def image(self, band: int) -> NDArray[np.uint16]:
-        """Image of one band, (lines, columns)."""
-        return np.concatenate([block for _, block in self.chunks(band)])
 
     def _stream(self, purpose: str) -> np.random.SeedSequence:
         return _streams(self.seed)[purpose]

@@ -41,6 +41,7 @@ from sightline.simulate.jitter import (
     nominal_profile,
     with_part,
 )
+from sightline.simulate.rendered import RenderedStrip
 from sightline.simulate.scene import (
     BandShine,
     Clouds,
@@ -91,7 +92,7 @@ class BandTruth:
 
 
 @dataclass(frozen=True, eq=False)
-class StripScenario:
+class StripScenario(RenderedStrip):
     """A pushbroom strip: truth, what a user would know, and the images.
 
     Parameters
@@ -120,11 +121,6 @@ class StripScenario:
     scene: Scene
     radiometry: Radiometry
 
-    @property
-    def line_times(self) -> Array:
-        """(lines,) s, alike for every band."""
-        return np.arange(self.options.lines, dtype=np.float64) * self.options.line_period
-
     @cached_property
     def cameras(self) -> tuple[PushbroomCamera, ...]:
         """The true cameras, one per band."""
@@ -142,11 +138,6 @@ class StripScenario:
             for band in self.bands
         )
 
-    @property
-    def truth(self) -> Array:
-        """(lines, 4) t, roll, pitch, yaw at every line."""
-        return np.column_stack([self.line_times, self.motion.at(self.line_times)])
-
     def chunks(self, band: int) -> Iterator[tuple[int, NDArray[np.uint16]]]:
         """Image of one band as (first line, block of lines), top to bottom; again alike at every call."""
         yield from render_chunks(
@@ -157,10 +148,6 @@ class StripScenario:
             self.radiometry,
             self._stream("noise", band),
         )
-
-    def image(self, band: int) -> NDArray[np.uint16]:
-        """Image of one band, (lines, columns)."""
-        return np.concatenate([block for _, block in self.chunks(band)])
 
     def star_tracker(self, rate: float = 8.0, sigma: float = 3.0 * ARC_SECOND) -> Array:
         """Table t, roll, pitch, yaw, sigma of a star tracker on the body, during the strip."""

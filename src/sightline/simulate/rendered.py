@@ -1,0 +1,93 @@
+"""What every simulated strip has, whatever instrument took it: times, truth, images, and what is told of it.
+
+Not here: how a strip is drawn (``scenarios.py``, ``instruments.py``), frames (``frames.py``).
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.trajectory import Motion
+from sightline.imaging.source import ArrayImage
+from sightline.motion.band import Band
+
+Array = NDArray[np.float64]
+
+
+class _Options(Protocol):
+    @property
+    def lines(self) -> int: ...
+    @property
+    def line_period(self) -> float: ...
+    @property
+    def offset_sigma_px(self) -> float: ...
+    @property
+    def rotation_sigma(self) -> float: ...
+
+
+class _Named(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+class RenderedStrip(ABC):
+    """Line detectors that scan one scene.
+
+    Attributes
+    ----------
+    options
+        Number of lines, s per line, and sizes of what is not known of the detectors.
+    bands
+        The detector lines, by name.
+    motion : Motion
+        True motion of the line of sight.
+    """
+
+    options: _Options
+    bands: tuple[_Named, ...]
+    motion: Motion
+
+    @property
+    @abstractmethod
+    def nominal_cameras(self) -> tuple[PushbroomCamera, ...]:
+        """The cameras as the ACQUISITION file tells them: no motion, nominal detectors."""
+
+    @abstractmethod
+    def chunks(self, band: int) -> Iterator[tuple[int, NDArray[np.uint16]]]:
+        """Image of one band as (first line, block of lines), top to bottom; again alike at every call."""
+
+    @property
+    def line_times(self) -> Array:
+        """(lines,) s, alike for every band."""
+        return np.arange(self.options.lines, dtype=np.float64) * self.options.line_period
+
+    @property
+    def truth(self) -> Array:
+        """(lines, 4) t, roll, pitch, yaw at every line."""
+        return np.column_stack([self.line_times, self.motion.at(self.line_times)])
+
+    def image(self, band: int) -> NDArray[np.uint16]:
+        """Image of one band, (lines, columns)."""
+        return np.concatenate([block for _, block in self.chunks(band)])
+
+    def as_told(self, images: Sequence[NDArray[np.generic]] | None = None) -> list[Band]:
+        """The strip as a user has it: images, nominal cameras, and how well these are known.
+
+        Parameters
+        ----------
+        images : sequence of (lines, columns), optional
+            In place of the rendered ones.
+        """
+        rendered: Sequence[NDArray[np.generic]]
+        rendered = images or [self.image(band) for band in range(len(self.bands))]
+        sigmas = (self.options.offset_sigma_px, self.options.rotation_sigma)
+        return [
+            Band(band.name, ArrayImage(image), camera, *sigmas)
+            for band, image, camera in zip(self.bands, rendered, self.nominal_cameras, strict=True)
+        ]
