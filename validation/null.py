@@ -26,7 +26,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.applications.line_of_sight import Band, recover_line_of_sight
+from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.applications.results import LineOfSight
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.instrument import LineDetector
@@ -34,6 +34,7 @@ from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Trajectory
 from sightline.imaging.source import ArrayImage
+from sightline.motion.band import Band
 from sightline.motion.joint import remove_directions
 from sightline.motion.tones import detect_tones
 

@@ -12,7 +12,8 @@ import argparse
 
 import numpy as np
 
-from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+from sightline.applications.line_of_sight import recover_line_of_sight
+from sightline.applications.strip import RecoverOptions
 from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Plane
 from sightline.matching.select import Selection

@@ -20,10 +20,12 @@ import argparse
 
 import numpy as np
 
-from sightline.applications.line_of_sight import Band, RecoverOptions, recover_line_of_sight
+from sightline.applications.line_of_sight import recover_line_of_sight
+from sightline.applications.strip import RecoverOptions
 from sightline.errors import EstimationError
 from sightline.geometry.surface import Plane
 from sightline.matching.match_images import match_images
+from sightline.motion.band import Band
 from sightline.motion.predict import MovingCamera, predict_match
 from sightline.motion.windows import window_grid
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case

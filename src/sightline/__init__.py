@@ -13,10 +13,11 @@ if TYPE_CHECKING:
     from sightline.applications.focal_plane import FocalPlane, LayoutChoice, choose_layout
     from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
     from sightline.applications.frame_passes import FrameOptions
-    from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+    from sightline.applications.line_of_sight import recover_line_of_sight
     from sightline.applications.registration import Registration, register_bands
     from sightline.applications.results import LineOfSight
     from sightline.applications.spin_attitude import SpinAttitude, SpinOptions, recover_spin_attitude
+    from sightline.applications.strip import RecoverOptions
     from sightline.errors import (
         EstimationError,
         FormatError,
@@ -84,7 +85,7 @@ _MODULE_OF = {
     "Pose": "sightline.geometry.trajectory",
     "PushbroomCamera": "sightline.geometry.camera",
     "Rays": "sightline.geometry.camera",
-    "RecoverOptions": "sightline.applications.line_of_sight",
+    "RecoverOptions": "sightline.applications.strip",
     "Registration": "sightline.applications.registration",
     "ScanMirror": "sightline.geometry.pointing",
     "Score": "sightline.evaluation.score",

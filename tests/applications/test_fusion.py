@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+from sightline.applications.line_of_sight import recover_line_of_sight
+from sightline.applications.strip import RecoverOptions
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.evaluation.score import score_motion
 from sightline.geometry.trajectory import Motion, Trajectory

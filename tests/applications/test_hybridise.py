@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+from sightline.applications.line_of_sight import recover_line_of_sight
+from sightline.applications.strip import RecoverOptions
 from sightline.errors import InputError
 from sightline.evaluation.score import remove_directions
 from sightline.geometry.surface import Plane

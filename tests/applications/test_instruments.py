@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+from sightline.applications.line_of_sight import recover_line_of_sight
+from sightline.applications.strip import RecoverOptions
 from sightline.cli.recover import recover_acquisition
 from sightline.errors import InputError
 from sightline.evaluation.score import score_motion

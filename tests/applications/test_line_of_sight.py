@@ -11,7 +11,9 @@ from numpy.testing import assert_allclose
 
 from motion.strips import plain_star, strip_cameras
 from sightline import execution
-from sightline.applications.line_of_sight import RecoverOptions, _lost_windows, recover_line_of_sight
+from sightline.applications.line_of_sight import recover_line_of_sight
+from sightline.applications.strip import RecoverOptions
+from sightline.applications.strip_warnings import _lost_windows
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.surface import Dem, Plane
 from sightline.geometry.trajectory import Motion

@@ -10,8 +10,8 @@ import pytest
 from numpy.testing import assert_allclose
 
 from motion.strips import plain_star
-from sightline.applications.line_of_sight import RecoverOptions
 from sightline.applications.results import LineOfSight, without_common_ground
+from sightline.applications.strip import RecoverOptions
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTSIDE
 from sightline.motion.predict import predict_match

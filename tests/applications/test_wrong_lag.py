@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import pytest
 
-from sightline.applications.line_of_sight import Band, recover_line_of_sight
+from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.errors import EstimationError
 from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
+from sightline.motion.band import Band
 from sightline.simulate.scenarios import line_of_sight_case
 
 

@@ -139,7 +139,7 @@ def test_what_would_be_ignored_is_refused(folder, text, words):
 
 
 def test_choices_of_matching_are_those_of_the_recovery(folder):
-    from sightline.applications.line_of_sight import RecoverOptions
+    from sightline.applications.strip import RecoverOptions
 
     folder.add("[matching]\nwindow = [6, 80]\nstep = 3\nsearch_px = [20, 12]\n")
     options = RecoverOptions(**load_acquisition(folder.write()).matching)

@@ -66,7 +66,8 @@ def recover_acquisition(acquired: Acquisition, report: Progress) -> LineOfSight:
     """Recover what an acquisition holds: bands of a strip, or frames of a camera, spinning or not."""
     from sightline.applications.frame_attitude import recover_frame_attitude
     from sightline.applications.frame_passes import FrameOptions
-    from sightline.applications.line_of_sight import RecoverOptions, recover_line_of_sight
+    from sightline.applications.line_of_sight import recover_line_of_sight
+    from sightline.applications.strip import RecoverOptions
 
     if acquired.frames and acquired.spin is not None:
         from sightline.applications.spin_attitude import SpinOptions, recover_spin_attitude
