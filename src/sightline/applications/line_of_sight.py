@@ -266,7 +266,7 @@ def _compensated_pass(
         tell("fitting the spectrum of the motion")
         model = fit_prior_model(
             [r.star for r in solved.records],
-            solved.post_px,
+            solved.with_relief_px,
             solved.estimate,
             strip.scale,
             state.model if number > 1 else None,

@@ -56,6 +56,7 @@ class StripState:
     model: PriorModel
     records: tuple[StarRecord, ...]
     post_px: tuple[Array, ...]
+    with_relief_px: tuple[Array, ...]
     before_px: tuple[Array, ...]
     relief_length: float
 
@@ -162,7 +163,7 @@ def solve_strip(
     if unknown_relief:
         length = relief_length(stars, without, height_sigma, strip.half_width)
     kept = tuple(StarRecord(s, r.status, r.score) for s, r in zip(stars, records, strict=True))
-    return StripState(estimate, prior, model, kept, tuple(post), tuple(measured), length)
+    return StripState(estimate, prior, model, kept, tuple(post), tuple(without), tuple(measured), length)
 
 
 def _reweighted(rows: Sequence[SensorRows], estimate: JointEstimate) -> list[SensorRows]:

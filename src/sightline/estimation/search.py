@@ -38,6 +38,9 @@ BANDWIDTH_BELIEF = 1.2
 #: A smoother broadband part is believed when it lowers the deviance by this much (Akaike's price of a
 #: parameter, thrice: there are three steps to take).
 SMOOTHER = 6.0
+#: Longest time scale of a drift, in lengths of the data: longer ones look alike in them, but claim ever more
+#: where measurements leave the drift to the prior.
+LONGEST_DRIFT = 0.5
 
 
 @dataclass(frozen=True)
@@ -155,7 +158,7 @@ class Search:
         drift = max(model.drift.sigma, 1.0)
         bounds = [
             (math.log(1e-3), math.log(30.0 * drift)),
-            (math.log(20.0 * step), math.log(20.0 * length)),
+            (math.log(20.0 * step), math.log(LONGEST_DRIFT * length)),
             (math.log(1e-3), math.log(30.0 * drift)),
             (math.log(0.2 * step), math.log(0.2 * length)),
         ]
