@@ -243,9 +243,7 @@ def main() -> int:
         if sheet is not None:
             missed += not abs(sigma_a / sheet - 1.0) <= 0.1
         missed += not sigma_r <= 1.1 * case.sheet[1]
-    print(
-        f"\n{missed} of {2 * len(cases)} figures miss (absolute within 10 %, relative at most 10 % above)"
-    )
+    print(f"\n{missed} of {2 * len(cases)} figures miss (absolute within 10 %, relative at most 10 % above)")
     return int(missed > 0)
 
 
