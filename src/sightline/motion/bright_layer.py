@@ -112,7 +112,7 @@ def _departing_brightness(shifts: RowShifts, brightness: Array, seen: Flags, ste
             jump = _without_line(bright.astype(float), weight, shifts.x)
             size = np.add.reduceat((weight * jump**2).sum(axis=1), first)
             moved = np.add.reduceat((weight * jump * value).sum(axis=1), first)
-            if size.sum() ** 2 < LEAST_STRETCHES * (size**2).sum():
+            if size.sum() ** 2 <= LEAST_STRETCHES * (size**2).sum():
                 continue
             without_one = (moved.sum() - moved) / (size.sum() - size)
             error = float(np.sqrt((stretches - 1) * without_one.var()))
