@@ -60,8 +60,10 @@ class RowShifts:
     seen: Flags
 
 
-def bright_windows(shifts: RowShifts, brightness: Array, matched: Flags, step: float) -> Flags:
+def bright_windows(shifts: RowShifts, brightness: Array, matched: Flags, step: float) -> tuple[Flags, bool]:
     """Windows (rows, blocks) that are taken for cloud because they, or those next to them, are so bright.
+
+    And whether brightness tells clouds from ground in all of the strip.
 
     Parameters
     ----------
@@ -77,7 +79,7 @@ def bright_windows(shifts: RowShifts, brightness: Array, matched: Flags, step: f
     seen = shifts.seen & known
     out = np.zeros(brightness.shape, dtype=bool)
     if seen.sum() < 2 * LEAST_WINDOWS:
-        return out
+        return out, False
     ground, brightness = brightness[seen], np.where(known, brightness, -np.inf)
     cloud = _departing_brightness(shifts, brightness, seen, step)
     if cloud is not None:
@@ -86,7 +88,7 @@ def bright_windows(shifts: RowShifts, brightness: Array, matched: Flags, step: f
     if white.any():
         about = sum_beside(sum_along(white.astype(float), _rows(ABOUT, step))) > 0
         out |= about & (brightness > _brightest_ground(ground, float(np.median(brightness[white]))))
-    return np.asarray(sum_along(out.astype(float), _rows(FADING, step)) > 0)
+    return np.asarray(sum_along(out.astype(float), _rows(FADING, step)) > 0), cloud is not None
 
 
 def _departing_brightness(shifts: RowShifts, brightness: Array, seen: Flags, step: float) -> float | None:

@@ -110,8 +110,9 @@ def _foreign(star: Star, post_px: Array, least: Array) -> Array:
     if star.brightness is not None:
         # brightness has told of these: what is left is judged by itself
         shifts = RowShifts(shift.x, shift.value, shift.variance, shift.seen)
-        bright = bright_windows(shifts, star.brightness.reshape(star.shape), matched, _line_step(star))
-        shift = replace(shift, seen=shift.seen & ~bright)
+        brightness = star.brightness.reshape(star.shape)
+        bright, tells = bright_windows(shifts, brightness, matched, _line_step(star))
+        shift = replace(shift, seen=shift.seen & ~bright, lent=0 if tells else shift.lent)
     worst = _worst_departures(shift, reaches, up, least)
     undermined = _undermined(shift, worst, reaches, up)
     # where hardly any window saw the ground, nothing vouches for those that seem to
@@ -129,7 +130,7 @@ def _undermined(shift: _Shift, worst: Array, reaches: list[int], up: Array) -> F
     Nothing lies below the ground: there a cloud was most of the row, and took the line.
     """
     weight = np.where(shift.seen, _weight(worst), 0.0)
-    departure, _, use = _from_row_line(shift, weight, reaches[-1])
+    departure, _, use = _from_row_line(shift, weight)
     foreign = use & (worst > FOREIGN)
     side = departure @ up
     below = sum_along((foreign & (side < 0.0)).sum(axis=1).astype(float), reaches[0])
@@ -174,7 +175,7 @@ def _worst_departures(shift: _Shift, reaches: list[int], up: Array, least: Array
     weight = _first_weights(shift, reaches[0], up, least <= FOREIGN)
     worst = least
     for _ in range(ROUNDS):
-        departure, variance, use = _from_row_line(shift, weight, reaches[-1])
+        departure, variance, use = _from_row_line(shift, weight)
         worst = np.where(use, (departure**2 / variance).sum(axis=-1), 0.0)
         worst = np.maximum(np.where(worst > FOREIGN, worst, 0.0), least)
         for reach in reaches:
@@ -207,13 +208,19 @@ def _weight(squared: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Shift:
-    """One shift per window, (rows, blocks, 2) px at the longest lag, its variance, and where it is seen."""
+    """One shift per window, (rows, blocks, 2) px at the longest lag, its variance, and where it is seen.
+
+    Rows too empty for a line of their own are judged by those up to `lent` rows away. Where brightness tells
+    clouds from ground they need no judge: between clouds the motion itself may be unknown, and what is left
+    of it is no departure.
+    """
 
     x: Array
     lag: Array
     value: Array
     variance: Array
     seen: Flags
+    lent: int
 
     def scaled(self, factor: Array) -> _Shift:
         """The same with variances multiplied by `factor` (2,)."""
@@ -233,7 +240,7 @@ def _common_shift(star: Star, post_px: Array) -> _Shift:
     value = np.where(seen[:, None], (share * np.where(present, post_px, 0.0)).sum(axis=1) / information, 0.0)
     value, variance = value.reshape(rows, blocks, 2), (1.0 / information).reshape(rows, blocks, 2)
     x = star.field.reshape(rows, blocks)[0]
-    return _Shift(x, lag, value, variance, seen.reshape(rows, blocks))
+    return _Shift(x, lag, value, variance, seen.reshape(rows, blocks), _reaches(star)[-1])
 
 
 def _relative_lags(star: Star) -> Array:
@@ -339,16 +346,16 @@ def _row_lines(shift: _Shift, weight: Array) -> tuple[Array, Array, Flags]:
     return lines, np.stack([s2, -s1, s0], axis=1) / det[:, None], laid
 
 
-def _from_row_line(shift: _Shift, weight: Array, reach: int) -> tuple[Array, Array, Flags]:
+def _from_row_line(shift: _Shift, weight: Array) -> tuple[Array, Array, Flags]:
     """Departure of windows from the line through the trusted ones of their row, variance, where known."""
     lines, covariance, laid = _row_lines(shift, weight)
     # a row that cannot tell by itself is judged by the line of its neighbours
-    near = sum_along(laid.astype(float), reach)
+    near = sum_along(laid.astype(float), shift.lent)
     some = (near >= 1.0) & ~laid
 
     def borrowed(values: Array) -> Array:
         own = laid[:, None, None]
-        around = sum_along(np.where(own, values, 0.0), reach) / np.maximum(near, 1.0)[:, None, None]
+        around = sum_along(np.where(own, values, 0.0), shift.lent) / np.maximum(near, 1.0)[:, None, None]
         return np.asarray(np.where(own, values, around))
 
     lines, covariance = borrowed(lines), borrowed(covariance)
