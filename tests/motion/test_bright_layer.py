@@ -62,6 +62,14 @@ def test_bright_ground_that_moves_with_the_rest_is_believed():
         assert not tells and not got.any()
 
 
+def test_a_difference_too_small_to_matter_is_no_cloud():
+    cloudy = scattered()
+    matched = np.ones(cloudy.shape, dtype=bool)
+    # 700 windows against 1400, lines removed: known to about sigma / 20, 0.4 sigma is eight standard errors
+    assert not bright_windows(*strip(12, cloudy, 0.4 * SIGMA), matched, STEP)[1]
+    assert bright_windows(*strip(12, cloudy, 0.7 * SIGMA), matched, STEP)[1]
+
+
 def test_bright_windows_that_depart_in_one_place_alone_prove_nothing():
     cloudy = np.zeros((ROWS, BLOCKS), dtype=bool)
     cloudy[100:130, 1:4] = True

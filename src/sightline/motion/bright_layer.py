@@ -11,6 +11,7 @@ Not here: what the departures of single windows tell (``consensus.py``).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -28,6 +29,9 @@ STRETCH = 54.0
 #: with 15 degrees of freedom one strip of plain ground in 150 gets there by chance), of which there are at
 #: most so many, and at least so many that tell.
 CERTAIN, MOST_STRETCHES, LEAST_STRETCHES = 5.0, 16, 4.0
+#: A difference below so many sigmas of one window is none of clouds: bright and dark ground are sharpened and
+#: matched a little differently, which a whole strip shows to a thirtieth of a sigma.
+MATERIAL = 0.5
 #: Ground is at most so many of its own sigmas brighter than its median (0.6 % of Gaussian ground is beyond).
 USUAL_GROUND = 2.5
 #: What is brighter than its median by so many is no ground of the usual kind: white.
@@ -107,6 +111,7 @@ def _departing_brightness(shifts: RowShifts, brightness: Array, seen: Flags, ste
     for component in range(2):
         weight = np.where(seen, 1.0 / shifts.variance[..., component], 0.0)
         value = _without_line(shifts.value[..., component], weight, shifts.x)
+        least = MATERIAL * math.sqrt(float(np.median(shifts.variance[seen, component])))
         for split in np.linspace(low, high, SPLITS, endpoint=False):
             bright = seen & (brightness > split)
             if not LEAST_WINDOWS <= bright.sum() <= seen.sum() - LEAST_WINDOWS:
@@ -118,9 +123,9 @@ def _departing_brightness(shifts: RowShifts, brightness: Array, seen: Flags, ste
                 continue
             without_one = (moved.sum() - moved) / (size.sum() - size)
             error = float(np.sqrt((stretches - 1) * without_one.var()))
-            certainty = abs(moved.sum() / size.sum()) / max(error, 1e-30)
-            if certainty > best:
-                best, found = certainty, float(brightness[bright].mean())
+            difference = abs(moved.sum() / size.sum())
+            if difference > least and difference > best * error:
+                best, found = difference / max(error, 1e-30), float(brightness[bright].mean())
     return found
 
 
