@@ -18,12 +18,12 @@ from sightline.geometry.trajectory import Trajectory
 from sightline.imaging.source import ArrayImage
 from sightline.motion.predict import predict_match
 from sightline.motion.windows import (
+    brightest_parts,
     exposure_times,
     field_positions,
     image_shape,
     predict_windows,
     window_grid,
-    window_means,
 )
 
 
@@ -132,18 +132,27 @@ def test_an_image_has_the_size_of_its_strip_or_its_detector():
     assert image_shape(frame()) == (101, 80)
 
 
-class TestWindowMeans:
-    def test_means_of_drawn_pixels_whatever_the_stretch_that_is_read(self, monkeypatch):
+class TestBrightestParts:
+    def test_parts_of_drawn_pixels_whatever_the_stretch_that_is_read(self, monkeypatch):
         pixels = np.random.default_rng(5).uniform(0.0, 4000.0, (61, 90)).astype(np.float32)
         pixels[10:20, 30:60] = np.nan
         grid = window_grid(pixels.shape, (4, 25), 3)
         want = []
         for line, column in grid.centres:
             top, left = round(line - 1.5), round(column - 12)
-            window = pixels[top : top + 4, left : left + 25]
-            seen = np.isfinite(window)
-            want.append(window[seen].mean(dtype=float) if seen.any() else np.nan)
+            # 25 columns hold three parts of 8 at least
+            parts = [pixels[top : top + 4, left + a : left + b] for a, b in ((0, 8), (8, 16), (16, 25))]
+            means = [p[np.isfinite(p)].mean(dtype=float) for p in parts if np.isfinite(p).any()]
+            want.append(max(means) if means else np.nan)
         assert np.isnan(want).any() and np.isfinite(want).any()
-        assert_allclose(window_means(ArrayImage(pixels), grid), want, rtol=1e-9)
+        assert_allclose(brightest_parts(ArrayImage(pixels), grid), want, rtol=1e-9)
         monkeypatch.setattr("sightline.motion.windows._READ_PIXELS", 1000)
-        assert_allclose(window_means(ArrayImage(pixels), grid), want, rtol=1e-9)
+        assert_allclose(brightest_parts(ArrayImage(pixels), grid), want, rtol=1e-9)
+
+    def test_a_cloud_on_a_tenth_of_a_window_shows(self):
+        pixels = np.full((40, 200), 100.0, dtype=np.float32)
+        pixels[8:12, 88:98] = 300.0
+        grid = window_grid(pixels.shape, (4, 100), 4)
+        bright = brightest_parts(ArrayImage(pixels), grid).reshape(grid.shape)
+        # ten of the 12 or 13 columns of one part
+        assert bright[2, 0] > 250.0 and (np.delete(bright, 2, axis=0) == 100.0).all()

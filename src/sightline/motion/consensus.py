@@ -5,8 +5,7 @@ on a moving ship departs from that line by the share of its texture that moves o
 by less than one window shows, but alike over as many rows as the cloud is long. The departures are
 therefore averaged along the strip before they are judged. Where two groups of windows agree among
 themselves the lower layer is the ground: clouds stand above it, and the cameras know which way height
-shifts a match. Where the strip itself shows that windows depart the more the brighter they are, brightness
-is evidence too.
+shifts a match. Windows of which brightness tells (``bright_layer.py``) are left out first.
 
 Not here: how exact the windows are that did see the ground (``match_noise.py``).
 """
@@ -22,6 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from sightline.motion.bright_layer import RowShifts, bright_windows, sum_along, sum_beside
 from sightline.motion.observations import Star
 
 Array = NDArray[np.float64]
@@ -50,10 +50,6 @@ MOST_FOREIGN = 0.8
 UNDERMINED = 0.1
 #: A window is lonely where less than this share of those around it was matched.
 LONELY = 0.15
-#: What brightness tells is learned from rows of which this share agrees, in at most so many steps of
-#: brightness, and believed where it is CERTAIN times its standard error over stretches of the strip, of which
-#: there are at most so many and at least so few: windows of one cloud, or of one hill, err alike.
-MOSTLY, MOST_BINS, CERTAIN, MOST_STRETCHES, LEAST_STRETCHES = 0.6, 20, 4.0, 16, 4
 #: Lines and weights are found from each other so many times.
 ROUNDS = 3
 #: A row's line is laid through windows of at least this weight.
@@ -106,24 +102,24 @@ def _foreign(star: Star, post_px: Array, least: Array) -> Array:
         return least
     shift = _common_shift(star, post_px)
     reaches = _reaches(star)
+    matched = np.asarray(np.isfinite(post_px).all(axis=-1)).any(axis=1).reshape(rows, blocks)
     told = shift.seen
     shift = replace(shift, seen=told & ~_lonely(told, reaches[0]))
     shift = shift.scaled(_row_noise(shift, reaches[0]))
     up = _upwards(star, shift.lag)
+    if star.brightness is not None:
+        # brightness has told of these: what is left is judged by itself
+        shifts = RowShifts(shift.x, shift.value, shift.variance, shift.seen)
+        brightness = star.brightness.reshape(star.shape)
+        bright, tells = bright_windows(shifts, brightness, matched, _line_step(star))
+        shift = replace(shift, seen=shift.seen & ~bright, lent=0 if tells else shift.lent)
     worst = _worst_departures(shift, reaches, up, least)
     undermined = _undermined(shift, worst, reaches, up)
-    if star.brightness is not None:
-        brightness = star.brightness.reshape(star.shape)
-        by_brightness = _told_by_brightness(shift, worst, brightness, reaches, ~undermined)
-        if by_brightness.any():
-            worst = _worst_departures(shift, reaches, up, np.maximum(by_brightness, least))
-            undermined = _undermined(shift, worst, reaches, up)
     # where hardly any window saw the ground, nothing vouches for those that seem to
-    foreign = _sum_along((shift.seen & (worst > FOREIGN)).sum(axis=1).astype(float), reaches[0])
-    lost = foreign > MOST_FOREIGN * _sum_along(shift.seen.sum(axis=1).astype(float), reaches[0])
+    foreign = sum_along((shift.seen & (worst > FOREIGN)).sum(axis=1).astype(float), reaches[0])
+    lost = foreign > MOST_FOREIGN * sum_along(shift.seen.sum(axis=1).astype(float), reaches[0])
     lost |= undermined
     # images of one instant see a cloud where they see the ground: of their matches nothing is told
-    matched = np.asarray(np.isfinite(post_px).all(axis=-1)).any(axis=1).reshape(rows, blocks)
     untold = np.where(matched & ~told, least, np.inf)
     return np.where(shift.seen & ~lost[:, None], worst, untold)
 
@@ -134,12 +130,12 @@ def _undermined(shift: _Shift, worst: Array, reaches: list[int], up: Array) -> F
     Nothing lies below the ground: there a cloud was most of the row, and took the line.
     """
     weight = np.where(shift.seen, _weight(worst), 0.0)
-    departure, _, use = _from_row_line(shift, weight, reaches[-1])
+    departure, _, use = _from_row_line(shift, weight)
     foreign = use & (worst > FOREIGN)
     side = departure @ up
-    below = _sum_along((foreign & (side < 0.0)).sum(axis=1).astype(float), reaches[0])
-    above = _sum_along((foreign & (side > 0.0)).sum(axis=1).astype(float), reaches[0])
-    seen = _sum_along(shift.seen.sum(axis=1).astype(float), reaches[0])
+    below = sum_along((foreign & (side < 0.0)).sum(axis=1).astype(float), reaches[0])
+    above = sum_along((foreign & (side > 0.0)).sum(axis=1).astype(float), reaches[0])
+    seen = sum_along(shift.seen.sum(axis=1).astype(float), reaches[0])
     return np.asarray((below > above) & (below > UNDERMINED * seen))
 
 
@@ -179,7 +175,7 @@ def _worst_departures(shift: _Shift, reaches: list[int], up: Array, least: Array
     weight = _first_weights(shift, reaches[0], up, least <= FOREIGN)
     worst = least
     for _ in range(ROUNDS):
-        departure, variance, use = _from_row_line(shift, weight, reaches[-1])
+        departure, variance, use = _from_row_line(shift, weight)
         worst = np.where(use, (departure**2 / variance).sum(axis=-1), 0.0)
         worst = np.maximum(np.where(worst > FOREIGN, worst, 0.0), least)
         for reach in reaches:
@@ -198,60 +194,10 @@ def _with_neighbours(worst: Array, use: Flags, reach: int) -> Array:
     next, departures count NEAR times.
     """
     foreign = (use & (worst > FOREIGN)).astype(float)
-    number = _sum_along(foreign, reach)
-    most = number > 0.5 * _sum_along(use.astype(float), reach)
-    wide = np.pad(number > 0, ((0, 0), (1, 1)))
-    beside = wide[:, :-2] | wide[:, 1:-1] | wide[:, 2:]
+    number = sum_along(foreign, reach)
+    most = number > 0.5 * sum_along(use.astype(float), reach)
+    beside = sum_beside(number) > 0.0
     return np.asarray(np.where(most, np.inf, np.where(beside, NEAR * worst, worst)))
-
-
-def _told_by_brightness(
-    shift: _Shift, worst: Array, brightness: Array, reaches: list[int], clear: Flags
-) -> Array:
-    """Squared size of the lasting departure that windows of such brightness have where the ground is seen.
-
-    Clouds are bright, and so are some fields: whether brightness tells of foreign motion is learned from the
-    rows, of those in `clear` view, of which most windows agree. Zero throughout where it does not.
-    """
-    weight = np.where(shift.seen, _weight(worst), 0.0)
-    departure, variance, use = _from_row_line(shift, weight, reaches[-1])
-    seen = shift.seen.sum(axis=1)
-    clear = clear & (seen >= MIN_BLOCKS) & ((weight > TRUSTED).sum(axis=1) >= MOSTLY * seen)
-    learn = use & clear[:, None] & np.isfinite(brightness)
-    rows = 2 * reaches[0] + 1
-    bins = min(MOST_BINS, int(learn.sum()) // (10 * rows))
-    stretches = min(MOST_STRETCHES, len(worst) // rows)
-    if bins < 3 or stretches < LEAST_STRETCHES:
-        return np.zeros(worst.shape)
-    edges = np.quantile(brightness[learn], np.linspace(0.0, 1.0, bins + 1))
-    step = np.searchsorted(edges[1:-1], brightness[learn], side="right")
-    stretch = (np.argwhere(learn)[:, 0] * stretches) // len(worst)
-    mean = _certain_means(departure[learn], step, stretch, bins, stretches)
-    usual = np.median(variance[learn], axis=0) / rows
-    usual = usual * _excess(departure, variance, use, weight > TRUSTED, reaches[0])
-    centre = 0.5 * (edges[1:] + edges[:-1])
-    told = np.interp(np.nan_to_num(brightness), centre, (mean**2 / usual).sum(axis=1))
-    return np.where(np.isfinite(brightness), told, 0.0)
-
-
-def _certain_means(
-    values: Array, step: NDArray[np.intp], stretch: NDArray[np.intp], bins: int, stretches: int
-) -> Array:
-    """Mean (bins, 2) of values (N, 2) per step of brightness; zero where stretches do not agree on it."""
-    cell = step * stretches + stretch
-    count = np.bincount(cell, minlength=bins * stretches).reshape(bins, stretches)
-    out = np.zeros((bins, 2))
-    for c in range(2):
-        total = np.bincount(cell, values[:, c], minlength=bins * stretches).reshape(bins, stretches)
-        for k in range(bins):
-            there = count[k] >= MIN_BLOCKS
-            number = int(there.sum())
-            if number < LEAST_STRETCHES:
-                continue
-            means = total[k, there] / count[k, there]
-            if abs(means.mean()) > CERTAIN * means.std(ddof=1) / np.sqrt(number):
-                out[k, c] = total[k].sum() / count[k].sum()
-    return out
 
 
 def _weight(squared: Array) -> Array:
@@ -262,13 +208,19 @@ def _weight(squared: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class _Shift:
-    """One shift per window, (rows, blocks, 2) px at the longest lag, its variance, and where it is seen."""
+    """One shift per window, (rows, blocks, 2) px at the longest lag, its variance, and where it is seen.
+
+    Rows too empty for a line of their own are judged by those up to `lent` rows away. Where brightness tells
+    clouds from ground they need no judge: between clouds the motion itself may be unknown, and what is left
+    of it is no departure.
+    """
 
     x: Array
     lag: Array
     value: Array
     variance: Array
     seen: Flags
+    lent: int
 
     def scaled(self, factor: Array) -> _Shift:
         """The same with variances multiplied by `factor` (2,)."""
@@ -288,7 +240,7 @@ def _common_shift(star: Star, post_px: Array) -> _Shift:
     value = np.where(seen[:, None], (share * np.where(present, post_px, 0.0)).sum(axis=1) / information, 0.0)
     value, variance = value.reshape(rows, blocks, 2), (1.0 / information).reshape(rows, blocks, 2)
     x = star.field.reshape(rows, blocks)[0]
-    return _Shift(x, lag, value, variance, seen.reshape(rows, blocks))
+    return _Shift(x, lag, value, variance, seen.reshape(rows, blocks), _reaches(star)[-1])
 
 
 def _relative_lags(star: Star) -> Array:
@@ -319,33 +271,29 @@ def _upwards(star: Star, lag: Array) -> Array:
 
 def _reaches(star: Star) -> list[int]:
     """REACHES in rows."""
-    lines = star.pixels[:, 0].reshape(star.shape)[:, 0]
-    step = max(float(np.median(np.diff(lines))), 1e-6)
+    step = _line_step(star)
     return [max(1, round(reach / step)) for reach in REACHES]
 
 
-def _sum_along(values: Array, reach: int) -> Array:
-    """Sum over `reach` rows to either side, what lies beyond the ends left out."""
-    total = np.concatenate([np.zeros_like(values[:1]), np.cumsum(values, axis=0)])
-    rows = np.arange(len(values))
-    first, last = np.maximum(rows - reach, 0), np.minimum(rows + reach + 1, len(values))
-    return np.asarray(total[last] - total[first])
+def _line_step(star: Star) -> float:
+    """Lines between rows of windows."""
+    lines = star.pixels[:, 0].reshape(star.shape)[:, 0]
+    return max(float(np.median(np.diff(lines))), 1e-6)
 
 
 def _mean_along(values: Array, variance: Array, use: Flags, reach: int) -> tuple[Array, Array, Array]:
     """Mean over rows, its variance, and from how many rows: (rows, blocks, 2) twice, (rows, blocks, 1)."""
     there = use[..., None]
-    count = _sum_along(use.astype(float)[..., None], reach)
+    count = sum_along(use.astype(float)[..., None], reach)
     some = np.maximum(count, 1.0)
-    mean = _sum_along(np.where(there, values, 0.0), reach) / some
-    spread = _sum_along(np.where(there, variance, 0.0), reach) / some**2
+    mean = sum_along(np.where(there, values, 0.0), reach) / some
+    spread = sum_along(np.where(there, variance, 0.0), reach) / some**2
     return mean, np.where(count > 0.0, spread, 1.0), count
 
 
 def _lonely(seen: Flags, reach: int) -> Flags:
     """Windows among whose neighbours hardly any was matched: chance matches of blank ground."""
-    wide = np.pad(np.stack([seen, np.ones_like(seen)]).astype(float), ((0, 0), (0, 0), (1, 1)))
-    near, all_ = (_sum_along(part[:, :-2] + part[:, 1:-1] + part[:, 2:], reach) for part in wide)
+    near, all_ = (sum_beside(sum_along(part.astype(float), reach)) for part in (seen, np.ones_like(seen)))
     return np.asarray(seen & (near < LONELY * all_))
 
 
@@ -398,16 +346,16 @@ def _row_lines(shift: _Shift, weight: Array) -> tuple[Array, Array, Flags]:
     return lines, np.stack([s2, -s1, s0], axis=1) / det[:, None], laid
 
 
-def _from_row_line(shift: _Shift, weight: Array, reach: int) -> tuple[Array, Array, Flags]:
+def _from_row_line(shift: _Shift, weight: Array) -> tuple[Array, Array, Flags]:
     """Departure of windows from the line through the trusted ones of their row, variance, where known."""
     lines, covariance, laid = _row_lines(shift, weight)
     # a row that cannot tell by itself is judged by the line of its neighbours
-    near = _sum_along(laid.astype(float), reach)
+    near = sum_along(laid.astype(float), shift.lent)
     some = (near >= 1.0) & ~laid
 
     def borrowed(values: Array) -> Array:
         own = laid[:, None, None]
-        around = _sum_along(np.where(own, values, 0.0), reach) / np.maximum(near, 1.0)[:, None, None]
+        around = sum_along(np.where(own, values, 0.0), shift.lent) / np.maximum(near, 1.0)[:, None, None]
         return np.asarray(np.where(own, values, around))
 
     lines, covariance = borrowed(lines), borrowed(covariance)

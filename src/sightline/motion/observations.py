@@ -56,7 +56,7 @@ class Star:
     weight : (G, K)
         Robust weight of each match in [0, 1].
     brightness : (G,), optional
-        Mean of each window in the hub, in units of the image.
+        Of the brightest part of each window in the hub, in units of the image.
     window : (lines, columns), optional
         Size of the windows, px.
     """

@@ -32,11 +32,11 @@ from sightline.motion.predict import MovingCamera, StaticParameter
 from sightline.motion.sampled_sensitivities import sampled_sensitivities
 from sightline.motion.windows import (
     WindowGrid,
+    brightest_parts,
     exposure_times,
     field_positions,
     predict_windows,
     window_grid,
-    window_means,
 )
 
 Array = NDArray[np.float64]
@@ -327,10 +327,10 @@ def _same_windows(before: StarRecord, hub: int, grid: WindowGrid) -> bool:
 
 
 def _brightness(before: StarRecord | None, image: ImageSource, hub: int, grid: WindowGrid) -> Array:
-    """(G,) mean of each window in the hub; read once for passes that cut the same windows."""
+    """(G,) brightness of each window in the hub; read once for passes that cut the same windows."""
     if before is not None and before.star.brightness is not None and _same_windows(before, hub, grid):
         return before.star.brightness
-    return window_means(image, grid)
+    return brightest_parts(image, grid)
 
 
 def _learning(points: Array, image: ImageSource, plan: MatchingPlan) -> Array:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,8 @@ Array = NDArray[np.float64]
 _READ_PIXELS = 4_000_000
 #: Windows that reach over less than this share of a line are laid for a partner that sees no more of it.
 NARROW = 0.5
+#: Parts of a window whose brightness is looked at, and how many columns each has at least.
+PARTS, LEAST_PART = 8, 8
 MovingCamera = PushbroomCamera | FrameCamera
 
 
@@ -103,8 +106,10 @@ def window_grid(
     return WindowGrid((height, width), lines.astype(float), columns.astype(float))
 
 
-def window_means(image: ImageSource, grid: WindowGrid) -> Array:
-    """(rows * blocks,) mean of the measured pixels of each window, in units of the image; NaN where none.
+def brightest_parts(image: ImageSource, grid: WindowGrid) -> Array:
+    """(rows * blocks,) mean of the brightest part of each window, in units of the image; NaN where none.
+
+    A window has up to PARTS parts side by side: what fills one of them hardly shows in the mean of all.
 
     Parameters
     ----------
@@ -123,18 +128,28 @@ def window_means(image: ImageSource, grid: WindowGrid) -> Array:
         last = int(np.searchsorted(top, top[first] + far, side="right"))
         part = top[first:last]
         pixels = image.read((int(part[0]), int(part[-1]) + height), (0, image.shape[1]))
-        measured = np.isfinite(pixels)
-        whole = bool(measured.all())
-        total = _area_sums(
-            pixels if whole else np.where(measured, pixels, 0.0), part - part[0], left, grid.window
-        )
-        count = np.full(total.shape, float(height * width))
-        if not whole:
-            count = _area_sums(measured.astype(np.float32), part - part[0], left, grid.window)
-        seen = count > 0
-        out[first:last][seen] = total[seen] / count[seen]
+        out[first:last] = _brightest(pixels, part - part[0], left, grid.window)
         first = last
     return out.ravel()
+
+
+def _brightest(
+    pixels: NDArray[np.float32], top: NDArray[np.intp], left: NDArray[np.intp], window: tuple[int, int]
+) -> Array:
+    """Mean (rows, blocks) of the brightest part of windows that begin at lines `top` and columns `left`."""
+    height, width = window
+    measured = np.isfinite(pixels)
+    whole = bool(measured.all())
+    table = pixels if whole else np.where(measured, pixels, np.float32(0.0))
+    count = np.ones(pixels.shape, dtype=np.float32) if whole else measured.astype(np.float32)
+    out = np.full((len(top), len(left)), np.nan)
+    edges = np.linspace(0, width, max(1, min(PARTS, width // LEAST_PART)) + 1).astype(np.intp)
+    for begin, end in pairwise(edges):
+        size = (height, int(end - begin))
+        number = _area_sums(count, top, left + begin, size)
+        mean = _area_sums(table, top, left + begin, size) / np.where(number > 0, number, np.nan)
+        out = np.fmax(out, mean)
+    return out
 
 
 def _area_sums(
