@@ -20,8 +20,6 @@ from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.applications.results import LineOfSight
 from sightline.evaluation.score import remove_directions
 from sightline.geometry.surface import Plane
-from sightline.imaging.source import ArrayImage
-from sightline.motion.band import Band
 from sightline.motion.sensors import AttitudeSensor
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case
 
@@ -101,11 +99,7 @@ def recover(case: Case, scenario: StripScenario, seed: int) -> LineOfSight:
     images = [scenario.image(k).astype(float) for k in range(len(scenario.bands))]
     if case.edit is not None:
         case.edit(images, scenario, np.random.default_rng([seed, 77]))
-    options = scenario.options
-    bands = [
-        Band(b.name, ArrayImage(i), c, options.offset_sigma_px, options.rotation_sigma)
-        for b, i, c in zip(scenario.bands, images, scenario.nominal_cameras, strict=True)
-    ]
+    bands = scenario.as_told(images)
     sensors = []
     if case.gyro:
         table = scenario.gyro()
