@@ -135,10 +135,10 @@ class TestPriorModel:
         roll = Spectrum((Matern(2e-6, 1.0, "5/2"), Matern(1e-7, 0.01, "3/2")))
         pitch = Spectrum((Matern(5e-6, 1.0, "5/2"), Matern(1e-7, 0.02, "3/2"), Tone(1e-6, 47.0, 1.0)))
         unseen = Spectrum((Matern(1e-9, 1.0, "5/2"), Matern(1e-9, 0.01, "3/2")))
-        assert PriorModel((roll, pitch, unseen)).with_turns().spectra == (roll, pitch, pitch)
+        assert PriorModel((roll, pitch, unseen)).with_turns(0.7).spectra == (roll, pitch, pitch)
         # an unseen roll stays: shifts of the whole image are seen, or hidden, in any field
         large = Spectrum((Matern(4e-3, 1.0, "5/2"), Matern(1e-4, 0.01, "3/2")))
-        assert PriorModel((unseen, pitch, large)).with_turns().spectra == (unseen, pitch, large)
+        assert PriorModel((unseen, pitch, large)).with_turns(0.7).spectra == (unseen, pitch, large)
 
     def test_tones_of_other_axes_that_an_axis_does_not_have_are_named_once(self):
         drift = (Matern(1.0, 1.0, "5/2"), Matern(0.1, 0.01, "3/2"))
