@@ -397,11 +397,10 @@ def _held(
     axes = [axis for axis in range(2) if prior.constant_sigma[axis] < TIED_SIGMA]
     u = np.linspace(-1.0, 1.0, count)
     shapes = np.stack([np.full(count, 1.0 / count), u / (u @ u)], axis=1)
-    # (count * block, 2 per axis): the mean over the grid, and the drift from its middle to its end
-    seen = np.zeros((count, block, len(axes), 2))
+    # the mean over the grid, and the drift from its middle to its end
+    seen = np.zeros((block * count, 2 * len(axes)))
     for k, axis in enumerate(axes):
-        seen[:, axis, k] = shapes
-    seen = seen.reshape(count * block, -1)
+        seen[axis::block, 2 * k : 2 * k + 2] = shapes
     top, bottom = factor.times(seen)
     held = np.diag(np.square(np.repeat([prior.constant_sigma[axis] for axis in axes], 2)))
     gain = np.linalg.solve(seen.T @ top + held, seen.T @ x)
