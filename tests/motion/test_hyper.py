@@ -16,6 +16,7 @@ from sightline.motion import hyper
 from sightline.motion.hyper import (
     BROAD,
     PriorModel,
+    _corners_elsewhere,
     _tones_elsewhere,
     angle_differences,
     averaged,
@@ -139,6 +140,36 @@ class TestPriorModel:
         # an unseen roll stays: shifts of the whole image are seen, or hidden, in any field
         large = Spectrum((Matern(4e-3, 1.0, "5/2"), Matern(1e-4, 0.01, "3/2")))
         assert PriorModel((unseen, pitch, large)).with_turns(0.7).spectra == (unseen, pitch, large)
+
+    def test_drifts_are_compared_by_how_far_they_bend_over_the_strip(self):
+        jitter = Matern(1e-7, 0.01, "3/2")
+        # a drift of 4 s bends as sigma / timescale^2: 16 times less than its sigma says
+        roll = Spectrum((Matern(2e-6, 1.0, "5/2"), jitter))
+        pitch = Spectrum((Matern(4e-6, 4.0, "5/2"), jitter))
+        yaw = Spectrum((Matern(3e-6, 4.0, "5/2"), jitter))
+        assert PriorModel((roll, pitch, yaw)).with_turns(0.7).spectra == (roll, pitch, roll)
+        long = PriorModel((roll, pitch, yaw)).with_turns(100.0)
+        assert long.spectra == (roll, pitch, pitch)
+
+    def test_tones_of_one_strip_are_the_same_within_its_resolution(self):
+        drift = (Matern(2e-6, 1.0, "5/2"), Matern(1e-7, 0.01, "3/2"))
+        still = (Matern(1e-9, 1.0, "5/2"), Matern(1e-9, 0.01, "3/2"))
+        pitch, yaw = Spectrum((*drift, Tone(1e-6, 47.0, 1.0))), Spectrum((*still, Tone(1e-7, 48.0, 1.0)))
+        # 1 Hz apart: one mode in a strip of 0.7 s, two in one of 3 s
+        for length, expected in ((0.7, [47.0]), (3.0, [47.0, 48.0])):
+            turns = PriorModel((pitch, pitch, yaw)).with_turns(length).spectra[2]
+            assert [tone.frequency for tone in turns.tones] == expected
+
+    def test_the_corner_of_jitter_below_the_rows_noise_is_that_of_the_axis_that_shows_it(self):
+        def jitter(sigma, timescale):
+            return Spectrum((Matern(1.0, 1.0, "5/2"), Matern(sigma, timescale, "3/2")))
+
+        spectra = [jitter(0.1, 0.001), jitter(0.1, 0.010), jitter(0.1, 0.001)]
+        corner = Matern(0.1, 0.010, "3/2").corner
+        assert _corners_elsewhere(spectra, [0.05, 0.01, np.inf]) == [corner, None, corner]
+        assert _corners_elsewhere(spectra, [0.02, 0.01, 0.02]) == [None, None, None]
+        # nobody shows it
+        assert _corners_elsewhere(spectra, [0.2, 0.2, 0.2]) == [None, None, None]
 
     def test_tones_of_other_axes_that_an_axis_does_not_have_are_named_once(self):
         drift = (Matern(1.0, 1.0, "5/2"), Matern(0.1, 0.01, "3/2"))
