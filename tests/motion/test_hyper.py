@@ -17,6 +17,7 @@ from sightline.motion.hyper import (
     BROAD,
     PriorModel,
     _corners_elsewhere,
+    _own_share,
     _tones_elsewhere,
     angle_differences,
     averaged,
@@ -124,6 +125,18 @@ def test_one_axis_of_the_differences_keeps_times_and_variances():
     assert_allclose(series.variance, found.covariance[:, 1, 1])
     assert_allclose(series.lag, found.lag)
     assert series.window == 0.002 and series.images == (0, 1)
+
+
+def test_the_share_of_a_row_s_error_that_is_no_other_angle_s():
+    star = plain_star(20, 8, 1, SIGMA)
+    (found,) = angle_differences([star], [star.residual_px], estimate_of(star, still))
+    mixed = np.array([[1.0, 0.0, 1.8], [0.0, 1.0, 0.0], [1.8, 0.0, 4.0]])
+    # roll and yaw correlate by 0.9: given the other, 0.19 of the variance is left; unseen rows do not count
+    covariance = np.tile(mixed, (20, 1, 1))
+    covariance[:5] = np.diag([np.inf, 1.0, np.inf])
+    assert_allclose(_own_share([replace(found, covariance=covariance)]), [0.19, 1.0, 0.19], rtol=1e-9)
+    blind = np.tile(np.diag([np.inf, 1.0, np.inf]), (20, 1, 1))
+    assert_allclose(_own_share([replace(found, covariance=blind)]), 1.0)
 
 
 class TestPriorModel:

@@ -37,6 +37,9 @@ WEAK = 1e2
 SAME_TONE = 1.5
 #: Tones that are looked for per axis.
 MOST_TONES = 8
+#: Where less than this share of the variance of a row's angle is its own, and the rest another angle's on a
+#: lever of the field, rows say nothing of its noise: what is not known of the other passes for it.
+OWN = 0.5
 #: Broadband jitter of an axis is shown where it is so many times the noise of a row of windows.
 SHOWN = 3.0
 #: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
@@ -316,8 +319,10 @@ def fit_prior_model(
         return fitted(axis, spectra[axis], missing[axis], corners[axis])
 
     roll, pitch, yaw = in_threads(shared, range(3))
+    own = _own_share(differences)
     scales = [
-        one.noise_scale * max(grown, 1.0) for one, grown in zip((roll, pitch, yaw), grown_by, strict=True)
+        one.noise_scale * max(grown, 1.0) if share > OWN else 1.0
+        for one, grown, share in zip((roll, pitch, yaw), grown_by, own, strict=True)
     ]
     model = PriorModel((roll.spectrum, pitch.spectrum, yaw.spectrum), (scales[0], scales[1], scales[2]))
     return model.with_turns(length)
@@ -336,6 +341,16 @@ def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> li
             if other != axis and all(abs(tone.frequency - f) > apart for f in [*own, *out]):
                 out.append(float(tone.frequency))
     return out
+
+
+def _own_share(differences: Sequence[AngleDifferences]) -> Array:
+    """Median share (3,) of the variance of a row's roll, pitch, yaw that is no error of another angle."""
+    covariance = np.concatenate([d.covariance for d in differences])
+    covariance = covariance[np.isfinite(covariance).all(axis=(1, 2))]
+    if len(covariance) == 0:
+        return np.ones(3)
+    alone = 1.0 / np.linalg.inv(covariance)[:, [0, 1, 2], [0, 1, 2]]
+    return np.asarray(np.median(alone / covariance[:, [0, 1, 2], [0, 1, 2]], axis=0))
 
 
 def _row_sigma(differences: Sequence[AngleDifferences], axis: int) -> float:
