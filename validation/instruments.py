@@ -7,7 +7,8 @@ Through the files, as `sightline simulate`, `recover` and `score` do it. One lin
 and axis, over all seeds: rms error in px (yaw: px at the field's edge) after the hidden directions are fitted
 away, the root mean square of the stated sigma, their ratio (at most 1.2) and the mean NEES (0.8 to 1.25);
 `samples` is what the errors of all seeds are worth as independent ones: the NEES of a true sigma scatters by
-sqrt(2 / samples).
+sqrt(2 / samples), and by more where the sigma of a strip follows what that strip showed of its spectrum;
+`+-` is the standard error of the NEES as it scatters from seed to seed.
 """
 
 from __future__ import annotations
@@ -62,10 +63,13 @@ def show(case: str, off_nadir: float, axis: str, scores: list[AxisScore]) -> Non
     rms = float(np.sqrt(np.mean([s.rms**2 for s in scores])))
     sigma = float(np.sqrt(np.mean([s.sigma**2 for s in scores])))
     nees = float(np.mean([s.nees for s in scores]))
+    error = (
+        float(np.std([s.nees for s in scores], ddof=1) / len(scores) ** 0.5) if len(scores) > 1 else np.nan
+    )
     samples = sum(s.effective_samples for s in scores)
     print(
         f"{case:16s} {off_nadir:4.0f} deg {axis:5s} rms {rms:.4f} sigma {sigma:.4f} ratio {rms / sigma:.2f} "
-        f"NEES {nees:.2f} samples {samples:.0f}",
+        f"NEES {nees:.2f} +- {error:.2f} samples {samples:.0f}",
         flush=True,
     )
 

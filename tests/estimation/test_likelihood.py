@@ -9,6 +9,7 @@ from sightline.errors import InputError
 from sightline.estimation.evidence import posterior
 from sightline.estimation.likelihood import default_step, fit_spectrum
 from sightline.estimation.prior import Matern, Spectrum, Tone
+from sightline.estimation.search import mean_variance_unseen
 from sightline.estimation.series import DifferenceSeries, Grid, normal_equations
 
 STEP, N = 1e-3, 1000
@@ -165,6 +166,40 @@ def test_bad_input_is_named() -> None:
     good = DifferenceSeries(t, t + 1.0, t, t + 1.0)
     with pytest.raises(InputError, match="`start` needs a Matern component"):
         fit_spectrum([good], start=Spectrum((Tone(1.0, 1.0, 1.0),)))
+
+
+def test_the_mean_variance_of_an_unseen_tone_is_that_of_tones_drawn_so() -> None:
+    """Amplitudes even up to the largest, gains exponential of mean 1 + variance: means by gain."""
+    rng = np.random.default_rng(3)
+    for largest in (0.02, 12.0):
+        variance = largest * rng.uniform(0.0, 1.0, 400_000) ** 2
+        gain = (1.0 + variance) * rng.exponential(size=len(variance))
+        for low in (0.0, 2.0, 5.0):
+            near = np.abs(gain - low - 0.1) < 0.1
+            # some 2000 or more in a slice of variances that scatter as much as their mean: 2 %, times three
+            assert mean_variance_unseen(low + 0.1, largest) == pytest.approx(variance[near].mean(), rel=0.07)
+    # where nothing is seen, the third of the largest; never more than it
+    assert mean_variance_unseen(0.7, 1e-6) == pytest.approx(1e-6 / 3.0, rel=1e-3)
+    assert mean_variance_unseen(50.0, 12.0) < 12.0
+
+
+def test_jitter_below_the_noise_has_the_corner_that_another_axis_shows(motion: np.ndarray) -> None:
+    """Noise of five times the jitter hides where it bends: it may pass for noise, or noise for it."""
+    noisy = measured(motion, 0.5)
+    believed = 50.0
+    told, alone = (
+        fit_spectrum(noisy, max_tones=0, corner=corner).spectrum.components[1].corner
+        for corner in (believed, None)
+    )
+    # a belief of 0.7 in the logarithm, twice that at the most where the data say little
+    assert abs(np.log(told / believed)) < 1.4
+    assert abs(np.log(told / believed)) < abs(np.log(alone / believed))
+    # where the data show it (noise of a third of the jitter), what is believed a decade off hardly matters
+    seen = fit_spectrum(measured(motion, 0.03), max_tones=1).spectrum.components[1].corner
+    misled = (
+        fit_spectrum(measured(motion, 0.03), max_tones=1, corner=10.0 * seen).spectrum.components[1].corner
+    )
+    assert abs(np.log(misled / seen)) < 0.7
 
 
 def test_a_tone_that_other_axes_have_is_as_large_as_goes_unseen(series) -> None:  # type: ignore[no-untyped-def]

@@ -16,6 +16,8 @@ from sightline.motion import hyper
 from sightline.motion.hyper import (
     BROAD,
     PriorModel,
+    _corners_elsewhere,
+    _own_share,
     _tones_elsewhere,
     angle_differences,
     averaged,
@@ -125,6 +127,18 @@ def test_one_axis_of_the_differences_keeps_times_and_variances():
     assert series.window == 0.002 and series.images == (0, 1)
 
 
+def test_the_share_of_a_row_s_error_that_is_no_other_angle_s():
+    star = plain_star(20, 8, 1, SIGMA)
+    (found,) = angle_differences([star], [star.residual_px], estimate_of(star, still))
+    mixed = np.array([[1.0, 0.0, 1.8], [0.0, 1.0, 0.0], [1.8, 0.0, 4.0]])
+    # roll and yaw correlate by 0.9: given the other, 0.19 of the variance is left; unseen rows do not count
+    covariance = np.tile(mixed, (20, 1, 1))
+    covariance[:5] = np.diag([np.inf, 1.0, np.inf])
+    assert_allclose(_own_share([replace(found, covariance=covariance)]), [0.19, 1.0, 0.19], rtol=1e-9)
+    blind = np.tile(np.diag([np.inf, 1.0, np.inf]), (20, 1, 1))
+    assert_allclose(_own_share([replace(found, covariance=blind)]), 1.0)
+
+
 class TestPriorModel:
     def test_pixels_become_angles_and_yaw_counts_at_the_field_edge(self):
         scaled = BROAD.scaled(5e-6, 8e-4)
@@ -135,10 +149,40 @@ class TestPriorModel:
         roll = Spectrum((Matern(2e-6, 1.0, "5/2"), Matern(1e-7, 0.01, "3/2")))
         pitch = Spectrum((Matern(5e-6, 1.0, "5/2"), Matern(1e-7, 0.02, "3/2"), Tone(1e-6, 47.0, 1.0)))
         unseen = Spectrum((Matern(1e-9, 1.0, "5/2"), Matern(1e-9, 0.01, "3/2")))
-        assert PriorModel((roll, pitch, unseen)).with_turns().spectra == (roll, pitch, pitch)
+        assert PriorModel((roll, pitch, unseen)).with_turns(0.7).spectra == (roll, pitch, pitch)
         # an unseen roll stays: shifts of the whole image are seen, or hidden, in any field
         large = Spectrum((Matern(4e-3, 1.0, "5/2"), Matern(1e-4, 0.01, "3/2")))
-        assert PriorModel((unseen, pitch, large)).with_turns().spectra == (unseen, pitch, large)
+        assert PriorModel((unseen, pitch, large)).with_turns(0.7).spectra == (unseen, pitch, large)
+
+    def test_drifts_are_compared_by_how_far_they_bend_over_the_strip(self):
+        jitter = Matern(1e-7, 0.01, "3/2")
+        # a drift of 4 s bends as sigma / timescale^2: 16 times less than its sigma says
+        roll = Spectrum((Matern(2e-6, 1.0, "5/2"), jitter))
+        pitch = Spectrum((Matern(4e-6, 4.0, "5/2"), jitter))
+        yaw = Spectrum((Matern(3e-6, 4.0, "5/2"), jitter))
+        assert PriorModel((roll, pitch, yaw)).with_turns(0.7).spectra == (roll, pitch, roll)
+        long = PriorModel((roll, pitch, yaw)).with_turns(100.0)
+        assert long.spectra == (roll, pitch, pitch)
+
+    def test_tones_of_one_strip_are_the_same_within_its_resolution(self):
+        drift = (Matern(2e-6, 1.0, "5/2"), Matern(1e-7, 0.01, "3/2"))
+        still = (Matern(1e-9, 1.0, "5/2"), Matern(1e-9, 0.01, "3/2"))
+        pitch, yaw = Spectrum((*drift, Tone(1e-6, 47.0, 1.0))), Spectrum((*still, Tone(1e-7, 48.0, 1.0)))
+        # 1 Hz apart: one mode in a strip of 0.7 s, two in one of 3 s
+        for length, expected in ((0.7, [47.0]), (3.0, [47.0, 48.0])):
+            turns = PriorModel((pitch, pitch, yaw)).with_turns(length).spectra[2]
+            assert [tone.frequency for tone in turns.tones] == expected
+
+    def test_the_corner_of_jitter_below_the_rows_noise_is_that_of_the_axis_that_shows_it(self):
+        def jitter(sigma, timescale):
+            return Spectrum((Matern(1.0, 1.0, "5/2"), Matern(sigma, timescale, "3/2")))
+
+        spectra = [jitter(0.1, 0.001), jitter(0.1, 0.010), jitter(0.1, 0.001)]
+        corner = Matern(0.1, 0.010, "3/2").corner
+        assert _corners_elsewhere(spectra, [0.05, 0.01, np.inf]) == [corner, None, corner]
+        assert _corners_elsewhere(spectra, [0.02, 0.01, 0.02]) == [None, None, None]
+        # nobody shows it
+        assert _corners_elsewhere(spectra, [0.2, 0.2, 0.2]) == [None, None, None]
 
     def test_tones_of_other_axes_that_an_axis_does_not_have_are_named_once(self):
         drift = (Matern(1.0, 1.0, "5/2"), Matern(0.1, 0.01, "3/2"))

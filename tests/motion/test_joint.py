@@ -137,16 +137,18 @@ def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool) -> None:
         k[axis:size:block, axis:size:block] = dense[axis] + (CONSTANT_SIGMA[axis] ** 2 if axis < 3 else 0.0)
     k[size:, size:] = np.diag(prior.statics_sigma**2)
     gain = k @ rows.T @ np.linalg.inv(rows @ k @ rows.T + noise)
-    # the estimate is also given that roll and pitch have mean zero but for their constants' sigma
-    held = np.zeros((2, size + 2))
+    # the estimate is also given that roll and pitch have no mean and no drift but for their constants' sigma
+    held = np.zeros((4, size + 2))
+    u = np.linspace(-1.0, 1.0, COUNT)
     for axis in range(2):
         held[axis, axis:size:block] = 1.0 / COUNT
+        held[2 + axis, axis:size:block] = u / (u @ u)
     rows_held = np.concatenate([rows, held])
     noise_held = np.zeros((len(rows_held), len(rows_held)))
     noise_held[: len(rows), : len(rows)] = noise
-    noise_held[len(rows) :, len(rows) :] = np.diag(np.square(CONSTANT_SIGMA[:2]))
+    noise_held[len(rows) :, len(rows) :] = np.diag(np.square(CONSTANT_SIGMA[:2] * 2))
     spread = rows_held @ k @ rows_held.T + noise_held
-    mean = k @ rows_held.T @ np.linalg.solve(spread, np.concatenate([y, np.zeros(2)]))
+    mean = k @ rows_held.T @ np.linalg.solve(spread, np.concatenate([y, np.zeros(4)]))
     covariance = k - gain @ rows @ k
     expected = mean[:size].reshape(COUNT, block)
     sigma = np.sqrt(np.diag(covariance)[:size].reshape(COUNT, block)[:, :3])

@@ -68,6 +68,7 @@ def fit_spectrum(
     iterations: int = 60,
     work: float = WORK,
     possible: Sequence[float] = (),
+    corner: float | None = None,
 ) -> FittedSpectrum:
     """Spectrum and noise scale of a motion by marginal likelihood, tones found blind.
 
@@ -99,7 +100,9 @@ def fit_spectrum(
     work : float
         Allowed per evaluation, see `WORK`.
     possible : sequence of float
-        Hz; there a tone stands, of at most the size below which it is not found.
+        Hz; there a tone stands, of the size that one not found has on average.
+    corner : float, optional
+        Hz; where the broadband part is believed to bend, within a factor of 2.
 
     Raises
     ------
@@ -119,7 +122,7 @@ def fit_spectrum(
         )
 
     offset = 1.0 if offset_sigma is None else offset_sigma / unit
-    search = Search(summed(None), offset, fit_noise, grid.step * grid.count)
+    search = Search(summed(None), offset, fit_noise, grid.step * grid.count, corner)
     guesses = _guesses(inside, grid) + ([] if start is None else [Model.of(start.scaled(1.0 / unit))])
     model = min(guesses, key=search.deviance)
     model = search.with_given_tones(model, known_tones)

@@ -35,6 +35,8 @@ BELIEF = 3.0
 #: The same of a tone's bandwidth, about one over the length of the data: below that a bandwidth hardly
 #: shows, and one that is too narrow costs more than one that is too wide.
 BANDWIDTH_BELIEF = 1.2
+#: The same of the corner of the broadband part where another axis of the same body shows it: a factor of 2.
+CORNER_BELIEF = 0.7
 #: A smoother broadband part is believed when it lowers the deviance by this much (Akaike's price of a
 #: parameter, thrice: there are three steps to take).
 SMOOTHER = 6.0
@@ -102,11 +104,19 @@ class Search:
         Whether the noise scale is a parameter.
     length : float
         s; of the data: its inverse is the resolution in frequency.
+    corner : float, optional
+        Hz; where the broadband part is believed to bend, within CORNER_BELIEF.
     """
 
     def __init__(
-        self, equations: NormalEquations, offset_sigma: float, fit_noise: bool, length: float
+        self,
+        equations: NormalEquations,
+        offset_sigma: float,
+        fit_noise: bool,
+        length: float,
+        corner: float | None = None,
     ) -> None:
+        self._corner = corner
         self._equations = equations
         self._offset_sigma = offset_sigma
         self._fit_noise = fit_noise
@@ -185,6 +195,9 @@ class Search:
         centre = x0.copy()
         pull[5:-1:3] = 0.0  # frequencies: bounded, not believed
         pull[6:-1:3], centre[6:-1:3] = BANDWIDTH_BELIEF**-2, -math.log(self._length)
+        if self._corner is not None:
+            pull[3] = CORNER_BELIEF**-2
+            centre[3] = math.log(model.broadband.timescale * model.broadband.corner / self._corner)
         best: list[tuple[float, Array]] = [(math.inf, x0)]
 
         def objective(x: Array) -> tuple[float, Array]:
@@ -352,10 +365,10 @@ class Search:
         return model
 
     def with_possible_tones(self, model: Model, possible: Sequence[float], false_alarm: float) -> Model:
-        """The model and a tone at every `possible` frequency (Hz) it has none at, as large as may go unseen.
+        """The model and a tone at every `possible` frequency (Hz) it has none at, as large as it may be.
 
-        A size fitted to data that do not show the tone is an accident: nothing at a blind frequency. What
-        gains `unexplained_tones`' threshold on average has the variance 2 threshold / c'Fc.
+        A size fitted to data that do not show the tone is an accident: nothing at a blind frequency. It has
+        the mean variance that the data leave to it, see `mean_variance_unseen`.
         """
         apart = 1.5 / self._length
         new = [f for f in possible if all(abs(tone.frequency - f) > apart for tone in model.tones)]
@@ -363,11 +376,14 @@ class Search:
             return model
         now = self.posterior(model)
         u = band_times(now.prior_band, now.mean)
-        _, expected = self._exact_gain(now, u, np.array(new))
+        power, expected = self._exact_gain(now, u, np.array(new))
         threshold = math.log(0.3 / self._equations.grid.step * self._length / false_alarm)
-        for frequency, information in zip(new, expected, strict=True):
-            size = min(math.sqrt(2.0 * threshold / float(information)), model.drift.sigma)
-            model = model.with_tone(Tone(size, frequency, 1.0 / self._length), math.nan)
+        for frequency, gained, information in zip(new, power / expected, expected, strict=True):
+            # a tone of this variance would gain 1 + information variance / 2 on average
+            per_variance = 0.5 * float(information)
+            largest = min(threshold, per_variance * model.drift.sigma**2)
+            variance = mean_variance_unseen(float(gained), largest) / per_variance
+            model = model.with_tone(Tone(math.sqrt(variance), frequency, 1.0 / self._length), math.nan)
         return model
 
     def without_idle_tones(self, model: Model) -> Model:
@@ -381,6 +397,25 @@ class Search:
             if self.deviance(fewer) < present + 6.0:
                 model = fewer
         return model
+
+
+def mean_variance_unseen(gain: float, largest: float) -> float:
+    """Mean variance of a tone that was not found, in units in which the noise has that of 1.
+
+    The gain of a tone of variance v is exponential of mean 1 + v; amplitudes are even up to where the tone
+    would have been found, or would be larger than all motion.
+
+    Parameters
+    ----------
+    gain : float
+        Log-likelihood that a sinusoid at its frequency would gain.
+    largest : float
+        Of the variance.
+    """
+    amplitude = (np.arange(400) + 0.5) / 400.0
+    variance = largest * amplitude**2
+    weight = np.exp(-gain / (1.0 + variance)) / (1.0 + variance)
+    return float(variance @ weight / weight.sum())
 
 
 def _component(model: Model, parameter: int) -> Matern | Tone:

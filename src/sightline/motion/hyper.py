@@ -33,10 +33,15 @@ Array = NDArray[np.float64]
 ORDER = 80
 #: Information (rad^-2, sigma 0.1 rad) that keeps the angles finite of a row that cannot see them all.
 WEAK = 1e2
-#: Tones of two axes nearer than this (Hz) are one mode.
+#: Tones of two axes nearer than this, in units of one over the length of the strip, are one mode.
 SAME_TONE = 1.5
 #: Tones that are looked for per axis.
 MOST_TONES = 8
+#: Where less than this share of the variance of a row's angle is its own, and the rest another angle's on a
+#: lever of the field, rows say nothing of its noise: what is not known of the other passes for it.
+OWN = 0.5
+#: Broadband jitter of an axis is shown where it is so many times the noise of a row of windows.
+SHOWN = 3.0
 #: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
 MOST_ACROSS = 0.5
 
@@ -58,18 +63,24 @@ class PriorModel:
         size = np.sqrt(np.tile([0.5 * (pitch + yaw), roll], len(correlation) // 2))
         return np.asarray(correlation * np.outer(size, size))
 
-    def with_turns(self) -> PriorModel:
+    def with_turns(self, length: float) -> PriorModel:
         """The model with a motion about the line of sight no smaller than that across it (rad).
 
         A narrow field hardly shows that angle: its likelihood is as content with none as with a large one,
         and a spectrum of none would be certain of it. Nothing holds a body stiller about one axis than
-        another: where the drift found is the smaller, every part of the spectrum of the larger of the others
-        stands in the place of a smaller one, and what the field does show stays.
+        another: where the drift found bends less, every part of the spectrum of that axis of the others
+        whose drift bends most stands in the place of a smaller one, and what the field does show stays.
+
+        Parameters
+        ----------
+        length : float
+            s; of the strip.
         """
-        across = max(self.spectra[:2], key=_slow)
-        if _slow(self.spectra[2]) >= _slow(across):
+        bends = [_bend(_drift(s), length) for s in self.spectra]
+        across = self.spectra[int(np.argmax(bends[:2]))]
+        if bends[2] >= max(bends[:2]):
             return self
-        return replace(self, spectra=(*self.spectra[:2], _larger_parts(self.spectra[2], across)))
+        return replace(self, spectra=(*self.spectra[:2], _larger_parts(self.spectra[2], across, length)))
 
     def scaled(self, pixel_angle: float, half_field: float) -> PriorModel:
         """The model given in px (yaw: px at the field edge) as one in rad."""
@@ -98,26 +109,38 @@ class PriorModel:
         return None if roll is None or pitch is None or yaw is None else (roll, pitch, yaw)
 
 
-def _slow(spectrum: Spectrum) -> float:
-    """Standard deviation (rad) of the largest broad part of a spectrum: its drift."""
-    return max((c.sigma for c in spectrum.components if isinstance(c, Matern)), default=0.0)
+def _drift(spectrum: Spectrum) -> Matern:
+    """The first of the broad parts."""
+    return next(c for c in spectrum.components if isinstance(c, Matern))
 
 
-def _larger_parts(one: Spectrum, other: Spectrum) -> Spectrum:
-    """Drift, broadband and each tone of two spectra, whichever is the larger."""
+def _broadband(spectrum: Spectrum) -> Matern:
+    """The last of the broad parts."""
+    return [c for c in spectrum.components if isinstance(c, Matern)][-1]
 
-    def broad(spectrum: Spectrum) -> list[Matern]:
-        return [c for c in spectrum.components if isinstance(c, Matern)]
 
-    parts = [max(pair, key=lambda part: part.sigma) for pair in zip(broad(one), broad(other), strict=False)]
+def _bend(part: Matern, length: float) -> float:
+    """Standard deviation (rad) of how far a motion bends away from a line over a strip of `length` s.
+
+    Constants and even drifts are hidden where offsets are free; sigma and timescale of a drift longer than
+    the strip are then told only as what bends, sigma over timescale squared: either alone may be anything.
+    """
+    k = part.autocovariance(np.array([0.0, 0.5 * length, length]))
+    return float(np.sqrt(max(6.0 * k[0] - 8.0 * k[1] + 2.0 * k[2], 0.0)))
+
+
+def _larger_parts(one: Spectrum, other: Spectrum, length: float) -> Spectrum:
+    """Drift, broadband and each tone of two spectra over `length` s, whichever is the larger."""
+    drift = max((_drift(one), _drift(other)), key=lambda part: _bend(part, length))
+    broadband = max((_broadband(one), _broadband(other)), key=lambda part: part.sigma)
     tones = list(one.tones)
     for tone in other.tones:
-        near = [k for k, own in enumerate(tones) if abs(own.frequency - tone.frequency) < SAME_TONE]
+        near = [k for k, own in enumerate(tones) if abs(own.frequency - tone.frequency) * length < SAME_TONE]
         if not near:
             tones.append(tone)
         elif tone.sigma > tones[near[0]].sigma:
             tones[near[0]] = tone
-    return Spectrum((*parts, *sorted(tones, key=lambda tone: tone.frequency)))
+    return Spectrum((drift, broadband, *sorted(tones, key=lambda tone: tone.frequency)))
 
 
 _WIDE = Spectrum((Matern(20.0, 1.0, "5/2"), Matern(0.5, 0.01, "3/2")))
@@ -264,7 +287,12 @@ def fit_prior_model(
     if not differences:
         raise EstimationError("no row of windows is seen by any pair; check that the bands overlap")
 
-    def fitted(axis: int, possible: Sequence[float] = (), begin: Spectrum | None = None) -> FittedSpectrum:
+    def fitted(
+        axis: int,
+        begin: Spectrum | None = None,
+        possible: Sequence[float] = (),
+        corner: float | None = None,
+    ) -> FittedSpectrum:
         series = [scalar_series(d, axis) for d in differences]
         if jumps:
             series = [_without_jumps(one, jumps[axis]) for one in series]
@@ -276,21 +304,28 @@ def fit_prior_model(
             known_tones=known_tones,
             possible=possible,
             max_tones=MOST_TONES if begin is None else 0,
+            corner=corner,
         )
 
     first = in_threads(fitted, range(3))
-    apart = 1.5 / (max(d.t.max() for d in differences) - min(d.t.min() for d in differences))
-    missing = [_tones_elsewhere([one.spectrum for one in first], axis, apart) for axis in range(3)]
+    length = max(float(d.t.max()) for d in differences) - min(float(d.t.min()) for d in differences)
+    spectra = [one.spectrum for one in first]
+    missing = [_tones_elsewhere(spectra, axis, SAME_TONE / length) for axis in range(3)]
+    corners = _corners_elsewhere(spectra, [_row_sigma(differences, axis) for axis in range(3)])
 
     def shared(axis: int) -> FittedSpectrum:
-        return fitted(axis, missing[axis], first[axis].spectrum) if missing[axis] else first[axis]
+        if not missing[axis] and corners[axis] is None:
+            return first[axis]
+        return fitted(axis, spectra[axis], missing[axis], corners[axis])
 
     roll, pitch, yaw = in_threads(shared, range(3))
+    own = _own_share(differences)
     scales = [
-        one.noise_scale * max(grown, 1.0) for one, grown in zip((roll, pitch, yaw), grown_by, strict=True)
+        one.noise_scale * max(grown, 1.0) if share > OWN else 1.0
+        for one, grown, share in zip((roll, pitch, yaw), grown_by, own, strict=True)
     ]
     model = PriorModel((roll.spectrum, pitch.spectrum, yaw.spectrum), (scales[0], scales[1], scales[2]))
-    return model.with_turns()
+    return model.with_turns(length)
 
 
 def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> list[float]:
@@ -306,6 +341,36 @@ def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> li
             if other != axis and all(abs(tone.frequency - f) > apart for f in [*own, *out]):
                 out.append(float(tone.frequency))
     return out
+
+
+def _own_share(differences: Sequence[AngleDifferences]) -> Array:
+    """Median share (3,) of the variance of a row's roll, pitch, yaw that is no error of another angle."""
+    covariance = np.concatenate([d.covariance for d in differences])
+    covariance = covariance[np.isfinite(covariance).all(axis=(1, 2))]
+    if len(covariance) == 0:
+        return np.ones(3)
+    alone = 1.0 / np.linalg.inv(covariance)[:, [0, 1, 2], [0, 1, 2]]
+    return np.asarray(np.median(alone / covariance[:, [0, 1, 2], [0, 1, 2]], axis=0))
+
+
+def _row_sigma(differences: Sequence[AngleDifferences], axis: int) -> float:
+    """Median sigma (rad) of one row's difference of an angle; infinite where no row sees it."""
+    variance = np.concatenate([d.covariance[:, axis, axis] for d in differences])
+    return float(np.sqrt(np.median(variance)))
+
+
+def _corners_elsewhere(spectra: Sequence[Spectrum], row_sigma: Sequence[float]) -> list[float | None]:
+    """Corner (Hz) of the broadband jitter of the axis that shows it best, for axes whose rows do not show it.
+
+    Below the noise of a row, jitter and noise are told apart by how they follow in time alone: jitter of a
+    corner above all that is seen would pass for noise, and noise for jitter. What shakes one axis of a body
+    shakes the others about as fast.
+    """
+    seen = [_broadband(s).sigma / sigma for s, sigma in zip(spectra, row_sigma, strict=True)]
+    best = int(np.argmax(seen))
+    if seen[best] < SHOWN:
+        return [None] * len(seen)
+    return [_broadband(spectra[best]).corner if one < SHOWN else None for one in seen]
 
 
 def _without_jumps(series: DifferenceSeries, jumps: Array) -> DifferenceSeries:
