@@ -164,6 +164,16 @@ class TestPriorModel:
         long = PriorModel((roll, pitch, yaw)).with_turns(100.0)
         assert long.spectra == (roll, pitch, pitch)
 
+    def test_beside_unknown_relief_pitch_drifts_no_less_than_roll(self):
+        jitter, tone = Matern(1e-7, 0.01, "3/2"), Tone(1e-6, 47.0, 1.0)
+        roll = Spectrum((Matern(2e-6, 1.0, "5/2"), jitter))
+        still = Spectrum((Matern(1e-7, 1.0, "5/2"), jitter, tone))
+        found = PriorModel((roll, still, still), (1.0, 2.0, 1.0)).beside_relief(1.0)
+        # its own jitter and tones stay, and yaw, which relief does not imitate alike, is left alone
+        assert found.spectra == (roll, Spectrum((roll.components[0], jitter, tone)), still)
+        assert found.noise_scale == (1.0, 2.0, 1.0)
+        assert PriorModel((still, roll, still)).beside_relief(1.0).spectra == (still, roll, still)
+
     def test_tones_of_one_strip_are_the_same_within_its_resolution(self):
         drift = (Matern(2e-6, 1.0, "5/2"), Matern(1e-7, 0.01, "3/2"))
         still = (Matern(1e-9, 1.0, "5/2"), Matern(1e-9, 0.01, "3/2"))

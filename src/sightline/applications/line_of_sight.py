@@ -275,6 +275,8 @@ def _compensated_pass(
             WORK * (DRAFT_WORK if strip.draft else 1.0),
             strip.known.tones,
         )
+        if solved.prior.relief is not None:
+            model = model.beside_relief(strip.grid.step * strip.grid.count)
     rounds = DRAFT_ROUNDS if strip.draft else ROUNDS
     return solve_strip(
         strip, solved.records, nodes, statics, model, height_sigma, before=state, rounds=rounds

@@ -82,6 +82,17 @@ class PriorModel:
             return self
         return replace(self, spectra=(*self.spectra[:2], _larger_parts(self.spectra[2], across, length)))
 
+    def beside_relief(self, length: float) -> PriorModel:
+        """The model with a drift of pitch no smaller than that of roll (rad); `length` (s) of the strip.
+
+        Relief that nobody knows shifts matches as pitch does, never as roll: what it takes from the drift of
+        pitch in one estimate would not be looked for in the next.
+        """
+        roll, pitch, yaw = self.spectra
+        larger = max((_drift(roll), _drift(pitch)), key=lambda part: _bend(part, length))
+        others = tuple(part for part in pitch.components if part is not _drift(pitch))
+        return replace(self, spectra=(roll, Spectrum((larger, *others)), yaw))
+
     def scaled(self, pixel_angle: float, half_field: float) -> PriorModel:
         """The model given in px (yaw: px at the field edge) as one in rad."""
         yaw = pixel_angle / max(half_field, pixel_angle)

@@ -119,12 +119,15 @@ def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float,
             for k in range(j, pairs):
                 if pairs > 1 and j == k:
                     continue
-                line = np.nanmean(flat[:, 2 * j] * flat[:, 2 * k])
-                column = np.nanmean(flat[:, 2 * j + 1] * flat[:, 2 * k + 1])
+                products = flat[:, 2 * j] * flat[:, 2 * k], flat[:, 2 * j + 1] * flat[:, 2 * k + 1]
+                seen = np.isfinite(products[0] - products[1])
+                number = float(seen.sum())
+                if not number:
+                    continue
+                line, column = (float(np.mean(product[seen])) for product in products)
                 scale = np.nanmedian(along[:, j] * along[:, k])
                 gain = float(np.nanmedian(coefficient[:, j] * coefficient[:, k]))
-                if np.isfinite(line - column) and gain > 0:
-                    number = float(np.isfinite(flat[:, 2 * j] * flat[:, 2 * k]).sum())
+                if gain > 0:
                     excess += number * gain * float((line - column) * scale)
                     weight += number * gain**2
     measured = max(excess / weight, 0.0) if weight > 0 else 0.0

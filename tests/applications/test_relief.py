@@ -1,0 +1,49 @@
+"""Heights known to a sigma, and not at all, through the whole recovery of a strip."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sightline.applications.line_of_sight import recover_line_of_sight
+from sightline.applications.strip import RecoverOptions
+from sightline.evaluation.score import score_result
+from sightline.geometry.surface import Dem, Plane
+from sightline.simulate.scenarios import line_of_sight_case
+
+
+@pytest.fixture(scope="module")
+def strip():
+    """A short strip over hills of 300 m rms."""
+    scenario = line_of_sight_case("relief", 3, lines=500, columns=420)
+    return scenario, scenario.as_told()
+
+
+def scored(strip, surface, height_sigma):
+    """Score of the recovery with some knowledge of the ground."""
+    scenario, bands = strip
+    options = RecoverOptions(passes=3)
+    result = recover_line_of_sight(bands, surface, height_sigma=height_sigma, options=options)
+    truth = scenario.truth
+    return score_result(result, truth[:, 0], truth[:, 1:])
+
+
+def test_a_small_height_sigma_that_matters_only_once_matches_are_dense_is_taken(strip):
+    relief = strip[0].scene.relief
+    # 20 m move matches by 0.009 px at the longest lag: below the noise of the first pass, above a tenth of
+    # that of the last
+    score = scored(strip, Dem(relief.heights, relief.transform), 20.0)
+    assert all(np.isfinite(axis.sigma) for axis in score.axes.values())
+
+
+def test_relief_left_out_must_be_owned_by_the_sigma(strip):
+    plane = Plane(float(strip[0].scene.relief.heights.mean()))
+    sigma = float(strip[0].scene.relief.heights.std())
+    owned, ignored = scored(strip, plane, sigma), scored(strip, plane, 0.0)
+    # the score's own 95 % bounds for so many independent samples
+    for name in ("roll", "yaw"):
+        assert getattr(ignored, name).nees > getattr(ignored, name).nees_high
+        assert getattr(owned, name).nees < getattr(owned, name).nees_high
+    assert owned.pitch.nees < owned.pitch.nees_high
+    # a mean height that drifts by 300 m in a second imitates pitch: the sigma owns it
+    assert owned.pitch.sigma > 1.5 * ignored.pitch.sigma
