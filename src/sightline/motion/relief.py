@@ -29,6 +29,9 @@ Array = NDArray[np.float64]
 ORDER = 40
 #: Positions across the field at which a row of ground is sampled.
 ROW_SAMPLES = 21
+#: Unknown relief is no smoother than this: its correlation length is at most so many half swaths, or that of
+#: slopes (sigma over length) so small. What does not show within a row is not thereby known to be flat.
+LONGEST, LEAST_SLOPE = 2.0, 0.1
 
 
 def relief_matters(stars: Sequence[Star], height_sigma: float) -> bool:
@@ -131,6 +134,7 @@ def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float,
                     excess += number * gain * float((line - column) * scale)
                     weight += number * gain**2
     measured = max(excess / weight, 0.0) if weight > 0 else 0.0
-    lengths = half_width * np.geomspace(0.05, 100.0, 60)
+    longest = max(LONGEST * half_width, sigma / LEAST_SLOPE)
+    lengths = np.geomspace(0.05 * half_width, longest, 60)
     shares = np.array([detrended_share(length, half_width) for length in lengths])
     return float(lengths[int(np.argmin(np.abs(shares - measured / sigma**2)))])
