@@ -35,7 +35,7 @@ from sightline.motion.joint import (
 from sightline.motion.match_noise import estimate_correlation, robust_weights, row_weights
 from sightline.motion.normal_equations import modelled, no_information, normal_equations
 from sightline.motion.observations import Star, shared_image_correlation
-from sightline.motion.relief import hub_delay, relief_length, relief_matters, row_processes
+from sightline.motion.relief import beside_row, hub_delay, relief_length, relief_matters, row_processes
 from sightline.motion.stars import StarRecord
 
 Array = NDArray[np.float64]
@@ -122,7 +122,9 @@ def solve_strip(
     unknown_relief = relief_matters(stars, height_sigma)
     prior = JointPrior(model.processes(grid), sigmas)
     length = before.relief_length if before is not None else 2.0 * strip.half_width
+    beside = 0.0
     if unknown_relief:
+        beside = height_sigma * beside_row(length, strip.half_width)
         relief = row_processes(height_sigma, length, strip.half_width, strip.ground_speed, grid)
         prior = replace(prior, relief=relief)
 
@@ -149,7 +151,7 @@ def solve_strip(
     settled = model is not strip.broad
     estimate, post, without = solution()
     for _ in range(rounds):
-        ground = ground_weights(stars, post)
+        ground = ground_weights(stars, post, beside)
         weights = [robust_weights(s, r) * w for s, r, w in zip(stars, post, ground, strict=True)]
         stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
         stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]

@@ -58,7 +58,7 @@ TRUSTED = 0.2
 MEDIAN_SQUARE = 0.4549
 
 
-def ground_weights(stars: Sequence[Star], post_px: Sequence[Array]) -> list[Array]:
+def ground_weights(stars: Sequence[Star], post_px: Sequence[Array], relief_sigma: float = 0.0) -> list[Array]:
     """Weights (G, K) in [0, 1] per star: 1 where a window agrees with its row, 0 where it saw something else.
 
     Parameters
@@ -66,6 +66,8 @@ def ground_weights(stars: Sequence[Star], post_px: Sequence[Array]) -> list[Arra
     stars : sequence of Star
     post_px : sequence of (G, K, 2)
         Residuals of each after an estimate of the motion, px.
+    relief_sigma : float
+        m; of unknown heights about the mean and slope of their row: what relief shifts is no cloud.
 
     Notes
     -----
@@ -77,12 +79,12 @@ def ground_weights(stars: Sequence[Star], post_px: Sequence[Array]) -> list[Arra
     """
     largest = int(np.argmax([s.shape[0] * s.shape[1] for s in stars]))
     first = stars[largest]
-    foreign = _foreign(first, post_px[largest], np.zeros(first.shape))
+    foreign = _foreign(first, post_px[largest], np.zeros(first.shape), relief_sigma)
     out = []
     for k, (star, post) in enumerate(zip(stars, post_px, strict=True)):
         squared = foreign
         if k != largest:
-            squared = _foreign(star, post, _on_same_ground(star, first, foreign))
+            squared = _foreign(star, post, _on_same_ground(star, first, foreign), relief_sigma)
         out.append(_pair_weights(star, squared))
     return out
 
@@ -95,7 +97,7 @@ def _pair_weights(star: Star, foreign: Array) -> Array:
     return np.where(ground, _weight(np.where(ground, squared, 0.0) * sensitivity), 0.0)
 
 
-def _foreign(star: Star, post_px: Array, least: Array) -> Array:
+def _foreign(star: Star, post_px: Array, least: Array, relief_sigma: float) -> Array:
     """Squared size (rows, blocks) of each window's worst departure, at least `least`; infinite if unseen."""
     rows, blocks = star.shape
     if blocks < MIN_BLOCKS or rows < 2:
@@ -106,7 +108,9 @@ def _foreign(star: Star, post_px: Array, least: Array) -> Array:
     told = shift.seen
     shift = replace(shift, seen=told & ~_lonely(told, reaches[0]))
     shift = shift.scaled(_row_noise(shift, reaches[0]))
-    up = _upwards(star, shift.lag)
+    by_height = _by_height(star, shift.lag)
+    shift = replace(shift, lasting=(by_height * relief_sigma) ** 2)
+    up = by_height / max(float(np.hypot(*by_height)), 1e-30)
     if star.brightness is not None:
         # brightness has told of these: what is left is judged by itself
         shifts = RowShifts(shift.x, shift.value, shift.variance, shift.seen)
@@ -176,12 +180,12 @@ def _worst_departures(shift: _Shift, reaches: list[int], up: Array, least: Array
     worst = least
     for _ in range(ROUNDS):
         departure, variance, use = _from_row_line(shift, weight)
-        worst = np.where(use, (departure**2 / variance).sum(axis=-1), 0.0)
+        worst = np.where(use, (departure**2 / (variance + shift.lasting)).sum(axis=-1), 0.0)
         worst = np.maximum(np.where(worst > FOREIGN, worst, 0.0), least)
         for reach in reaches:
             # what has been told already must not smear over its neighbours
             left = use & (worst <= FOREIGN)
-            worst = np.maximum(worst, _lasting(departure, variance, left, weight > TRUSTED, reach))
+            worst = np.maximum(worst, _lasting(shift, departure, variance, left, weight > TRUSTED, reach))
         worst = _with_neighbours(worst, use, reaches[0])
         weight = np.where(shift.seen, _weight(worst), 0.0)
     return worst
@@ -221,6 +225,7 @@ class _Shift:
     variance: Array
     seen: Flags
     lent: int
+    lasting: Array
 
     def scaled(self, factor: Array) -> _Shift:
         """The same with variances multiplied by `factor` (2,)."""
@@ -240,7 +245,7 @@ def _common_shift(star: Star, post_px: Array) -> _Shift:
     value = np.where(seen[:, None], (share * np.where(present, post_px, 0.0)).sum(axis=1) / information, 0.0)
     value, variance = value.reshape(rows, blocks, 2), (1.0 / information).reshape(rows, blocks, 2)
     x = star.field.reshape(rows, blocks)[0]
-    return _Shift(x, lag, value, variance, seen.reshape(rows, blocks), _reaches(star)[-1])
+    return _Shift(x, lag, value, variance, seen.reshape(rows, blocks), _reaches(star)[-1], np.zeros(2))
 
 
 def _relative_lags(star: Star) -> Array:
@@ -259,14 +264,15 @@ def _sensitivity(star: Star, lag: Array) -> Array:
     return np.asarray(size / np.maximum(size.max(axis=1, keepdims=True), 1e-30))
 
 
-def _upwards(star: Star, lag: Array) -> Array:
-    """(2,) which way a higher target shifts; zero where the lines of sight do not tell heights apart."""
-    up = np.zeros(2)
+def _by_height(star: Star, lag: Array) -> Array:
+    """(2,) px per metre by which a higher target shifts at the longest lag."""
+    shift, size = np.zeros(2), 0.0
     for k in range(len(lag)):
         known = np.isfinite(star.by_height[:, k]).all(axis=-1)
         if known.any():
-            up += lag[k] * np.median(star.by_height[known, k], axis=0)
-    return np.asarray(up / max(float(np.hypot(*up)), 1e-30), dtype=np.float64)
+            shift += lag[k] * np.median(star.by_height[known, k], axis=0)
+            size += lag[k] ** 2
+    return np.asarray(shift / max(size, 1e-30), dtype=np.float64)
 
 
 def _reaches(star: Star) -> list[int]:
@@ -313,6 +319,7 @@ def _row_noise(shift: _Shift, reach: int) -> Array:
 def _first_weights(shift: _Shift, reach: int, up: Array, asked: Flags) -> Array:
     """Weights from the line that most windows `asked` agree on, each row averaged with its neighbours."""
     mean, variance, count = _mean_along(shift.value, shift.variance, shift.seen, reach)
+    variance = variance + shift.lasting
     seen = asked & (count[..., 0] >= min(3, 2 * reach + 1))
     tried = np.unique(np.linspace(0, len(shift.x) - 1, min(len(shift.x), MOST_TRIED)).round().astype(np.intp))
     couples = [(a, b) for a, b in combinations(tried, 2) if abs(shift.x[a] - shift.x[b]) >= APART]
@@ -370,15 +377,20 @@ def _from_row_line(shift: _Shift, weight: Array) -> tuple[Array, Array, Flags]:
     return departure, apart, use
 
 
-def _lasting(departure: Array, variance: Array, use: Flags, trusted: Flags, reach: int) -> Array:
+def _lasting(
+    shift: _Shift, departure: Array, variance: Array, use: Flags, trusted: Flags, reach: int
+) -> Array:
     """Squared size (rows, blocks) of the mean departure over neighbouring rows: of noise 2 on average."""
     mean, spread, count = _mean_along(departure, variance, use, reach)
-    squares = mean**2 / np.maximum(spread, 1e-30) / _excess(departure, variance, use, trusted, reach)
+    spread = spread + shift.lasting
+    squares = mean**2 / np.maximum(spread, 1e-30) / _excess(shift, departure, variance, use, trusted, reach)
     known = use & (count[..., 0] >= min(3, 2 * reach + 1))
     return np.where(known, squares.sum(axis=-1), 0.0)
 
 
-def _excess(departure: Array, variance: Array, use: Flags, trusted: Flags, reach: int) -> Array:
+def _excess(
+    shift: _Shift, departure: Array, variance: Array, use: Flags, trusted: Flags, reach: int
+) -> Array:
     """(2,) variance of mean departures over that of errors independent from row to row, at least 1.
 
     Errors of real textures last for some rows, and relief that nobody knows for many: that is usual.
@@ -387,7 +399,7 @@ def _excess(departure: Array, variance: Array, use: Flags, trusted: Flags, reach
     judged = use & trusted & (count[..., 0] >= min(3, 2 * reach + 1))
     if not judged.any():
         return np.ones(2)
-    squares = mean[judged] ** 2 / np.maximum(spread[judged], 1e-30)
+    squares = mean[judged] ** 2 / np.maximum(spread[judged] + shift.lasting, 1e-30)
     return np.asarray(np.maximum(np.median(squares, axis=0) / MEDIAN_SQUARE, 1.0))
 
 

@@ -10,6 +10,7 @@ Not here: known relief, which is in the surface (``geometry/surface.py``).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -101,6 +102,15 @@ def detrended_share(length: float, half_width: float) -> float:
     k = terrain_covariance(half_width * np.abs(np.subtract.outer(x, x)), length)
     keep = np.eye(len(x)) - np.outer(np.ones(len(x)), mean) - np.outer(x, slope)
     return float(np.trace(keep @ k @ keep.T) / len(x))
+
+
+def beside_row(length: float, half_width: float) -> float:
+    """Standard deviation of unit terrain about mean and slope of its row; of hills of half a swath at most.
+
+    A length is learned from windows that were believed: one too long would have others of the same hills not
+    believed.
+    """
+    return math.sqrt(detrended_share(min(length, half_width), half_width))
 
 
 def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float, half_width: float) -> float:
