@@ -65,6 +65,8 @@ MIN_BACKWARDS = 10
 DRAFT_NODES, DRAFT_TOLERANCE = 1.5, 3.0
 #: What the spectra of drafts cost against those of the last pass.
 DRAFT_WORK = 0.3
+#: A given spectrum that moves the motion by more of its sigmas is not that of the motion.
+FOREIGN_SPECTRUM = 3.0
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
 
@@ -143,7 +145,20 @@ def recover_line_of_sight(
     if wide:
         tell("last pass: windows side by side over the whole field")
         state = _compensated_pass(strip, state, options.passes, options, height_sigma, tell)
-    return _result(strip, state, changes, options.window)
+    if strip.known.spectra is None:
+        return _result(strip, state, changes, options.window)
+    tell("last pass: under the spectrum that is given")
+    found = state
+    state = _compensated_pass(strip, found, options.passes, options, height_sigma, tell, strip.given_model())
+    result = _result(strip, state, changes, options.window)
+    left = _change(strip, found, state)
+    if left > FOREIGN_SPECTRUM:
+        warning = (
+            f"the spectrum that is given does not hold the motion that the images show: without it they tell "
+            f"another, {left:.3g} sigma away; check [known_motion] psd, or leave it out"
+        )
+        result = replace(result, warnings=(*result.warnings, warning))
+    return result
 
 
 def _best_first(strip: Strip, options: RecoverOptions) -> tuple[int, ...]:
@@ -251,32 +266,43 @@ def _compensated_pass(
     options: RecoverOptions,
     height_sigma: float,
     tell: Progress,
+    given: PriorModel | None = None,
 ) -> StripState:
-    """Match again with windows moved by the motion found; refit the prior; solve."""
+    """Match again with windows moved by the motion found; refit the prior, or take the one given; solve."""
     nodes, statics = nodes_on(state.estimate, strip.grid), state.estimate.statics
     plan = strip.plan(options, options.window, options.step)
     records = _match(strip, nodes, statics, plan, state.records)
     solved = solve_strip(strip, records, nodes, statics, state.model, height_sigma, before=state)
+    if given is not None:
+        # what it does not hold is no jump
+        return solve_strip(
+            strip,
+            solved.records,
+            nodes,
+            statics,
+            given,
+            height_sigma,
+            before=state,
+            rounds=ROUNDS,
+            jumps=False,
+        )
     if number == 0 and options.passes > 1:
         # the first linearisation still shows in this pass: a spectrum fitted to it would hold its error
         return solved
-    if strip.known.spectra is not None:
-        model = PriorModel(strip.known.spectra)
-    else:
-        tell("fitting the spectrum of the motion")
-        model = fit_prior_model(
-            [r.star for r in solved.records],
-            solved.with_relief_px,
-            solved.estimate,
-            strip.scale,
-            state.model if number > 1 else None,
-            solved.jumps(),
-            state.model.noise_scale,
-            WORK * (DRAFT_WORK if strip.draft else 1.0),
-            strip.known.tones,
-        )
-        if solved.prior.relief is not None:
-            model = model.beside_relief(strip.grid.step * strip.grid.count)
+    tell("fitting the spectrum of the motion")
+    model = fit_prior_model(
+        [r.star for r in solved.records],
+        solved.with_relief_px,
+        solved.estimate,
+        strip.scale,
+        state.model if number > 1 else None,
+        solved.jumps(),
+        state.model.noise_scale,
+        WORK * (DRAFT_WORK if strip.draft else 1.0),
+        strip.known.tones,
+    )
+    if solved.prior.relief is not None:
+        model = model.beside_relief(strip.grid.step * strip.grid.count)
     rounds = DRAFT_ROUNDS if strip.draft else ROUNDS
     return solve_strip(
         strip, solved.records, nodes, statics, model, height_sigma, before=state, rounds=rounds
@@ -349,7 +375,7 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
         ifov=strip.pixel_angle,
         half_field=strip.half_field,
         statics=statics,
-        spectra=turned_spectra(state.model.spectra, turn),
+        spectra=strip.known.spectra or turned_spectra(state.model.spectra, turn),
         records=tuple(without_common_ground(r, cameras, strip.surface, window) for r in records),
         before_px=state.before_px,
         after_px=state.post_px,

@@ -25,7 +25,7 @@ from sightline.motion.predict import MovingCamera, StaticParameter
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
 from sightline.motion.stars import SIMILARITIES, WEIGHTINGS, MatchingPlan
 from sightline.motion.statics import apply_statics, band_statics
-from sightline.motion.viewing_axes import in_axes, viewing_axes
+from sightline.motion.viewing_axes import in_axes, turned_spectra, viewing_axes
 
 Array = NDArray[np.float64]
 
@@ -138,6 +138,11 @@ class Strip:
             similarity=options.similarity,
             weighting=options.weighting,
         )
+
+    def given_model(self) -> PriorModel:
+        """The spectra that are given, about the axes of the estimate: there they pass for independent."""
+        assert self.known.spectra is not None
+        return PriorModel(turned_spectra(self.known.spectra, self.turn.T))
 
     @property
     def scale(self) -> Array:

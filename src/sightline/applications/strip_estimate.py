@@ -45,6 +45,9 @@ Array = NDArray[np.float64]
 ROUNDS, DRAFT_ROUNDS = 4, 2
 #: Times that control points are linearised before the first matching.
 INITIAL_ROUNDS = 3
+#: Times that readings are weighed by what an estimate from sensors alone leaves of them, so that one wrong
+#: reading does not send the first matching astray.
+SENSOR_ROUNDS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +81,11 @@ def initial_attitude(strip: Strip, statics: Array) -> Array:
         rows = _sensor_rows(strip, strip.broad, nodes, statics)
         if not rows:
             return nodes
-        nodes = solve_joint(nothing, prior, tie(rows, grid, 3)).nodes
+        estimate = solve_joint(nothing, prior, tie(rows, grid, 3))
+        for _ in range(SENSOR_ROUNDS):
+            rows = _reweighted(rows, estimate, believed=True)
+            estimate = solve_joint(nothing, prior, tie(rows, grid, 3))
+        nodes = estimate.nodes
     return nodes
 
 
@@ -112,6 +119,7 @@ def solve_strip(
     before: StripState | None,
     *,
     rounds: int = DRAFT_ROUNDS,
+    jumps: bool = True,
 ) -> StripState:
     """Solve; `rounds` times weigh matches by their scatter, let the motion jump where it did, solve again."""
     grid = strip.grid
@@ -158,9 +166,9 @@ def solve_strip(
         stars = [
             s.with_correlation(model.grown(c)) for s, c in zip(stars, _correlations(stars, post), strict=True)
         ]
-        if settled:
+        rows = _reweighted(rows, estimate, believed=not settled)
+        if settled and jumps:
             prior = replace(prior, innovation_weights=innovation_weights(estimate))
-            rows = _reweighted(rows, estimate)
         estimate, post, without = solution()
     if unknown_relief:
         length = relief_length(stars, without, height_sigma, strip.half_width)
@@ -168,14 +176,15 @@ def solve_strip(
     return StripState(estimate, prior, model, kept, tuple(post), tuple(without), tuple(measured), length)
 
 
-def _reweighted(rows: Sequence[SensorRows], estimate: JointEstimate) -> list[SensorRows]:
+def _reweighted(rows: Sequence[SensorRows], estimate: JointEstimate, *, believed: bool) -> list[SensorRows]:
     """Sensor rows weighed by what the estimate leaves of them."""
     if estimate.ties is None:
         return list(rows)
     own = own_parts(estimate.ties, estimate.own)
     nodes = estimate.unknowns()
     return [
-        reweighted(r, estimate.grid, nodes, estimate.statics, part) for r, part in zip(rows, own, strict=True)
+        reweighted(r, estimate.grid, nodes, estimate.statics, part, believed=believed)
+        for r, part in zip(rows, own, strict=True)
     ]
 
 

@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 #: on a fine grid is predictable to the last digit of a float64; this keeps its precision matrix
 #: 1e10 away from that, at the price of a white jitter 1e-5 times the size of the motion.
 NUGGET = 1e-10
+#: The same where a spectrum is given point by point: it may be zero outside a band, and such a motion is
+#: told by its past to the last digit.
+BAND_NUGGET = 1e-6
 
 
 #: Smoothness of a Matern process. For a motion that ends at a frequency each step up lowers the deviance of a
@@ -282,9 +285,13 @@ class Spectrum:
                 parts.append(Matern(c.sigma * factor, c.timescale, c.order))
         return Spectrum(tuple(parts))
 
-    def autoregressive(self, step: float, order: int, n: int, *, nugget: float = NUGGET) -> Autoregressive:
+    def autoregressive(
+        self, step: float, order: int, n: int, *, nugget: float | None = None
+    ) -> Autoregressive:
         """This prior on an even grid of `n` epochs `step` seconds apart; see `autoregressive`."""
         _positive("step", step, "seconds")
+        if nugget is None:
+            nugget = BAND_NUGGET if any(isinstance(c, TabulatedPsd) for c in self.components) else NUGGET
         order = max(0, min(order, n - 1))
         return autoregressive(self.autocovariance(step * np.arange(order + 1.0)), order, n, nugget=nugget)
 

@@ -550,13 +550,18 @@ def joined(images: NormalEquations, ties: Ties) -> NormalEquations:
     )
 
 
-def reweighted(rows: SensorRows, grid: TimeGrid, nodes: Array, statics: Array, own: Array) -> SensorRows:
+def reweighted(
+    rows: SensorRows, grid: TimeGrid, nodes: Array, statics: Array, own: Array, *, believed: bool = False
+) -> SensorRows:
     """The rows with their sigma and weights from what an estimate leaves of them.
 
     Parameters
     ----------
     nodes : (count, 3), statics : (Q,), own : (S,)
         Estimated motion, static parameters and constants of this sensor.
+    believed : bool
+        The sigmas are as given: an estimate that one wrong reading has drawn aside leaves much of the right
+        ones, too, and would have all of them mistrusted.
 
     Notes
     -----
@@ -569,7 +574,7 @@ def reweighted(rows: SensorRows, grid: TimeGrid, nodes: Array, statics: Array, o
     scale = np.ones(len(left))
     for axis in range(3):
         mine = rows.axis == axis
-        if mine.sum() >= ENOUGH:
+        if mine.sum() >= ENOUGH and not believed:
             size = (1.4826 * float(np.median(np.abs(left[mine])))) ** 2
             # the squared median of n Gaussian numbers scatters by 2.33 / sqrt(n): twice that is no sign
             scale[mine] = size if size > 1.0 + 2.0 * 2.33 / np.sqrt(mine.sum()) else 1.0
