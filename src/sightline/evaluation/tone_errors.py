@@ -31,7 +31,7 @@ class JudgedTones:
     found : tuple of DetectedTone
         Amplitude of 3 sigma or more.
     hardly_seen : tuple of DetectedTone
-        Less: the prior has shrunk them, and their amplitude is rather a lower bound.
+        Less: the estimate shrinks what it does not see; there may be no tone, or a larger one.
     """
 
     found: tuple[DetectedTone, ...]

@@ -29,10 +29,6 @@ Array = NDArray[np.float64]
 _NUMBER_AND_UNIT = re.compile(r"(\d) (px|Hz|s|µrad|mrad|%)")
 
 
-#: Of a tone whose amplitude is less than three of its sigmas.
-HARDLY_SEEN = "hardly seen: rather a lower bound"
-
-
 def sentences(result: LineOfSight, summary: Mapping[str, Any], tones: Sequence[DetectedTone]) -> list[str]:
     """The summary, a sentence or two per subject."""
     said = [_what(result, summary), _how_well(result), _residuals(result)]
@@ -85,11 +81,16 @@ def tone_rows(
                 f"{tone.frequency:.2f} ± {tone.sigma_frequency:.2f}",
                 f"{tone.amplitude / scale:.4f} ± {tone.sigma_amplitude / scale:.4f}",
                 f"{1e6 * tone.amplitude:.4g} ± {1e6 * tone.sigma_amplitude:.2g}",
-                HARDLY_SEEN if tone in hardly_seen else tone.name if "×" in tone.name else "",
+                _bound(tone, scale) if tone in hardly_seen else tone.name if "×" in tone.name else "",
                 f"{tone.false_alarm:.0e}",
             ]
         )
     return rows
+
+
+def _bound(tone: DetectedTone, scale: float) -> str:
+    """What is known of the size of a tone of less than 3 sigma: it may be none, or larger than it looks."""
+    return f"hardly seen: 0 to {digits((tone.amplitude + 2.0 * tone.sigma_amplitude) / scale, 2)} px"
 
 
 def close_rows(summary: Mapping[str, Any]) -> list[list[str]]:
@@ -262,7 +263,7 @@ def _hardly_seen(result: LineOfSight, summary: Mapping[str, Any]) -> str:
     if not tones:
         return ""
     return (
-        f" Peaks of less than 3 sigma, hardly seen, so that their amplitude is rather a lower bound: "
+        " Peaks of less than 3 sigma, hardly seen, so that there may be no tone, or a larger one: "
         f"{_largest(result, tones)}."
     )
 
