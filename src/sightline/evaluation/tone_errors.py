@@ -89,9 +89,12 @@ def _weights(result: LineOfSight, tone: DetectedTone) -> Array:
     axis = AXES.index(tone.axis)
     step, x = evenly_detrended(result.motion)
     n = len(x)
-    tau, window = step * (np.arange(n) - 0.5 * (n - 1)), hann(n)
-    turning = np.exp(2j * np.pi * tone.frequency * tau)
-    turning *= np.exp(1j * np.angle(np.sum(window * x[:, axis] / turning)))
+    even = step * (np.arange(n) - 0.5 * (n - 1))
+    phase = np.angle(np.sum(hann(n) * x[:, axis] * np.exp(-2j * np.pi * tone.frequency * even)))
+    # the motion's own instants, which of frames need not be even
+    tau = result.motion.t - np.mean(result.motion.span)
+    window = np.sin(np.pi * (tau / (n * step) + 0.5)) ** 2
+    turning = np.exp(1j * (2.0 * np.pi * tone.frequency * tau + phase))
     out = np.zeros((n, 3, 2))
     out[:, axis, 0] = 2.0 * window * turning.real / window.sum()
     out[:, axis, 1] = -2.0 * window * tau * turning.imag / (tone.amplitude * np.sum(window * tau**2))
