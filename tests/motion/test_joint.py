@@ -253,6 +253,14 @@ def test_the_band_in_time_is_that_of_the_dense_covariance_with_constants_held(re
         want = np.diag(covariance, -d)
         np.testing.assert_allclose(got[d, : 3 * COUNT - d], want, atol=2e-3 * covariance.max())
 
+    # sums of the motion over its whole length, in axes turned by a permutation
+    weights = np.random.default_rng(0).standard_normal((COUNT, 3, 4)) / np.sqrt(3 * COUNT)
+    turn = np.eye(3)[[1, 2, 0]]
+    sums = estimate.functional_covariance(grid.nodes, weights, turn)
+    flat = weights[:, [2, 0, 1]].reshape(3 * COUNT, 4)
+    want = flat.T @ covariance @ flat
+    np.testing.assert_allclose(sums, want, atol=2e-3 * want.max())
+
 
 class TestInterpolationVariance:
     GRID = TimeGrid(0.0, STEP, COUNT)

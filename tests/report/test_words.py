@@ -48,6 +48,18 @@ def test_without_tones_none_is_claimed(recovery):
     assert "No tone stands out" in " ".join(words.sentences(recovery.result, recovery.summary, []))
 
 
+def test_a_tone_that_is_hardly_seen_is_told_as_such_and_how_large_it_may_be(recovery):
+    tone = tones_of(recovery.summary["tones"])[0]
+    scale = float(recovery.result.scale[0])
+    doubtful = replace(tone, frequency=55.5, amplitude=0.2 * scale, sigma_amplitude=0.1 * scale)
+    summary = {**recovery.summary, "tones_hardly_seen": {"roll": [vars(doubtful)], "pitch": [], "yaw": []}}
+    said = " ".join(words.sentences(recovery.result, summary, [tone])).replace("\u00a0", " ")
+    assert "there may be no tone, or a larger one: roll at 55.5 Hz (0.2 px)" in said
+    first, second = words.tone_rows(recovery.result, [tone], [doubtful])
+    assert "hardly seen" not in first[4]
+    assert second[4] == "hardly seen: 0 to 0.4 px"
+
+
 def test_the_words_say_from_which_frequency_tones_are_sought(said, recovery):
     start, end = recovery.result.motion.span
     lowest = f"{8.0 / (end - start):.3g} Hz, eight cycles in all"

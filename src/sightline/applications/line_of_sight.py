@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -386,5 +387,6 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
         band=TimeCovariance(
             strip.grid.nodes, estimate.nodes @ turn.T, turned_band(estimate.covariance_band(), turn)
         ),
+        functional_covariance=partial(estimate.functional_covariance, t, turn=turn),
         warnings=strip_warnings(strip, state, motion, observed, changes),
     )

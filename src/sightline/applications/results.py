@@ -5,7 +5,7 @@ Not here: how it is found (``line_of_sight.py``), how it is written (``io/``) or
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,6 +96,8 @@ class LineOfSight:
         Per pass: change of the motion in units of its sigma.
     band : TimeCovariance or None
         Banded covariance of the motion in time.
+    functional_covariance : callable or None
+        Covariance (K, K) rad^2 of sums of the motion at its instants with weights (N, 3, K).
     sensors : tuple of SensorUse
         What attitude sensors and control points gave.
     warnings : tuple of str
@@ -118,6 +120,7 @@ class LineOfSight:
     image_names: tuple[str, ...]
     changes: tuple[float, ...]
     band: TimeCovariance | None = None
+    functional_covariance: Callable[[Array], Array] | None = None
     sensors: tuple[SensorUse, ...] = ()
     warnings: tuple[str, ...] = ()
 

@@ -25,6 +25,7 @@ from sightline.applications.spin_attitude import SpinAttitude
 from sightline.evaluation.error_spectrum import error_psd
 from sightline.evaluation.observed import observed
 from sightline.evaluation.score import remove_directions
+from sightline.evaluation.tone_errors import judged_tones
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.earth import WGS84
 from sightline.geometry.rotations import to_quat_xyzw
@@ -37,7 +38,7 @@ from sightline.io.microvibration import microvibration_summary, write_smear
 from sightline.io.spin_summary import spin_summary
 from sightline.io.tables import ANGLES, MotionTable, write_attitudes, write_motion, write_spectrum
 from sightline.motion.observability import Passbands
-from sightline.motion.tones import detect_tones, spectrum
+from sightline.motion.tones import DetectedTone, detect_tones, spectrum
 
 Array = NDArray[np.float64]
 
@@ -154,7 +155,8 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
     seen = observed(result, np.linspace(0.0, upper, _FREQUENCIES))
     in_px = remove_directions(result.motion.angles / result.scale, result.hidden / result.scale[:, None])
     visible = in_px * result.scale
-    tones = detect_tones(result.motion, highest=min(upper, _row_nyquist(result)))
+    tones = judged_tones(result, detect_tones(result.motion, highest=min(upper, _row_nyquist(result))))
+    strip = _is_strip(acquisition)
     bands = dict(zip(ANGLES, seen.passbands, strict=True))
     return {
         "name": acquisition.name,
@@ -169,8 +171,9 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "highest_frequency": upper,
         "passbands": bands,
         "blind_frequencies": {_name(result.image_names, pair): list(f) for pair, f in seen.blind.items()},
-        "tones": {axis: [vars(tone) for tone in tones if tone.axis == axis] for axis in ANGLES},
-        "microvibration": microvibration_summary(result, tones, bands) if _is_strip(acquisition) else None,
+        "tones": _by_axis(tones.found),
+        "tones_hardly_seen": _by_axis(tones.hardly_seen),
+        "microvibration": microvibration_summary(result, tones.found, bands) if strip else None,
         "rms_motion": _per_axis(np.sqrt((visible**2).mean(axis=0))),
         "rms_motion_px": _per_axis(np.sqrt((in_px**2).mean(axis=0))),
         "rms_sigma": _per_axis(np.sqrt((result.sigma**2).mean(axis=0))),
@@ -208,6 +211,11 @@ def _unused(acquisition: Acquisition) -> list[str]:
     if not given:
         return []
     return [f"not used: {', '.join(given)}; of frames the motion is recovered from the images alone"]
+
+
+def _by_axis(tones: Sequence[DetectedTone]) -> dict[str, list[dict[str, Any]]]:
+    """Tones as lists of their fields by the names of the axes."""
+    return {axis: [vars(tone) for tone in tones if tone.axis == axis] for axis in ANGLES}
 
 
 def _per_axis(values: Array) -> dict[str, float]:

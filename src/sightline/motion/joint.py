@@ -216,6 +216,27 @@ class JointEstimate:
         factor = self._factor(constants=self.ties is not None)
         return projected_covariance(factor, self.grid, self._data.block, t, directions, scale, turn)
 
+    def functional_covariance(self, t: Array, weights: Array, turn: Array | None = None) -> Array:
+        """Covariance (K, K) rad^2 of weighted sums of the motion at `t`, constants held.
+
+        Parameters
+        ----------
+        t : (N,)
+            s.
+        weights : (N, 3, K)
+            Of roll, pitch, yaw at these instants, in the axes of the result.
+        turn : (3, 3), optional
+            Rotation from the axes of the estimate to those of `weights`.
+        """
+        count = weights.shape[2]
+        turned = weights if turn is None else np.einsum("pa,npk->nak", turn, weights)
+        on_grid = np.zeros((self.grid.count, self._data.block, count))
+        for axis in range(3):
+            on_grid[:, axis] = self.grid.spread(turned[:, axis], t)
+        flat = on_grid.reshape(-1, count)
+        spread, _ = self._factor(constants=False).times(flat)
+        return np.asarray(flat.T @ spread)
+
     def absolute_sigma(self, t: Array, turn: Array | None = None) -> Array:
         """Sigma (N, 3) rad of the motion at `t`, hidden part included; infinite on axes that nothing ties.
 

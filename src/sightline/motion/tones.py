@@ -75,6 +75,9 @@ class DetectedTone:
         Hz; spread of the peaks that were counted as this tone; 0 for a steady one.
     false_alarm : float
         Probability that the axis shows so strong a peak, anywhere, without any tone.
+    error_frequency, error_amplitude : float
+        Hz, rad; the part of the sigmas that the error of an estimated motion makes: against a sine fitted to
+        the true motion of the same strip. 0 for an exact motion.
     """
 
     axis: str
@@ -85,6 +88,8 @@ class DetectedTone:
     sigma_amplitude: float
     width: float
     false_alarm: float
+    error_frequency: float = 0.0
+    error_amplitude: float = 0.0
 
 
 def spectrum(motion: Motion) -> MotionSpectrum:
@@ -125,7 +130,8 @@ def detect_tones(
     Parameters
     ----------
     motion : Motion
-        Exact or estimated; its covariance is not used.
+        Exact or estimated; its covariance is not used: sigmas are of the scatter around each peak alone, and
+        ``evaluation.tone_errors`` adds the error of an estimated motion.
     false_alarm : float
         Probability, per axis, that a motion without any tone yields one.
     lowest, highest : float, optional
@@ -160,7 +166,7 @@ def detect_tones(
     for axis, name in enumerate(AXES):
         if x[:, axis].any():
             peaks = _peaks(x[:, axis], step, false_alarm, bounds, limit)
-            found += _named([replace(tone, axis=name) for tone in _merged(peaks, 1.0 / (step * len(x)))])
+            found += named([replace(tone, axis=name) for tone in _merged(peaks, 1.0 / (step * len(x)))])
     return tuple(found)
 
 
@@ -286,19 +292,25 @@ def _together(group: Sequence[DetectedTone]) -> DetectedTone:
     )
 
 
-def _named(tones: Sequence[DetectedTone]) -> list[DetectedTone]:
-    """Names: the frequency, and "2 x 47.0 Hz" where it is a multiple of a lower one within 3 sigma."""
-    named: list[DetectedTone] = []
+def named(tones: Sequence[DetectedTone]) -> list[DetectedTone]:
+    """Tones of one axis with names: the frequency, and of what lower one it is a multiple within 3 sigma.
+
+    Parameters
+    ----------
+    tones : sequence of DetectedTone
+        By rising frequency.
+    """
+    out: list[DetectedTone] = []
     for tone in tones:
         name = f"{tone.frequency:.1f} Hz"
-        for base in named:
+        for base in out:
             multiple = round(tone.frequency / base.frequency)
             tolerance = 3.0 * math.hypot(tone.sigma_frequency, multiple * base.sigma_frequency)
             if 2 <= multiple <= 5 and abs(tone.frequency - multiple * base.frequency) < max(tolerance, 1e-9):
                 name += f" ({multiple} × {base.frequency:.1f} Hz)"
                 break
-        named.append(replace(tone, name=name))
-    return named
+        out.append(replace(tone, name=name))
+    return out
 
 
 def _even(motion: Motion) -> tuple[float, Array]:

@@ -110,7 +110,7 @@ def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[
         cards=words.axis_cards(result, summary),
         sections=sections(result, summary),
         overlay=composite(result, acquisition),
-        tones=words.tone_rows(result, tones),
+        tones=words.tone_rows(result, tones, spectrum_figures.tones_of(summary["tones_hardly_seen"])),
         statics=words.static_rows(result),
         sensors=words.sensor_rows(result),
         close=words.close_rows(summary),

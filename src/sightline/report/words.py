@@ -20,6 +20,7 @@ from sightline.geometry.camera import FrameCamera
 from sightline.motion.observability import Passbands
 from sightline.motion.tones import DetectedTone, lowest_sought
 from sightline.report.motion_figures import FEW_EPOCHS, visible_motion_px
+from sightline.report.spectrum_figures import tones_of
 from sightline.report.style import AXES, AXIS_UNITS
 
 Array = NDArray[np.float64]
@@ -32,7 +33,7 @@ def sentences(result: LineOfSight, summary: Mapping[str, Any], tones: Sequence[D
     """The summary, a sentence or two per subject."""
     said = [_what(result, summary), _how_well(result), _residuals(result)]
     if len(result.motion.t) >= FEW_EPOCHS:
-        said += [_tones(result, tones), _passbands(summary)]
+        said += [_tones(result, tones) + _hardly_seen(result, summary), _passbands(summary)]
     said.append(_hidden(result))
     return [_NUMBER_AND_UNIT.sub("\\1\u00a0\\2", sentence) for sentence in said]
 
@@ -67,10 +68,12 @@ def _absolute(result: LineOfSight, axis: int) -> str:
     return f"{digits(sigma / result.scale[axis], 2)} px ({_angle(sigma, 2)})"
 
 
-def tone_rows(result: LineOfSight, tones: Sequence[DetectedTone]) -> list[list[str]]:
-    """Table of tones: axis, name, frequency, amplitude in px and urad, false alarm."""
+def tone_rows(
+    result: LineOfSight, tones: Sequence[DetectedTone], hardly_seen: Sequence[DetectedTone] = ()
+) -> list[list[str]]:
+    """Table of tones: axis, frequency, amplitude in px and urad, name or why it is none, false alarm."""
     rows = []
-    for tone in tones:
+    for tone in [*tones, *hardly_seen]:
         scale = float(result.scale[AXES.index(tone.axis)])
         rows.append(
             [
@@ -78,11 +81,16 @@ def tone_rows(result: LineOfSight, tones: Sequence[DetectedTone]) -> list[list[s
                 f"{tone.frequency:.2f} ± {tone.sigma_frequency:.2f}",
                 f"{tone.amplitude / scale:.4f} ± {tone.sigma_amplitude / scale:.4f}",
                 f"{1e6 * tone.amplitude:.4g} ± {1e6 * tone.sigma_amplitude:.2g}",
-                tone.name if "×" in tone.name else "",
+                _bound(tone, scale) if tone in hardly_seen else tone.name if "×" in tone.name else "",
                 f"{tone.false_alarm:.0e}",
             ]
         )
     return rows
+
+
+def _bound(tone: DetectedTone, scale: float) -> str:
+    """What is known of the size of a tone of less than 3 sigma: it may be none, or larger than it looks."""
+    return f"hardly seen: 0 to {digits((tone.amplitude + 2.0 * tone.sigma_amplitude) / scale, 2)} px"
 
 
 def close_rows(summary: Mapping[str, Any]) -> list[list[str]]:
@@ -243,6 +251,25 @@ def _tones(result: LineOfSight, tones: Sequence[DetectedTone]) -> str:
         return "The motion has too few instants for tones to be sought."
     if not tones:
         return f"No tone stands out of the spectrum above {lowest:.3g} Hz, eight cycles in all."
+    return (
+        f"Tones, with their amplitude: {_largest(result, tones)}. "
+        f"None is sought below {lowest:.3g} Hz, eight cycles in all."
+    )
+
+
+def _hardly_seen(result: LineOfSight, summary: Mapping[str, Any]) -> str:
+    """Peaks that are less than three sigmas of the motion's own error; "" where there are none."""
+    tones = tones_of(summary["tones_hardly_seen"])
+    if not tones:
+        return ""
+    return (
+        " Peaks of less than 3 sigma, hardly seen, so that there may be no tone, or a larger one: "
+        f"{_largest(result, tones)}."
+    )
+
+
+def _largest(result: LineOfSight, tones: Sequence[DetectedTone]) -> str:
+    """The largest tones of each axis with their amplitudes."""
     said = []
     for axis in AXES:
         own = sorted((tone for tone in tones if tone.axis == axis), key=lambda tone: -tone.amplitude)
@@ -250,10 +277,7 @@ def _tones(result: LineOfSight, tones: Sequence[DetectedTone]) -> str:
         if own:
             listed = ", ".join(f"{t.frequency:.1f} Hz ({t.amplitude / scale:.2g} px)" for t in own[:4])
             said.append(f"{axis} at {listed}" + (f" and {len(own) - 4} more" if len(own) > 4 else ""))
-    return (
-        f"Tones, with their amplitude: {'; '.join(said)}. "
-        f"None is sought below {lowest:.3g} Hz, eight cycles in all."
-    )
+    return "; ".join(said)
 
 
 def _passbands(summary: Mapping[str, Any]) -> str:
