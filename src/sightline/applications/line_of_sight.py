@@ -310,20 +310,28 @@ def _match(
 def _change(strip: Strip, old: StripState, new: StripState) -> float:
     """Change of the motion between passes in units of its sigma, hidden part left out (worst axis)."""
     t = strip.grid.nodes[4:-4:4]
-    directions = directions_at(strip.grid, new.estimate.hidden_directions(drifts=bool(strip.parameters)), t)
+    hidden = new.estimate.hidden_directions(new.estimate.hidden_drifts())
+    directions = directions_at(strip.grid, hidden, t)
     moved = angles_at(new.estimate, t) - angles_at(old.estimate, t)
     moved = remove_directions(moved, directions, strip.scale)
     variance = new.estimate.relative_covariance(t, directions, strip.scale)[:, [0, 1, 2], [0, 1, 2]]
     return float(np.sqrt((moved**2).mean(axis=0) / variance.mean(axis=0)).max())
 
 
+def _hidden_names(drifts: Sequence[int], turn: Array) -> tuple[str, ...]:
+    """Names of the constants, and of the drifts of these axes; some, not all, are of the line of sight's."""
+    axes = ("roll", "pitch", "yaw")
+    turned = 0 < len(drifts) < 3 and not np.array_equal(turn, np.eye(3))
+    about = " about the line of sight's axes" if turned else ""
+    return (*(f"constant of {axis}" for axis in axes), *(f"drift of {axes[k]}{about}" for k in drifts))
+
+
 def _result(strip: Strip, state: StripState, changes: list[float], window: tuple[int, int]) -> LineOfSight:
     """The last state as a result at the lines of the first band."""
     camera, estimate = strip.nominal[0], state.estimate
     t = camera.times(np.arange(camera.lines, dtype=float))
-    free = any(p.sigma > 0 for p in strip.parameters)
-    turn = strip.turn
-    on_grid = turned_directions(estimate.hidden_directions(drifts=free), turn)
+    turn, drifts = strip.turn, estimate.hidden_drifts()
+    on_grid = turned_directions(estimate.hidden_directions(drifts), turn)
     hidden = directions_at(strip.grid, on_grid, t)
     covariance = estimate.relative_covariance(t, hidden, strip.scale, turn)
     between = np.zeros((len(t), 3, 3))
@@ -335,7 +343,6 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
         StaticEstimate(p.name, p.unit, float(v), float(s), p.sigma)
         for p, v, s in zip(strip.parameters, estimate.statics, estimate.statics_sigma, strict=True)
     )
-    names = [f"{kind} of {axis}" for kind in ("constant", "drift") for axis in ("roll", "pitch", "yaw")]
     observed = observed_lines(strip, state, t)
     cameras = tuple(strip.body_cameras(estimate.nodes, estimate.statics))
     records = [replace(r, star=turned_star(r.star, turn)) for r in state.records]
@@ -343,7 +350,7 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
         motion=motion,
         absolute_sigma=estimate.absolute_sigma(t, turn),
         hidden=hidden,
-        hidden_names=tuple(names[: hidden.shape[2]]),
+        hidden_names=_hidden_names(drifts, turn),
         observed=observed,
         scale=strip.scale,
         ifov=strip.pixel_angle,
