@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
 from sightline.applications.strip import RecoverOptions, Strip, prepared
+from sightline.applications.strip_checks import checked, farthest_control
 from sightline.applications.strip_estimate import (
     DRAFT_ROUNDS,
     ROUNDS,
@@ -125,6 +126,7 @@ def recover_line_of_sight(
         control=control_points,
         known=known or KnownContent(),
     )
+    strip = checked(strip, options)
     if options.hybridise == "iterative":
         tell("comparing pairs: the best correlated one comes first")
         strip = replace(strip, order=_best_first(strip, options))
@@ -150,7 +152,8 @@ def _best_first(strip: Strip, options: RecoverOptions) -> tuple[int, ...]:
     """The bands in the order in which pairs are taken one after the other."""
     images = [band.image for band in strip.bands]
     window, search = options.first_window, options.search_px
-    return best_first(pair_correlations(images, strip.nominal, strip.surface, window, search))
+    allowed = set(strip.views)
+    return best_first(pair_correlations(images, strip.nominal, strip.surface, window, search, allowed))
 
 
 def _begin(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress) -> StripState:
@@ -160,6 +163,8 @@ def _begin(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Pro
     state = _first_pass(replace(strip, order=strip.order[:2]), options, height_sigma, tell)
     for count in range(3, len(strip.order) + 1):
         some = replace(strip, order=strip.order[:count])
+        if not any((some.order[-1], earlier) in strip.views for earlier in some.order[:-1]):
+            continue  # the first of a pair that is matched with none of the others: it comes with its partner
         tell(f"adding {strip.bands[some.order[-1]].name}, predicted by the motion found so far")
         # the second time about where the band was found: a linearisation about pixels too far away lets what
         # is hidden drift, and the next band would be sought there
@@ -190,7 +195,7 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
         raise EstimationError(
             f"the images do not match where the cameras say: {kept} of {tried} windows kept within "
             f"{options.search_px} px of the prediction ({_counts(records)}); check look angles, line times "
-            "and that the bands overlap, or search farther: [matching] search_px"
+            f"and that the bands overlap, or search farther: [matching] search_px{farthest_control(strip)}"
         )
     state = solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
     # once more about the motion found: what was left of the first linearisation is gone before dense matching
