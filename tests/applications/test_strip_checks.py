@@ -9,7 +9,7 @@ import pytest
 
 from motion.strips import ALTITUDE, PERIOD, strip_cameras
 from sightline.applications.strip import RecoverOptions, prepared
-from sightline.applications.strip_checks import checked
+from sightline.applications.strip_checks import checked, farthest_control
 from sightline.errors import InputError
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.geometry.surface import Plane
@@ -102,3 +102,10 @@ class TestControlPoints:
 
     def test_a_point_some_hundred_pixels_off_is_an_attitude_not_a_mistake(self, strip):
         checked(replace(strip, control=self.points(strip, [1e-3 * ALTITUDE, 0.0, 0.0])), RecoverOptions())
+
+    def test_a_refused_match_names_the_point_it_began_from(self, strip):
+        assert farthest_control(strip) == ""
+        said = farthest_control(replace(strip, control=self.points(strip, [1e-3 * ALTITUDE, 0.0, 0.0])))
+        # 1e-3 rad off the straight line down
+        assert said.startswith("; matching began where control points say: control point 1 (")
+        assert "lies 0.001 rad from where 'band 0' looked at line 80, column 100" in said
