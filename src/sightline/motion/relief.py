@@ -134,7 +134,9 @@ def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float,
         way = np.nanmedian(by_height.reshape(-1, pairs, 2), axis=0)
         size = np.hypot(way[:, 0], way[:, 1])
         way = np.where(size[:, None] > 0.0, way / np.where(size > 0.0, size, 1.0)[:, None], [1.0, 0.0])
-        coefficient = np.abs(np.einsum("gka,ka->gk", by_height, way))
+        # px, and the error of a match that way
+        coefficient = np.hypot(star.by_height[..., 0], star.by_height[..., 1])
+        along = coefficient / np.maximum(np.hypot(by_height[..., 0], by_height[..., 1]), 1e-30)
         parallel = np.einsum("gka,ka->gk", flat.reshape(-1, pairs, 2), way)
         square = np.einsum("gka,ka->gk", flat.reshape(-1, pairs, 2), way[:, ::-1] * [-1.0, 1.0])
         for j in range(pairs):
@@ -147,9 +149,10 @@ def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float,
                 if not number:
                     continue
                 shared, errors = (float(np.mean(product[seen])) for product in products)
+                scale = float(np.nanmedian(along[:, j] * along[:, k]))
                 gain = float(np.nanmedian(coefficient[:, j] * coefficient[:, k]))
                 if gain > 0:
-                    excess += number * gain * (shared - errors)
+                    excess += number * gain * (shared - errors) * scale
                     weight += number * gain**2
     measured = max(excess / weight, 0.0) if weight > 0 else 0.0
     longest = max(LONGEST * half_width, sigma / LEAST_SLOPE)
