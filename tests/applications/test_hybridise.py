@@ -43,6 +43,15 @@ def test_both_ways_give_the_same_motion_within_its_sigma(count):
     assert len(other.cameras) == count and other.image_names == one.image_names
 
 
+def test_groups_that_are_not_matched_with_each_other_are_begun_one_after_the_other():
+    _, bands = strip(4)
+    pairs = (("A", "C"), ("B", "D"))
+    options = RecoverOptions(hybridise="iterative", pairs=pairs, passes=1)
+    result = recover_line_of_sight(bands, Plane(0.0), options=options)
+    assert {frozenset(pair.images) for pair in result.pairs} == {frozenset((0, 2)), frozenset((1, 3))}
+    assert all(pair.kept > 0.5 * pair.tried for pair in result.pairs)
+
+
 def test_two_bands_have_one_pair_and_one_answer():
     _, bands = strip(2)
     one, other = (recovered(bands, how) for how in ("global", "iterative"))

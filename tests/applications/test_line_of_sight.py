@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 
 from motion.strips import plain_star, strip_cameras
 from sightline import execution
-from sightline.applications.line_of_sight import recover_line_of_sight
-from sightline.applications.strip import RecoverOptions
+from sightline.applications.line_of_sight import _hidden_names, recover_line_of_sight
+from sightline.applications.strip import RecoverOptions, prepared
 from sightline.applications.strip_warnings import _lost_windows
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.surface import Dem, Plane
@@ -20,9 +21,11 @@ from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import ArrayImage
 from sightline.matching.matches import KEPT, LOW_SCORE, NO_CONVERGENCE, OUTSIDE
 from sightline.motion.band import Band
-from sightline.motion.joint import remove_directions
+from sightline.motion.joint import JointPrior, remove_directions, solve_joint
+from sightline.motion.normal_equations import normal_equations
 from sightline.motion.predict import predict_match
 from sightline.motion.stars import MatchingPlan, StarRecord, match_star
+from sightline.motion.viewing_axes import turned_directions
 from sightline.motion.windows import window_grid
 
 SHAPE = (160, 220)
@@ -180,6 +183,60 @@ class TestRendered:
         result = recovery.result
         # an end is extrapolated over half a window from half as many matches as the middle has around it
         assert np.all(result.sigma[[0, -1]] > 1.2 * np.median(result.sigma, axis=0))
+
+
+class TestHiddenDrifts:
+    """Which drifts free offsets and rotations hide: shifts of the bands that grow with their lags imitate one
+    of pitch (along) or roll (across), rotations (with offsets for their middle) one of yaw."""
+
+    @staticmethod
+    def estimate(recovery, free):
+        """The strip's matches, solved with only those static parameters that `free` says."""
+        bands = recovery.acquisition.bands
+        strip = prepared(bands, recovery.acquisition.surface, RecoverOptions())
+        chosen = [k for k, p in enumerate(strip.parameters) if free(p.name, p.images[0])]
+        stars = [r.star for r in recovery.result.records]
+        stars = [replace(s, by_static=s.by_static[..., chosen]) for s in stars]
+        data = normal_equations(stars, [s.residual_px for s in stars], strip.grid, delays=[0.0] * len(stars))
+        sigmas = np.array([strip.parameters[k].sigma for k in chosen])
+        return solve_joint(data, JointPrior(strip.broad.processes(strip.grid), sigmas))
+
+    @pytest.mark.parametrize(
+        ("free", "hidden"),
+        [
+            (lambda name, image: True, (0, 1, 2)),
+            (lambda name, image: image > 0, (0, 1, 2)),
+            (lambda name, image: "offset" in name, (0, 1)),
+            (lambda name, image: "along" in name, (1,)),
+            (lambda name, image: "across" in name, (0,)),
+            (lambda name, image: "rotation" in name, ()),
+            # the others, of known places and unlike lags, see every drift
+            (lambda name, image: image == 3, ()),
+            (lambda name, image: False, ()),
+        ],
+        ids=["all", "all but one band", "offsets", "along", "across", "rotations", "one band", "nothing"],
+    )
+    def test_only_drifts_that_free_places_imitate_are_hidden(self, recovery, free, hidden):
+        estimate = self.estimate(recovery, free)
+        assert estimate.hidden_drifts() == hidden
+        directions = estimate.hidden_directions(hidden)
+        assert directions.shape[2] == 3 + len(hidden)
+        u = np.linspace(-1.0, 1.0, estimate.grid.count)
+        for k, axis in enumerate(hidden):
+            # a ramp where there are matches (ends, of some lines and the lag, are extrapolated), no wiggle:
+            # of yaw, seen by little more than its turn of the rows, curves of a tenth may be left
+            inside = np.abs(u) < 0.8
+            assert np.corrcoef(directions[inside, axis, 3 + k], u[inside])[0, 1] > 0.98
+
+    def test_names_and_columns_agree(self):
+        plain, tilted = np.eye(3), Rotation.from_rotvec([0.5, 0.0, 0.0]).as_matrix()
+        assert _hidden_names((1,), plain)[3:] == ("drift of pitch",)
+        assert _hidden_names((0, 1, 2), tilted)[3:] == ("drift of roll", "drift of pitch", "drift of yaw")
+        assert _hidden_names((1,), tilted)[3:] == ("drift of pitch about the line of sight's axes",)
+        four = np.random.default_rng(0).standard_normal((5, 3, 4))
+        turned = turned_directions(four, tilted)
+        assert turned.shape == four.shape
+        assert_allclose(turned[..., 3], four[..., 3] @ tilted.T)
 
 
 @pytest.fixture(scope="module")

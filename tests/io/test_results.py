@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 
@@ -127,6 +128,17 @@ def test_sensors_beside_frames_take_no_part_and_are_named_among_the_warnings(rec
     frames = replace(recovery.acquisition, sensors=(sensor,), frames=("any",))
     assert any(said.startswith("not used: star tracker;") for said in _unused(frames))
     assert _unused(replace(frames, frames=())) == []
+
+
+def test_sigmas_that_a_spinning_camera_leaves_unused_are_named(recovery):
+    frame = SimpleNamespace(time_sigma=0.1)
+    spinning = replace(recovery.acquisition, frames=(frame,), spin=object(), height_sigma=20.0)
+    (said,) = _unused(spinning)
+    assert said.startswith("not used: [surface] height_sigma, time_sigma;")
+    exact = replace(spinning, frames=(SimpleNamespace(time_sigma=0.0),), height_sigma=0.0)
+    assert _unused(exact) == []
+    # of frames without a spin both are used
+    assert _unused(replace(spinning, spin=None)) == []
 
 
 def test_attitudes_over_another_body_go_into_no_message_in_earth_fixed_axes():

@@ -133,6 +133,7 @@ def test_a_scan_mirror_moves_the_lines_by_twice_its_angle(folder):
     [
         ("axis = [0.0, 1.0, 0.0]", "axis = [0.0, 0.0, 0.0]", "axis = [0, 0, 0] has no direction"),
         ("normal = [1.0, 0.0, -1.0]", "normal = [0, 0, 0]", "normal = [0, 0, 0] has no direction"),
+        ("normal = [1.0, 0.0, -1.0]", "normal = [0, -2.0, 1e-4]", "is parallel to axis = [0.0, 1.0, 0.0]"),
         ('angles = "mirror.csv"', 'angles = "none.csv"', "none.csv: no such file"),
         ('angles = "mirror.csv"\n', "", "key 'pointing.angles' is missing"),
         ('kind = "scan-mirror"', 'kind = "scan"', "pointing.kind = 'scan' is not known"),
@@ -142,6 +143,11 @@ def test_a_scan_mirror_moves_the_lines_by_twice_its_angle(folder):
 def test_what_is_wrong_with_a_mirror_is_said(folder, old, new, words):
     assert old in MIRROR
     assert words in message(mirror(folder, [-0.1, 0.3], [0.0, 0.0], MIRROR.replace(old, new)))
+
+
+def test_mirror_angles_in_degrees_are_recognised(folder):
+    said = message(mirror(folder, [-0.1, 0.3], [-5.0, 12.5]))
+    assert "mirror.csv: the mirror angles of [pointing] reach 12.5; allowed are -3.2 to 3.2 rad" in said
 
 
 def test_mirror_angles_must_reach_over_the_images(folder):

@@ -258,7 +258,7 @@ def test_a_star_tracker_gives_the_constant_and_leaves_the_rest_to_the_images():
         error = angles_at(found, inside) - motion[60:200]
         errors.append(error.mean(axis=0))
         sigmas.append(found.absolute_sigma(inside).mean(axis=0))
-        constant = directions_at(GRID, found.hidden_directions(drifts=False), inside)
+        constant = directions_at(GRID, found.hidden_directions(), inside)
         covariance = found.relative_covariance(inside, constant, PIXEL)
         relative.append(
             np.mean((error - error.mean(axis=0)) ** 2, axis=0)
@@ -282,9 +282,9 @@ def test_sensors_never_make_the_relative_sigma_worse():
     rows = rows_of(gyro(edges, increments, 0.05 * IFOV, alignment=1e-3, bias=1e-6))
     inside = GRID.nodes[60:200]
     alone, both = solve_joint(data, prior_of()), solve_joint(data, prior_of(), tie([rows], GRID, 3))
-    hidden = alone.hidden_directions(drifts=False)
+    hidden = alone.hidden_directions()
     # what is hidden from the images is no less hidden because a sensor sees it
-    assert np.allclose(both.hidden_directions(drifts=False), hidden, atol=1e-9)
+    assert np.allclose(both.hidden_directions(), hidden, atol=1e-9)
     constant = directions_at(GRID, hidden, inside)
     sigma = [
         np.diagonal(e.relative_covariance(inside, constant, PIXEL), axis1=1, axis2=2) for e in (alone, both)

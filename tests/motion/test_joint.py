@@ -168,7 +168,7 @@ def test_the_relative_covariance_is_the_projected_dense_one() -> None:
     grid = TimeGrid(0.0, STEP, COUNT)
     data = normal_equations([star], [star.residual_px], grid, delays=[0.0])
     estimate = solve_joint(data, prior)
-    directions = directions_at(grid, estimate.hidden_directions(drifts=True), grid.nodes)
+    directions = directions_at(grid, estimate.hidden_directions((0, 1, 2)), grid.nodes)
     t = grid.nodes
     scale = np.array([1.0, 2.0, 0.5])
     relative = estimate.relative_covariance(t, directions, scale)

@@ -30,6 +30,23 @@ def test_the_best_pair_then_whichever_is_most_like_one_taken(upper, order):
     assert best_first(symmetric(upper)) == order
 
 
+def test_only_allowed_pairs_are_ranked_and_a_group_apart_begins_by_itself():
+    # pairs 01, 02, 03, 12, 13, 23: only 02 and 13 may be matched
+    assert best_first(symmetric([-1.0, 0.4, -1.0, -1.0, 0.9, -1.0])) == (1, 3, 0, 2)
+    # 0 and 2 with nothing of their own left: a pair without a partner comes last
+    assert best_first(symmetric([-1.0, -1.0, 0.3, -1.0, 0.9, -1.0])) == (1, 3, 0, 2)
+
+
+def test_pairs_that_may_not_be_matched_are_not_looked_at():
+    scenario = line_of_sight_case("nominal", 1, lines=128, columns=120)
+    images = [ArrayImage(scenario.image(k)) for k in range(4)]
+    found = pair_correlations(
+        images, scenario.nominal_cameras, Plane(0.0), (10, 100), (4, 4), allowed=[(2, 1)]
+    )
+    assert found[1, 2] > 0.5 and found[2, 1] == found[1, 2]
+    assert (found[np.triu_indices(4, 1)] == -1.0).sum() == 5
+
+
 def test_two_images_stay_as_they_are():
     assert best_first(np.array([[0.0, 0.2], [0.2, 0.0]])) == (0, 1)
 

@@ -97,8 +97,9 @@ def terrain_rows(star, half_width: float, length: float, seed: int) -> np.ndarra
     )
 
 
+@pytest.mark.parametrize("component", [0, 1], ids=["along the track", "along columns"])
 @pytest.mark.parametrize("length", [400.0, 1500.0])
-def test_the_length_of_relief_is_found_from_what_pairs_share_along_the_track(length):
+def test_the_length_of_relief_is_found_from_what_pairs_share_along_the_parallax(length, component):
     sigma, by_height = 0.05, np.array([-0.012, -0.02])
     star = plain_star(1500, 21, 2, sigma)
     # the windows' field runs to 0.9 of half the swath
@@ -106,9 +107,9 @@ def test_the_length_of_relief_is_found_from_what_pairs_share_along_the_track(len
     rng = np.random.default_rng(4)
     shared = rng.standard_normal((len(heights), 1, 2))
     post = sigma / np.sqrt(2) * (shared + rng.standard_normal((len(heights), 2, 2)))
-    post[..., 0] += heights[:, None] * by_height
+    post[..., component] += heights[:, None] * by_height
     table = np.zeros((len(heights), 2, 2), np.float32)
-    table[..., 0] = by_height
+    table[..., component] = by_height
     found = relief_length([replace(star, by_height=table)], [post], HEIGHT, HALF_WIDTH)
     # 1500 rows give the share to sqrt(2 / 1500) = 4 % even if one shape alone were left in a row, the errors
     # of matching, half shared, to 0.05^2 / 2 / (0.012 * 0.02 * 144 * share), below 3 % / sqrt(1500 * 19) of
@@ -131,10 +132,10 @@ def test_without_relief_in_the_residuals_its_length_is_the_longest_that_is_belie
 
 
 class TestMatters:
-    def star(self, by_height: float):
+    def star(self, by_height: float, component: int = 0):
         star = plain_star(10, 5, 2, 0.05)
         table = np.zeros((*star.t.shape, 2), np.float32)
-        table[..., 0] = by_height
+        table[..., component] = by_height
         return replace(star, by_height=table)
 
     def test_relief_matters_where_its_parallax_is_a_part_of_the_errors(self):
@@ -142,6 +143,13 @@ class TestMatters:
         assert relief_matters([self.star(-1e-2)], 10.0)
         assert not relief_matters([self.star(-1e-5)], 10.0)
         assert relief_matters([self.star(-1e-5), self.star(1e-2)], 10.0)
+
+    def test_parallax_behind_a_scan_mirror_lies_along_columns(self):
+        across = self.star(-1e-2, component=1)
+        assert relief_matters([across], 10.0)
+        # each component against its own error: 0.1 px of parallax against a tenth of 2 px
+        blurred = across.covariance_px * np.array([[1.0, 0.0], [0.0, 1600.0]])
+        assert not relief_matters([replace(across, covariance_px=blurred)], 10.0)
 
     def test_a_known_surface_leaves_nothing_to_estimate(self):
         assert not relief_matters([self.star(1.0)], 0.0)

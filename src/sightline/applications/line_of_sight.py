@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
 from sightline.applications.strip import RecoverOptions, Strip, prepared
+from sightline.applications.strip_checks import checked, farthest_control
 from sightline.applications.strip_estimate import (
     DRAFT_ROUNDS,
     ROUNDS,
@@ -128,6 +129,7 @@ def recover_line_of_sight(
         control=control_points,
         known=known or KnownContent(),
     )
+    strip = checked(strip, options)
     if options.hybridise == "iterative":
         tell("comparing pairs: the best correlated one comes first")
         strip = replace(strip, order=_best_first(strip, options))
@@ -166,7 +168,8 @@ def _best_first(strip: Strip, options: RecoverOptions) -> tuple[int, ...]:
     """The bands in the order in which pairs are taken one after the other."""
     images = [band.image for band in strip.bands]
     window, search = options.first_window, options.search_px
-    return best_first(pair_correlations(images, strip.nominal, strip.surface, window, search))
+    allowed = set(strip.views)
+    return best_first(pair_correlations(images, strip.nominal, strip.surface, window, search, allowed))
 
 
 def _begin(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress) -> StripState:
@@ -176,6 +179,8 @@ def _begin(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Pro
     state = _first_pass(replace(strip, order=strip.order[:2]), options, height_sigma, tell)
     for count in range(3, len(strip.order) + 1):
         some = replace(strip, order=strip.order[:count])
+        if not any((some.order[-1], earlier) in strip.views for earlier in some.order[:-1]):
+            continue  # the first of a pair that is matched with none of the others: it comes with its partner
         tell(f"adding {strip.bands[some.order[-1]].name}, predicted by the motion found so far")
         # the second time about where the band was found: a linearisation about pixels too far away lets what
         # is hidden drift, and the next band would be sought there
@@ -206,7 +211,7 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
         raise EstimationError(
             f"the images do not match where the cameras say: {kept} of {tried} windows kept within "
             f"{options.search_px} px of the prediction ({_counts(records)}); check look angles, line times "
-            "and that the bands overlap, or search farther: [matching] search_px"
+            f"and that the bands overlap, or search farther: [matching] search_px{farthest_control(strip)}"
         )
     state = solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
     # once more about the motion found: what was left of the first linearisation is gone before dense matching
@@ -337,20 +342,28 @@ def _match(
 def _change(strip: Strip, old: StripState, new: StripState) -> float:
     """Change of the motion between passes in units of its sigma, hidden part left out (worst axis)."""
     t = strip.grid.nodes[4:-4:4]
-    directions = directions_at(strip.grid, new.estimate.hidden_directions(drifts=bool(strip.parameters)), t)
+    hidden = new.estimate.hidden_directions(new.estimate.hidden_drifts())
+    directions = directions_at(strip.grid, hidden, t)
     moved = angles_at(new.estimate, t) - angles_at(old.estimate, t)
     moved = remove_directions(moved, directions, strip.scale)
     variance = new.estimate.relative_covariance(t, directions, strip.scale)[:, [0, 1, 2], [0, 1, 2]]
     return float(np.sqrt((moved**2).mean(axis=0) / variance.mean(axis=0)).max())
 
 
+def _hidden_names(drifts: Sequence[int], turn: Array) -> tuple[str, ...]:
+    """Names of the constants, and of the drifts of these axes; some, not all, are of the line of sight's."""
+    axes = ("roll", "pitch", "yaw")
+    turned = 0 < len(drifts) < 3 and not np.array_equal(turn, np.eye(3))
+    about = " about the line of sight's axes" if turned else ""
+    return (*(f"constant of {axis}" for axis in axes), *(f"drift of {axes[k]}{about}" for k in drifts))
+
+
 def _result(strip: Strip, state: StripState, changes: list[float], window: tuple[int, int]) -> LineOfSight:
     """The last state as a result at the lines of the first band."""
     camera, estimate = strip.nominal[0], state.estimate
     t = camera.times(np.arange(camera.lines, dtype=float))
-    free = any(p.sigma > 0 for p in strip.parameters)
-    turn = strip.turn
-    on_grid = turned_directions(estimate.hidden_directions(drifts=free), turn)
+    turn, drifts = strip.turn, estimate.hidden_drifts()
+    on_grid = turned_directions(estimate.hidden_directions(drifts), turn)
     hidden = directions_at(strip.grid, on_grid, t)
     covariance = estimate.relative_covariance(t, hidden, strip.scale, turn)
     between = np.zeros((len(t), 3, 3))
@@ -362,7 +375,6 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
         StaticEstimate(p.name, p.unit, float(v), float(s), p.sigma)
         for p, v, s in zip(strip.parameters, estimate.statics, estimate.statics_sigma, strict=True)
     )
-    names = [f"{kind} of {axis}" for kind in ("constant", "drift") for axis in ("roll", "pitch", "yaw")]
     observed = observed_lines(strip, state, t)
     cameras = tuple(strip.body_cameras(estimate.nodes, estimate.statics))
     records = [replace(r, star=turned_star(r.star, turn)) for r in state.records]
@@ -370,7 +382,7 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
         motion=motion,
         absolute_sigma=estimate.absolute_sigma(t, turn),
         hidden=hidden,
-        hidden_names=tuple(names[: hidden.shape[2]]),
+        hidden_names=_hidden_names(drifts, turn),
         observed=observed,
         scale=strip.scale,
         ifov=strip.pixel_angle,

@@ -11,6 +11,7 @@ from __future__ import annotations
 from datetime import datetime
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from sightline.errors import FormatError
@@ -136,6 +137,10 @@ PlatformSection = Annotated[
 ]
 
 
+#: rad; a mirror whose normal is nearer to its axis hardly scans.
+LEAST_TILT = 1e-3
+
+
 class FixedPointing(Section):
     """``[pointing]`` kind fixed: the camera is bolted to the body."""
 
@@ -155,6 +160,14 @@ class ScanMirrorPointing(Section):
         for key in ("axis", "normal"):
             if not any(getattr(self, key)):
                 raise ValueError(f"{key} = [0, 0, 0] has no direction; give it in body axes")
+        axis, normal = (np.array(v) / max(map(abs, v)) for v in (self.axis, self.normal))
+        if np.linalg.norm(np.cross(axis, normal)) < LEAST_TILT * np.linalg.norm(axis) * np.linalg.norm(
+            normal
+        ):
+            raise ValueError(
+                f"normal = {list(self.normal)} is parallel to axis = {list(self.axis)}: such a mirror scans "
+                f"nothing; allowed is a normal at least {LEAST_TILT} rad from the axis"
+            )
         return self
 
 

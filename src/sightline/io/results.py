@@ -208,6 +208,9 @@ def _unused(acquisition: Acquisition) -> list[str]:
         return []
     given = [sensor.name for sensor in acquisition.sensors]
     given += ["control points"] if acquisition.control_points is not None else []
+    if acquisition.spin is not None:
+        given += ["[surface] height_sigma"] if acquisition.height_sigma > 0.0 else []
+        given += ["time_sigma"] if any(frame.time_sigma > 0.0 for frame in acquisition.frames) else []
     if not given:
         return []
     return [f"not used: {', '.join(given)}; of frames the motion is recovered from the images alone"]

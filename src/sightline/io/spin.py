@@ -19,6 +19,9 @@ from sightline.io.acquisition_schema import AcquisitionFile, CameraSection, Scan
 
 Array = NDArray[np.float64]
 
+#: rad; angles of a mirror beyond half a turn look like degrees.
+LARGEST_ANGLE = 3.2
+
 
 def spin_of(config: AcquisitionFile) -> Spin | None:
     """The spin of ``[platform]``, None for its other kinds.
@@ -95,6 +98,12 @@ def pointing_of(config: AcquisitionFile, files: InputFolder, span: tuple[float, 
     path = files(pointing.angles)
     t, angle = tables.read_mirror_angles(path)
     must_cover(path, "mirror angles", t, span)
+    largest = float(np.abs(angle).max())
+    if largest > LARGEST_ANGLE:
+        raise FormatError(
+            f"{path}: the mirror angles of [pointing] reach {largest:g}; allowed are -{LARGEST_ANGLE} to "
+            f"{LARGEST_ANGLE} rad; give radians, not degrees"
+        )
     return ScanMirror(mount.body_from_camera, np.array(pointing.axis), np.array(pointing.normal), t, angle)
 
 

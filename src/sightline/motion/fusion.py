@@ -460,10 +460,14 @@ def _control_of_image(
     t = camera.times(seen[:, 0])
     value = seen - camera.project(ground)
     value += np.einsum("nij,nj->ni", by, grid.interpolate(nodes, t)) + by_static @ statics
+    # what leaves the image within a step of a derivative is as if it were not in it
+    every = np.concatenate([part.reshape(len(ground), -1) for part in (by, by_static, by_ground)], axis=1)
+    known = np.asarray(np.isfinite(every).all(axis=1))
+    by_ground = np.where(known[:, None, None], by_ground, 0.0)
     covariance = points.sigma[chosen, None, None] ** 2 * np.einsum("nij,nkj->nik", by_ground, by_ground)
     whiten = np.linalg.inv(np.linalg.cholesky(covariance + POINTED_PX**2 * np.eye(2)))
     last = grid.start + grid.step * (grid.count - 1)
-    good = np.isfinite(value).all(axis=1) & (t >= grid.start) & (t <= last)
+    good = known & np.isfinite(value).all(axis=1) & (t >= grid.start) & (t <= last)
     return t[good], by[good], by_static[good], value[good], whiten[good]
 
 

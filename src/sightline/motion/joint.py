@@ -36,6 +36,11 @@ CONSTANT_SIGMA = (1e-5, 1e-5, 1e-2)
 #: The same of an axis that sensors or control points tie to the world (rad): they alone say where it is.
 TIED_SIGMA = 1.0
 
+#: A drift is hidden where free static parameters leave less than this share of what images see of it beside
+#: curves of this degree. Of hidden ones up to 1e-2 is left: the motion changes lags by up to a tenth, which a
+#: drift would scale it by. Where the images see a drift it is 0.1 to 1.
+HIDDEN, DEGREE = 0.03, 3
+
 #: Innovations beyond this many sigmas are taken for jumps.
 JUMP = 4.5
 #: Rows of the autoregression that are not looked at for jumps.
@@ -166,11 +171,41 @@ class JointEstimate:
         """Node values with relief where there is any, (count, 3 or 5)."""
         return self.nodes if self.relief is None else np.concatenate([self.nodes, self.relief], axis=1)
 
-    def hidden_directions(self, *, drifts: bool) -> Array:
+    def hidden_drifts(self) -> tuple[int, ...]:
+        """Axes (0 roll, 1 pitch, 2 yaw) whose linear drift free static parameters hide from the images.
+
+        Notes
+        -----
+        A drift shifts the images of a pair by what grows with their lag: offsets and rotations imitate it
+        where they are free in all images but those of one lag. Curves of the other axes alone, such as the
+        parabola of roll that belongs to a drift of yaw, leave some of it to be seen; it is hidden where free
+        static parameters take away all of that.
+        """
+        data, count = self._images, self.grid.count
+        if not len(self._prior.statics_sigma):
+            return ()
+        curves = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), DEGREE)
+        each = DEGREE + 1
+        shapes = np.zeros((count, data.block, 3 * each))
+        for axis in range(3):
+            shapes[:, axis, each * axis : each * (axis + 1)] = curves
+        h = shapes.reshape(-1, 3 * each)
+        top, bottom = data.times(h)
+        seen = np.block([[h.T @ top, bottom.T], [bottom, data.corner]])
+        size = np.sqrt(np.maximum(np.diag(seen), 0.0))
+        seen = seen / np.outer(*[np.where(size > 0.0, size, 1.0)] * 2)
+        motions = [k for k in range(3 * each) if k % each > 1]
+        everything = [*motions, *range(3 * each, len(seen))]
+        drifts = [each * axis + 1 for axis in range(3)]
+        left = [_unexplained(seen, k, everything) / _unexplained(seen, k, motions) for k in drifts]
+        return tuple(axis for axis in range(3) if left[axis] < HIDDEN)
+
+    def hidden_directions(self, drifts: Sequence[int] = ()) -> Array:
         """Motions that leave every image as it is, (count, 3, H) rad; of unit size at their own axis.
 
-        A constant per axis, and with `drifts` a linear drift per axis, each with what exact rays tie to it:
-        the change of the other axes and of the free static parameters that cancels its effect on the images.
+        A constant per axis, and a linear drift of each axis in `drifts` (from `hidden_drifts`: one that the
+        images see has no hidden direction), each with what exact rays tie to it: the change of the other axes
+        and of the free static parameters that cancels its effect on the images.
 
         Notes
         -----
@@ -178,14 +213,12 @@ class JointEstimate:
         ``(N + P) x = -N h``, N the data's information and P the prior's, so that h + x leaves the data alone.
         """
         data, grid = self._images, self.grid
-        u = np.linspace(-1.0, 1.0, grid.count)
-        seeds = []
-        for shape in [np.ones(grid.count), u] if drifts else [np.ones(grid.count)]:
-            for axis in range(3):
-                seed = np.zeros((grid.count, data.block))
-                seed[:, axis] = shape
-                seeds.append(seed.ravel())
-        h = np.stack(seeds, axis=1)
+        shapes = np.stack([np.ones(grid.count), np.linspace(-1.0, 1.0, grid.count)], axis=1)
+        own = [(0, axis) for axis in range(3)] + [(1, axis) for axis in drifts]
+        seeds = np.zeros((grid.count, data.block, len(own)))
+        for k, (shape, axis) in enumerate(own):
+            seeds[:, axis, k] = shapes[:, shape]
+        h = seeds.reshape(-1, len(own))
         if self.ties is None:
             factor = self._factor(constants=False)
         else:  # what sensors see of a motion does not make it less hidden from the images
@@ -194,7 +227,7 @@ class JointEstimate:
         top, bottom = data.times(h)
         x, _ = factor.solve(-top, -bottom)
         completed = (h + x).reshape(grid.count, data.block, -1)[:, :3]
-        return _unmixed(completed, u)
+        return _unmixed(completed, own, shapes)
 
     def relative_covariance(
         self, t: Array, directions: Array, scale: Array, turn: Array | None = None
@@ -295,12 +328,30 @@ def innovation_weights(estimate: JointEstimate) -> Array:
     return np.where(e > JUMP, (1.0 / np.maximum(e, 1.0)) ** 2, 1.0)
 
 
-def _unmixed(directions: Array, u: Array) -> Array:
-    """Directions recombined so that each holds the constant or drift of its own axis once and no other's."""
-    shapes = np.stack([np.ones_like(u), u], axis=1)[:, : directions.shape[2] // 3]
-    content = np.linalg.lstsq(shapes, directions.reshape(len(u), -1), rcond=None)[0]
-    content = content.reshape(shapes.shape[1] * 3, directions.shape[2])
-    return np.asarray(directions @ np.linalg.inv(content))
+def _unexplained(information: Array, k: int, others: Sequence[int]) -> float:
+    """Share of the information on unknown `k` (unit diagonal) that `others`, all free, cannot imitate."""
+    if information[k, k] <= 0.0:
+        return 1.0
+    between = information[np.ix_(others, others)]
+    inverse = np.linalg.pinv(between, rcond=1e-10, hermitian=True)
+    return max(float(1.0 - information[k, others] @ inverse @ information[others, k]), 1e-12)
+
+
+def _unmixed(directions: Array, own: Sequence[tuple[int, int]], shapes: Array) -> Array:
+    """Directions recombined so that each holds its own (shape, axis) once and that of no other.
+
+    Parameters
+    ----------
+    directions : (count, 3, H)
+    own : H times (int, int)
+        Column of `shapes`, and axis.
+    shapes : (count, 2)
+        Constant and drift.
+    """
+    used = shapes[:, : 1 + max(shape for shape, _ in own)]
+    content = np.linalg.lstsq(used, directions.reshape(len(shapes), -1), rcond=None)[0]
+    content = content.reshape(used.shape[1], 3, -1)
+    return np.asarray(directions @ np.linalg.inv(np.stack([content[shape, axis] for shape, axis in own])))
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,7 @@ Not here: what is done with them (``applications/line_of_sight.py``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -30,6 +30,7 @@ def pair_correlations(
     surface: Surface,
     window: tuple[int, int],
     search_px: tuple[int, int],
+    allowed: Collection[tuple[int, int]] | None = None,
 ) -> Array:
     """How alike every pair of images is: the median over windows of their correlation.
 
@@ -42,15 +43,21 @@ def pair_correlations(
         px
     search_px : (lines, columns)
         px; half-range about the prediction.
+    allowed : collection of (int, int), optional
+        Pairs that may be matched, either way round; all by default.
 
     Returns
     -------
     (K, K)
         Normalised correlation of the images as they are, 0 .. 1; a window that does not match counts as 0, a
-        pair with too little ground in common is 0.
+        pair with too little ground in common is 0, one that may not be matched -1.
     """
+    may = None if allowed is None else {frozenset(pair) for pair in allowed}
     out = np.zeros((len(images), len(images)))
     for a, b in combinations(range(len(images)), 2):
+        if may is not None and frozenset((a, b)) not in may:
+            out[a, b] = out[b, a] = -1.0
+            continue
         centres = window_grid(images[a].shape, window, window[0]).centres
         predicted = predict_match(cameras[a], cameras[b], surface, centres)
         seen = np.flatnonzero(np.isfinite(predicted[:, 0]))
@@ -70,10 +77,12 @@ def pair_correlations(
 def best_first(correlations: Array) -> tuple[int, ...]:
     """Images in the order to take them: the best pair, then whichever is most like one already taken.
 
+    Images that may not be matched with any taken begin again with the best pair among themselves.
+
     Parameters
     ----------
     correlations : (K, K)
-        Symmetric; the diagonal is not looked at.
+        Symmetric, negative for pairs that may not be matched; the diagonal is not looked at.
 
     Examples
     --------
@@ -82,10 +91,15 @@ def best_first(correlations: Array) -> tuple[int, ...]:
     (0, 2, 1)
     """
     count = len(correlations)
-    apart = np.where(np.eye(count, dtype=bool), -1.0, correlations)
-    first, second = np.unravel_index(int(np.argmax(apart)), apart.shape)
-    order = [int(first), int(second)]
+    apart = np.where(np.eye(count, dtype=bool), -2.0, correlations)
+    order: list[int] = []
     while len(order) < count:
         rest = [k for k in range(count) if k not in order]
-        order.append(max(rest, key=lambda k: float(apart[k, order].max())))
+        nearest = max(rest, key=lambda k: float(apart[k, order].max(initial=-2.0)))
+        if apart[nearest, order].max(initial=-2.0) < 0.0 and len(rest) > 1:
+            among = apart[np.ix_(rest, rest)]
+            first, second = np.unravel_index(int(np.argmax(among)), among.shape)
+            order += [rest[first], rest[second]]
+        else:
+            order.append(nearest)
     return tuple(order)

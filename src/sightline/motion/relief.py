@@ -42,9 +42,10 @@ def relief_matters(stars: Sequence[Star], height_sigma: float) -> bool:
     for star in stars:
         seen = star.present
         if seen.any():
-            parallax = np.abs(star.by_height[..., 0])[seen].max() * height_sigma
+            parallax = np.abs(star.by_height[seen]).max(axis=0) * height_sigma
+            variance = np.median(star.covariance_px[seen][:, [0, 1], [0, 1]], axis=0)
             # a row of windows averages the errors of its blocks: a tenth of one window's sigma matters there
-            if parallax > 0.1 * np.sqrt(np.median(star.covariance_px[..., 0, 0][seen])):
+            if (parallax > 0.1 * np.sqrt(variance)).any():
                 return True
     return False
 
@@ -118,30 +119,40 @@ def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float,
 
     Notes
     -----
-    What the pairs share along the lines beyond what they share across them is taken for relief: matching errs
-    alike on both axes (in units of its own sigma), relief moves points along the track only.
+    What the pairs share along the parallax beyond what they share square to it is taken for relief: matching
+    errs alike on both axes (in units of its own sigma), relief moves points along the parallax only: lines
+    where bands look ahead, columns behind a mirror that scans across.
     """
     excess, weight = 0.0, 0.0
     for star, post in zip(stars, post_px, strict=True):
         z, _ = scatter(star, post)
         pairs = star.t.shape[1]
         flat = z.reshape(-1, 2 * pairs)
-        along = np.sqrt(star.covariance_px[..., 0, 0])
-        coefficient = np.abs(star.by_height[..., 0])
+        sigma_px = np.sqrt(star.covariance_px[..., [0, 1], [0, 1]])
+        # in units of the errors, in which residuals are compared
+        by_height = star.by_height / sigma_px
+        way = np.nanmedian(by_height.reshape(-1, pairs, 2), axis=0)
+        size = np.hypot(way[:, 0], way[:, 1])
+        way = np.where(size[:, None] > 0.0, way / np.where(size > 0.0, size, 1.0)[:, None], [1.0, 0.0])
+        # px, and the error of a match that way
+        coefficient = np.hypot(star.by_height[..., 0], star.by_height[..., 1])
+        along = coefficient / np.maximum(np.hypot(by_height[..., 0], by_height[..., 1]), 1e-30)
+        parallel = np.einsum("gka,ka->gk", flat.reshape(-1, pairs, 2), way)
+        square = np.einsum("gka,ka->gk", flat.reshape(-1, pairs, 2), way[:, ::-1] * [-1.0, 1.0])
         for j in range(pairs):
             for k in range(j, pairs):
                 if pairs > 1 and j == k:
                     continue
-                products = flat[:, 2 * j] * flat[:, 2 * k], flat[:, 2 * j + 1] * flat[:, 2 * k + 1]
+                products = parallel[:, j] * parallel[:, k], square[:, j] * square[:, k]
                 seen = np.isfinite(products[0] - products[1])
                 number = float(seen.sum())
                 if not number:
                     continue
-                line, column = (float(np.mean(product[seen])) for product in products)
-                scale = np.nanmedian(along[:, j] * along[:, k])
+                shared, errors = (float(np.mean(product[seen])) for product in products)
+                scale = float(np.nanmedian(along[:, j] * along[:, k]))
                 gain = float(np.nanmedian(coefficient[:, j] * coefficient[:, k]))
                 if gain > 0:
-                    excess += number * gain * float((line - column) * scale)
+                    excess += number * gain * (shared - errors) * scale
                     weight += number * gain**2
     measured = max(excess / weight, 0.0) if weight > 0 else 0.0
     longest = max(LONGEST * half_width, sigma / LEAST_SLOPE)

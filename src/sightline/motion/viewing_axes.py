@@ -87,11 +87,13 @@ def in_axes(camera: PushbroomCamera, body_from_other: Rotation) -> PushbroomCame
 def turned_directions(directions: Array, turn: Array) -> Array:
     """Hidden directions (N, 3, H) in the axes that `turn` (3, 3) leads to, each again of its own axis.
 
-    They come in threes, one per axis.
+    They come in threes, one per axis; of what is over, each keeps the axis it was of.
     """
     count = directions.shape[2] // 3
-    mixed = directions.reshape(*directions.shape[:2], count, 3)
-    return np.einsum("pa,nagb,qb->npgq", turn, mixed, turn).reshape(directions.shape)
+    whole, over = directions[..., : 3 * count], directions[..., 3 * count :]
+    mixed = whole.reshape(*whole.shape[:2], count, 3)
+    turned = np.einsum("pa,nagb,qb->npgq", turn, mixed, turn).reshape(whole.shape)
+    return np.concatenate([turned, turn @ over], axis=2)
 
 
 def turned_spectra(
