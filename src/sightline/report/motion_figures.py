@@ -115,6 +115,7 @@ def _add_band(
     figure.add_scatter(
         x=np.concatenate([t, t[::-1]]),
         y=np.concatenate([values + sigma, (values - sigma)[::-1]]),
+        mode="lines",
         fill="toself",
         fillcolor=faint(colour, 0.30),
         line={"width": 0},
@@ -133,7 +134,14 @@ def _add_angle_scale(
     low, high = low - margin, high + margin
     factor, unit = (1e6, "µrad") if scale * max(-low, high) < 1e-3 else (1e3, "mrad")
     figure.add_scatter(
-        x=[t[0]], y=[None], showlegend=False, hoverinfo="skip", row=axis + 1, col=1, secondary_y=True
+        x=[t[0]],
+        y=[None],
+        mode="lines",
+        showlegend=False,
+        hoverinfo="skip",
+        row=axis + 1,
+        col=1,
+        secondary_y=True,
     )
     left = f"{AXES[axis]} ({AXIS_UNITS[axis]})"
     figure.update_yaxes(title_text=left, range=[low, high], fixedrange=True, row=axis + 1, secondary_y=False)

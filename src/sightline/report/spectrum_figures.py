@@ -83,6 +83,7 @@ def visibility_figure(result: LineOfSight, seen: Observed, names: Sequence[str])
             x=f,
             y=np.minimum(smallest, 1e3),
             name=f"{name} ({AXIS_UNITS[axis]})",
+            mode="lines",
             line={"color": AXIS_COLOURS[axis], "width": 1.2},
             row=1,
             col=1,
