@@ -264,12 +264,18 @@ def _passbands(summary: Mapping[str, Any]) -> str:
 def _hidden(result: LineOfSight) -> str:
     if not result.hidden_names:
         return "Nothing of the motion is hidden from the images."
-    tied = np.isfinite(result.absolute_sigma).all()
-    known = (
-        "other knowledge ties it: sigma_absolute in motion.csv includes it"
-        if tied
-        else "nothing given here ties it, so sigma_absolute in motion.csv is infinite"
-    )
+    tied = np.isfinite(result.absolute_sigma).all(axis=0)
+    if tied.all():
+        known = "other knowledge ties it: sigma_absolute in motion.csv includes it"
+    elif not tied.any():
+        known = "nothing given here ties it, so sigma_absolute in motion.csv is infinite"
+    else:
+        held = _listed([axis for axis, own in zip(AXES, tied, strict=True) if own])
+        free = _listed([axis for axis, own in zip(AXES, tied, strict=True) if not own])
+        known = (
+            f"other knowledge ties it in {held}, where sigma_absolute in motion.csv includes it, but not in "
+            f"{free}, where it is infinite"
+        )
     imitated = ""
     if not all(name.startswith("constant of ") for name in result.hidden_names):
         frames = isinstance(result.cameras[0], FrameCamera)
