@@ -23,6 +23,6 @@ def test_few_bands_are_given_by_their_ends():
     assert passband_words([(2.0, 9.9), (10.1, 19.9), (20.1, 30.0)]) == "2–9.9, 10.1–19.9, 20.1–30 Hz"
 
 
-def test_gaps_of_many_widths_are_told_by_the_widest():
-    bands = [(1.0, 9.5), (10.5, 19.9), (20.1, 29.5), (30.5, 40.0)]
-    assert passband_words(bands) == "1–40 Hz but for gaps of up to 1 Hz at multiples of 10 Hz"
+def test_gaps_of_many_widths_are_told_by_the_median_and_the_widest():
+    bands = [(1.0, 9.5), (10.5, 19.9), (20.1, 29.4), (30.6, 40.0)]
+    assert passband_words(bands) == "1–40 Hz but for gaps of 1 Hz (at most 1.2 Hz) at multiples of 10 Hz"

@@ -104,3 +104,9 @@ def test_a_band_of_few_points_is_drawn_without_dots():
 def test_no_curve_is_left_to_the_library_to_mark_or_not(recovery):
     for section in page.sections(recovery.result, recovery.summary):
         assert all(trace.mode for trace in section.figure.data if trace.type.startswith("scatter")), section
+
+
+@pytest.mark.parametrize(("largest", "expected"), [(1.5, None), (5.0, "D1"), (50.0, "D2")])
+def test_the_scale_of_sigma_has_more_than_one_tick(largest, expected):
+    scale = motion_figures._sigma_scale(0.006 * np.array([1.0, largest]))
+    assert scale.get("dtick") == expected and (scale["type"] == "linear") == (expected is None)

@@ -55,5 +55,5 @@ def _regular_gaps(bands: Passbands) -> str | None:
     # every gap must hold the multiple that makes it
     if (np.abs(middle - order * first) > 0.5 * width).any() or present < COMPLETE:
         return None
-    about = "" if width.max() < ALIKE * width.min() else "up to "
-    return f"gaps of {about}{width.max():.2g} Hz at multiples of {first:.3g} Hz"
+    most = "" if width.max() < ALIKE * width.min() else f" (at most {width.max():.2g} Hz)"
+    return f"gaps of {np.median(width):.2g} Hz{most} at multiples of {first:.3g} Hz"

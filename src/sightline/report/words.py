@@ -264,7 +264,7 @@ def _passbands(summary: Mapping[str, Any]) -> str:
 def _hidden(result: LineOfSight) -> str:
     if not result.hidden_names:
         return "Nothing of the motion is hidden from the images."
-    tied = np.isfinite(result.absolute_sigma).all(axis=0)
+    tied = np.asarray(np.isfinite(result.absolute_sigma).all(axis=0))
     if tied.all():
         known = "other knowledge ties it: sigma_absolute in motion.csv includes it"
     elif not tied.any():
