@@ -118,7 +118,7 @@ def _warnings(bands: Sequence[dict[str, Any]], pairs: Sequence[dict[str, Any]]) 
         label = " - ".join(pair["images"])
         if not np.isfinite(rms).all():
             out.append(
-                f"{label}: too few windows match ({pair['after']['kept']} of {pair['after']['windows']}) to "
+                f"{label}: {pair['after']['kept']} of {pair['after']['windows']} windows match: too few to "
                 "say how well they fit"
             )
         elif np.hypot(*rms) > 0.1 and np.hypot(*rms) > 2.0 * np.hypot(*noise):

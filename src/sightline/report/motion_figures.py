@@ -75,7 +75,7 @@ def sigma_figure(result: LineOfSight) -> go.Figure:
 
 
 def _sigma_scale(drawn: Array) -> dict[str, Any]:
-    """A log scale with ticks at 1, 2, 5, or at every digit; a linear one where even these would be too few."""
+    """A log scale with ticks at 1, 2, 5, or at every digit; a linear one where these are too few."""
     ratio = float(drawn.max() / drawn.min())
     if ratio < LINEAR_BELOW:
         return {"type": "linear"}

@@ -159,8 +159,8 @@ def _frequency_sections(result: LineOfSight, summary: Mapping[str, Any]) -> list
             "spectrum",
             "Spectrum of the motion",
             "Power spectral density of the recovered motion, with tones named. The dotted curve is the error "
-            "that remains: where the motion lies below it, it is believed, not measured. Where it is shaded, a "
-            f"steady tone of {SEEN_TONE_PX:g} px would not stand out.",
+            "that remains: where the motion lies below it, it is believed, not measured. Where it is shaded, "
+            f"a steady tone of {SEEN_TONE_PX:g} px would not stand out.",
             spectrum_figures.spectrum_figure(result, summary["passbands"], tones, highest),
         ),
         Section(

@@ -171,7 +171,12 @@ def sections(
     before: Sequence[BandFit], after: Sequence[BandFit], summary: Mapping[str, Any]
 ) -> list[Section]:
     """Maps of misfit of the pair that was furthest apart; none without matches."""
-    sizes = [float((fit.offset_px**2).mean()) if fit.known else -1.0 for fit in before]
+    # of the pairs whose fit is known, if there is one: a few false matches would be the furthest apart of all
+    some = [fit.known for fit in before] if any(fit.known for fit in before) else [True] * len(before)
+    sizes = [
+        float((fit.offset_px**2).mean()) if ok and len(fit.points) else -1.0
+        for fit, ok in zip(before, some, strict=True)
+    ]
     if not sizes or max(sizes) < 0.0:
         return []
     worst = int(np.argmax(sizes))
@@ -199,7 +204,8 @@ def misfit_figure(before: BandFit, after: BandFit, shape: Sequence[int]) -> go.F
         lines, columns, table = _table(fit, component)
         reach = float(np.percentile(np.abs(fit.offset_px), 99.0)) if len(fit.points) else 1.0
         figure.add_heatmap(
-            x=lines, y=columns, z=table.T, zmin=-reach, zmax=reach, colorscale=DIVERGING, row=row + 1, col=1,
+            x=_cells(lines, 0), y=_cells(columns, 1), z=table.T, zmin=-reach, zmax=reach,
+            colorscale=DIVERGING, row=row + 1, col=1,
             colorbar={
                 "title": {"text": "px", "side": "right"},
                 "len": 0.5, "y": 0.77 if row < 2 else 0.23, "thickness": 12,
@@ -219,6 +225,12 @@ def _seen_range(fits: Sequence[BandFit], axis: int, size: int) -> list[float]:
         return [0.0, float(size)]
     half = 0.5 * WINDOW[axis]
     return [max(float(places.min()) - half, 0.0), min(float(places.max()) + half, float(size))]
+
+
+def _cells(centres: Array, axis: int) -> Array:
+    """Centres of windows as they are drawn; the two ends of a single one, else a pixel wide."""
+    half = 0.5 * WINDOW[axis]
+    return centres if len(centres) != 1 else np.array([centres[0] - half, centres[0] + half])
 
 
 def _table(fit: BandFit, component: int) -> tuple[Array, Array, Array]:
