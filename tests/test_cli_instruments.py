@@ -6,15 +6,28 @@ import json
 
 import pytest
 
-from sightline.cli import simulate
+from sightline.cli import options
 from sightline.cli.main import run
 from sightline.simulate.instruments import INSTRUMENT_CASES
+from sightline.simulate.strip_options import CASES
 
 COMMAND = ["simulate", "line-of-sight", "--lines", "64", "--columns", "48"]
 
 
 def test_the_help_names_every_case():
-    assert simulate._INSTRUMENTS.split(", ") == list(INSTRUMENT_CASES)
+    assert options.ORBIT_CASES == INSTRUMENT_CASES and options.STRIP_CASES == CASES
+
+
+def test_an_unknown_case_is_answered_with_every_case(tmp_path, capsys):
+    assert run([*COMMAND, "--case", "foo", "--out", str(tmp_path / "scene")]) == 2
+    said = capsys.readouterr().err
+    assert all(case in said for case in (*CASES, *INSTRUMENT_CASES))
+
+
+def test_the_demo_says_which_cases_are_not_its_own(tmp_path, capsys):
+    assert run(["demo", "--case", "spin-leo", "--out", str(tmp_path / "demo")]) == 2
+    assert "simulate line-of-sight --case spin-leo" in capsys.readouterr().err
+    assert not (tmp_path / "demo").exists()
 
 
 def test_an_instrument_is_rendered_and_checked(tmp_path, capsys):

@@ -111,6 +111,10 @@ def test_the_demo_ends_with_the_score_and_where_the_report_is(tmp_path, capsys, 
     assert run(["demo", "--out", str(out)]) == 0
     said = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in said[1:4]] == ["roll", "pitch", "yaw"]
+    # what was left out of these is said, and the error with it
+    assert "a constant and a drift per axis, unseen by images, left out" in said[0]
+    assert [line.split()[0] for line in said[4:7]] == ["roll", "pitch", "yaw"]
+    assert all("error of the whole angle" in line for line in said[4:7])
     assert said[-1].split() == ["report", str(out / "result" / "report.html")]
     assert (out / "result" / "report.html").stat().st_size > 4e6
     assert set(json.loads((out / "score.json").read_text())) >= {"roll", "pitch", "yaw"}

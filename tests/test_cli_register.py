@@ -102,3 +102,26 @@ def test_frames_are_refused(recovery, tmp_path, capsys):
     toml = scene / "acquisition.toml"
     assert run(["register", str(toml), "--motion", str(recovery.folder), "--out", str(tmp_path / "out")]) == 2
     assert "[[band]]" in capsys.readouterr().err
+
+
+def test_a_band_that_matches_nothing_is_named_by_recover_and_marked_by_register(recovery, tmp_path, capsys):
+    scene, folder, out = shutil.copytree(recovery.scene, tmp_path / "scene"), tmp_path / "r", tmp_path / "out"
+    toml = scene / "acquisition.toml"
+    before, after = toml.read_text().split('name = "B1"')
+    toml.write_text(before + 'name = "B1"' + after.replace("look_ahead = -", "look_ahead = ", 1))
+    assert run(["recover", str(toml), "--out", str(folder)]) == 0
+    warnings = [line for line in capsys.readouterr().err.splitlines() if "matches nothing" in line]
+    assert len(warnings) == 1 and "B1 matches nothing" in warnings[0] and "change the sign" in warnings[0]
+
+    assert run(["register", str(toml), "--motion", str(folder), "--out", str(out)]) == 0
+    said = capsys.readouterr()
+    assert "nan" not in said.out + said.err
+    assert "B1                placed by the recovered motion alone" in said.out
+    assert "PAN - B1          how far apart is not known" in said.out
+    summary = json.loads((out / "summary.json").read_text())
+    assert {band["name"]: band["placed_by"] for band in summary["bands"]} == {
+        "PAN": "matches", "B1": "motion", "B0": "matches", "B2": "matches",
+    }  # fmt: skip
+    page = (out / "report.html").read_text()
+    assert "Too few windows match to say how well these fit: PAN – B1, B1 – B0, B1 – B2." in page
+    assert "Placed by the recovered motion alone, their own place never measured: B1." in page

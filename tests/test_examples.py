@@ -35,7 +35,7 @@ def test_the_python_of_the_readme_runs_and_prints_three_axes():
     assert [line.split()[0] for line in lines] == ["roll", "pitch", "yaw"]
     shown = re.search(r"```text\n(roll .*?)```", readme, re.DOTALL)
     assert shown is not None
-    # libraries of another version may change the last digits, not what is said
+    # libraries of another version may change the last digit by one, not what is said
     for printed, stated in zip(lines, shown[1].splitlines(), strict=True):
         numbers = [[float(n) for n in re.findall(r"\d+\.\d+", line)] for line in (printed, stated)]
-        assert numbers[0] == pytest.approx(numbers[1], rel=0.05)
+        assert numbers[0] == pytest.approx(numbers[1], rel=0.05, abs=0.0011)

@@ -19,6 +19,13 @@ def test_lags_blind_frequencies_and_overlap_are_those_of_the_geometry(folder):
     assert any("lag -20 ms, 80 % common ground, blind at 50, 100" in line for line in said["observable"])
 
 
+def test_frequencies_below_one_period_of_the_strip_are_not_promised(folder):
+    acquisition = load_acquisition(folder.write())
+    t = acquisition.cameras[0].times([0.0, acquisition.cameras[0].lines - 1.0])
+    said = describe_acquisition(acquisition)
+    assert said["passbands"][0][0] == pytest.approx(1.0 / (t[1] - t[0]))
+
+
 def test_yaw_is_said_to_be_seen_worse_by_the_field(folder):
     said = describe_acquisition(load_acquisition(folder.write()))
     # edge of the field at 59.5 px: 1 px = 16807 urad; roll 5 urad: 3361 times

@@ -75,3 +75,19 @@ def test_windows_lie_inside_and_are_not_too_many():
 def test_numbers_of_an_empty_fit_are_unknown():
     empty = np.empty((0, 2))
     assert math.isnan(BandFit((0, 1), empty, empty, empty, 0).rms_px[0])
+
+
+def test_only_windows_with_common_ground_are_tried(pair):
+    narrow = pair[1].copy()
+    narrow[:, 150:] = np.nan
+    fit = fit_bands(ArrayImage(pair[0]), ArrayImage(narrow), (0, 1))
+    whole = fit_bands(ArrayImage(pair[0]), ArrayImage(pair[1]), (0, 1))
+    # windows begin at columns 2, 49.1, 96.3, ...: of eight, three end left of 150
+    assert 0 < fit.tried <= 3 * whole.tried / 8
+    assert len(fit.points) > 0.8 * fit.tried
+
+
+def test_so_small_a_share_of_windows_says_nothing():
+    points = np.zeros((30, 2))
+    assert BandFit((0, 1), points, points, points + 0.1, 100).known
+    assert not BandFit((0, 1), points, points, points + 0.1, 2000).known

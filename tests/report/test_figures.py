@@ -10,7 +10,7 @@ import pytest
 from sightline.evaluation.observed import observed
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import STATUS_NAMES
-from sightline.report import match_figures, motion_figures, spectrum_figures
+from sightline.report import match_figures, microvibration_figures, motion_figures, page, spectrum_figures
 
 
 @pytest.fixture
@@ -89,3 +89,24 @@ def test_pairs_matched_both_ways_are_drawn_once(result):
     figure = spectrum_figures.visibility_figure(result, seen, result.image_names)
     rows = [trace.name for trace in figure.data if trace.mode == "markers"]
     assert len(rows) == len({frozenset(pair) for pair in seen.blind})
+
+
+def test_a_band_of_few_points_is_drawn_without_dots():
+    tone = {
+        "axis": "roll", "frequency": 40.0, "t": [0.1, 0.2], "amplitude_px": [0.2, 0.3],
+        "sigma_px": 0.01, "steady_chance": 0.5,
+    }  # fmt: skip
+    figure = microvibration_figures.tone_figure({"tones": [tone]})
+    # left to itself, the library marks every point of a curve of fewer than twenty
+    assert [trace.mode for trace in figure.data] == ["lines", "lines+markers"]
+
+
+def test_no_curve_is_left_to_the_library_to_mark_or_not(recovery):
+    for section in page.sections(recovery.result, recovery.summary):
+        assert all(trace.mode for trace in section.figure.data if trace.type.startswith("scatter")), section
+
+
+@pytest.mark.parametrize(("largest", "expected"), [(1.5, None), (5.0, "D1"), (50.0, "D2")])
+def test_the_scale_of_sigma_has_more_than_one_tick(largest, expected):
+    scale = motion_figures._sigma_scale(0.006 * np.array([1.0, largest]))
+    assert scale.get("dtick") == expected and (scale["type"] == "linear") == (expected is None)

@@ -44,6 +44,13 @@ def test_a_hidden_part_that_is_tied_is_not_called_infinite(recovery):
     assert "other knowledge ties it" in " ".join(words.sentences(tied, recovery.summary, []))
 
 
+def test_a_hidden_part_that_is_tied_in_one_axis_is_said_of_that_axis(recovery):
+    sigma = np.full_like(recovery.result.absolute_sigma, np.inf)
+    sigma[:, 1] = 1e-6
+    said = " ".join(words.sentences(replace(recovery.result, absolute_sigma=sigma), recovery.summary, []))
+    assert "ties it in pitch" in said and "not in roll and yaw, where it is infinite" in said
+
+
 def test_without_tones_none_is_claimed(recovery):
     assert "No tone stands out" in " ".join(words.sentences(recovery.result, recovery.summary, []))
 

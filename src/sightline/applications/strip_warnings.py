@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from sightline.applications.strip import Strip
+from sightline.applications.strip import RecoverOptions, Strip
 from sightline.applications.strip_estimate import StripState
+from sightline.applications.wrong_sign import matches_backwards
 from sightline.geometry.trajectory import Motion
-from sightline.matching.matches import KEPT, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
+from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.fusion import uses
 from sightline.motion.joint import JointEstimate
 from sightline.motion.stars import StarRecord
@@ -22,6 +23,8 @@ Array = NDArray[np.float64]
 DOUBTFUL = 2.0
 #: Fewer windows than this share kept at the end are worth a warning.
 ENOUGH_KEPT = 0.5
+#: A pair that keeps fewer windows, or a smaller share of those compared, tells nothing: false matches do so.
+FEWEST_KEPT, LEAST_SHARE = 10, 0.1
 #: Matches that span less than this share of the field hardly tell yaw.
 ENOUGH_FIELD = 0.3
 
@@ -80,6 +83,44 @@ def _lost_windows(records: Sequence[StarRecord]) -> str:
     )
 
 
+def pair_tells(kept: ArrayLike, tried: ArrayLike) -> NDArray[np.bool_]:
+    """Whether pairs that kept so many windows of those tried measure anything; false matches alone do not."""
+    kept, tried = np.asarray(kept), np.asarray(tried)
+    return np.asarray((kept >= FEWEST_KEPT) & (kept >= LEAST_SHARE * tried))
+
+
+def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
+    """Bands none of whose pairs keeps enough windows, and the wrong sign of a lag where that is why."""
+    compared = np.zeros((len(strip.bands), len(strip.bands)), dtype=int)
+    kept = np.zeros_like(compared)
+    for record in records:
+        # under a mask, or where the other image has no pixels, nothing was compared
+        tried = ~np.isin(record.status, (OUTSIDE, NOT_CHOSEN, MASKED))
+        for k, image in enumerate(record.star.images):
+            compared[record.star.hub, image] += int(tried[:, k].sum())
+            kept[record.star.hub, image] += int(record.star.present[:, k].sum())
+    compared, kept = compared + compared.T, kept + kept.T
+    alone = ~pair_tells(kept, compared).any(axis=1)
+    return [
+        f"{strip.bands[b].name} matches nothing: {kept[b].sum()} of {compared[b].sum()} windows kept, so "
+        "nothing measures its place; " + _why_unmatched(strip, int(b), np.flatnonzero(~alone))
+        for b in np.flatnonzero(alone)
+    ]
+
+
+def _why_unmatched(strip: Strip, lost: int, matched: NDArray[np.intp]) -> str:
+    """The wrong sign of the lag where the matches of the other side prove it; else what to check."""
+    band, search = strip.bands[lost], RecoverOptions().search_px
+    for other in matched:
+        # the lag of either band against the other: the same pair, mirrored
+        if matches_backwards(strip.bands[other], band, strip.surface, search):
+            return (
+                f"it matches {strip.bands[other].name} as far on the other side: change the sign of its "
+                "`look_ahead` (forward is positive) or of its lag"
+            )
+    return "check its `look_ahead` (sign) and line times; or it looks like no other band, or clouds hide it"
+
+
 def _sensor_warnings(strip: Strip, estimate: JointEstimate) -> list[str]:
     """Sensors that said nothing, or something else than the images."""
     used = () if estimate.ties is None else uses(estimate.ties, estimate.own, estimate.own_sigma)
@@ -112,6 +153,7 @@ def strip_warnings(
         )
         if all(band.offset_sigma_px == 0.0 for band in strip.bands):
             out.append("band offsets are given as exact (offset_sigma_px = 0); give a sigma if they are not")
+    out += _unmatched_bands(strip, state.records)
     lost = _lost_windows(state.records)
     if lost:
         out.append(lost)

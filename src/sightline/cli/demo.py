@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sightline.cli.options import Json, Overwrite, Seed
+from sightline.cli.options import ORBIT_CASES, STRIP_CASES, Json, Overwrite, Seed
 
 # Part of a strip: long enough for the tones and the longest lag, done in a minute or two.
 LINES, COLUMNS = 2000, 600
@@ -16,7 +16,7 @@ LINES, COLUMNS = 2000, 600
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("demo"),
     case: Annotated[
-        str, typer.Option("--case", help="As for `sightline simulate line-of-sight`.")
+        str, typer.Option("--case", metavar="CASE", help=f"One of: {', '.join(STRIP_CASES)}.")
     ] = "relief",
     seed: Seed = 1,
     overwrite: Overwrite = False,
@@ -27,10 +27,16 @@ def demo(
     from sightline.cli.recover import recover_into
     from sightline.cli.score import score_folder
     from sightline.cli.terminal import print_json, progress
+    from sightline.errors import InputError
     from sightline.io.json_text import json_text
     from sightline.simulate.files import write_strip
     from sightline.simulate.scenarios import line_of_sight_case
 
+    if case in ORBIT_CASES:
+        raise InputError(
+            f"case {case!r} is not for `demo`, which takes {', '.join(STRIP_CASES)}; use `sightline simulate "
+            f"line-of-sight --case {case}`, then `recover` and `score`"
+        )
     with output_folder(out, overwrite=overwrite) as folder, progress() as report:
         scene, result = folder / "scene", folder / "result"
         scene.mkdir()
@@ -52,12 +58,19 @@ def _tell(out: Path, scored: dict[str, Any]) -> None:
     """The score as a small table, and where to look next."""
     from sightline.cli.terminal import say
 
-    say("against the truth, which the estimate never saw:")
+    removed = scored["hidden_directions_removed"]
+    kinds = " and ".join(dict.fromkeys(f"a {name.partition(' of ')[0]}" for name in removed))
+    say(f"against the truth, which the estimate never saw; {kinds} per axis, unseen by images, left out:")
     for axis in ("roll", "pitch", "yaw"):
         found = scored[axis]
         say(
             f"  {axis:5}  error {found['rms']:.4f} {found['unit']} rms, claimed sigma {found['sigma']:.4f},"
             f" NEES {found['nees']:.2f}, {100.0 * found['coverage_95']:.1f} % within 1.96 sigma"
+        )
+    for axis, found in scored["absolute"].items():
+        say(
+            f"  {axis:5}  error of the whole angle {found['rms']:.4f} {found['unit']} rms, claimed sigma "
+            f"{found['sigma']:.4f} (tied by the star tracker and the gyro)"
         )
     say(f"scene   {out / 'scene' / 'acquisition.toml'}")
     say(f"result  {out / 'result'}")

@@ -7,6 +7,14 @@ from typing import Annotated
 
 import typer
 
+#: Cases of strips, and those of instruments over a real orbit: said in --help, which must not wait for the
+#: import of the cases themselves.
+STRIP_CASES = ("nominal", "relief", "clouds", "hard", "real", "other-family")
+ORBIT_CASES = (
+    "pushbroom", "spin-leo", "spin-geo", "mirror-leo", "mirror-geo", "staggered", "every-line",
+    "dedicated-matrix", "dedicated-strip", "multi-line",
+)  # fmt: skip
+
 Out = Annotated[
     Path,
     typer.Option("--out", metavar="DIR", help="Folder to write; made if missing, refused if it holds files."),

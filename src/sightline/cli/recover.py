@@ -40,6 +40,10 @@ def recover(
     for axis, unit in (("roll", "px"), ("pitch", "px"), ("yaw", "px at the field's edge")):
         motion, sigma = summary["rms_motion_px"][axis], summary["rms_sigma_px"][axis]
         say(f"{axis:5}  moved {motion:.4f} {unit} rms, known to {sigma:.4f} px (1-sigma)")
+    if summary["hidden_directions"]:
+        names = summary["hidden_directions"]["names"]
+        kinds = list(dict.fromkeys(name.partition(" of ")[0] for name in names))
+        say(f"(after what the images cannot see is left out: {' and '.join(kinds)})")
     matches = summary["matches"]
     say(f"from {matches['kept']} of {matches['tried']} windows; {out / 'motion.csv'}, {out / 'report.html'}")
 

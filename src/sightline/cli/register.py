@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
@@ -56,14 +57,21 @@ def register(
         say(f"{summary['lines']} x {summary['columns']} px: {out / 'picture.tif'}, {out / 'picture.png'}")
         return
     for pair in summary["pairs"]:
-        before, after = pair["before"]["rms_px"], pair["after"]["rms_px"]
-        say(f"{' - '.join(pair['images']):16}  {_length(before)} px apart, now {_length(after)} px (rms)")
+        say(f"{' - '.join(pair['images']):16}  {_apart(pair['before'], pair['after'])}")
+    for band in summary["bands"]:
+        if band["placed_by"] == "motion":
+            say(f"{band['name']:16}  placed by the recovered motion alone, not measured")
     say(f"{', '.join(summary['files'])}, {out / 'report.html'}")
 
 
-def _length(rms: list[float] | tuple[float, ...]) -> str:
-    """Length of an rms along and across."""
-    return f"{sum(part * part for part in rms) ** 0.5:.4f}"
+def _apart(before: dict[str, Any], after: dict[str, Any]) -> str:
+    """How far apart a pair was and is, in words where too few windows match to tell."""
+    lengths = [math.hypot(*fit["rms_px"]) for fit in (before, after)]
+    was, now = (f"{length:.4f} px" if math.isfinite(length) else "" for length in lengths)
+    if not now:
+        few = f"{after['kept']} of {after['windows']} windows match"
+        return f"{was} apart, now not known: {few}" if was else f"how far apart is not known: {few}"
+    return f"{was} apart, now {now} (rms)" if was else f"before not known, now {now} apart (rms)"
 
 
 def register_into(

@@ -9,17 +9,12 @@ from typing import Annotated, Any
 
 import typer
 
-from sightline.cli.options import Json, Out, Overwrite, Seed
+from sightline.cli.options import ORBIT_CASES, STRIP_CASES, Json, Out, Overwrite, Seed
 from sightline.cli.output import check_output_folder, output_folder
 from sightline.cli.terminal import print_json, say
 
 app = typer.Typer(help="Render a scene whose truth is known.", no_args_is_help=True)
 
-_CASES = "nominal, relief, clouds, hard, real, other-family"
-_INSTRUMENTS = (
-    "pushbroom, spin-leo, spin-geo, mirror-leo, mirror-geo, staggered, every-line, dedicated-matrix, "
-    "dedicated-strip, multi-line"
-)
 # Said in --help, which must not wait for the import of the cases.
 _LINES, _COLUMNS = "3000; real: 2400; instruments: 1500", "1000; real: 640; instruments: 640"
 _MOTIONS = "nominal, late-tone, step, curve, real, other-family, ck, isd, none"
@@ -30,7 +25,11 @@ def line_of_sight(
     out: Out,
     case: Annotated[
         str,
-        typer.Option("--case", metavar="CASE", help=f"One of: {_CASES}; over a real orbit: {_INSTRUMENTS}."),
+        typer.Option(
+            "--case",
+            metavar="CASE",
+            help=f"One of: {', '.join(STRIP_CASES)}; over a real orbit: {', '.join(ORBIT_CASES)}.",
+        ),
     ] = "nominal",
     seed: Seed = 0,
     lines: Annotated[
@@ -59,14 +58,16 @@ def line_of_sight(
     """Bands of one pushbroom strip: ACQUISITION.toml for `recover`, and truth.csv for `score`."""
     from sightline.errors import InputError
     from sightline.simulate.files import write_strip
-    from sightline.simulate.instruments import INSTRUMENT_CASES
     from sightline.simulate.scenarios import line_of_sight_case
 
     check_output_folder(out, overwrite=overwrite)
     begin = time.perf_counter()
+    if case not in (*STRIP_CASES, *ORBIT_CASES):
+        allowed = ", ".join((*STRIP_CASES, *ORBIT_CASES))
+        raise InputError(f"unknown case: got {case!r}; allowed are {allowed}")
     options: dict[str, Any] = {"lines": lines, "columns": columns, "motion": motion}
     given = {k: v for k, v in options.items() if v is not None}
-    if case in INSTRUMENT_CASES:
+    if case in ORBIT_CASES:
         others = {"--no-dem": not dem, "--star-tracker": star_tracker, "--gyro": gyro}
         others["--control-points"] = control_points > 0
         refused = [name for name, asked in others.items() if asked]
@@ -78,7 +79,7 @@ def line_of_sight(
         _say(out, names, time.perf_counter() - begin, as_json)
         return
     if off_nadir is not None:
-        raise InputError(f"--off-nadir is not for case {case!r}; it is for: {', '.join(INSTRUMENT_CASES)}")
+        raise InputError(f"--off-nadir is not for case {case!r}; it is for: {', '.join(ORBIT_CASES)}")
     scenario = line_of_sight_case(case, seed, **given)
     with output_folder(out, overwrite=overwrite) as folder:
         written = write_strip(

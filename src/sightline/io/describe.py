@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
+from sightline.evaluation.band_words import passband_words
 from sightline.geometry.camera import PushbroomCamera
 from sightline.io.acquired import Acquisition
 from sightline.io.describe_spin import describe_spin
 from sightline.io.ground import shared_ground
-from sightline.motion.observability import blind_frequencies, passbands
+from sightline.motion.observability import Passbands, blind_frequencies, passbands
 
 # Lines and columns at which a pair is looked for, as parts of the image: the middle first; staggered
 # detectors share their ends only.
@@ -83,7 +84,8 @@ def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
     dict
         ``understood``, ``missing``, ``observable``: lists of sentences. ``pairs``: a, b, lag (s),
         blind_frequencies (Hz), parallax (px per metre), overlap (share). ``passbands``: (low, high) in Hz,
-        where the pairs together leave at least half of a motion ten times stronger (in power) than the noise.
+        from one period in the time of the images on, where the pairs together leave at least half of a motion
+        ten times stronger (in power) than the noise.
         Frames of a spinning camera: ``describe_spin``.
     """
     if acquisition.frames and acquisition.spin is not None:
@@ -93,7 +95,7 @@ def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
     pairs = [pair_geometry(acquisition, i, j) for i, j in indices if j - i <= reach]
     lags = [pair.lag for pair in pairs if pair.lag]
     upper = _highest_frequency(acquisition)
-    bands = passbands(lags, upper) if lags else ()
+    bands = _from(1.0 / _duration(acquisition), passbands(lags, upper)) if lags else ()
     return {
         "understood": _understood(acquisition),
         "missing": _missing(acquisition, pairs),
@@ -121,6 +123,21 @@ def _highest_frequency(acquisition: Acquisition) -> float:
         return 0.25 / cameras[0].detector.line_period
     times = np.unique([camera.t for camera in cameras if not isinstance(camera, PushbroomCamera)])
     return float(0.5 / np.median(np.diff(times)))
+
+
+def _duration(acquisition: Acquisition) -> float:
+    """s that the motion is recovered over: the lines of the first band, or all frames."""
+    camera = acquisition.cameras[0]
+    if isinstance(camera, PushbroomCamera):
+        first, last = camera.times(np.array([0.0, camera.lines - 1.0]))
+        return float(abs(last - first))
+    times = [camera.t for camera in acquisition.cameras if not isinstance(camera, PushbroomCamera)]
+    return float(max(times) - min(times))
+
+
+def _from(lowest: float, bands: Passbands) -> Passbands:
+    """Bands less what lies below a frequency (Hz): less than a period is not told from a drift."""
+    return tuple((max(low, lowest), high) for low, high in bands if high > lowest)
 
 
 def _understood(acquisition: Acquisition) -> list[str]:
@@ -217,8 +234,7 @@ def _observable(
                 + (f", 100 m of height displace by {100.0 * pair.parallax:.3g} px" if pair.parallax else "")
             )
     if bands:
-        shown = ", ".join(f"{low:.4g}-{high:.4g}" for low, high in bands)
-        lines.append(f"together, up to {upper:.4g} Hz: {shown} Hz")
+        lines.append(f"together, up to {upper:.4g} Hz: {passband_words(bands)}")
     edge = 1e6 / acquisition.half_field_px
     ratio = 1.0 / (acquisition.half_field_px * acquisition.ifov)
     lines.append(

@@ -5,13 +5,14 @@ Not here: the images (``registered.py``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from typing import Any
 
 import numpy as np
 
 from sightline.applications.registration import Registration
+from sightline.applications.strip_warnings import pair_tells
 from sightline.io.acquired import Acquisition
 from sightline.io.recovered import Recovered
 from sightline.io.registered import Written
@@ -48,8 +49,14 @@ def summarize_registration(
         px and shares.
     """
     names = acquisition.names
+    measured = _measured(recovered.summary)
     bands = [
-        {"name": name, "valid_share": share, "type": kind}
+        {
+            "name": name,
+            "valid_share": share,
+            "type": kind,
+            "placed_by": "matches" if measured is None or name in measured else "motion",
+        }
         for name, share, kind in zip(names, written.valid, written.dtypes, strict=True)
     ]
     pairs = [
@@ -72,6 +79,14 @@ def summarize_registration(
     }
 
 
+def _measured(summary: Mapping[str, Any]) -> set[str] | None:
+    """Names of the bands that `recover` matched with another; None where its summary does not say."""
+    pairs = summary.get("pairs")
+    if not isinstance(pairs, list):
+        return None
+    return {name for pair in pairs if pair_tells(pair["kept"], pair["tried"]) for name in pair["images"]}
+
+
 def _fit(fit: BandFit) -> dict[str, Any]:
     """Along lines (first) and columns."""
     return {
@@ -91,11 +106,21 @@ def _warnings(bands: Sequence[dict[str, Any]], pairs: Sequence[dict[str, Any]]) 
         for band in bands
         if band["valid_share"] < MOST
     ]
+    out += [
+        f"{band['name']} is placed by its camera and the recovered motion alone: `recover` kept next to none "
+        "of its windows, so nothing measured its place, and it may lie many pixels off; see the warnings of "
+        "`recover`"
+        for band in bands
+        if band["placed_by"] == "motion"
+    ]
     for pair in pairs:
         rms, noise = np.array(pair["after"]["rms_px"]), np.array(pair["after"]["noise_px"])
         label = " - ".join(pair["images"])
         if not np.isfinite(rms).all():
-            out.append(f"{label}: too few windows match to say how well they fit")
+            out.append(
+                f"{label}: {pair['after']['kept']} of {pair['after']['windows']} windows match: too few to "
+                "say how well they fit"
+            )
         elif np.hypot(*rms) > 0.1 and np.hypot(*rms) > 2.0 * np.hypot(*noise):
             out.append(
                 f"{label} still are {np.hypot(*rms):.2f} px apart (rms), where matches are good to "

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from sightline.errors import EstimationError
 from sightline.imaging.source import ImageSource
 from sightline.matching.match_images import match_images
+from sightline.matching.matches import MASKED, OUTSIDE
 from sightline.matching.whitening import estimate_whitening
 
 Array = NDArray[np.float64]
@@ -22,8 +23,8 @@ Array = NDArray[np.float64]
 WINDOW, MOST_WINDOWS = (16, 48), 3000
 #: Windows this many robust sigmas from the median are false matches.
 OUTLYING = 5.0
-#: Fewer windows kept than this say nothing.
-_FEWEST = 20
+#: Fewer windows kept than this, or a smaller share of those tried, say nothing: so many false matches pass.
+_FEWEST, _FEWEST_SHARE = 20, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +41,7 @@ class BandFit:
     sigma_px : (N, 2)
         px; of the match.
     tried : int
-        Windows.
+        Windows on which both images have values.
     """
 
     images: tuple[int, int]
@@ -50,23 +51,28 @@ class BandFit:
     tried: int
 
     @property
+    def known(self) -> bool:
+        """Whether enough windows were kept to say how well the two fit."""
+        return len(self.points) >= max(_FEWEST, _FEWEST_SHARE * self.tried)
+
+    @property
     def rms_px(self) -> tuple[float, float]:
         """px, of lines and of columns; NaN where too few windows were kept."""
-        if len(self.points) < _FEWEST:
+        if not self.known:
             return math.nan, math.nan
         return _two(np.sqrt((self.offset_px**2).mean(axis=0)))
 
     @property
     def noise_px(self) -> tuple[float, float]:
         """px; what the matches' own sigma makes of it."""
-        if len(self.points) < _FEWEST:
+        if not self.known:
             return math.nan, math.nan
         return _two(np.sqrt((self.sigma_px**2).mean(axis=0)))
 
     @property
     def mean_px(self) -> tuple[float, float]:
         """px; mean offset."""
-        if len(self.points) < _FEWEST:
+        if not self.known:
             return math.nan, math.nan
         return _two(self.offset_px.mean(axis=0))
 
@@ -117,4 +123,5 @@ def fit_bands(
         middle = np.median(offset[kept], axis=0)
         spread = 1.4826 * np.median(np.abs(offset[kept] - middle), axis=0) + 1e-6
         kept = kept & (np.abs(np.nan_to_num(offset) - middle) <= OUTLYING * spread).all(axis=1)
-    return BandFit(images, found.a[kept], offset[kept], found.sigma_px[kept], len(points))
+    tried = int((~np.isin(found.status, (OUTSIDE, MASKED))).sum())
+    return BandFit(images, found.a[kept], offset[kept], found.sigma_px[kept], tried)

@@ -27,6 +27,8 @@ Pixels = NDArray[np.uint8]
 CROP = (130, 176)
 #: Part of the pixels left black and left white by the stretch, percent.
 CLIPPED = 1.0
+#: Where one of the images has no value: a light grey, so that it is taken neither for misfit nor for ground.
+MISSING = 225
 
 
 @dataclass(frozen=True)
@@ -134,7 +136,7 @@ def colours(bands: Sequence[Array]) -> Pixels:
     Parameters
     ----------
     bands : sequence of (lines, columns)
-        Two or three; each is stretched by itself; black where one is NaN.
+        Two or three; each is stretched by itself; light grey where any is NaN.
 
     Returns
     -------
@@ -150,4 +152,5 @@ def colours(bands: Sequence[Array]) -> Pixels:
         grey = np.nan_to_num(255.0 * np.clip((values - low) / max(high - low, 1e-9), 0.0, 1.0))
         for channel in own:
             out[..., channel] = grey.astype(np.uint8)
+    out[~np.isfinite(bands).all(axis=0)] = MISSING
     return out

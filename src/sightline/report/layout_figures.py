@@ -124,7 +124,7 @@ def remaining_figure(choice: LayoutChoice) -> go.Figure:
     figure = panels(1, 460)
     motion = choice.prior.psd(f)
     figure.add_scatter(
-        x=f, y=motion, name="motion expected", line={"color": INK, "width": 1.4, "dash": "dot"}
+        x=f, y=motion, name="motion expected", mode="lines", line={"color": INK, "width": 1.4, "dash": "dot"}
     )
     lowest = [float(motion.min())]
     for layout in standing_out(choice):

@@ -116,6 +116,7 @@ def residual_histogram(result: LineOfSight) -> go.Figure:
                 x=middle,
                 y=shape.mean(axis=1),
                 line=line,
+                mode="lines",
                 name="expected from the matches' own sigma",
                 row=1,
                 col=2,

@@ -44,8 +44,9 @@ def tone_figure(found: Mapping[str, Any]) -> go.Figure | None:
             name = f"{axis} {tone['frequency']:.1f} Hz"
             name += ", varies" if tone["steady_chance"] < STEADY else ", steady"
             figure.add_scatter(
-                x=np.concatenate([t, t[::-1]]), y=band, fill="toself", fillcolor=faint(colour, 0.15),
-                line={"width": 0}, hoverinfo="skip", showlegend=False, legendgroup=name, row=row, col=1,
+                x=np.concatenate([t, t[::-1]]), y=band, mode="lines", line={"width": 0}, fill="toself",
+                fillcolor=faint(colour, 0.15), hoverinfo="skip", showlegend=False, legendgroup=name, row=row,
+                col=1,
             )  # fmt: skip
             figure.add_scatter(
                 x=t, y=size, name=name, legendgroup=name, mode="lines+markers", marker={"size": 4},

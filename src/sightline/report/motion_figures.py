@@ -20,6 +20,9 @@ Array = NDArray[np.float64]
 
 #: Fewer epochs than this (frames of a matrix instrument) are drawn one by one, with error bars.
 FEW_EPOCHS = 60
+#: Largest over smallest sigma below which a linear scale has more ticks than a log one, and below which a log
+#: scale needs one at every digit.
+LINEAR_BELOW, DIGITS_BELOW = 3.0, 8.0
 #: Lines of the closer look.
 CLOSE_LINES = 160
 
@@ -66,9 +69,22 @@ def sigma_figure(result: LineOfSight) -> go.Figure:
                 figure.add_scatter(x=instants, y=typical, name=words, mode=_mode(len(t)), line=line)
     _shade_unseen(figure, result, slice(0, len(t)))
     figure.update_xaxes(title_text="time from the epoch (s)")
-    figure.update_yaxes(title_text="1-sigma (px)", type="log", exponentformat="power", minor_ticks="")
-    figure.update_yaxes(tickformat=".3~g", dtick="D2")
+    drawn = np.concatenate([np.asarray(curve.y, dtype=float) for curve in figure.data])
+    figure.update_yaxes(title_text="1-sigma (px)", tickformat=".3~g", **_sigma_scale(drawn))
     return figure
+
+
+def _sigma_scale(drawn: Array) -> dict[str, Any]:
+    """A log scale with ticks at 1, 2, 5, or at every digit; a linear one where these are too few."""
+    ratio = float(drawn.max() / drawn.min())
+    if ratio < LINEAR_BELOW:
+        return {"type": "linear"}
+    return {
+        "type": "log",
+        "exponentformat": "power",
+        "minor_ticks": "",
+        "dtick": "D1" if ratio < DIGITS_BELOW else "D2",
+    }
 
 
 def _attitude(
@@ -115,6 +131,7 @@ def _add_band(
     figure.add_scatter(
         x=np.concatenate([t, t[::-1]]),
         y=np.concatenate([values + sigma, (values - sigma)[::-1]]),
+        mode="lines",
         fill="toself",
         fillcolor=faint(colour, 0.30),
         line={"width": 0},
@@ -133,7 +150,14 @@ def _add_angle_scale(
     low, high = low - margin, high + margin
     factor, unit = (1e6, "µrad") if scale * max(-low, high) < 1e-3 else (1e3, "mrad")
     figure.add_scatter(
-        x=[t[0]], y=[None], showlegend=False, hoverinfo="skip", row=axis + 1, col=1, secondary_y=True
+        x=[t[0]],
+        y=[None],
+        mode="lines",
+        showlegend=False,
+        hoverinfo="skip",
+        row=axis + 1,
+        col=1,
+        secondary_y=True,
     )
     left = f"{AXES[axis]} ({AXIS_UNITS[axis]})"
     figure.update_yaxes(title_text=left, range=[low, high], fixedrange=True, row=axis + 1, secondary_y=False)

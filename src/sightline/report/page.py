@@ -21,7 +21,7 @@ from plotly.offline import get_plotlyjs
 
 from sightline.applications.results import LineOfSight
 from sightline.applications.spin_attitude import SpinAttitude
-from sightline.evaluation.observed import observed
+from sightline.evaluation.observed import SEEN_TONE_PX, observed
 from sightline.io.acquired import Acquisition
 from sightline.report import (
     match_figures,
@@ -159,7 +159,8 @@ def _frequency_sections(result: LineOfSight, summary: Mapping[str, Any]) -> list
             "spectrum",
             "Spectrum of the motion",
             "Power spectral density of the recovered motion, with tones named. The dotted curve is the error "
-            "that remains: where the motion lies below it, it is believed, not measured.",
+            "that remains: where the motion lies below it, it is believed, not measured. Where it is shaded, "
+            f"a steady tone of {SEEN_TONE_PX:g} px would not stand out.",
             spectrum_figures.spectrum_figure(result, summary["passbands"], tones, highest),
         ),
         Section(

@@ -20,7 +20,7 @@ from plotly.offline import get_plotlyjs
 
 from sightline.imaging.source import ImageSource
 from sightline.io.registered import Written
-from sightline.products.band_fit import BandFit
+from sightline.products.band_fit import WINDOW, BandFit
 from sightline.report.composite import CROP, colours, data_png
 from sightline.report.page import Section
 from sightline.report.style import panels
@@ -28,6 +28,8 @@ from sightline.report.style import panels
 Array = NDArray[np.float64]
 
 DIVERGING = "RdBu_r"
+#: How a band came to its place, in words.
+_PLACED = {"matches": "its own matches", "motion": "the recovered motion alone"}
 #: Places tried for the pictures until one has no gap.
 CROPS_TRIED = 12
 
@@ -99,17 +101,27 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
     if known.any():
         worst = int(np.nanargmax(np.where(known, sizes["after"], np.nan)))
         label = " and ".join(summary["pairs"][worst]["images"])
+        whose = "pairs of bands" if known.all() else "the pairs of bands that can be matched"
         out.append(
-            f"By the nominal cameras, pairs of bands lay up to {np.nanmax(sizes['before']):.2f} px apart "
+            f"By the nominal cameras, {whose} lay up to {np.nanmax(sizes['before']):.2f} px apart "
             f"(rms over the image). Now they lie within {sizes['after'][worst]:.3f} px; the worst pair is "
             f"{label}, of which single matches are good to {noise[worst]:.3f} px."
+        )
+    unknown = [" – ".join(pair["images"]) for pair, ok in zip(summary["pairs"], known, strict=True) if not ok]
+    if unknown:
+        out.append(f"Too few windows match to say how well these fit: {', '.join(unknown)}.")
+    alone = [band["name"] for band in summary["bands"] if band["placed_by"] == "motion"]
+    if alone:
+        out.append(
+            f"Placed by the recovered motion alone, their own place never measured: {', '.join(alone)}."
         )
     return out
 
 
 def pictures(written: Written, before: Sequence[BandFit], summary: Mapping[str, Any]) -> Pictures | None:
     """Colour crops where the pair that was furthest apart was so most; None without a match."""
-    fits = [fit for fit in before if len(fit.points)]
+    # pairs with a few false matches only would be the furthest apart of all
+    fits = [fit for fit in before if fit.known] or [fit for fit in before if len(fit.points)]
     if not fits:
         return None
     fit = max(fits, key=lambda one: float((one.offset_px**2).mean()))
@@ -159,7 +171,12 @@ def sections(
     before: Sequence[BandFit], after: Sequence[BandFit], summary: Mapping[str, Any]
 ) -> list[Section]:
     """Maps of misfit of the pair that was furthest apart; none without matches."""
-    sizes = [float((fit.offset_px**2).mean()) if len(fit.points) else -1.0 for fit in before]
+    # of the pairs whose fit is known, if there is one: a few false matches would be the furthest apart of all
+    some = [fit.known for fit in before] if any(fit.known for fit in before) else [True] * len(before)
+    sizes = [
+        float((fit.offset_px**2).mean()) if ok and len(fit.points) else -1.0
+        for fit, ok in zip(before, some, strict=True)
+    ]
     if not sizes or max(sizes) < 0.0:
         return []
     worst = int(np.argmax(sizes))
@@ -182,11 +199,13 @@ def misfit_figure(before: BandFit, after: BandFit, shape: Sequence[int]) -> go.F
         f"{when}, {axis}" for when in ("before", "after") for axis in ("along (lines)", "across (columns)")
     ]
     figure = panels(4, 640, shared_xaxes=True, gap_px=34.0, subplot_titles=titles)
+    seen_lines, seen_columns = (_seen_range([before, after], axis, shape[axis]) for axis in (0, 1))
     for row, (fit, component) in enumerate((fit, k) for fit in (before, after) for k in (0, 1)):
         lines, columns, table = _table(fit, component)
         reach = float(np.percentile(np.abs(fit.offset_px), 99.0)) if len(fit.points) else 1.0
         figure.add_heatmap(
-            x=lines, y=columns, z=table.T, zmin=-reach, zmax=reach, colorscale=DIVERGING, row=row + 1, col=1,
+            x=_cells(lines, 0), y=_cells(columns, 1), z=table.T, zmin=-reach, zmax=reach,
+            colorscale=DIVERGING, row=row + 1, col=1,
             colorbar={
                 "title": {"text": "px", "side": "right"},
                 "len": 0.5, "y": 0.77 if row < 2 else 0.23, "thickness": 12,
@@ -194,9 +213,24 @@ def misfit_figure(before: BandFit, after: BandFit, shape: Sequence[int]) -> go.F
             showscale=row % 2 == 0,
             hovertemplate="line %{x:.0f}, column %{y:.0f}: %{z:.3f} px<extra></extra>",
         )  # fmt: skip
-        figure.update_yaxes(title_text="column (px)", range=[0, shape[1]], row=row + 1)
-    figure.update_xaxes(title_text="line (px)", range=[0, shape[0]], row=4)
+        figure.update_yaxes(title_text="column (px)", range=seen_columns, row=row + 1)
+    figure.update_xaxes(title_text="line (px)", range=seen_lines, row=4)
     return figure
+
+
+def _seen_range(fits: Sequence[BandFit], axis: int, size: int) -> list[float]:
+    """First and last line (axis 0) or column (axis 1) of the windows kept: narrow overlaps fill the map."""
+    places = np.concatenate([fit.points[:, axis] for fit in fits])
+    if not len(places):
+        return [0.0, float(size)]
+    half = 0.5 * WINDOW[axis]
+    return [max(float(places.min()) - half, 0.0), min(float(places.max()) + half, float(size))]
+
+
+def _cells(centres: Array, axis: int) -> Array:
+    """Centres of windows as they are drawn; the two ends of a single one, else a pixel wide."""
+    half = 0.5 * WINDOW[axis]
+    return centres if len(centres) != 1 else np.array([centres[0] - half, centres[0] + half])
 
 
 def _table(fit: BandFit, component: int) -> tuple[Array, Array, Array]:
@@ -231,6 +265,12 @@ def _band_rows(summary: Mapping[str, Any]) -> list[list[str]]:
     """One line per band of what was written."""
     files = summary["files"] if len(summary["files"]) > 1 else summary["files"] * len(summary["bands"])
     return [
-        [band["name"], f"{100.0 * band['valid_share']:.1f} %", band["type"], file]
+        [
+            band["name"],
+            f"{100.0 * band['valid_share']:.1f} %",
+            _PLACED[band["placed_by"]],
+            band["type"],
+            file,
+        ]
         for band, file in zip(summary["bands"], files, strict=True)
     ]

@@ -83,6 +83,7 @@ def visibility_figure(result: LineOfSight, seen: Observed, names: Sequence[str])
             x=f,
             y=np.minimum(smallest, 1e3),
             name=f"{name} ({AXIS_UNITS[axis]})",
+            mode="lines",
             line={"color": AXIS_COLOURS[axis], "width": 1.2},
             row=1,
             col=1,
@@ -109,7 +110,8 @@ def visibility_figure(result: LineOfSight, seen: Observed, names: Sequence[str])
         dtick=1,
         row=1,
     )
-    figure.update_yaxes(title_text="blind alone", showgrid=False, row=2)
+    # names of pairs are as long as their bands' are: the margin follows them
+    figure.update_yaxes(title_text="blind alone", showgrid=False, automargin=True, row=2)
     figure.update_xaxes(title_text="frequency (Hz)", row=2)
     figure.update_xaxes(range=[0.0, float(f[-1])])
     return figure
@@ -173,7 +175,7 @@ def _key_of_shading(figure: go.Figure) -> None:
         "color": BLIND,
         "line": {"width": 1, "color": faint("#d69e2e", 0.6)},
     }
-    name = f"blind: a tone of {SEEN_TONE_PX:g} px would not stand out"
+    name = f"blind to {SEEN_TONE_PX:g} px"  # short: the buttons stand at the end of the same line
     figure.add_scatter(x=[None], y=[None], mode="markers", marker=key, name=name)
 
 

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight
 from sightline.applications.spin_attitude import SpinAttitude
+from sightline.evaluation.band_words import passband_words
 from sightline.evaluation.observed import SEEN_TONE_PX
 from sightline.geometry.camera import FrameCamera
-from sightline.motion.observability import Passbands
 from sightline.motion.tones import DetectedTone, lowest_sought
 from sightline.report.motion_figures import FEW_EPOCHS, visible_motion_px
 from sightline.report.spectrum_figures import tones_of
@@ -54,7 +54,7 @@ def axis_cards(result: LineOfSight, summary: Mapping[str, Any]) -> list[dict[str
             "worst": digits(worst[k], 2),
             "worst_angle": _angle(worst[k] * result.scale[k], 2),
             "absolute": _absolute(result, k),
-            "seen": _short_bands(summary["passbands"][axis]) if len(result.motion.t) >= FEW_EPOCHS else "",
+            "seen": passband_words(summary["passbands"][axis]) if len(result.motion.t) >= FEW_EPOCHS else "",
         }
         for k, axis in enumerate(AXES)
     ]
@@ -281,28 +281,25 @@ def _largest(result: LineOfSight, tones: Sequence[DetectedTone]) -> str:
 
 
 def _passbands(summary: Mapping[str, Any]) -> str:
-    seen = "; ".join(f"{axis} {_short_bands(summary['passbands'][axis])}" for axis in AXES)
+    seen = "; ".join(f"{axis} {passband_words(summary['passbands'][axis])}" for axis in AXES)
     return f"A steady tone of {SEEN_TONE_PX:g} px would be seen at these frequencies: {seen}."
-
-
-def _short_bands(bands: Passbands, most: int = 3) -> str:
-    if not bands:
-        return "nowhere"
-    wide = sorted(sorted(bands, key=lambda band: band[0] - band[1])[:most])
-    listed = ", ".join(f"{low:.4g}–{high:.4g}" for low, high in wide)
-    rest = len(bands) - len(wide)
-    return f"{listed} Hz" + (f" and {rest} narrower" if rest else "")
 
 
 def _hidden(result: LineOfSight) -> str:
     if not result.hidden_names:
         return "Nothing of the motion is hidden from the images."
-    tied = np.isfinite(result.absolute_sigma).all()
-    known = (
-        "other knowledge ties it: sigma_absolute in motion.csv includes it"
-        if tied
-        else "nothing given here ties it, so sigma_absolute in motion.csv is infinite"
-    )
+    tied = np.asarray(np.isfinite(result.absolute_sigma).all(axis=0))
+    if tied.all():
+        known = "other knowledge ties it: sigma_absolute in motion.csv includes it"
+    elif not tied.any():
+        known = "nothing given here ties it, so sigma_absolute in motion.csv is infinite"
+    else:
+        held = _listed([axis for axis, own in zip(AXES, tied, strict=True) if own])
+        free = _listed([axis for axis, own in zip(AXES, tied, strict=True) if not own])
+        known = (
+            f"other knowledge ties it in {held}, where sigma_absolute in motion.csv includes it, but not in "
+            f"{free}, where it is infinite"
+        )
     imitated = ""
     if not all(name.startswith("constant of ") for name in result.hidden_names):
         frames = isinstance(result.cameras[0], FrameCamera)
