@@ -168,11 +168,17 @@ class TestPriorModel:
         jitter, tone = Matern(1e-7, 0.01, "3/2"), Tone(1e-6, 47.0, 1.0)
         roll = Spectrum((Matern(2e-6, 1.0, "5/2"), jitter))
         still = Spectrum((Matern(1e-7, 1.0, "5/2"), jitter, tone))
-        found = PriorModel((roll, still, still), (1.0, 2.0, 1.0)).beside_relief(1.0)
+        found = PriorModel((roll, still, still), (1.0, 2.0, 1.0)).beside_relief(4.0)
         # its own jitter and tones stay, and yaw, which relief does not imitate alike, is left alone
         assert found.spectra == (roll, Spectrum((roll.components[0], jitter, tone)), still)
         assert found.noise_scale == (1.0, 2.0, 1.0)
-        assert PriorModel((still, roll, still)).beside_relief(1.0).spectra == (still, roll, still)
+        assert PriorModel((still, roll, still)).beside_relief(4.0).spectra == (still, roll, still)
+        # in a strip of 1 s it may be as quick as half of it, and bends as far
+        quick = PriorModel((roll, still, still)).beside_relief(1.0).spectra[1].components[0]
+        assert quick.timescale == 0.5
+        lags = np.array([0.0, 0.5, 1.0])
+        bends = [c.autocovariance(lags) @ [6.0, -8.0, 2.0] for c in (quick, roll.components[0])]
+        assert bends[0] == pytest.approx(bends[1])
 
     def test_tones_of_one_strip_are_the_same_within_its_resolution(self):
         drift = (Matern(2e-6, 1.0, "5/2"), Matern(1e-7, 0.01, "3/2"))

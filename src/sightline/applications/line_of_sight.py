@@ -28,13 +28,13 @@ from sightline.applications.strip_estimate import (
     solve_strip,
 )
 from sightline.applications.strip_warnings import observed_lines, strip_warnings
+from sightline.applications.wrong_sign import matches_backwards
 from sightline.errors import EstimationError
 from sightline.estimation.likelihood import WORK
 from sightline.execution import one_blas_thread
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
-from sightline.matching.match_images import match_images
-from sightline.matching.matches import NOT_CHOSEN, OUTSIDE, STATUS_NAMES
+from sightline.matching.matches import NOT_CHOSEN, STATUS_NAMES
 from sightline.motion.band import Band
 from sightline.motion.fusion import uses
 from sightline.motion.hyper import KnownContent, PriorModel, fit_prior_model
@@ -46,11 +46,9 @@ from sightline.motion.joint import (
     remove_directions,
 )
 from sightline.motion.pair_order import best_first, pair_correlations
-from sightline.motion.predict import predict_match
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
 from sightline.motion.stars import MatchingPlan, StarRecord, hub_windows, match_star
 from sightline.motion.viewing_axes import turned_band, turned_directions, turned_spectra, turned_star
-from sightline.motion.windows import window_grid
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -59,8 +57,6 @@ Progress = Callable[[str], None]
 #: between the predicted and the actual line with the rate of the motion, seen at 5-7 % of residuals of
 #: 1-4 px.
 LINEARISATION_SHARE = 0.07
-#: So many windows, most of them matching on the other side, prove a lag of the wrong sign.
-MIN_BACKWARDS = 10
 #: Drafts of wide strips: how much coarser their grid is (at 2 it would bend tones above 100 Hz, of which the
 #: one pass on the fine grid leaves a trace), and how far from settled (in tolerances) they may stop: the last
 #: pass linearises once more, which divides what is left by about four.
@@ -235,24 +231,8 @@ def _counts(records: Sequence[StarRecord]) -> str:
 def _backwards(strip: Strip, options: RecoverOptions) -> str:
     """Names of the first pair that matches where a lag of the other sign would have it; "" if none."""
     hub = strip.bands[0]
-    size = (min(32, hub.image.shape[0]), min(200, hub.image.shape[1]))
-    points = window_grid(hub.image.shape, size, size[0]).centres
     for partner in strip.bands[1:]:
-        ahead = predict_match(hub.camera, partner.camera, strip.surface, points) - points
-        seen = np.isfinite(ahead[:, 0])
-        if not seen.any():
-            continue
-        shift = np.median(ahead[seen], axis=0)
-        if abs(shift[0]) < 2 * options.search_px[0]:
-            continue
-        try:
-            mirrored = match_images(
-                hub.image, partner.image, points, points - shift, window=size, search_px=options.search_px
-            )
-        except EstimationError:
-            continue
-        inside = mirrored.status != OUTSIDE
-        if inside.sum() >= MIN_BACKWARDS and mirrored.kept.sum() > 0.5 * inside.sum():
+        if matches_backwards(hub, partner, strip.surface, options.search_px):
             return f"{hub.name} and {partner.name}"
     return ""
 

@@ -42,7 +42,7 @@ CORNER_BELIEF = 0.7
 SMOOTHER = 6.0
 #: Longest time scale of a drift, in lengths of the data: longer ones look alike in them, but claim ever more
 #: where measurements leave the drift to the prior.
-LONGEST_DRIFT = 0.5
+LONGEST_DRIFT = 1.0
 
 
 @dataclass(frozen=True)

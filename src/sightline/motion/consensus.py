@@ -113,7 +113,7 @@ def _foreign(star: Star, post_px: Array, least: Array, relief_sigma: float) -> A
     up = by_height / max(float(np.hypot(*by_height)), 1e-30)
     if star.brightness is not None:
         # brightness has told of these: what is left is judged by itself
-        shifts = RowShifts(shift.x, shift.value, shift.variance, shift.seen)
+        shifts = RowShifts(shift.x, shift.value, shift.variance + shift.lasting, shift.seen)
         brightness = star.brightness.reshape(star.shape)
         bright, tells = bright_windows(shifts, brightness, matched, _line_step(star))
         shift = replace(shift, seen=shift.seen & ~bright, lent=0 if tells else shift.lent)

@@ -42,6 +42,8 @@ MOST_TONES = 8
 OWN = 0.5
 #: Broadband jitter of an axis is shown where it is so many times the noise of a row of windows.
 SHOWN = 3.0
+#: Longest time scale of a drift beside unknown relief, in lengths of the strip.
+ROUGH = 0.5
 #: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
 MOST_ACROSS = 0.5
 
@@ -86,10 +88,14 @@ class PriorModel:
         """The model with a drift of pitch no smaller than that of roll (rad); `length` (s) of the strip.
 
         Relief that nobody knows shifts matches as pitch does, never as roll: what it takes from the drift of
-        pitch in one estimate would not be looked for in the next.
+        pitch in one estimate would not be looked for in the next. Nor is it so smooth that all that is
+        quicker must be relief: its time scale is at most ROUGH of the length, its bend over the strip as found.
         """
         roll, pitch, yaw = self.spectra
         larger = max((_drift(roll), _drift(pitch)), key=lambda part: _bend(part, length))
+        if larger.timescale > ROUGH * length:
+            quick = Matern(1.0, ROUGH * length, larger.order)
+            larger = replace(quick, sigma=_bend(larger, length) / _bend(quick, length))
         others = tuple(part for part in pitch.components if part is not _drift(pitch))
         return replace(self, spectra=(roll, Spectrum((larger, *others)), yaw))
 

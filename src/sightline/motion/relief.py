@@ -33,6 +33,9 @@ ROW_SAMPLES = 21
 #: Unknown relief is no smoother than this: its correlation length is at most so many half swaths, or that of
 #: slopes (sigma over length) so small. What does not show within a row is not thereby known to be flat.
 LONGEST, LEAST_SLOPE = 2.0, 0.1
+#: Nor is it rougher than hills of such slopes: foreign windows, and textures that err more along lines than
+#: along columns, scatter as fine relief would, which averages out of a row and would own nothing.
+STEEPEST_SLOPE = 0.5
 
 
 def relief_matters(stars: Sequence[Star], height_sigma: float) -> bool:
@@ -156,6 +159,6 @@ def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float,
                     weight += number * gain**2
     measured = max(excess / weight, 0.0) if weight > 0 else 0.0
     longest = max(LONGEST * half_width, sigma / LEAST_SLOPE)
-    lengths = np.geomspace(0.05 * half_width, longest, 60)
+    lengths = np.geomspace(max(0.05 * half_width, sigma / STEEPEST_SLOPE), longest, 60)
     shares = np.array([detrended_share(length, half_width) for length in lengths])
     return float(lengths[int(np.argmin(np.abs(shares - measured / sigma**2)))])
