@@ -89,7 +89,7 @@ class PriorModel:
 
         Relief that nobody knows shifts matches as pitch does, never as roll: what it takes from the drift of
         pitch in one estimate would not be looked for in the next. Nor is it so smooth that all that is
-        quicker must be relief: its time scale is at most ROUGH of the length, its bend over the strip as found.
+        quicker must be relief: its time scale is at most ROUGH of the length, its bend as found.
         """
         roll, pitch, yaw = self.spectra
         larger = max((_drift(roll), _drift(pitch)), key=lambda part: _bend(part, length))
