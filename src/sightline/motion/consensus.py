@@ -382,24 +382,18 @@ def _lasting(
 ) -> Array:
     """Squared size (rows, blocks) of the mean departure over neighbouring rows: of noise 2 on average."""
     mean, spread, count = _mean_along(departure, variance, use, reach)
-    spread = spread + shift.lasting
-    squares = mean**2 / np.maximum(spread, 1e-30) / _excess(shift, departure, variance, use, trusted, reach)
+    squares = mean**2 / np.maximum(spread + shift.lasting, 1e-30)
     known = use & (count[..., 0] >= min(3, 2 * reach + 1))
-    return np.where(known, squares.sum(axis=-1), 0.0)
+    return np.where(known, (squares / _excess(squares[known & trusted])).sum(axis=-1), 0.0)
 
 
-def _excess(
-    shift: _Shift, departure: Array, variance: Array, use: Flags, trusted: Flags, reach: int
-) -> Array:
-    """(2,) variance of mean departures over that of errors independent from row to row, at least 1.
+def _excess(squares: Array) -> Array:
+    """(2,) how many times larger squared mean departures (N, 2) are than of independent errors, at least 1.
 
     Errors of real textures last for some rows, and relief that nobody knows for many: that is usual.
     """
-    mean, spread, count = _mean_along(departure, variance, use, reach)
-    judged = use & trusted & (count[..., 0] >= min(3, 2 * reach + 1))
-    if not judged.any():
+    if len(squares) == 0:
         return np.ones(2)
-    squares = mean[judged] ** 2 / np.maximum(spread[judged] + shift.lasting, 1e-30)
     return np.asarray(np.maximum(np.median(squares, axis=0) / MEDIAN_SQUARE, 1.0))
 
 

@@ -130,7 +130,7 @@ def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float,
     for star, post in zip(stars, post_px, strict=True):
         z, _ = scatter(star, post)
         pairs = star.t.shape[1]
-        flat = z.reshape(-1, 2 * pairs)
+        left = z.reshape(-1, pairs, 2)
         sigma_px = np.sqrt(star.covariance_px[..., [0, 1], [0, 1]])
         # in units of the errors, in which residuals are compared
         by_height = star.by_height / sigma_px
@@ -140,8 +140,8 @@ def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float,
         # px, and the error of a match that way
         coefficient = np.hypot(star.by_height[..., 0], star.by_height[..., 1])
         along = coefficient / np.maximum(np.hypot(by_height[..., 0], by_height[..., 1]), 1e-30)
-        parallel = np.einsum("gka,ka->gk", flat.reshape(-1, pairs, 2), way)
-        square = np.einsum("gka,ka->gk", flat.reshape(-1, pairs, 2), way[:, ::-1] * [-1.0, 1.0])
+        parallel = np.einsum("gka,ka->gk", left, way)
+        square = np.einsum("gka,ka->gk", left, way[:, ::-1] * [-1.0, 1.0])
         for j in range(pairs):
             for k in range(j, pairs):
                 if pairs > 1 and j == k:
