@@ -69,7 +69,8 @@ def judged_tones(result: LineOfSight, tones: Sequence[DetectedTone]) -> JudgedTo
 
 
 def _with_error_of_motion(result: LineOfSight, tones: Sequence[DetectedTone]) -> list[DetectedTone]:
-    weights = np.concatenate([_weights(result, tone) for tone in tones], axis=2)
+    step, angles = evenly_detrended(result.motion)
+    weights = np.concatenate([_weights(result, tone, step, angles) for tone in tones], axis=2)
     variance = np.diag(_functional_covariance(result, weights)).reshape(len(tones), 2)
     error = np.sqrt(variance) / [1.0, 2.0 * math.pi]
     return [
@@ -84,10 +85,9 @@ def _with_error_of_motion(result: LineOfSight, tones: Sequence[DetectedTone]) ->
     ]
 
 
-def _weights(result: LineOfSight, tone: DetectedTone) -> Array:
-    """(N, 3, 2) weights of the motion in the tone's amplitude and in its angular frequency."""
+def _weights(result: LineOfSight, tone: DetectedTone, step: float, x: Array) -> Array:
+    """(N, 3, 2) weights of the motion, sampled as `x`, in the tone's amplitude and angular frequency."""
     axis = AXES.index(tone.axis)
-    step, x = evenly_detrended(result.motion)
     n = len(x)
     even = step * (np.arange(n) - 0.5 * (n - 1))
     phase = np.angle(np.sum(hann(n) * x[:, axis] * np.exp(-2j * np.pi * tone.frequency * even)))
