@@ -14,7 +14,7 @@ SOURCE = ROOT / "src" / "sightline"
 
 # Each layer may import only itself and those before it.
 LAYERS = (
-    "errors execution geometry estimation imaging matching photogrammetry motion products simulate "
+    "errors execution geometry estimation imaging matching photogrammetry motion products tdi simulate "
     "applications evaluation io report cli"
 ).split()
 

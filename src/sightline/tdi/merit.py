@@ -1,0 +1,240 @@
+"""What every setting makes of the image: one factor by the column's MTF, one by the signal's SNR.
+
+The merit of a setting is their product, and so are its allowances: a factor is zero where a limit forbids the
+setting. That makes a choice over columns x signals x settings cheap.
+
+Not here: the best setting of each cell (``choose.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.imaging.tdi_noise import snr, summed_signal
+from sightline.imaging.tdi_transfer import ALIGNMENTS, Exposure, phases
+from sightline.tdi.kernels import exact_mtf, patent_mtf
+from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
+
+Array = NDArray[np.float64]
+Flags = NDArray[np.bool_]
+
+#: Draws of velocity and slip from their covariance (a power of two: a Sobol sequence).
+DRAWS = 64
+#: Nodes of the signal's own uncertainty.
+SIGNAL_NODES = 9
+#: Without a quantile, a signal that high in its distribution must not saturate.
+HIGH_SIGNAL = 0.95
+
+
+class ColumnMtf(Protocol):
+    """MTF of the motion of every setting, for some columns."""
+
+    columns: ScanColumns
+
+    def central(self, which: slice) -> Array:
+        """(c, P, 2) MTF of motion across and along, as expected."""
+        ...
+
+    def drawn(self, which: slice) -> Array | None:
+        """(M, c, P, 2) MTF of motion as it may be, equally likely; None where it is known."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class DriftMtf:
+    """MTF of constant drift, by a column's velocity and slip.
+
+    Attributes
+    ----------
+    columns : ScanColumns
+    grid : TdiGrid
+    exposure : Exposure
+    rules : ChoiceRules
+    """
+
+    columns: ScanColumns
+    grid: TdiGrid
+    exposure: Exposure
+    rules: ChoiceRules
+
+    def central(self, which: slice) -> Array:
+        """(c, P, 2) MTF at the velocity and slip given."""
+        return self._mtf(self.columns.velocity[which], self.columns.slip[which])
+
+    def drawn(self, which: slice) -> Array | None:
+        """(M, c, P, 2) MTF at velocities and slips drawn from their covariance; None without one."""
+        covariance = self.columns.covariance
+        if covariance is None or not covariance.any():
+            return None
+        root = _square_root(covariance[which])
+        offsets = np.einsum("cij,mj->mci", root, normal_draws(2))
+        velocity, slip = (
+            self.columns.velocity[which] + offsets[..., 0],
+            self.columns.slip[which] + offsets[..., 1],
+        )
+        return self._mtf(velocity.ravel(), slip.ravel()).reshape(*velocity.shape, len(self.grid), 2)
+
+    def _mtf(self, velocity: Array, slip: Array) -> Array:
+        out = np.empty((len(velocity), len(self.grid), 2))
+        kernel = exact_mtf if self.rules.model == "exact" else patent_mtf
+        fx, fy = map(float, self.rules.frequencies)
+        kernel(
+            np.ascontiguousarray(velocity), np.ascontiguousarray(slip), fx, fy,
+            self.grid.stages, self.grid.ratios, self.exposure.head_stages, float(self.exposure.head_ratio),
+            ALIGNMENTS[self.exposure.align], out,
+        )  # fmt: skip
+        return out
+
+
+def normal_draws(dimensions: int, count: int = DRAWS) -> Array:
+    """(count, dimensions) points spread like independent unit normals, always the same."""
+    from scipy.special import ndtri
+    from scipy.stats import qmc
+
+    sequence: Any = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(0))
+    points = sequence.random(count)
+    return np.asarray(ndtri(points), dtype=np.float64)
+
+
+def _square_root(covariance: Array) -> Array:
+    """(N, 2, 2) roots of covariances that may be singular."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
+
+
+def mtf_merit(mtf: Array, merit: str) -> Array:
+    """What the two MTFs (..., 2) give to the merit, shape (...)."""
+    x, y = mtf[..., 0], mtf[..., 1]
+    forms = {
+        "product": lambda: x * y,
+        "geomean": lambda: np.sqrt(x * y),
+        "mean": lambda: 0.5 * (x + y),
+        "min": lambda: np.minimum(x, y),
+        "x": lambda: x,
+        "y": lambda: y,
+    }
+    return np.asarray(forms[merit]())
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnFactors:
+    """The part of the merit that columns give.
+
+    Attributes
+    ----------
+    mtf : (c, P, 2)
+        Of the whole system, as expected.
+    merit : (c, P)
+        Factor of the merit: expected, or a quantile of it.
+    in_lobe, in_bounds : (c, P) bool
+        Within the main lobe; within the bounds of the MTF.
+    """
+
+    mtf: Array
+    merit: Array
+    in_lobe: Flags
+    in_bounds: Flags
+
+    @property
+    def allowed(self) -> Array:
+        """(c, P) merit, zero where the column forbids the setting."""
+        return np.asarray(np.where(self.in_lobe & self.in_bounds, self.merit, 0.0))
+
+
+def column_factors(model: ColumnMtf, which: slice, grid: TdiGrid, rules: ChoiceRules) -> ColumnFactors:
+    """The part of the merit that some columns give to every setting."""
+    columns = model.columns.part(which)
+    static = columns.static_mtf[:, None, :]
+    mtf: Array = model.central(which) * static
+    drawn = model.drawn(which)
+    if drawn is None:
+        merit = mtf_merit(mtf, rules.merit)
+    else:
+        each = mtf_merit(drawn * static, rules.merit)
+        merit = each.mean(axis=0) if rules.quantile is None else np.quantile(each, rules.quantile, axis=0)
+    in_bounds = np.asarray(((mtf >= rules.mtf_min) & (mtf <= rules.mtf_max)).all(axis=-1))
+    return ColumnFactors(mtf, np.asarray(merit), main_lobe(columns, grid, rules), in_bounds)
+
+
+def main_lobe(columns: ScanColumns, grid: TdiGrid, rules: ChoiceRules) -> Flags:
+    """(c, P) whether the stages of a setting slip by no more than a cycle in all, or all where not asked."""
+    stages, _ = grid.settings
+    if not rules.main_lobe_only:
+        return np.ones((len(columns), len(stages)), dtype=bool)
+    fx, fy = rules.frequencies
+    across = phases(columns.velocity, columns.slip, fx, 0.0)[1]
+    along = phases(columns.velocity, columns.slip, 0.0, fy)[1]
+    slipped = np.maximum(np.abs(across), np.abs(along))
+    return np.asarray(stages * slipped[:, None] <= 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class SignalFactors:
+    """The part of the merit that signals give.
+
+    Attributes
+    ----------
+    snr : (S, P)
+        As expected.
+    merit : (S, P)
+        Factor of the merit: expected SNR, or that of a quantile of the signal.
+    unsaturated, clear : (S, P) bool
+        Below the full wells; at or above the least SNR.
+    """
+
+    snr: Array
+    merit: Array
+    unsaturated: Flags
+    clear: Flags
+
+    @property
+    def allowed(self) -> Array:
+        """(S, P) merit, zero where the signal forbids the setting."""
+        return np.asarray(np.where(self.unsaturated & self.clear, self.merit, 0.0))
+
+
+def signal_factors(signals: Array, grid: TdiGrid, detector: TdiDetector, rules: ChoiceRules) -> SignalFactors:
+    """The part of the merit that signals (S,) give to every setting."""
+    from scipy.special import ndtri
+
+    at = _snr_of(signals, grid, detector)
+    high, merit = signals, at
+    sigma = rules.signal_sigma
+    if sigma > 0.0:
+        quantile = rules.quantile
+        high = signals * (1.0 + sigma * max(ndtri(HIGH_SIGNAL if quantile is None else 1.0 - quantile), 0.0))
+        if quantile is None:
+            node, weight = np.polynomial.hermite_e.hermegauss(SIGNAL_NODES)
+            merit = np.zeros_like(at)
+            for z, w in zip(node, weight / weight.sum(), strict=True):
+                merit += w * _snr_of(np.maximum(signals * (1.0 + sigma * z), 0.0), grid, detector)
+        else:
+            merit = _snr_of(np.maximum(signals * (1.0 + sigma * ndtri(quantile)), 0.0), grid, detector)
+    return SignalFactors(at, merit, _unsaturated(high, grid, detector), at >= rules.snr_min)
+
+
+def _snr_of(signals: Array, grid: TdiGrid, detector: TdiDetector) -> Array:
+    """(S, P) SNR of every setting."""
+    stages, ratio = grid.settings
+    return snr(signals[:, None], stages, ratio, detector.noise, detector.exposure, detector.reference)
+
+
+def _unsaturated(signals: Array, grid: TdiGrid, detector: TdiDetector) -> Flags:
+    """(S, P) whether no line, and not their sum, fills its well."""
+    line, total = well_levels(signals, grid, detector)
+    return np.asarray((line <= detector.full_well_line) & (total <= detector.full_well_sum))
+
+
+def well_levels(signals: Array, grid: TdiGrid, detector: TdiDetector) -> tuple[Array, Array]:
+    """Electrons (S, P) of the fullest line and of the sum, dark current included."""
+    stages, ratio = grid.settings
+    exposure, dark = detector.exposure, detector.noise.dark
+    longest = np.maximum(ratio, exposure.head_ratio if exposure.head_stages else 0.0)
+    longest = np.where(stages <= exposure.head_stages, exposure.head_ratio, longest)
+    line = (signals[:, None] / detector.signal_ratio + dark) * longest
+    total = summed_signal(signals[:, None], stages, ratio, exposure, detector.reference)
+    return line, total + dark * exposure.total(stages, ratio)
