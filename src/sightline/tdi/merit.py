@@ -95,8 +95,8 @@ def normal_draws(dimensions: int, count: int = DRAWS) -> Array:
     from scipy.special import ndtri
     from scipy.stats import qmc
 
-    sequence: Any = qmc.Sobol(dimensions, scramble=True, rng=np.random.default_rng(0))
-    points = sequence.random(count)
+    sobol: Any = qmc.Sobol
+    points = sobol(dimensions, scramble=True, rng=np.random.default_rng(0)).random(count)
     return np.asarray(ndtri(points), dtype=np.float64)
 
 
