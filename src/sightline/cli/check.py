@@ -12,7 +12,7 @@ from sightline.cli.options import Json
 
 def check(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE.toml", help="An ACQUISITION.toml or INSTRUMENT.toml.")
+        Path, typer.Argument(metavar="FILE.toml", help="An ACQUISITION.toml, INSTRUMENT.toml or TDI.toml.")
     ],
     as_json: Json = False,
 ) -> None:
@@ -22,11 +22,15 @@ def check(
     from sightline.io.config import kind_of
     from sightline.io.describe import describe_acquisition
     from sightline.io.instrument import describe_instrument, load_instrument
+    from sightline.io.tdi import describe_tdi, load_tdi
 
-    if kind_of(file) == "instrument":
-        description = describe_instrument(load_instrument(file))
-    else:
-        description = describe_acquisition(load_acquisition(file))
+    match kind_of(file):
+        case "instrument":
+            description = describe_instrument(load_instrument(file))
+        case "tdi":
+            description = describe_tdi(load_tdi(file))
+        case _:
+            description = describe_acquisition(load_acquisition(file))
     if as_json:
         print_json(description)
         return

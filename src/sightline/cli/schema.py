@@ -8,7 +8,7 @@ import typer
 
 
 def schema(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Which file: acquisition or instrument.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Which file: acquisition, instrument or tdi.")],
 ) -> None:
     """Print the JSON Schema of one of the TOML files."""
     from sightline.cli.terminal import print_json

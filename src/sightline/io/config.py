@@ -17,11 +17,16 @@ from pydantic import BaseModel, ValidationError
 from sightline.errors import FormatError
 from sightline.io.acquisition_schema import AcquisitionFile
 from sightline.io.instrument_schema import InstrumentFile
+from sightline.io.tdi_schema import TdiFile
 
 Model = TypeVar("Model", bound=BaseModel)
 
 #: The files that have a schema, by the name given to ``sightline schema``.
-SCHEMAS: dict[str, type[BaseModel]] = {"acquisition": AcquisitionFile, "instrument": InstrumentFile}
+SCHEMAS: dict[str, type[BaseModel]] = {
+    "acquisition": AcquisitionFile,
+    "instrument": InstrumentFile,
+    "tdi": TdiFile,
+}
 
 #: Values of ``kind`` by table: pydantic names the one it tried in the place of a mistake.
 KINDS = {
@@ -36,7 +41,7 @@ def json_schema(name: str) -> dict[str, Any]:
     Parameters
     ----------
     name : str
-        ``"acquisition"`` or ``"instrument"``.
+        ``"acquisition"``, ``"instrument"`` or ``"tdi"``.
 
     Returns
     -------
@@ -115,7 +120,7 @@ def _unknown_keys(
     model: type[BaseModel], data: dict[str, Any], where: tuple[str | int, ...]
 ) -> Iterator[str]:
     """Every key of `data` that `model` does not have, in words."""
-    fields = model.model_fields
+    fields = {field.alias or name: field for name, field in model.model_fields.items()}
     for key, value in data.items():
         if key not in fields:
             owner = _table(where) or "the file"

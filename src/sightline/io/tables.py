@@ -120,6 +120,11 @@ def read_columns(
     return result
 
 
+def header_of(path: Path) -> list[str]:
+    """Names of the columns of a CSV file; FormatError where there is none."""
+    return [name.strip() for name in _rows(path)[0][1]]
+
+
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Line number and cells of every row that is neither empty nor a comment."""
     try:

@@ -130,6 +130,25 @@ def choose_settings(
     return TdiChoice(columns, signals, grid, detector, rules, setting, mtf, snr, limit)
 
 
+def merit_of(
+    model: ColumnMtf,
+    signals: Array,
+    setting: Index,
+    grid: TdiGrid,
+    detector: TdiDetector,
+    rules: ChoiceRules,
+) -> Array:
+    """Merit (C, S) of given settings (C, S), limits aside; parameters as of `choose_settings`."""
+    by_signal = signal_factors(signals, grid, detector, rules)
+    merit = np.empty(setting.shape)
+    for begin in range(0, len(model.columns), CHUNK):
+        part = slice(begin, min(begin + CHUNK, len(model.columns)))
+        by_column = column_factors(model, part, grid, rules)
+        of_signal = np.take_along_axis(by_signal.merit, setting[part].T, axis=1).T
+        merit[part] = np.take_along_axis(by_column.merit, setting[part], axis=1) * of_signal
+    return merit
+
+
 def _best(by_column: ColumnFactors, by_signal: SignalFactors, fullness: Array) -> tuple[Index, Small]:
     """Number of the best setting (c, S), and what decided it."""
     shape = (len(by_column.merit), len(by_signal.merit))

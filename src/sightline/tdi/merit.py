@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sightline.imaging.tdi_noise import snr, summed_signal
 from sightline.imaging.tdi_transfer import ALIGNMENTS, Exposure, phases
 from sightline.tdi.kernels import exact_mtf, patent_mtf
-from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
+from sightline.tdi.setting import ChoiceRules, Index, ScanColumns, TdiDetector, TdiGrid
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
@@ -33,13 +33,16 @@ HIGH_SIGNAL = 0.95
 class ColumnMtf(Protocol):
     """MTF of the motion of every setting, for some columns."""
 
-    columns: ScanColumns
+    @property
+    def columns(self) -> ScanColumns:
+        """All columns."""
+        ...
 
-    def central(self, which: slice) -> Array:
+    def central(self, which: slice | Index) -> Array:
         """(c, P, 2) MTF of motion across and along, as expected."""
         ...
 
-    def drawn(self, which: slice) -> Array | None:
+    def drawn(self, which: slice | Index) -> Array | None:
         """(M, c, P, 2) MTF of motion as it may be, equally likely; None where it is known."""
         ...
 
@@ -61,11 +64,11 @@ class DriftMtf:
     exposure: Exposure
     rules: ChoiceRules
 
-    def central(self, which: slice) -> Array:
+    def central(self, which: slice | Index) -> Array:
         """(c, P, 2) MTF at the velocity and slip given."""
         return self._mtf(self.columns.velocity[which], self.columns.slip[which])
 
-    def drawn(self, which: slice) -> Array | None:
+    def drawn(self, which: slice | Index) -> Array | None:
         """(M, c, P, 2) MTF at velocities and slips drawn from their covariance; None without one."""
         covariance = self.columns.covariance
         if covariance is None or not covariance.any():
@@ -95,8 +98,8 @@ def normal_draws(dimensions: int, count: int = DRAWS) -> Array:
     from scipy.special import ndtri
     from scipy.stats import qmc
 
-    sobol: Any = qmc.Sobol
-    points = sobol(dimensions, scramble=True, rng=np.random.default_rng(0)).random(count)
+    untyped: Any = qmc.Sobol
+    points = untyped(dimensions, scramble=True, rng=np.random.default_rng(0)).random(count)
     return np.asarray(ndtri(points), dtype=np.float64)
 
 
@@ -109,15 +112,18 @@ def _square_root(covariance: Array) -> Array:
 def mtf_merit(mtf: Array, merit: str) -> Array:
     """What the two MTFs (..., 2) give to the merit, shape (...)."""
     x, y = mtf[..., 0], mtf[..., 1]
-    forms = {
-        "product": lambda: x * y,
-        "geomean": lambda: np.sqrt(x * y),
-        "mean": lambda: 0.5 * (x + y),
-        "min": lambda: np.minimum(x, y),
-        "x": lambda: x,
-        "y": lambda: y,
-    }
-    return np.asarray(forms[merit]())
+    match merit:
+        case "geomean":
+            return np.asarray(np.sqrt(x * y))
+        case "mean":
+            return np.asarray(0.5 * (x + y))
+        case "min":
+            return np.asarray(np.minimum(x, y))
+        case "x":
+            return np.asarray(x)
+        case "y":
+            return np.asarray(y)
+    return np.asarray(x * y)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +151,9 @@ class ColumnFactors:
         return np.asarray(np.where(self.in_lobe & self.in_bounds, self.merit, 0.0))
 
 
-def column_factors(model: ColumnMtf, which: slice, grid: TdiGrid, rules: ChoiceRules) -> ColumnFactors:
+def column_factors(
+    model: ColumnMtf, which: slice | Index, grid: TdiGrid, rules: ChoiceRules
+) -> ColumnFactors:
     """The part of the merit that some columns give to every setting."""
     columns = model.columns.part(which)
     static = columns.static_mtf[:, None, :]

@@ -1,0 +1,266 @@
+"""S3, figures 2 and 3: number of TDI stages and integration ratio for every column and signal.
+
+``choose_tdi`` judges every setting of the grid by what motion, optics and noise leave of a scene, takes the
+best that keeps the limits, and says what other ways of choosing would have lost.
+
+Not here: the steps themselves (``tdi/``), files (``io/tdi.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from sightline.errors import InputError
+from sightline.tdi.choose import LIMITS, TdiChoice, choose_settings, merit_of
+from sightline.tdi.merit import ColumnMtf, DriftMtf, column_factors, signal_factors
+from sightline.tdi.setting import Array, ChoiceRules, Index, ScanColumns, TdiDetector, TdiGrid
+
+#: Columns over which other ways of choosing are compared, evenly spread: the whole is not judged thrice.
+COMPARED = 512
+#: Loss of merit by the patent's form above which it is said.
+SAID_LOSS = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class TdiProblem:
+    """A detector, what moves over it, and what is wanted.
+
+    Attributes
+    ----------
+    columns : ScanColumns
+    signals : (S,)
+        Electrons of one head line, rising (without a head: of one line at `detector.signal_ratio`).
+    grid : TdiGrid
+    detector : TdiDetector
+    rules : ChoiceRules
+    motion : ColumnMtf or None
+        MTF by a recovered motion; None: by constant drift.
+    max_loss : float
+        Most relative merit that the table may lose.
+    name : str
+    """
+
+    columns: ScanColumns
+    signals: Array
+    grid: TdiGrid
+    detector: TdiDetector = field(default_factory=TdiDetector)
+    rules: ChoiceRules = field(default_factory=ChoiceRules)
+    motion: ColumnMtf | None = None
+    max_loss: float = 0.005
+    name: str = "TDI choice"
+
+    @property
+    def model(self) -> ColumnMtf:
+        """What motion does to each column."""
+        return self.motion or DriftMtf(self.columns, self.grid, self.detector.exposure, self.rules)
+
+
+@dataclass(frozen=True, eq=False)
+class OtherWay:
+    """What another way of choosing would have lost.
+
+    Attributes
+    ----------
+    name : str
+    columns : (c,) int
+        Columns compared, counted from the first.
+    setting : (c, S) int
+        What it would choose.
+    loss : (c, S)
+        Relative merit lost against the best by the exact form.
+    """
+
+    name: str
+    columns: Index
+    setting: Index
+    loss: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Landscape:
+    """Merit of every setting, limits aside, for a few columns and one signal.
+
+    Attributes
+    ----------
+    columns : (c,) int
+        Counted from the first.
+    signal : int
+        Counted from the first.
+    merit : (c, n, k)
+        Over numbers of stages and integration ratios.
+    """
+
+    columns: Index
+    signal: int
+    merit: Array
+
+
+@dataclass(frozen=True, eq=False)
+class TdiResult:
+    """What ``choose_tdi`` gives.
+
+    Attributes
+    ----------
+    problem : TdiProblem
+    choice : TdiChoice
+    one_setting, one_signal, patent : OtherWay
+        One setting for all, from the centre column; one signal per column; the form of EP2733929.
+    landscape : Landscape
+        Of the first, the middle and the last column.
+    warnings : tuple of str
+    """
+
+    problem: TdiProblem
+    choice: TdiChoice
+    one_setting: OtherWay
+    one_signal: OtherWay
+    patent: OtherWay
+    landscape: Landscape
+    warnings: tuple[str, ...]
+
+
+def choose_tdi(problem: TdiProblem) -> TdiResult:
+    """Choose the number of TDI stages and the integration ratio of every column and signal.
+
+    Parameters
+    ----------
+    problem : TdiProblem
+
+    Returns
+    -------
+    TdiResult
+
+    Raises
+    ------
+    InputError
+        A column slips by more than the limit.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> columns = ScanColumns(np.arange(3), np.ones(3), np.radians([0.0, 1.0, 2.0]), np.full((3, 2), 0.3))
+    >>> grid = TdiGrid(np.arange(3, 65), np.arange(1, 11) / 10)
+    >>> choose_tdi(TdiProblem(columns, np.array([400.0]), grid)).choice.stages.ravel().tolist()
+    [64, 43, 21]
+    """
+    check_slip(problem.columns, problem.rules)
+    choice = choose_settings(problem.model, problem.signals, problem.grid, problem.detector, problem.rules)
+    one_setting, one_signal, patent = _other_ways(problem, choice)
+    warnings = _warnings(problem, choice, patent)
+    return TdiResult(problem, choice, one_setting, one_signal, patent, _landscape(problem), warnings)
+
+
+def check_slip(columns: ScanColumns, rules: ChoiceRules) -> None:
+    """Refuse columns over which the scene moves too much askew for TDI."""
+    worst = int(np.abs(columns.slip).argmax())
+    if abs(columns.slip[worst]) > rules.slip_limit:
+        raise InputError(
+            f"column {columns.column[worst]:g} slips by {np.degrees(columns.slip[worst]):.4g} degrees, more "
+            f"than the limit of {np.degrees(rules.slip_limit):.4g}; steer the camera (yaw), check the sign "
+            'and unit (rad) of the slip, or allow it with slip_limit (a larger angle, or "allow")'
+        )
+
+
+def _other_ways(problem: TdiProblem, choice: TdiChoice) -> tuple[OtherWay, OtherWay, OtherWay]:
+    """What is lost by one setting for all columns, by one signal for all scenes, and by the patent's form."""
+    count, middle = len(problem.columns), len(problem.signals) // 2
+    some = np.unique(np.linspace(0, count - 1, min(count, COMPARED)).round().astype(np.intp))
+    shape = (len(some), len(problem.signals))
+    centre = choice.setting[count // 2, middle]
+    part = problem.columns.part(some)
+    drift = DriftMtf(part, problem.grid, problem.detector.exposure, replace(problem.rules, model="patent"))
+    by_patent = choose_settings(drift, problem.signals, problem.grid, problem.detector, drift.rules).setting
+    settings = {
+        "one setting from the centre column": np.full(shape, centre),
+        "one signal for all scenes": np.repeat(choice.setting[some, middle][:, None], shape[1], axis=1),
+        "the form of EP2733929": by_patent,
+    }
+    rules = replace(problem.rules, model="exact")
+    exact: ColumnMtf = SomeColumns(problem.model, some)
+    reference = choice.setting[some]
+    if problem.rules.model == "patent":
+        exact = DriftMtf(part, problem.grid, problem.detector.exposure, rules)
+        reference = choose_settings(exact, problem.signals, problem.grid, problem.detector, rules).setting
+
+    def merit(setting: Index) -> Array:
+        return merit_of(exact, problem.signals, setting, problem.grid, problem.detector, rules)
+
+    best = merit(reference)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ways = [
+            OtherWay(name, some, setting, np.where(best > 0.0, 1.0 - merit(setting) / best, 0.0))
+            for name, setting in settings.items()
+        ]
+    return ways[0], ways[1], ways[2]
+
+
+def _landscape(problem: TdiProblem) -> Landscape:
+    """Merit over the whole grid for the first, the middle and the last column, at the middle signal."""
+    count, signal = len(problem.columns), len(problem.signals) // 2
+    which = np.unique([0, count // 2, count - 1])
+    by_column = column_factors(problem.model, which, problem.grid, problem.rules).merit
+    some = problem.signals[signal : signal + 1]
+    by_signal = signal_factors(some, problem.grid, problem.detector, problem.rules).merit
+    shape = (len(which), len(problem.grid.stages), len(problem.grid.ratios))
+    return Landscape(which, signal, (by_column * by_signal).reshape(shape))
+
+
+@dataclass(frozen=True, eq=False)
+class SomeColumns:
+    """A few columns of a model as a model of their own.
+
+    Attributes
+    ----------
+    model : ColumnMtf
+    which : (c,) int
+        Columns, counted from the first.
+    """
+
+    model: ColumnMtf
+    which: Index
+
+    @property
+    def columns(self) -> ScanColumns:
+        """The few."""
+        return self.model.columns.part(self.which)
+
+    def central(self, which: slice | Index) -> Array:
+        """(c, P, 2) as the model gives it."""
+        return self.model.central(self.which[which])
+
+    def drawn(self, which: slice | Index) -> Array | None:
+        """(M, c, P, 2) as the model gives it."""
+        return self.model.drawn(self.which[which])
+
+
+def _warnings(problem: TdiProblem, choice: TdiChoice, patent: OtherWay) -> tuple[str, ...]:
+    """What a user must know before using the numbers."""
+    said = []
+    worst = float(patent.loss.max(initial=0.0))
+    if problem.rules.model == "patent" and worst > SAID_LOSS:
+        said.append(
+            "chosen by the form of EP2733929, which flatters short integrations: by the exact form it loses "
+            f'up to {100.0 * worst:.1f} % of the merit; model = "exact" does not'
+        )
+    elif worst > SAID_LOSS:
+        said.append(
+            f"the form of EP2733929 would lose up to {100.0 * worst:.1f} % of the merit here (mean "
+            f"{100.0 * float(patent.loss.mean()):.1f} %): its choices differ from those given"
+        )
+    for code in np.unique(choice.limit[choice.infeasible]):
+        share = 100.0 * float((choice.limit == code).mean())
+        limit = LIMITS[code].removeprefix("infeasible-")
+        said.append(
+            f"in {share:.3g} % of the cells no setting keeps the limit of {limit}: the safest setting stands "
+            "in (limit in choice.csv)"
+        )
+    stages = problem.grid.stages
+    at_most = float((choice.stages == stages[-1]).mean())
+    if at_most > 0.0 and len(stages) > 1:
+        said.append(
+            f"{100.0 * at_most:.3g} % of the cells take the most stages of the grid, {stages[-1]}: "
+            "more might serve them better"
+        )
+    return tuple(said)

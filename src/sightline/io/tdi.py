@@ -1,0 +1,226 @@
+"""A TDI.toml as a TdiProblem, and in words.
+
+Not here: keys and allowed values (``tdi_schema.py``), the results (``tdi_results.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.applications.tdi_choice import TdiProblem, check_slip
+from sightline.errors import FormatError, InputError
+from sightline.imaging.mtf import aperture_mtf, diffusion_mtf, optics_mtf
+from sightline.imaging.tdi_noise import NoiseLaw
+from sightline.imaging.tdi_transfer import Exposure
+from sightline.io.config import read_toml, validate
+from sightline.io.tables import header_of, read_columns
+from sightline.io.tdi_schema import ChoiceSection, MtfSection, TdiFile
+from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
+
+Array = NDArray[np.float64]
+
+COLUMNS = ("column", "scan_velocity", "slip")
+OPTICS = ("optics_mtf_x", "optics_mtf_y")
+SIGMAS = ("sigma_velocity", "sigma_slip")
+
+
+def load_tdi(path: str | Path) -> TdiProblem:
+    """The problem of a TDI.toml.
+
+    Raises
+    ------
+    FormatError
+        Names file, key, value, what is allowed; also for the table it names.
+    """
+    path = Path(path)
+    file = validate(TdiFile, read_toml(path), path)
+    signals = np.array(file.signals.electrons)
+    head, choice = file.head, file.choice
+    detector = TdiDetector(
+        Exposure(head.stages, head.integration_ratio or 0.0, choice.align),
+        NoiseLaw(**file.noise.model_dump()),
+        file.signals.integration_ratio,
+        choice.full_well_line or np.inf,
+        choice.full_well_sum or np.inf,
+    )
+    problem = TdiProblem(
+        columns=_columns(file, path),
+        signals=signals,
+        grid=TdiGrid(np.array(file.grid.stage_list), np.array(file.grid.ratio_list)),
+        detector=detector,
+        rules=_rules(choice, file),
+        max_loss=file.table.max_loss,
+        name=file.name,
+    )
+    try:
+        check_slip(problem.columns, problem.rules)
+    except InputError as error:
+        raise FormatError(f"{path}: {error}") from None
+    return problem
+
+
+def _rules(choice: ChoiceSection, file: TdiFile) -> ChoiceRules:
+    return ChoiceRules(
+        model=choice.model,
+        merit=choice.merit,
+        frequencies=file.mtf.frequencies,
+        main_lobe_only=choice.main_lobe_only,
+        snr_min=choice.snr_min,
+        mtf_min=choice.mtf_min,
+        mtf_max=choice.mtf_max,
+        slip_limit=np.inf if choice.slip_limit == "allow" else choice.slip_limit,
+        quantile=choice.quantile,
+        signal_sigma=file.signals.sigma,
+    )
+
+
+def _columns(file: TdiFile, path: Path) -> ScanColumns:
+    """Columns by their count, a table, or the cameras of an acquisition."""
+    section = file.columns
+    static = static_mtf(file.mtf)
+    if section.count is not None:
+        column, velocity, slip = (
+            np.arange(float(section.count)),
+            np.ones(section.count),
+            np.zeros(section.count),
+        )
+        return _with_sigmas(column, velocity, slip, np.tile(static, (section.count, 1)), file, {})
+    if section.table is not None:
+        return _read_columns(path.parent / section.table, static, file)
+    raise FormatError(f"{path}: columns.acquisition is not read yet")
+
+
+def _read_columns(path: Path, static: Array, file: TdiFile) -> ScanColumns:
+    """A table of columns; its MTFs of the optics stand in for that of the file."""
+    header = header_of(path)
+    given = [name for name in (*OPTICS, *SIGMAS) if name in header]
+    if len(set(given) & set(OPTICS)) == 1:
+        raise FormatError(f"{path}: give both {OPTICS[0]} and {OPTICS[1]}, or neither")
+    table = {
+        name: np.asarray(v, dtype=np.float64) for name, v in read_columns(path, (*COLUMNS, *given)).items()
+    }
+    column = table["column"]
+    if (column != np.round(column)).any() or (column < 0.0).any() or (np.diff(column) <= 0.0).any():
+        raise FormatError(
+            f"{path}: `column` must hold whole numbers from 0 up, rising, none twice; sort the rows"
+        )
+    if (table["scan_velocity"] <= 0.0).any():
+        row = int(np.flatnonzero(table["scan_velocity"] <= 0.0)[0])
+        raise FormatError(
+            f"{path}: scan_velocity of column {column[row]:g} is "
+            f"{table['scan_velocity'][row]:g}; pixels per line period along the scan, above 0 (1 = in step), "
+            "are expected; is the sign of the scan reversed?"
+        )
+    for name in OPTICS:
+        if name in table and not ((table[name] > 0.0) & (table[name] <= 1.0)).all():
+            raise FormatError(f"{path}: {name} must lie above 0, up to 1")
+    for name in SIGMAS:
+        if name in table and (table[name] < 0.0).any():
+            raise FormatError(f"{path}: {name} must be 0 or more")
+    mtf = np.tile(static, (len(column), 1))
+    if OPTICS[0] in table:
+        without = static / optics_of(file.mtf)
+        mtf = without * np.column_stack([table[name] for name in OPTICS])
+    return _with_sigmas(column, table["scan_velocity"], table["slip"], mtf, file, table)
+
+
+def _with_sigmas(
+    column: Array, velocity: Array, slip: Array, mtf: Array, file: TdiFile, table: Mapping[str, Array]
+) -> ScanColumns:
+    """Columns with the covariance that their sigmas make."""
+    section = file.columns
+    sigmas = np.column_stack(
+        [np.broadcast_to(table.get(name, getattr(section, name)), column.shape) for name in SIGMAS]
+    )
+    covariance = sigmas[:, :, None] ** 2 * np.eye(2) if sigmas.any() else None
+    return ScanColumns(column, velocity, slip, mtf, covariance)
+
+
+def optics_of(section: MtfSection) -> Array:
+    """(2,) MTF of the optics across and along."""
+    if section.optics_cutoff is not None:
+        return optics_mtf(
+            section.frequencies,
+            section.optics_cutoff,
+            obscuration=section.obscuration,
+            wavefront=section.wavefront,
+        )
+    given = 1.0 if section.optics_mtf is None else section.optics_mtf
+    return np.broadcast_to(np.asarray(given, dtype=np.float64), (2,))
+
+
+def static_mtf(section: MtfSection) -> Array:
+    """(2,) MTF of optics, aperture and diffusion across and along."""
+    f = np.asarray(section.frequencies)
+    aperture = [aperture_mtf(f[0], section.aperture_x), aperture_mtf(f[1], section.aperture_y)]
+    return np.asarray(optics_of(section) * np.array(aperture) * diffusion_mtf(f, section.diffusion_sigma_px))
+
+
+def tdi_inputs(path: Path) -> list[Path]:
+    """The TDI.toml and the files that it names."""
+    columns = validate(TdiFile, read_toml(path), path).columns
+    return [path, *(path.parent / name for name in (columns.table, columns.acquisition) if name is not None)]
+
+
+def describe_tdi(problem: TdiProblem) -> dict[str, Any]:
+    """A problem in words: ``understood``, ``missing``, ``observable``, lists of sentences."""
+    return {
+        "understood": _understood(problem),
+        "missing": _missing(problem),
+        "observable": _consequences(problem),
+        "settings": len(problem.grid),
+    }
+
+
+def _understood(problem: TdiProblem) -> list[str]:
+    grid, detector, columns = problem.grid, problem.detector, problem.columns
+    head = detector.exposure
+    signals = problem.signals
+    return [
+        f"{problem.name}: {len(columns)} columns, {len(signals)} signals, {len(grid)} settings each",
+        f"{grid.stages[0]} to {grid.stages[-1]} stages, integration ratio {_range(grid.ratios)}",
+        f"{head.head_stages} head lines at an integration ratio of {head.head_ratio:g} measure the signal"
+        if head.head_stages
+        else f"no head lines: signals are given for an integration ratio of {detector.signal_ratio:g}",
+        f"signals of {signals[0]:g} to {signals[-1]:g} electrons a line",
+        f"velocity {columns.velocity.min():.6g} to {columns.velocity.max():.6g} px per line, slip "
+        f"{np.degrees(columns.slip.min()):.4g} to {np.degrees(columns.slip.max()):.4g} degrees",
+        f"MTF of what stands still: {_range(columns.static_mtf[:, 0])} across, "
+        f"{_range(columns.static_mtf[:, 1])} along, at {problem.rules.frequencies} cycles per px",
+    ]
+
+
+def _range(values: Array) -> str:
+    low, high = float(values.min()), float(values.max())
+    return f"{low:.4g}" if low == high else f"{low:.4g} to {high:.4g}"
+
+
+def _missing(problem: TdiProblem) -> list[str]:
+    noise, detector = problem.detector.noise, problem.detector
+    said = []
+    if noise.read == 0.0 and noise.output == 0.0:
+        said.append("[noise] read or output: without them short integrations cost nothing")
+    if np.isinf(detector.full_well_line) and np.isinf(detector.full_well_sum):
+        said.append("[choice] full_well_line, full_well_sum: nothing says when the detector saturates")
+    if problem.columns.covariance is None and problem.motion is None:
+        said.append("sigmas of velocity and slip, or --motion: the choice will trust them as exact")
+    return said
+
+
+def _consequences(problem: TdiProblem) -> list[str]:
+    """How many stages the drift alone allows: N |phi| = 0.371 is best for photons, 1 ends the main lobe."""
+    columns, (fx, fy) = problem.columns, problem.rules.frequencies
+    across = np.abs(columns.velocity * np.tan(columns.slip)) * fx
+    along = np.abs(columns.velocity - 1.0) * fy
+    worst = float(np.maximum(across, along).max())
+    if worst == 0.0:
+        return ["the scene moves in step with every column: drift limits no number of stages"]
+    return [
+        f"the column that drifts most is served best by about {0.371 / worst:.3g} stages and blurred out by "
+        f"{1.0 / worst:.3g}"
+    ]

@@ -1,0 +1,107 @@
+"""A TDI choice → ``choice.csv`` and ``summary.json``; their columns are described in ``docs/formats.md``.
+
+Not here: the table that is looked up (``tdi_table.py``), the page for people (``report/tdi_page.py``).
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sightline.applications.tdi_choice import OtherWay, TdiResult
+from sightline.io.results import write_json
+from sightline.tdi.choose import LIMITS, TdiChoice
+
+COLUMNS = (
+    "column", "signal", "stages", "integration_ratio", "mtf_x", "mtf_y", "snr", "merit", "limit",
+)  # fmt: skip
+
+
+def write_choice(path: Path, choice: TdiChoice) -> None:
+    """``choice.csv``: one row per column and signal, complete or not at all."""
+    temporary = path.with_name(f".{path.name}.part")
+    count = len(choice.signals)
+    signals = [f"{value:.10g}" for value in choice.signals]
+    ratios = {value: f"{value:.10g}" for value in choice.grid.ratios}
+    stages, ratio, merit = choice.stages, choice.integration_ratio, choice.merit
+    with temporary.open("w", encoding="utf-8") as stream:
+        stream.write(",".join(COLUMNS) + "\n")
+        for c, column in enumerate(choice.columns.column):
+            mtf, snr = choice.mtf[c], choice.snr[c]
+            stream.writelines(
+                f"{column:.0f},{signals[s]},{stages[c, s]},{ratios[ratio[c, s]]},"
+                f"{mtf[s, 0]:.9g},{mtf[s, 1]:.9g},{snr[s]:.9g},{merit[c, s]:.9g},{LIMITS[choice.limit[c, s]]}\n"
+                for s in range(count)
+            )
+    os.replace(temporary, path)
+
+
+def write_tdi_summary(
+    path: Path, result: TdiResult, inputs: Iterable[Path], *, wall_seconds: float, **more: Any
+) -> dict[str, Any]:
+    """Write ``summary.json``; gives its content.
+
+    Parameters
+    ----------
+    path : Path
+    result : TdiResult
+    inputs : iterable of Path
+        Files that were read.
+    wall_seconds : float
+        s; of the whole command so far.
+    more
+        Further entries.
+    """
+    summary = summarize_tdi(result, inputs, wall_seconds=wall_seconds) | more
+    write_json(path, summary)
+    return summary
+
+
+def summarize_tdi(result: TdiResult, inputs: Iterable[Path], *, wall_seconds: float) -> dict[str, Any]:
+    """The content of ``summary.json``."""
+    problem, choice = result.problem, result.choice
+    columns, rules = problem.columns, problem.rules
+    codes, counts = np.unique(choice.limit, return_counts=True)
+    return {
+        "name": problem.name,
+        "version": version("sightline"),
+        "columns": len(columns),
+        "signals": len(problem.signals),
+        "settings": len(problem.grid),
+        "model": rules.model,
+        "merit": rules.merit,
+        "frequencies": list(rules.frequencies),
+        "scan_velocity": _spread(columns.velocity),
+        "slip": _spread(columns.slip),
+        "stages": _spread(choice.stages),
+        "integration_ratio": _spread(choice.integration_ratio),
+        "mtf_x": _spread(choice.mtf[..., 0]),
+        "mtf_y": _spread(choice.mtf[..., 1]),
+        "snr": _spread(choice.snr),
+        "limits": {LIMITS[code]: int(count) for code, count in zip(codes, counts, strict=True)},
+        "infeasible": int(choice.infeasible.sum()),
+        "other_ways": [_other_way(way) for way in (result.one_setting, result.one_signal, result.patent)],
+        "warnings": list(result.warnings),
+        "wall_seconds": wall_seconds,
+        "inputs": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs},
+    }
+
+
+def _other_way(way: OtherWay) -> dict[str, Any]:
+    return {
+        "name": way.name,
+        "columns_compared": len(way.columns),
+        "mean_loss": float(way.loss.mean()),
+        "worst_loss": float(way.loss.max()),
+    }
+
+
+def _spread(values: Any) -> dict[str, float]:
+    """Least, mean and most of some values."""
+    return {"min": float(np.min(values)), "mean": float(np.mean(values)), "max": float(np.max(values))}
