@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from sightline.applications.results import LineOfSight
     from sightline.applications.spin_attitude import SpinAttitude, SpinOptions, recover_spin_attitude
     from sightline.applications.strip import RecoverOptions
+    from sightline.applications.tdi_choice import TdiProblem, TdiResult, choose_tdi
     from sightline.errors import (
         EstimationError,
         FormatError,
@@ -36,9 +37,12 @@ if TYPE_CHECKING:
     from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface
     from sightline.geometry.trajectory import Motion, Pose, Trajectory
     from sightline.imaging.source import ArrayImage, ImageSource
+    from sightline.imaging.tdi_noise import NoiseLaw
+    from sightline.imaging.tdi_transfer import Exposure
     from sightline.io.acquired import Acquisition
     from sightline.io.acquisition import load_acquisition
     from sightline.io.instrument import load_instrument
+    from sightline.io.tdi import load_tdi
     from sightline.matching.match_images import match_images
     from sightline.matching.matches import Matches
     from sightline.matching.select import grid_points
@@ -47,6 +51,8 @@ if TYPE_CHECKING:
     from sightline.motion.predict import predict_match
     from sightline.products.frame_mosaic import frame_mosaic
     from sightline.simulate.scenarios import line_of_sight_case
+    from sightline.tdi.choose import TdiChoice
+    from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
 
     __version__: str
 
@@ -59,10 +65,12 @@ _MODULE_OF = {
     "Band": "sightline.motion.band",
     "Camera": "sightline.geometry.camera",
     "ChipKnowledge": "sightline.motion.band",
+    "ChoiceRules": "sightline.tdi.setting",
     "Dem": "sightline.geometry.surface",
     "Ellipsoid": "sightline.geometry.surface",
     "EstimationError": "sightline.errors",
     "Executor": "sightline.execution",
+    "Exposure": "sightline.imaging.tdi_transfer",
     "FixedMount": "sightline.geometry.pointing",
     "FocalPlane": "sightline.applications.focal_plane",
     "FormatError": "sightline.errors",
@@ -80,6 +88,7 @@ _MODULE_OF = {
     "LineOfSight": "sightline.applications.results",
     "Matches": "sightline.matching.matches",
     "Motion": "sightline.geometry.trajectory",
+    "NoiseLaw": "sightline.imaging.tdi_noise",
     "Plane": "sightline.geometry.surface",
     "Pointing": "sightline.geometry.pointing",
     "Pose": "sightline.geometry.trajectory",
@@ -87,6 +96,7 @@ _MODULE_OF = {
     "Rays": "sightline.geometry.camera",
     "RecoverOptions": "sightline.applications.strip",
     "Registration": "sightline.applications.registration",
+    "ScanColumns": "sightline.tdi.setting",
     "ScanMirror": "sightline.geometry.pointing",
     "Score": "sightline.evaluation.score",
     "SightlineError": "sightline.errors",
@@ -95,15 +105,22 @@ _MODULE_OF = {
     "SpinAttitude": "sightline.applications.spin_attitude",
     "SpinOptions": "sightline.applications.spin_attitude",
     "Surface": "sightline.geometry.surface",
+    "TdiChoice": "sightline.tdi.choose",
+    "TdiDetector": "sightline.tdi.setting",
+    "TdiGrid": "sightline.tdi.setting",
+    "TdiProblem": "sightline.applications.tdi_choice",
+    "TdiResult": "sightline.applications.tdi_choice",
     "Trajectory": "sightline.geometry.trajectory",
     "UnobservableBandWarning": "sightline.errors",
     "choose_layout": "sightline.applications.focal_plane",
+    "choose_tdi": "sightline.applications.tdi_choice",
     "executor_from_name": "sightline.execution",
     "frame_mosaic": "sightline.products.frame_mosaic",
     "grid_points": "sightline.matching.select",
     "line_of_sight_case": "sightline.simulate.scenarios",
     "load_acquisition": "sightline.io.acquisition",
     "load_instrument": "sightline.io.instrument",
+    "load_tdi": "sightline.io.tdi",
     "match_images": "sightline.matching.match_images",
     "predict_match": "sightline.motion.predict",
     "recover_frame_attitude": "sightline.applications.frame_attitude",
@@ -121,10 +138,12 @@ __all__ = [
     "Band",
     "Camera",
     "ChipKnowledge",
+    "ChoiceRules",
     "Dem",
     "Ellipsoid",
     "EstimationError",
     "Executor",
+    "Exposure",
     "FixedMount",
     "FocalPlane",
     "FormatError",
@@ -142,6 +161,7 @@ __all__ = [
     "LineOfSight",
     "Matches",
     "Motion",
+    "NoiseLaw",
     "Plane",
     "Pointing",
     "Pose",
@@ -149,6 +169,7 @@ __all__ = [
     "Rays",
     "RecoverOptions",
     "Registration",
+    "ScanColumns",
     "ScanMirror",
     "Score",
     "SightlineError",
@@ -157,15 +178,22 @@ __all__ = [
     "SpinAttitude",
     "SpinOptions",
     "Surface",
+    "TdiChoice",
+    "TdiDetector",
+    "TdiGrid",
+    "TdiProblem",
+    "TdiResult",
     "Trajectory",
     "UnobservableBandWarning",
     "choose_layout",
+    "choose_tdi",
     "executor_from_name",
     "frame_mosaic",
     "grid_points",
     "line_of_sight_case",
     "load_acquisition",
     "load_instrument",
+    "load_tdi",
     "match_images",
     "predict_match",
     "recover_frame_attitude",

@@ -33,10 +33,10 @@ def write_choice(path: Path, choice: TdiChoice) -> None:
     with temporary.open("w", encoding="utf-8") as stream:
         stream.write(",".join(COLUMNS) + "\n")
         for c, column in enumerate(choice.columns.column):
-            mtf, snr = choice.mtf[c], choice.snr[c]
+            mtf, snr, why = choice.mtf[c], choice.snr[c], [LIMITS[code] for code in choice.limit[c]]
             stream.writelines(
                 f"{column:.0f},{signals[s]},{stages[c, s]},{ratios[ratio[c, s]]},"
-                f"{mtf[s, 0]:.9g},{mtf[s, 1]:.9g},{snr[s]:.9g},{merit[c, s]:.9g},{LIMITS[choice.limit[c, s]]}\n"
+                f"{mtf[s, 0]:.9g},{mtf[s, 1]:.9g},{snr[s]:.9g},{merit[c, s]:.9g},{why[s]}\n"
                 for s in range(count)
             )
     os.replace(temporary, path)

@@ -173,8 +173,7 @@ class SignalsSection(Section):
         """All signals."""
         if self.list_ is not None:
             return self.list_
-        assert self.start is not None and self.stop is not None
-        return [float(value) for value in np.geomspace(self.start, self.stop, self.count or 32)]
+        return [float(value) for value in np.geomspace(self.start or 1.0, self.stop or 1.0, self.count or 32)]
 
 
 class MtfSection(Section):

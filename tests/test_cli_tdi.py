@@ -1,0 +1,207 @@
+"""``sightline tdi``: the files, the words, and what a user may get wrong."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+from sightline.cli.main import run
+
+TEXT = """
+name = "<b>five</b> columns"
+[grid]
+stages = { from = 3, to = 64 }
+integration_ratio = [0.4, 0.8, 1.0]
+[head]
+stages = 2
+integration_ratio = 0.5
+[noise]
+gain = 9e-6
+read = 12.0
+[columns]
+table = "columns.csv"
+[signals]
+from = 10
+to = 1000
+count = 5
+[mtf]
+frequencies = [0.5, 0.5]
+aperture_x = 0.9
+aperture_y = 0.9
+diffusion_sigma_px = 0.2
+optics_mtf = 0.35
+"""
+COLUMNS = """column,scan_velocity,slip
+0,1.0,-0.03
+1,1.0,-0.015
+2,1.0,0.0
+3,1.001,0.015
+7,0.999,0.03
+"""
+FILES = ["choice.csv", "report.html", "summary.json"]
+
+
+@pytest.fixture
+def toml(tmp_path):
+    (tmp_path / "columns.csv").write_text(COLUMNS)
+    path = tmp_path / "tdi.toml"
+    path.write_text(TEXT)
+    return path
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tdi")
+    (folder / "columns.csv").write_text(COLUMNS)
+    (folder / "tdi.toml").write_text(TEXT)
+    out = folder / "result"
+    assert run(["tdi", str(folder / "tdi.toml"), "--out", str(out)]) == 0
+    return out
+
+
+def rows_of(folder):
+    with (folder / "choice.csv").open() as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_the_rows_are_the_contract(done):
+    assert set(FILES) <= {entry.name for entry in done.iterdir()}
+    rows = rows_of(done)
+    assert list(rows[0]) == "column signal stages integration_ratio mtf_x mtf_y snr merit limit".split()
+    assert [row["column"] for row in rows] == [str(c) for c in (0, 1, 2, 3, 7) for _ in range(5)]
+    assert [float(row["signal"]) for row in rows[:5]] == pytest.approx(np.geomspace(10, 1000, 5), rel=1e-9)
+    for row in rows:
+        assert 3 <= int(row["stages"]) <= 64 and row["integration_ratio"] in ("0.4", "0.8", "1")
+        product = float(row["mtf_x"]) * float(row["mtf_y"]) * float(row["snr"])
+        assert float(row["merit"]) == pytest.approx(product, rel=1e-7)
+        assert row["limit"] == "none"
+    # the more a column slips, the fewer stages serve it
+    by_column = [int(row["stages"]) for row in rows[4::5]]
+    assert by_column[2] == 64 and by_column[0] < by_column[1] < 64 and by_column[4] < by_column[3] < 64
+
+
+def test_the_summary_says_what_other_ways_would_lose(done):
+    summary = json.loads((done / "summary.json").read_text())
+    assert summary["columns"] == 5 and summary["signals"] == 5 and summary["settings"] == 62 * 3
+    assert summary["limits"] == {"none": 25} and summary["infeasible"] == 0
+    ways = {way["name"]: way for way in summary["other_ways"]}
+    assert ways["one setting from the centre column"]["worst_loss"] > 0.5
+    assert 0.0 <= ways["one signal for all scenes"]["mean_loss"] < 0.05
+    assert set(summary["inputs"]) == {"tdi.toml", "columns.csv"}
+
+
+def test_the_page_opens_without_an_error_and_asks_nobody_for_anything(done, open_page):
+    opened, problems = open_page(done / "report.html")
+    opened.wait_for_timeout(300)
+    assert problems == [] and opened.locator(".js-plotly-plot").count() >= 4
+    for width in (1200, 700):
+        opened.set_viewport_size({"width": width, "height": 900})
+        opened.wait_for_timeout(400)
+        assert opened.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_names_are_text_on_the_page(done):
+    assert "&lt;b&gt;five&lt;/b&gt; columns" in (done / "report.html").read_text(encoding="utf-8")
+
+
+def test_one_column_one_signal_one_setting_will_do(tmp_path):
+    path = tmp_path / "tdi.toml"
+    path.write_text(
+        "[grid]\nstages = [7]\nintegration_ratio = [1.0]\n[columns]\ncount = 1\n[signals]\nlist = [50.0]\n"
+    )
+    assert run(["tdi", str(path), "--out", str(tmp_path / "out")]) == 0
+    (row,) = rows_of(tmp_path / "out")
+    assert (row["stages"], row["integration_ratio"]) == ("7", "1")
+    # photons alone: the root of 7 x 50 electrons
+    assert float(row["snr"]) == pytest.approx(350**0.5, rel=1e-8)
+
+
+def test_json_on_stdout(toml, tmp_path, capsys):
+    assert run(["tdi", str(toml), "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["name"] == "<b>five</b> columns"
+
+
+def test_check_says_what_was_understood(toml, capsys):
+    assert run(["check", str(toml)]) == 0
+    said = capsys.readouterr().out
+    assert "5 columns, 5 signals, 186 settings each" in said and "blurred out by" in said
+
+
+def test_the_schema_knows_the_aliases(capsys):
+    assert run(["schema", "tdi"]) == 0
+    ranges = json.loads(capsys.readouterr().out)["$defs"]["SignalsSection"]["properties"]
+    assert {"from", "to", "count", "list"} <= set(ranges)
+
+
+WRONG = {
+    "unknown key": ("[noise]", "[noise]\nshott = 2", "unknown key 'noise.shott'; did you mean shot?"),
+    "negative noise": ("read = 12.0", "read = -1.0", "noise.read = -1.0"),
+    "no stages": ("stages = { from = 3, to = 64 }", "stages = []", "one value at least"),
+    "falling stages": ("stages = { from = 3, to = 64 }", "stages = [5, 4]", "must rise"),
+    "range the wrong way": ("from = 3, to = 64", "from = 65, to = 64", "exchange them"),
+    "ratio above 1": ("[0.4, 0.8, 1.0]", "[0.4, 1.2]", "less than or equal to 1"),
+    "fewer stages than the head": ("from = 3,", "from = 1,", "2 head lines are always read"),
+    "head without ratio": ("integration_ratio = 0.5\n", "", "integration_ratio of the head is missing"),
+    "well below the head's signal": (
+        "[mtf]", "[choice]\nfull_well_line = 900\n[mtf]", "lies below the highest signal of a head line",
+    ),
+    "unknown merit": ("[mtf]", '[choice]\nmerit = "sum"\n[mtf]', "allowed: 'product'"),
+    "no signals": ("from = 10\nto = 1000\ncount = 5", "count = 5", "give list, or from and to"),
+    "signals the wrong way": ("from = 10", "from = 2000", "must lie below"),
+    "two sources of columns": ("table = ", "count = 3\ntable = ", "give one of count, table and acquisition"),
+    "missing table": ("columns.csv", "elsewhere.csv", "no such file"),
+    "mtf bounds crossed": ("[mtf]", "[choice]\nmtf_min = 0.5\nmtf_max = 0.2\n[mtf]", "lies above mtf_max"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_one_clear_error_and_nothing_written(what, toml, tmp_path, capsys):
+    old, new, message = WRONG[what]
+    assert old in TEXT
+    toml.write_text(TEXT.replace(old, new))
+    assert run(["tdi", str(toml), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert message in said and "Traceback" not in said
+    assert not (tmp_path / "out").exists()
+
+
+TABLES = {
+    "a column twice": ("3,1.001,0.015", "2,1.001,0.015", "whole numbers from 0 up, rising, none twice"),
+    "NaN": ("1,1.0,-0.015", "1,nan,-0.015", "scan_velocity' is nan"),
+    "scan reversed": ("1,1.0,-0.015", "1,-1.0,-0.015", "is the sign of the scan reversed?"),
+    "slip in degrees": ("7,0.999,0.03", "7,0.999,1.2", "slips by 68.75 degrees, more than the limit of 5"),
+    "a row too short": ("7,0.999,0.03", "7,0.999", "has 2 values, the header has 3"),
+    "no slip": ("scan_velocity,slip", "scan_velocity,slop", "column 'slip' is missing"),
+    "half of the optics": (COLUMNS, "column,scan_velocity,slip,optics_mtf_x\n0,1,0,0.3\n", "give both"),
+}
+
+
+@pytest.mark.parametrize("what", TABLES)
+def test_wrong_columns_are_named(what, toml, tmp_path, capsys):
+    old, new, message = TABLES[what]
+    (tmp_path / "columns.csv").write_text(COLUMNS.replace(old, new))
+    assert run(["tdi", str(toml), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert message in said and "Traceback" not in said
+
+
+def test_a_steep_slip_may_be_allowed(toml, tmp_path):
+    (tmp_path / "columns.csv").write_text(COLUMNS.replace("0.03\n", "0.12\n"))
+    assert run(["tdi", str(toml), "--out", str(tmp_path / "a")]) == 2
+    toml.write_text(TEXT + '[choice]\nslip_limit = "allow"\n')
+    assert run(["tdi", str(toml), "--out", str(tmp_path / "b")]) == 0
+
+
+def test_optics_per_column_stand_in_for_those_of_the_file(toml, tmp_path):
+    lines = COLUMNS.splitlines()
+    (tmp_path / "columns.csv").write_text(
+        "\n".join([lines[0] + ",optics_mtf_x,optics_mtf_y", *(line + ",0.2,0.1" for line in lines[1:])])
+    )
+    assert run(["tdi", str(toml), "--out", str(tmp_path / "out")]) == 0
+    centre = rows_of(tmp_path / "out")[10]
+    # at rest across: optics, an aperture of 0.9 and a diffusion of 0.2 px at half a cycle
+    static = np.sinc(0.45) * np.exp(-2 * (np.pi * 0.2 * 0.5) ** 2)
+    assert float(centre["mtf_x"]) == pytest.approx(0.2 * static, rel=1e-6)
