@@ -42,11 +42,11 @@ def load_tdi(path: str | Path) -> TdiProblem:
     signals = np.array(file.signals.electrons)
     head, choice = file.head, file.choice
     detector = TdiDetector(
-        Exposure(head.stages, head.integration_ratio or 0.0, choice.align),
+        Exposure(head.stages, head.integration_ratio, choice.align),
         NoiseLaw(**file.noise.model_dump()),
         file.signals.integration_ratio,
-        choice.full_well_line or np.inf,
-        choice.full_well_sum or np.inf,
+        choice.full_well_line,
+        choice.full_well_sum,
     )
     problem = TdiProblem(
         columns=_columns(file, path),

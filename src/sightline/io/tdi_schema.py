@@ -20,6 +20,7 @@ Share = Annotated[float, Field(gt=0.0, le=1.0, allow_inf_nan=False)]
 Stages = Annotated[int, Field(ge=1)]
 Frequency = Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)]
 Mtf = Annotated[float, Field(gt=0.0, le=1.0, allow_inf_nan=False)]
+Well = Annotated[float, Field(gt=0.0)]
 Width = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
 
@@ -84,13 +85,13 @@ class HeadSection(Section):
     """``[head]``: the first lines, which are always read alike and measure the signal."""
 
     stages: Annotated[int, Field(ge=0)] = Field(default=0, description="How many (N0); 0: none")
-    integration_ratio: Share | None = Field(
-        default=None, description="Their integration time over the line period (Kt0)"
+    integration_ratio: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+        default=0.0, description="Their integration time over the line period (Kt0), above 0 with a head"
     )
 
     @model_validator(mode="after")
     def _a_head_has_a_ratio(self) -> HeadSection:
-        if self.stages and self.integration_ratio is None:
+        if self.stages and self.integration_ratio == 0.0:
             raise ValueError("integration_ratio of the head is missing; add it, or set stages = 0")
         return self
 
@@ -180,7 +181,7 @@ class MtfSection(Section):
     """``[mtf]``: where MTF is judged, and what blurs besides motion."""
 
     frequencies: tuple[Frequency, Frequency] = Field(
-        default=(0.5, 0.5), description="Cycles per pixel across and along the column"
+        default=(0.5, 0.5), description="Cycles per pixel across and along the column; one number: both"
     )
     aperture_x: Width = Field(default=1.0, description="Photosensitive width across, px")
     aperture_y: Width = Field(default=1.0, description="Photosensitive width along, px")
@@ -201,6 +202,11 @@ class MtfSection(Section):
     wavefront: Annotated[float, Field(ge=0.0, lt=0.18)] = Field(
         default=0.0, description="Waves rms of wavefront error, with optics_cutoff"
     )
+
+    @field_validator("frequencies", mode="before")
+    @classmethod
+    def _both_alike(cls, value: object) -> object:
+        return (value, value) if isinstance(value, int | float) else value
 
     @model_validator(mode="after")
     def _one_optics(self) -> MtfSection:
@@ -229,8 +235,8 @@ class ChoiceSection(Section):
     snr_min: Sigma = Field(default=0.0, description="Least SNR of the sum")
     mtf_min: Annotated[float, Field(ge=0.0, le=1.0)] = Field(default=0.0, description="Least MTF, each axis")
     mtf_max: Annotated[float, Field(ge=0.0, le=1.0)] = Field(default=1.0, description="Most MTF, each axis")
-    full_well_line: Positive | None = Field(default=None, description="Electrons that a line can hold")
-    full_well_sum: Positive | None = Field(default=None, description="Electrons that the sum can hold")
+    full_well_line: Well = Field(default=np.inf, description="Electrons that a line can hold")
+    full_well_sum: Well = Field(default=np.inf, description="Electrons that the sum can hold")
     slip_limit: Positive | Literal["allow"] = Field(
         default=SLIP_LIMIT,
         description='rad; columns that slip more are refused (default 5 degrees); "allow" takes any',
@@ -289,7 +295,7 @@ class TdiFile(Section):
                 "or more"
             )
         well, highest = self.choice.full_well_line, self.signals.electrons[-1]
-        if head and well is not None and well < highest:
+        if head and well < highest:
             raise ValueError(
                 f"choice.full_well_line = {well:g} electrons lies below the highest signal of a head line, "
                 f"{highest:g}: it would saturate before anything can be chosen; lower [signals], shorten the "
