@@ -65,7 +65,8 @@ class RecoverOptions:
     similarity : str
         What is compared: ``"whitened"`` images, ``"radiometric"``: as they are, ``"gradient"``: their edges.
     weighting : str
-        ``"covariance"``: each match counts for what it knows; ``"none"``: all alike, for comparison.
+        ``"covariance"``: each match counts for what it knows; ``"predicted"``: for what its columns' MTF and
+        SNR (``Band.match_sigma``) let expect; ``"none"``: all alike, for comparison.
     pairs : tuple of (str, str)
         Names of the pairs of bands that are matched; empty: every pair that shares ground.
     """
@@ -137,6 +138,7 @@ class Strip:
             selection=options.selection,
             similarity=options.similarity,
             weighting=options.weighting,
+            predicted=tuple(band.match_sigma for band in self.bands),
         )
 
     def given_model(self) -> PriorModel:

@@ -216,6 +216,11 @@ class BandSection(LineGeometry):
         default=None, description="CSV line,t for uneven lines, in place of first_line_time"
     )
     mask: str | None = Field(default=None, description="Raster of the same size; non-zero: do not use")
+    quality: str | None = Field(
+        default=None,
+        description="CSV column,mtf_x,mtf_y,snr (choice.csv of `tdi` will do): predicted, for [matching] "
+        'weighting = "predicted"',
+    )
     model: str | None = Field(
         default=None, description="Sensor-model file of this band, [platform] kind camera-model"
     )
@@ -458,8 +463,10 @@ class MatchingSection(Section):
     similarity: Literal["whitened", "radiometric", "gradient"] | None = Field(
         default=None, description="What is compared: whitened images, images as they are, or their edges"
     )
-    weighting: Literal["covariance", "none"] | None = Field(
-        default=None, description="Whether a match counts for what it knows, or all alike (for comparison)"
+    weighting: Literal["covariance", "predicted", "none"] | None = Field(
+        default=None,
+        description="Whether a match counts for what it knows, for what MTF and SNR of its columns let "
+        "expect ([[band]] quality), or all alike (for comparison)",
     )
     pairs: Annotated[tuple[tuple[str, str], ...], Field(min_length=1)] | None = Field(
         default=None, description="[[a, b], ...], names of the pairs of bands that are matched; default: all"

@@ -25,6 +25,7 @@ from sightline.io.acquisition_schema import (
 )
 from sightline.io.images import Source, check_content, open_image
 from sightline.io.platform import build_trajectory
+from sightline.io.quality import read_match_sigma
 from sightline.io.spin import pointing_of
 from sightline.motion.band import Band
 
@@ -87,9 +88,15 @@ def build_bands(config: AcquisitionFile, files: InputFolder, *, look: bool = Tru
             ),
             band.offset_sigma_px,
             band.rotation_sigma,
+            match_sigma_of(band, image, files),
         )
         for band, image, (detector, timing) in zip(config.band, images, plans, strict=True)
     )
+
+
+def match_sigma_of(band: BandSection, image: Source, files: InputFolder) -> Array | None:
+    """Relative sigma of matches at every column, where the band names a table of its quality."""
+    return None if band.quality is None else read_match_sigma(files(band.quality), image.shape[1])
 
 
 def open_band_image(band: BandSection, files: InputFolder, *, look: bool) -> Source:

@@ -11,7 +11,7 @@ from sightline.errors import FormatError
 from sightline.geometry.camera import PushbroomCamera
 from sightline.io.acquired import InputFolder
 from sightline.io.acquisition_schema import AcquisitionFile, BandSection
-from sightline.io.bands import open_band_image
+from sightline.io.bands import match_sigma_of, open_band_image
 from sightline.io.isd import LineScanModel, read_line_scan_model
 from sightline.io.spin import mount_of
 from sightline.motion.band import Band
@@ -56,7 +56,14 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
                 f"{model.camera.shape[0]} x {model.camera.shape[1]}; they must agree"
             )
         bands.append(
-            Band(band.name, image, _placed(model, band, config), band.offset_sigma_px, band.rotation_sigma)
+            Band(
+                band.name,
+                image,
+                _placed(model, band, config),
+                band.offset_sigma_px,
+                band.rotation_sigma,
+                match_sigma_of(band, image, files),
+            )
         )
     return tuple(bands)
 

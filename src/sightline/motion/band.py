@@ -7,6 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.imaging.source import ImageSource
 
@@ -25,6 +28,8 @@ class Band:
         px; how well the line's place in the focal plane is known, along and across (0: exactly).
     rotation_sigma : float
         rad; how well its rotation is known (0: exactly).
+    match_sigma : (columns, 2) or None
+        Relative sigma along lines and columns of matches at each column, as predicted from MTF and SNR.
     """
 
     name: str
@@ -32,6 +37,7 @@ class Band:
     camera: PushbroomCamera
     offset_sigma_px: float = 1.0
     rotation_sigma: float = 3e-4
+    match_sigma: NDArray[np.float64] | None = None
 
 
 @dataclass(frozen=True, eq=False)

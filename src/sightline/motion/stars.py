@@ -58,7 +58,7 @@ TILE_MARGIN = 12
 TILE_LINES = 16
 #: What may be compared, and how matches may count.
 SIMILARITIES = ("whitened", "radiometric", "gradient")
-WEIGHTINGS = ("covariance", "none")
+WEIGHTINGS = ("covariance", "predicted", "none")
 #: The filter of similarity "gradient".
 GRADIENT = gradient_filter()
 #: Windows enough to learn whitening from; a star of fewer looks all over its image instead.
@@ -87,6 +87,9 @@ class MatchingPlan:
         One of SIMILARITIES: what is compared.
     weighting : str
         One of WEIGHTINGS: how matches count.
+    predicted : tuple of (columns, 2) or None
+        Of every image, the relative sigma along lines and columns of a match at each of its columns, as
+        predicted from MTF and SNR; only ratios matter, and only with weighting ``"predicted"``.
     """
 
     window: tuple[int, int]
@@ -97,6 +100,7 @@ class MatchingPlan:
     selection: Selection = field(default_factory=Selection)
     similarity: str = "whitened"
     weighting: str = "covariance"
+    predicted: tuple[Array | None, ...] = ()
 
     def grid(self, shape: tuple[int, int], columns: tuple[int, int] | None = None) -> WindowGrid:
         """The windows of this plan on an image of `shape` (lines, columns).
@@ -269,8 +273,10 @@ def match_star(
         beyond = ~_within(predicted[j].b, images[partner].shape, grid.window)
         status[:, j] = np.where(beyond & (matches.status == MASKED), OUTSIDE, matches.status)
         status[seen[j] & ~chosen, j] = NOT_CHOSEN
-        if plan.weighting == "none" and good.any():
-            covariance[good, j] = 0.5 * np.einsum("nii->n", covariance[good, j]).mean() * np.eye(2)
+        if plan.weighting != "covariance" and good.any():
+            mean = 0.5 * np.einsum("nii->n", covariance[good, j]).mean()
+            places = np.stack([grid.centres[good, 1], predicted[j].b[good, 1]])
+            covariance[good, j] = mean * _relative(plan, (hub, partner), places)
         score[:, j] = matches.score
     camera = cameras[hub]
     star = Star(
@@ -294,6 +300,18 @@ def match_star(
         window=grid.window,
     )
     return StarRecord(star, status, score)
+
+
+def _relative(plan: MatchingPlan, pair: tuple[int, int], columns: Array) -> Array:
+    """(N, 2, 2) covariance of matches at `columns` (2, N) of a pair, of mean variance 1, as predicted."""
+    variance = np.zeros((columns.shape[1], 2))
+    for image, at in zip(pair, columns, strict=True):
+        sigma = plan.predicted[image] if plan.weighting == "predicted" and plan.predicted else None
+        if sigma is None:
+            variance += 1.0
+        else:
+            variance += sigma[np.clip(np.rint(at), 0, len(sigma) - 1).astype(np.intp)] ** 2
+    return np.asarray((variance / variance.mean())[:, :, None] * np.eye(2))
 
 
 def laid_on(
