@@ -12,7 +12,14 @@ from sightline.errors import InputError
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.imaging.tdi_transfer import Exposure
 from sightline.tdi.choose import choose_settings
-from sightline.tdi.hysteresis import LineHold, line_loss, merit_factors, signal_cells, steady_choice
+from sightline.tdi.hysteresis import (
+    LineHold,
+    line_loss,
+    merit_factors,
+    nearest_settings,
+    signal_cells,
+    steady_choice,
+)
 from sightline.tdi.merit import DriftMtf, column_factors, signal_factors
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
 from sightline.tdi.steady_kernels import fewest_changes
@@ -187,7 +194,7 @@ def noisy_border(lines=400):
 
 def test_a_flat_scene_at_the_border_of_two_cells_does_not_flicker():
     model, choice, signals = noisy_border()
-    free = choice.setting[np.arange(5), signal_cells(signals, choice.signals)]
+    free = nearest_settings(choice, signals)
     # a fair coin changes in half of the lines
     assert np.count_nonzero(np.diff(free, axis=0)) > 0.4 * 399 * 5
     factors = merit_factors(model, choice)
@@ -211,7 +218,7 @@ def test_a_setting_is_left_once_it_loses_too_much():
     factors = merit_factors(model, choice)
     rising = np.repeat(choice.signals, 3)[:, None]
     held = LineHold(choice, factors, 0.003)(rising)
-    free = choice.setting[0, signal_cells(rising, choice.signals)]
+    free = nearest_settings(choice, rising)
     assert line_loss(factors, choice, held, rising).max() <= 0.003
     assert 0 < np.count_nonzero(np.diff(held, axis=0)) < np.count_nonzero(np.diff(free, axis=0))
 

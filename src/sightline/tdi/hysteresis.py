@@ -231,6 +231,11 @@ def signal_cells(measured: ArrayLike, signals: Array) -> Index:
     return np.asarray(np.searchsorted(borders, np.asarray(measured, dtype=np.float64), side="right"))
 
 
+def nearest_settings(choice: TdiChoice, signals: ArrayLike) -> Index:
+    """The choice of the nearest signal for column groups, lines (L, G) or one line (G,), without memory."""
+    return np.asarray(choice.setting[np.arange(len(choice.columns)), signal_cells(signals, choice.signals)])
+
+
 @dataclass(eq=False)
 class LineHold:
     """Settings of column groups from line to line, held while they are good enough.
