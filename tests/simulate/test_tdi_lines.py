@@ -101,7 +101,7 @@ def test_the_head_alone_costs_little():
     run = a_run(choice, readings, 0, hold=False)
     loss, overflows = clairvoyant_loss(model, scene, run.setting, choice.grid, choice.detector, choice.rules)
     # the figures of the method's sheet: 0.06 % in the mean, 0.7 % at worst, down to 5 electrons; noise has no
-    # worst, so that one line in a thousand may exceed it (a head that reads 4 of 41 electrons: 3.5 sigma, 1.5 %)
+    # worst, so that one line in a thousand may exceed it (a head that reads 4 of 41 electrons loses 1.5 %)
     assert loss.mean() < 6e-4 and np.quantile(loss, 0.999) < 7e-3
     assert loss.min() > -1e-12 and not overflows.any()
     # one setting for all signals would lose more: the figure means something

@@ -143,6 +143,20 @@ def set_lines(
     return CausalLines(measured, setting, known_in, known_in + 1 + latency)
 
 
+class _OneColumn:
+    """One column of a model."""
+
+    def __init__(self, model: ColumnMtf, column: int) -> None:
+        self._model, self._which = model, slice(column, column + 1)
+        self.columns = model.columns.part(self._which)
+
+    def central(self, _: slice) -> Array:
+        return self._model.central(self._which)
+
+    def drawn(self, _: slice) -> Array | None:
+        return self._model.drawn(self._which)
+
+
 def clairvoyant_loss(
     model: ColumnMtf, scene: Array, setting: Index, grid: TdiGrid, detector: TdiDetector, rules: ChoiceRules
 ) -> tuple[Array, NDArray[np.bool_]]:
@@ -168,16 +182,17 @@ def clairvoyant_loss(
         Where a well overflows though a setting exists that keeps it.
     """
     known = replace(rules, signal_sigma=0.0)
-    by_column = column_factors(model, slice(0, scene.shape[1]), grid, known).merit
     loss, overflows = np.empty(scene.shape), np.empty(scene.shape, dtype=bool)
-    for begin in range(0, len(scene), _LINES):
-        part = slice(begin, begin + _LINES)
-        for group in range(scene.shape[1]):
+    for group in range(scene.shape[1]):
+        one = _OneColumn(model, group)
+        by_column = column_factors(one, slice(0, 1), grid, known).merit[0]
+        for begin in range(0, len(scene), _LINES):
+            part = slice(begin, begin + _LINES)
             signals, taken = scene[part, group], setting[part, group]
             at = np.arange(len(signals))
-            best = choose_settings(model, signals, grid, detector, known).setting[group]
+            best = choose_settings(one, signals, grid, detector, known).setting[0]
             of_signals = signal_factors(signals, grid, detector, known)
-            merit = by_column[group] * of_signals.merit
+            merit = by_column * of_signals.merit
             loss[part, group] = 1.0 - merit[at, taken] / merit[at, best]
             kept = of_signals.unsaturated
             overflows[part, group] = ~kept[at, taken] & kept[at, best]
