@@ -6,7 +6,7 @@ Prints, by signal, the share of merit lost (%) with settings from the head's noi
 scene of fields, texture and edges, the same free, held from line to line, and with a latency, with the
 changes per line and group and the bytes of the tags per line (signals rounded to 20 %; plain: 32 per group).
 
-    python validation/tdi_lines.py [--seeds 0 1 2 3 4] [--lines 400]
+    python validation/tdi_lines.py [--seeds 0 1 2 3 4] [--lines 200]
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def _latency_cost() -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
-    parser.add_argument("--lines", type=int, default=400)
+    parser.add_argument("--lines", type=int, default=200)
     given = parser.parse_args()
     _by_signal(given.seeds, given.lines)
     _by_order(given.seeds, given.lines)

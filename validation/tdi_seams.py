@@ -111,7 +111,12 @@ def _flat(seeds: list[int], lines: int, errors: bool) -> None:
         ]  # fmt: skip
         if errors:
             sigma_ratio, sigma_head = RATIO_ERROR * tags.ratios, RATIO_ERROR * DETECTOR.exposure.head_ratio
-            seam = signal * seam_sigma(tags, ratio_sigma=sigma_ratio, head_sigma=sigma_head)[0]
+            seam = (
+                signal
+                * seam_sigma(tags, dark=DETECTOR.noise.dark, ratio_sigma=sigma_ratio, head_sigma=sigma_head)[
+                    0
+                ]
+            )
             row.append(f"{np.sqrt(np.mean(seam**2 + np.mean(np.square(sigmas), axis=0))):10.4f}")
         print(" ".join(row))
 
@@ -137,10 +142,11 @@ def _nees(seeds: list[int], lines: int) -> None:
                     column_gain_sigma=GAIN_ERROR,
                 )  # fmt: skip
                 error = image.signal.mean(axis=0) / signal - 1.0
+                systematic = image.sigma.mean(axis=0) / signal
                 noise = 1.0 / (tags.snr[0, tags.group_of_columns()] * np.sqrt(lines))
-                squares.append(float(np.mean(error**2 / (image.relative_sigma[0] ** 2 + noise**2))))
+                squares.append(float(np.mean(error**2 / (systematic**2 + noise**2))))
                 found.append(float(np.mean(error**2 - noise**2)))
-                stated = float(np.sqrt(np.mean(image.relative_sigma[0] ** 2)))
+                stated = float(np.sqrt(np.mean(systematic**2)))
         of_mean = np.std(squares) / np.sqrt(len(squares))
         # over the mean square, noise taken off; below 0 where noise is all
         rms = 1e2 * np.sqrt(max(np.mean(found), 0.0))

@@ -178,7 +178,7 @@ def steady_choice(
             float(hysteresis), len(choice.grid.ratios), step, levels, path, jumps,
         )  # fmt: skip
         setting[cells], far[cells] = path, jumps
-    steady = _with_settings(model, choice, setting)
+    steady = with_settings(model, choice, setting)
     before, after = (_differences(c.setting, len(c.grid.ratios), axis) for c in (choice, steady))
     return SteadyChoice(
         steady, _loss(both, choice.setting, setting), far, before[0], after[0], before[1], after[1]
@@ -213,8 +213,8 @@ def _loss(factors: MeritFactors, best: Index, setting: Index) -> Array:
     return np.asarray(np.maximum(share, 0.0))
 
 
-def _with_settings(model: ColumnMtf, choice: TdiChoice, setting: Index) -> TdiChoice:
-    """A choice with other settings, their MTF and SNR."""
+def with_settings(model: ColumnMtf, choice: TdiChoice, setting: Index) -> TdiChoice:
+    """A choice with other settings (C, S), their MTF and SNR; its limits stay those of `choice`."""
     mtf = np.empty((*setting.shape, 2))
     for begin in range(0, len(setting), CHUNK):
         part = slice(begin, min(begin + CHUNK, len(setting)))

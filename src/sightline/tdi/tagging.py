@@ -217,12 +217,19 @@ class Recalibrated:
     Attributes
     ----------
     signal : (L, C)
-    relative_sigma : (L, C)
-        1-sigma of its scale: integration times and column gains; noise of the samples is not in it.
+    sigma : (L, C)
+        1-sigma of what is systematic: integration times, column gains, dark current. Noise of the samples is
+        not in it.
     """
 
     signal: Array
-    relative_sigma: Array
+    sigma: Array
+
+    @property
+    def relative_sigma(self) -> Array:
+        """(L, C) `sigma` over the signal; infinite where that is 0."""
+        size = np.abs(self.signal)
+        return np.asarray(np.divide(self.sigma, size, out=np.full_like(size, np.inf), where=size > 0.0))
 
 
 def recalibrate(
@@ -230,6 +237,7 @@ def recalibrate(
     tags: TdiTags,
     *,
     dark: ArrayLike = 0.0,
+    dark_sigma: ArrayLike = 0.0,
     column_gain: ArrayLike = 1.0,
     column_gain_sigma: ArrayLike = 0.0,
     ratio_sigma: ArrayLike = 0.0,
@@ -243,32 +251,39 @@ def recalibrate(
         Electrons of the sum.
     tags : TdiTags
         Of the same lines and columns.
-    dark : float or (C,)
-        Electrons per line period at an integration ratio of 1, which are taken off.
+    dark, dark_sigma : float or (C,)
+        Electrons per line period at an integration ratio of 1, which are taken off; their 1-sigma.
     column_gain : float or (C,)
-        Response of each column over the nominal, which samples are divided by.
+        Response of each column over the nominal, which samples less dark current are divided by.
     column_gain_sigma : float or (C,)
         Its relative 1-sigma.
     ratio_sigma : float or (k,)
         1-sigma of each integration ratio, line periods; independent of one another.
     head_sigma : float
         1-sigma of the head's integration ratio, line periods.
+
+    Notes
+    -----
+    An integration time that is wrong scales what was collected, dark current included.
     """
     values = np.asarray(samples, dtype=np.float64)
     if values.shape != (len(tags), tags.columns):
         raise InputError(
             f"samples have shape {values.shape}, the tags are of {len(tags)} lines x {tags.columns} columns"
         )
-    gain = np.broadcast_to(np.asarray(column_gain, dtype=np.float64), (tags.columns,))
+    current, current_sigma, gain, gain_sigma = (
+        np.broadcast_to(np.asarray(v, dtype=np.float64), (tags.columns,))
+        for v in (dark, dark_sigma, column_gain, column_gain_sigma)
+    )
     if not (gain > 0.0).all():
         raise InputError("`column_gain` holds values that are not above 0")
     group = tags.group_of_columns()
     time = tags.integration_time
     of_time = np.sqrt(_time_variance(tags, ratio_sigma, head_sigma)) / time
-    per_time = values / time[:, group] - np.asarray(dark, dtype=np.float64)
-    signal = per_time / gain * tags.signal_ratio
-    of_gain = np.broadcast_to(np.asarray(column_gain_sigma, dtype=np.float64), (tags.columns,))
-    return Recalibrated(signal, np.hypot(of_time[:, group], of_gain))
+    collected = values / time[:, group]
+    signal = (collected - current) / gain * tags.signal_ratio
+    variance = ((of_time[:, group] * collected) ** 2 + current_sigma**2) * (tags.signal_ratio / gain) ** 2
+    return Recalibrated(signal, np.sqrt(variance + (gain_sigma * signal) ** 2))
 
 
 def _sigmas(tags: TdiTags, ratio_sigma: ArrayLike, head_sigma: float) -> Array:
@@ -288,16 +303,19 @@ def _time_variance(tags: TdiTags, ratio_sigma: ArrayLike, head_sigma: float) -> 
     return np.asarray((head * head_sigma) ** 2 + (body * of_ratio[tags.ratio_index]) ** 2)
 
 
-def seam_sigma(tags: TdiTags, *, ratio_sigma: ArrayLike = 0.0, head_sigma: float = 0.0) -> Array:
+def seam_sigma(
+    tags: TdiTags, *, dark: float = 0.0, ratio_sigma: ArrayLike = 0.0, head_sigma: float = 0.0
+) -> Array:
     """Relative 1-sigma (L, G - 1) of the step that errors of integration times leave between groups.
 
     Neighbours share the error of the head, and that of their ratio where it is the same: groups of equal
-    settings have no seam. Parameters as of :func:`recalibrate`.
+    settings and signals have no seam. Parameters as of :func:`recalibrate`.
     """
     of_ratio = _sigmas(tags, ratio_sigma, head_sigma)
     head = np.minimum(tags.stages, tags.exposure.head_stages).astype(np.float64)
-    time = tags.integration_time
-    of_head, of_body = head / time, (tags.stages - head) / time
+    with np.errstate(divide="ignore"):
+        collected = (1.0 + dark * tags.signal_ratio / tags.signal) / tags.integration_time
+    of_head, of_body = head * collected, (tags.stages - head) * collected
     left, right = tags.ratio_index[:, :-1], tags.ratio_index[:, 1:]
     apart = (of_body[:, :-1] * of_ratio[left]) ** 2 + (of_body[:, 1:] * of_ratio[right]) ** 2
     shared = ((of_body[:, :-1] - of_body[:, 1:]) * of_ratio[left]) ** 2
