@@ -94,7 +94,7 @@ def _by_order(seeds: list[int], lines: int) -> None:
         ("free", 0, None, None),
         ("held, 0.5 %", 0, 0.005, None),
         ("held, 1 %", 0, 0.01, None),
-        ("held, 1 %, 4 stages per line", 0, 0.01, 4),
+        ("held, 1 %, 1 step of stages", 0, 0.01, 1),
         ("free", 2, None, None),
         ("held, 1 %", 2, 0.01, None),
     ):
