@@ -4,9 +4,9 @@
 
 The nominal strip, whose columns slip more and more from the centre outwards while all have the TDI setting of
 the centre column: the scene smears over up to 12 pixels at the edges, with the noise of every other column.
-MTF and SNR are predicted as `sightline tdi` does and written as a band's `quality` table; rms error per axis in
-px (yaw: at the field's edge) after the hidden directions are fitted away, NEES, windows kept. "None" is without
-any weights; "predicted" with those of MTF and SNR; "covariance" with what each match says of itself.
+MTF and SNR are predicted as `sightline tdi` does and written as a band's `quality` table; rms error per axis
+in px (yaw: at the field's edge) after the hidden directions are fitted away, NEES, windows kept. "None" is
+without any weights; "predicted" with those of MTF and SNR; "covariance" with what each match says of itself.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ import numpy as np
 
 from sightline.errors import InputError
 from sightline.tdi.choose import LIMITS, TdiChoice, choose_settings, merit_of
-from sightline.tdi.merit import ColumnMtf, DriftMtf, column_factors, signal_factors
+from sightline.tdi.merit import ColumnMtf, DriftMtf, SomeColumns, column_factors, signal_factors
 from sightline.tdi.setting import Array, ChoiceRules, Index, ScanColumns, TdiDetector, TdiGrid
 
 #: Columns over which other ways of choosing are compared, evenly spread: the whole is not judged thrice.
@@ -205,34 +205,6 @@ def _landscape(problem: TdiProblem) -> Landscape:
     by_signal = signal_factors(some, problem.grid, problem.detector, problem.rules).merit
     shape = (len(which), len(problem.grid.stages), len(problem.grid.ratios))
     return Landscape(which, signal, (by_column * by_signal).reshape(shape))
-
-
-@dataclass(frozen=True, eq=False)
-class SomeColumns:
-    """A few columns of a model as a model of their own.
-
-    Attributes
-    ----------
-    model : ColumnMtf
-    which : (c,) int
-        Columns, counted from the first.
-    """
-
-    model: ColumnMtf
-    which: Index
-
-    @property
-    def columns(self) -> ScanColumns:
-        """The few."""
-        return self.model.columns.part(self.which)
-
-    def central(self, which: slice | Index) -> Array:
-        """(c, P, 2) as the model gives it."""
-        return self.model.central(self.which[which])
-
-    def drawn(self, which: slice | Index) -> Array | None:
-        """(M, c, P, 2) as the model gives it."""
-        return self.model.drawn(self.which[which])
 
 
 def _warnings(problem: TdiProblem, choice: TdiChoice, patent: OtherWay) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sightline.imaging.tdi_noise import snr, summed_signal
 from sightline.imaging.tdi_transfer import ALIGNMENTS, Exposure, phases
@@ -91,6 +91,34 @@ class DriftMtf:
             ALIGNMENTS[self.exposure.align], out,
         )  # fmt: skip
         return out
+
+
+@dataclass(frozen=True, eq=False)
+class SomeColumns:
+    """A few columns of a model as a model of their own.
+
+    Attributes
+    ----------
+    model : ColumnMtf
+    which : (c,) int
+        Columns, counted from the first.
+    """
+
+    model: ColumnMtf
+    which: Index
+
+    @property
+    def columns(self) -> ScanColumns:
+        """The few."""
+        return self.model.columns.part(self.which)
+
+    def central(self, which: slice | Index) -> Array:
+        """(c, P, 2) as the model gives it."""
+        return self.model.central(self.which[which])
+
+    def drawn(self, which: slice | Index) -> Array | None:
+        """(M, c, P, 2) as the model gives it."""
+        return self.model.drawn(self.which[which])
 
 
 def normal_draws(dimensions: int, count: int = DRAWS) -> Array:
@@ -240,9 +268,17 @@ def _unsaturated(signals: Array, grid: TdiGrid, detector: TdiDetector) -> Flags:
 def well_levels(signals: Array, grid: TdiGrid, detector: TdiDetector) -> tuple[Array, Array]:
     """Electrons (S, P) of the fullest line and of the sum, dark current included."""
     stages, ratio = grid.settings
+    return filled(signals[:, None], stages, ratio, detector)
+
+
+def filled(
+    signals: ArrayLike, stages: ArrayLike, ratio: ArrayLike, detector: TdiDetector
+) -> tuple[Array, Array]:
+    """Electrons of the fullest line and of the sum, dark current included; arguments are broadcast."""
+    n, kt = np.asarray(stages), np.asarray(ratio, dtype=np.float64)
     exposure, dark = detector.exposure, detector.noise.dark
-    longest = np.maximum(ratio, exposure.head_ratio if exposure.head_stages else 0.0)
-    longest = np.where(stages <= exposure.head_stages, exposure.head_ratio, longest)
-    line = (signals[:, None] / detector.signal_ratio + dark) * longest
-    total = summed_signal(signals[:, None], stages, ratio, exposure, detector.reference)
-    return line, total + dark * exposure.total(stages, ratio)
+    longest = np.maximum(kt, exposure.head_ratio if exposure.head_stages else 0.0)
+    longest = np.where(n <= exposure.head_stages, exposure.head_ratio, longest)
+    line = (np.asarray(signals, dtype=np.float64) / detector.signal_ratio + dark) * longest
+    total = summed_signal(signals, n, kt, exposure, detector.reference)
+    return np.asarray(line), total + dark * exposure.total(n, kt)

@@ -1,0 +1,107 @@
+"""Tags of TDI lines ↔ one binary file, run-length coded; its bytes are described in ``docs/formats.md``.
+
+Not here: what tags mean (``tdi/tagging.py``).
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import FormatError, InputError
+from sightline.imaging.tdi_transfer import ALIGNMENTS, Exposure
+from sightline.tdi.tagging import FIELDS, TdiTags, decode_field, encode_field
+
+MAGIC = b"SLTDITAG"
+VERSION = 1
+#: Magic, version, align, lines, groups, columns, head stages, ratios, head ratio, signal ratio.
+_HEADER = struct.Struct("<8sHHIIIHHdd")
+_LENGTH = struct.Struct("<I")
+_ALIGN = tuple(ALIGNMENTS)
+
+
+def tags_as_bytes(tags: TdiTags) -> bytes:
+    """The content of a file of tags."""
+    exposure = tags.exposure
+    parts = [
+        _HEADER.pack(
+            MAGIC, VERSION, _ALIGN.index(exposure.align), len(tags), len(tags.first_column), tags.columns,
+            exposure.head_stages, len(tags.ratios), exposure.head_ratio, tags.signal_ratio,
+        ),
+        tags.first_column.astype("<u4").tobytes(),
+        tags.ratios.astype("<f8").tobytes(),
+    ]  # fmt: skip
+    for name in FIELDS:
+        code = encode_field(getattr(tags, name))
+        parts += [_LENGTH.pack(len(code)), code]
+    content = b"".join(parts)
+    return content + _LENGTH.pack(zlib.crc32(content))
+
+
+def write_tags(path: Path, tags: TdiTags) -> int:
+    """Write a file of tags, complete or not at all; gives its bytes."""
+    content = tags_as_bytes(tags)
+    temporary = path.with_name(f".{path.name}.part")
+    temporary.write_bytes(content)
+    os.replace(temporary, path)
+    return len(content)
+
+
+def read_tags(path: Path) -> TdiTags:
+    """The tags of a file.
+
+    Raises
+    ------
+    FormatError
+        If the file is missing, is none of tags, is of a later version, or is damaged.
+    """
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise FormatError(f"{path}: no such file; tags are written by `sightline tdi`") from None
+    except OSError as error:
+        raise FormatError(f"{path}: cannot be read ({error})") from None
+    if content[: len(MAGIC)] != MAGIC:
+        raise FormatError(f"{path}: not a file of TDI tags: it does not begin with {MAGIC.decode()!r}")
+    if len(content) < _HEADER.size + _LENGTH.size:
+        raise FormatError(f"{path}: {len(content)} bytes; the file is cut off within its header")
+    header = _HEADER.unpack_from(content)
+    if header[1] != VERSION:
+        raise FormatError(f"{path}: version {header[1]}; version {VERSION} is read here")
+    if zlib.crc32(content[: -_LENGTH.size]) != _LENGTH.unpack_from(content, len(content) - _LENGTH.size)[0]:
+        raise FormatError(f"{path}: the check sum differs; the file is cut off or damaged: fetch it again")
+    try:
+        return _parsed(header, content)
+    except (struct.error, ValueError, IndexError, MemoryError, FormatError, InputError) as error:
+        raise FormatError(f"{path}: the content does not fit its header ({error})") from None
+
+
+def _parsed(header: tuple[Any, ...], content: bytes) -> TdiTags:
+    """Tags of a content whose check sum is right."""
+    _, _, align, lines, groups, columns, head_stages, n_ratios, head_ratio, signal_ratio = header
+    at = _HEADER.size
+    first = np.frombuffer(content, "<u4", groups, at)
+    at += first.nbytes
+    ratios = np.frombuffer(content, "<f8", n_ratios, at)
+    at += ratios.nbytes
+    fields: dict[str, NDArray[Any]] = {}
+    for name, form in FIELDS.items():
+        (length,) = _LENGTH.unpack_from(content, at)
+        at += _LENGTH.size
+        if at + length > len(content) - _LENGTH.size:
+            raise FormatError(f"field {name!r} goes past the end")
+        fields[name] = decode_field(content[at : at + length], (lines, groups), form)
+        at += length
+    if at != len(content) - _LENGTH.size:
+        raise FormatError(f"{len(content) - _LENGTH.size - at} bytes are left over")
+    exposure = Exposure(head_stages, head_ratio, _ALIGN[align])
+    return TdiTags(
+        first_column=first, columns=columns, ratios=ratios, exposure=exposure, signal_ratio=signal_ratio,
+        **fields,
+    )  # fmt: skip
