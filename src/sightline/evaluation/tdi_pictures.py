@@ -27,18 +27,22 @@ from sightline.simulate.tdi_target import (
     EDGE_ANGLE,
     FLAT,
     Region,
+    ground_scene,
     tdi_target,
 )
 from sightline.tdi.choose import TdiChoice
 from sightline.tdi.setting import TdiDetector
 
 Array = NDArray[np.float64]
+Index = NDArray[np.intp]
 Pair = tuple[float, float]
 
 #: Pixels left out at the borders of a patch, into which its neighbours are blurred.
 INSET = 5
 #: Least margin of the target, pixels.
 MARGIN = 16
+#: Lines and columns of the miniature of the whole detector line.
+MINIATURE = (110, 480)
 
 
 @dataclass(frozen=True)
@@ -134,12 +138,19 @@ class StripPictures:
         Cycles per pixel across and along at which MTF is given.
     chosen, single : tuple of Crop
         Same columns in both.
+    columns : (480,)
+        Numbers, in the detector line, of the columns of the miniature: evenly over the whole line.
+    miniature_chosen, miniature_single : (110, 480)
+        Radiance of ground that every one of these columns images as it moves, by its own setting and by one.
     """
 
     signal: float
     frequencies: Pair
     chosen: tuple[Crop, ...]
     single: tuple[Crop, ...]
+    columns: Array
+    miniature_chosen: Array
+    miniature_single: Array
 
 
 def strip_pictures(
@@ -191,9 +202,39 @@ def strip_pictures(
             measured_quality(strip.radiance, frequencies),
             predicted_quality(group, choice.detector, signal, frequencies),
         )  # fmt: skip
+    which = np.linspace(0, count - 1, MINIATURE[1]).round().astype(np.intp)
+    small = [
+        _miniature(choice, which, at, nearest, aperture, signal, seed) for at in (which, np.array(count // 2))
+    ]
     return StripPictures(
-        signal, choice.rules.frequencies, tuple(crops[g] for g in chosen), tuple(crops[g] for g in single)
+        signal, choice.rules.frequencies, tuple(crops[g] for g in chosen), tuple(crops[g] for g in single),
+        np.asarray(choice.columns.column[which], dtype=np.float64), small[0], small[1],
+    )  # fmt: skip
+
+
+def _miniature(
+    choice: TdiChoice,
+    which: Index,
+    setting_of: Index,
+    signal_number: int,
+    aperture: Pair,
+    signal: float,
+    seed: int,
+) -> Array:
+    """Radiance (lines, W) of ground as columns `which` image it, set as columns `setting_of`."""
+    columns = choice.columns.part(which)
+    setting = choice.setting[setting_of, signal_number]
+    settings = StripSettings(
+        choice.grid.stages_of(setting), choice.grid.ratio_of(setting), columns.velocity, columns.slip
     )
+    drift = np.maximum(np.abs(columns.velocity * np.tan(columns.slip)), np.abs(columns.velocity - 1.0))
+    margin = max(MARGIN, int(np.ceil(np.max(settings.stages) * drift.max())) + 4)
+    ground = ground_scene((MINIATURE[0], len(which)), seed, margin=margin)
+    # optics differ little along a line: one blur for all
+    blur = column_group(choice, len(choice.columns) // 2, 0, signal_number, aperture).blur
+    exposed = exposed_stages(ground.blurred(blur, aperture), settings, choice.detector)
+    noise = np.random.default_rng([seed, 1000])
+    return read_strip(exposed, settings, choice.detector, signal, noise).radiance
 
 
 def column_group(choice: TdiChoice, c: int, setting_of: int, signal: int, aperture: Pair) -> ColumnGroup:

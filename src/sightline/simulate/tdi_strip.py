@@ -203,43 +203,68 @@ def exposed_stages(scene: FineScene, settings: StripSettings, detector: TdiDetec
     out = np.zeros((*scene.shape, most))
     drift = np.stack([across, settings.velocity], axis=1)
     head = (exposure.head_stages, float(exposure.head_ratio), SHUTTER[exposure.align])
+    # cells that an exposure can spread over, two line periods of motion and the interpolation included
+    spread = np.max(np.abs(drift)) + 2.0 * np.max(np.abs(np.diff(motion, axis=0)), initial=0.0)
+    stencil = np.zeros((int(np.ceil(spread * scene.per_pixel)) + 6,) * 2)
+    moving = settings.motion is not None
     grid = (scene.per_pixel, scene.margin)
-    _expose(scene.radiance, grid, stages, ratio, head, drift, motion, INSTANTS, out)
+    _expose(scene.radiance, grid, stages, ratio, head, drift, motion, moving, stencil, out)
     return out
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _expose(scene, grid, stages, ratio, head, drift, motion, instants, out):  # type: ignore[no-untyped-def]
-    """Sums of `exposed_stages`; the scene is interpolated at every instant."""
-    per_pixel, margin = grid
-    for line in range(out.shape[0]):
-        for column in range(out.shape[1]):
-            for k in range(stages[line, column]):
-                length = head[1] if k < head[0] else ratio[line, column]
+def _expose(scene, grid, stages, ratio, head, drift, motion, moving, stencil, out):  # type: ignore[no-untyped-def]
+    """Sums of `exposed_stages`: weights of cells for an exposure, laid over the scene at every line."""
+    for column in range(out.shape[1]):
+        for k in range(out.shape[2]):
+            length, top, left, rows, columns = -1.0, 0, 0, 0, 0
+            for line in range(out.shape[0]):
+                if k >= stages[line, column]:
+                    continue
+                wanted = head[1] if k < head[0] else ratio[line, column]
+                if moving or wanted != length:
+                    length = wanted
+                    top, left, rows, columns = _lay_stencil(
+                        stencil, grid[0], line, k, length, head[2], drift[column], motion
+                    )
+                y = (line + grid[1]) * grid[0] + top
+                x = (column + grid[1]) * grid[0] + left
                 total = 0.0
-                for i in range(instants):
-                    u = length * ((i + 0.5) / instants - 0.5 + head[2])
-                    # before the centre of line 0 the motion is as at it
-                    t = max(line + k + u, 0.0)
-                    before = int(t)
-                    part = t - before
-                    dx = (1.0 - part) * motion[before, 0] + part * motion[before + 1, 0]
-                    dy = (1.0 - part) * motion[before, 1] + part * motion[before + 1, 1]
-                    x = column - drift[column, 0] * (k + u) - dx
-                    y = line + (drift[column, 1] - 1.0) * k + drift[column, 1] * u + dy
-                    x = (x + margin + 0.5) * per_pixel - 0.5
-                    y = (y + margin + 0.5) * per_pixel - 0.5
-                    left, top = int(x), int(y)
-                    wx, wy = _cubic(x - left), _cubic(y - top)
-                    for r in range(4):
-                        row = top - 1 + r
-                        total += wy[r] * (
-                            wx[0] * scene[row, left - 1]
-                            + wx[1] * scene[row, left]
-                            + wx[2] * scene[row, left + 1]
-                            + wx[3] * scene[row, left + 2]
-                        )
-                out[line, column, k] = length * total / instants
+                for r in range(rows):
+                    for c in range(columns):
+                        total += stencil[r, c] * scene[y + r, x + c]
+                out[line, column, k] = length * total
+
+
+@njit(cache=True, nogil=True)
+def _lay_stencil(stencil, per_pixel, line, k, length, shutter, drift, motion):  # type: ignore[no-untyped-def]
+    """Weights of cells around a pixel for the mean over the instants of one exposure, and where they lie.
+
+    Every instant sees the scene interpolated at its own place; the first cell is given from the pixel's own.
+    """
+    place = np.empty((INSTANTS, 2))
+    for i in range(INSTANTS):
+        u = length * ((i + 0.5) / INSTANTS - 0.5 + shutter)
+        # before the centre of line 0 the motion is as at it
+        t = max(line + k + u, 0.0)
+        before = int(t)
+        part = t - before
+        dx = (1.0 - part) * motion[before, 0] + part * motion[before + 1, 0]
+        dy = (1.0 - part) * motion[before, 1] + part * motion[before + 1, 1]
+        place[i, 0] = ((drift[1] - 1.0) * k + drift[1] * u + dy + 0.5) * per_pixel - 0.5
+        place[i, 1] = (0.5 - drift[0] * (k + u) - dx) * per_pixel - 0.5
+    top = int(np.floor(place[:, 0].min())) - 1
+    left = int(np.floor(place[:, 1].min())) - 1
+    rows = int(np.floor(place[:, 0].max())) + 3 - top
+    columns = int(np.floor(place[:, 1].max())) + 3 - left
+    stencil[:rows, :columns] = 0.0
+    for i in range(INSTANTS):
+        r, c = int(np.floor(place[i, 0])), int(np.floor(place[i, 1]))
+        wy, wx = _cubic(place[i, 0] - r), _cubic(place[i, 1] - c)
+        for m in range(4):
+            for n in range(4):
+                stencil[r - 1 - top + m, c - 1 - left + n] += wy[m] * wx[n] / INSTANTS
+    return top, left, rows, columns
 
 
 def read_strip(

@@ -46,16 +46,18 @@ class _Canvas:
         """Share of cells on the positive side of a border `distance` pixels from their centres."""
         return np.clip(distance * self.per_pixel + 0.5, 0.0, 1.0)
 
-    def box(self, region: tuple[float, float, float, float]) -> Array:
-        """Share of cells inside a rectangle, its borders in pixels from the first pixel's corner."""
-        top, bottom, left, right = (v - 0.5 for v in region)
-        rows = self.covered(self.y - top) * self.covered(bottom - self.y)
-        return rows * (self.covered(self.x - left) * self.covered(right - self.x))
-
     def paint(self, region: tuple[float, float, float, float], value: Array | float) -> None:
-        """Lay `value` over a rectangle."""
-        share = self.box(region)
-        self.cells[...] += share * (value - self.cells)
+        """Lay `value` over a rectangle, its borders in pixels from the first pixel's corner."""
+        top, bottom, left, right = (v - 0.5 for v in region)
+        rows, columns = (
+            slice(int(np.searchsorted(places, low - 1.0)), int(np.searchsorted(places, high + 1.0)))
+            for places, low, high in ((self.y[:, 0], top, bottom), (self.x[0], left, right))
+        )
+        y, x, cells = self.y[rows], self.x[:, columns], self.cells[rows, columns]
+        share = self.covered(y - top) * self.covered(bottom - y)
+        share = share * (self.covered(x - left) * self.covered(right - x))
+        laid = value[rows, columns] if isinstance(value, np.ndarray) else value
+        cells += share * (laid - cells)
 
 
 def tdi_target(seed: int = 0, *, per_pixel: int = 8, margin: int = 16) -> FineScene:
@@ -70,9 +72,7 @@ def tdi_target(seed: int = 0, *, per_pixel: int = 8, margin: int = 16) -> FineSc
     margin : int
         Pixels around it.
     """
-    cells = np.full([(n + 2 * margin) * per_pixel for n in SHAPE], AROUND)
-    y, x = ((np.arange(n) + 0.5) / per_pixel - 0.5 - margin for n in cells.shape)
-    canvas = _Canvas(cells, x[None, :], y[:, None], per_pixel)
+    canvas = _canvas(SHAPE, per_pixel, margin, AROUND)
     for region, along in ((EDGE_ACROSS, False), (EDGE_ALONG, True)):
         down = canvas.y - 0.5 * (region[0] + region[1] - 1)
         right = canvas.x - 0.5 * (region[2] + region[3] - 1)
@@ -81,10 +81,17 @@ def tdi_target(seed: int = 0, *, per_pixel: int = 8, margin: int = 16) -> FineSc
         canvas.paint(region, DARK + (BRIGHT - DARK) * side)
     canvas.paint(FLAT, LEVEL)
     _bars(canvas)
-    rows = slice(int(np.searchsorted(y, GROUND[0] - 1)), int(np.searchsorted(y, GROUND[1] + 1)))
-    ground = _Canvas(cells[rows], canvas.x, canvas.y[rows], per_pixel)
-    ground.paint(GROUND, _ground(ground, seed))
-    return FineScene(cells, per_pixel, margin)
+    rows = slice(*((line + margin) * per_pixel for line in (GROUND[0] - 1, GROUND[1] + 1)))
+    ground = _Canvas(canvas.cells[rows], canvas.x, canvas.y[rows], per_pixel)
+    ground.paint(GROUND, _ground(ground, GROUND, seed))
+    return FineScene(canvas.cells, per_pixel, margin)
+
+
+def _canvas(shape: tuple[int, int], per_pixel: int, margin: int, level: float) -> _Canvas:
+    """A canvas of `shape` pixels and a margin, of one radiance."""
+    cells = np.full([(n + 2 * margin) * per_pixel for n in shape], level)
+    y, x = ((np.arange(n) + 0.5) / per_pixel - 0.5 - margin for n in cells.shape)
+    return _Canvas(cells, x[None, :], y[:, None], per_pixel)
 
 
 def _bars(canvas: _Canvas) -> None:
@@ -101,36 +108,47 @@ def _bars(canvas: _Canvas) -> None:
         begin = end + 2.0
 
 
-def _ground(canvas: _Canvas, seed: int) -> Array:
-    """Fields, some of them ploughed, roads and houses, over a fine texture."""
+def ground_scene(shape: tuple[int, int], seed: int = 0, *, per_pixel: int = 4, margin: int = 16) -> FineScene:
+    """Ground alone, `shape` pixels; parameters as of :func:`tdi_target`."""
+    canvas = _canvas(shape, per_pixel, margin, AROUND)
+    everywhere = (-margin, shape[0] + margin, -margin, shape[1] + margin)
+    canvas.cells[...] = _ground(canvas, everywhere, seed)
+    return FineScene(canvas.cells, per_pixel, margin)
+
+
+def _ground(canvas: _Canvas, region: Region, seed: int) -> Array:
+    """Fields, most of them ploughed, roads and houses, over a fine texture; densities per pixel."""
     from scipy.spatial import cKDTree
 
     sequence = np.random.SeedSequence([seed, 7])
     rng = np.random.default_rng(sequence)
+    top, bottom, left, right = region
+    area = (bottom - top) * (right - left)
     x, y = np.broadcast_arrays(canvas.x, canvas.y)
-    seeds = rng.uniform((-8.0, 90.0), (152.0, 190.0), (38, 2))
+    seeds = rng.uniform((left - 12.0, top - 12.0), (right + 12.0, bottom + 12.0), (10 + area // 400, 2))
     found = cKDTree(seeds).query(np.stack([x, y], axis=-1), k=2)
     # the nearest two seeds: the field, and how far its border is
     field, gap = np.asarray(found[1])[..., 0], np.diff(np.asarray(found[0]), axis=-1)[..., 0]
     level = rng.uniform(0.55, 1.25, len(seeds))[field]
-    # furrows: a grating of its own direction and period in every other field
-    angle, period = rng.uniform(0.0, np.pi, len(seeds)), rng.uniform(2.6, 6.0, len(seeds))
-    depth = np.where(rng.random(len(seeds)) < 0.6, 0.35, 0.0)
-    turn = angle[field]
-    wave = np.sin(2.0 * np.pi * (x * np.cos(turn) + y * np.sin(turn)) / period[field])
+    # furrows: a grating of its own direction and period
+    angle, period = rng.uniform(0.0, np.pi, len(seeds))[field], rng.uniform(2.6, 6.0, len(seeds))[field]
+    depth = np.where(rng.random(len(seeds)) < 0.6, 0.35, 0.0)[field]
+    wave = depth * np.sin(2.0 * np.pi * (x * np.cos(angle) + y * np.sin(angle)) / period)
     texture = random_layer(
         sequence.spawn(1)[0], (512, 512), (0.5, 0.5), lambda fx, fy: (fx * fx + fy * fy + 0.01) ** -1.2
     ).at(x, y)
-    ground = level * (1.0 + depth[field] * wave + 0.12 * texture / texture.std())
-    hedge = np.clip(1.0 - gap / 1.2, 0.0, 1.0)
-    ground += hedge * (0.35 - ground)
-    for offset, slope, width in ((128.0, 0.22, 2.2), (230.0, -0.9, 1.6), (60.0, 1.1, 1.6)):
-        away = np.abs(y - offset - slope * x) / np.hypot(1.0, slope)
-        ground += np.clip((0.5 * width - away) * canvas.per_pixel + 0.5, 0.0, 1.0) * (1.7 - ground)
+    ground = level * (1.0 + wave + 0.12 * texture / texture.std())
+    ground += np.clip(1.0 - gap / 1.2, 0.0, 1.0) * (0.35 - ground)
+    for _ in range(2 + area // 20000):
+        # a road through a place, at an angle to both axes
+        through, turn = rng.uniform((left, top), (right, bottom)), rng.uniform(0.15, 1.4)
+        turn *= rng.choice([-1.0, 1.0])
+        away = np.abs((x - through[0]) * np.sin(turn) - (y - through[1]) * np.cos(turn))
+        ground += canvas.covered(0.5 * rng.uniform(1.6, 2.4) - away) * (1.7 - ground)
     layer = _Canvas(np.array(ground), canvas.x, canvas.y, canvas.per_pixel)
-    for _ in range(26):
-        left, top = rng.uniform(8.0, 132.0), rng.uniform(102.0, 172.0)
+    for _ in range(area // 430):
+        x0, y0 = rng.uniform((left + 4.0, top + 4.0), (right - 9.0, bottom - 9.0))
         width, height = rng.uniform(2.5, 6.0, 2)
-        layer.paint((top + 1.5, top + height + 1.5, left + 1.5, left + width + 1.5), 0.15)
-        layer.paint((top, top + height, left, left + width), rng.uniform(1.2, 1.9))
+        layer.paint((y0 + 1.5, y0 + height + 1.5, x0 + 1.5, x0 + width + 1.5), 0.15)
+        layer.paint((y0, y0 + height, x0, x0 + width), rng.uniform(1.2, 1.9))
     return np.maximum(layer.cells, 0.05)
