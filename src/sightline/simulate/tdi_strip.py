@@ -296,13 +296,13 @@ def read_strip(
     lines = per_radiance * exposed
     if rng is not None:
         lines *= 1.0 + np.sqrt(law.gain) * rng.standard_normal(lines.shape)
-        lines = _shot(np.maximum(lines, 0.0), law.shot, rng) + rng.poisson(law.dark * lengths)
-    else:
-        lines = lines + law.dark * lengths
+        lines = _shot(np.maximum(lines, 0.0), law.shot, rng)
+    if law.dark:
+        lines += law.dark * lengths if rng is None else rng.poisson(law.dark * lengths)
     full = (lines > detector.full_well_line).any(axis=-1)
     lines = np.minimum(lines, detector.full_well_line)
     if rng is not None:
-        lines = lines + law.read * rng.standard_normal(lines.shape) * (lengths > 0.0)
+        lines += law.read * rng.standard_normal(lines.shape) * (lengths > 0.0)
     total = lines.sum(axis=-1)
     if rng is not None:
         pattern = 1.0 + np.sqrt(law.column_fixed) * rng.standard_normal(total.shape[1])
@@ -317,7 +317,7 @@ def _shot(electrons: Array, variance: float, rng: np.random.Generator) -> Array:
     """Electrons with shot noise of `variance` per electron."""
     if variance == 0.0:
         return electrons
-    return np.asarray(variance * rng.poisson(electrons / variance))
+    return np.asarray(variance * rng.poisson(electrons / variance).astype(np.float64))
 
 
 def one_setting(
