@@ -39,7 +39,7 @@ def test_what_is_measured_is_what_was_predicted(pictures):
         found, said = crop.measured, crop.predicted
         for k in range(2):
             # the magnitude of a small MTF is its noise: half a sigma more
-            assert abs(found.mtf[k] - said.mtf[k]) < 4.5 * found.mtf_sigma[k] < 0.05
+            assert abs(found.mtf[k] - said.mtf[k]) < 4.5 * found.mtf_sigma[k] < 0.08
         assert abs(found.snr - said.snr) < 4.0 * found.snr_sigma < 0.15 * said.snr
     assert crops[0].radiance.shape == (184, 144)
 
