@@ -14,7 +14,15 @@ import numpy as np
 
 from sightline.errors import InputError
 from sightline.tdi.choose import LIMITS, TdiChoice, choose_settings, merit_of
-from sightline.tdi.merit import ColumnMtf, DriftMtf, SomeColumns, column_factors, signal_factors
+from sightline.tdi.hysteresis import SteadyChoice, steady_choice
+from sightline.tdi.merit import (
+    ColumnMtf,
+    DriftMtf,
+    SomeColumns,
+    column_factors,
+    main_lobe,
+    signal_factors,
+)
 from sightline.tdi.setting import Array, ChoiceRules, Index, ScanColumns, TdiDetector, TdiGrid
 
 #: Columns over which other ways of choosing are compared, evenly spread: the whole is not judged thrice.
@@ -39,6 +47,12 @@ class TdiProblem:
         MTF by a recovered motion; None: by constant drift.
     max_loss : float
         Most relative merit that the table may lose.
+    hysteresis : float
+        Share of its merit that a cell may lose so that neighbouring columns keep one setting; 0: none.
+    largest_step : int or None
+        Most change of stages between neighbouring columns, steps of the grid.
+    aperture : (float, float)
+        Photosensitive width of a pixel across and along, px; for pictures.
     name : str
     """
 
@@ -49,6 +63,9 @@ class TdiProblem:
     rules: ChoiceRules = field(default_factory=ChoiceRules)
     motion: ColumnMtf | None = None
     max_loss: float = 0.005
+    hysteresis: float = 0.0
+    largest_step: int | None = None
+    aperture: tuple[float, float] = (1.0, 1.0)
     name: str = "TDI choice"
 
     @property
@@ -69,7 +86,7 @@ class OtherWay:
     setting : (c, S) int
         What it would choose.
     loss : (c, S)
-        Relative merit lost against the best by the exact form.
+        Relative merit lost against the best by the exact form; 1 beyond the main lobe and where a well is full.
     """
 
     name: str
@@ -105,6 +122,9 @@ class TdiResult:
     ----------
     problem : TdiProblem
     choice : TdiChoice
+        As it is to be used, steady where that was asked for.
+    steady : SteadyChoice or None
+        What keeping settings from column to column cost.
     one_setting, one_signal, patent : OtherWay
         One setting for all, from the centre column; one signal per column; the form of EP2733929.
     landscape : Landscape
@@ -114,6 +134,7 @@ class TdiResult:
 
     problem: TdiProblem
     choice: TdiChoice
+    steady: SteadyChoice | None
     one_setting: OtherWay
     one_signal: OtherWay
     patent: OtherWay
@@ -147,9 +168,13 @@ def choose_tdi(problem: TdiProblem) -> TdiResult:
     """
     check_slip(problem.columns, problem.rules)
     choice = choose_settings(problem.model, problem.signals, problem.grid, problem.detector, problem.rules)
-    one_setting, one_signal, patent = _other_ways(problem, choice)
-    warnings = _warnings(problem, choice, patent)
-    return TdiResult(problem, choice, one_setting, one_signal, patent, _landscape(problem), warnings)
+    ways = _other_ways(problem, choice)
+    steady = None
+    if problem.hysteresis > 0.0 or problem.largest_step is not None:
+        steady = steady_choice(problem.model, choice, problem.hysteresis, largest_step=problem.largest_step)
+    warnings = _warnings(problem, choice, ways[-1])
+    used = choice if steady is None else steady.choice
+    return TdiResult(problem, used, steady, *ways, _landscape(problem), warnings)
 
 
 def check_slip(columns: ScanColumns, rules: ChoiceRules) -> None:
@@ -187,12 +212,20 @@ def _other_ways(problem: TdiProblem, choice: TdiChoice) -> tuple[OtherWay, Other
     def merit(setting: Index) -> Array:
         return merit_of(exact, problem.signals, setting, problem.grid, problem.detector, rules)
 
+    # beyond the main lobe contrast comes back reversed, a full well shows nothing: worth nothing
+    reversed_ = ~main_lobe(part, problem.grid, rules)
+    full = ~signal_factors(problem.signals, problem.grid, problem.detector, rules).unsaturated
+
+    def loss(setting: Index) -> Array:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = np.where(best > 0.0, 1.0 - merit(setting) / best, 0.0)
+        useless = (
+            np.take_along_axis(reversed_, setting, axis=1) | np.take_along_axis(full, setting.T, axis=1).T
+        )
+        return np.where(useless & ~choice.infeasible[some], 1.0, np.maximum(share, 0.0))
+
     best = merit(reference)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ways = [
-            OtherWay(name, some, setting, np.where(best > 0.0, 1.0 - merit(setting) / best, 0.0))
-            for name, setting in settings.items()
-        ]
+    ways = [OtherWay(name, some, setting, loss(setting)) for name, setting in settings.items()]
     return ways[0], ways[1], ways[2]
 
 

@@ -16,6 +16,10 @@ if TYPE_CHECKING:
 def tdi(
     file: Annotated[Path, typer.Argument(metavar="TDI.toml", help="Detector, columns, signals, rules.")],
     out: Out,
+    pictures: Annotated[
+        bool,
+        typer.Option(help="Image a target with the choice, and with one setting for all, for the report."),
+    ] = True,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -25,6 +29,7 @@ def tdi(
     from sightline.applications.tdi_choice import choose_tdi
     from sightline.cli.output import check_output_folder, output_folder
     from sightline.cli.terminal import complain, print_json, progress
+    from sightline.evaluation.tdi_pictures import strip_pictures
     from sightline.io.tdi import load_tdi, tdi_inputs
     from sightline.io.tdi_results import write_choice, write_tdi_summary
     from sightline.report.tdi_page import write_tdi_report
@@ -35,6 +40,10 @@ def tdi(
         problem = load_tdi(file)
         report(f"choosing among {len(problem.grid)} settings")
         result = choose_tdi(problem)
+        target = None
+        if pictures:
+            report("imaging a target")
+            target = strip_pictures(result.choice, aperture=problem.aperture)
         report("writing the choice, its table and report")
         with output_folder(out, overwrite=overwrite) as folder:
             write_choice(folder / "choice.csv", result.choice)
@@ -42,7 +51,7 @@ def tdi(
             summary = write_tdi_summary(
                 folder / "summary.json", result, tdi_inputs(file), wall_seconds=seconds
             )
-            write_tdi_report(folder / "report.html", result, summary)
+            write_tdi_report(folder / "report.html", result, summary, target)
     if as_json:
         print_json(summary)
         return

@@ -55,6 +55,9 @@ def load_tdi(path: str | Path) -> TdiProblem:
         detector=detector,
         rules=_rules(choice, file),
         max_loss=file.table.max_loss,
+        hysteresis=choice.hysteresis,
+        largest_step=choice.max_step,
+        aperture=(file.mtf.aperture_x, file.mtf.aperture_y),
         name=file.name,
     )
     try:

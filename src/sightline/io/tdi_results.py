@@ -17,6 +17,7 @@ import numpy as np
 from sightline.applications.tdi_choice import OtherWay, TdiResult
 from sightline.io.results import write_json
 from sightline.tdi.choose import LIMITS, TdiChoice
+from sightline.tdi.hysteresis import SteadyChoice
 
 COLUMNS = (
     "column", "signal", "stages", "integration_ratio", "mtf_x", "mtf_y", "snr", "merit", "limit",
@@ -86,10 +87,21 @@ def summarize_tdi(result: TdiResult, inputs: Iterable[Path], *, wall_seconds: fl
         "snr": _spread(choice.snr),
         "limits": {LIMITS[code]: int(count) for code, count in zip(codes, counts, strict=True)},
         "infeasible": int(choice.infeasible.sum()),
+        "steady": None if result.steady is None else _steady(result.steady),
         "other_ways": [_other_way(way) for way in (result.one_setting, result.one_signal, result.patent)],
         "warnings": list(result.warnings),
         "wall_seconds": wall_seconds,
         "inputs": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs},
+    }
+
+
+def _steady(steady: SteadyChoice) -> dict[str, Any]:
+    return {
+        "mean_loss": steady.mean_loss,
+        "worst_loss": steady.worst_loss,
+        "changes": [steady.changes_before, steady.changes_after],
+        "largest_step": [steady.largest_step_before, steady.largest_step_after],
+        "too_far": int(steady.too_far.sum()),
     }
 
 

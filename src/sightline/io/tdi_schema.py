@@ -250,7 +250,7 @@ class ChoiceSection(Section):
         default=0.0, description="Share of merit that a column may lose to keep its neighbour's setting"
     )
     max_step: Annotated[int, Field(ge=1)] | None = Field(
-        default=None, description="Most change of stages from column to column"
+        default=None, description="Most change of stages from column to column, in steps of the grid"
     )
 
 

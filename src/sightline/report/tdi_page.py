@@ -10,12 +10,16 @@ from pathlib import Path
 from typing import Any
 
 from sightline.applications.tdi_choice import TdiResult
+from sightline.evaluation.tdi_pictures import StripPictures
 from sightline.report import tdi_figures
 from sightline.report.page import Section, render, write_page
+from sightline.report.tdi_pictures import tdi_pictures_html
 from sightline.report.words import digits
 
 
-def write_tdi_report(path: Path, result: TdiResult, summary: Mapping[str, Any]) -> None:
+def write_tdi_report(
+    path: Path, result: TdiResult, summary: Mapping[str, Any], pictures: StripPictures | None = None
+) -> None:
     """Write ``report.html``, complete or not at all.
 
     Parameters
@@ -25,17 +29,21 @@ def write_tdi_report(path: Path, result: TdiResult, summary: Mapping[str, Any]) 
     result : TdiResult
     summary : mapping
         As ``io.tdi_results.write_tdi_summary`` gives it.
+    pictures : StripPictures, optional
+        A target as it would be imaged.
     """
-    write_page(path, tdi_html(result, summary))
+    write_page(path, tdi_html(result, summary, pictures))
 
 
-def tdi_html(result: TdiResult, summary: Mapping[str, Any]) -> str:
+def tdi_html(result: TdiResult, summary: Mapping[str, Any], pictures: StripPictures | None = None) -> str:
     """The page as text; parameters as of `write_tdi_report`."""
     return render(
         "tdi.html.j2",
         summary=summary,
         sentences=sentences(result, summary),
         sections=sections(result),
+        pictures=None if pictures is None else tdi_pictures_html(pictures),
+        picture_signal=None if pictures is None else digits(pictures.signal, 3),
         ways=[
             [way["name"], f"{100.0 * way['mean_loss']:.2f} %", f"{100.0 * way['worst_loss']:.2f} %"]
             for way in summary["other_ways"]
@@ -73,9 +81,10 @@ def sections(result: TdiResult) -> list[Section]:
         Section(
             "others",
             "What other ways of choosing would lose",
-            "Merit lost against the choice. One setting: that of the centre column at the middle signal, for "
-            "the whole detector. One signal: each column its own setting, whatever the scene. The form of "
-            "EP2733929: its equations, misprints corrected, judged by the exact ones.",
+            "Merit lost against the choice, all of it beyond the main lobe (where contrast is reversed) and "
+            "where a well is full. One setting: that of the centre column at the middle signal, for the whole "
+            "detector. One signal: each column its own setting, whatever the scene. The form of EP2733929: its "
+            "equations, misprints corrected, judged by the exact ones.",
             tdi_figures.others_figure(result),
         ),
     ]
@@ -83,7 +92,8 @@ def sections(result: TdiResult) -> list[Section]:
 
 def sentences(result: TdiResult, summary: Mapping[str, Any]) -> list[str]:
     """The choice in plain words."""
-    return [_what(result, summary), _how_good(summary), _others(summary)]
+    said = [_what(result, summary), _how_good(summary), _others(summary)]
+    return said if summary["steady"] is None else [*said, _steady(summary["steady"])]
 
 
 def _what(result: TdiResult, summary: Mapping[str, Any]) -> str:
@@ -111,6 +121,15 @@ def _how_good(summary: Mapping[str, Any]) -> str:
         f"With them the MTF is {digits(x['min'], 2)} to {digits(x['max'], 2)} across and "
         f"{digits(y['min'], 2)} to {digits(y['max'], 2)} along the columns, the SNR {digits(snr['min'], 2)} "
         f"to {digits(snr['max'], 2)}."
+    )
+
+
+def _steady(steady: Mapping[str, Any]) -> str:
+    before, after = steady["changes"]
+    return (
+        f"So that settings change seldom from column to column ({after:,} times instead of {before:,}), "
+        f"{100.0 * steady['mean_loss']:.2g} % of the merit is given up on average, "
+        f"{100.0 * steady['worst_loss']:.2g} % at most."
     )
 
 
