@@ -36,7 +36,8 @@ def label(**changes: str) -> str:
     for name, lines in (("CALIBRATION_IMAGE", CALIBRATION), ("IMAGE", LINES)):
         text += (
             f"OBJECT = {name}\r\n    LINES = {lines}\r\n    LINE_SAMPLES = {COLUMNS}\r\n"
-            f"    SAMPLE_BITS = 8\r\n    LINE_PREFIX_BYTES = 18\r\n    LINE_SUFFIX_BYTES = 16\r\nEND_OBJECT = {name}\r\n"
+            "    SAMPLE_BITS = 8\r\n    LINE_PREFIX_BYTES = 18\r\n    LINE_SUFFIX_BYTES = 16\r\n"
+            f"END_OBJECT = {name}\r\n"
         )
     return text + "END\r\n"
 
