@@ -32,7 +32,7 @@ from sightline.simulate.raw_strip import RawStripOptions, simulate_raw_strip
 DATA = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[1] / "../shared/data"))
 IMAGE = DATA / "hirise_edr_bg12/PSP_001446_1790_BG12_0.IMG"
 SCENES = {
-    "as the real strip": {"fall": 2.7, "patchy": 0.3},
+    "middling": {"fall": 2.7, "patchy": 0.3},
     "evenly rough": {"fall": 2.7, "patchy": 0.15},
     "drawn out diagonally": {"fall": 2.7, "patchy": 0.3, "shear": 0.8},
     "rougher": {"fall": 2.2, "patchy": 0.3},

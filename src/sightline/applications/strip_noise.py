@@ -81,6 +81,8 @@ class StripNoise:
     law, plain : LawFit
         A, B, C^2 of the sum by read noise, image and ramp; and B, C^2 if there is no gain noise (A = 0).
     columns : ColumnPattern
+    offsets : Estimate
+        What `columns` would show if columns differed by their offsets only, coding of these included.
     dark_signal : Estimate
         Level of the darkest masked columns above their own without charge: dark current and the tail of the
         image's light.
@@ -99,6 +101,7 @@ class StripNoise:
     law: LawFit
     plain: LawFit
     columns: ColumnPattern
+    offsets: Estimate
     dark_signal: Estimate
     dark_shot: Estimate
     percentiles: Array
@@ -134,7 +137,9 @@ def estimate_strip_noise(pixels: StripPixels) -> StripNoise:
         white,
         ramp,
         *_laws(buffer.pooled, white, ramp),
-        column_pattern(signal[SETTLING:], edges=EDGES),
+        # less one level for all columns: that of each is known to some DN, as large as the pattern itself
+        column_pattern((values - level.mean() - drift[:, None])[SETTLING:], edges=EDGES),
+        _offsets(table, pixels.reverse, white.signal),
         _dark_signal(table, charge),
         _dark_shot(buffer.pooled, masked, charge),
         np.nanpercentile(signal[use], [1.0, 50.0, 99.0]),
@@ -145,6 +150,11 @@ def estimate_strip_noise(pixels: StripPixels) -> StripNoise:
 def _level(table: CodeTable, codes: Codes) -> Array:
     """Of lines without charge, less the first and the last."""
     return np.asarray(np.nanmean(table.values(codes[1:-1]), axis=0))
+
+
+def _offsets(table: CodeTable, reverse: Codes, signal: float) -> Estimate:
+    values = table.values(reverse[1:-1])
+    return column_pattern(values - np.nanmean(values) + signal, parts=4, edges=EDGES).variance
 
 
 def _drift(pixels: StripPixels, buffer: RestingNoise) -> Array:
@@ -274,6 +284,7 @@ def figures(noise: StripNoise, stages: int, electrons_per_dn: float) -> list[Fig
         ),
         _value("  parts less than half apart", "1", columns.near, "as the next if it is the detector's"),
         _value("  parts half a strip apart", "1", columns.far, "or more"),
+        _bound("  offsets' share of it", "1", "<=", noise.offsets.upper(), "same, of lines without charge"),
         _bound("  scene left in one part", "1", "<=", left, "not in A_col"),
         _value("darkest masked columns", "DN", noise.dark_signal, "above their own level without charge"),
         _value("C_out", "e- rms", read, f"at {g:.4g} e-/DN, whose own error is not known", g),

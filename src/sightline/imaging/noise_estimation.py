@@ -527,7 +527,9 @@ def column_pattern(
 
 
 def _common(products: Array, pairs: NDArray[np.bool_]) -> Estimate:
-    """Mean of the products of pairs of parts; sigma by leaving out each part."""
+    """Mean of the products of pairs of parts; sigma by leaving out each part. NaN without pairs."""
+    if not pairs.any():
+        return Estimate(np.nan, np.nan)
     parts = len(products)
     keep = ~np.eye(parts, dtype=bool)
     left_out = np.array(
