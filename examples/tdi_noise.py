@@ -1,0 +1,51 @@
+"""Noise of a real TDI detector, from one raw image: law, column pattern, and a TDI.toml that uses them.
+
+Run: python examples/tdi_noise.py [OUT] [ELECTRONS_PER_DN]
+
+Reads a HiRISE channel (BG12, 64 stages, binning 4). The conversion gain is not in the image; 19.30 e-/DN is
+what hiproc (github.com/rbeyer/hiproc, EDR_Stats_gains_config.pvl, BG12_0, Bin4) quotes from planning files.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+from sightline.applications.strip_noise import estimate_strip_noise, figures, noise_law
+from sightline.io.hirise_edr import read_hirise_edr
+from sightline.io.noise_toml import write_noise_toml
+
+DATA = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[1] / "../shared/data"))
+IMAGE = "hirise_edr_bg12/PSP_001446_1790_BG12_0.IMG"
+
+
+def main() -> None:
+    """Estimate, print, write."""
+    out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp(prefix="tdi-noise-"))
+    conversion = float(sys.argv[2]) if len(sys.argv) > 2 else 19.30
+    if not (DATA / IMAGE).is_file():
+        print(f"no image {IMAGE} in {DATA}; set SIGHTLINE_DATA to the folder of real data")
+        return
+    edr = read_hirise_edr(DATA / IMAGE)
+    noise = estimate_strip_noise(edr.pixels())
+    print(f"{edr.product}: {edr.stages} stages, binning {edr.binning}, {edr.image.image.shape} pixels")
+    table = [str(figure) for figure in figures(noise, edr.stages, conversion)]
+    print("\n".join(table))
+
+    out.mkdir(parents=True, exist_ok=True)
+    per_stage = conversion / edr.stages
+    write_noise_toml(
+        out / "tdi.toml",
+        noise_law(noise, edr.stages, conversion),
+        columns=edr.image.image.shape[1],
+        signals=(0.1 * noise.percentiles[1] * per_stage, noise.ceiling * per_stage),
+        full_well_sum=noise.ceiling * conversion,
+        notes=[f"Noise of {edr.product}, sigma or bound (2 sigma) of each figure:", *table],
+    )
+    print(f"written: {out / 'tdi.toml'}")
+
+
+if __name__ == "__main__":
+    main()

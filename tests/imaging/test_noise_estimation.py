@@ -1,0 +1,173 @@
+"""Noise from one scene, on strips whose law is known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sightline.applications.strip_noise import (
+    EDGES,
+    StripPixels,
+    conversion_bound,
+    estimate_strip_noise,
+    figures,
+    gain_bound,
+    noise_law,
+)
+from sightline.errors import EstimationError, InputError
+from sightline.imaging.noise_estimation import (
+    CodeTable,
+    column_pattern,
+    fit_law,
+    measure_blocks,
+    ramp_noise,
+    resting_noise,
+    white_noise,
+)
+from sightline.simulate.raw_strip import RawStripOptions, simulate_raw_strip, two_step_table
+
+OPTIONS = RawStripOptions(lines=2000, gain=4e-6)
+SEEDS = range(4)
+
+
+@pytest.fixture(scope="module")
+def strips():
+    """(strip, noise) by seed."""
+    found = []
+    for seed in SEEDS:
+        s = simulate_raw_strip(seed, OPTIONS)
+        pixels = StripPixels(
+            s.table, s.image, s.buffer, s.dark, s.reverse, s.reverse_buffer, s.reverse_dark, s.ramp
+        )
+        found.append((s, estimate_strip_noise(pixels)))
+    return found
+
+
+def test_every_estimate_is_as_good_as_its_sigma_says(strips):
+    errors = {}
+    for strip, noise in strips:
+        s = noise.white.signal
+        truth = column_pattern(np.tile(strip.response, (100, 1)), edges=EDGES).variance.value
+        for name, estimate, true in (
+            ("C", noise.buffer.pooled, OPTIONS.read),
+            ("white", noise.white.variance, OPTIONS.gain * s * s + OPTIONS.shot * s + OPTIONS.read**2),
+            ("slope", noise.white.slope, 2.0 * OPTIONS.gain * s + OPTIONS.shot),
+            ("ramp", noise.ramp.shot, OPTIONS.shot),
+            ("masked", noise.dark_shot, OPTIONS.shot),
+            ("A", noise.law.estimate(0), OPTIONS.gain),
+            ("B", noise.law.estimate(1), OPTIONS.shot),
+            ("A_col", noise.columns.variance, truth),
+        ):
+            errors.setdefault(name, []).append((estimate.value - true) / estimate.sigma)
+    # mean square of 4 standard normal numbers: above 3.7 once in 200 tries, and there are 8 names
+    nees = {name: float(np.mean(np.square(z))) for name, z in errors.items()}
+    assert max(nees.values()) < 3.7, nees
+    # and of all 32 (correlated in groups) neither far above 1 nor far below
+    assert 0.3 < np.mean(list(nees.values())) < 2.0, nees
+
+
+def test_estimates_are_worth_having(strips):
+    for _, noise in strips:
+        assert noise.buffer.pooled.sigma < 0.05 * noise.buffer.pooled.value
+        assert noise.white.variance.sigma < 0.1 * noise.white.variance.value
+        assert noise.columns.variance.sigma < 0.3 * noise.columns.variance.value
+
+
+def test_bounds_hold(strips):
+    for _, noise in strips:
+        s = noise.white.signal
+        true = OPTIONS.gain * s * s + OPTIONS.shot * s + OPTIONS.read**2
+        assert noise.white.bound.upper() > true
+        assert gain_bound(noise, 1.0 / OPTIONS.shot) > OPTIONS.gain
+        assert conversion_bound(noise) < 1.0 / OPTIONS.shot
+        # what is left of the scene is within the bound, so the bound is above the estimate
+        assert noise.white.bound.value > noise.white.variance.value
+
+
+def test_a_law_in_electrons_is_that_of_the_sum(strips):
+    noise = strips[0][1]
+    law = noise_law(noise, 64, 20.0)
+    assert law.shot == 1.0 and law.read == 0.0
+    assert law.output == pytest.approx(20.0 * noise.buffer.pooled.value)
+    # 64 lines of s / 64 with a gain noise A each have 64 A (s / 64)^2: as A / 64 of the sum
+    assert law.gain / 64 == pytest.approx(gain_bound(noise, 20.0))
+    printed = [str(f) for f in figures(noise, 64, 20.0)]
+    assert all("+-" in line or "<=" in line or ">=" in line for line in printed)
+    for stages, conversion in ((0, 20.0), (64, 0.0), (64, np.nan)):
+        with pytest.raises(InputError, match="above 0"):
+            noise_law(noise, stages, conversion)
+
+
+def test_noise_below_the_step_is_found_and_below_what_codes_show_refused():
+    rng = np.random.default_rng(2)
+    table = two_step_table()
+    level = 1050.0 + 40.0 * np.linspace(0.0, 1.0, 3000)[:, None] + rng.uniform(-9.0, 9.0, 8)
+
+    def coded(sigma):
+        values = level + sigma * rng.standard_normal(level.shape)
+        return np.searchsorted(table.lower[1:], values, side="right").astype(np.uint8)
+
+    # a third of the step of 18
+    found = resting_noise(coded(6.0), table).pooled
+    assert abs(found.value - 6.0) < 3.0 * found.sigma < 0.6
+    # a twentieth: plateaus of the level explain the codes as well
+    for codes in (coded(0.9), np.full((3000, 2), 14, dtype=np.uint8)):
+        with pytest.raises(EstimationError, match="below about a fifth of the step"):
+            resting_noise(codes, table)
+    with pytest.raises(EstimationError, match="lines with values"):
+        resting_noise(np.full((100, 2), 14, dtype=np.uint8), table)
+
+
+def test_a_pattern_of_the_scene_is_not_the_columns():
+    rng = np.random.default_rng(3)
+    # each part of the strip has streaks of its own, as large as the columns' pattern
+    streaks = np.repeat(1e-3 * rng.standard_normal((20, 200)), 50, axis=0)
+    response = 1.0 + 1e-3 * rng.standard_normal(200)
+    found = column_pattern(4000.0 * (1.0 + streaks) * response)
+    true = column_pattern(np.tile(response, (100, 1))).variance.value
+    assert abs(found.variance.value - true) < 3.0 * found.variance.sigma < 0.5 * true
+    assert found.single == pytest.approx(2.0 * true, rel=0.3)
+
+
+def test_a_fit_gives_the_law_back_with_its_covariance():
+    signals = np.array([500.0, 2000.0, 4000.0, 8000.0])
+    rows = np.stack([signals**2, signals, np.ones(4)], axis=1)
+    true = np.array([4e-6, 0.05, 13.0])
+    sigma = 0.01 * rows @ true
+    rng = np.random.default_rng(4)
+    found = [
+        fit_law(rows, rows @ true + sigma * rng.standard_normal(4), np.diag(sigma**2)) for _ in range(400)
+    ]
+    scatter = np.cov(np.array([f.coefficients for f in found]).T)
+    # a variance of 400 draws is known to sqrt(2 / 400) = 7 %
+    assert np.diag(scatter) == pytest.approx(np.diag(found[0].covariance), rel=0.25)
+    with pytest.raises(EstimationError, match="apart"):
+        fit_law(rows[:1], [1.0], [[1.0]])
+
+
+def test_what_cannot_be_estimated_is_refused():
+    flat = np.full((400, 200), 4000.0)
+    with pytest.raises(InputError, match="lines and columns are needed"):
+        measure_blocks(flat[:50], flat[:50])
+    with pytest.raises(EstimationError, match="blocks with values"):
+        white_noise(measure_blocks(flat, np.zeros_like(flat)))
+    with pytest.raises(EstimationError, match="rising signal"):
+        ramp_noise(np.full((6, 50), np.nan), np.zeros((6, 50)), 1.0)
+    with pytest.raises(InputError, match="columns are needed"):
+        column_pattern(flat[:, :40])
+    with pytest.raises(InputError, match="do not rise"):
+        CodeTable(np.array([0.0, 5.0]), np.array([10.0, 15.0]))
+    with pytest.raises(InputError, match="stands for no value"):
+        CodeTable(np.array([0.0, 5.0]), np.array([0.0, 15.0]))
+
+
+def test_evenly_rough_ground_is_refused_or_owned():
+    # white ground: no place is rougher than another, and nothing tells it from noise
+    rng = np.random.default_rng(5)
+    white = 4000.0 + 15.0 * rng.standard_normal((1500, 256))
+    try:
+        found = white_noise(measure_blocks(white, np.zeros_like(white)))
+    except EstimationError as error:
+        assert "roughness" in str(error)
+    else:
+        assert abs(found.variance.value - 225.0) < 4.0 * found.variance.sigma
