@@ -86,7 +86,8 @@ class OtherWay:
     setting : (c, S) int
         What it would choose.
     loss : (c, S)
-        Relative merit lost against the best by the exact form; 1 beyond the main lobe and where a well is full.
+        Relative merit lost against the best by the exact form; 1 beyond the main lobe and where a well is
+        full.
     """
 
     name: str

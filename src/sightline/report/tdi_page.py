@@ -81,10 +81,10 @@ def sections(result: TdiResult) -> list[Section]:
         Section(
             "others",
             "What other ways of choosing would lose",
-            "Merit lost against the choice, all of it beyond the main lobe (where contrast is reversed) and "
-            "where a well is full. One setting: that of the centre column at the middle signal, for the whole "
-            "detector. One signal: each column its own setting, whatever the scene. The form of EP2733929: its "
-            "equations, misprints corrected, judged by the exact ones.",
+            "Merit lost against the choice, all of it beyond the main lobe (where contrast is reversed) "
+            "and where a well is full. One setting: that of the centre column at the middle signal, for the "
+            "whole detector. One signal: each column its own setting, whatever the scene. The form of "
+            "EP2733929: its equations, misprints corrected, judged by the exact ones.",
             tdi_figures.others_figure(result),
         ),
     ]
