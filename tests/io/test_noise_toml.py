@@ -10,6 +10,7 @@ import pytest
 from sightline.errors import FormatError
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.io.noise_toml import write_noise_toml
+from sightline.io.tdi import load_tdi
 
 LAW = NoiseLaw(gain=2.28e-4, dark=16.3, output=70.73, column_fixed=1.26e-6)
 GIVEN = {
@@ -31,6 +32,14 @@ def test_the_law_comes_back_from_the_file(tmp_path):
     assert (read["signals"]["from"], read["signals"]["to"]) == (132.0, 2366.0)
     assert read["choice"]["full_well_sum"] == pytest.approx(151400.0, rel=1e-3)
     assert read["head"]["stages"] == 0
+
+
+def test_the_choice_reads_what_was_written(tmp_path):
+    write_noise_toml(tmp_path / "tdi.toml", LAW, **GIVEN)
+    problem = load_tdi(tmp_path / "tdi.toml")
+    assert asdict(problem.detector.noise) == pytest.approx(asdict(LAW), rel=1e-3)
+    assert len(problem.columns) == 256 and problem.signals[[0, -1]] == pytest.approx([132.0, 2366.0])
+    assert problem.detector.full_well_sum == pytest.approx(151400.0, rel=1e-3)
 
 
 def test_a_place_that_cannot_be_written_is_said(tmp_path):
