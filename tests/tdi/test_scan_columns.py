@@ -35,9 +35,7 @@ def test_frozen_signs_of_pitch_rate_and_yaw():
     The velocity is that along the column, cos(1 degree) of the speed.
     """
     assert_allclose(column_geometry(camera(), Plane(), COLUMNS).velocity, 1.0, atol=1e-9)
-    assert_allclose(
-        column_geometry(camera((0, 1e-4, 0)), Plane(), COLUMNS).velocity, 1.01, atol=1e-6
-    )
+    assert_allclose(column_geometry(camera((0, 1e-4, 0)), Plane(), COLUMNS).velocity, 1.01, atol=1e-6)
     turned = column_geometry(camera(standing=(0, 0, np.radians(1.0))), Plane(), COLUMNS)
     assert_allclose(np.degrees(turned.slip), -1.0, atol=1e-4)
     assert_allclose(turned.velocity, np.cos(np.radians(1.0)), atol=1e-7)
@@ -57,7 +55,11 @@ MOUNTS = {
     "turned row": {"rotation": 0.3, "look_ahead": 0.1},
     "mirror": {
         "pointing": ScanMirror(
-            Rotation.from_euler("xyz", [0.1, -1.4, 0.2]), [0.1, 1.0, 0.0], [1.0, 0.0, 1.0], [-1.0, 1.0], [0.0, 0.0]
+            Rotation.from_euler("xyz", [0.1, -1.4, 0.2]),
+            [0.1, 1.0, 0.0],
+            [1.0, 0.0, 1.0],
+            [-1.0, 1.0],
+            [0.0, 0.0],
         )
     },
 }

@@ -70,7 +70,7 @@ class MotionMtf:
         """Refuse what does not fit together, and a motion that does not cover the strip."""
         if self.rules.model != "exact":
             raise InputError(
-                f"`model` is {self.rules.model!r}, which knows no measured motion; with a motion \"exact\" is "
+                f'`model` is {self.rules.model!r}, which knows no measured motion; with a motion "exact" is '
                 "allowed"
             )
         if not np.array_equal(self.columns.column, self.geometry.column):
@@ -188,9 +188,7 @@ class MotionMtf:
         density[at < slowest] = 0.0
         white = np.random.default_rng(0).standard_normal((size, 3))
         # white noise of unit variance has the one-sided density 2 step
-        path = np.fft.irfft(
-            np.fft.rfft(white, axis=0) * np.sqrt(density / (2.0 * step)), size, axis=0
-        )
+        path = np.fft.irfft(np.fft.rfft(white, axis=0) * np.sqrt(density / (2.0 * step)), size, axis=0)
         return np.asarray(path[: count * length].reshape(count, length, 3))
 
     def line_mtf(
@@ -218,14 +216,14 @@ class MotionMtf:
         """
         offset, weight = self._points
         step = self.geometry.line_period
-        since = np.arange(len(offset))[:, None, None] + offset  # line periods
+        since = np.arange(len(offset))[:, None] + offset  # line periods
         at = start + step * since
         angles = self._angles(at.ravel(), amplitudes)
         if error is not None:
             angles += interpolate(np.arange(-2.0, len(error) - 2.0), error, since.ravel())
-        moved = np.empty((at.size, 4))
-        moved[:, :3] = angles
-        moved[:, 3] = -(angles @ self.geometry.twist) * since.ravel()
+        moved = np.empty((4, at.size))
+        moved[:3] = angles.T
+        moved[3] = -(angles @ self.geometry.twist) * since.ravel()
         across = velocity * np.tan(slip)
         levers = np.zeros((len(velocity), 2, 4))
         levers[:, :, :3] = self.geometry.levers[self._places]
@@ -235,7 +233,7 @@ class MotionMtf:
         moved_mtf(
             across, velocity - 1.0, np.ascontiguousarray(velocity), levers, fx, fy,
             self.grid.stages, self.grid.ratios, self.exposure.head_stages, float(self.exposure.head_ratio),
-            offset, moved.reshape(*offset.shape, 4), weight, sharp,
+            offset, moved.reshape(4, *offset.shape), weight, sharp,
         )  # fmt: skip
         out[:] = sharp * self._jitter[:, None, :]
 
@@ -250,12 +248,13 @@ class MotionMtf:
 
     @cached_property
     def _points(self) -> tuple[Array, Array]:
-        """Line periods (K, R, Q) from the middle of each line to the points of its exposure, and weights (Q,)."""
+        """Line periods (K, R Q) from the middle of each line to the points of its exposures, and weights (Q,)."""
         node, weight = np.polynomial.legendre.leggauss(POINTS)
         k = np.arange(int(self.grid.stages[-1]))
         head = k[:, None] < self.exposure.head_stages
         length = np.where(head, self.exposure.head_ratio, self.grid.ratios)
-        return length[..., None] * (0.5 * node + ALIGNMENTS[self.exposure.align]), 0.5 * weight
+        offset = length[..., None] * (0.5 * node + ALIGNMENTS[self.exposure.align])
+        return offset.reshape(len(k), -1), 0.5 * weight
 
     @cached_property
     def _jitter(self) -> Array:

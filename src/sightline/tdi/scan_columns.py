@@ -159,7 +159,9 @@ def column_geometry(
         lean.mean(axis=0),
         along.std(axis=0),
         lean.std(axis=0),
-        _turned_to_row(camera, _tangents(camera, chosen)) * np.array([1.0, -1.0]) / camera.detector.pixel_step,
+        _turned_to_row(camera, _tangents(camera, chosen))
+        * np.array([1.0, -1.0])
+        / camera.detector.pixel_step,
         1.0 / camera.detector.pixel_step,
         levers,
         twist,
@@ -198,7 +200,9 @@ def image_levers(camera: PushbroomCamera, columns: Array, t: Array) -> tuple[Arr
         Turn about the optical axis by each.
     """
     # columns of camera_from_body: where the body's axes point in the camera (a mirror turns them with time)
-    axes = np.stack([camera.pointing.to_camera(np.tile(axis, (len(t), 1)), t).mean(axis=0) for axis in np.eye(3)])
+    axes = np.stack(
+        [camera.pointing.to_camera(np.tile(axis, (len(t), 1)), t).mean(axis=0) for axis in np.eye(3)]
+    )
     # a mirror turns the image over: a turn of the body, an axial vector, then changes its sign
     handed = np.sign(np.linalg.det(axes))
     x, y = _tangents(camera, columns).T
