@@ -1,9 +1,9 @@
-"""Transfer of every TDI setting rebuilt from one sampled motion: compiled loop beside plain numpy, in one run.
+"""Transfer of every TDI setting rebuilt from one sampled motion: compiled beside plain numpy, in one run.
 
     python benchmarks/tdi_rebuild.py
 
-64 column groups x 10 integration ratios x 128 stages x 2 frequencies, from angles at every line period: what a
-table that follows the attitude computes anew. One core. Both integrate the same points, 8 per exposure, and
+64 column groups x 10 integration ratios x 128 stages x 2 frequencies, from angles at every line period: what
+a table that follows the attitude computes anew. One core. Both integrate the same points, 8 per exposure, and
 interpolate the motion inside the clock; numpy takes one pass per group, cumulative over stages.
 """
 

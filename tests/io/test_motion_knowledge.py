@@ -73,7 +73,7 @@ def test_a_result_that_does_not_say_how_much_is_hidden_warns(folder, acquisition
 @pytest.mark.parametrize("wrong", [[[1.0]], "big", [[None] * 6] * 6])
 def test_a_covariance_of_another_form_is_refused(folder, acquisition, wrong):
     edit_hidden(folder, covariance=wrong)
-    with pytest.raises(FormatError, match="`hidden_directions.covariance` must be"):
+    with pytest.raises(FormatError, match=r"`hidden_directions\.covariance` must be"):
         read_motion_knowledge(folder, acquisition)
 
 
@@ -84,5 +84,5 @@ def test_a_spectrum_that_is_none_is_refused(folder, acquisition):
     with pytest.raises(FormatError, match="rising frequencies"):
         read_motion_knowledge(folder, acquisition)
     path.unlink()
-    with pytest.raises((FormatError, InputError), match="spectrum.csv"):
+    with pytest.raises((FormatError, InputError), match=r"spectrum\.csv"):
         read_motion_knowledge(folder, acquisition)

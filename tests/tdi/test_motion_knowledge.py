@@ -55,7 +55,7 @@ def test_errors_grow_as_the_motion_is_restored_and_beyond_they_are_the_motion():
     assert found.error_psd[at, 0] == pytest.approx(level / seen**2, rel=1e-9)
     assert_allclose(found.error_psd[f > highest, 1], 4.0 * level)
     just, far = np.searchsorted(f, [highest + 1.0, 2.0 * highest])
-    # a random walk of 1e-3 per line: 2 T 1e-6 / (2 sin(pi nu))^2, near 28 Hz 3e-8 times a scatter of 100 % / sqrt 38
+    # a random walk of 1e-3 per line: 2 T 1e-6 / (2 sin(pi nu))^2, at 28 Hz; the mean over 38 values of 100 %
     walk = 2.0 * PERIOD * 1e-6 / (2.0 * np.sin(np.pi * 0.028)) ** 2
     assert 0.3 * walk < found.error_psd[just, 0] < 3.0 * walk
     assert found.error_psd[far, 0] / found.error_psd[just, 0] == pytest.approx(

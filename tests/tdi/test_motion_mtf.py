@@ -1,4 +1,4 @@
-"""MTF under a recovered motion: against one column's formula, brute force over exact rays, and closed forms."""
+"""MTF under a recovered motion: one column's formula, brute force over exact rays, closed forms."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_the_compiled_loop_is_the_formula_of_one_column(align):
     across = velocity * np.tan(slip)
     levers = np.tile(np.eye(2), (2, 1, 1))
     moved_mtf(
-        across, velocity - 1, velocity, levers, 0.5, 0.4, stages, ratios, 2, 0.25, 
+        across, velocity - 1, velocity, levers, 0.5, 0.4, stages, ratios, 2, 0.25,
         offset.reshape(30, -1), moved.reshape(2, 30, -1), 0.5 * weight, out,
     )  # fmt: skip
     for c in range(2):
@@ -145,7 +145,7 @@ def test_a_steady_yaw_is_a_slip_and_rates_are_drifts():
     """Sheet 3.5: tan g = -yaw - F roll' T; V - 1 = T (F pitch' + X yaw')."""
     t = np.linspace(-0.02, 0.25, 600)
     rates, yaw = np.array([2e-5, -3e-5, 0.0]), 4e-3
-    motion = Motion(t, np.outer(t, rates) + [0.0, 0.0, yaw])
+    motion = Motion(t, np.outer(t, rates) + np.array([0.0, 0.0, yaw]))
     found = model(MotionKnowledge(motion), starts=2)
     stages, ratio = GRID.settings
     slip = np.arctan(-yaw - rates[0] * PERIOD / IFOV)
@@ -210,7 +210,7 @@ def test_hidden_directions_are_drawn_and_those_that_cancel_change_nothing():
 
 
 def test_columns_between_groups_are_interpolated_well():
-    """64 groups of 801 columns under a yaw rate that spoils the edges; curvature between is (1/64)^2 of it."""
+    """64 groups of 801 columns under a yaw rate that spoils the edges; curvature between is (1/64)^2."""
     every = np.arange(801)
     exact = model(MotionKnowledge(wavy(fine=1)), columns=every, starts=2, groups=801)
     some = model(MotionKnowledge(wavy(fine=1)), columns=every, starts=2)

@@ -67,7 +67,7 @@ MOUNTS = {
 
 @pytest.mark.parametrize("mount", MOUNTS)
 def test_levers_are_those_of_exact_rays(mount):
-    """A point that stands still, seen before and after a turn of 1e-6 rad: second order is 1e-6 of 1e6 px/rad."""
+    """A point that stands still, seen before and after a turn of 1e-6 rad: second order is 1e-6 of it."""
     one = camera(**MOUNTS[mount])
     levers, twist = image_levers(one, np.array(COLUMNS, dtype=float), one.times([MIDDLE]))
     points = one.rays(np.column_stack([[MIDDLE] * 3, COLUMNS]))
@@ -107,7 +107,7 @@ def test_rates_through_the_levers_are_what_exact_rays_give(axis):
 
 
 def test_what_is_not_known_of_attitude_and_rates_becomes_covariance():
-    """By differences of exact rays: the covariance is their outer product, to the second order of the step."""
+    """By differences of exact rays: the covariance is their outer product, to second order of the step."""
     still = column_geometry(camera(rotation=0.02), Plane(), COLUMNS)
     sigma_yaw, sigma_rates = 1e-3, np.array([2e-5, 3e-5, 1e-3])
     expected = np.zeros((3, 2, 2))

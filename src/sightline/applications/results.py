@@ -77,7 +77,7 @@ class LineOfSight:
     hidden : (N, 3, H)
         Motions that the images cannot see, named by `hidden_names`; rad per unit.
     hidden_covariance : (H, H) or None
-        rad^2; of how much the motion holds of each of them, by what is believed beforehand and what sensors say.
+        rad^2; of how much the motion holds of each, by what is believed beforehand and what sensors say.
     observed : (N,) bool
         Where matches speak; elsewhere only prior and interpolation do.
     scale : (3,)

@@ -76,7 +76,8 @@ def _error(folder: Path) -> tuple[Array, Array, Array]:
     f, psd, error = columns[0], np.stack(columns[1:4], axis=1), np.stack(columns[4:], axis=1)
     if len(f) < 2 or not (np.diff(f) > 0.0).all() or (error < 0.0).any():
         raise FormatError(
-            f"{path}: rising frequencies, and densities of 0 or more, are expected; run `sightline recover` again"
+            f"{path}: rising frequencies, and densities of 0 or more, are expected; run `sightline recover` "
+            "again"
         )
     return f, *error_and_jitter(f, error, psd)
 

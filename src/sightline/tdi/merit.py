@@ -8,6 +8,7 @@ Not here: the best setting of each cell (``choose.py``).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -121,7 +122,7 @@ def square_root(covariance: Array) -> Array:
 def mtf_merit(mtf: Array, merit: str) -> Array:
     """What the two MTFs (..., 2) give to the merit, shape (...)."""
     x, y = mtf[..., 0], mtf[..., 1]
-    forms = {
+    forms: dict[str, Callable[[], Array]] = {
         "product": lambda: x * y,
         "geomean": lambda: np.sqrt(x * y),
         "mean": lambda: 0.5 * (x + y),

@@ -33,9 +33,9 @@ def _wave(turns):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def moved_mtf(
+def moved_mtf(  # type: ignore[no-untyped-def]
     across, along, velocity, levers, fx, fy, last, ratios, head, head_ratio, offset, moved, weight, out
-):  # type: ignore[no-untyped-def]
+):  # fmt: skip
     """MTF of motion of every setting of columns that see one motion.
 
     Parameters

@@ -1,4 +1,4 @@
-"""What is known of the motion of a strip when TDI is chosen: the motion recovered, and what it may be besides.
+"""What is known of the motion of a strip: the motion recovered, and what it may be besides.
 
 Three kinds of not knowing: a stationary error of known spectral density (blind bands, and all above what
 windows resolve, hold the motion's own density there); hidden directions, which the images leave free, with
@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError, SpanError
 from sightline.geometry.trajectory import Motion
@@ -61,8 +61,8 @@ class MotionKnowledge:
         """Refuse what does not fit together."""
         if np.shape(self.error_psd) != (len(self.frequency), 3):
             raise InputError(
-                f"`error_psd` has shape {np.shape(self.error_psd)}; ({len(self.frequency)}, 3), roll, pitch and "
-                "yaw at every frequency, is needed"
+                f"`error_psd` has shape {np.shape(self.error_psd)}; ({len(self.frequency)}, 3), roll, pitch "
+                "and yaw at every frequency, is needed"
             )
         if not (np.isfinite(self.error_psd).all() and (np.asarray(self.error_psd) >= 0.0).all()):
             raise InputError("`error_psd` must be finite and 0 or more at every frequency")
@@ -91,8 +91,8 @@ class MotionKnowledge:
         slack = 2.0 * float(np.median(np.diff(self.motion.t))) if len(self.motion.t) > 1 else 0.0
         if first > begin + slack or last < end - slack:
             raise SpanError(
-                f"the motion covers t = [{first:.6g}, {last:.6g}] s, the strip [{begin:.6g}, {end:.6g}] s; give "
-                "the folder that `sightline recover` wrote for this acquisition"
+                f"the motion covers t = [{first:.6g}, {last:.6g}] s, the strip [{begin:.6g}, {end:.6g}] s; "
+                "give the folder that `sightline recover` wrote for this acquisition"
             )
 
     def without_tdi(self, stages: int, ratio: float, line_period: float) -> tuple[MotionKnowledge, float]:
@@ -121,8 +121,8 @@ class MotionKnowledge:
         """
         if stages < 1 or not 0.0 < ratio <= 1.0:
             raise InputError(
-                f"[motion] `stages` is {stages} and `integration_ratio` {ratio:g}; 1 stage or more, and a share "
-                "of the line period above 0 up to 1, are allowed"
+                f"[motion] `stages` is {stages} and `integration_ratio` {ratio:g}; 1 stage or more, and a "
+                "share of the line period above 0 up to 1, are allowed"
             )
         t, angles = _even(self.motion, line_period)
         seen = _low_pass(np.linspace(0.0, 0.5, 4096), stages, ratio)
@@ -131,14 +131,14 @@ class MotionKnowledge:
         restored = _restored(angles, stages, ratio, edge)
         highest = edge / line_period
         motion = Motion(t, restored)
-        psd = self._grown(motion, stages, ratio, line_period, highest)
+        frequency, psd = self._grown(motion, stages, ratio, line_period, highest)
         hidden = None if self.hidden is None else prolonged(self.motion.t, self.hidden, t)
-        return replace(self, motion=motion, hidden=hidden, **psd), highest
+        return replace(self, motion=motion, hidden=hidden, frequency=frequency, error_psd=psd), highest
 
     def _grown(
         self, motion: Motion, stages: int, ratio: float, line_period: float, highest: float
-    ) -> dict[str, Array]:
-        """Frequencies and densities of the error, up to the Nyquist frequency of lines, after `without_tdi`."""
+    ) -> tuple[Array, Array]:
+        """Frequencies and densities of the error after `without_tdi`."""
         nyquist = 0.5 / line_period
         f = self.frequency if len(self.frequency) else np.linspace(0.0, nyquist, 2048)
         given = self.error_psd if len(self.frequency) else np.zeros((len(f), 3))
@@ -148,7 +148,7 @@ class MotionKnowledge:
             level = _density_below(motion, highest)
             fall = (f[beyond] / highest) ** FALL
             out[beyond] = np.maximum(out[beyond], level * fall[:, None])
-        return {"frequency": f, "error_psd": out}
+        return f, out
 
 
 def error_and_jitter(frequency: Array, error_psd: Array, psd: Array) -> tuple[Array, Array]:
@@ -177,9 +177,10 @@ def prolonged(t: Array, values: Array, at: Array) -> Array:
     return out
 
 
-def _low_pass(nu: Array, stages: int, ratio: float) -> Array:
+def _low_pass(nu: ArrayLike, stages: int, ratio: float) -> Array:
     """What TDI leaves of a motion of `nu` cycles per line period."""
-    return np.asarray(np.sinc(ratio * nu) * dirichlet(stages, nu))
+    cycles = np.asarray(nu, dtype=np.float64)
+    return np.asarray(np.sinc(ratio * cycles) * dirichlet(stages, cycles))
 
 
 def _even(motion: Motion, step: float) -> tuple[Array, Array]:

@@ -8,7 +8,7 @@ Not here: the motion and what is known of it (``motion_knowledge.py``), drift al
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -75,8 +75,8 @@ class MotionMtf:
             )
         if not np.array_equal(self.columns.column, self.geometry.column):
             raise InputError(
-                f"columns mismatch: {len(self.columns)} columns, geometry of {len(self.geometry.column)}; the "
-                "two must be of the same columns in the same order"
+                f"columns mismatch: {len(self.columns)} columns, geometry of {len(self.geometry.column)}; "
+                "the two must be of the same columns in the same order"
             )
         if self.span is not None:
             self.knowledge.check_covers(*self.span)
@@ -86,6 +86,13 @@ class MotionMtf:
     def nodes_per_draw(self) -> int:
         """Nodes in a row that are lines of one and the same strip."""
         return self.starts or (EXACT_STARTS if self._sure else STARTS)
+
+    def judged_by(self, rules: ChoiceRules) -> MotionMtf:
+        """The same under other rules; what was integrated is kept where the frequencies stay."""
+        other = replace(self, rules=rules)
+        if rules.frequencies == self.rules.frequencies and "_nodes" in self.__dict__:
+            other.__dict__["_nodes"] = self._nodes
+        return other
 
     def central(self, which: slice) -> Array:
         """(c, P, 2) MTF of motion across and along, mean over all nodes."""
@@ -129,8 +136,8 @@ class MotionMtf:
         first, last = begin + MARGIN * step, end - (stages - 1 + MARGIN) * step
         if last < first:
             raise SpanError(
-                f"the motion covers {(end - begin) / step:.0f} line periods of the strip, {stages} stages need "
-                f"{stages + 2 * MARGIN - 1:.0f}; give a longer motion, or fewer stages in [grid]"
+                f"the motion covers {(end - begin) / step:.0f} line periods of the strip, {stages} stages "
+                f"need {stages + 2 * MARGIN - 1:.0f}; give a longer motion, or fewer stages in [grid]"
             )
         return first, last
 
@@ -248,7 +255,7 @@ class MotionMtf:
 
     @cached_property
     def _points(self) -> tuple[Array, Array]:
-        """Line periods (K, R Q) from the middle of each line to the points of its exposures, and weights (Q,)."""
+        """Line periods (K, R Q) from the middle of each line to points of its exposures, and weights (Q,)."""
         node, weight = np.polynomial.legendre.leggauss(POINTS)
         k = np.arange(int(self.grid.stages[-1]))
         head = k[:, None] < self.exposure.head_stages

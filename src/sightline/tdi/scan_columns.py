@@ -133,8 +133,8 @@ def column_geometry(
     GeometryError
         A column that does not meet the surface at some of the lines.
     """
-    chosen = np.arange(camera.columns) if columns is None else np.asarray(columns)
-    chosen = np.atleast_1d(np.asarray(chosen, dtype=np.float64))
+    wanted = np.arange(camera.columns) if columns is None else columns
+    chosen: Array = np.atleast_1d(np.asarray(wanted, dtype=np.float64))
     if len(chosen) == 0 or not ((chosen >= 0) & (chosen <= camera.columns - 1)).all():
         raise InputError(
             f"`columns` are {chosen.tolist()}; columns of this detector are 0 to {camera.columns - 1}"
@@ -176,7 +176,7 @@ def _tangents(camera: PushbroomCamera, columns: Array) -> Array:
 
 
 def _turned_to_row(camera: PushbroomCamera, moves: Array) -> Array:
-    """Tangents (..., 2) in camera axes, as across (towards larger columns) and along (towards smaller lines)."""
+    """Tangents (..., 2) in camera axes, as across (to larger columns) and along (to smaller lines)."""
     ex, ey = camera.detector.axis
     x, y = moves[..., 0], moves[..., 1]
     return np.stack([ex * x + ey * y, ey * x - ex * y], axis=-1)
