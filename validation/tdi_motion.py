@@ -10,7 +10,7 @@ is an eighth. The grid is 4 to 128 stages with ratios 0.1 to 1.0; noise as in th
 
 Per column (edge, middle, edge) and signal the table gives the number of stages chosen with the true and with
 the recovered motion and the ratio of the merit that both truly have: mean over 97 lines of the strip, other
-than those used to choose, by quadrature over the true motion in pixels (roll, pitch and yaw times focal length and
+than those used to choose, by quadrature over the true motion in pixels (angles times focal length and
 place in the focal plane), which shares nothing with the choice. `best` is the ratio of the recovered choice
 to the best setting for those very lines. `drift only` chooses without any motion.
 
