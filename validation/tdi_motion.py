@@ -36,7 +36,7 @@ from sightline.imaging.tdi_transfer import Exposure, motion_transfer
 from sightline.simulate.jitter import ConstantJitter, JitterProfile, MaternJitter, ToneJitter
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case
 from sightline.tdi.choose import TdiChoice, choose_settings
-from sightline.tdi.merit import DriftMtf, normal_draws
+from sightline.tdi.merit import DriftMtf
 from sightline.tdi.motion_knowledge import MotionKnowledge
 from sightline.tdi.motion_mtf import MotionMtf
 from sightline.tdi.predict_loss import predict_loss
@@ -152,7 +152,8 @@ def run(seed: int, free: bool, image_snr: float) -> Row:
     worth = np.mean(of(merit, blind) / of(merit, by_truth))
     print(f"   drift only: stages {blind.stages[0, 0]}, merit {worth:.3f}")
     if result.hidden_covariance is not None and free:
-        print(f"   net slip not known: {net_slip_sigma(recovered):.1e} (1-sigma, tangent)")
+        hidden = np.sqrt(recovered.knowledge.drift_covariance(geometry)[0, [0, 1], [0, 1]])
+        print(f"   hidden: velocity {hidden[0]:.1e} px per line, slip {hidden[1]:.1e} rad (1-sigma)")
     rows = []
     for name, these in (("mean", rules), (f"quantile {QUANTILE}", replace(rules, quantile=QUANTILE))):
         if name != "mean" and not free:
@@ -172,20 +173,6 @@ def run(seed: int, free: bool, image_snr: float) -> Row:
         )
         rows.append(Row(float(ratio.min()), float(ratio.mean())))
     return rows[0]
-
-
-def net_slip_sigma(model: MotionMtf) -> float:
-    """1-sigma of the mean slip by hidden directions: -F roll' T - yaw, of each draw."""
-    knowledge, step = model.knowledge, model.geometry.line_period
-    assert knowledge.hidden is not None and knowledge.hidden_covariance is not None
-    values, vectors = np.linalg.eigh(knowledge.hidden_covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    unit = normal_draws(len(root), 256)
-    t = knowledge.motion.t
-    paths = np.einsum("nah,hk,mk->nam", knowledge.hidden, root, unit)
-    roll_rate = (paths[-1, 0] - paths[0, 0]) / (t[-1] - t[0])
-    slips = -model.geometry.focal_length_px * step * roll_rate - paths[:, 2].mean(axis=0)
-    return float(np.std(slips))
 
 
 def main() -> None:

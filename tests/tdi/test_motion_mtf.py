@@ -205,8 +205,31 @@ def test_hidden_directions_are_drawn_and_those_that_cancel_change_nothing():
     assert_allclose(nodes[::2], expected, atol=1e-6)
     assert_allclose(nodes[1::2], expected, atol=1e-6)
     assert np.ptp(nodes[:, -1]) > 0.01
+    where = geometry()
+    drift = MotionKnowledge(still, hidden=yaw, hidden_covariance=variance).drift_covariance(where)
+    assert_allclose(drift, np.broadcast_to([[0.0, 0.0], [0.0, sigma**2]], (3, 2, 2)), atol=1e-12)
+    assert_allclose(
+        MotionKnowledge(still, hidden=tied, hidden_covariance=variance).drift_covariance(where),
+        0.0,
+        atol=1e-12,
+    )
     same = model(MotionKnowledge(still, hidden=tied, hidden_covariance=variance), draws=8, starts=2)
     assert_allclose(same.drawn(slice(1, 2))[:, 0, :, 0], 1.0, atol=1e-6)
+
+
+def test_hidden_drifts_as_covariance_are_what_exact_rays_say():
+    """Rates of pitch and yaw that are one direction: V moves by T (F pitch' + X yaw') sigma, X to 400."""
+    t = np.linspace(-0.02, 0.25, 541)
+    direction = np.zeros((541, 3, 1))
+    direction[:, 1, 0], direction[:, 2, 0] = 2e-5 * t, 1e-2 * t
+    sigma, one = 0.7, camera()
+    knowledge = MotionKnowledge(
+        Motion(t, np.zeros((541, 3))), hidden=direction, hidden_covariance=np.array([[sigma**2]])
+    )
+    found = knowledge.drift_covariance(geometry())
+    moved = one.with_trajectory(one.trajectory.with_motion(Motion(t, sigma * direction[:, :, 0])))
+    change = column_geometry(moved, Plane(), (0, 400, 800)).velocity - geometry().velocity
+    assert_allclose(np.sqrt(found[:, 0, 0]), np.abs(change), rtol=1e-3, atol=2e-6)
 
 
 def test_columns_between_groups_are_interpolated_well():

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from sightline.errors import InputError, SpanError
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.tdi_transfer import dirichlet
+from sightline.tdi.scan_columns import ColumnGeometry
 
 Array = NDArray[np.float64]
 
@@ -83,6 +84,28 @@ class MotionKnowledge:
         """Whether nothing but the jitter is uncertain."""
         known = self.hidden_covariance is None or not self.hidden_covariance.any()
         return known and not np.any(self.error_psd)
+
+    def drift_covariance(self, geometry: ColumnGeometry) -> Array:
+        """Covariance (C, 2, 2) of velocity and slip that the hidden directions are, means over the strip.
+
+        Parameters
+        ----------
+        geometry : ColumnGeometry
+        """
+        count = len(geometry.column)
+        if self.hidden is None or self.hidden_covariance is None:
+            return np.zeros((count, 2, 2))
+        since = self.motion.t - self.motion.t.mean()
+        rates = np.einsum("n,nah->ah", since, self.hidden) / (since @ since)
+        moves = geometry.line_period * geometry.levers @ rates  # (C, 2, H) px per line period
+        slope = np.tan(geometry.slip)[:, None]
+        # a turn about the optical axis turns the path of the scene
+        turn = geometry.twist @ self.hidden.mean(axis=0)
+        along = moves[:, 1] + geometry.velocity[:, None] * slope * turn
+        lean = np.cos(geometry.slip[:, None]) ** 2 / geometry.velocity[:, None]
+        across = lean * (moves[:, 0] - slope * moves[:, 1]) - turn
+        by_direction = np.stack([along, across], axis=1)
+        return np.asarray(by_direction @ self.hidden_covariance @ by_direction.transpose(0, 2, 1))
 
     def check_covers(self, begin: float, end: float) -> None:
         """SpanError unless the motion is known from `begin` to `end` (s)."""
