@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,7 +36,10 @@ HIGH_SIGNAL = 0.95
 class ColumnMtf(Protocol):
     """MTF of the motion of every setting, for some columns."""
 
-    columns: ScanColumns
+    @property
+    def columns(self) -> ScanColumns:
+        """Whose MTF it is."""
+        ...
 
     def central(self, which: slice) -> Array:
         """(c, P, 2) MTF of motion across and along, as expected."""
@@ -49,6 +52,15 @@ class ColumnMtf(Protocol):
 
     def drawn(self, which: slice) -> Array | None:
         """(M, c, P, 2) MTF of motion as it may be, equally likely; None where it is known."""
+        ...
+
+
+@runtime_checkable
+class GroupedMtf(Protocol):
+    """MTF that is integrated for some columns only: so is what it gives to the merit."""
+
+    def robust_merit(self, which: slice, rules: ChoiceRules) -> Array:
+        """(c, P) factor of the merit, by mean or quantile of what may be."""
         ...
 
 
@@ -114,7 +126,7 @@ def normal_draws(dimensions: int, count: int = DRAWS) -> Array:
 
 
 def square_root(covariance: Array) -> Array:
-    """(N, 2, 2) roots of covariances that may be singular."""
+    """(N, K, K) roots of covariances that may be singular."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
 
@@ -163,18 +175,22 @@ def column_factors(model: ColumnMtf, which: slice, grid: TdiGrid, rules: ChoiceR
     columns = model.columns.part(which)
     static = columns.static_mtf[:, None, :]
     mtf: Array = model.central(which) * static
-    merit = _robust_merit(model, which, rules)
+    if isinstance(model, GroupedMtf):
+        merit: Array | None = model.robust_merit(which, rules)
+    else:
+        merit = robust_merit(model, which, rules)
     if merit is None:
         merit = mtf_merit(mtf, rules.merit)
     in_bounds = np.asarray(((mtf >= rules.mtf_min) & (mtf <= rules.mtf_max)).all(axis=-1))
     return ColumnFactors(mtf, np.asarray(merit), main_lobe(columns, grid, rules), in_bounds)
 
 
-def _robust_merit(model: ColumnMtf, which: slice, rules: ChoiceRules) -> Array | None:
+def robust_merit(model: ColumnMtf, which: slice, rules: ChoiceRules) -> Array | None:
     """(c, P) factor of the merit by mean or quantile of what may be; None where all is known."""
     parts = []
-    for begin in range(which.start, which.stop, DRAWN_COLUMNS):
-        each = drawn_merit(model, slice(begin, min(begin + DRAWN_COLUMNS, which.stop)), rules)
+    first, stop, _ = which.indices(len(model.columns))
+    for begin in range(first, stop, DRAWN_COLUMNS):
+        each = drawn_merit(model, slice(begin, min(begin + DRAWN_COLUMNS, stop)), rules)
         if each is None:
             return None
         parts.append(

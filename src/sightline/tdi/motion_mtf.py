@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from sightline.errors import InputError, SpanError
 from sightline.geometry.interpolation import interpolate
 from sightline.imaging.tdi_transfer import ALIGNMENTS, POINTS, Exposure
-from sightline.tdi.merit import normal_draws, square_root
+from sightline.tdi.merit import mtf_merit, normal_draws, robust_merit, square_root
 from sightline.tdi.motion_kernels import moved_mtf
 from sightline.tdi.motion_knowledge import MotionKnowledge
 from sightline.tdi.scan_columns import ColumnGeometry
@@ -29,6 +29,8 @@ Array = NDArray[np.float64]
 GROUPS = 64
 #: Lines of the strip per draw, and draws of what is not known; lines where nothing is drawn.
 STARTS, DRAWS, EXACT_STARTS = 16, 16, 64
+#: Merits of which what stands still is a factor.
+FACTORS = ("product", "geomean", "x", "y")
 #: Line periods before and after the stages that exposures of any alignment reach.
 MARGIN = 1.0
 
@@ -101,6 +103,39 @@ class MotionMtf:
     def drawn(self, which: slice) -> Array:
         """(M, c, P, 2) MTF of motion at every node: draws, and within each its lines."""
         return self._between(self._nodes, which)
+
+    def robust_merit(self, which: slice, rules: ChoiceRules) -> Array:
+        """(c, P) factor of the merit, by mean or quantile over draws.
+
+        Parameters
+        ----------
+        which : slice
+        rules : ChoiceRules
+
+        Notes
+        -----
+        Found for the groups and linear between, where the MTF of what stands still is but a factor of it, or
+        the same in all columns; else column by column.
+        """
+        static = self.columns.static_mtf
+        factor = mtf_merit(static, rules.merit)
+        alike = bool((static == static[0]).all())
+        if not (alike or rules.merit in FACTORS) or not factor.all():
+            merit = robust_merit(self, which, rules)
+            assert merit is not None  # there is a node at least
+            return merit
+        key = (rules.merit, rules.quantile)
+        if key not in self._by_group:
+            each = [robust_merit(self, slice(k, k + 1), rules) for k in self._places.tolist()]
+            found = np.concatenate([merit for merit in each if merit is not None])
+            self._by_group[key] = found / factor[self._places, None]
+        between = self._between(self._by_group[key][None, ..., None], which)[0, ..., 0]
+        return np.asarray(between * factor[which, None])
+
+    @cached_property
+    def _by_group(self) -> dict[tuple[str, float | None], Array]:
+        """Merit (G, P) of the groups over that of what stands still, by how it is judged."""
+        return {}
 
     @property
     def _sure(self) -> bool:
