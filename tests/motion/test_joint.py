@@ -161,6 +161,15 @@ def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool) -> None:
     marginal = whole_covariance(estimate, t)
     np.testing.assert_allclose(np.sqrt(marginal[:, [0, 1, 2], [0, 1, 2]]), sigma[2:-2], rtol=2e-3)
 
+    # means of the three axes, then the drifts of two from the middle to the end
+    sums = np.zeros((size + 2, 5))
+    for axis in range(3):
+        sums[axis:size:block, axis] = 1.0 / COUNT
+    for k, axis in enumerate((2, 0)):
+        sums[axis:size:block, 3 + k] = u / (u @ u)
+    found, want = estimate.hidden_covariance((2, 0)), sums.T @ covariance @ sums
+    np.testing.assert_allclose(found, want, atol=2e-3 * want.max())
+
 
 def test_the_relative_covariance_is_the_projected_dense_one() -> None:
     star = small_star(1)

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.motion.viewing_axes import turned_band, turned_directions, turned_spectra
+from sightline.motion.viewing_axes import turned_amplitudes, turned_band, turned_directions, turned_spectra
 
 TURN = Rotation.from_rotvec([0.3, -0.2, 0.1]).as_matrix()
 RNG = np.random.default_rng(0)
@@ -35,6 +35,18 @@ def test_hidden_directions_are_again_one_per_axis():
     turned = turned_directions(np.concatenate([constants, 2 * constants], axis=2), TURN)
     assert_allclose(turned[:, :, :3], constants, atol=1e-14)
     assert_allclose(turned[:, :, 3:], 2 * constants, atol=1e-14)
+
+
+def test_as_much_of_turned_directions_is_the_same_motion_turned():
+    """Three constants, three drifts and one of another kind: random amounts, the motion told both ways."""
+    rng = np.random.default_rng(2)
+    directions, root = rng.normal(size=(6, 3, 7)), rng.normal(size=(7, 7))
+    turned = turned_directions(directions, TURN).reshape(18, 7)
+    whole = np.einsum("pa,nah->nph", TURN, directions).reshape(18, 7)
+    covariance = root @ root.T
+    assert_allclose(
+        turned @ turned_amplitudes(covariance, TURN) @ turned.T, whole @ covariance @ whole.T, atol=1e-12
+    )
 
 
 def test_spectra_add_by_the_squares_of_the_turn():

@@ -48,7 +48,13 @@ from sightline.motion.joint import (
 from sightline.motion.pair_order import best_first, pair_correlations
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
 from sightline.motion.stars import MatchingPlan, StarRecord, hub_windows, match_star
-from sightline.motion.viewing_axes import turned_band, turned_directions, turned_spectra, turned_star
+from sightline.motion.viewing_axes import (
+    turned_amplitudes,
+    turned_band,
+    turned_directions,
+    turned_spectra,
+    turned_star,
+)
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -363,6 +369,7 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
         absolute_sigma=estimate.absolute_sigma(t, turn),
         hidden=hidden,
         hidden_names=_hidden_names(drifts, turn),
+        hidden_covariance=turned_amplitudes(estimate.hidden_covariance(drifts), turn),
         observed=observed,
         scale=strip.scale,
         ifov=strip.pixel_angle,

@@ -76,6 +76,8 @@ class LineOfSight:
         rad; hidden part included, infinite where nothing ties it.
     hidden : (N, 3, H)
         Motions that the images cannot see, named by `hidden_names`; rad per unit.
+    hidden_covariance : (H, H) or None
+        rad^2; of how much the motion holds of each, by what is believed beforehand and what sensors say.
     observed : (N,) bool
         Where matches speak; elsewhere only prior and interpolation do.
     scale : (3,)
@@ -121,6 +123,7 @@ class LineOfSight:
     changes: tuple[float, ...]
     band: TimeCovariance | None = None
     functional_covariance: Callable[[Array], Array] | None = None
+    hidden_covariance: Array | None = None
     sensors: tuple[SensorUse, ...] = ()
     warnings: tuple[str, ...] = ()
 

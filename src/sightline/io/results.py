@@ -90,6 +90,8 @@ def write_result(
         summary["spin"] = spin_summary(result, acquisition.chip.names)
     if result.hidden.shape[2]:
         summary["hidden_directions"] = write_hidden(folder, motion.t, result.hidden, result.hidden_names)
+        if result.hidden_covariance is not None:
+            summary["hidden_directions"]["covariance"] = result.hidden_covariance.tolist()
     _write_spectrum(folder / "spectrum.csv", result, summary["passbands"])
     if _is_strip(acquisition):
         write_smear(folder / "smear.csv", result, summary["microvibration"])

@@ -270,6 +270,31 @@ class JointEstimate:
         spread, _ = self._factor(constants=False).times(flat)
         return np.asarray(flat.T @ spread)
 
+    def hidden_covariance(self, drifts: Sequence[int] = ()) -> Array:
+        """Covariance (H, H) rad^2 of how much the motion holds of each hidden direction, constants free.
+
+        Parameters
+        ----------
+        drifts : sequence of int
+            As given to `hidden_directions`, whose order this has.
+
+        Notes
+        -----
+        A direction is the only one that holds the mean, or the drift from the middle to the ends, of its own
+        axis: the covariance is that of these means and drifts. Priors alone bound them, of constants, of
+        static parameters and of the motion, and what attitude sensors and control points say.
+        """
+        grid, block = self.grid, self._data.block
+        shapes = np.stack([np.ones(grid.count), np.linspace(-1.0, 1.0, grid.count)], axis=1)
+        fit = np.linalg.pinv(shapes)
+        own = [(0, axis) for axis in range(3)] + [(1, axis) for axis in drifts]
+        weights = np.zeros((grid.count, block, len(own)))
+        for k, (shape, axis) in enumerate(own):
+            weights[:, axis, k] = fit[shape]
+        flat = weights.reshape(-1, len(own))
+        spread, _ = self._factor(constants=True).times(flat)
+        return np.asarray(flat.T @ spread)
+
     def absolute_sigma(self, t: Array, turn: Array | None = None) -> Array:
         """Sigma (N, 3) rad of the motion at `t`, hidden part included; infinite on axes that nothing ties.
 

@@ -96,6 +96,15 @@ def turned_directions(directions: Array, turn: Array) -> Array:
     return np.concatenate([turned, turn @ over], axis=2)
 
 
+def turned_amplitudes(covariance: Array, turn: Array) -> Array:
+    """Covariance (H, H) of how much a motion holds of `turned_directions`, from that of the directions."""
+    size = len(covariance)
+    change = np.eye(size)
+    for first in range(0, size - 2, 3):
+        change[first : first + 3, first : first + 3] = turn
+    return np.asarray(change @ covariance @ change.T)
+
+
 def turned_spectra(
     spectra: tuple[Spectrum, Spectrum, Spectrum], turn: Array
 ) -> tuple[Spectrum, Spectrum, Spectrum]:

@@ -24,6 +24,8 @@ Flags = NDArray[np.bool_]
 
 #: Draws of velocity and slip from their covariance (a power of two: a Sobol sequence).
 DRAWS = 64
+#: Columns whose draws are held at once.
+DRAWN_COLUMNS = 16
 #: Nodes of the signal's own uncertainty.
 SIGNAL_NODES = 9
 #: Without a quantile, a signal that high in its distribution must not saturate.
@@ -42,8 +44,17 @@ class ColumnMtf(Protocol):
         """(c, P, 2) MTF of motion across and along, as expected."""
         ...
 
+    @property
+    def nodes_per_draw(self) -> int:
+        """Nodes in a row that are lines of one and the same strip: its merit is their mean."""
+        ...
+
     def drawn(self, which: slice | Index) -> Array | None:
         """(M, c, P, 2) MTF of motion as it may be, equally likely; None where it is known."""
+        ...
+
+    def robust_merit(self, which: slice | Index, rules: ChoiceRules) -> Array | None:
+        """(c, P) factor of the merit by mean or quantile of what may be; None where all is known."""
         ...
 
 
@@ -64,6 +75,11 @@ class DriftMtf:
     exposure: Exposure
     rules: ChoiceRules
 
+    @property
+    def nodes_per_draw(self) -> int:
+        """One: a constant drift is that of every line."""
+        return 1
+
     def central(self, which: slice | Index) -> Array:
         """(c, P, 2) MTF at the velocity and slip given."""
         return self._mtf(self.columns.velocity[which], self.columns.slip[which])
@@ -73,13 +89,17 @@ class DriftMtf:
         covariance = self.columns.covariance
         if covariance is None or not covariance.any():
             return None
-        root = _square_root(covariance[which])
+        root = square_root(covariance[which])
         offsets = np.einsum("cij,mj->mci", root, normal_draws(2))
         velocity, slip = (
             self.columns.velocity[which] + offsets[..., 0],
             self.columns.slip[which] + offsets[..., 1],
         )
         return self._mtf(velocity.ravel(), slip.ravel()).reshape(*velocity.shape, len(self.grid), 2)
+
+    def robust_merit(self, which: slice | Index, rules: ChoiceRules) -> Array | None:
+        """(c, P) factor of the merit by mean or quantile of the draws; None without a covariance."""
+        return robust_merit(self, which, rules)
 
     def _mtf(self, velocity: Array, slip: Array) -> Array:
         out = np.empty((len(velocity), len(self.grid), 2))
@@ -116,9 +136,18 @@ class SomeColumns:
         """(c, P, 2) as the model gives it."""
         return self.model.central(self.which[which])
 
+    @property
+    def nodes_per_draw(self) -> int:
+        """As of the model."""
+        return self.model.nodes_per_draw
+
     def drawn(self, which: slice | Index) -> Array | None:
         """(M, c, P, 2) as the model gives it."""
         return self.model.drawn(self.which[which])
+
+    def robust_merit(self, which: slice | Index, rules: ChoiceRules) -> Array | None:
+        """(c, P) as the model gives it."""
+        return self.model.robust_merit(self.which[which], rules)
 
 
 def normal_draws(dimensions: int, count: int = DRAWS) -> Array:
@@ -131,8 +160,8 @@ def normal_draws(dimensions: int, count: int = DRAWS) -> Array:
     return np.asarray(ndtri(points), dtype=np.float64)
 
 
-def _square_root(covariance: Array) -> Array:
-    """(N, 2, 2) roots of covariances that may be singular."""
+def square_root(covariance: Array) -> Array:
+    """(N, K, K) roots of covariances that may be singular."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :])
 
@@ -186,14 +215,34 @@ def column_factors(
     columns = model.columns.part(which)
     static = columns.static_mtf[:, None, :]
     mtf: Array = model.central(which) * static
-    drawn = model.drawn(which)
-    if drawn is None:
+    merit = model.robust_merit(which, rules)
+    if merit is None:
         merit = mtf_merit(mtf, rules.merit)
-    else:
-        each = mtf_merit(drawn * static, rules.merit)
-        merit = each.mean(axis=0) if rules.quantile is None else np.quantile(each, rules.quantile, axis=0)
     in_bounds = np.asarray(((mtf >= rules.mtf_min) & (mtf <= rules.mtf_max)).all(axis=-1))
     return ColumnFactors(mtf, np.asarray(merit), main_lobe(columns, grid, rules), in_bounds)
+
+
+def robust_merit(model: ColumnMtf, which: slice | Index, rules: ChoiceRules) -> Array | None:
+    """(c, P) factor of the merit by mean or quantile of what may be; None where all is known."""
+    parts = []
+    wanted = np.arange(len(model.columns))[which]
+    for begin in range(0, len(wanted), DRAWN_COLUMNS):
+        each = drawn_merit(model, wanted[begin : begin + DRAWN_COLUMNS], rules)
+        if each is None:
+            return None
+        parts.append(
+            each.mean(axis=0) if rules.quantile is None else np.quantile(each, rules.quantile, axis=0)
+        )
+    return np.concatenate(parts)
+
+
+def drawn_merit(model: ColumnMtf, which: slice | Index, rules: ChoiceRules) -> Array | None:
+    """(E, c, P) factor of the merit that columns give at every draw, mean over its lines; None if known."""
+    drawn = model.drawn(which)
+    if drawn is None:
+        return None
+    each = mtf_merit(drawn * model.columns.static_mtf[which][:, None, :], rules.merit)
+    return np.asarray(each.reshape(-1, model.nodes_per_draw, *each.shape[1:]).mean(axis=1))
 
 
 def main_lobe(columns: ScanColumns, grid: TdiGrid, rules: ChoiceRules) -> Flags:
