@@ -12,7 +12,7 @@ from sightline.errors import InputError
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.imaging.tdi_transfer import Exposure
 from sightline.tdi.choose import choose_settings
-from sightline.tdi.merit import DriftMtf, column_factors
+from sightline.tdi.merit import DriftMtf, column_factors, robust_merit
 from sightline.tdi.predict_loss import predict_loss
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
 
@@ -34,6 +34,9 @@ class ByHand:
     def drawn(self, which):
         across = np.tile(ACROSS[:, None], (1, len(self.columns), 1))[:, which]
         return np.stack([across, np.ones_like(across)], axis=-1)
+
+    def robust_merit(self, which, rules):
+        return robust_merit(self, which, rules)
 
 
 def columns(count=1):
