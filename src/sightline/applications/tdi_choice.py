@@ -23,6 +23,7 @@ from sightline.tdi.merit import (
     main_lobe,
     signal_factors,
 )
+from sightline.tdi.predict_loss import PredictedLoss, predict_loss
 from sightline.tdi.setting import Array, ChoiceRules, Index, ScanColumns, TdiDetector, TdiGrid
 
 #: Columns over which other ways of choosing are compared, evenly spread: the whole is not judged thrice.
@@ -54,6 +55,8 @@ class TdiProblem:
     aperture : (float, float)
         Photosensitive width of a pixel across and along, px; for pictures.
     name : str
+    notes : tuple of str
+        What had to be left out; the result repeats them as warnings.
     """
 
     columns: ScanColumns
@@ -67,6 +70,7 @@ class TdiProblem:
     largest_step: int | None = None
     aperture: tuple[float, float] = (1.0, 1.0)
     name: str = "TDI choice"
+    notes: tuple[str, ...] = ()
 
     @property
     def model(self) -> ColumnMtf:
@@ -130,6 +134,9 @@ class TdiResult:
         One setting for all, from the centre column; one signal per column; the form of EP2733929.
     landscape : Landscape
         Of the first, the middle and the last column.
+    predicted_loss : PredictedLoss or None
+        What the choice gives away because velocity, slip or motion are not known exactly; None where they
+        are.
     warnings : tuple of str
     """
 
@@ -140,6 +147,7 @@ class TdiResult:
     one_signal: OtherWay
     patent: OtherWay
     landscape: Landscape
+    predicted_loss: PredictedLoss | None
     warnings: tuple[str, ...]
 
 
@@ -173,9 +181,11 @@ def choose_tdi(problem: TdiProblem) -> TdiResult:
     steady = None
     if problem.hysteresis > 0.0 or problem.largest_step is not None:
         steady = steady_choice(problem.model, choice, problem.hysteresis, largest_step=problem.largest_step)
-    warnings = _warnings(problem, choice, ways[-1])
+    warnings = problem.notes + _warnings(problem, choice, ways[-1])
     used = choice if steady is None else steady.choice
-    return TdiResult(problem, used, steady, *ways, _landscape(problem), warnings)
+    loss = predict_loss(used, problem.model)
+    predicted = loss if len(loss.draws) > 1 else None
+    return TdiResult(problem, used, steady, *ways, _landscape(problem), predicted, warnings)
 
 
 def check_slip(columns: ScanColumns, rules: ChoiceRules) -> None:

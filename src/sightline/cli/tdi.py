@@ -16,6 +16,14 @@ if TYPE_CHECKING:
 def tdi(
     file: Annotated[Path, typer.Argument(metavar="TDI.toml", help="Detector, columns, signals, rules.")],
     out: Out,
+    motion: Annotated[
+        Path | None,
+        typer.Option(
+            "--motion",
+            metavar="DIR",
+            help="Folder that `recover` wrote for the acquisition of [columns]: settings for its motion.",
+        ),
+    ] = None,
     pictures: Annotated[
         bool,
         typer.Option(help="Image a target with the choice, and with one setting for all, for the report."),
@@ -37,7 +45,7 @@ def tdi(
     begin = time.perf_counter()
     check_output_folder(out, overwrite=overwrite)
     with progress() as report:
-        problem = load_tdi(file)
+        problem = load_tdi(file, motion)
         report(f"choosing among {len(problem.grid)} settings")
         result = choose_tdi(problem)
         target = None
@@ -49,7 +57,7 @@ def tdi(
             write_choice(folder / "choice.csv", result.choice)
             seconds = time.perf_counter() - begin
             summary = write_tdi_summary(
-                folder / "summary.json", result, tdi_inputs(file), wall_seconds=seconds
+                folder / "summary.json", result, tdi_inputs(file, motion), wall_seconds=seconds
             )
             write_tdi_report(folder / "report.html", result, summary, target)
     if as_json:

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 
 from sightline.applications.tdi_choice import TdiProblem, check_slip
 from sightline.errors import FormatError, InputError
-from sightline.imaging.mtf import aperture_mtf, diffusion_mtf, optics_mtf
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.imaging.tdi_transfer import Exposure
 from sightline.io.config import read_toml, validate
 from sightline.io.tables import header_of, read_columns
-from sightline.io.tdi_schema import ChoiceSection, MtfSection, TdiFile
+from sightline.io.tdi_columns import columns_of_acquisition, optics_of, static_mtf
+from sightline.io.tdi_schema import ChoiceSection, TdiFile
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
 
 Array = NDArray[np.float64]
@@ -29,13 +29,21 @@ OPTICS = ("optics_mtf_x", "optics_mtf_y")
 SIGMAS = ("sigma_velocity", "sigma_slip")
 
 
-def load_tdi(path: str | Path) -> TdiProblem:
+def load_tdi(path: str | Path, motion: str | Path | None = None) -> TdiProblem:
     """The problem of a TDI.toml.
+
+    Parameters
+    ----------
+    path : str or Path
+    motion : str or Path, optional
+        Folder that ``recover`` wrote for the acquisition of ``[columns]``.
 
     Raises
     ------
     FormatError
         Names file, key, value, what is allowed; also for the table it names.
+    InputError
+        A motion without an acquisition, or of another one; a motion that does not cover the stages.
     """
     path = Path(path)
     file = validate(TdiFile, read_toml(path), path)
@@ -48,12 +56,29 @@ def load_tdi(path: str | Path) -> TdiProblem:
         choice.full_well_line,
         choice.full_well_sum,
     )
+    grid, rules = (
+        TdiGrid(np.array(file.grid.stage_list), np.array(file.grid.ratio_list)),
+        _rules(choice, file),
+    )
+    if file.columns.acquisition is not None:
+        seen = columns_of_acquisition(file, path, None if motion is None else Path(motion))
+        columns, notes = seen.columns, seen.notes
+        moved = seen.mtf(grid, detector.exposure, rules)
+    elif motion is not None:
+        raise InputError(
+            f"{path}: --motion belongs to an acquisition, whose cameras turn it into image motion; name it "
+            "with [columns] acquisition = FILE in place of count or table"
+        )
+    else:
+        columns, notes, moved = _columns(file, path), (), None
     problem = TdiProblem(
-        columns=_columns(file, path),
+        columns=columns,
         signals=signals,
-        grid=TdiGrid(np.array(file.grid.stage_list), np.array(file.grid.ratio_list)),
+        grid=grid,
         detector=detector,
-        rules=_rules(choice, file),
+        rules=rules,
+        motion=moved,
+        notes=notes,
         max_loss=file.table.max_loss,
         hysteresis=choice.hysteresis,
         largest_step=choice.max_step,
@@ -93,9 +118,7 @@ def _columns(file: TdiFile, path: Path) -> ScanColumns:
             np.zeros(section.count),
         )
         return _with_sigmas(column, velocity, slip, np.tile(static, (section.count, 1)), file, {})
-    if section.table is not None:
-        return _read_columns(path.parent / section.table, static, file)
-    raise FormatError(f"{path}: columns.acquisition is not read yet")
+    return _read_columns(path.parent / str(section.table), static, file)
 
 
 def _read_columns(path: Path, static: Array, file: TdiFile) -> ScanColumns:
@@ -144,30 +167,12 @@ def _with_sigmas(
     return ScanColumns(column, velocity, slip, mtf, covariance)
 
 
-def optics_of(section: MtfSection) -> Array:
-    """(2,) MTF of the optics across and along."""
-    if section.optics_cutoff is not None:
-        return optics_mtf(
-            section.frequencies,
-            section.optics_cutoff,
-            obscuration=section.obscuration,
-            wavefront=section.wavefront,
-        )
-    given = 1.0 if section.optics_mtf is None else section.optics_mtf
-    return np.broadcast_to(np.asarray(given, dtype=np.float64), (2,))
-
-
-def static_mtf(section: MtfSection) -> Array:
-    """(2,) MTF of optics, aperture and diffusion across and along."""
-    f = np.asarray(section.frequencies)
-    aperture = [aperture_mtf(f[0], section.aperture_x), aperture_mtf(f[1], section.aperture_y)]
-    return np.asarray(optics_of(section) * np.array(aperture) * diffusion_mtf(f, section.diffusion_sigma_px))
-
-
-def tdi_inputs(path: Path) -> list[Path]:
-    """The TDI.toml and the files that it names."""
+def tdi_inputs(path: Path, motion: Path | None = None) -> list[Path]:
+    """The TDI.toml, the files that it names, and what was read of a recovered motion."""
     columns = validate(TdiFile, read_toml(path), path).columns
-    return [path, *(path.parent / name for name in (columns.table, columns.acquisition) if name is not None)]
+    named = [path.parent / name for name in (columns.table, columns.acquisition) if name is not None]
+    recovered = [] if motion is None else [motion / name for name in ("motion.csv", "summary.json")]
+    return [path, *named, *recovered]
 
 
 def describe_tdi(problem: TdiProblem) -> dict[str, Any]:

@@ -18,6 +18,9 @@ from sightline.applications.tdi_choice import OtherWay, TdiResult
 from sightline.io.results import write_json
 from sightline.tdi.choose import LIMITS, TdiChoice
 from sightline.tdi.hysteresis import SteadyChoice
+from sightline.tdi.merit import ColumnMtf
+from sightline.tdi.motion_mtf import MotionMtf
+from sightline.tdi.predict_loss import PredictedLoss
 
 COLUMNS = (
     "column", "signal", "stages", "integration_ratio", "mtf_x", "mtf_y", "snr", "merit", "limit",
@@ -89,6 +92,8 @@ def summarize_tdi(result: TdiResult, inputs: Iterable[Path], *, wall_seconds: fl
         "infeasible": int(choice.infeasible.sum()),
         "steady": None if result.steady is None else _steady(result.steady),
         "other_ways": [_other_way(way) for way in (result.one_setting, result.one_signal, result.patent)],
+        "motion": _motion(problem.motion),
+        "predicted_loss": None if result.predicted_loss is None else _predicted(result.predicted_loss),
         "warnings": list(result.warnings),
         "wall_seconds": wall_seconds,
         "inputs": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs},
@@ -102,6 +107,29 @@ def _steady(steady: SteadyChoice) -> dict[str, Any]:
         "changes": [steady.changes_before, steady.changes_after],
         "largest_step": [steady.largest_step_before, steady.largest_step_after],
         "too_far": int(steady.too_far.sum()),
+    }
+
+
+def _motion(model: ColumnMtf | None) -> dict[str, Any] | None:
+    """The strip whose motion the choice was made for."""
+    if not isinstance(model, MotionMtf):
+        return None
+    t = model.start_times()
+    return {
+        "first_line": float(t.min()),
+        "last_line": float(t.max()),
+        "lines": int(t.size),
+        "draws": len(t),
+        "jitter": [float(sigma) for sigma in model.knowledge.jitter],
+    }
+
+
+def _predicted(loss: PredictedLoss) -> dict[str, Any]:
+    return {
+        "columns": [float(column) for column in loss.column],
+        "signals": [float(signal) for signal in loss.signals],
+        "mean": float(loss.mean.mean()),
+        "upper_95": float(loss.upper().max()),
     }
 
 

@@ -266,10 +266,7 @@ class MotionSection(Section):
     """``[motion]``: what the images of ``--motion`` were taken with."""
 
     stages: Stages = Field(default=1, description="TDI stages of the images that the motion came from")
-    integration_ratio: Share = Field(default=1.0, description="Their integration ratio")
-    sigma_slip: Sigma | None = Field(
-        default=None, description="1-sigma of the constant yaw, rad, where no attitude sensor tied it"
-    )
+    integration_ratio: Share = Field(default=1.0, description="Integration ratio of those images")
 
 
 class TdiFile(Section):
@@ -284,7 +281,7 @@ class TdiFile(Section):
     mtf: MtfSection = MtfSection()
     choice: ChoiceSection = ChoiceSection()
     table: TableSection = TableSection()
-    motion: MotionSection | None = None
+    motion: MotionSection = MotionSection()
 
     @model_validator(mode="after")
     def _parts_agree(self) -> TdiFile:

@@ -93,7 +93,11 @@ def sections(result: TdiResult) -> list[Section]:
 def sentences(result: TdiResult, summary: Mapping[str, Any]) -> list[str]:
     """The choice in plain words."""
     said = [_what(result, summary), _how_good(summary), _others(summary)]
-    return said if summary["steady"] is None else [*said, _steady(summary["steady"])]
+    if summary["steady"] is not None:
+        said.append(_steady(summary["steady"]))
+    if summary["predicted_loss"] is not None:
+        said.append(_uncertain(summary))
+    return said
 
 
 def _what(result: TdiResult, summary: Mapping[str, Any]) -> str:
@@ -121,6 +125,17 @@ def _how_good(summary: Mapping[str, Any]) -> str:
         f"With them the MTF is {digits(x['min'], 2)} to {digits(x['max'], 2)} across and "
         f"{digits(y['min'], 2)} to {digits(y['max'], 2)} along the columns, the SNR {digits(snr['min'], 2)} "
         f"to {digits(snr['max'], 2)}."
+    )
+
+
+def _uncertain(summary: Mapping[str, Any]) -> str:
+    loss, motion = summary["predicted_loss"], summary["motion"]
+    what = "Velocity and slip are" if motion is None else "Velocity, slip and the recovered motion are"
+    lines = "" if motion is None else f" Settings were judged by {motion['lines']} lines of the strip."
+    return (
+        f"{what} not known exactly: against one who knew them this choice gives away "
+        f"{100.0 * loss['mean']:.2g} % of the merit on average, and with 95 % probability no more than "
+        f"{100.0 * loss['upper_95']:.2g} % in the worst of {len(loss['columns'])} columns.{lines}"
     )
 
 
