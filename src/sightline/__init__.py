@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from sightline.motion.predict import predict_match
     from sightline.products.frame_mosaic import frame_mosaic
     from sightline.simulate.scenarios import line_of_sight_case
+    from sightline.tdi.table import TdiTable
 
     __version__: str
 
@@ -95,6 +96,7 @@ _MODULE_OF = {
     "SpinAttitude": "sightline.applications.spin_attitude",
     "SpinOptions": "sightline.applications.spin_attitude",
     "Surface": "sightline.geometry.surface",
+    "TdiTable": "sightline.tdi.table",
     "Trajectory": "sightline.geometry.trajectory",
     "UnobservableBandWarning": "sightline.errors",
     "choose_layout": "sightline.applications.focal_plane",
@@ -157,6 +159,7 @@ __all__ = [
     "SpinAttitude",
     "SpinOptions",
     "Surface",
+    "TdiTable",
     "Trajectory",
     "UnobservableBandWarning",
     "choose_layout",
