@@ -54,7 +54,7 @@ def scene(lines: int, kind: str) -> np.ndarray:
     """Signals (lines, COLUMNS): a random walk along each line, or drawn anew for each sample; log-uniform."""
     rng = np.random.default_rng(0)
     if kind == "random":
-        return np.exp(rng.uniform(0.0, np.log(8000.0), (lines, COLUMNS)))
+        return np.exp(np.log(8000.0) * rng.random((lines, COLUMNS), dtype=np.float32))
     step = rng.standard_normal((lines, COLUMNS), dtype=np.float32).cumsum(axis=1, dtype=np.float32)
     turn = np.abs(np.mod(0.05 * step, 2.0) - 1.0)
     return np.exp(np.log(8000.0) * turn)

@@ -65,17 +65,15 @@ def words_by_signal(signals, edges, starts, last, shift, spread, out):  # type: 
         Bits that quantisation drops.
     spread : (n,) uint16
     """
-    for line in range(signals.shape[0]):
-        for group in range(edges.shape[0] - 1):
-            first, most = starts[group], last[group]
-            for c in range(edges[group], edges[group + 1]):
-                signal = signals[line, c]
-                code = 0
-                if signal >= most:
-                    code = most >> shift
-                elif signal > 0:
-                    code = np.int64(signal) >> shift
-                out[line, c] = spread[first + code]
+    # group by group: its part of the list stays in the first cache over all lines
+    for group in range(edges.shape[0] - 1):
+        most, here = last[group], spread[starts[group] : starts[group + 1]]
+        for line in range(signals.shape[0]):
+            signal = signals[line, edges[group] : edges[group + 1]]
+            word = out[line, edges[group] : edges[group + 1]]
+            for c in range(signal.shape[0]):
+                code = np.int64(min(signal[c], most)) >> shift if signal[c] > 0 else 0
+                word[c] = here[np.uintp(code)]
 
 
 @njit(cache=True, nogil=True)
