@@ -207,8 +207,8 @@ def seen_through_tdi(seed: int, stages: int, ratio: float = 0.8) -> None:
     best, chosen = worth[0]
     print(
         f"   seed {seed}, images of {stages:3d} stages, restored to {highest:.0f} Hz: stages {chosen} by the "
-        f"truth, {worth[1][1]} as seen (merit ratio worst {(worth[1][0] / best).min():.4f}), {worth[2][1]} restored "
-        f"({(worth[2][0] / best).min():.4f})",
+        f"truth, {worth[1][1]} as seen (merit ratio worst {(worth[1][0] / best).min():.4f}), {worth[2][1]} "
+        f"restored ({(worth[2][0] / best).min():.4f})",
         flush=True,
     )
 

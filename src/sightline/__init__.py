@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from sightline.simulate.scenarios import line_of_sight_case
     from sightline.tdi.choose import TdiChoice
     from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
+    from sightline.tdi.table import TdiTable
 
     __version__: str
 
@@ -110,6 +111,7 @@ _MODULE_OF = {
     "TdiGrid": "sightline.tdi.setting",
     "TdiProblem": "sightline.applications.tdi_choice",
     "TdiResult": "sightline.applications.tdi_choice",
+    "TdiTable": "sightline.tdi.table",
     "Trajectory": "sightline.geometry.trajectory",
     "UnobservableBandWarning": "sightline.errors",
     "choose_layout": "sightline.applications.focal_plane",
@@ -183,6 +185,7 @@ __all__ = [
     "TdiGrid",
     "TdiProblem",
     "TdiResult",
+    "TdiTable",
     "Trajectory",
     "UnobservableBandWarning",
     "choose_layout",

@@ -25,9 +25,13 @@ from sightline.tdi.merit import (
 )
 from sightline.tdi.predict_loss import PredictedLoss, predict_loss
 from sightline.tdi.setting import Array, ChoiceRules, Index, ScanColumns, TdiDetector, TdiGrid
+from sightline.tdi.table import TdiTable
+from sightline.tdi.table_build import Certificate, build_table, table_loss
 
 #: Columns over which other ways of choosing are compared, evenly spread: the whole is not judged thrice.
 COMPARED = 512
+#: Signals of the map of the table's loss.
+MAPPED = 200
 #: Loss of merit by the patent's form above which it is said.
 SAID_LOSS = 0.01
 
@@ -120,6 +124,25 @@ class Landscape:
 
 
 @dataclass(frozen=True, eq=False)
+class TableLoss:
+    """Merit that the table loses, over columns and signals.
+
+    Attributes
+    ----------
+    columns : (c,) int
+        Counted from the first.
+    signals : (s,)
+        Electrons of one line.
+    loss : (c, s)
+        Relative; NaN where no setting keeps all limits.
+    """
+
+    columns: Index
+    signals: Array
+    loss: Array
+
+
+@dataclass(frozen=True, eq=False)
 class TdiResult:
     """What ``choose_tdi`` gives.
 
@@ -134,6 +157,12 @@ class TdiResult:
         One setting for all, from the centre column; one signal per column; the form of EP2733929.
     landscape : Landscape
         Of the first, the middle and the last column.
+    table : TdiTable
+        Of settings by column and signal.
+    certificate : Certificate
+        What the table loses at worst.
+    table_loss : TableLoss
+        What it loses where.
     predicted_loss : PredictedLoss or None
         What the choice gives away because velocity, slip or motion are not known exactly; None where they
         are.
@@ -147,6 +176,9 @@ class TdiResult:
     one_signal: OtherWay
     patent: OtherWay
     landscape: Landscape
+    table: TdiTable
+    certificate: Certificate
+    table_loss: TableLoss
     predicted_loss: PredictedLoss | None
     warnings: tuple[str, ...]
 
@@ -181,11 +213,21 @@ def choose_tdi(problem: TdiProblem) -> TdiResult:
     steady = None
     if problem.hysteresis > 0.0 or problem.largest_step is not None:
         steady = steady_choice(problem.model, choice, problem.hysteresis, largest_step=problem.largest_step)
-    warnings = problem.notes + _warnings(problem, choice, ways[-1])
+    table, certificate = build_table(problem.model, choice, problem.max_loss)
     used = choice if steady is None else steady.choice
     loss = predict_loss(used, problem.model)
-    predicted = loss if len(loss.draws) > 1 else None
-    return TdiResult(problem, used, steady, *ways, _landscape(problem), predicted, warnings)
+    return TdiResult(
+        problem,
+        used,
+        steady,
+        *ways,
+        _landscape(problem),
+        table,
+        certificate,
+        _table_loss(problem, choice, table),
+        loss if len(loss.draws) > 1 else None,
+        problem.notes + _warnings(problem, choice, ways[-1], certificate),
+    )
 
 
 def check_slip(columns: ScanColumns, rules: ChoiceRules) -> None:
@@ -202,7 +244,7 @@ def check_slip(columns: ScanColumns, rules: ChoiceRules) -> None:
 def _other_ways(problem: TdiProblem, choice: TdiChoice) -> tuple[OtherWay, OtherWay, OtherWay]:
     """What is lost by one setting for all columns, by one signal for all scenes, and by the patent's form."""
     count, middle = len(problem.columns), len(problem.signals) // 2
-    some = np.unique(np.linspace(0, count - 1, min(count, COMPARED)).round().astype(np.intp))
+    some = _spread(count)
     shape = (len(some), len(problem.signals))
     centre = choice.setting[count // 2, middle]
     part = problem.columns.part(some)
@@ -240,6 +282,27 @@ def _other_ways(problem: TdiProblem, choice: TdiChoice) -> tuple[OtherWay, Other
     return ways[0], ways[1], ways[2]
 
 
+def _table_loss(problem: TdiProblem, choice: TdiChoice, table: TdiTable) -> TableLoss:
+    """Loss of the table at some columns, and at signals denser than those it was asked for."""
+    some = _spread(len(problem.columns))
+    low, high = problem.signals[[0, -1]]
+    signals: Array = np.unique(np.round(np.geomspace(max(low, 1.0), max(high, 1.0), MAPPED))).astype(float)
+    part = replace(
+        choice,
+        columns=choice.columns.part(some),
+        setting=choice.setting[some],
+        mtf=choice.mtf[some],
+        snr=choice.snr[some],
+        limit=choice.limit[some],
+    )
+    return TableLoss(some, signals, table_loss(SomeColumns(problem.model, some), part, table, signals))
+
+
+def _spread(count: int) -> Index:
+    """At most `COMPARED` of so many columns, evenly."""
+    return np.unique(np.linspace(0, count - 1, min(count, COMPARED)).round().astype(np.intp))
+
+
 def _landscape(problem: TdiProblem) -> Landscape:
     """Merit over the whole grid for the first, the middle and the last column, at the middle signal."""
     count, signal = len(problem.columns), len(problem.signals) // 2
@@ -251,9 +314,17 @@ def _landscape(problem: TdiProblem) -> Landscape:
     return Landscape(which, signal, (by_column * by_signal).reshape(shape))
 
 
-def _warnings(problem: TdiProblem, choice: TdiChoice, patent: OtherWay) -> tuple[str, ...]:
+def _warnings(
+    problem: TdiProblem, choice: TdiChoice, patent: OtherWay, certificate: Certificate
+) -> tuple[str, ...]:
     """What a user must know before using the numbers."""
     said = []
+    if not certificate.holds:
+        said.append(
+            f"the table loses up to {100.0 * certificate.loss:.3g} % of the merit (column "
+            f"{certificate.column:g}, {certificate.signal:.4g} electrons), more than max_loss = "
+            f"{100.0 * certificate.max_loss:.3g} %: signals are whole electrons there; allow more"
+        )
     worst = float(patent.loss.max(initial=0.0))
     if problem.rules.model == "patent" and worst > SAID_LOSS:
         said.append(

@@ -40,6 +40,7 @@ def tdi(
     from sightline.evaluation.tdi_pictures import strip_pictures
     from sightline.io.tdi import load_tdi, tdi_inputs
     from sightline.io.tdi_results import write_choice, write_tdi_summary
+    from sightline.io.tdi_table import write_table
     from sightline.report.tdi_page import write_tdi_report
 
     begin = time.perf_counter()
@@ -55,6 +56,7 @@ def tdi(
         report("writing the choice, its table and report")
         with output_folder(out, overwrite=overwrite) as folder:
             write_choice(folder / "choice.csv", result.choice)
+            write_table(folder, result.table)
             seconds = time.perf_counter() - begin
             summary = write_tdi_summary(
                 folder / "summary.json", result, tdi_inputs(file, motion), wall_seconds=seconds
@@ -83,4 +85,9 @@ def _tell(result: TdiResult, summary: dict[str, Any], out: Path) -> None:
             f"{way['name']} would lose {100.0 * way['mean_loss']:.3g} % of the merit on average, "
             f"{100.0 * way['worst_loss']:.3g} % at worst"
         )
-    say(f"{out / 'choice.csv'}, {out / 'report.html'}")
+    table = summary["table"]
+    say(
+        f"table of {table['cells']} cells, {table['bytes']:,} bytes: loses "
+        f"{100.0 * table['certified_loss']:.2g} % of the merit at worst, {100.0 * table['mean_loss']:.2g} % on average"
+    )
+    say(f"{out / 'choice.csv'}, {out / 'table.bin'}, {out / 'report.html'}")

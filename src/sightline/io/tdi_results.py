@@ -92,11 +92,30 @@ def summarize_tdi(result: TdiResult, inputs: Iterable[Path], *, wall_seconds: fl
         "infeasible": int(choice.infeasible.sum()),
         "steady": None if result.steady is None else _steady(result.steady),
         "other_ways": [_other_way(way) for way in (result.one_setting, result.one_signal, result.patent)],
+        "table": _table(result),
         "motion": _motion(problem.motion),
         "predicted_loss": None if result.predicted_loss is None else _predicted(result.predicted_loss),
         "warnings": list(result.warnings),
         "wall_seconds": wall_seconds,
         "inputs": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs},
+    }
+
+
+def _table(result: TdiResult) -> dict[str, Any]:
+    table, certificate = result.table, result.certificate
+    return {
+        "certified_loss": certificate.loss,
+        "max_loss": certificate.max_loss,
+        "holds": certificate.holds,
+        "mean_loss": certificate.mean_loss,
+        "worst_column": certificate.column,
+        "worst_signal": certificate.signal,
+        "points": list(certificate.points),
+        "flagged": certificate.flagged,
+        "bytes": certificate.bytes,
+        "groups": len(table.edges) - 1,
+        "cells": len(table.words),
+        "id": f"{table.identity:08x}",
     }
 
 

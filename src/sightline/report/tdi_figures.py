@@ -122,6 +122,20 @@ def merit_figure(result: TdiResult) -> go.Figure:
     return figure
 
 
+def table_figure(result: TdiResult) -> go.Figure:
+    """Merit that the table loses over column and signal."""
+    found, columns = result.table_loss, result.choice.columns.column
+    figure = panels(1, 380, top=24)
+    figure.add_heatmap(
+        x=columns[found.columns], y=found.signals, z=100.0 * found.loss.T, colorscale="YlOrRd", zmin=0.0,
+        zmax=100.0 * result.certificate.max_loss, colorbar=_bar("merit lost (%)", 1, 1),
+        hovertemplate="column %{x:.0f}, %{y:.4g} e-: %{z:.3f} %<extra></extra>",
+    )  # fmt: skip
+    _signal_axis(figure, found.signals, 1)
+    figure.update_xaxes(title_text="column")
+    return figure
+
+
 def others_figure(result: TdiResult) -> go.Figure:
     """Merit that other ways of choosing lose, along the columns, averaged over the signals."""
     figure = panels(1, 360, top=64)

@@ -79,6 +79,14 @@ def sections(result: TdiResult) -> list[Section]:
             tdi_figures.merit_figure(result),
         ),
         Section(
+            "table",
+            "The table that is looked up",
+            f"Merit that the table of {len(result.table.words)} cells, {result.certificate.bytes:,} bytes, "
+            "loses against the best setting of every column and signal. Within a cell one setting serves "
+            "all; the bound holds at every point judged. White: no setting keeps all limits.",
+            tdi_figures.table_figure(result),
+        ),
+        Section(
             "others",
             "What other ways of choosing would lose",
             "Merit lost against the choice, all of it beyond the main lobe (where contrast is reversed) "
@@ -92,7 +100,7 @@ def sections(result: TdiResult) -> list[Section]:
 
 def sentences(result: TdiResult, summary: Mapping[str, Any]) -> list[str]:
     """The choice in plain words."""
-    said = [_what(result, summary), _how_good(summary), _others(summary)]
+    said = [_what(result, summary), _how_good(summary), _others(summary), _table(summary["table"])]
     if summary["steady"] is not None:
         said.append(_steady(summary["steady"]))
     if summary["predicted_loss"] is not None:
@@ -125,6 +133,15 @@ def _how_good(summary: Mapping[str, Any]) -> str:
         f"With them the MTF is {digits(x['min'], 2)} to {digits(x['max'], 2)} across and "
         f"{digits(y['min'], 2)} to {digits(y['max'], 2)} along the columns, the SNR {digits(snr['min'], 2)} "
         f"to {digits(snr['max'], 2)}."
+    )
+
+
+def _table(table: Mapping[str, Any]) -> str:
+    columns, signals = table["points"]
+    return (
+        f"As a table it takes {table['bytes']:,} bytes and loses {100.0 * table['certified_loss']:.2g} % of "
+        f"the merit at worst, {100.0 * table['mean_loss']:.2g} % on average, judged at {columns:,} columns × "
+        f"{signals:,} signals."
     )
 
 

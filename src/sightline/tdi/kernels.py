@@ -97,7 +97,7 @@ def patent_mtf(velocity, slip, fx, fy, stages, ratios, head, head_ratio, shift, 
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _largest(a, b):  # type: ignore[no-untyped-def]
+def largest(a, b):  # type: ignore[no-untyped-def]
     """Largest product of two rows of numbers from 0 up."""
     most = 0.0
     for p in range(a.shape[0]):
@@ -120,7 +120,7 @@ def best_settings(by_column, by_signal, out):  # type: ignore[no-untyped-def]
     """
     for c in range(by_column.shape[0]):
         for s in range(by_signal.shape[0]):
-            most = _largest(by_column[c], by_signal[s])
+            most = largest(by_column[c], by_signal[s])
             out[c, s] = -1
             if most > 0.0:
                 least = most * (1.0 - TIE)

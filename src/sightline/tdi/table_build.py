@@ -1,0 +1,557 @@
+"""A table that keeps a bound on the loss of merit, with few bytes, and the certificate that it does.
+
+Columns are sampled, signals are cut into short stretches. For every sampled column and stretch the settings
+that lose little at both ends are bits of a set; columns and signals may share a cell where their sets
+intersect. Groups of columns are chosen so that the table is smallest. It is then judged at every column, on
+signals several times denser, and sampled closer where it fails.
+
+Not here: the table itself (``table.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import InputError
+from sightline.tdi.choose import CHUNK, INFEASIBLE, MAIN_LOBE, MTF, TdiChoice
+from sightline.tdi.merit import ColumnMtf, SignalFactors, column_factors, signal_factors, well_levels
+from sightline.tdi.setting import Array, Index
+from sightline.tdi.table import INFEASIBLE as INFEASIBLE_FLAG
+from sightline.tdi.table import STAGE_BITS, TdiTable, check_words_fit
+from sightline.tdi.table_kernels import (
+    FEASIBLE,
+    MIXED,
+    add_to_group,
+    best_merits,
+    cheapest_groups,
+    fairest_setting,
+    good_settings,
+    largest_products,
+    split_signals,
+)
+
+Bits = NDArray[np.uint64]
+Small = NDArray[np.uint8]
+
+#: Columns that are sampled at first.
+SAMPLES = 512
+#: A failing block of columns is cut into so many.
+FINER = 8
+#: Ratio of neighbouring signals where no limit is near.
+SIGNAL_STEP = 1.1
+#: Most stretches that signals are cut into.
+MOST_STRETCHES = 1500
+#: Ratio of signals up to which feasible and infeasible columns share a (flagged) cell.
+MIXED_SPAN = 1.05
+#: Share of the bound that cells are built to; the rest is for what lies between samples.
+BUILT_TO = 0.98
+#: Signals judged per nominal one.
+DENSER = 4
+#: Ends of stretches worked on at once; even.
+AT_ONCE = 256
+#: Whole electrons judged one by one from the lowest signal on.
+LOWEST = 64
+#: Signals judged together.
+SIGNAL_BLOCK = 16
+ROUNDS = 8
+#: Memory for sets of settings, bytes.
+PANEL_BYTES = 96 << 20
+
+
+@dataclass(frozen=True, eq=False)
+class Certificate:
+    """What a table was found to lose.
+
+    Attributes
+    ----------
+    max_loss : float
+        Relative loss of merit that was asked for.
+    loss : float
+        Worst found, where some setting keeps all limits; 1 where the table's would break one.
+    column, signal : float
+        Where; the signal in electrons.
+    mean_loss : float
+        Over all points judged.
+    points : (int, int)
+        Columns and signals judged: all columns; the nominal signals, several between each two, the first and
+        last electron of every cell, every electron among the lowest.
+    flagged : float
+        Share of points at which no setting keeps all limits.
+    bytes : int
+        Of the table's memory image, all told.
+    """
+
+    max_loss: float
+    loss: float
+    column: float
+    signal: float
+    mean_loss: float
+    points: tuple[int, int]
+    flagged: float
+    bytes: int
+
+    @property
+    def holds(self) -> bool:
+        """Whether the bound is kept."""
+        return self.loss <= self.max_loss
+
+
+def build_table(model: ColumnMtf, choice: TdiChoice, max_loss: float = 0.005) -> tuple[TdiTable, Certificate]:
+    """The smallest table found that loses at most `max_loss` against the best setting everywhere.
+
+    Parameters
+    ----------
+    model : ColumnMtf
+        What motion does to each column; the one that the choice was made with.
+    choice : TdiChoice
+    max_loss : float
+        Largest relative loss of merit, above 0, below 1.
+
+    Returns
+    -------
+    table, certificate
+        Where quantised signals are too coarse for the bound, the certificate says so (`holds`).
+
+    Raises
+    ------
+    InputError
+        A bound that cannot be; settings that do not fit a word; columns or signals that cannot be counted.
+
+    Notes
+    -----
+    A limit is as hard in the table as in the choice: the setting of a cell keeps it from the lower end of its
+    signals to the upper one. Where no setting can, the word is flagged, its setting is one that the choice
+    falls back to there, and the bound is not promised. Between columns that the choice does not name the
+    nearest is taken.
+    """
+    if not 0.0 < max_loss < 1.0:
+        raise InputError(f"`max_loss` is {max_loss:g}; a share of the merit above 0 and below 1 is allowed")
+    check_words_fit(choice.grid)
+    _check_axes(choice)
+    builder = _Builder(model, choice, max_loss)
+    samples, codes = _first_samples(len(choice.columns)), first_codes(choice, max_loss)
+    best: tuple[TdiTable, Certificate] | None = None
+    for _ in range(ROUNDS):
+        table, samples = builder.build(samples, codes)
+        certificate, failed = certify(model, choice, table, max_loss)
+        if best is None or certificate.loss < best[1].loss:
+            best = table, certificate
+        finer = _finer_samples(samples, failed, len(choice.columns))
+        finer_codes = codes if len(finer) > len(samples) else _finer_codes(codes, failed)
+        exhausted = len(finer) == len(samples) and len(finer_codes) == len(codes)
+        if certificate.holds or exhausted or len(finer_codes) > 2 * MOST_STRETCHES:
+            break
+        samples, codes = finer, finer_codes
+    assert best is not None  # there is a first round
+    table, certificate = best
+    return replace(table, certified_loss=certificate.loss), certificate
+
+
+def table_loss(model: ColumnMtf, choice: TdiChoice, table: TdiTable, signals: Array) -> Array:
+    """Relative loss of merit (C, S) of a table against the best setting; NaN where none keeps all limits.
+
+    Parameters
+    ----------
+    model : ColumnMtf
+    choice : TdiChoice
+    table : TdiTable
+    signals : (S,)
+        Electrons of one line, rising.
+    """
+    grid, rules = choice.grid, choice.rules
+    by_signal = np.concatenate(
+        [whole_electrons(signals[k : k + AT_ONCE], choice).allowed for k in range(0, len(signals), AT_ONCE)]
+    )
+    setting = _settings_at(table, choice, signals)
+    loss = np.empty(setting.shape)
+    blocks = [slice(k, k + SIGNAL_BLOCK) for k in range(0, len(signals), SIGNAL_BLOCK)]
+    highest = [by_signal[block].max(axis=0) for block in blocks]
+    lowest = [by_signal[block].min(axis=0) for block in blocks]
+    for begin in range(0, len(choice.columns), CHUNK):
+        part = slice(begin, min(begin + CHUNK, len(choice.columns)))
+        a = column_factors(model, part, grid, rules).allowed
+        most, least = a.max(axis=0), a.min(axis=0)
+        for block, high, low in zip(blocks, highest, lowest, strict=True):
+            # a setting whose merit is nowhere above what another has everywhere is nowhere the best
+            could = most * high
+            rivals = np.flatnonzero((could >= (least * low).max()) & (could > 0.0))
+            best = np.empty((len(a), len(by_signal[block])))
+            largest_products(
+                np.ascontiguousarray(a[:, rivals]), np.ascontiguousarray(by_signal[block][:, rivals]), best
+            )
+            chosen = setting[part, block]
+            merit = np.take_along_axis(a, chosen, axis=1)
+            merit *= np.take_along_axis(by_signal[block], chosen.T, axis=1).T
+            with np.errstate(invalid="ignore", divide="ignore"):
+                loss[part, block] = np.where(best > 0.0, np.maximum(1.0 - merit / best, 0.0), np.nan)
+    return loss
+
+
+def certify(
+    model: ColumnMtf, choice: TdiChoice, table: TdiTable, max_loss: float
+) -> tuple[Certificate, tuple[Index, Array]]:
+    """Judge a table at all columns and dense signals.
+
+    Returns
+    -------
+    certificate, (columns, signals)
+        Places (numbers of columns from 0; electrons) where the bound is broken.
+    """
+    signals = dense_signals(choice.signals, table)
+    loss = table_loss(model, choice, table, signals)
+    judged = np.isfinite(loss)
+    worst = np.unravel_index(np.argmax(np.where(judged, loss, -1.0)), loss.shape)
+    column, signal = np.nonzero(np.where(judged, loss, 0.0) > max_loss)
+    certificate = Certificate(
+        max_loss,
+        float(loss[worst]) if judged.any() else 0.0,
+        float(choice.columns.column[worst[0]]),
+        float(signals[worst[1]]),
+        float(loss[judged].mean()) if judged.any() else 0.0,
+        (loss.shape[0], loss.shape[1]),
+        1.0 - float(judged.mean()),
+        len(table.to_bytes()),
+    )
+    return certificate, (column, signals[signal])
+
+
+def dense_signals(nominal: Array, table: TdiTable) -> Array:
+    """Signals that a table is judged at: whole electrons, as it drops their parts.
+
+    Parameters
+    ----------
+    nominal : (S,)
+        Those of the choice.
+    table : TdiTable
+    """
+    nominal = np.sort(nominal)
+    low, high = nominal[0], nominal[-1]
+    between = [np.linspace(a, b, DENSER, endpoint=False) for a, b in pairwise(nominal)]
+    ends = np.unique(table.thresholds).astype(np.float64) * 2.0**table.shift
+    lowest = np.arange(np.ceil(low), np.ceil(low) + LOWEST)
+    every = np.floor(np.concatenate([nominal, *between, ends, ends - 1.0, lowest]))
+    return np.unique(np.append(every[(every >= low) & (every <= high)], low))
+
+
+def _settings_at(table: TdiTable, choice: TdiChoice, signals: Array) -> Index:
+    """(C, S) number of the setting that the table has for each column and signal."""
+    column = choice.columns.column.astype(np.intp)
+    group = np.searchsorted(table.edges, column, side="right") - 1
+    firsts = np.asarray(table.edges[:-1])
+    per_group = np.empty((len(firsts), len(signals)), dtype=np.intp)
+    one_each = replace(table, edges=np.arange(len(firsts) + 1))
+    for s, signal in enumerate(signals):
+        stages, ratio = table.unpack(one_each.lookup(np.full(len(firsts), signal)))
+        number = np.searchsorted(choice.grid.stages, stages) * len(choice.grid.ratios)
+        per_group[:, s] = number + np.searchsorted(choice.grid.ratios, ratio)
+    return per_group[group]
+
+
+def _check_axes(choice: TdiChoice) -> None:
+    """InputError where columns or signals cannot be counted."""
+    column, signals = choice.columns.column, choice.signals
+    if (column < 0).any() or (column != np.floor(column)).any() or (np.diff(column) <= 0).any():
+        raise InputError(
+            "the table needs columns that are whole numbers, rising, from 0 up; number them so in the choice"
+        )
+    if not (np.isfinite(signals).all() and signals.min() >= 0.0 and signals.max() < 2.0**31):
+        raise InputError(
+            f"the table needs signals from 0 to 2^31 electrons; those given reach from {signals.min():g} to "
+            f"{signals.max():g}"
+        )
+
+
+def _first_samples(count: int) -> Index:
+    """Numbers of the columns that are sampled first, first and last included."""
+    return np.unique(np.linspace(0, count - 1, min(count, SAMPLES)).round().astype(np.intp))
+
+
+def _finer_samples(samples: Index, failed: tuple[Index, Array], count: int) -> Index:
+    """Samples with those blocks cut that hold columns at which the bound is broken."""
+    return _cut(samples, np.unique(np.searchsorted(samples, failed[0], side="right") - 1), count)
+
+
+def _cut(samples: Index, blocks: Index, count: int) -> Index:
+    ends = np.append(samples, count)
+    more = [np.linspace(ends[k], ends[k + 1], FINER + 1)[:-1].astype(np.intp) for k in blocks]
+    return np.unique(np.concatenate([samples, *more]))
+
+
+def shift_of(signals: Array) -> int:
+    """Bits that quantisation drops so that all signals, and one step more, fit 16 bits."""
+    return max(int(signals.max() + 1.0).bit_length() - 16, 0)
+
+
+def first_codes(choice: TdiChoice, max_loss: float) -> Index:
+    """Quantised signals between which stretches lie: closer where a limit of the signal is near.
+
+    Parameters
+    ----------
+    choice : TdiChoice
+    max_loss : float
+    """
+    order = np.argsort(choice.signals)
+    signals, limit = choice.signals[order], choice.limit[:, order]
+    unit = 2.0 ** shift_of(signals)
+    by_signal = (limit > 0) & ~np.isin(limit, (MAIN_LOBE, MTF, MAIN_LOBE + INFEASIBLE, MTF + INFEASIBLE))
+    near = np.asarray(by_signal.any(axis=0))
+    near = near[:-1] | near[1:] | (limit[:, :-1] != limit[:, 1:]).any(axis=0)
+    low = np.maximum(signals, unit)
+    spans = np.log(low[1:] / low[:-1])
+    fine = max(0.5 * max_loss, 1e-9, spans[near].sum() / MOST_STRETCHES)
+    codes = [np.floor(signals / unit)]
+    for a, span, close in zip(low[:-1], spans, near, strict=True):
+        parts = int(np.ceil(span / (fine if close else np.log(SIGNAL_STEP)))) + 1
+        codes.append(np.floor(a * np.exp(np.linspace(0.0, span, parts)) / unit))
+    return np.unique(np.concatenate(codes)).astype(np.intp)
+
+
+def _finer_codes(codes: Index, failed: tuple[Index, Array]) -> Index:
+    """Codes with those stretches cut in which the bound is broken."""
+    # both neighbours too: a cell that ends there may be at fault
+    place = np.searchsorted(codes, np.unique(failed[1]), side="right") - 1
+    place = np.unique(np.clip(np.concatenate([place - 1, place, place + 1]), 0, max(len(codes) - 2, 0)))
+    more = [
+        np.linspace(codes[k], codes[k + 1], 5).round().astype(np.intp) for k in place if k + 1 < len(codes)
+    ]
+    return np.unique(np.concatenate([codes, *more]))
+
+
+@dataclass(frozen=True, eq=False)
+class _Panel:
+    """Settings that sampled columns can take, by stretch of signals, and the merits behind them."""
+
+    columns: Index
+    level: Small
+    merit: Array
+    best: Array
+    tiers: Small
+    strict: Bits
+    loose: Bits
+    kind: Small
+
+
+@dataclass(frozen=True, eq=False)
+class _SignalAxis:
+    """Stretches of signals from code to code, and what signals give to the merit at both ends of each.
+
+    `safe` is zero, and `safe_level` too, for settings with which a well overflows anywhere in the stretch.
+    """
+
+    codes: Index
+    ends: Array
+    allowed: Array
+    level: Small
+    merit: Array
+    safe: Array
+    safe_level: Small
+    least_full: Index
+
+
+@dataclass(frozen=True, eq=False)
+class _Builder:
+    model: ColumnMtf
+    choice: TdiChoice
+    max_loss: float
+
+    def build(self, samples: Index, codes: Index) -> tuple[TdiTable, Index]:
+        """Table from sampled columns, and the samples, to which those are added that blocks need."""
+        axis = _signal_axis(codes, self.choice)
+        count = len(self.choice.columns)
+        while True:
+            groups: list[_Group] = []
+            bad: list[Index] = []
+            for begin, end in self._panels(samples, axis):
+                panel = self._panel(samples[begin:end], axis)
+                # the first column after a block is its last but one step: it tells what lies between
+                after = samples[end] if end < len(samples) else count
+                blocks, invalid = _blocks(panel, axis, after)
+                bad.append(begin + invalid)
+                if not len(np.concatenate(bad)):
+                    groups += _groups(panel, blocks, axis, self._bytes())
+            broken = np.concatenate(bad)
+            if not len(broken):
+                return self._table(groups, axis), samples
+            samples = _cut(samples, broken, count)
+
+    def _bytes(self) -> tuple[int, int]:
+        """Of a group and of a cell."""
+        return (4 if self.choice.columns.column[-1] < 1 << 16 else 8), 4
+
+    def _panels(self, samples: Index, axis: _SignalAxis) -> list[tuple[int, int]]:
+        """Runs of samples that fit the memory."""
+        stretches, settings = len(axis.codes), len(self.choice.grid)
+        each = stretches * (settings // 64 + 1) * 32 + settings * 32
+        size = max(PANEL_BYTES // each, 64)
+        return [(k, min(k + size, len(samples))) for k in range(0, len(samples), size)]
+
+    def _panel(self, columns: Index, axis: _SignalAxis) -> _Panel:
+        choice, ends = self.choice, len(axis.ends)
+        n, settings = len(columns), len(choice.grid)
+        words = settings // 64 + 1
+        level, merit = np.empty((n, settings), dtype=np.uint8), np.empty((n, settings))
+        allowed = np.empty((n, settings))
+        for k, part in _slices(columns):
+            factors = column_factors(self.model, part, choice.grid, choice.rules)
+            here = slice(k, k + len(factors.merit))
+            merit[here], allowed[here] = factors.merit, factors.allowed
+            level[here] = 1 + factors.in_lobe + (factors.in_lobe & factors.in_bounds)
+        best, tiers = np.empty((n, ends)), np.empty((n, ends), dtype=np.uint8)
+        best_merits(allowed, level, merit, axis.allowed, axis.level, axis.merit, axis.ends, best, tiers)
+        shape = (n, ends // 2)
+        strict, loose = np.empty((*shape, words), dtype=np.uint64), np.empty((*shape, words), dtype=np.uint64)
+        kind = np.empty(shape, dtype=np.uint8)
+        keep = 1.0 - BUILT_TO * self.max_loss
+        good_settings(
+            allowed, level, merit, axis.safe, axis.safe_level, axis.merit, axis.least_full, best, tiers, keep,
+            strict, loose, kind,
+        )  # fmt: skip
+        return _Panel(columns, level, merit, best, tiers, strict, loose, kind)
+
+    def _table(self, groups: list[_Group], axis: _SignalAxis) -> TdiTable:
+        choice = self.choice
+        column = choice.columns.column.astype(np.intp)
+        first = [0] + [int(column[g.first - 1] + column[g.first]) // 2 + 1 for g in groups[1:]]
+        first[0] = int(column[0])
+        thresholds = [np.where(np.arange(len(g.stretch)) == 0, 0, axis.codes[g.stretch]) for g in groups]
+        setting = np.concatenate([g.setting for g in groups])
+        ratios = len(choice.grid.ratios)
+        words = choice.grid.stages_of(setting) | (setting % ratios) << STAGE_BITS
+        words = words | np.where(np.concatenate([g.flagged for g in groups]), INFEASIBLE_FLAG, 0)
+        return TdiTable(
+            np.append(first, column[-1] + 1),
+            np.concatenate([[0], np.cumsum([len(g.stretch) for g in groups])]).astype(np.intp),
+            np.concatenate(thresholds).astype(np.uint16),
+            words.astype(np.uint16),
+            choice.grid.ratios,
+            (float(choice.signals.min()), float(choice.signals.max())),
+            0.0,
+            shift_of(choice.signals),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class _Group:
+    """Columns that share their cells: its first, and the first stretch, setting and flag of each cell."""
+
+    first: int
+    stretch: Index
+    setting: Index
+    flagged: NDArray[np.bool_]
+
+
+def _slices(columns: Index) -> list[tuple[int, slice]]:
+    """Columns that rise, as slices of few: (place, slice); the step between them may vary."""
+    steps = np.diff(columns)
+    found, k = [], 0
+    while k < len(columns):
+        step = int(steps[k]) if k < len(steps) else 1
+        end = k + 1
+        while end < min(len(columns), k + CHUNK) and steps[end - 1] == step:
+            end += 1
+        found.append((k, slice(int(columns[k]), int(columns[end - 1]) + 1, step)))
+        k = end
+    return found
+
+
+def whole_electrons(signals: Array, choice: TdiChoice) -> SignalFactors:
+    """What signals give to the merit when a part of an electron is dropped from them, but fills the wells."""
+    factors = signal_factors(signals, choice.grid, choice.detector, choice.rules)
+    full = np.minimum(signals + 1.0, choice.signals.max())
+    unsaturated = signal_factors(full, choice.grid, choice.detector, choice.rules).unsaturated
+    return replace(factors, unsaturated=factors.unsaturated & unsaturated)
+
+
+def _signal_axis(codes: Index, choice: TdiChoice) -> _SignalAxis:
+    """Stretches from code to code, the last electron of one before the first of the next."""
+    low, high = float(choice.signals.min()), float(choice.signals.max())
+    first = np.clip(codes * 2.0 ** shift_of(choice.signals), low, high)
+    ends = np.stack([first, np.maximum(np.append(first[1:], high) - 1.0, first)], axis=1).ravel()
+    shape = (len(ends), len(choice.grid))
+    axis = _SignalAxis(
+        codes, ends, np.empty(shape), np.empty(shape, dtype=np.uint8), np.empty(shape, dtype=np.float32),
+        np.empty(shape), np.empty(shape, dtype=np.uint8), np.empty(len(ends), dtype=np.intp),
+    )  # fmt: skip
+    for begin in range(0, len(ends), AT_ONCE):
+        part = slice(begin, begin + AT_ONCE)
+        factors = whole_electrons(ends[part], choice)
+        # what overflows at the upper end of a stretch is no setting for it
+        safe = np.repeat(factors.unsaturated[1::2], 2, axis=0)
+        axis.allowed[part], axis.merit[part] = factors.allowed, factors.merit
+        axis.level[part] = np.where(factors.unsaturated, 1 + factors.clear, 0)
+        axis.safe[part] = np.where(safe, axis.allowed[part], 0.0)
+        axis.safe_level[part] = np.where(safe, axis.level[part], 0)
+        axis.least_full[part] = _least_full(ends[part], choice)
+    return axis
+
+
+def _least_full(signals: Array, choice: TdiChoice) -> Index:
+    """(S,) setting that fills the fuller of its two wells least."""
+    line, total = well_levels(signals, choice.grid, choice.detector)
+    full = np.maximum(line / choice.detector.full_well_line, total / choice.detector.full_well_sum)
+    return np.asarray(full.argmin(axis=1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Blocks:
+    """Settings that all columns from one sample to the next can take."""
+
+    strict: Bits
+    loose: Bits
+    kind: Small
+
+
+def _blocks(panel: _Panel, axis: _SignalAxis, after: int) -> tuple[_Blocks, Index]:
+    """Blocks of columns between samples, and those within which no setting suits both ends."""
+    strict, loose, kind = panel.strict.copy(), panel.loose.copy(), panel.kind.copy()
+    wide = np.flatnonzero(np.diff(panel.columns, append=after) > 1)
+    starts = np.empty(strict.shape[1], dtype=np.int64)
+    invalid = []
+    for k in wide:
+        if k + 1 < len(strict):
+            add_to_group(
+                strict[k], loose[k], kind[k], panel.strict[k + 1], panel.loose[k + 1], panel.kind[k + 1]
+            )
+        if split_signals(strict[k], loose[k], kind[k], axis.ends, MIXED_SPAN, starts) == 0:
+            invalid.append(k)
+    return _Blocks(strict, loose, kind), np.array(invalid, dtype=np.intp)
+
+
+def _groups(panel: _Panel, blocks: _Blocks, axis: _SignalAxis, size: tuple[int, int]) -> list[_Group]:
+    """Columns of a panel in groups such that the table is smallest, with their cells."""
+    origin = np.zeros(len(blocks.kind) + 1, dtype=np.intp)
+    cheapest_groups(blocks.strict, blocks.loose, blocks.kind, axis.ends, MIXED_SPAN, *size, origin)
+    begins, end = [], len(blocks.kind)
+    while end > 0:
+        begins.append((int(origin[end]), end))
+        end = int(origin[end])
+    return [_group(panel, blocks, axis, begin, end) for begin, end in reversed(begins)]
+
+
+def _group(panel: _Panel, blocks: _Blocks, axis: _SignalAxis, begin: int, end: int) -> _Group:
+    strict, loose, kind = (v[begin].copy() for v in (blocks.strict, blocks.loose, blocks.kind))
+    for k in range(begin + 1, end):
+        add_to_group(strict, loose, kind, blocks.strict[k], blocks.loose[k], blocks.kind[k])
+    starts = np.empty(len(kind), dtype=np.int64)
+    span = MIXED_SPAN if end - begin > 1 else np.inf
+    cells = split_signals(strict, loose, kind, axis.ends, span, starts)
+    stretch = starts[:cells]
+    columns = np.arange(begin, min(end + 1, len(panel.columns)) if _reaches(panel, end) else end)
+    setting = np.empty(cells, dtype=np.intp)
+    for cell, (a, b) in enumerate(zip(stretch, np.append(stretch[1:], len(kind)), strict=True)):
+        shared = np.bitwise_and.reduce((loose if kind[a] == MIXED else strict)[a:b], axis=0)
+        candidates = np.flatnonzero(np.unpackbits(shared.view(np.uint8), bitorder="little"))
+        setting[cell] = fairest_setting(
+            columns, a, b, candidates, kind[a], panel.level, panel.merit, axis.level, axis.merit,
+            axis.least_full, panel.best, panel.tiers,
+        )  # fmt: skip
+    return _Group(int(panel.columns[begin]), stretch.astype(np.intp), setting, kind[stretch] != FEASIBLE)
+
+
+def _reaches(panel: _Panel, end: int) -> bool:
+    """Whether the block before `end` has columns between it and the next sample."""
+    return end < len(panel.columns) and bool(panel.columns[end] - panel.columns[end - 1] > 1)

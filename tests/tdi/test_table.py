@@ -1,0 +1,185 @@
+"""The certificate against a search that shares no code with it, and limits as hard as in the choice."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sightline.errors import InputError
+from sightline.imaging.tdi_noise import snr
+from sightline.imaging.tdi_transfer import drift_transfer
+from sightline.tdi.setting import TdiGrid
+from sightline.tdi.table_build import build_table, dense_signals, table_loss
+from tdi.tdi_example import field
+
+
+def merits(choice, columns, signals):
+    """MTFs (C, P, 2), SNR (S, P), merit (C, S, P) of every setting, from the closed forms."""
+    stages, ratio = choice.grid.settings
+    fx, fy = choice.rules.frequencies
+    detector, scan = choice.detector, choice.columns
+    args = (stages, ratio, scan.velocity[columns, None], scan.slip[columns, None])
+    mtf = np.stack(
+        [np.abs(drift_transfer(*args, *f, detector.exposure)) for f in ((fx, 0.0), (0.0, fy))], axis=-1
+    )
+    mtf *= scan.static_mtf[columns, None, :]
+    noise = snr(signals[:, None], stages, ratio, detector.noise, detector.exposure)
+    shape = {"product": mtf.prod(axis=-1), "min": mtf.min(axis=-1), "geomean": np.sqrt(mtf.prod(axis=-1))}
+    return mtf, noise, shape[choice.rules.merit][:, None, :] * noise
+
+
+def searched(choice, table, columns, signals):
+    """Relative loss (C, S) of the table, whether some setting keeps all limits, whether the table's does."""
+    stages, ratio = choice.grid.settings
+    scan, rules, detector = choice.columns, choice.rules, choice.detector
+    mtf, noise, merit = merits(choice, columns, signals)
+    across = np.abs(scan.velocity[columns] * np.tan(scan.slip[columns])) * rules.frequencies[0]
+    along = np.abs(scan.velocity[columns] - 1.0) * rules.frequencies[1]
+    lobe = stages * np.maximum(across, along)[:, None] <= 1.0
+    in_bounds = ((mtf >= rules.mtf_min) & (mtf <= rules.mtf_max)).all(axis=-1)
+    # head lines at .25, the others at their ratio; signals are those of a head line, whole electrons that may
+    # stand for a part of one more
+    total = np.minimum(signals + 1.0, choice.signals.max())[:, None] * (2.0 + (stages - 2) * ratio / 0.25)
+    kept = (lobe & in_bounds)[:, None, :] & ((total <= detector.full_well_sum) & (noise >= rules.snr_min))
+    whole = np.broadcast_to(signals[:, None], (len(signals), table.columns))
+    words = table.lookup(whole)[:, scan.column[columns].astype(int) - table.edges[0]]
+    n, kt = table.unpack(words)
+    same = (stages == n.T[..., None]) & np.isclose(ratio, kt.T[..., None])
+    assert (same.sum(axis=-1) == 1).all()
+    allowed = np.where(kept, merit, 0.0)
+    best = allowed.max(axis=-1)
+    got = np.take_along_axis(allowed, same.argmax(axis=-1)[..., None], axis=-1)[..., 0]
+    with np.errstate(invalid="ignore"):
+        return 1.0 - got / best, best > 0.0, got > 0.0, words.T
+
+
+CASES = {
+    "free": ({}, 0.005),
+    "tight": ({}, 0.001),
+    "min": ({"merit": "min"}, 0.02),
+    "geomean": ({"merit": "geomean"}, 0.01),
+    "mtf_max": ({"mtf_max": 0.15}, 0.01),
+    "wells": ({"full_well": 3e4}, 0.02),
+    "snr": ({"snr_min": 40.0}, 0.01),
+    "mtf": ({"mtf_min": 0.08}, 0.01),
+    "all": ({"full_well": 3e4, "snr_min": 30.0, "mtf_min": 0.05}, 0.02),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_the_certificate_is_what_a_search_finds(name):
+    options, max_loss = CASES[name]
+    model, choice = field(**options)
+    table, certificate = build_table(model, choice, max_loss)
+    assert certificate.holds and table.certified_loss == certificate.loss <= max_loss
+    rng = np.random.default_rng(0)
+    signals = np.unique(
+        np.append(np.floor(np.exp(rng.uniform(0.0, np.log(8000.0), 300))), np.arange(1.0, 40.0))
+    )
+    loss, feasible, kept, words = searched(choice, table, np.arange(40), signals)
+    # a limit is never broken where some setting keeps it
+    assert kept[feasible].all()
+    # signals between those judged lose no more than a little beyond the bound: merits are smooth there
+    assert loss[feasible].max() <= max_loss * 1.02
+    flagged = table.flags(words)[0]
+    assert flagged[~feasible].all()
+    # a flag stands where no setting serves some column of the cell at some of its signals, nearly all of it
+    assert (flagged & feasible).mean() < 0.05
+    at = dense_signals(choice.signals, table)
+    loss, feasible, *_ = searched(choice, table, np.arange(40), at)
+    assert loss[feasible].max() == pytest.approx(certificate.loss, abs=1e-9)
+    assert certificate.points == (40, len(at))
+
+
+def test_wells_hold_for_parts_of_an_electron():
+    model, choice = field(full_well=3e4)
+    table, _ = build_table(model, choice, 0.02)
+    rng = np.random.default_rng(1)
+    signals = np.exp(rng.uniform(np.log(100.0), np.log(8000.0), 3000))
+    stages, ratio = table.unpack(table.lookup(np.repeat(signals[:, None], 40, axis=1)))
+    total = signals[:, None] * (2.0 + (stages - 2) * ratio / 0.25)
+    assert total.max() <= 3e4 and total.max() > 0.98 * 3e4
+
+
+def test_a_tighter_bound_costs_bytes_and_signals_hardly_matter():
+    model, choice = field()
+    sizes = [build_table(model, choice, loss)[1].bytes for loss in (0.002, 0.01, 0.05)]
+    assert sizes[0] > sizes[1] > sizes[2]
+    table, _ = build_table(model, choice, 0.01)
+    # the sheet: columns drive the choice
+    assert len(table.edges) - 1 > np.diff(table.starts).max()
+
+
+def test_columns_without_order_fall_back_to_groups_of_few():
+    slip = np.radians(np.random.default_rng(2).uniform(-1.5, 1.5, 40))
+    model, choice = field(slip=slip)
+    table, certificate = build_table(model, choice, 0.005)
+    assert certificate.holds and len(table.edges) - 1 > 25
+
+
+def test_a_step_between_chips_is_a_border():
+    slip = np.radians(np.where(np.arange(2000) < 777, 0.4, 1.1))
+    model, choice = field(2000, 6, slip=slip)
+    table, certificate = build_table(model, choice, 0.005)
+    assert certificate.holds and 777 in table.edges
+
+
+def test_columns_that_are_sampled_first_do_not_hide_the_others():
+    # one bad column among 1500, between the samples
+    slip = np.radians(np.full(1500, 0.3))
+    slip[731] = np.radians(2.0)
+    model, choice = field(1500, 6, slip=slip)
+    table, certificate = build_table(model, choice, 0.01)
+    assert certificate.holds
+    words = table.lookup(np.full(1500, 200.0))
+    assert words[731] != words[730] == words[732]
+
+
+def test_uncertain_columns_are_judged_by_the_merit_they_were_chosen_by():
+    covariance = np.tile(np.diag([1e-6, 1e-5]), (12, 1, 1))
+    model, choice = field(12, 6, covariance=covariance, quantile=0.1)
+    table, certificate = build_table(model, choice, 0.01)
+    assert certificate.holds
+    loss = table_loss(model, choice, table, np.floor(choice.signals))
+    assert loss.shape == (12, 6) and loss.max() <= 0.01
+
+
+def test_columns_may_begin_anywhere_and_leave_gaps():
+    column = np.arange(40) * 5.0 + 100.0
+    model, choice = field(column=column)
+    table, certificate = build_table(model, choice, 0.005)
+    assert (table.edges[0], table.edges[-1]) == (100, 296) and certificate.holds
+
+
+def test_signals_beyond_16_bits_are_quantised():
+    model, choice = field(top=5e5)
+    table, certificate = build_table(model, choice, 0.005)
+    assert certificate.holds and table.shift == 3 and table.top == 500_000 >> 3
+
+
+def test_where_electrons_are_too_coarse_the_certificate_says_so():
+    # the lowest signals differ by whole electrons: no table is that fine
+    model, choice = field(grid=TdiGrid(np.array([3, 4, 60, 90]), np.array([0.05, 1.0])), full_well=600.0)
+    table, certificate = build_table(model, choice, 1e-9)
+    assert table.certified_loss == certificate.loss
+    assert certificate.holds == (certificate.loss <= 1e-9)
+
+
+@pytest.mark.parametrize("max_loss", [0.0, -0.1, 1.0, np.nan])
+def test_an_impossible_bound_is_refused(max_loss):
+    with pytest.raises(InputError, match="max_loss"):
+        build_table(*field(4, 3), max_loss)
+
+
+@pytest.mark.parametrize(
+    "grid", [TdiGrid(np.array([512]), np.array([0.5])), TdiGrid(np.array([8]), np.linspace(0.01, 1.0, 33))]
+)
+def test_settings_that_do_not_fit_a_word_are_refused(grid):
+    with pytest.raises(InputError, match=r"32 ratios and 511 stages: leave some out"):
+        build_table(*field(3, 3, grid=grid), 0.01)
+
+
+def test_columns_that_cannot_be_counted_are_refused():
+    model, choice = field(4, 3, column=np.array([0.0, 1.5, 2.0, 3.0]))
+    with pytest.raises(InputError, match="whole numbers"):
+        build_table(model, choice, 0.01)
