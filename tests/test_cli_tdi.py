@@ -8,6 +8,7 @@ import json
 import numpy as np
 import pytest
 
+import sightline
 from sightline.cli.main import run
 
 TEXT = """
@@ -41,7 +42,10 @@ COLUMNS = """column,scan_velocity,slip
 3,1.001,0.015
 7,0.999,0.03
 """
-FILES = ["choice.csv", "report.html", "summary.json"]
+FILES = [
+    "choice.csv", "report.html", "summary.json",
+    "table.bin", "table.c", "table.h", "table.hex", "table_segments.bin",
+]  # fmt: skip
 
 
 @pytest.fixture
@@ -68,7 +72,7 @@ def rows_of(folder):
 
 
 def test_the_rows_are_the_contract(done):
-    assert set(FILES) <= {entry.name for entry in done.iterdir()}
+    assert sorted(entry.name for entry in done.iterdir()) == FILES
     rows = rows_of(done)
     assert list(rows[0]) == "column signal stages integration_ratio mtf_x mtf_y snr merit limit".split()
     assert [row["column"] for row in rows] == [str(c) for c in (0, 1, 2, 3, 7) for _ in range(5)]
@@ -91,6 +95,41 @@ def test_the_summary_says_what_other_ways_would_lose(done):
     assert ways["one setting from the centre column"]["worst_loss"] > 0.5
     assert 0.0 <= ways["one signal for all scenes"]["mean_loss"] < 0.05
     assert set(summary["inputs"]) == {"tdi.toml", "columns.csv"}
+
+
+def test_the_table_says_what_the_choice_says(done):
+    summary = json.loads((done / "summary.json").read_text())["table"]
+    assert summary["holds"] and summary["certified_loss"] <= summary["max_loss"] == 0.005
+    assert summary["bytes"] == (done / "table.bin").stat().st_size
+    table = sightline.TdiTable.read(done)
+    assert table.certified_loss == summary["certified_loss"]
+    rows = rows_of(done)
+    # the detector's own columns: 4 to 6 are not named, the nearest stands for each
+    words = table.lookup(np.repeat(np.geomspace(10, 1000, 5)[:, None], 8, axis=1))
+    stages, ratio = table.unpack(words)
+    for k, column in enumerate((0, 1, 2, 3, 7)):
+        for s in range(5):
+            row = rows[5 * k + s]
+            # within the table's loss of the best: near its optimum merit falls as the square of the change
+            assert abs(stages[s, column] - int(row["stages"])) <= 0.15 * int(row["stages"])
+            assert abs(ratio[s, column] - float(row["integration_ratio"])) <= 0.2 + 1e-9
+
+
+def test_hysteresis_is_told(toml, tmp_path):
+    toml.write_text(TEXT + "[choice]\nhysteresis = 0.05\nmax_step = 8\n")
+    assert run(["tdi", str(toml), "--no-pictures", "--out", str(tmp_path / "out")]) == 0
+    steady = json.loads((tmp_path / "out" / "summary.json").read_text())["steady"]
+    assert 0.0 < steady["worst_loss"] <= 0.05
+    assert steady["changes"][1] <= steady["changes"][0]
+
+
+def test_what_is_uncertain_is_drawn(toml, tmp_path):
+    (tmp_path / "columns.csv").write_text(
+        "column,scan_velocity,slip,sigma_velocity,sigma_slip\n0,1.0,0.01,0.001,0.01\n1,1.0,0.02,0.0,0.0\n"
+    )
+    assert run(["tdi", str(toml), "--no-pictures", "--out", str(tmp_path / "out")]) == 0
+    loss = json.loads((tmp_path / "out" / "summary.json").read_text())["predicted_loss"]
+    assert 0.0 < loss["mean"] < loss["upper_95"] < 1.0
 
 
 def test_the_page_opens_without_an_error_and_asks_nobody_for_anything(done, open_page):
@@ -120,7 +159,7 @@ def test_one_column_one_signal_one_setting_will_do(tmp_path):
 
 
 def test_json_on_stdout(toml, tmp_path, capsys):
-    assert run(["tdi", str(toml), "--out", str(tmp_path / "out"), "--json"]) == 0
+    assert run(["tdi", str(toml), "--no-pictures", "--out", str(tmp_path / "out"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["name"] == "<b>five</b> columns"
 
 
@@ -153,6 +192,13 @@ WRONG = {
     "signals the wrong way": ("from = 10", "from = 2000", "must lie below"),
     "two sources of columns": ("table = ", "count = 3\ntable = ", "give one of count, table and acquisition"),
     "missing table": ("columns.csv", "elsewhere.csv", "no such file"),
+    "too many ratios": (
+        "[0.4, 0.8, 1.0]", "{ from = 0.2, to = 1.0, step = 0.02 }", "integration ratios",
+    ),
+    "too many stages": ("to = 64", "to = 600", "stages"),
+    "loss of nothing": ("[mtf]", "[table]\nmax_loss = 0\n[mtf]", "greater than 0"),
+    "a band without an acquisition": ("table = ", 'band = "PAN"\ntable = ', "band belongs to acquisition"),
+    "missing acquisition": ('table = "columns.csv"', 'acquisition = "a.toml"', "no such file"),
     "mtf bounds crossed": ("[mtf]", "[choice]\nmtf_min = 0.5\nmtf_max = 0.2\n[mtf]", "lies above mtf_max"),
 }  # fmt: skip
 
@@ -192,7 +238,7 @@ def test_a_steep_slip_may_be_allowed(toml, tmp_path):
     (tmp_path / "columns.csv").write_text(COLUMNS.replace("0.03\n", "0.12\n"))
     assert run(["tdi", str(toml), "--out", str(tmp_path / "a")]) == 2
     toml.write_text(TEXT + '[choice]\nslip_limit = "allow"\n')
-    assert run(["tdi", str(toml), "--out", str(tmp_path / "b")]) == 0
+    assert run(["tdi", str(toml), "--no-pictures", "--out", str(tmp_path / "b")]) == 0
 
 
 def test_optics_per_column_stand_in_for_those_of_the_file(toml, tmp_path):
@@ -200,8 +246,70 @@ def test_optics_per_column_stand_in_for_those_of_the_file(toml, tmp_path):
     (tmp_path / "columns.csv").write_text(
         "\n".join([lines[0] + ",optics_mtf_x,optics_mtf_y", *(line + ",0.2,0.1" for line in lines[1:])])
     )
-    assert run(["tdi", str(toml), "--out", str(tmp_path / "out")]) == 0
+    assert run(["tdi", str(toml), "--no-pictures", "--out", str(tmp_path / "out")]) == 0
     centre = rows_of(tmp_path / "out")[10]
     # at rest across: optics, an aperture of 0.9 and a diffusion of 0.2 px at half a cycle
     static = np.sinc(0.45) * np.exp(-2 * (np.pi * 0.2 * 0.5) ** 2)
     assert float(centre["mtf_x"]) == pytest.approx(0.2 * static, rel=1e-6)
+
+
+class TestMotion:
+    """Columns of a strip's cameras, and settings for the motion that was recovered of it."""
+
+    @pytest.fixture(scope="class")
+    def strip(self, tmp_path_factory):
+        folder = tmp_path_factory.mktemp("strip")
+        size = ["--lines", "400", "--columns", "200"]
+        assert run(["simulate", "line-of-sight", "--seed", "3", *size, "--out", str(folder / "strip")]) == 0
+        assert (
+            run(["recover", str(folder / "strip" / "acquisition.toml"), "--out", str(folder / "seen")]) == 0
+        )
+        text = TEXT.replace('table = "columns.csv"', 'acquisition = "strip/acquisition.toml"\nband = "PAN"')
+        (folder / "tdi.toml").write_text(text)
+        return folder
+
+    def test_the_cameras_give_the_columns(self, strip, tmp_path):
+        assert run(["tdi", str(strip / "tdi.toml"), "--no-pictures", "--out", str(tmp_path / "out")]) == 0
+        summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+        # level flight over a plane: in step with the clock, but for the detector's rotation of some 3e-4 rad
+        assert summary["columns"] == 200 and summary["motion"] is None
+        assert summary["scan_velocity"]["mean"] == pytest.approx(1.0, abs=1e-6)
+        assert abs(summary["slip"]["mean"]) < 2e-3
+
+    def test_motion_costs_stages(self, strip, tmp_path):
+        still, moved = tmp_path / "still", tmp_path / "moved"
+        command = ["tdi", str(strip / "tdi.toml"), "--no-pictures"]
+        assert run([*command, "--out", str(still)]) == 0
+        assert run([*command, "--motion", str(strip / "seen"), "--out", str(moved)]) == 0
+        summary = json.loads((moved / "summary.json").read_text())
+        assert summary["motion"]["lines"] >= 64 and summary["predicted_loss"]["mean"] > 0.0
+        assert {"motion.csv", "acquisition.toml"} <= set(summary["inputs"])
+        before, after = (
+            float(json.loads((d / "summary.json").read_text())["stages"]["mean"]) for d in (still, moved)
+        )
+        assert after < before
+
+    def test_a_motion_needs_its_cameras(self, strip, toml, tmp_path, capsys):
+        assert run(["tdi", str(toml), "--motion", str(strip / "seen"), "--out", str(tmp_path / "out")]) == 2
+        assert "--motion belongs to an acquisition" in capsys.readouterr().err
+
+    @pytest.mark.parametrize(
+        ("old", "new", "message"),
+        [
+            ("to = 64", "to = 450", "give a longer motion, or fewer stages"),
+            ("[mtf]", '[choice]\nmodel = "patent"\n[mtf]', "knows no measured motion"),
+            ('band = "PAN"', 'band = "SWIR"', "no band is called 'SWIR'"),
+        ],
+    )
+    def test_what_does_not_fit_is_said(self, strip, tmp_path, capsys, old, new, message):
+        path = strip / "other.toml"
+        path.write_text((strip / "tdi.toml").read_text().replace(old, new))
+        assert run(["tdi", str(path), "--motion", str(strip / "seen"), "--out", str(tmp_path / "out")]) == 2
+        said = capsys.readouterr().err
+        assert message in said and "Traceback" not in said
+        assert not (tmp_path / "out").exists()
+
+    def test_a_folder_that_is_no_result_is_named(self, strip, tmp_path, capsys):
+        command = ["tdi", str(strip / "tdi.toml"), "--motion", str(strip / "strip")]
+        assert run([*command, "--out", str(tmp_path / "out")]) == 2
+        assert "must be a folder that `recover` wrote" in capsys.readouterr().err

@@ -25,22 +25,24 @@ def merits(choice, columns, signals):
     mtf *= scan.static_mtf[columns, None, :]
     noise = snr(signals[:, None], stages, ratio, detector.noise, detector.exposure)
     shape = {"product": mtf.prod(axis=-1), "min": mtf.min(axis=-1), "geomean": np.sqrt(mtf.prod(axis=-1))}
-    return mtf, noise, shape[choice.rules.merit][:, None, :] * noise
+    return mtf, shape[choice.rules.merit][:, None, :] * noise
 
 
 def searched(choice, table, columns, signals):
     """Relative loss (C, S) of the table, whether some setting keeps all limits, whether the table's does."""
     stages, ratio = choice.grid.settings
     scan, rules, detector = choice.columns, choice.rules, choice.detector
-    mtf, noise, merit = merits(choice, columns, signals)
+    mtf, merit = merits(choice, columns, signals)
     across = np.abs(scan.velocity[columns] * np.tan(scan.slip[columns])) * rules.frequencies[0]
     along = np.abs(scan.velocity[columns] - 1.0) * rules.frequencies[1]
     lobe = stages * np.maximum(across, along)[:, None] <= 1.0
     in_bounds = ((mtf >= rules.mtf_min) & (mtf <= rules.mtf_max)).all(axis=-1)
-    # head lines at .25, the others at their ratio; signals are those of a head line, whole electrons that may
-    # stand for a part of one more
-    total = np.minimum(signals + 1.0, choice.signals.max())[:, None] * (2.0 + (stages - 2) * ratio / 0.25)
-    kept = (lobe & in_bounds)[:, None, :] & ((total <= detector.full_well_sum) & (noise >= rules.snr_min))
+    # head lines at .25, the others at their ratio; signals are those of a head line. The table knows their
+    # whole electrons only: wells are judged one electron higher, SNR at the whole ones
+    whole = np.floor(signals)
+    total = np.minimum(whole + 1.0, choice.signals.max())[:, None] * (2.0 + (stages - 2) * ratio / 0.25)
+    least = snr(whole[:, None], stages, ratio, detector.noise, detector.exposure)
+    kept = (lobe & in_bounds)[:, None, :] & ((total <= detector.full_well_sum) & (least >= rules.snr_min))
     whole = np.broadcast_to(signals[:, None], (len(signals), table.columns))
     words = table.lookup(whole)[:, scan.column[columns].astype(int) - table.edges[0]]
     n, kt = table.unpack(words)
@@ -73,9 +75,7 @@ def test_the_certificate_is_what_a_search_finds(name):
     table, certificate = build_table(model, choice, max_loss)
     assert certificate.holds and table.certified_loss == certificate.loss <= max_loss
     rng = np.random.default_rng(0)
-    signals = np.unique(
-        np.append(np.floor(np.exp(rng.uniform(0.0, np.log(8000.0), 300))), np.arange(1.0, 40.0))
-    )
+    signals = np.unique(np.append(np.exp(rng.uniform(0.0, np.log(8000.0), 300)), np.arange(1.0, 40.0)))
     loss, feasible, kept, words = searched(choice, table, np.arange(40), signals)
     # a limit is never broken where some setting keeps it
     assert kept[feasible].all()

@@ -88,6 +88,7 @@ def _tell(result: TdiResult, summary: dict[str, Any], out: Path) -> None:
     table = summary["table"]
     say(
         f"table of {table['cells']} cells, {table['bytes']:,} bytes: loses "
-        f"{100.0 * table['certified_loss']:.2g} % of the merit at worst, {100.0 * table['mean_loss']:.2g} % on average"
+        f"{100.0 * table['certified_loss']:.2g} % of the merit at worst, "
+        f"{100.0 * table['mean_loss']:.2g} % on average"
     )
     say(f"{out / 'choice.csv'}, {out / 'table.bin'}, {out / 'report.html'}")

@@ -58,6 +58,8 @@ LOWEST = 64
 #: Signals judged together.
 SIGNAL_BLOCK = 16
 ROUNDS = 8
+#: Just below: signals have parts of an electron, which the table drops.
+BELOW = 1.0 - 1e-9
 #: Memory for sets of settings, bytes.
 PANEL_BYTES = 96 << 20
 
@@ -77,8 +79,8 @@ class Certificate:
     mean_loss : float
         Over all points judged.
     points : (int, int)
-        Columns and signals judged: all columns; the nominal signals, several between each two, the first and
-        last electron of every cell, every electron among the lowest.
+        Columns and signals judged: all columns; the nominal signals, several between each two, both sides of
+        the borders of all cells and of each of the lowest electrons.
     flagged : float
         Share of points at which no setting keeps all limits.
     bytes : int
@@ -220,7 +222,7 @@ def certify(
 
 
 def dense_signals(nominal: Array, table: TdiTable) -> Array:
-    """Signals that a table is judged at: whole electrons, as it drops their parts.
+    """Signals that a table is judged at, both sides of every border of its cells among them.
 
     Parameters
     ----------
@@ -233,7 +235,7 @@ def dense_signals(nominal: Array, table: TdiTable) -> Array:
     between = [np.linspace(a, b, DENSER, endpoint=False) for a, b in pairwise(nominal)]
     ends = np.unique(table.thresholds).astype(np.float64) * 2.0**table.shift
     lowest = np.arange(np.ceil(low), np.ceil(low) + LOWEST)
-    every = np.floor(np.concatenate([nominal, *between, ends, ends - 1.0, lowest]))
+    every = np.concatenate([nominal, *between, ends, ends * BELOW, lowest, lowest * BELOW])
     return np.unique(np.append(every[(every >= low) & (every <= high)], low))
 
 
@@ -459,18 +461,24 @@ def _slices(columns: Index) -> list[tuple[int, slice]]:
 
 
 def whole_electrons(signals: Array, choice: TdiChoice) -> SignalFactors:
-    """What signals give to the merit when a part of an electron is dropped from them, but fills the wells."""
-    factors = signal_factors(signals, choice.grid, choice.detector, choice.rules)
-    full = np.minimum(signals + 1.0, choice.signals.max())
-    unsaturated = signal_factors(full, choice.grid, choice.detector, choice.rules).unsaturated
-    return replace(factors, unsaturated=factors.unsaturated & unsaturated)
+    """What signals give to the merit; limits are kept by all that the table cannot tell from them."""
+    grid, detector, rules = choice.grid, choice.detector, choice.rules
+    unit = 2.0 ** shift_of(choice.signals)
+    whole = np.floor(signals / unit) * unit
+    least = signal_factors(np.maximum(whole, choice.signals.min()), grid, detector, rules)
+    most = signal_factors(np.minimum(whole + unit, choice.signals.max()), grid, detector, rules)
+    factors = signal_factors(signals, grid, detector, rules)
+    return replace(
+        factors, unsaturated=factors.unsaturated & most.unsaturated, clear=factors.clear & least.clear
+    )
 
 
 def _signal_axis(codes: Index, choice: TdiChoice) -> _SignalAxis:
-    """Stretches from code to code, the last electron of one before the first of the next."""
+    """Stretches from code to code, each up to where the next begins."""
     low, high = float(choice.signals.min()), float(choice.signals.max())
     first = np.clip(codes * 2.0 ** shift_of(choice.signals), low, high)
-    ends = np.stack([first, np.maximum(np.append(first[1:], high) - 1.0, first)], axis=1).ravel()
+    last = np.maximum(np.append(first[1:], high) * BELOW, first)
+    ends = np.stack([first, last], axis=1).ravel()
     shape = (len(ends), len(choice.grid))
     axis = _SignalAxis(
         codes, ends, np.empty(shape), np.empty(shape, dtype=np.uint8), np.empty(shape, dtype=np.float32),
