@@ -205,10 +205,11 @@ def seen_through_tdi(seed: int, stages: int, ratio: float = 0.8) -> None:
         choice = choose_settings(model, SIGNALS, GRID, DETECTOR, rules)
         worth.append((of(merit, choice), choice.stages[1, 1]))
     best, chosen = worth[0]
+    ratios = [float((each / best).min()) for each, _ in worth[1:]]
     print(
         f"   seed {seed}, images of {stages:3d} stages, restored to {highest:.0f} Hz: stages {chosen} by the "
-        f"truth, {worth[1][1]} as seen (merit ratio worst {(worth[1][0] / best).min():.4f}), {worth[2][1]} restored "
-        f"({(worth[2][0] / best).min():.4f})",
+        f"truth; {worth[1][1]} as seen, merit ratio at worst {ratios[0]:.4f}; {worth[2][1]} restored, "
+        f"{ratios[1]:.4f}",
         flush=True,
     )
 
