@@ -1,7 +1,7 @@
 """TDI chosen with the motion that ``recover`` found, against TDI chosen with the true motion.
 
-    python validation/tdi_motion.py                       seeds 100 101, five minutes
-    python validation/tdi_motion.py --seeds 0 1 2 --snr 12
+    python validation/tdi_motion.py                       seeds 100 101, three minutes
+    python validation/tdi_motion.py --seeds 0 1 2 --snr 8
 
 The strip is S1's reference scene (2000 lines of 500 columns, images rendered) with a drift of roll and pitch
 four times larger and tones half as large, so that drift, not the tones, decides the number of stages and the
