@@ -207,7 +207,7 @@ def test_error_that_is_fast_blurs_like_a_gaussian_and_error_that_is_slow_does_no
 def test_hidden_directions_are_drawn_and_those_that_cancel_change_nothing():
     """A constant of yaw is a slip; together with the roll drift that images tie to it, it moves nothing."""
     t = np.linspace(-0.02, 0.25, 541)
-    yaw, tied, sigma = np.zeros((541, 3, 1)), np.zeros((541, 3, 1)), 5e-3
+    yaw, tied, sigma = np.zeros((541, 3, 1)), np.zeros((541, 3, 1)), 5.1e-3
     yaw[:, 2] = tied[:, 2] = 1.0
     tied[:, 0, 0] = -IFOV / PERIOD * t  # -F roll' T = 1: as much as the yaw takes away
     still = Motion(t, np.zeros((541, 3)))
@@ -229,6 +229,10 @@ def test_hidden_directions_are_drawn_and_those_that_cancel_change_nothing():
         0.0,
         atol=1e-12,
     )
+    knowledge = MotionKnowledge(still, hidden=yaw, hidden_covariance=variance, warnings=("one",))
+    assert knowledge.doubts(where)[0] == "one" and len(knowledge.doubts(where)) == 2
+    assert "sigma of 0.29 degrees" in knowledge.doubts(where)[1]
+    assert replace(knowledge, hidden=tied).doubts(where) == ("one",)
     same = model(MotionKnowledge(still, hidden=tied, hidden_covariance=variance), draws=8, starts=2)
     assert_allclose(same.drawn(slice(1, 2))[:, 0, :, 0], 1.0, atol=1e-6)
 

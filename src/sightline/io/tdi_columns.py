@@ -92,7 +92,7 @@ def columns_of_acquisition(file: TdiFile, path: Path, motion: Path | None) -> Se
     columns = geometry.columns(static_mtf(file.mtf), doubt if doubt.any() else None)
     if found is None:
         return SeenColumns(columns, geometry, strip_span(camera), None, ())
-    knowledge, notes = found.knowledge, found.knowledge.warnings
+    knowledge, notes = found.knowledge, found.knowledge.doubts(geometry)
     taken = file.motion
     if taken.stages > 1 or taken.integration_ratio < 1.0:
         knowledge, highest = knowledge.without_tdi(

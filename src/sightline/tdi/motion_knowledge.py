@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from sightline.errors import InputError, SpanError
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.tdi_transfer import dirichlet
+from sightline.motion.joint import CONSTANT_SIGMA
 from sightline.tdi.scan_columns import ColumnGeometry
 
 Array = NDArray[np.float64]
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 LEAST_SEEN = 0.5
 #: Densities of motion fall at least as f to this power where nothing is measured.
 FALL = -4.0
+#: rad; a slip of a larger sigma comes from the prior of the yaw's constant.
+LOOSE_SLIP = 0.5 * CONSTANT_SIGMA[2]
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,6 +109,24 @@ class MotionKnowledge:
         across = lean * (moves[:, 0] - slope * moves[:, 1]) - turn
         by_direction = np.stack([along, across], axis=1)
         return np.asarray(by_direction @ self.hidden_covariance @ by_direction.transpose(0, 2, 1))
+
+    def doubts(self, geometry: ColumnGeometry) -> tuple[str, ...]:
+        """Warnings: what had to be left out, and a slip that nothing but belief bounds.
+
+        Parameters
+        ----------
+        geometry : ColumnGeometry
+        """
+        sigma = float(np.sqrt(self.drift_covariance(geometry)[:, 1, 1].max()))
+        if sigma < LOOSE_SLIP:
+            return self.warnings
+        return (
+            *self.warnings,
+            "neither images nor sensors tie the slip of the columns: its sigma of "
+            f"{np.degrees(sigma):.2g} degrees is what is believed of a standing yaw "
+            f"({np.degrees(CONSTANT_SIGMA[2]):.2g} degrees) before anything is measured; "
+            "add an attitude sensor, or tell the offsets of the bands better",
+        )
 
     def check_covers(self, begin: float, end: float) -> None:
         """SpanError unless the motion is known from `begin` to `end` (s)."""
