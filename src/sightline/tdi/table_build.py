@@ -38,7 +38,7 @@ Bits = NDArray[np.uint64]
 Small = NDArray[np.uint8]
 
 #: Columns that are sampled at first.
-SAMPLES = 512
+SAMPLES = 1024
 #: A failing block of columns is cut into so many.
 FINER = 8
 #: Ratio of neighbouring signals where no limit is near.
@@ -54,7 +54,7 @@ DENSER = 4
 #: Ends of stretches worked on at once; even.
 AT_ONCE = 256
 #: Whole electrons judged one by one from the lowest signal on.
-LOWEST = 64
+LOWEST = 32
 #: Signals judged together.
 SIGNAL_BLOCK = 16
 ROUNDS = 8
