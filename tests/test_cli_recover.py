@@ -115,6 +115,8 @@ def test_the_demo_ends_with_the_score_and_where_the_report_is(tmp_path, capsys, 
     assert "a constant and a drift per axis, unseen by images, left out" in said[0]
     assert [line.split()[0] for line in said[4:7]] == ["roll", "pitch", "yaw"]
     assert all("error of the whole angle" in line for line in said[4:7])
-    assert said[-1].split() == ["report", str(out / "result" / "report.html")]
+    reports = [line.split()[1] for line in said if line.startswith("report")]
+    assert reports == [str(out / "result" / "report.html"), str(out / "tdi" / "report.html")]
+    assert json.loads((out / "tdi" / "summary.json").read_text())["motion"]["lines"] >= 64
     assert (out / "result" / "report.html").stat().st_size > 4e6
     assert set(json.loads((out / "score.json").read_text())) >= {"roll", "pitch", "yaw"}

@@ -253,20 +253,19 @@ def test_optics_per_column_stand_in_for_those_of_the_file(toml, tmp_path):
     assert float(centre["mtf_x"]) == pytest.approx(0.2 * static, rel=1e-6)
 
 
+@pytest.fixture(scope="module")
+def strip(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("strip")
+    size = ["--lines", "400", "--columns", "200"]
+    assert run(["simulate", "line-of-sight", "--seed", "3", *size, "--out", str(folder / "strip")]) == 0
+    assert run(["recover", str(folder / "strip" / "acquisition.toml"), "--out", str(folder / "seen")]) == 0
+    text = TEXT.replace('table = "columns.csv"', 'acquisition = "strip/acquisition.toml"\nband = "PAN"')
+    (folder / "tdi.toml").write_text(text)
+    return folder
+
+
 class TestMotion:
     """Columns of a strip's cameras, and settings for the motion that was recovered of it."""
-
-    @pytest.fixture(scope="class")
-    def strip(self, tmp_path_factory):
-        folder = tmp_path_factory.mktemp("strip")
-        size = ["--lines", "400", "--columns", "200"]
-        assert run(["simulate", "line-of-sight", "--seed", "3", *size, "--out", str(folder / "strip")]) == 0
-        assert (
-            run(["recover", str(folder / "strip" / "acquisition.toml"), "--out", str(folder / "seen")]) == 0
-        )
-        text = TEXT.replace('table = "columns.csv"', 'acquisition = "strip/acquisition.toml"\nband = "PAN"')
-        (folder / "tdi.toml").write_text(text)
-        return folder
 
     def test_the_cameras_give_the_columns(self, strip, tmp_path):
         assert run(["tdi", str(strip / "tdi.toml"), "--no-pictures", "--out", str(tmp_path / "out")]) == 0

@@ -12,6 +12,37 @@ from sightline.cli.options import ORBIT_CASES, STRIP_CASES, Json, Overwrite, See
 # Part of a strip: long enough for the tones and the longest lag, done in a minute or two.
 LINES, COLUMNS = 2000, 600
 
+#: A TDI detector in the place of the panchromatic line, for the strip that comes next.
+TDI = """name = "TDI settings for the next strip"
+
+[grid]
+stages = { from = 3, to = 64 }
+integration_ratio = { from = 0.2, to = 1.0, step = 0.1 }
+
+[head]
+stages = 2
+integration_ratio = 0.2
+
+[noise]
+gain = 9e-6
+read = 12.0
+
+[columns]
+acquisition = "scene/acquisition.toml"
+band = "PAN"
+
+[signals]
+from = 5
+to = 2000
+count = 32
+
+[mtf]
+aperture_x = 0.9
+aperture_y = 0.9
+diffusion_sigma_px = 0.2
+optics_mtf = 0.35
+"""
+
 
 def demo(
     out: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder to write.")] = Path("demo"),
@@ -22,11 +53,12 @@ def demo(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Render a strip, recover its line of sight, and score the result against the truth."""
+    """Render a strip, recover its line of sight, score it against the truth, set a TDI detector by it."""
     from sightline.cli.output import output_folder
     from sightline.cli.recover import recover_into
     from sightline.cli.score import score_folder
-    from sightline.cli.terminal import print_json, progress
+    from sightline.cli.tdi import judge, tell, write_judged
+    from sightline.cli.terminal import print_json, progress, say
     from sightline.errors import InputError
     from sightline.io.json_text import json_text
     from sightline.simulate.files import write_strip
@@ -48,10 +80,17 @@ def demo(
         report("scoring against the truth")
         scored = score_folder(result, scene / "truth.csv")
         (folder / "score.json").write_text(json_text(scored) + "\n", encoding="utf-8")
+        (folder / "tdi.toml").write_text(TDI, encoding="utf-8")
+        (folder / "tdi").mkdir()
+        settings = write_judged(folder / "tdi", judge(folder / "tdi.toml", result, report, pictures=True))
     if as_json:
-        print_json({"score": scored, "summary": summary, "report": out / "result" / "report.html"})
+        both = {"score": scored, "summary": summary, "tdi": settings}
+        print_json(both | {"report": out / "result" / "report.html"})
     else:
         _tell(out, scored)
+        say("TDI stages and integration time for a detector that moves like this strip did:")
+        tell(settings)
+        say(f"report  {out / 'tdi' / 'report.html'}")
 
 
 def _tell(out: Path, scored: dict[str, Any]) -> None:

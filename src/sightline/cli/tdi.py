@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from sightline.cli.options import Json, Out, Overwrite
+from sightline.cli.terminal import Progress
 
 if TYPE_CHECKING:
     from sightline.applications.tdi_choice import TdiResult
+    from sightline.evaluation.tdi_pictures import StripPictures
 
 
 def tdi(
@@ -32,53 +35,86 @@ def tdi(
     as_json: Json = False,
 ) -> None:
     """Choose TDI stages and integration ratio per column and signal, as a table looked up at line rate."""
+    from sightline.cli.output import check_output_folder, output_folder
+    from sightline.cli.terminal import complain, print_json, progress, say
+
+    check_output_folder(out, overwrite=overwrite)
+    with progress() as report:
+        chosen = judge(file, motion, report, pictures=pictures)
+        with output_folder(out, overwrite=overwrite) as folder:
+            summary = write_judged(folder, chosen)
+    if as_json:
+        print_json(summary)
+        return
+    for warning in chosen.result.warnings:
+        complain("warning", warning)
+    tell(summary)
+    say(f"{out / 'choice.csv'}, {out / 'table.bin'}, {out / 'report.html'}")
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """A choice before it is written.
+
+    Attributes
+    ----------
+    result : TdiResult
+    pictures : StripPictures or None
+    inputs : tuple of Path
+        Files that were read.
+    begun : float
+        s of ``time.perf_counter``; when work began.
+    """
+
+    result: TdiResult
+    pictures: StripPictures | None
+    inputs: tuple[Path, ...]
+    begun: float
+
+
+def judge(file: Path, motion: Path | None, report: Progress, *, pictures: bool) -> Judged:
+    """The choice of a TDI.toml, and a target imaged with it."""
     import time
 
     from sightline.applications.tdi_choice import choose_tdi
-    from sightline.cli.output import check_output_folder, output_folder
-    from sightline.cli.terminal import complain, print_json, progress
     from sightline.evaluation.tdi_pictures import strip_pictures
     from sightline.io.tdi import load_tdi, tdi_inputs
+
+    begun = time.perf_counter()
+    problem = load_tdi(file, motion)
+    report(f"choosing among {len(problem.grid)} settings")
+    result = choose_tdi(problem)
+    target = None
+    if pictures:
+        report("imaging a target")
+        target = strip_pictures(result.choice, aperture=problem.aperture)
+    return Judged(result, target, tuple(tdi_inputs(file, motion)), begun)
+
+
+def write_judged(folder: Path, chosen: Judged) -> dict[str, Any]:
+    """Every file of the result; gives the summary."""
+    import time
+
     from sightline.io.tdi_results import write_choice, write_tdi_summary
     from sightline.io.tdi_table import write_table
     from sightline.report.tdi_page import write_tdi_report
 
-    begin = time.perf_counter()
-    check_output_folder(out, overwrite=overwrite)
-    with progress() as report:
-        problem = load_tdi(file, motion)
-        report(f"choosing among {len(problem.grid)} settings")
-        result = choose_tdi(problem)
-        target = None
-        if pictures:
-            report("imaging a target")
-            target = strip_pictures(result.choice, aperture=problem.aperture)
-        report("writing the choice, its table and report")
-        with output_folder(out, overwrite=overwrite) as folder:
-            write_choice(folder / "choice.csv", result.choice)
-            write_table(folder, result.table)
-            seconds = time.perf_counter() - begin
-            summary = write_tdi_summary(
-                folder / "summary.json", result, tdi_inputs(file, motion), wall_seconds=seconds
-            )
-            write_tdi_report(folder / "report.html", result, summary, target)
-    if as_json:
-        print_json(summary)
-        return
-    for warning in result.warnings:
-        complain("warning", warning)
-    _tell(result, summary, out)
+    write_choice(folder / "choice.csv", chosen.result.choice)
+    write_table(folder, chosen.result.table)
+    seconds = time.perf_counter() - chosen.begun
+    summary = write_tdi_summary(folder / "summary.json", chosen.result, chosen.inputs, wall_seconds=seconds)
+    write_tdi_report(folder / "report.html", chosen.result, summary, chosen.pictures)
+    return summary
 
 
-def _tell(result: TdiResult, summary: dict[str, Any], out: Path) -> None:
+def tell(summary: dict[str, Any]) -> None:
     """The choice in a few lines."""
     from sightline.cli.terminal import say
 
-    choice = result.choice
+    stages, ratio = summary["stages"], summary["integration_ratio"]
     say(
-        f"{summary['columns']} columns x {summary['signals']} signals: {choice.stages.min()} to "
-        f"{choice.stages.max()} stages, integration ratio {choice.integration_ratio.min():g} to "
-        f"{choice.integration_ratio.max():g}"
+        f"{summary['columns']} columns x {summary['signals']} signals: {stages['min']:g} to "
+        f"{stages['max']:g} stages, integration ratio {ratio['min']:g} to {ratio['max']:g}"
     )
     for way in summary["other_ways"]:
         say(
@@ -91,4 +127,3 @@ def _tell(result: TdiResult, summary: dict[str, Any], out: Path) -> None:
         f"{100.0 * table['certified_loss']:.2g} % of the merit at worst, "
         f"{100.0 * table['mean_loss']:.2g} % on average"
     )
-    say(f"{out / 'choice.csv'}, {out / 'table.bin'}, {out / 'report.html'}")
