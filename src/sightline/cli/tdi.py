@@ -29,7 +29,9 @@ def tdi(
     ] = None,
     pictures: Annotated[
         bool,
-        typer.Option(help="Image a target with the choice, and with one setting for all, for the report."),
+        typer.Option(
+            help="Image a target with the choice and with one setting for all (not under --motion)."
+        ),
     ] = True,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -85,7 +87,8 @@ def judge(file: Path, motion: Path | None, report: Progress, *, pictures: bool) 
     report(f"choosing among {len(problem.grid)} settings")
     result = choose_tdi(problem)
     target = None
-    if pictures:
+    # the target drifts steadily: under a motion it would look as sharp as it is not
+    if pictures and problem.motion is None:
         report("imaging a target")
         target = strip_pictures(result.choice, aperture=problem.aperture)
     return Judged(result, target, tuple(tdi_inputs(file, motion)), begun)
