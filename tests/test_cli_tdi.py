@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -192,6 +193,16 @@ WRONG = {
     "signals the wrong way": ("from = 10", "from = 2000", "must lie below"),
     "two sources of columns": ("table = ", "count = 3\ntable = ", "give one of count, table and acquisition"),
     "missing table": ("columns.csv", "elsewhere.csv", "no such file"),
+    "a range from nothing": ("from = 3, to = 64", "from = 0, to = 64", "grid.stages.from = 0"),
+    "a range of half stages": ("from = 3, to = 64", "from = 3.5, to = 64", "grid.stages.from = 3.5"),
+    "a range of ratios without steps": (
+        "[0.4, 0.8, 1.0]", "{ from = 0.1, to = 1 }", "grid.integration_ratio.step' is",
+    ),
+    "no noise at all": ("gain = 9e-6\nread = 12.0", "shot = 0", "noise is zero in all its parts"),
+    "beyond the optics": ("optics_mtf = 0.35", "optics_cutoff = 0.3", "leave no contrast"),
+    "a limit in degrees": ("[mtf]", "[choice]\nslip_limit = 5\n[mtf]", "rad, above 0 and below 1.5"),
+    "a limit in words": ("[mtf]", '[choice]\nslip_limit = "any"\n[mtf]', 'or "allow"'),
+    "columns without end": ('table = "columns.csv"', "count = 2000000000", "less than or equal to 1000000"),
     "too many ratios": (
         "[0.4, 0.8, 1.0]", "{ from = 0.2, to = 1.0, step = 0.02 }", "integration ratios",
     ),
@@ -216,11 +227,14 @@ def test_one_clear_error_and_nothing_written(what, toml, tmp_path, capsys):
 
 TABLES = {
     "a column twice": ("3,1.001,0.015", "2,1.001,0.015", "whole numbers from 0 up, rising, none twice"),
+    "another unit": ("1,1.0,-0.015", "1,7000,-0.015", "or the unit another?"),
+    "a word misspelt": ("scan_velocity,slip", "scan_velocity,slip,sigma_slp", "did you mean sigma_slip?"),
+    "a column beyond all": ("7,0.999,0.03", "4294967296,0.999,0.03", "the last that is allowed"),
     "NaN": ("1,1.0,-0.015", "1,nan,-0.015", "scan_velocity' is nan"),
-    "scan reversed": ("1,1.0,-0.015", "1,-1.0,-0.015", "is the sign of the scan reversed?"),
+    "scan reversed": ("1,1.0,-0.015", "1,-1.0,-0.015", "is the sign of the scan reversed"),
     "slip in degrees": ("7,0.999,0.03", "7,0.999,1.2", "slips by 68.75 degrees, more than the limit of 5"),
     "a row too short": ("7,0.999,0.03", "7,0.999", "has 2 values, the header has 3"),
-    "no slip": ("scan_velocity,slip", "scan_velocity,slop", "column 'slip' is missing"),
+    "no slip": ("scan_velocity,slip", "scan_velocity,slop", "did you mean slip?"),
     "half of the optics": (COLUMNS, "column,scan_velocity,slip,optics_mtf_x\n0,1,0,0.3\n", "give both"),
 }
 
@@ -228,10 +242,21 @@ TABLES = {
 @pytest.mark.parametrize("what", TABLES)
 def test_wrong_columns_are_named(what, toml, tmp_path, capsys):
     old, new, message = TABLES[what]
-    (tmp_path / "columns.csv").write_text(COLUMNS.replace(old, new))
+    text = COLUMNS.replace(old, new)
+    if "sigma_slp" in new:
+        text = "\n".join([text.splitlines()[0], *(row + ",0" for row in text.splitlines()[1:])])
+    (tmp_path / "columns.csv").write_text(text)
     assert run(["tdi", str(toml), "--out", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert message in said and "Traceback" not in said
+
+
+def test_what_changes_nothing_is_said_and_columns_left_out_too(toml, tmp_path):
+    toml.write_text(TEXT + "[choice]\nquantile = 0.1\n[motion]\nstages = 8\n")
+    assert run(["tdi", str(toml), "--no-pictures", "--out", str(tmp_path / "out")]) == 0
+    said = " ".join(json.loads((tmp_path / "out" / "summary.json").read_text())["warnings"])
+    assert "quantile changes nothing" in said and "[motion] changes nothing" in said
+    assert "3 columns between those" in said
 
 
 def test_a_steep_slip_may_be_allowed(toml, tmp_path):
@@ -307,6 +332,14 @@ class TestMotion:
         said = capsys.readouterr().err
         assert message in said and "Traceback" not in said
         assert not (tmp_path / "out").exists()
+
+    def test_a_result_without_its_spectrum_is_named(self, strip, tmp_path, capsys):
+        part = tmp_path / "part"
+        shutil.copytree(strip / "seen", part)
+        (part / "spectrum.csv").unlink()
+        command = ["tdi", str(strip / "tdi.toml"), "--motion", str(part)]
+        assert run([*command, "--out", str(tmp_path / "out")]) == 2
+        assert "spectrum.csv: is missing" in capsys.readouterr().err
 
     def test_a_folder_that_is_no_result_is_named(self, strip, tmp_path, capsys):
         command = ["tdi", str(strip / "tdi.toml"), "--motion", str(strip / "strip")]

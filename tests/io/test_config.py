@@ -154,7 +154,7 @@ def test_choices_of_matching_are_those_of_the_recovery(folder):
         ("points = 50", 'points is for select = "spread"'),
         ('select = "listed"', "needs features = a CSV file"),
         ('similarity = "mutual"', "'whitened', 'radiometric' or 'gradient'"),
-        ('weighting = "score"', "'covariance' or 'none'"),
+        ('weighting = "score"', "'predicted' or 'none'"),
     ],
 )
 def test_choices_of_matching_that_do_not_fit_are_refused(folder, text, words):

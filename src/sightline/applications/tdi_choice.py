@@ -76,6 +76,14 @@ class TdiProblem:
     name: str = "TDI choice"
     notes: tuple[str, ...] = ()
 
+    def __post_init__(self) -> None:
+        """Refuse what cannot be chosen for."""
+        signals = np.asarray(self.signals, dtype=np.float64)
+        rising = signals.ndim == 1 and len(signals) > 0 and bool((np.diff(signals) > 0.0).all())
+        if not (rising and np.isfinite(signals).all() and signals[0] > 0.0):
+            raise InputError(f"`signals` is {self.signals!r}; electrons, above 0 and rising, are needed")
+        object.__setattr__(self, "signals", signals)
+
     @property
     def model(self) -> ColumnMtf:
         """What motion does to each column."""

@@ -113,7 +113,9 @@ def _status_of(error: Exception) -> int:
         complain("error", f"the system refused a file: {error.strerror or error}{place}")
         return WRONG_INPUT
     if isinstance(error, MemoryError):
-        complain("error", "memory ran out; recover a shorter strip, or fewer frames")
+        complain(
+            "error", "memory ran out; give less at once: a shorter strip, fewer frames, columns or signals"
+        )
         return DATA_CANNOT_ANSWER
     complain(
         "defect",

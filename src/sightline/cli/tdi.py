@@ -24,7 +24,7 @@ def tdi(
         typer.Option(
             "--motion",
             metavar="DIR",
-            help="Folder that `recover` wrote for the acquisition of [columns]: settings for its motion.",
+            help="Folder that `recover` wrote for the acquisition of \\[columns]: settings for its motion.",
         ),
     ] = None,
     pictures: Annotated[

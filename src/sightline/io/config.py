@@ -201,6 +201,16 @@ def _explain(error: Any) -> str:
 def _is_type_tag(part: object) -> bool:
     """Pydantic adds the tried type of a union to the place (``float``, ``literal['estimate']``, ...)."""
     return isinstance(part, str) and (
-        part in {"float", "int", "str", "constrained-float", "constrained-int", "constrained-str"}
+        part
+        in {
+            "as-list",
+            "as-range",
+            "float",
+            "int",
+            "str",
+            "constrained-float",
+            "constrained-int",
+            "constrained-str",
+        }
         or part.startswith(("literal[", "tuple[", "list[", "function-"))
     )

@@ -70,6 +70,10 @@ def read_motion_knowledge(folder: Path, acquisition: Acquisition) -> RecoveredSt
 def _error(folder: Path) -> tuple[Array, Array, Array]:
     """Frequencies (F,), density (F, 3) of the error, and jitter (3,) above, from ``spectrum.csv``."""
     path = folder / "spectrum.csv"
+    if not path.is_file():
+        raise FormatError(
+            f"{path}: is missing: it says how well the motion is known; run `sightline recover` again"
+        )
     names = ["frequency", *(f"psd_{axis}" for axis in ANGLES), *(f"error_{axis}" for axis in ANGLES)]
     table = read_columns(path, names, infinite=names[4:])
     columns = [np.asarray(table[name], dtype=np.float64) for name in names]

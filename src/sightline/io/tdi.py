@@ -5,6 +5,7 @@ Not here: keys and allowed values (``tdi_schema.py``), the results (``tdi_result
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,14 +20,19 @@ from sightline.imaging.tdi_transfer import Exposure
 from sightline.io.config import read_toml, validate
 from sightline.io.tables import header_of, read_columns
 from sightline.io.tdi_columns import columns_of_acquisition, optics_of, static_mtf
-from sightline.io.tdi_schema import ChoiceSection, TdiFile
+from sightline.io.tdi_schema import MOST_COLUMNS, ChoiceSection, TdiFile
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
+from sightline.tdi.table import check_words_fit
 
 Array = NDArray[np.float64]
 
 COLUMNS = ("column", "scan_velocity", "slip")
 OPTICS = ("optics_mtf_x", "optics_mtf_y")
 SIGMAS = ("sigma_velocity", "sigma_slip")
+#: Cycles of slip over all stages that no image shows.
+UNSEEN = 1e-3
+#: A scene that moves so many times as fast as the clock, or as slowly, is not scanned by TDI.
+FAR = 2.0
 
 
 def load_tdi(path: str | Path, motion: str | Path | None = None) -> TdiProblem:
@@ -71,6 +77,12 @@ def load_tdi(path: str | Path, motion: str | Path | None = None) -> TdiProblem:
         )
     else:
         columns, notes, moved = _columns(file, path), (), None
+    if not (columns.static_mtf > 0.0).all():
+        raise FormatError(
+            f"{path}: optics, pixel and diffusion leave no contrast at mtf.frequencies = "
+            f"{list(rules.frequencies)} cycles per pixel: nothing can be judged there; give lower "
+            "frequencies, or correct optics_cutoff and apertures"
+        )
     problem = TdiProblem(
         columns=columns,
         signals=signals,
@@ -78,7 +90,7 @@ def load_tdi(path: str | Path, motion: str | Path | None = None) -> TdiProblem:
         detector=detector,
         rules=rules,
         motion=moved,
-        notes=notes,
+        notes=notes + _without_effect(file, columns, moved is not None),
         max_loss=file.table.max_loss,
         hysteresis=choice.hysteresis,
         largest_step=choice.max_step,
@@ -87,9 +99,28 @@ def load_tdi(path: str | Path, motion: str | Path | None = None) -> TdiProblem:
     )
     try:
         check_slip(problem.columns, problem.rules)
+        check_words_fit(grid)
     except InputError as error:
         raise FormatError(f"{path}: {error}") from None
     return problem
+
+
+def _without_effect(file: TdiFile, columns: ScanColumns, moved: bool) -> tuple[str, ...]:
+    """Keys that were given and change nothing, and columns that were not given."""
+    said = []
+    uncertain = moved or columns.covariance is not None or file.signals.sigma > 0.0
+    if file.choice.quantile is not None and not uncertain:
+        said.append("[choice] quantile changes nothing: velocity, slip and signals are given as exact")
+    if "motion" in file.model_fields_set and not moved:
+        said.append("[motion] changes nothing without --motion")
+    gaps = int(columns.column[-1] - columns.column[0]) + 1 - len(columns)
+    if gaps:
+        said.append(
+            f"{gaps:,} columns between those of the table of columns are not named: the table of settings "
+            "gives them what the nearest named one has, and its certificate does not hold for them; name "
+            "every column"
+        )
+    return tuple(said)
 
 
 def _rules(choice: ChoiceSection, file: TdiFile) -> ChoiceRules:
@@ -124,6 +155,7 @@ def _columns(file: TdiFile, path: Path) -> ScanColumns:
 def _read_columns(path: Path, static: Array, file: TdiFile) -> ScanColumns:
     """A table of columns; its MTFs of the optics stand in for that of the file."""
     header = header_of(path)
+    _refuse_misspelt(path, header)
     given = [name for name in (*OPTICS, *SIGMAS) if name in header]
     if len(set(given) & set(OPTICS)) == 1:
         raise FormatError(f"{path}: give both {OPTICS[0]} and {OPTICS[1]}, or neither")
@@ -135,12 +167,17 @@ def _read_columns(path: Path, static: Array, file: TdiFile) -> ScanColumns:
         raise FormatError(
             f"{path}: `column` must hold whole numbers from 0 up, rising, none twice; sort the rows"
         )
-    if (table["scan_velocity"] <= 0.0).any():
-        row = int(np.flatnonzero(table["scan_velocity"] <= 0.0)[0])
+    if column[-1] >= MOST_COLUMNS:
+        raise FormatError(
+            f"{path}: column {column[-1]:.0f} is beyond {MOST_COLUMNS - 1}, the last that is allowed"
+        )
+    strange = ~((table["scan_velocity"] > 1.0 / FAR) & (table["scan_velocity"] < FAR))
+    if strange.any():
+        row = int(np.flatnonzero(strange)[0])
         raise FormatError(
             f"{path}: scan_velocity of column {column[row]:g} is "
-            f"{table['scan_velocity'][row]:g}; pixels per line period along the scan, above 0 (1 = in step), "
-            "are expected; is the sign of the scan reversed?"
+            f"{table['scan_velocity'][row]:g}; pixels per line period along the column, near 1 (in step "
+            "with the clock), are expected; is the sign of the scan reversed, or the unit another?"
         )
     for name in OPTICS:
         if name in table and not ((table[name] > 0.0) & (table[name] <= 1.0)).all():
@@ -153,6 +190,15 @@ def _read_columns(path: Path, static: Array, file: TdiFile) -> ScanColumns:
         without = static / optics_of(file.mtf)
         mtf = without * np.column_stack([table[name] for name in OPTICS])
     return _with_sigmas(column, table["scan_velocity"], table["slip"], mtf, file, table)
+
+
+def _refuse_misspelt(path: Path, header: list[str]) -> None:
+    """A column that looks like one of ours and is none is a mistake: it would count for nothing."""
+    known = [*COLUMNS, *OPTICS, *SIGMAS]
+    for name in header:
+        close = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.75)
+        if name not in known and close and close[0] not in header:
+            raise FormatError(f"{path}: column {name!r} is not known; did you mean {close[0]}?")
 
 
 def _with_sigmas(
@@ -171,7 +217,8 @@ def tdi_inputs(path: Path, motion: Path | None = None) -> list[Path]:
     """The TDI.toml, the files that it names, and what was read of a recovered motion."""
     columns = validate(TdiFile, read_toml(path), path).columns
     named = [path.parent / name for name in (columns.table, columns.acquisition) if name is not None]
-    recovered = [] if motion is None else [motion / name for name in ("motion.csv", "summary.json")]
+    read = ("motion.csv", "summary.json", "spectrum.csv", "hidden.csv", "covariance.npz")
+    recovered = [] if motion is None else [motion / name for name in read if (motion / name).is_file()]
     return [path, *named, *recovered]
 
 
@@ -196,8 +243,8 @@ def _understood(problem: TdiProblem) -> list[str]:
         if head.head_stages
         else f"no head lines: signals are given for an integration ratio of {detector.signal_ratio:g}",
         f"signals of {signals[0]:g} to {signals[-1]:g} electrons a line",
-        f"velocity {columns.velocity.min():.6g} to {columns.velocity.max():.6g} px per line, slip "
-        f"{np.degrees(columns.slip.min()):.4g} to {np.degrees(columns.slip.max()):.4g} degrees",
+        f"velocity 1 {columns.velocity.min() - 1.0:+.3g} to 1 {columns.velocity.max() - 1.0:+.3g} px a line, "
+        f"slip {np.degrees(columns.slip.min()):.4g} to {np.degrees(columns.slip.max()):.4g} degrees",
         f"MTF of what stands still: {_range(columns.static_mtf[:, 0])} across, "
         f"{_range(columns.static_mtf[:, 1])} along, at {problem.rules.frequencies} cycles per px",
     ]
@@ -226,7 +273,7 @@ def _consequences(problem: TdiProblem) -> list[str]:
     across = np.abs(columns.velocity * np.tan(columns.slip)) * fx
     along = np.abs(columns.velocity - 1.0) * fy
     worst = float(np.maximum(across, along).max())
-    if worst == 0.0:
+    if worst * float(problem.grid.stages[-1]) < UNSEEN:
         return ["the scene moves in step with every column: drift limits no number of stages"]
     return [
         f"the column that drifts most is served best by about {0.371 / worst:.3g} stages and blurred out by "

@@ -11,15 +11,26 @@ from __future__ import annotations
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, field_validator, model_validator
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from sightline.io.acquisition_schema import Positive, Section, Sigma
 from sightline.tdi.setting import SLIP_LIMIT
+
+#: More would not fit into memory, nor onto a focal plane.
+MOST_COLUMNS, MOST_SIGNALS = 1_000_000, 10_000
 
 Share = Annotated[float, Field(gt=0.0, le=1.0, allow_inf_nan=False)]
 Stages = Annotated[int, Field(ge=1)]
 Frequency = Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)]
 Mtf = Annotated[float, Field(gt=0.0, le=1.0, allow_inf_nan=False)]
+#: A list or a range in its place, told apart before they are judged: messages are about what was meant.
+_LIST, _RANGE = "as-list", "as-range"
+
+
+def _shape(value: object) -> str:
+    return _LIST if isinstance(value, list | tuple) else _RANGE
+
+
 Well = Annotated[float, Field(gt=0.0)]
 Width = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
 
@@ -43,10 +54,12 @@ class RatioRange(Section):
 class GridSection(Section):
     """``[grid]``: the settings that the detector offers, every number of stages with every ratio."""
 
-    stages: list[Stages] | StageRange = Field(
-        description="Numbers of TDI stages, head included: a list, or { from, to, step }"
-    )
-    integration_ratio: list[Share] | RatioRange = Field(
+    stages: Annotated[
+        Annotated[list[Stages], Tag(_LIST)] | Annotated[StageRange, Tag(_RANGE)], Discriminator(_shape)
+    ] = Field(description="Numbers of TDI stages, head included: a list, or { from, to, step }")
+    integration_ratio: Annotated[
+        Annotated[list[Share], Tag(_LIST)] | Annotated[RatioRange, Tag(_RANGE)], Discriminator(_shape)
+    ] = Field(
         description="Integration time over the line period, above 0 to 1: a list, or { from, to, step }"
     )
 
@@ -112,7 +125,7 @@ class NoiseSection(Section):
 class ColumnsSection(Section):
     """``[columns]``: how the scene moves past each column."""
 
-    count: Annotated[int, Field(ge=1)] | None = Field(
+    count: Annotated[int, Field(ge=1, le=MOST_COLUMNS)] | None = Field(
         default=None, description="So many columns, in step with the clock (V = 1, g = 0)"
     )
     table: str | None = Field(
@@ -144,7 +157,7 @@ class SignalsSection(Section):
     list_: list[Positive] | None = Field(default=None, alias="list", description="Rising list, electrons")
     start: Positive | None = Field(default=None, alias="from", description="Lowest signal, electrons")
     stop: Positive | None = Field(default=None, alias="to", description="Highest signal, electrons")
-    count: Annotated[int, Field(ge=2)] | None = Field(
+    count: Annotated[int, Field(ge=2, le=MOST_SIGNALS)] | None = Field(
         default=None, description="How many, spaced evenly in the logarithm (default 32)"
     )
     integration_ratio: Share | None = Field(
@@ -237,10 +250,18 @@ class ChoiceSection(Section):
     mtf_max: Annotated[float, Field(ge=0.0, le=1.0)] = Field(default=1.0, description="Most MTF, each axis")
     full_well_line: Well = Field(default=np.inf, description="Electrons that a line can hold")
     full_well_sum: Well = Field(default=np.inf, description="Electrons that the sum can hold")
-    slip_limit: Positive | Literal["allow"] = Field(
+    slip_limit: Annotated[float, Field(gt=0.0, lt=1.5)] | Literal["allow"] = Field(
         default=SLIP_LIMIT,
         description='rad; columns that slip more are refused (default 5 degrees); "allow" takes any',
     )
+
+    @field_validator("slip_limit", mode="before")
+    @classmethod
+    def _angle_or_allow(cls, value: object) -> object:
+        if value != "allow" and not (isinstance(value, int | float) and 0.0 < value < 1.5):
+            raise ValueError(f'{value!r} is not allowed: rad, above 0 and below 1.5, or "allow"')
+        return value
+
     quantile: Annotated[float, Field(gt=0.0, lt=1.0)] | None = Field(
         default=None,
         description="Where motion or signal is uncertain, judge a setting by this quantile of its merit "
@@ -282,6 +303,14 @@ class TdiFile(Section):
     choice: ChoiceSection = ChoiceSection()
     table: TableSection = TableSection()
     motion: MotionSection = MotionSection()
+
+    @model_validator(mode="after")
+    def _there_is_noise(self) -> TdiFile:
+        if not any(self.noise.model_dump().values()):
+            raise ValueError(
+                "noise is zero in all its parts: every SNR would be infinite; give shot, read or output"
+            )
+        return self
 
     @model_validator(mode="after")
     def _parts_agree(self) -> TdiFile:
