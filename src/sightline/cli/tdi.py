@@ -33,10 +33,12 @@ def tdi(
 ) -> None:
     """Choose TDI stages and integration ratio per column and signal, as a table looked up at line rate."""
     import time
+    from dataclasses import replace
 
     from sightline.applications.tdi_choice import choose_tdi
     from sightline.cli.output import check_output_folder, output_folder
     from sightline.cli.terminal import complain, print_json, progress
+    from sightline.errors import InputError
     from sightline.evaluation.tdi_pictures import strip_pictures
     from sightline.io.tdi import load_tdi, tdi_inputs
     from sightline.io.tdi_results import write_choice, write_tdi_summary
@@ -52,7 +54,11 @@ def tdi(
         target = None
         if pictures:
             report("imaging a target")
-            target = strip_pictures(result.choice, aperture=problem.aperture)
+            try:
+                target = strip_pictures(result.choice, aperture=problem.aperture)
+            except InputError as reason:  # the choice stands without them
+                said = f"no pictures of a target: {reason}"
+                result = replace(result, warnings=(*result.warnings, said))
         report("writing the choice, its table and report")
         with output_folder(out, overwrite=overwrite) as folder:
             write_choice(folder / "choice.csv", result.choice)
