@@ -63,7 +63,8 @@ class TdiTable:
     signals : (float, float)
         Electrons of one line between which the table is certified.
     certified_loss : float
-        Worst relative loss of merit against the best setting of each column and signal.
+        Worst relative loss of merit against the best setting of each column and signal that keeps all limits
+        for the whole electron.
     shift : int
         A quantised signal is the whole electrons over 2^shift.
 
@@ -345,7 +346,7 @@ def _check_out(out: Words, shape: tuple[int, ...]) -> None:
         raise InputError(f"`out` is a {type(out).__name__}; an array is needed, to be written to")
     if out.shape != shape or out.dtype != np.uint16 or not out.flags.c_contiguous or not out.flags.writeable:
         raise InputError(
-            f"`out` has shape {out.shape} and type {out.dtype}; an array of shape {shape}, uint16, in C order "
+            f"`out` has shape {out.shape} and type {out.dtype}; an array of shape {shape}, uint16, C order, "
             "that can be written to is needed"
         )
 
