@@ -99,7 +99,7 @@ class Certificate:
     points: tuple[int, int]
     flagged: float
     bytes: int
-    at_limits: float
+    at_limits: float = 0.0
 
     @property
     def holds(self) -> bool:
@@ -155,7 +155,8 @@ def build_table(model: ColumnMtf, choice: TdiChoice, max_loss: float = 0.005) ->
         samples, codes = finer, finer_codes
     assert best is not None  # there is a first round
     table, certificate = best
-    return replace(table, certified_loss=certificate.loss), certificate
+    at_limits = _loss_at_limits(model, choice, table)
+    return replace(table, certified_loss=certificate.loss), replace(certificate, at_limits=at_limits)
 
 
 def table_loss(
@@ -233,13 +234,13 @@ def certify(
         (loss.shape[0], loss.shape[1]),
         1.0 - float(judged.mean()),
         len(table.to_bytes()),
-        _loss_at_limits(model, choice, table, signals),
     )
     return certificate, (column, signals[signal])
 
 
-def _loss_at_limits(model: ColumnMtf, choice: TdiChoice, table: TdiTable, signals: Array) -> float:
+def _loss_at_limits(model: ColumnMtf, choice: TdiChoice, table: TdiTable) -> float:
     """Worst loss at those signals whose own limits allow more than whole electrons do."""
+    signals = dense_signals(choice.signals, table)
     near = np.zeros(len(signals), dtype=bool)
     for k in range(0, len(signals), AT_ONCE):
         part = signals[k : k + AT_ONCE]
