@@ -178,6 +178,7 @@ def test_the_schema_knows_the_aliases(capsys):
 
 WRONG = {
     "unknown key": ("[noise]", "[noise]\nshott = 2", "unknown key 'noise.shott'; did you mean shot?"),
+    "no noise": ("gain = 9e-6\nread = 12.0", "shot = 0", "every setting would have an infinite SNR"),
     "negative noise": ("read = 12.0", "read = -1.0", "noise.read = -1.0"),
     "no stages": ("stages = { from = 3, to = 64 }", "stages = []", "one value at least"),
     "falling stages": ("stages = { from = 3, to = 64 }", "stages = [5, 4]", "must rise"),
@@ -198,7 +199,7 @@ WRONG = {
     "a range of ratios without steps": (
         "[0.4, 0.8, 1.0]", "{ from = 0.1, to = 1 }", "grid.integration_ratio.step' is",
     ),
-    "no noise at all": ("gain = 9e-6\nread = 12.0", "shot = 0", "noise is zero in all its parts"),
+    "no noise at all": ("gain = 9e-6\nread = 12.0", "shot = 0", "every setting would have an infinite SNR"),
     "beyond the optics": ("optics_mtf = 0.35", "optics_cutoff = 0.3", "leave no contrast"),
     "a limit in degrees": ("[mtf]", "[choice]\nslip_limit = 5\n[mtf]", "rad, above 0 and below 1.5"),
     "a limit in words": ("[mtf]", '[choice]\nslip_limit = "any"\n[mtf]', 'or "allow"'),
@@ -257,6 +258,27 @@ def test_what_changes_nothing_is_said_and_columns_left_out_too(toml, tmp_path):
     said = " ".join(json.loads((tmp_path / "out" / "summary.json").read_text())["warnings"])
     assert "quantile changes nothing" in said and "[motion] changes nothing" in said
     assert "3 columns between those" in said
+
+
+NOTHING_TO_SEE = {
+    "signals below an electron": ("from = 10\nto = 1000\ncount = 5", "list = [0.2, 0.5, 0.9]"),
+    "every setting saturates": ("[mtf]", "[choice]\nfull_well_sum = 10\n[mtf]"),
+    "drift of many pixels": ("[mtf]", '[choice]\nslip_limit = "allow"\n[mtf]'),
+    "blur wider than the target": ("[0.5, 0.5]", "[0.01, 0.01]"),
+}
+
+
+@pytest.mark.parametrize("what", NOTHING_TO_SEE)
+def test_the_choice_is_written_where_no_picture_can_be_made(what, toml, tmp_path):
+    """A slanted edge that cannot be measured is no fault of the choice."""
+    if what == "drift of many pixels":
+        (tmp_path / "columns.csv").write_text(COLUMNS.replace("0.03\n", "1.48\n"))
+    toml.write_text(TEXT.replace(*NOTHING_TO_SEE[what]))
+    out = tmp_path / "out"
+    assert run(["tdi", str(toml), "--out", str(out)]) == 0
+    assert sorted(entry.name for entry in out.iterdir()) == FILES and len(rows_of(out)) in (15, 25)
+    said = json.loads((out / "summary.json").read_text())["warnings"]
+    assert any(warning.startswith("no pictures of a target: ") for warning in said)
 
 
 def test_a_steep_slip_may_be_allowed(toml, tmp_path):

@@ -157,6 +157,14 @@ class TestLimits:
         # with SNR and MTF given up, the best below the well remains
         assert low.setting[0, 0] == free.setting[0, 0]
 
+    def test_an_mtf_of_one_is_within_its_default_bound(self):
+        """With nothing static to blur, MTF comes to 1 + 1e-15 by rounding: no reason to refuse a setting."""
+        slip = 10.0 ** np.linspace(-12.0, -7.0, 300)
+        columns = columns_of(np.ones(300), slip, static=(1.0, 1.0))
+        found = chosen(columns, [20.0, 400.0], self.GRID, rules=ChoiceRules(merit="x"))
+        assert (found.stages == self.GRID.stages[-1]).all()
+        assert {LIMITS[code] for code in found.limit.ravel()} == {"none"} and found.mtf.max() <= 1.0
+
     def test_bounds_of_mtf_move_the_choice(self):
         columns = columns_of([1.0], [np.radians(2.0)])
         free = chosen(columns, [400.0], self.GRID)

@@ -81,6 +81,15 @@ def test_one_line_some_columns_and_a_given_array():
     assert given.lookup(signals, out) is out and (out == words).all()
 
 
+@pytest.mark.parametrize("cells", [3, 40])
+def test_words_may_take_the_place_of_signals(cells):
+    """Both kernels: they write words while signals are still to be read."""
+    given = table(cells)
+    signals = np.random.default_rng(4).integers(0, 6000, (3, given.columns)).astype(np.uint16)
+    words = given.lookup(signals)
+    np.testing.assert_array_equal(given.lookup(signals, out=signals), words)
+
+
 def test_unpack_gives_stages_ratio_and_flags():
     given = table()
     word = np.array([[9 | 3 << 9, 511 | 1 << 14], [1 | 4 << 9 | 1 << 15, 200 | 2 << 9]], dtype=np.uint16)
@@ -105,8 +114,17 @@ def test_bad_calls_are_refused():
     for out in (np.zeros(3, np.uint16), np.zeros(len(line)), np.zeros(2 * len(line), np.uint16)[::2]):
         with pytest.raises(InputError, match="`out`"):
             given.lookup(line, out)
-    with pytest.raises(InputError, match="ratios"):
-        given.unpack(np.array([31 << 9], dtype=np.uint16))
+    locked = np.zeros(len(line), np.uint16)
+    locked.flags.writeable = False
+    with pytest.raises(InputError, match="can be written to"):
+        given.lookup(line, locked)
+    with pytest.raises(InputError, match="`out` is a list"):
+        given.lookup(line, [0] * len(line))
+    with pytest.raises(InputError, match="`signals` is no array"):
+        given.lookup([[1.0, 2.0], [3.0]])
+    for words in (np.array([31 << 9], dtype=np.uint16), np.array([3.0])):
+        with pytest.raises(InputError, match="ratios"):
+            given.unpack(words)
 
 
 @pytest.mark.parametrize(

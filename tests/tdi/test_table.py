@@ -8,6 +8,7 @@ import pytest
 from sightline.errors import InputError
 from sightline.imaging.tdi_noise import snr
 from sightline.imaging.tdi_transfer import drift_transfer
+from sightline.tdi.choose import choose_settings, merit_of
 from sightline.tdi.setting import TdiGrid
 from sightline.tdi.table_build import build_table, dense_signals, table_loss
 from tdi.tdi_example import field
@@ -99,6 +100,22 @@ def test_wells_hold_for_parts_of_an_electron():
     stages, ratio = table.unpack(table.lookup(np.repeat(signals[:, None], 40, axis=1)))
     total = signals[:, None] * (2.0 + (stages - 2) * ratio / 0.25)
     assert total.max() <= 3e4 and total.max() > 0.98 * 3e4
+
+
+def test_what_keeping_clear_of_a_limit_costs_is_told():
+    """Every electron judged by its own limits: no loss above the bound but what `at_limits` owns up to."""
+    model, choice = field(8, full_well=3e4, top=2000.0)
+    table, certificate = build_table(model, choice, 0.01)
+    signals = np.arange(1.0, 2001.0)
+    grid, detector, rules = choice.grid, choice.detector, choice.rules
+    best = choose_settings(model, signals, grid, detector, rules)
+    stages, ratio = table.unpack(table.lookup(np.repeat(signals[:, None], 8, axis=1)))
+    setting = np.searchsorted(grid.stages, stages) * len(grid.ratios) + np.searchsorted(grid.ratios, ratio)
+    merit = [merit_of(model, signals, chosen, grid, detector, rules) for chosen in (setting.T, best.setting)]
+    worst = float((1.0 - merit[0] / merit[1]).max())
+    assert certificate.holds and certificate.at_limits > 0.01
+    # the electrons of all borders are among those that the certificate judges
+    assert worst == pytest.approx(certificate.at_limits, rel=1e-9)
 
 
 def test_a_tighter_bound_costs_bytes_and_signals_hardly_matter():

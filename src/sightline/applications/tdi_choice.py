@@ -333,6 +333,11 @@ def _warnings(
             f"{certificate.column:g}, {certificate.signal:.4g} electrons), more than max_loss = "
             f"{100.0 * certificate.max_loss:.3g} %: signals are whole electrons there; allow more"
         )
+    if certificate.at_limits > certificate.max_loss:
+        said.append(
+            "where a well fills or the least SNR is reached within an electron, the table keeps clear of it, "
+            f"for up to {100.0 * certificate.at_limits:.3g} % of the merit at that electron"
+        )
     worst = float(patent.loss.max(initial=0.0))
     if problem.rules.model == "patent" and worst > SAID_LOSS:
         said.append(

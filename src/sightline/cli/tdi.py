@@ -77,8 +77,10 @@ class Judged:
 def judge(file: Path, motion: Path | None, report: Progress, *, pictures: bool) -> Judged:
     """The choice of a TDI.toml, and a target imaged with it."""
     import time
+    from dataclasses import replace
 
     from sightline.applications.tdi_choice import choose_tdi
+    from sightline.errors import InputError
     from sightline.evaluation.tdi_pictures import strip_pictures
     from sightline.io.tdi import load_tdi, tdi_inputs
 
@@ -90,7 +92,11 @@ def judge(file: Path, motion: Path | None, report: Progress, *, pictures: bool) 
     # the target drifts steadily: under a motion it would look as sharp as it is not
     if pictures and problem.motion is None:
         report("imaging a target")
-        target = strip_pictures(result.choice, aperture=problem.aperture)
+        try:
+            target = strip_pictures(result.choice, aperture=problem.aperture)
+        except InputError as reason:  # the choice stands without them
+            said = f"no pictures of a target: {reason}"
+            result = replace(result, warnings=(*result.warnings, said))
     return Judged(result, target, tuple(tdi_inputs(file, motion)), begun)
 
 

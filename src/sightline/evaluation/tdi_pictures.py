@@ -41,6 +41,8 @@ Pair = tuple[float, float]
 INSET = 5
 #: Least margin of the target, pixels.
 MARGIN = 16
+#: Most drift of the scene during all stages, pixels: beyond it nothing is left of the target.
+MOST_REACH = 100.0
 #: Lines and columns of the miniature of the whole detector line.
 MINIATURE = (110, 480)
 
@@ -181,7 +183,8 @@ def strip_pictures(
     Raises
     ------
     InputError
-        A static MTF above that of the aperture alone.
+        A static MTF above that of the aperture alone; a target that is blurred, drifts or drowns in noise so
+        much that nothing can be measured on it.
     """
     count = len(choice.columns)
     places = (0, count // 2, count - 1) if places is None else places
@@ -190,7 +193,10 @@ def strip_pictures(
     nearest = int(np.argmin(np.abs(choice.signals - signal)))
     chosen = [column_group(choice, c, c, nearest, aperture) for c in places]
     single = [column_group(choice, c, count // 2, nearest, aperture) for c in places]
-    margin = max(MARGIN, *(int(np.ceil(group.reach)) + 4 for group in (*chosen, *single)))
+    reach = max(group.reach for group in (*chosen, *single))
+    if reach > MOST_REACH:
+        raise InputError(f"the scene drifts by {reach:.3g} px during all stages, more than {MOST_REACH:g}")
+    margin = max(MARGIN, int(np.ceil(reach)) + 4)
     target = tdi_target(seed, margin=margin)
     crops: dict[ColumnGroup, Crop] = {}
     for number, group in enumerate(dict.fromkeys((*chosen, *single))):

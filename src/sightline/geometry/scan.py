@@ -27,7 +27,8 @@ class ScanVelocity:
     Attributes
     ----------
     velocity : (N,)
-        px per line period, square to the detector line; 1 = synchronised (S3's V(i)).
+        px per line period, the speed along its path; 1 = synchronised. S3's V(i), along the column, is this
+        times cos(slip) (``tdi/scan_columns.py``).
     slip : (N,)
         rad; angle of the movement from that direction, positive towards increasing columns (S3's g(i)).
     """

@@ -108,6 +108,7 @@ def _table(result: TdiResult) -> dict[str, Any]:
         "max_loss": certificate.max_loss,
         "holds": certificate.holds,
         "mean_loss": certificate.mean_loss,
+        "loss_at_limits": certificate.at_limits,
         "worst_column": certificate.column,
         "worst_signal": certificate.signal,
         "points": list(certificate.points),

@@ -121,6 +121,14 @@ class NoiseSection(Section):
         default=0.0, description="A_col: relative variance of a column's pattern, common to all its lines (1)"
     )
 
+    @model_validator(mode="after")
+    def _something_is_noisy(self) -> NoiseSection:
+        if not any((self.gain, self.shot, self.read, self.dark, self.output, self.column_fixed)):
+            raise ValueError(
+                "no noise: every setting would have an infinite SNR; shot = 1 is that of photons"
+            )
+        return self
+
 
 class ColumnsSection(Section):
     """``[columns]``: how the scene moves past each column."""
@@ -303,14 +311,6 @@ class TdiFile(Section):
     choice: ChoiceSection = ChoiceSection()
     table: TableSection = TableSection()
     motion: MotionSection = MotionSection()
-
-    @model_validator(mode="after")
-    def _there_is_noise(self) -> TdiFile:
-        if not any(self.noise.model_dump().values()):
-            raise ValueError(
-                "noise is zero in all its parts: every SNR would be infinite; give shot, read or output"
-            )
-        return self
 
     @model_validator(mode="after")
     def _parts_agree(self) -> TdiFile:

@@ -1,7 +1,8 @@
 """Settings that do not flicker: from column to column, from signal to signal, and from line to line.
 
 A cell may give up a share of its merit so that its neighbours keep one setting. Limits stay limits: a setting
-that the choice refused for a cell is never taken for it.
+that the choice refused for a cell is never taken for it. From line to line a bounded step may need some lines
+to get there; only wells are never overfilled for it.
 
 Not here: the free choice (``choose.py``), the order of measuring and setting (``simulate/tdi_lines.py``).
 """
@@ -242,7 +243,7 @@ class LineHold:
 
     The last setting stays while it loses no more than `hysteresis` under the new signal and keeps the limits.
     Otherwise it moves to the best, by no more than `largest_step` per line; a well that overflows is left at
-    once, whatever the step.
+    once, whatever the step. On the way, bounds of MTF and SNR may be missed for some lines.
 
     Attributes
     ----------

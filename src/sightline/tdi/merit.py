@@ -214,7 +214,8 @@ def column_factors(
     """The part of the merit that some columns give to every setting."""
     columns = model.columns.part(which)
     static = columns.static_mtf[:, None, :]
-    mtf: Array = model.central(which) * static
+    # by rounding a mean of unit vectors may be longer than 1: no reason for `mtf_max` = 1 to refuse it
+    mtf: Array = np.minimum(model.central(which), 1.0) * static
     merit = model.robust_merit(which, rules)
     if merit is None:
         merit = mtf_merit(mtf, rules.merit)

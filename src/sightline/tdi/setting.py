@@ -188,7 +188,8 @@ class ChoiceRules:
         rad; columns that slip more are refused.
     quantile : float or None
         Where velocity, slip or signal are uncertain: None judges a setting by its mean merit, 0 to 1 by that
-        quantile of its merit.
+        quantile of its merit. Where both motion and signal are uncertain, it is the product of the quantiles
+        of their two factors: for low ones, below the quantile of the product.
     signal_sigma : float
         Relative 1-sigma of the signals.
     """

@@ -63,7 +63,8 @@ class TdiTable:
     signals : (float, float)
         Electrons of one line between which the table is certified.
     certified_loss : float
-        Worst relative loss of merit against the best setting of each column and signal.
+        Worst relative loss of merit against the best setting of each column and signal that keeps all limits
+        for the whole electron.
     shift : int
         A quantised signal is the whole electrons over 2^shift.
 
@@ -128,7 +129,7 @@ class TdiTable:
             Electrons of one line. uint16, float32 and float64 are read as they are, others as float64. A part
             of an electron is dropped.
         out : same shape, uint16, C order, optional
-            Written to and returned.
+            Written to and returned. It may be `signals` themselves.
         first_column : int, optional
             Number of the first column of `signals`; by default the table's first, and `signals` has all.
 
@@ -137,7 +138,7 @@ class TdiTable:
         InputError
             Columns outside the table; an `out` that does not fit.
         """
-        given = np.asarray(signals)
+        given = _array(signals, "signals")
         if given.ndim not in (1, 2) or not (np.isrealobj(given) and given.dtype.kind in "uifb"):
             raise InputError(
                 f"`signals` has shape {given.shape} and type {given.dtype}; numbers of shape (lines, "
@@ -148,12 +149,11 @@ class TdiTable:
         edges = self._edges_of(given.shape[-1], first_column)
         if out is None:
             out = np.empty(given.shape, dtype=np.uint16)
-        elif out.shape != given.shape or out.dtype != np.uint16 or not out.flags.c_contiguous:
-            raise InputError(
-                f"`out` has shape {out.shape} and type {out.dtype}; an array of shape {given.shape}, uint16, "
-                "in C order is needed"
-            )
+        else:
+            _check_out(out, given.shape)
         lines = np.ascontiguousarray(given).reshape(-1, given.shape[-1])
+        if np.may_share_memory(lines, out):  # words are written before all signals are read
+            lines = lines.copy()
         starts, thresholds, words = self._whole_cells if given.dtype == np.uint16 else self._real_cells
         if self._spread is not None:
             begins, last, spread = self._spread
@@ -164,9 +164,10 @@ class TdiTable:
 
     def unpack(self, words: ArrayLike) -> tuple[Index, Array]:
         """Number of stages (int) and integration ratio (float) of words, in their shape."""
-        packed = np.asarray(words)
-        number = self._ratio_number(packed)
-        if packed.dtype.kind not in "ui" or (number >= len(self.ratios)).any():
+        packed = _array(words, "words")
+        whole = packed.dtype.kind in "ui"
+        number = self._ratio_number(packed) if whole else packed
+        if not whole or (number >= len(self.ratios)).any():
             raise InputError(
                 f"`words` of type {packed.dtype} name integration ratios that the table does not have; give "
                 "words of this table's lookup"
@@ -329,6 +330,25 @@ class TdiTable:
                 f"{file}: cannot be read ({error.strerror}); give the folder that `sightline tdi` wrote"
             ) from None
         return cls.from_bytes(image, str(file))
+
+
+def _array(given: ArrayLike, name: str) -> NDArray[Any]:
+    """An array of what was given; InputError where rows differ in length."""
+    try:
+        return np.asarray(given)
+    except ValueError:
+        raise InputError(f"`{name}` is no array: its rows differ in length") from None
+
+
+def _check_out(out: Words, shape: tuple[int, ...]) -> None:
+    """InputError where words of a shape cannot be written to `out`."""
+    if not isinstance(out, np.ndarray):
+        raise InputError(f"`out` is a {type(out).__name__}; an array is needed, to be written to")
+    if out.shape != shape or out.dtype != np.uint16 or not out.flags.c_contiguous or not out.flags.writeable:
+        raise InputError(
+            f"`out` has shape {out.shape} and type {out.dtype}; an array of shape {shape}, uint16, C order, "
+            "that can be written to is needed"
+        )
 
 
 def check_words_fit(grid: TdiGrid) -> None:

@@ -73,7 +73,8 @@ class Certificate:
     max_loss : float
         Relative loss of merit that was asked for.
     loss : float
-        Worst found, where some setting keeps all limits; 1 where the table's would break one.
+        Worst found, where some setting keeps all limits; 1 where the table's would break one. A limit is
+        kept where all signals keep it that the table cannot tell apart.
     column, signal : float
         Where; the signal in electrons.
     mean_loss : float
@@ -85,6 +86,9 @@ class Certificate:
         Share of points at which no setting keeps all limits.
     bytes : int
         Of the table's memory image, all told.
+    at_limits: float
+        Worst loss against the best that a signal's own limits allow: within the electron in which a well
+        fills or the least SNR is reached, the table keeps clear of what the signal alone would still permit.
     """
 
     max_loss: float
@@ -95,6 +99,7 @@ class Certificate:
     points: tuple[int, int]
     flagged: float
     bytes: int
+    at_limits: float = 0.0
 
     @property
     def holds(self) -> bool:
@@ -150,10 +155,13 @@ def build_table(model: ColumnMtf, choice: TdiChoice, max_loss: float = 0.005) ->
         samples, codes = finer, finer_codes
     assert best is not None  # there is a first round
     table, certificate = best
-    return replace(table, certified_loss=certificate.loss), certificate
+    at_limits = _loss_at_limits(model, choice, table)
+    return replace(table, certified_loss=certificate.loss), replace(certificate, at_limits=at_limits)
 
 
-def table_loss(model: ColumnMtf, choice: TdiChoice, table: TdiTable, signals: Array) -> Array:
+def table_loss(
+    model: ColumnMtf, choice: TdiChoice, table: TdiTable, signals: Array, *, own_limits: bool = False
+) -> Array:
     """Relative loss of merit (C, S) of a table against the best setting; NaN where none keeps all limits.
 
     Parameters
@@ -163,11 +171,20 @@ def table_loss(model: ColumnMtf, choice: TdiChoice, table: TdiTable, signals: Ar
     table : TdiTable
     signals : (S,)
         Electrons of one line, rising.
+    own_limits : bool
+        Against the best that keeps limits for the signal itself, not for all that the table cannot tell from
+        it.
     """
     grid, rules = choice.grid, choice.rules
-    by_signal = np.concatenate(
-        [whole_electrons(signals[k : k + AT_ONCE], choice).allowed for k in range(0, len(signals), AT_ONCE)]
-    )
+    if own_limits:
+        by_signal = signal_factors(signals, grid, choice.detector, rules).allowed
+    else:
+        by_signal = np.concatenate(
+            [
+                whole_electrons(signals[k : k + AT_ONCE], choice).allowed
+                for k in range(0, len(signals), AT_ONCE)
+            ]
+        )
     setting = _settings_at(table, choice, signals)
     loss = np.empty(setting.shape)
     blocks = [slice(k, k + SIGNAL_BLOCK) for k in range(0, len(signals), SIGNAL_BLOCK)]
@@ -219,6 +236,20 @@ def certify(
         len(table.to_bytes()),
     )
     return certificate, (column, signals[signal])
+
+
+def _loss_at_limits(model: ColumnMtf, choice: TdiChoice, table: TdiTable) -> float:
+    """Worst loss at those signals whose own limits allow more than whole electrons do."""
+    signals = dense_signals(choice.signals, table)
+    near = np.zeros(len(signals), dtype=bool)
+    for k in range(0, len(signals), AT_ONCE):
+        part = signals[k : k + AT_ONCE]
+        own = signal_factors(part, choice.grid, choice.detector, choice.rules).allowed
+        near[k : k + AT_ONCE] = (own != whole_electrons(part, choice).allowed).any(axis=1)
+    if not near.any():
+        return 0.0
+    loss = table_loss(model, choice, table, signals[near], own_limits=True)
+    return float(np.nanmax(loss, initial=0.0))
 
 
 def dense_signals(nominal: Array, table: TdiTable) -> Array:
