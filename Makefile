@@ -52,7 +52,8 @@ test: $(DEV)  ## all tests; what had to be left out is named at the end
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal $(ARGS)
 
 validate: $(DEV)  ## accuracy and honesty of sigma against truth: prints the tables of docs/validation.md
-	@set -e; for script in validation/*.py; do echo "== $$script"; $(BIN)/python $$script; done
+	@missed=; for script in validation/*.py; do echo "== $$script"; $(BIN)/python $$script || missed="$$missed $$script"; done; \
+		test -z "$$missed" || { echo "figures missed, or not printed, by:$$missed"; exit 1; }
 
 bench: $(DEV)  ## speed and memory beside rivals, in one run
 	@set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script; done

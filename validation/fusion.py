@@ -198,7 +198,7 @@ def run(
         ties = tie(rows, GRID, 3) if rows else None
         found = solve_joint(image_equations(case, motion, of_images), prior, ties)
         error = angles_at(found, T) - motion
-        constant = directions_at(GRID, found.hidden_directions(drifts=False), T)
+        constant = directions_at(GRID, found.hidden_directions(), T)
         covariance = found.relative_covariance(T, constant, np.ones(3))
         absolute.append(error)
         relative.append(error - error.mean(axis=0))
