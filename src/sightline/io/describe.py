@@ -16,7 +16,7 @@ import numpy as np
 from sightline.evaluation.band_words import passband_words
 from sightline.geometry.camera import PushbroomCamera
 from sightline.io.acquired import Acquisition
-from sightline.io.describe_spin import describe_spin
+from sightline.io.describe_spin import describe_spin, ground_words
 from sightline.io.ground import shared_ground
 from sightline.motion.observability import Passbands, blind_frequencies, passbands
 
@@ -160,7 +160,7 @@ def _understood(acquisition: Acquisition) -> list[str]:
         f"one pixel is {ifov:.4g} urad; the field reaches {acquisition.half_field_px:.0f} px from its middle"
     )
     lines.append(
-        f"ground: {type(acquisition.surface).__name__}, height known to {acquisition.height_sigma:g} m"
+        f"ground: {ground_words(acquisition.surface)}, height known to {acquisition.height_sigma:g} m"
     )
     first, last = _strip_times(acquisition)
     for sensor in acquisition.sensors:

@@ -11,9 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from sightline.geometry.surface import Infinity
+from sightline.geometry.surface import Dem, Ellipsoid, Infinity, Plane, Surface
 from sightline.io.acquired import Acquisition
 from sightline.motion.spin_matches import StripPair, strip_pairs
+
+
+def ground_words(surface: Surface) -> str:
+    """What the lines of sight meet, in words."""
+    words = {Plane: "a plane", Ellipsoid: "an ellipsoid", Dem: "a DEM", Infinity: "infinitely far"}
+    return words.get(type(surface), type(surface).__name__)
 
 
 def describe_spin(acquisition: Acquisition) -> dict[str, Any]:
@@ -78,7 +84,7 @@ def _understood(acquisition: Acquisition, interval: float) -> list[str]:
         drift = acquisition.parallax_sigma
         lines.append(f"ground: infinitely far; directions may drift by {drift:.2g} rad/s, which sigma owns")
     else:
-        lines.append(f"ground: {type(acquisition.surface).__name__}")
+        lines.append(f"ground: {ground_words(acquisition.surface)}")
     return lines
 
 

@@ -258,7 +258,10 @@ def _pair_row(pair: Mapping[str, Any]) -> list[str]:
 
 def _both(values: Sequence[float], digits: int) -> str:
     """Along / across; a dash where not known."""
-    return " / ".join("–" if not np.isfinite(v) else f"{v:.{digits}f}".replace("-", "−") for v in values)
+    return " / ".join(
+        "–" if not np.isfinite(v) else f"{round(v, digits) + 0.0:.{digits}f}".replace("-", "−")
+        for v in values
+    )
 
 
 def _band_rows(summary: Mapping[str, Any]) -> list[list[str]]:
