@@ -382,7 +382,7 @@ def _jumps(choice: TdiChoice) -> tuple[str, ...]:
         f"stages jump by more than a factor of {LARGE_JUMP} between neighbouring columns in {far.sum():,} "
         f"cells (columns {choice.columns.column[c]:g} and {choice.columns.column[c + 1]:g} at "
         f"{choice.signals[s]:.4g} electrons: {stages[c, s]} and {stages[c + 1, s]}), as where the merit has "
-        "two summits: MTF and SNR jump with them; hysteresis in [choice] lets fewer columns "
-        "jump in choice.csv, and none if it is as large as the valley between the summits and max_step is "
+        "two summits: MTF and SNR jump with them; hysteresis in [choice] lets fewer columns jump in "
+        "choice.csv, and none if it is as large as the valley between the summits and max_step is "
         "given; a narrower [grid] stages leaves one summit",
     )

@@ -81,9 +81,9 @@ def sections(result: TdiResult) -> list[Section]:
                 f"At {signal} and the integration ratio chosen: {_columns_of(result)}, each relative to its "
                 "own best. A motion that comes back periodically may give two summits: few stages, which "
                 "freeze it, or many, over which whole periods are averaged. Where the two are nearly equal, "
-                "stages jump from column to column, and MTF and SNR with them. Hysteresis in [choice] makes such jumps "
-                "fewer; as large as the valley between the summits, and with max_step, it keeps neighbouring "
-                "columns on one of them, at that cost. The cross is the choice.",
+                "stages jump from column to column, and MTF and SNR with them. Hysteresis in [choice] makes "
+                "such jumps fewer; as large as the valley between the summits, and with max_step, it keeps "
+                "neighbouring columns on one of them, at that cost. The cross is the choice.",
                 tdi_figures.stages_figure(result),
             )
         )
