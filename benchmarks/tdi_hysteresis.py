@@ -1,6 +1,6 @@
 """Settings that change seldom: time and memory for a whole detector line, changes saved and merit given up.
 
-The case of the S3 sheet with 30,000 columns x 64 signals x 2,520 settings. Prints the time of the free choice
+The reference example with 30,000 columns x 64 signals x 2,520 settings. Prints the time of the free choice
 and of the hysteresis (processor seconds of one core), and of settings held from line to line.
 
     python benchmarks/tdi_hysteresis.py [--columns 30000] [--signals 64]

@@ -2,7 +2,7 @@
 
     python benchmarks/tdi_lookup.py [--lines 1000] [--passes 9]
 
-30,000 columns, tables certified to 0.5 %: once as the sheet's example has it, once with a full well that
+30,000 columns, tables certified to 0.5 %: once as the reference example has it, once with a full well that
 makes many cells. Each figure is the best of several passes that take turns, compilation excluded. numpy: the
 group of each column, the range of each signal by a list, and fancy indexing, lists prepared beforehand.
 Targets: 1.2 Gsample/s, 5 times numpy, twice 20,000 lines per second.
@@ -35,7 +35,7 @@ COLUMNS, LINE_RATE = 30_000, 20_000.0
 
 
 def table_of(full_well: float, signals: int) -> TdiTable:
-    """Table of the sheet's example, built on 300 columns and spread over all."""
+    """Table of the reference example, built on 300 columns and spread over all."""
     few = 300
     x = np.linspace(-1.0, 1.0, few)
     columns = ScanColumns(

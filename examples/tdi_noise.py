@@ -8,8 +8,8 @@ what hiproc (github.com/rbeyer/hiproc, EDR_Stats_gains_config.pvl, BG12_0, Bin4)
 
 from __future__ import annotations
 
+import argparse
 import os
-import sys
 import tempfile
 from pathlib import Path
 
@@ -23,8 +23,17 @@ IMAGE = "hirise_edr_bg12/PSP_001446_1790_BG12_0.IMG"
 
 def main() -> None:
     """Estimate, print, write."""
-    out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp(prefix="tdi-noise-"))
-    conversion = float(sys.argv[2]) if len(sys.argv) > 2 else 19.30
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument(
+        "out", metavar="OUT", type=Path, nargs="?", help="folder of tdi.toml; else a temporary one"
+    )
+    parser.add_argument(
+        "conversion", metavar="ELECTRONS_PER_DN", type=float, nargs="?", default=19.30, help="above 0; 19.30"
+    )
+    given = parser.parse_args()
+    out, conversion = given.out or Path(tempfile.mkdtemp(prefix="tdi-noise-")), given.conversion
+    if not 0.0 < conversion < float("inf"):
+        parser.error(f"ELECTRONS_PER_DN is {conversion:g}; a number above 0 is allowed")
     if not (DATA / IMAGE).is_file():
         print(f"no image {IMAGE} in {DATA}; set SIGHTLINE_DATA to the folder of real data")
         return

@@ -116,6 +116,35 @@ def test_the_table_says_what_the_choice_says(done):
             assert abs(ratio[s, column] - float(row["integration_ratio"])) <= 0.2 + 1e-9
 
 
+def test_what_the_patents_form_would_lose_is_told_last(done):
+    warnings = json.loads((done / "summary.json").read_text())["warnings"]
+    said = "the form of EP2733929 would lose up to"
+    assert warnings[-1].startswith(said) and not any(said in warning for warning in warnings[:-1])
+    page = (done / "report.html").read_text(encoding="utf-8")
+    minded = page[page.index("Mind before using the numbers") : page.index('id="settings"')]
+    assert "EP2733929" not in minded
+    assert said[1:] in page[page.index('id="comparison"') :]
+
+
+def test_what_decided_is_drawn_where_a_limit_did(toml, tmp_path, done):
+    assert 'id="figure-limit-map"' not in (done / "report.html").read_text(encoding="utf-8")
+    toml.write_text(TEXT + "[choice]\nsnr_min = 30\nfull_well_sum = 20000\n")
+    assert run(["tdi", str(toml), "--no-pictures", "--out", str(tmp_path / "out")]) == 0
+    assert 'id="figure-limit-map"' in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert set(json.loads((tmp_path / "out" / "summary.json").read_text())["limits"]) > {"none"}
+
+
+def test_a_jump_between_neighbouring_columns_is_told(tmp_path, capsys):
+    # in step at one column, slipping by a cycle over some 20 stages at the next
+    (tmp_path / "columns.csv").write_text("column,scan_velocity,slip\n0,1.0,0.0\n1,1.0,0.05\n")
+    path = tmp_path / "tdi.toml"
+    path.write_text(TEXT)
+    assert run(["tdi", str(path), "--no-pictures", "--out", str(tmp_path / "near")]) == 0
+    said = capsys.readouterr().err
+    assert "stages jump by more than a factor of 2" in said and "columns 0 and 1" in said
+    assert "hysteresis" in said and "max_step" in said
+
+
 def test_hysteresis_is_told(toml, tmp_path):
     toml.write_text(TEXT + "[choice]\nhysteresis = 0.05\nmax_step = 8\n")
     assert run(["tdi", str(toml), "--no-pictures", "--out", str(tmp_path / "out")]) == 0
@@ -328,6 +357,8 @@ class TestMotion:
         assert run([*command, "--out", str(still)]) == 0
         assert run([*command, "--motion", str(strip / "seen"), "--out", str(moved)]) == 0
         summary = json.loads((moved / "summary.json").read_text())
+        assert 0.0 < summary["motion"]["first_start"] < summary["motion"]["last_start"] < 0.2
+        assert "Merit along the stages, under this motion" in (moved / "report.html").read_text()
         assert summary["motion"]["lines"] >= 64 and summary["predicted_loss"]["mean"] > 0.0
         assert {"motion.csv", "acquisition.toml"} <= set(summary["inputs"])
         before, after = (

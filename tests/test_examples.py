@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
 
 
-def run(code: list[str]) -> str:
-    done = subprocess.run([sys.executable, *code], capture_output=True, text=True, timeout=600, cwd=ROOT)
+def run(code: list[str], folder: Path = ROOT) -> str:
+    done = subprocess.run([sys.executable, *code], capture_output=True, text=True, timeout=600, cwd=folder)
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -30,7 +30,7 @@ def test_an_example_runs_and_prints(path):
 def test_the_python_of_the_readme_runs_and_prints_three_axes():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
-    assert len(blocks) == 1 and len([line for line in blocks[0].splitlines() if line.strip()]) <= 20
+    assert len(blocks) == 2 and len([line for line in blocks[0].splitlines() if line.strip()]) <= 20
     lines = run(["-c", blocks[0]]).splitlines()
     assert [line.split()[0] for line in lines] == ["roll", "pitch", "yaw"]
     shown = re.search(r"```text\n(roll .*?)```", readme, re.DOTALL)
@@ -39,3 +39,27 @@ def test_the_python_of_the_readme_runs_and_prints_three_axes():
     for printed, stated in zip(lines, shown[1].splitlines(), strict=True):
         numbers = [[float(n) for n in re.findall(r"\d+\.\d+", line)] for line in (printed, stated)]
         assert numbers[0] == pytest.approx(numbers[1], rel=0.05, abs=0.0011)
+
+
+@pytest.mark.slow
+def test_the_tdi_files_and_python_of_the_readme_run_as_stated(tmp_path):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    block = {
+        kind: re.findall(rf"```{kind}\n(.*?)```", readme, re.DOTALL)
+        for kind in ("toml", "csv", "python", "text")
+    }
+    (text,) = (toml for toml in block["toml"] if "[grid]" in toml)
+    (tmp_path / "tdi.toml").write_text(text, encoding="utf-8")
+    (tmp_path / "columns.csv").write_text(block["csv"][0], encoding="utf-8")
+    assert run(["-c", block["python"][1]], tmp_path) == block["text"][1]
+
+
+def test_the_noise_example_refuses_what_it_cannot_use(tmp_path):
+    script = str(ROOT / "examples" / "tdi_noise.py")
+    for arguments in (["out", "abc"], ["out", "-3"]):
+        done = subprocess.run(
+            [sys.executable, script, *arguments], capture_output=True, text=True, timeout=60, cwd=tmp_path
+        )
+        assert done.returncode == 2 and "Traceback" not in done.stderr and arguments[1] in done.stderr
+    assert "ELECTRONS_PER_DN" in run([script, "--help"], tmp_path)
+    assert not list(tmp_path.iterdir())

@@ -1,9 +1,10 @@
-"""Images, star tracker and gyro in one estimate: section 6d of the S1 sheet, and item 9 of its section 8.
+"""Images, star tracker and gyro in one estimate, beside the bound and a prototype.
 
 Prints, for each combination, the error of the whole angle ("absolute") and of the angle less its mean
-("relative"), px: the sheet's figure, the bound (dense covariances written out here, which share no code with
-the package), the stated sigma, and the rms against a truth drawn from those dense covariances. Every case
-meets the same motions and the same errors of its matches: what sensors add to images shows in their rms, too.
+("relative"), px: a prototype's figure, the bound (dense covariances written out here, which share no code
+with the package), the stated sigma, and the rms against a truth drawn from those dense covariances. Every
+case meets the same motions and the same errors of its matches: what sensors add to images shows in their
+rms, too.
 
     python validation/fusion.py [--trials 40]
 """
@@ -53,7 +54,7 @@ class Case:
     gyro: float | None
     images: float | None
     lags: tuple[int, ...]
-    sheet: tuple[float | None, float]
+    prototype: tuple[float | None, float]
 
 
 def _cases() -> list[Case]:
@@ -225,24 +226,24 @@ def main() -> int:
     body, instrument = dense_covariances()
     roots = tuple(np.linalg.cholesky(c + 1e-9 * np.eye(COUNT)) for c in (body, instrument))
     columns = "| bound | stated | rms | NEES "
-    print(f"| case | absolute: sheet {columns}| relative: sheet {columns}|")
+    print(f"| case | absolute: prototype {columns}| relative: prototype {columns}|")
     print("|---|---|---|---|---|---|---|---|---|---|---|")
     missed = 0
     cases = [case for case in _cases() if not given.cases or case.name in given.cases]
     for case in cases:
         best = bound(case, body, instrument)
         rms_a, sigma_a, nees_a, rms_r, sigma_r, nees_r = run(case, (roots[0], roots[1]), trials)
-        sheet = case.sheet[0]
+        prototype = case.prototype[0]
         tied = case.tracker is not None
         first = f"{best[0]:.3f} | {sigma_a:.3f} | {rms_a:.3f} | {nees_a:.2f}" if tied else "- | - | - | -"
         print(
-            f"| {case.name} | {'-' if sheet is None else sheet} | {first} "
-            f"| {case.sheet[1]} | {best[1]:.4f} | {sigma_r:.4f} | {rms_r:.4f} | {nees_r:.2f} |",
+            f"| {case.name} | {'-' if prototype is None else prototype} | {first} "
+            f"| {case.prototype[1]} | {best[1]:.4f} | {sigma_r:.4f} | {rms_r:.4f} | {nees_r:.2f} |",
             flush=True,
         )
-        if sheet is not None:
-            missed += not abs(sigma_a / sheet - 1.0) <= 0.1
-        missed += not sigma_r <= 1.1 * case.sheet[1]
+        if prototype is not None:
+            missed += not abs(sigma_a / prototype - 1.0) <= 0.1
+        missed += not sigma_r <= 1.1 * case.prototype[1]
     print(f"\n{missed} of {2 * len(cases)} figures miss (absolute within 10 %, relative at most 10 % above)")
     return int(missed > 0)
 

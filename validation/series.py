@@ -1,4 +1,4 @@
-"""Accuracy and honesty of the smoother on simulated series: section 8, items 2-5, 7 and 10 of the S1 sheet.
+"""Accuracy and honesty of the smoother on simulated series.
 
 Prints one row per target. The truth is drawn from a dense covariance written out here; it shares no
 code with the smoother. Unit: pixels (one pixel = one unit of angle, the estimators are linear).
@@ -32,7 +32,7 @@ Array = NDArray[np.float64]
 
 STEP, COUNT, EVERY = 1e-3, 2000, 5  # 2 s on a 1 ms grid, one measurement per 10 lines of 0.5 ms
 TONES = ((0.30, 47.0), (0.15, 83.0), (0.08, 121.0))
-BANDWIDTH = 0.8  # Hz; gives the posterior sigmas of the sheet to 2 %
+BANDWIDTH = 0.8  # Hz; gives the posterior sigmas of the prototype to 2 %
 CORNER = 1.0 / (2.0 * np.pi * 30.0)  # s; timescale of the broadband part
 LAGS = (172, 22, 7, 15)  # ms
 PRIOR = Spectrum(
@@ -171,7 +171,8 @@ def known_prior(root: Array, trials: int) -> None:
                 rival = rms(np.concatenate(rivals[name]))
                 gain = min(rival, said) / error
                 label = "max-band combination" if name == "max-band" else "best single-pair filter"
-                row("3", f"{label} (best k), sigma .03: {rival:.3f} (sheet {said})", f"{gain:.1f} x lower",
+                row("3", f"{label} (best k), sigma .03: {rival:.3f} (prototype {said})",
+                    f"{gain:.1f} x lower",
                     f">= {least} x", gain >= least)  # fmt: skip
 
 

@@ -92,8 +92,8 @@ def against_brute_force(cases: int, seed: int) -> None:
         ("exact", "exact, each axis", "<= 1e-3"),
         ("compiled", "exact, as the choice computes it, each axis", "<= 1e-3"),
         ("joint", "exact, both axes at once, complex", "<= 1e-3"),
-        ("x", "corrected patent, across", "sheet: .221 .054 +.029"),
-        ("y", "corrected patent, along", "sheet: .167 .026 +.016"),
+        ("x", "corrected patent, across", "prototype: .221 .054 +.029"),
+        ("y", "corrected patent, along", "prototype: .167 .026 +.016"),
     ):
         e = np.array(errors[name])
         row(what, f"{np.abs(e).max():.1e} {np.sqrt((e**2).mean()):.1e} {e.mean():+.1e}", target)

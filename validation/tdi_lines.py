@@ -1,6 +1,6 @@
 """What the causal order and the hysteresis cost: settings from each line's own head against foreknowledge.
 
-The case of the S3 sheet: 24 column groups, velocity 0.999 + 0.004 x^2, slip 0.1 + 1.2 x degrees, noise
+The reference example: 24 column groups, velocity 0.999 + 0.004 x^2, slip 0.1 + 1.2 x degrees, noise
 A = 9e-6, B = 1, C = 12 electrons, head of 2 lines at a ratio of 0.25, 3 to 128 stages, ratios 0.05 to 1.
 Prints, by signal, the share of merit lost (%) with settings from the head's noisy signal; then, for a moving
 scene of fields, texture and edges, the same free, held from line to line, and with a latency, with the
@@ -84,7 +84,7 @@ def _by_signal(seeds: list[int], lines: int) -> None:
         print(f"{signal:10g} {sigma:9.1f} {mean:8.4f} {1e2 * most:13.3f} {worst:8.3f}")
     together = np.array(everything)
     print(f"{'all':>10} {'':>9} {1e2 * together.mean():8.4f} {1e2 * np.quantile(together, 0.999):13.3f} "
-          f"{1e2 * together.max():8.3f}   sheet: < 0.06 mean, 0.7 worst")  # fmt: skip
+          f"{1e2 * together.max():8.3f}   prototype: < 0.06 mean, 0.7 worst")  # fmt: skip
 
 
 def _by_order(seeds: list[int], lines: int) -> None:

@@ -6,7 +6,7 @@
 The strip is S1's reference scene (2000 lines of 500 columns, images rendered) with a drift of roll and pitch
 four times larger and tones half as large, so that drift, not the tones, decides the number of stages and the
 best number lies inside the grid; a px of yaw at the edge of so narrow a field is 4 mrad of slip, so that yaw
-is an eighth. The grid is 4 to 128 stages with ratios 0.1 to 1.0; noise as in the sheet.
+is an eighth. The grid is 4 to 128 stages with ratios 0.1 to 1.0; noise as in the reference example.
 
 Per column (edge, middle, edge) and signal the table gives the number of stages chosen with the true and with
 the recovered motion and the ratio of the merit that both truly have: mean over 97 lines of the strip, other

@@ -1,10 +1,10 @@
-"""Bytes of the TDI table against the loss it is certified for, on the example of the S3 sheet.
+"""Bytes of the TDI table against the loss it is certified for, on the reference example.
 
     python validation/tdi_table.py
 
 240 columns, slip 0.1 + 1.2 x degrees and velocity 0.999 + 0.004 x^2 over x from -1 to 1, 160 signals from 1
 to 8000 electrons, 126 numbers of stages x 20 integration ratios. All bytes of the memory image are counted:
-head, ratios, limits of the cells, words. Beside it the uniform cells that the sheet quotes, whose limits it
+head, ratios, limits of the cells, words. Beside it the uniform cells of a prototype, whose limits it
 does not count. The target is 2.4 kB at 0.6 %.
 """
 
@@ -21,7 +21,7 @@ from sightline.tdi.merit import DriftMtf
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
 from sightline.tdi.table_build import build_table
 
-#: Bytes of words and loss of the sheet's uniform cells.
+#: Bytes of words and loss of the prototype's uniform cells.
 UNIFORM = {
     "product": {4800: 0.0016, 2400: 0.0054, 600: 0.020, 128: 0.049, 32: 0.139},
     "geomean": {4800: 0.0008, 2400: 0.0034, 600: 0.013, 128: 0.041, 32: 0.091},
@@ -31,7 +31,7 @@ LOSSES = (0.001, 0.002, 0.006, 0.02, 0.05, 0.15)
 
 
 def example(merit: str, columns: int = 240, signals: int = 160) -> tuple[DriftMtf, TdiChoice]:
-    """Model and choice of the sheet's example."""
+    """Model and choice of the reference example."""
     x, f = np.linspace(-1.0, 1.0, columns), 0.5
     static = np.sinc(0.9 * f) * np.exp(-2.0 * (np.pi * 0.2 * f) ** 2) * 0.35
     scan = ScanColumns(
@@ -49,7 +49,8 @@ def example(merit: str, columns: int = 240, signals: int = 160) -> tuple[DriftMt
 def main() -> None:
     """Print the table."""
     print(
-        "| merit | asked | certified | mean loss | bytes | groups | cells | seconds | uniform cells (sheet) |"
+        "| merit | asked | certified | mean loss | bytes | groups | cells | seconds "
+        "| uniform cells (prototype) |"
     )
     print("|---|---|---|---|---|---|---|---|---|")
     for merit, uniform in UNIFORM.items():
@@ -60,11 +61,11 @@ def main() -> None:
             table, certificate = build_table(model, choice, asked)
             seconds = time.process_time() - begin
             size = min((b for b, loss in uniform.items() if loss <= asked), default=None)
-            sheet = "none" if size is None else f"{size} B at {100 * uniform[size]:.2g} %"
+            other = "none" if size is None else f"{size} B at {100 * uniform[size]:.2g} %"
             print(
                 f"| {merit} | {100 * asked:.1f} % | {100 * certificate.loss:.3f} % | "
                 f"{100 * certificate.mean_loss:.3f} % | {certificate.bytes} | {len(table.edges) - 1} | "
-                f"{len(table.words)} | {seconds:.2f} | {sheet} |",
+                f"{len(table.words)} | {seconds:.2f} | {other} |",
                 flush=True,
             )
 

@@ -69,7 +69,7 @@ def test_a_window_multiplies_it_by_the_square_of_its_gain():
 
 
 def test_the_worst_case_of_s1s_example_is_near_133_hz_where_all_lags_are_whole_periods():
-    # sheet 6a: 7.4, 14.8 and 22.2 ms vanish at 135.1 Hz, 172.2 ms at 133.6 Hz
+    # by hand: 7.4, 14.8 and 22.2 ms vanish at 135.1 Hz, 172.2 ms at 133.6 Hz
     f = np.arange(40.0, 150.0, 1e-3)
     value, at = worst_case(S1, (40.0, 150.0), RowNoise((1.0,) * 4, 1e-3))
     assert value == pytest.approx(float(images_worth(f, S1).min()), rel=1e-5)

@@ -35,7 +35,7 @@ def test_bands_are_drawn_with_noise_of_their_own():
     assert abs(np.corrcoef(noise[0].ravel(), noise[1].ravel())[0, 1]) < 0.035
 
 
-def test_the_nominal_case_is_the_reference_scene_of_the_sheet():
+def test_the_nominal_case_is_the_reference_scene():
     options = StripOptions()
     assert options.gsd == pytest.approx((3.4, 3.4))
     assert (options.lines, options.columns) == (3000, 1000)

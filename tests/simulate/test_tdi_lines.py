@@ -18,7 +18,7 @@ GROUPS = 6
 
 
 def a_case(latency=0, **wells):
-    """The sheet's noise, head and drift; signals 1.8 % apart, so that rounding to them costs nothing."""
+    """Noise, head and drift of the example; signals 1.8 % apart, so that rounding to them costs nothing."""
     x = np.linspace(-1.0, 1.0, GROUPS)
     scan = ScanColumns(
         np.arange(GROUPS), 0.999 + 0.004 * x**2, np.radians(0.1 + 1.2 * x), np.full((GROUPS, 2), 0.3)
@@ -100,7 +100,7 @@ def test_the_head_alone_costs_little():
     readings = head_readings(scene, choice.detector, 0, np.random.default_rng(0))
     run = a_run(choice, readings, 0, hold=False)
     loss, overflows = clairvoyant_loss(model, scene, run.setting, choice.grid, choice.detector, choice.rules)
-    # the figures of the method's sheet: 0.06 % in the mean, 0.7 % at worst, down to 5 electrons; noise has no
+    # a prototype's figures: 0.06 % in the mean, 0.7 % at worst, down to 5 electrons; noise has no
     # worst, so that one line in a thousand may exceed it (a head that reads 4 of 41 electrons loses 1.5 %)
     assert loss.mean() < 6e-4 and np.quantile(loss, 0.999) < 7e-3
     assert loss.min() > -1e-12 and not overflows.any()

@@ -40,7 +40,7 @@ def test_a_random_texture_has_the_contrast_and_the_spectrum_asked_for():
     decay = -8.0 * np.log(0.15)
     for low, high in ((0.02, 0.04), (0.08, 0.12), (0.2, 0.25)):
         ring = (radius > low) & (radius < high)
-        # by hand, aliases included: A / f^2 MTF^2 with A from the sheet's gradient, 0.00109
+        # by hand, aliases included: A / f^2 MTF^2 with A from the reference scenes' gradient, 0.00109
         total = np.zeros_like(radius)
         for a in (-1, 0, 1):
             for b in (-1, 0, 1):
@@ -51,7 +51,7 @@ def test_a_random_texture_has_the_contrast_and_the_spectrum_asked_for():
 
 
 def test_the_gradient_of_the_texture_is_that_of_the_reference_scenes():
-    # S1 sheet, section 7: gradient bounds .0067 px at SNR 100 for 10 x 100 px mean a slope of .0667 per px
+    # reference scenes: gradient bounds .0067 px at SNR 100 for 10 x 100 px mean a slope of .0667 per px
     law = TextureLaw(0.2, GSD)
     layer = random_layer(np.random.SeedSequence(2), (1024, 1024), (1.7, 1.7), law.psd)
     rng = np.random.default_rng(3)

@@ -38,7 +38,7 @@ def chosen(columns, signals, grid, detector=None, rules=None):
 
 
 def mtf_written_out(n, kt, velocity, slip, f, axis, head, head_ratio):
-    """Stage by stage, as the sheet's sum: no closed form."""
+    """Stage by stage, the sum written out: no closed form."""
     across = velocity * math.tan(slip)
     psi, phi = (across * f, across * f) if axis == 0 else (velocity * f, (velocity - 1.0) * f)
     total, weight = 0j, 0.0
@@ -109,7 +109,7 @@ class TestLimits:
     GRID = TdiGrid(np.arange(3, 65), np.arange(1, 11) / 10)
     HEAD = Exposure(2, 0.5)
 
-    def test_the_sheets_examples(self):
+    def test_the_reference_examples(self):
         law, static = NoiseLaw(9e-6, 1.0, 12.0), 0.35 * np.sinc(0.45) * np.exp(-2 * (np.pi * 0.2 * 0.5) ** 2)
         for slip, form, stages, ratio, merit in (
             (0.0, "exact", 64, 0.8, 5.54485),

@@ -28,7 +28,7 @@ NOISE = NoiseLaw(9e-6, 1.0, 12.0)
 
 
 def a_case(columns=60, signals=(5.0, 50.0, 500.0, 5000.0), *, rules=None, **detector):
-    """The sheet's columns: velocity and slip that grow to the edges."""
+    """The reference example's columns: velocity and slip that grow to the edges."""
     rules = rules or ChoiceRules()
     x = np.linspace(-1.0, 1.0, columns)
     scan = ScanColumns(

@@ -142,7 +142,7 @@ def test_sinusoidal_jitter_is_the_closed_form():
 
 
 def test_a_steady_yaw_is_a_slip_and_rates_are_drifts():
-    """Sheet 3.5: tan g = -yaw - F roll' T; V - 1 = T (F pitch' + X yaw')."""
+    """By the levers: tan g = -yaw - F roll' T; V - 1 = T (F pitch' + X yaw')."""
     t = np.linspace(-0.02, 0.25, 600)
     rates, yaw = np.array([2e-5, -3e-5, 0.0]), 4e-3
     motion = Motion(t, np.outer(t, rates) + np.array([0.0, 0.0, yaw]))

@@ -92,7 +92,7 @@ def test_levers_are_those_of_exact_rays(mount):
 
 @pytest.mark.parametrize("axis", range(3))
 def test_rates_through_the_levers_are_what_exact_rays_give(axis):
-    """Sheet 3.5: dV and d tan g are the line period times levers times rate.
+    """Levers: dV and d tan g are the line period times levers times rate.
 
     A rate of 1e-4 rad/s is 1 % of a px per line; second order is 1e-4 of it, and yaw averages to nothing over
     the strip but for a slip of its mean.

@@ -123,7 +123,7 @@ def test_a_tighter_bound_costs_bytes_and_signals_hardly_matter():
     sizes = [build_table(model, choice, loss)[1].bytes for loss in (0.002, 0.01, 0.05)]
     assert sizes[0] > sizes[1] > sizes[2]
     table, _ = build_table(model, choice, 0.01)
-    # the sheet: columns drive the choice
+    # columns drive the choice
     assert len(table.edges) - 1 > np.diff(table.starts).max()
 
 

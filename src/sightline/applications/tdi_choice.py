@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sightline.errors import InputError
-from sightline.tdi.choose import LIMITS, TdiChoice, choose_settings, merit_of
+from sightline.tdi.choose import FREE, LIMITS, TdiChoice, choose_settings, merit_of
 from sightline.tdi.hysteresis import SteadyChoice, steady_choice
 from sightline.tdi.merit import (
     ColumnMtf,
@@ -34,6 +34,8 @@ COMPARED = 512
 MAPPED = 200
 #: Loss of merit by the patent's form above which it is said.
 SAID_LOSS = 0.01
+#: Ratio of the stages of neighbouring columns above which it is said.
+LARGE_JUMP = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,6 +177,8 @@ class TdiResult:
         What the choice gives away because velocity, slip or motion are not known exactly; None where they
         are.
     warnings : tuple of str
+    comparison : str or None
+        The last of the warnings where it says only what the form of EP2733929 would have lost.
     """
 
     problem: TdiProblem
@@ -189,6 +193,7 @@ class TdiResult:
     table_loss: TableLoss
     predicted_loss: PredictedLoss | None
     warnings: tuple[str, ...]
+    comparison: str | None = None
 
 
 def choose_tdi(problem: TdiProblem) -> TdiResult:
@@ -224,6 +229,8 @@ def choose_tdi(problem: TdiProblem) -> TdiResult:
     table, certificate = build_table(problem.model, choice, problem.max_loss)
     used = choice if steady is None else steady.choice
     loss = predict_loss(used, problem.model)
+    warnings = problem.notes + _warnings(problem, choice, ways[-1], certificate) + _jumps(used)
+    comparison = _comparison(problem, ways[-1])
     return TdiResult(
         problem,
         used,
@@ -234,7 +241,8 @@ def choose_tdi(problem: TdiProblem) -> TdiResult:
         certificate,
         _table_loss(problem, choice, table),
         loss if len(loss.draws) > 1 else None,
-        problem.notes + _warnings(problem, choice, ways[-1], certificate),
+        warnings if comparison is None else (*warnings, comparison),
+        comparison,
     )
 
 
@@ -344,11 +352,6 @@ def _warnings(
             "chosen by the form of EP2733929, which flatters short integrations: by the exact form it loses "
             f'up to {100.0 * worst:.1f} % of the merit; model = "exact" does not'
         )
-    elif worst > SAID_LOSS:
-        said.append(
-            f"the form of EP2733929 would lose up to {100.0 * worst:.1f} % of the merit here (mean "
-            f"{100.0 * float(patent.loss.mean()):.1f} %): its choices differ from those given"
-        )
     for code in np.unique(choice.limit[choice.infeasible]):
         share = 100.0 * float((choice.limit == code).mean())
         limit = LIMITS[code].removeprefix("infeasible-")
@@ -364,3 +367,35 @@ def _warnings(
             "more might serve them better"
         )
     return tuple(said)
+
+
+def _comparison(problem: TdiProblem, patent: OtherWay) -> str | None:
+    """That the form of EP2733929 would choose worse, where the exact one was used and it matters."""
+    worst = float(patent.loss.max(initial=0.0))
+    if problem.rules.model == "patent" or worst <= SAID_LOSS:
+        return None
+    return (
+        f"the form of EP2733929 would lose up to {100.0 * worst:.1f} % of the merit here (mean "
+        f"{100.0 * float(patent.loss.mean()):.1f} %): its choices differ from those given"
+    )
+
+
+def _jumps(choice: TdiChoice) -> tuple[str, ...]:
+    """That neighbouring columns differ much in stages, and what keeps them alike."""
+    stages, place = choice.stages, np.searchsorted(choice.grid.stages, choice.stages)
+    few, many = np.minimum(stages[1:], stages[:-1]), np.maximum(stages[1:], stages[:-1])
+    # a coarse grid has no smaller step, a limit leaves no choice, columns apart may differ
+    far = (many > LARGE_JUMP * few) & (np.abs(np.diff(place, axis=0)) > 1)
+    far &= (choice.limit[1:] == FREE) & (choice.limit[:-1] == FREE)
+    far &= np.diff(choice.columns.column)[:, None] == 1.0
+    if not far.any():
+        return ()
+    c, s = np.unravel_index(int(np.argmax(np.where(far, many / few, 0.0))), far.shape)
+    return (
+        f"stages jump by more than a factor of {LARGE_JUMP} between neighbouring columns in {far.sum():,} "
+        f"cells (columns {choice.columns.column[c]:g} and {choice.columns.column[c + 1]:g} at "
+        f"{choice.signals[s]:.4g} electrons: {stages[c, s]} and {stages[c + 1, s]}), as where the merit has "
+        "two summits: MTF and SNR jump with them; hysteresis in [choice] lets fewer columns jump in "
+        "choice.csv, and none if it is as large as the valley between the summits and max_step is "
+        "given; a narrower [grid] stages leaves one summit",
+    )

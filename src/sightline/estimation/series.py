@@ -3,7 +3,7 @@
 A measurement is a row of local interpolation weights at its own two times, averaged over the
 length of its matching window. Measurements of one patch of ground share the errors of the images
 they share: three images give three pairs but only two independent errors, so a pair that closes
-a triangle adds nothing (S1 sheet 6c) and is left out where it is exactly redundant.
+a triangle adds nothing (docs/theory/s1.md) and is left out where it is exactly redundant.
 
 Not here: the inner loops (``series_kernels.py``), the prior (``prior.py``), the solution (``evidence.py``).
 """

@@ -141,7 +141,8 @@ class StripPictures:
     chosen, single : tuple of Crop
         Same columns in both.
     columns : (480,)
-        Numbers, in the detector line, of the columns of the miniature: evenly over the whole line.
+        Numbers, in the detector line, of the columns of the miniature: evenly over the whole line;
+        some more than once where there are fewer.
     miniature_chosen, miniature_single : (110, 480)
         Radiance of ground that every one of these columns images as it moves, by its own setting and by one.
     """
@@ -187,7 +188,7 @@ def strip_pictures(
         much that nothing can be measured on it.
     """
     count = len(choice.columns)
-    places = (0, count // 2, count - 1) if places is None else places
+    places = sorted({0, count // 2, count - 1}) if places is None else places
     middle = float(choice.signals[len(choice.signals) // 2])
     signal = middle if signal is None else signal
     nearest = int(np.argmin(np.abs(choice.signals - signal)))

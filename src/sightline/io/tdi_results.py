@@ -136,8 +136,8 @@ def _motion(model: ColumnMtf | None) -> dict[str, Any] | None:
         return None
     t = model.start_times()
     return {
-        "first_line": float(t.min()),
-        "last_line": float(t.max()),
+        "first_start": float(t.min()),
+        "last_start": float(t.max()),
         "lines": int(t.size),
         "draws": len(t),
         "jitter": [float(sigma) for sigma in model.knowledge.jitter],

@@ -9,6 +9,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sightline.applications.tdi_choice import TdiResult
 from sightline.evaluation.tdi_pictures import StripPictures
 from sightline.report import tdi_figures
@@ -42,6 +44,9 @@ def tdi_html(result: TdiResult, summary: Mapping[str, Any], pictures: StripPictu
         summary=summary,
         sentences=sentences(result, summary),
         sections=sections(result),
+        warnings=[warning for warning in summary["warnings"] if warning != result.comparison],
+        comparison=result.comparison,
+        limit_map=limit_map(result),
         pictures=None if pictures is None else tdi_pictures_html(pictures),
         picture_signal=None if pictures is None else digits(pictures.signal, 3),
         ways=[
@@ -55,7 +60,33 @@ def tdi_html(result: TdiResult, summary: Mapping[str, Any], pictures: StripPictu
 def sections(result: TdiResult) -> list[Section]:
     """All figures in the order of the page."""
     choice = result.choice
-    signal = choice.signals[result.landscape.signal]
+    signal = tdi_figures.electrons(choice.signals[result.landscape.signal])
+    grid, merit = choice.grid, []
+    # a grid of one number of stages or one ratio has no landscape
+    if min(len(grid.stages), len(grid.ratios)) > 1:
+        merit.append(
+            Section(
+                "merit",
+                "Merit against stages and integration ratio",
+                f"Every setting at {signal}: {_columns_of(result)}, each relative to its own best. "
+                "The cross is the choice: off the summit where a limit forbids it.",
+                tdi_figures.merit_figure(result),
+            )
+        )
+    if result.problem.motion is not None:
+        merit.append(
+            Section(
+                "summits",
+                "Merit along the stages, under this motion",
+                f"At {signal} and the integration ratio chosen: {_columns_of(result)}, each relative to its "
+                "own best. A motion that comes back periodically may give two summits: few stages, which "
+                "freeze it, or many, over which whole periods are averaged. Where the two are nearly equal, "
+                "stages jump from column to column, and MTF and SNR with them. Hysteresis in [choice] makes "
+                "such jumps fewer; as large as the valley between the summits, and with max_step, it keeps "
+                "neighbouring columns on one of them, at that cost. The cross is the choice.",
+                tdi_figures.stages_figure(result),
+            )
+        )
     return [
         Section(
             "settings",
@@ -68,22 +99,18 @@ def sections(result: TdiResult) -> list[Section]:
             "quality",
             "What it makes of the image",
             "MTF of the whole system (optics, pixel, diffusion, motion) and SNR of the sum, predicted for "
-            "the chosen settings. The dotted line is what a scene at rest would have.",
+            "the chosen settings. Dotted: MTF that a scene at rest would have. Lines of lower signals are "
+            "wider, so that equal ones are seen.",
             tdi_figures.quality_figure(result),
         ),
-        Section(
-            "merit",
-            "Merit against stages and integration ratio",
-            f"Three columns at {signal:.3g} electrons a line; each relative to its own best. The cross is "
-            "the choice: off the summit where a limit forbids it.",
-            tdi_figures.merit_figure(result),
-        ),
+        *merit,
         Section(
             "table",
             "The table that is looked up",
-            f"Merit that the table of {len(result.table.words)} cells, {result.certificate.bytes:,} bytes, "
-            "loses against the best setting of every column and signal. Within a cell one setting serves "
-            "all; the bound holds at every point judged. White: no setting keeps all limits.",
+            f"Merit that the table of {_count(len(result.table.words), 'cell')}, "
+            f"{result.certificate.bytes:,} bytes, loses against the best setting of every column "
+            "and signal. Within a cell one setting serves all; the bound holds at every point judged."
+            + (" Grey: no setting keeps all limits." if np.isnan(result.table_loss.loss).any() else ""),
             tdi_figures.table_figure(result),
         ),
         Section(
@@ -98,11 +125,28 @@ def sections(result: TdiResult) -> list[Section]:
     ]
 
 
+def limit_map(result: TdiResult) -> Section | None:
+    """Map of what decided, where anything but merit did."""
+    if not result.choice.limit.any():
+        return None
+    return Section("limit-map", "", "", tdi_figures.limit_figure(result))
+
+
+def _columns_of(result: TdiResult) -> str:
+    """The columns of the landscape in words."""
+    some = result.landscape.columns
+    return {1: "the one column", 2: "the first and the last column"}.get(
+        len(some), "the first, the middle and the last column"
+    )
+
+
 def sentences(result: TdiResult, summary: Mapping[str, Any]) -> list[str]:
     """The choice in plain words."""
     said = [_what(result, summary), _how_good(summary), _others(summary), _table(summary["table"])]
     if summary["steady"] is not None:
         said.append(_steady(summary["steady"]))
+    if summary["motion"] is not None:
+        said.append(_strip(summary["motion"]))
     if summary["predicted_loss"] is not None:
         said.append(_uncertain(summary))
     return said
@@ -118,41 +162,68 @@ def _what(result: TdiResult, summary: Mapping[str, Any]) -> str:
         "x": "MTF across x SNR",
         "y": "MTF along x SNR",
     }[rules.merit].replace(" x ", " × ")
-    stages, ratio = summary["stages"], summary["integration_ratio"]
     return (
-        f"For {summary['columns']:,} columns and {summary['signals']} signals every one of "
-        f"{summary['settings']:,} settings was judged by {form}. Chosen are {stages['min']:g} to "
-        f"{stages['max']:g} stages, and integration times of {ratio['min']:g} to {ratio['max']:g} of the "
-        "line period."
+        f"For {_count(summary['columns'], 'column')} and {_count(summary['signals'], 'signal')} every one of "
+        f"{_count(summary['settings'], 'setting')} was judged by {form}. Chosen are "
+        f"{_range(summary['stages'])} stages, and integration times of "
+        f"{_range(summary['integration_ratio'])} of the line period."
     )
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number:,} {noun}" + ("" if number == 1 else "s")
+
+
+def _range(spread: Mapping[str, float], figures: int | None = None) -> str:
+    """Least to most, or the one value."""
+    low, high = (
+        f"{spread[end]:g}" if figures is None else digits(spread[end], figures) for end in ("min", "max")
+    )
+    return low if low == high else f"{low} to {high}"
 
 
 def _how_good(summary: Mapping[str, Any]) -> str:
-    x, y, snr = summary["mtf_x"], summary["mtf_y"], summary["snr"]
-    return (
-        f"With them the MTF is {digits(x['min'], 2)} to {digits(x['max'], 2)} across and "
-        f"{digits(y['min'], 2)} to {digits(y['max'], 2)} along the columns, the SNR {digits(snr['min'], 2)} "
-        f"to {digits(snr['max'], 2)}."
-    )
+    x, y, snr = (_range(summary[name], 2) for name in ("mtf_x", "mtf_y", "snr"))
+    return f"With them the MTF is {x} across and {y} along the columns, the SNR {snr}."
 
 
 def _table(table: Mapping[str, Any]) -> str:
     columns, signals = table["points"]
     return (
         f"As a table it takes {table['bytes']:,} bytes and loses {100.0 * table['certified_loss']:.2g} % of "
-        f"the merit at worst, {100.0 * table['mean_loss']:.2g} % on average, judged at {columns:,} columns × "
-        f"{signals:,} signals."
+        f"the merit at worst, {100.0 * table['mean_loss']:.2g} % on average, judged at "
+        f"{_count(columns, 'column')} × {_count(signals, 'signal')}."
     )
 
 
 def _uncertain(summary: Mapping[str, Any]) -> str:
     loss, motion = summary["predicted_loss"], summary["motion"]
     what = "Velocity and slip are" if motion is None else "Velocity, slip and the recovered motion are"
-    lines = "" if motion is None else f" Settings were judged by {motion['lines']} lines of the strip."
+    columns = [f"{column:g}" for column in loss["columns"]]
+    where = (
+        f"in column {columns[0]}" if len(columns) == 1 else f"in the worst of columns {', '.join(columns)}"
+    )
     return (
         f"{what} not known exactly: against one who knew them this choice gives away "
         f"{100.0 * loss['mean']:.2g} % of the merit on average, and with 95 % probability no more than "
-        f"{100.0 * loss['upper_95']:.2g} % in the worst of {len(loss['columns'])} columns.{lines}"
+        f"{100.0 * loss['upper_95']:.2g} % {where}{', '.join(columns)}, for "
+        "which this was reckoned."
+    )
+
+
+def _strip(motion: Mapping[str, Any]) -> str:
+    """What part of the motion settings were judged by."""
+    lines, draws = motion["lines"], motion["draws"]
+    each = (
+        f"{lines} lines"
+        if draws == 1
+        else (
+            f"{lines} lines, {lines // draws} for each of {draws} motions that agree with what was recovered"
+        )
+    )
+    return (
+        f"The settings are for the motion of one strip, from {digits(motion['first_start'], 3)} to "
+        f"{digits(motion['last_start'], 3)} s: the merit of each is its mean over {each}."
     )
 
 

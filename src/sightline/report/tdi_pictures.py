@@ -49,11 +49,15 @@ def _figure(radiance: NDArray[np.float64], alternative: str, caption: Markup) ->
 
 def _sentence(title: str, pictures: StripPictures) -> str:
     """What the miniature shows."""
-    first, last = pictures.columns[0], pictures.columns[-1]
-    return (
-        f"The whole line in little, {title}: {len(pictures.columns)} columns taken evenly from {first:g} to "
-        f"{last:g}, each drifting as it does"
-    )
+    first, last, width = pictures.columns[0], pictures.columns[-1], len(pictures.columns)
+    different = len(np.unique(pictures.columns))
+    if different == 1:
+        which = f"column {first:g}, {width} times"
+    elif different == width:
+        which = f"{width} columns taken evenly from {first:g} to {last:g}"
+    else:
+        which = f"{different} columns from {first:g} to {last:g}, some more than once to make {width}"
+    return f"The whole line in little, {title}: {which}, each drifting as it does"
 
 
 def _caption(crop: Crop) -> Markup:

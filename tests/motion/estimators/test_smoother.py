@@ -32,7 +32,7 @@ def test_error_and_sigma_are_those_of_dense_conditioning(series) -> None:  # typ
     centring = np.eye(n) - 1.0 / n
     mean = centring @ gain @ np.concatenate([p.angles for p in pairs])
     exact = np.sqrt(np.diag(centring @ (prior - gain @ h @ prior) @ centring))
-    # An autoregression of order 60 costs less than 1 % of sigma over the strip (S1 sheet, 6c: 0.0285 to
+    # An autoregression of order 60 costs less than 1 % of sigma over the strip (a prototype: 0.0285 to
     # 0.0287), more at the ends, and never claims less; the means then differ by sqrt(1.01^2 - 1) = 14 %.
     found = series.sigmas(motion)
     assert np.sqrt(np.mean(found**2)) == pytest.approx(np.sqrt(np.mean(exact**2)), rel=0.01)
@@ -68,7 +68,7 @@ def test_sigma_grows_in_a_gap_and_nothing_is_missing(series) -> None:  # type: i
 
 
 def test_the_window_of_a_measurement_is_undone(series) -> None:  # type: ignore[no-untyped-def]
-    # A 10-line window passes 0.637 of a 100 Hz tone of 5 ms length (S1 sheet, 3): modelled, the tone
+    # A 10-line window passes 0.637 of a 100 Hz tone of 5 ms length : modelled, the tone
     # comes back whole; ignored, it does not.
     t = series.step * np.arange(1000)
     w, f = 5e-3, 100.0

@@ -28,7 +28,7 @@ from sightline.motion.differences import AngleDifferences
 
 Array = NDArray[np.float64]
 
-#: Order of the autoregressive prior; against the exact prior the loss is below 0.5 % (S1 sheet, 6c).
+#: Order of the autoregressive prior; against the exact prior the loss is below 0.5 %.
 ORDER = 60
 #: Rounds in which the weights of jumping innovations settle.
 JUMP_ROUNDS = 8
