@@ -74,6 +74,8 @@ def test_the_certificate_is_what_a_search_finds(name):
     model, choice = field(**options)
     table, certificate = build_table(model, choice, max_loss)
     assert certificate.holds and table.certified_loss == certificate.loss <= max_loss
+    # the head of the example has two lines at 0.25, and signals are those of one of them
+    assert (table.signal_ratio, table.head_stages) == (0.25, 2)
     rng = np.random.default_rng(0)
     signals = np.unique(np.append(np.exp(rng.uniform(0.0, np.log(8000.0), 300)), np.arange(1.0, 40.0)))
     loss, feasible, kept, words = searched(choice, table, np.arange(40), signals)

@@ -75,7 +75,7 @@ class Certificate:
     loss : float
         Worst found, where some setting keeps all limits; 1 where the table's would break one.
     column, signal : float
-        Where; the signal in electrons.
+        Where; the signal in electrons, rounded down to 0.0001: one just below a whole number stays below it.
     mean_loss : float
         Over all points judged.
     points : (int, int)
@@ -212,7 +212,7 @@ def certify(
         max_loss,
         float(loss[worst]) if judged.any() else 0.0,
         float(choice.columns.column[worst[0]]),
-        float(signals[worst[1]]),
+        float(np.floor(signals[worst[1]] * 1e4) / 1e4),
         float(loss[judged].mean()) if judged.any() else 0.0,
         (loss.shape[0], loss.shape[1]),
         1.0 - float(judged.mean()),
@@ -415,7 +415,7 @@ class _Builder:
         return _Panel(columns, level, merit, best, tiers, strict, loose, kind)
 
     def _table(self, groups: list[_Group], axis: _SignalAxis) -> TdiTable:
-        choice = self.choice
+        choice, exposure = self.choice, self.choice.detector.exposure
         column = choice.columns.column.astype(np.intp)
         first = [0] + [int(column[g.first - 1] + column[g.first]) // 2 + 1 for g in groups[1:]]
         first[0] = int(column[0])
@@ -433,6 +433,8 @@ class _Builder:
             (float(choice.signals.min()), float(choice.signals.max())),
             0.0,
             shift_of(choice.signals),
+            choice.detector.signal_ratio,
+            exposure.head_stages if choice.detector.signal_ratio == exposure.head_ratio else 0,
         )
 
 
