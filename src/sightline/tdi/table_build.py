@@ -10,6 +10,7 @@ Not here: the table itself (``table.py``).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -18,15 +19,25 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.tdi.choose import CHUNK, INFEASIBLE, MAIN_LOBE, MTF, TdiChoice
-from sightline.tdi.merit import ColumnMtf, SignalFactors, column_factors, signal_factors, well_levels
+from sightline.tdi.merit import (
+    ColumnMtf,
+    SignalFactors,
+    column_factors,
+    fullest_signals,
+    signal_factors,
+    unsaturated,
+    well_levels,
+)
 from sightline.tdi.setting import Array, Index
 from sightline.tdi.table import INFEASIBLE as INFEASIBLE_FLAG
 from sightline.tdi.table import STAGE_BITS, TdiTable, check_words_fit
 from sightline.tdi.table_kernels import (
+    BLOCK,
     FEASIBLE,
     MIXED,
     add_to_group,
     best_merits,
+    bounds_of_blocks,
     cheapest_groups,
     fairest_setting,
     good_settings,
@@ -47,6 +58,10 @@ SIGNAL_STEP = 1.1
 MOST_STRETCHES = 1500
 #: Ratio of signals up to which feasible and infeasible columns share a (flagged) cell.
 MIXED_SPAN = 1.05
+#: Columns that say at which signals wells cut off their best settings.
+WELL_COLUMNS = 33
+#: A fall of the best merit that counts, as a share of the bound.
+WELL_STEP = 0.25
 #: Share of the bound that cells are built to; the rest is for what lies between samples.
 BUILT_TO = 0.98
 #: Signals judged per nominal one.
@@ -135,7 +150,8 @@ def build_table(model: ColumnMtf, choice: TdiChoice, max_loss: float = 0.005) ->
     check_words_fit(choice.grid)
     _check_axes(choice)
     builder = _Builder(model, choice, max_loss)
-    samples, codes = _first_samples(len(choice.columns)), first_codes(choice, max_loss)
+    samples = _first_samples(len(choice.columns))
+    codes = np.union1d(first_codes(choice, max_loss), well_codes(model, choice, max_loss))
     best: tuple[TdiTable, Certificate] | None = None
     for _ in range(ROUNDS):
         table, samples = builder.build(samples, codes)
@@ -170,27 +186,37 @@ def table_loss(model: ColumnMtf, choice: TdiChoice, table: TdiTable, signals: Ar
     )
     setting = _settings_at(table, choice, signals)
     loss = np.empty(setting.shape)
-    blocks = [slice(k, k + SIGNAL_BLOCK) for k in range(0, len(signals), SIGNAL_BLOCK)]
-    highest = [by_signal[block].max(axis=0) for block in blocks]
-    lowest = [by_signal[block].min(axis=0) for block in blocks]
+    blocks = _signal_blocks(by_signal)
     for begin in range(0, len(choice.columns), CHUNK):
         part = slice(begin, min(begin + CHUNK, len(choice.columns)))
         a = column_factors(model, part, grid, rules).allowed
-        most, least = a.max(axis=0), a.min(axis=0)
-        for block, high, low in zip(blocks, highest, lowest, strict=True):
-            # a setting whose merit is nowhere above what another has everywhere is nowhere the best
-            could = most * high
-            rivals = np.flatnonzero((could >= (least * low).max()) & (could > 0.0))
-            best = np.empty((len(a), len(by_signal[block])))
-            largest_products(
-                np.ascontiguousarray(a[:, rivals]), np.ascontiguousarray(by_signal[block][:, rivals]), best
-            )
+        for block, best in zip((b for b, *_ in blocks), _best_of_blocks(a, by_signal, blocks), strict=True):
             chosen = setting[part, block]
             merit = np.take_along_axis(a, chosen, axis=1)
             merit *= np.take_along_axis(by_signal[block], chosen.T, axis=1).T
             with np.errstate(invalid="ignore", divide="ignore"):
                 loss[part, block] = np.where(best > 0.0, np.maximum(1.0 - merit / best, 0.0), np.nan)
     return loss
+
+
+def _signal_blocks(by_signal: Array) -> list[tuple[slice, Array, Array]]:
+    """Signals (S, P) in blocks, and what each gives to every setting at least and at most."""
+    blocks = [slice(k, k + SIGNAL_BLOCK) for k in range(0, len(by_signal), SIGNAL_BLOCK)]
+    return [(block, by_signal[block].min(axis=0), by_signal[block].max(axis=0)) for block in blocks]
+
+
+def _best_of_blocks(a: Array, by_signal: Array, blocks: list[tuple[slice, Array, Array]]) -> Iterator[Array]:
+    """Best merit (c, s) of columns (c, P) at each block of signals."""
+    most, least = a.max(axis=0), a.min(axis=0)
+    for block, low, high in blocks:
+        # a setting whose merit is nowhere above what another has everywhere is nowhere the best
+        could = most * high
+        rivals = np.flatnonzero((could >= (least * low).max()) & (could > 0.0))
+        best = np.empty((len(a), len(by_signal[block])))
+        largest_products(
+            np.ascontiguousarray(a[:, rivals]), np.ascontiguousarray(by_signal[block][:, rivals]), best
+        )
+        yield best
 
 
 def certify(
@@ -312,6 +338,40 @@ def first_codes(choice: TdiChoice, max_loss: float) -> Index:
     return np.unique(np.concatenate(codes)).astype(np.intp)
 
 
+def well_codes(model: ColumnMtf, choice: TdiChoice, max_loss: float) -> Index:
+    """Quantised signals from which on a well forbids a setting that some column misses.
+
+    There the best merit falls at once: no cell can reach across but with a setting that does not fill the
+    well, which may lose too much below.
+
+    Parameters
+    ----------
+    model : ColumnMtf
+    choice : TdiChoice
+    max_loss : float
+    """
+    unit, low, high = 2.0 ** shift_of(choice.signals), choice.signals.min(), choice.signals.max()
+    full = fullest_signals(choice.grid, choice.detector, choice.rules)
+    full = full[(full >= low) & (full < high)] / unit
+    # where one is a whole number but for rounding, both sides
+    codes = np.unique(np.floor(np.concatenate([full * BELOW, full / BELOW])))
+    codes = codes[(codes * unit > low) & (codes * unit < high)]
+    a = np.concatenate(
+        [
+            column_factors(model, np.array([k]), choice.grid, choice.rules).allowed
+            for k in np.unique(np.linspace(0, len(choice.columns) - 1, WELL_COLUMNS).astype(np.intp))
+        ]
+    )
+    missed = np.zeros(len(codes), dtype=bool)
+    for begin in range(0, len(codes), AT_ONCE // 2):
+        at = codes[begin : begin + AT_ONCE // 2] * unit
+        by_signal = whole_electrons(np.stack([at * BELOW, at], axis=1).ravel(), choice).allowed
+        best = np.concatenate(list(_best_of_blocks(a, by_signal, _signal_blocks(by_signal))), axis=1)
+        falls = best[:, 1::2] < (1.0 - WELL_STEP * max_loss) * best[:, ::2]
+        missed[begin : begin + AT_ONCE // 2] = falls.any(axis=0)
+    return codes[missed].astype(np.intp)
+
+
 def _finer_codes(codes: Index, failed: tuple[Index, Array]) -> Index:
     """Codes with those stretches cut in which the bound is broken."""
     # both neighbours too: a cell that ends there may be at fault
@@ -342,6 +402,7 @@ class _SignalAxis:
     """Stretches of signals from code to code, and what signals give to the merit at both ends of each.
 
     `safe` is zero, and `safe_level` too, for settings with which a well overflows anywhere in the stretch.
+    `least` and `most` are bounds of `allowed` over blocks of ends.
     """
 
     codes: Index
@@ -352,6 +413,8 @@ class _SignalAxis:
     safe: Array
     safe_level: Small
     least_full: Index
+    least: Array
+    most: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -403,14 +466,17 @@ class _Builder:
             merit[here], allowed[here] = factors.merit, factors.allowed
             level[here] = 1 + factors.in_lobe + (factors.in_lobe & factors.in_bounds)
         best, tiers = np.empty((n, ends)), np.empty((n, ends), dtype=np.uint8)
-        best_merits(allowed, level, merit, axis.allowed, axis.level, axis.merit, axis.ends, best, tiers)
+        best_merits(
+            allowed, level, merit, axis.allowed, axis.least, axis.most, axis.level, axis.merit, axis.ends,
+            best, tiers,
+        )  # fmt: skip
         shape = (n, ends // 2)
         strict, loose = np.empty((*shape, words), dtype=np.uint64), np.empty((*shape, words), dtype=np.uint64)
         kind = np.empty(shape, dtype=np.uint8)
         keep = 1.0 - BUILT_TO * self.max_loss
         good_settings(
-            allowed, level, merit, axis.safe, axis.safe_level, axis.merit, axis.least_full, best, tiers, keep,
-            strict, loose, kind,
+            allowed, level, merit, axis.safe, axis.least, axis.most, axis.safe_level, axis.merit,
+            axis.least_full, best, tiers, keep, strict, loose, kind,
         )  # fmt: skip
         return _Panel(columns, level, merit, best, tiers, strict, loose, kind)
 
@@ -467,12 +533,13 @@ def whole_electrons(signals: Array, choice: TdiChoice) -> SignalFactors:
     grid, detector, rules = choice.grid, choice.detector, choice.rules
     unit = 2.0 ** shift_of(choice.signals)
     whole = np.floor(signals / unit) * unit
-    least = signal_factors(np.maximum(whole, choice.signals.min()), grid, detector, rules)
-    most = signal_factors(np.minimum(whole + unit, choice.signals.max()), grid, detector, rules)
+    most = unsaturated(np.minimum(whole + unit, choice.signals.max()), grid, detector, rules)
     factors = signal_factors(signals, grid, detector, rules)
-    return replace(
-        factors, unsaturated=factors.unsaturated & most.unsaturated, clear=factors.clear & least.clear
-    )
+    clear = factors.clear
+    if rules.snr_min > 0.0:
+        least = signal_factors(np.maximum(whole, choice.signals.min()), grid, detector, rules)
+        clear = clear & least.clear
+    return replace(factors, unsaturated=factors.unsaturated & most, clear=clear)
 
 
 def _signal_axis(codes: Index, choice: TdiChoice) -> _SignalAxis:
@@ -482,9 +549,11 @@ def _signal_axis(codes: Index, choice: TdiChoice) -> _SignalAxis:
     last = np.maximum(np.append(first[1:], high) * BELOW, first)
     ends = np.stack([first, last], axis=1).ravel()
     shape = (len(ends), len(choice.grid))
+    blocks = (-(-len(ends) // BLOCK), len(choice.grid))
     axis = _SignalAxis(
         codes, ends, np.empty(shape), np.empty(shape, dtype=np.uint8), np.empty(shape, dtype=np.float32),
         np.empty(shape), np.empty(shape, dtype=np.uint8), np.empty(len(ends), dtype=np.intp),
+        np.empty(blocks), np.empty(blocks),
     )  # fmt: skip
     for begin in range(0, len(ends), AT_ONCE):
         part = slice(begin, begin + AT_ONCE)
@@ -496,6 +565,7 @@ def _signal_axis(codes: Index, choice: TdiChoice) -> _SignalAxis:
         axis.safe[part] = np.where(safe, axis.allowed[part], 0.0)
         axis.safe_level[part] = np.where(safe, axis.level[part], 0)
         axis.least_full[part] = _least_full(ends[part], choice)
+    bounds_of_blocks(axis.allowed, axis.least, axis.most)
     return axis
 
 
