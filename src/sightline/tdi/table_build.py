@@ -11,14 +11,14 @@ Not here: the table itself (``table.py``).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.tdi.choose import CHUNK, INFEASIBLE, MAIN_LOBE, MTF, TdiChoice
+from sightline.tdi.choose import CHUNK, INFEASIBLE, SATURATION, SNR, TdiChoice
 from sightline.tdi.merit import (
     ColumnMtf,
     SignalFactors,
@@ -58,12 +58,17 @@ SIGNAL_STEP = 1.1
 MOST_STRETCHES = 1500
 #: Ratio of signals up to which feasible and infeasible columns share a (flagged) cell.
 MIXED_SPAN = 1.05
+#: Ratio of neighbouring signals, less 1, as a share of the bound: where limits of the SNR are near, and where
+#: wells decide.
+NEAR_STEP, SMOOTH_STEP = 0.5, 2.0
 #: Columns that say at which signals wells cut off their best settings.
 WELL_COLUMNS = 33
 #: A fall of the best merit that counts, as a share of the bound.
 WELL_STEP = 0.25
 #: Share of the bound that cells are built to; the rest is for what lies between samples.
 BUILT_TO = 0.98
+#: Share by which that falls for columns in which the bound was broken.
+TIGHTER = 0.02
 #: Signals judged per nominal one.
 DENSER = 4
 #: Ends of stretches worked on at once; even.
@@ -163,6 +168,7 @@ def build_table(model: ColumnMtf, choice: TdiChoice, max_loss: float = 0.005) ->
         exhausted = len(finer) == len(samples) and len(finer_codes) == len(codes)
         if certificate.holds or exhausted or len(finer_codes) > 2 * MOST_STRETCHES:
             break
+        builder.tighten(failed[0])
         samples, codes = finer, finer_codes
     assert best is not None  # there is a first round
     table, certificate = best
@@ -325,15 +331,17 @@ def first_codes(choice: TdiChoice, max_loss: float) -> Index:
     order = np.argsort(choice.signals)
     signals, limit = choice.signals[order], choice.limit[:, order]
     unit = 2.0 ** shift_of(signals)
-    by_signal = (limit > 0) & ~np.isin(limit, (MAIN_LOBE, MTF, MAIN_LOBE + INFEASIBLE, MTF + INFEASIBLE))
-    near = np.asarray(by_signal.any(axis=0))
-    near = near[:-1] | near[1:] | (limit[:, :-1] != limit[:, 1:]).any(axis=0)
+    near = _between(limit, (SNR, SNR + INFEASIBLE))
+    near |= (limit[:, :-1] > INFEASIBLE).any(axis=0) != (limit[:, 1:] > INFEASIBLE).any(axis=0)
+    wells = _between(limit, (SATURATION, SATURATION + INFEASIBLE))
     low = np.maximum(signals, unit)
     spans = np.log(low[1:] / low[:-1])
-    fine = max(0.5 * max_loss, 1e-9, spans[near].sum() / MOST_STRETCHES)
+    # where wells cut settings off `well_codes` tells; between these the merit is smooth
+    step = np.select([near, wells], [NEAR_STEP * max_loss, SMOOTH_STEP * max_loss], np.log(SIGNAL_STEP))
+    fine = max(1e-9, spans[near | wells].sum() / MOST_STRETCHES)
     codes = [np.floor(signals / unit)]
-    for a, span, close in zip(low[:-1], spans, near, strict=True):
-        parts = int(np.ceil(span / (fine if close else np.log(SIGNAL_STEP)))) + 1
+    for a, span, most in zip(low[:-1], spans, step, strict=True):
+        parts = int(np.ceil(span / max(most, fine))) + 1
         codes.append(np.floor(a * np.exp(np.linspace(0.0, span, parts)) / unit))
     return np.unique(np.concatenate(codes)).astype(np.intp)
 
@@ -370,6 +378,12 @@ def well_codes(model: ColumnMtf, choice: TdiChoice, max_loss: float) -> Index:
         falls = best[:, 1::2] < (1.0 - WELL_STEP * max_loss) * best[:, ::2]
         missed[begin : begin + AT_ONCE // 2] = falls.any(axis=0)
     return codes[missed].astype(np.intp)
+
+
+def _between(limit: NDArray[np.uint8], which: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(S - 1,) whether at one of two neighbouring signals such a limit decides, in any column."""
+    some = np.asarray(np.isin(limit, which).any(axis=0))
+    return np.asarray(some[:-1] | some[1:])
 
 
 def _finer_codes(codes: Index, failed: tuple[Index, Array]) -> Index:
@@ -417,44 +431,68 @@ class _SignalAxis:
     most: Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Builder:
+    """Builds a table panel by panel; panels whose samples have not changed are kept from round to round."""
+
     model: ColumnMtf
     choice: TdiChoice
     max_loss: float
+    axis: _SignalAxis | None = None
+    begins: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    built_to: dict[int, float] = field(default_factory=dict)
+    kept: dict[tuple[int, float, bytes], tuple[list[_Group], Index]] = field(default_factory=dict)
 
     def build(self, samples: Index, codes: Index) -> tuple[TdiTable, Index]:
         """Table from sampled columns, and the samples, to which those are added that blocks need."""
-        axis = _signal_axis(codes, self.choice)
+        if self.axis is None or not np.array_equal(self.axis.codes, codes):
+            self.axis = _signal_axis(codes, self.choice)
+            self.kept.clear()
         count = len(self.choice.columns)
         while True:
-            groups: list[_Group] = []
-            bad: list[Index] = []
-            for begin, end in self._panels(samples, axis):
-                panel = self._panel(samples[begin:end], axis)
-                # the first column after a block is its last but one step: it tells what lies between
-                after = samples[end] if end < len(samples) else count
-                blocks, invalid = _blocks(panel, axis, after)
-                bad.append(begin + invalid)
-                if not len(np.concatenate(bad)):
-                    groups += _groups(panel, blocks, axis, self._bytes())
-            broken = np.concatenate(bad)
+            self._set_panels(samples, self.axis)
+            ends = np.append(np.searchsorted(samples, self.begins), len(samples))
+            built = [self._built(samples, int(a), int(b), self.axis) for a, b in pairwise(ends)]
+            broken = np.concatenate([invalid for _, invalid in built])
             if not len(broken):
-                return self._table(groups, axis), samples
-            samples = _cut(samples, broken, count)
+                return self._table([group for groups, _ in built for group in groups], self.axis), samples
+            samples = _cut(samples, np.searchsorted(samples, broken), count)
+
+    def tighten(self, failed: Index) -> None:
+        """Leave more room in panels that hold columns at which the bound is broken."""
+        for panel in np.unique(np.searchsorted(self.begins, failed, side="right") - 1):
+            first = int(self.begins[panel])
+            self.built_to[first] = self.built_to.get(first, BUILT_TO) * (1.0 - TIGHTER)
+
+    def _built(self, samples: Index, begin: int, end: int, axis: _SignalAxis) -> tuple[list[_Group], Index]:
+        """Groups of a panel, or the columns at which blocks begin that must be cut first."""
+        # the first column after a block is its last but one step: it tells what lies between
+        columns = samples[begin : end + 1]
+        share = self.built_to.get(int(columns[0]), BUILT_TO)
+        key = (end - begin, share, columns.tobytes())
+        if key not in self.kept:
+            panel = self._panel(columns, axis, 1.0 - share * self.max_loss)
+            blocks, invalid = _blocks(panel, axis, end - begin, len(self.choice.columns))
+            groups = [] if len(invalid) else _groups(panel, blocks, axis, self._bytes())
+            self.kept[key] = groups, columns[invalid]
+        return self.kept[key]
+
+    def _set_panels(self, samples: Index, axis: _SignalAxis) -> None:
+        """Columns at which runs of samples begin that fit the memory; those there are stay."""
+        stretches, settings = len(axis.codes), len(self.choice.grid)
+        each = stretches * (settings // 64 + 1) * 32 + settings * 32
+        size = max(PANEL_BYTES // each, 64)
+        if not len(self.begins):
+            self.begins = samples[::size]
+        ends = np.append(np.searchsorted(samples, self.begins), len(samples))
+        more = [samples[a + size : b : size] for a, b in pairwise(ends) if b - a > 2 * size]
+        self.begins = np.unique(np.concatenate([self.begins, *more]))
 
     def _bytes(self) -> tuple[int, int]:
         """Of a group and of a cell."""
         return (4 if self.choice.columns.column[-1] < 1 << 16 else 8), 4
 
-    def _panels(self, samples: Index, axis: _SignalAxis) -> list[tuple[int, int]]:
-        """Runs of samples that fit the memory."""
-        stretches, settings = len(axis.codes), len(self.choice.grid)
-        each = stretches * (settings // 64 + 1) * 32 + settings * 32
-        size = max(PANEL_BYTES // each, 64)
-        return [(k, min(k + size, len(samples))) for k in range(0, len(samples), size)]
-
-    def _panel(self, columns: Index, axis: _SignalAxis) -> _Panel:
+    def _panel(self, columns: Index, axis: _SignalAxis, keep: float) -> _Panel:
         choice, ends = self.choice, len(axis.ends)
         n, settings = len(columns), len(choice.grid)
         words = settings // 64 + 1
@@ -473,7 +511,6 @@ class _Builder:
         shape = (n, ends // 2)
         strict, loose = np.empty((*shape, words), dtype=np.uint64), np.empty((*shape, words), dtype=np.uint64)
         kind = np.empty(shape, dtype=np.uint8)
-        keep = 1.0 - BUILT_TO * self.max_loss
         good_settings(
             allowed, level, merit, axis.safe, axis.least, axis.most, axis.safe_level, axis.merit,
             axis.least_full, best, tiers, keep, strict, loose, kind,
@@ -585,14 +622,14 @@ class _Blocks:
     kind: Small
 
 
-def _blocks(panel: _Panel, axis: _SignalAxis, after: int) -> tuple[_Blocks, Index]:
-    """Blocks of columns between samples, and those within which no setting suits both ends."""
-    strict, loose, kind = panel.strict.copy(), panel.loose.copy(), panel.kind.copy()
-    wide = np.flatnonzero(np.diff(panel.columns, append=after) > 1)
+def _blocks(panel: _Panel, axis: _SignalAxis, count: int, after: int) -> tuple[_Blocks, Index]:
+    """The first `count` blocks of columns between samples, and those in which no setting suits both ends."""
+    strict, loose, kind = panel.strict[:count].copy(), panel.loose[:count].copy(), panel.kind[:count].copy()
+    wide = np.flatnonzero(np.diff(panel.columns, append=after)[:count] > 1)
     starts = np.empty(strict.shape[1], dtype=np.int64)
     invalid = []
     for k in wide:
-        if k + 1 < len(strict):
+        if k + 1 < len(panel.strict):
             add_to_group(
                 strict[k], loose[k], kind[k], panel.strict[k + 1], panel.loose[k + 1], panel.kind[k + 1]
             )
