@@ -190,14 +190,14 @@ def table_loss(model: ColumnMtf, choice: TdiChoice, table: TdiTable, signals: Ar
     by_signal = np.concatenate(
         [whole_electrons(signals[k : k + AT_ONCE], choice).allowed for k in range(0, len(signals), AT_ONCE)]
     )
-    setting = _settings_at(table, choice, signals)
-    loss = np.empty(setting.shape)
+    setting, group = _settings_at(table, choice, signals)
+    loss = np.empty((len(group), len(signals)))
     blocks = _signal_blocks(by_signal)
     for begin in range(0, len(choice.columns), CHUNK):
         part = slice(begin, min(begin + CHUNK, len(choice.columns)))
         a = column_factors(model, part, grid, rules).allowed
         for block, best in zip((b for b, *_ in blocks), _best_of_blocks(a, by_signal, blocks), strict=True):
-            chosen = setting[part, block]
+            chosen = setting[group[part], block]
             merit = np.take_along_axis(a, chosen, axis=1)
             merit *= np.take_along_axis(by_signal[block], chosen.T, axis=1).T
             with np.errstate(invalid="ignore", divide="ignore"):
@@ -238,16 +238,19 @@ def certify(
     signals = dense_signals(choice.signals, table)
     loss = table_loss(model, choice, table, signals)
     judged = np.isfinite(loss)
-    worst = np.unravel_index(np.argmax(np.where(judged, loss, -1.0)), loss.shape)
-    column, signal = np.nonzero(np.where(judged, loss, 0.0) > max_loss)
+    # no copies: there may be tens of millions of points
+    c = int(np.argmax(np.fmax.reduce(loss, axis=1, where=judged, initial=-1.0)))
+    s = int(np.argmax(np.where(judged[c], loss[c], -1.0)))
+    points = int(np.count_nonzero(judged))
+    column, signal = np.nonzero(loss > max_loss)
     certificate = Certificate(
         max_loss,
-        float(loss[worst]) if judged.any() else 0.0,
-        float(choice.columns.column[worst[0]]),
-        float(np.floor(signals[worst[1]] * 1e4) / 1e4),
-        float(loss[judged].mean()) if judged.any() else 0.0,
+        float(loss[c, s]) if points else 0.0,
+        float(choice.columns.column[c]),
+        float(np.floor(signals[s] * 1e4) / 1e4),
+        float(loss.sum(where=judged)) / max(points, 1),
         (loss.shape[0], loss.shape[1]),
-        1.0 - float(judged.mean()),
+        1.0 - points / loss.size,
         len(table.to_bytes()),
     )
     return certificate, (column, signals[signal])
@@ -271,8 +274,8 @@ def dense_signals(nominal: Array, table: TdiTable) -> Array:
     return np.unique(np.append(every[(every >= low) & (every <= high)], low))
 
 
-def _settings_at(table: TdiTable, choice: TdiChoice, signals: Array) -> Index:
-    """(C, S) number of the setting that the table has for each column and signal."""
+def _settings_at(table: TdiTable, choice: TdiChoice, signals: Array) -> tuple[Index, Index]:
+    """(G, S) setting that the table has for each group and signal, (C,) group of each column."""
     column = choice.columns.column.astype(np.intp)
     group = np.searchsorted(table.edges, column, side="right") - 1
     firsts = np.asarray(table.edges[:-1])
@@ -282,7 +285,7 @@ def _settings_at(table: TdiTable, choice: TdiChoice, signals: Array) -> Index:
         stages, ratio = table.unpack(one_each.lookup(np.full(len(firsts), signal)))
         number = np.searchsorted(choice.grid.stages, stages) * len(choice.grid.ratios)
         per_group[:, s] = number + np.searchsorted(choice.grid.ratios, ratio)
-    return per_group[group]
+    return per_group, group
 
 
 def _check_axes(choice: TdiChoice) -> None:
