@@ -174,6 +174,9 @@ def best_merits(  # type: ignore[no-untyped-def]
             if e > 0 and ends[e] == ends[e - 1]:
                 best[c, e], tiers[c, e] = best[c, e - 1], tiers[c, e - 1]
                 continue
+            if not signal_level[e].any():
+                best[c, e], tiers[c, e] = 1.0, NO_WELL
+                continue
             most, tier = 0.0, ALL
             for k in range(count):
                 most = max(most, merits[k] * by_signal[e, rivals[k]])
@@ -187,8 +190,7 @@ def best_merits(  # type: ignore[no-untyped-def]
                     )
                     most = max(most, merit)
             if most <= 0.0:
-                most = 1.0
-                tier = WORTHLESS if signal_level[e].max() > 0 else NO_WELL
+                most, tier = 1.0, WORTHLESS
             best[c, e], tiers[c, e] = most, tier
 
 
@@ -248,7 +250,11 @@ def good_settings(  # type: ignore[no-untyped-def]
                     loose[c, t] = strict[c, t]
                     continue
             most, favourite = -1.0, 0
+            overflows = tiers[c, low] == NO_WELL and tiers[c, high] == NO_WELL
             for p in range(count):
+                # where all overflow nothing but the least full is worth anything
+                if overflows and p != least_full[low] and p != least_full[high]:
+                    continue
                 share_low = worth(
                     tiers[c, low], column_level[c], column_merit[c], signal_level[low], signal_merit[low], p,
                     least_full[low],
