@@ -42,7 +42,6 @@ def main() -> None:
     print(f"{edr.product}: {edr.stages} stages, binning {edr.binning}, {edr.image.image.shape} pixels")
     table = [str(figure) for figure in figures(noise, edr.stages, conversion)]
     print("\n".join(table))
-
     out.mkdir(parents=True, exist_ok=True)
     per_stage = conversion / edr.stages
     write_noise_toml(

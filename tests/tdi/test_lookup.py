@@ -135,6 +135,9 @@ def test_bad_calls_are_refused():
         {"words": np.zeros(3, np.uint16)},
         {"ratios": np.empty(0)},
         {"signals": (5.0, 1.0)},
+        {"signal_ratio": 0.0},
+        {"signal_ratio": np.nan},
+        {"head_stages": -1},
     ],
 )
 def test_what_is_no_table_is_refused(change):
@@ -143,10 +146,12 @@ def test_what_is_no_table_is_refused(change):
 
 
 def test_the_image_comes_back_the_same():
-    for given in (table(), table(40, shift=7), table(4, groups=20_000)):
+    of_head = replace(table(), signal_ratio=0.25, head_stages=2)
+    for given in (table(), table(40, shift=7), table(4, groups=20_000), of_head):
         image = given.to_bytes()
         back = TdiTable.from_bytes(image)
         assert back.to_bytes() == image and back.identity == given.identity
         for name in ("edges", "starts", "thresholds", "words", "ratios"):
             np.testing.assert_array_equal(getattr(back, name), getattr(given, name))
         assert (back.signals, back.shift, back.certified_loss) == (given.signals, given.shift, 0.004)
+        assert (back.signal_ratio, back.head_stages) == (given.signal_ratio, given.head_stages)

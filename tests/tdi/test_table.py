@@ -10,7 +10,7 @@ from sightline.imaging.tdi_noise import snr
 from sightline.imaging.tdi_transfer import drift_transfer
 from sightline.tdi.choose import choose_settings, merit_of
 from sightline.tdi.setting import TdiGrid
-from sightline.tdi.table_build import build_table, dense_signals, table_loss
+from sightline.tdi.table_build import build_table, dense_signals, table_loss, well_codes
 from tdi.tdi_example import field
 
 
@@ -75,6 +75,8 @@ def test_the_certificate_is_what_a_search_finds(name):
     model, choice = field(**options)
     table, certificate = build_table(model, choice, max_loss)
     assert certificate.holds and table.certified_loss == certificate.loss <= max_loss
+    # the head of the example has two lines at 0.25, and signals are those of one of them
+    assert (table.signal_ratio, table.head_stages) == (0.25, 2)
     rng = np.random.default_rng(0)
     signals = np.unique(np.append(np.exp(rng.uniform(0.0, np.log(8000.0), 300)), np.arange(1.0, 40.0)))
     loss, feasible, kept, words = searched(choice, table, np.arange(40), signals)
@@ -116,6 +118,29 @@ def test_what_keeping_clear_of_a_limit_costs_is_told():
     assert certificate.holds and certificate.at_limits > 0.01
     # the electrons of all borders are among those that the certificate judges
     assert worst == pytest.approx(certificate.at_limits, rel=1e-9)
+
+
+def test_wells_cut_off_the_best_setting_at_the_codes_that_are_said():
+    model, choice = field(full_well=3e4)
+    codes = well_codes(model, choice, 0.02)
+    _, merit = merits(choice, np.arange(40), np.array([1000.0]))
+    stages, ratio = choice.grid.settings
+    scan = choice.columns
+    across = np.abs(scan.velocity * np.tan(scan.slip)) * 0.5
+    lobe = stages * np.maximum(across, np.abs(scan.velocity - 1.0) * 0.5)[:, None] <= 1.0
+    found = []
+    for code in range(2, 7999):
+        # a whole electron stands for all below the next
+        total = np.array([code, code + 1.0])[:, None] * (2.0 + (stages - 2) * ratio / 0.25)
+        if ((total[0] <= 3e4) == (total[1] <= 3e4)).all():
+            continue
+        noise = snr(float(code), stages, ratio, choice.detector.noise, choice.detector.exposure)
+        mtf = merit[:, 0] / snr(1000.0, stages, ratio, choice.detector.noise, choice.detector.exposure)
+        best = [np.where(lobe & (t <= 3e4), mtf * noise, 0.0).max(axis=1) for t in total]
+        if (best[1] < (1.0 - 0.25 * 0.02) * best[0]).any():
+            found.append(code)
+    # some of the columns are asked, and falls right at the limit of what counts may differ by rounding
+    assert len(found) > 20 and len(set(found) ^ set(codes.tolist())) <= 0.05 * len(found)
 
 
 def test_a_tighter_bound_costs_bytes_and_signals_hardly_matter():

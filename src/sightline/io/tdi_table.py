@@ -15,8 +15,10 @@ from sightline.tdi.table import (
     HEADER,
     IMAGE_FILE,
     INFEASIBLE_BIT,
+    MOST_RATIOS,
     RATIO_BITS,
     STAGE_BITS,
+    VERSION,
     TdiTable,
 )
 
@@ -29,10 +31,8 @@ APPLICATION = 0x54D
 #: Head of a space packet, place of its part in the image, CRC.
 PACKET_HEAD, OFFSET, CRC = 6, 4, 2
 
-LOOKUP = """/* Look-up of a Sightline TDI table in its memory image; no floating point needed. */
-#include "table.h"
-
-static uint32_t whole(const uint8_t *p, uint32_t bytes)
+#: C look-up and check.
+LOOKUP = """static uint32_t whole(const uint8_t *p, uint32_t bytes)
 {
     uint32_t value = 0;
     while (bytes--)
@@ -51,29 +51,117 @@ static uint32_t last_not_above(const uint8_t *list, uint32_t bytes, uint32_t cou
     return low;
 }
 
+/* Whether `count` numbers rise from 0 to the last. */
+static int rises(const uint8_t *list, uint32_t bytes, uint32_t count, uint32_t last)
+{
+    uint32_t k;
+    if (whole(list, bytes) != 0 || whole(list + (count - 1) * bytes, bytes) != last)
+        return 0;
+    for (k = 1; k < count; k++)
+        if (whole(list + k * bytes, bytes) <= whole(list + (k - 1) * bytes, bytes))
+            return 0;
+    return 1;
+}
+
+/* CRC-32 as zlib has it. */
+static uint32_t crc32_of(const uint8_t *p, uint32_t size)
+{
+    uint32_t crc = 0xFFFFFFFFu;
+    while (size--) {
+        int bit;
+        crc ^= *p++;
+        for (bit = 0; bit < 8; bit++)
+            crc = crc >> 1 ^ (crc & 1u ? 0xEDB88320u : 0u);
+    }
+    return crc ^ 0xFFFFFFFFu;
+}
+
+/* Where the parts of an image lie. */
+struct parts {
+    uint32_t groups, cells, bytes;
+    const uint8_t *edges, *starts, *thresholds, *words;
+};
+
+static struct parts parts_of(const uint8_t *image)
+{
+    struct parts t;
+    t.groups = whole(image + 20, 4);
+    t.cells = whole(image + 24, 4);
+    t.bytes = whole(image + 30, 2);
+    t.edges = image + whole(image + 6, 2) + 8 * whole(image + 28, 2);
+    t.starts = t.edges + t.bytes * (t.groups + 1);
+    t.thresholds = t.starts + t.bytes * (t.groups + 1);
+    t.words = t.thresholds + 2 * t.cells;
+    return t;
+}
+
+/* Whether thresholds rise from 0 within every group, and words name settings that there are. */
+static int cells_hold(const struct parts *t, uint32_t ratios)
+{
+    uint32_t group, cell;
+    for (group = 0; group < t->groups; group++) {
+        uint32_t begin = whole(t->starts + group * t->bytes, t->bytes);
+        uint32_t end = whole(t->starts + (group + 1) * t->bytes, t->bytes);
+        if (!rises(t->thresholds + 2 * begin, 2, end - begin, whole(t->thresholds + 2 * (end - 1), 2)))
+            return 0;
+    }
+    for (cell = 0; cell < t->cells; cell++) {
+        uint32_t word = whole(t->words + 2 * cell, 2);
+        if (SIGHTLINE_TDI_STAGES(word) == 0 || SIGHTLINE_TDI_RATIO(word) >= ratios
+            || (word & SIGHTLINE_TDI_BEYOND))
+            return 0;
+    }
+    return 1;
+}
+
+int sightline_tdi_check(const uint8_t *image, uint32_t size)
+{
+    uint32_t bytes, total, ratios, columns;
+    uint64_t needed;
+    struct parts t;
+    if (size < HEAD_BYTES + 4 || image[0] != 'S' || image[1] != 'L' || image[2] != 'T' || image[3] != 'D')
+        return 0;
+    if (whole(image + 4, 2) != VERSION_READ || whole(image + 6, 2) != HEAD_BYTES)
+        return 0;
+    total = whole(image + 8, 4);
+    columns = whole(image + 16, 4);
+    ratios = whole(image + 28, 2);
+    bytes = whole(image + 30, 2);
+    if (total > size || ratios < 1 || ratios > MOST_RATIOS || (bytes != 2 && bytes != 4))
+        return 0;
+    if (whole(image + 32, 2) > 16 || columns == 0 || columns - 1 > UINT32_MAX - whole(image + 12, 4))
+        return 0;
+    /* counted in 64 bits, so that no count can be too large to be seen */
+    needed = HEAD_BYTES + 8 * (uint64_t)ratios + 2 * bytes * ((uint64_t)whole(image + 20, 4) + 1)
+           + 4 * (uint64_t)whole(image + 24, 4) + 4;
+    if (needed != total || crc32_of(image, total - 4) != whole(image + total - 4, 4))
+        return 0;
+    t = parts_of(image);
+    if (t.groups == 0 || t.cells < t.groups)
+        return 0;
+    return rises(t.edges, bytes, t.groups + 1, columns) && rises(t.starts, bytes, t.groups + 1, t.cells)
+        && cells_hold(&t, ratios);
+}
+
 uint16_t sightline_tdi_lookup_in(const uint8_t *image, uint32_t column, uint32_t signal)
 {
     uint32_t first = whole(image + 12, 4), columns = whole(image + 16, 4);
-    uint32_t groups = whole(image + 20, 4), cells = whole(image + 24, 4);
-    uint32_t bytes = whole(image + 30, 2), shift = whole(image + 32, 2), top = whole(image + 36, 4);
-    const uint8_t *edges = image + whole(image + 6, 2) + 8 * whole(image + 28, 2);
-    const uint8_t *starts = edges + bytes * (groups + 1);
-    const uint8_t *thresholds = starts + bytes * (groups + 1), *words = thresholds + 2 * cells;
+    uint32_t code = signal >> whole(image + 32, 2), top = whole(image + 36, 4);
+    struct parts t = parts_of(image);
     uint32_t group, begin, end, cell;
     if (column < first || column - first >= columns)
         return 0;
-    group = last_not_above(edges, bytes, groups, column - first);
-    begin = whole(starts + group * bytes, bytes);
-    end = whole(starts + (group + 1) * bytes, bytes);
-    cell = begin + last_not_above(thresholds + 2 * begin, 2, end - begin, signal >> shift);
-    return (uint16_t)(whole(words + 2 * cell, 2) | (signal >> shift > top ? SIGHTLINE_TDI_BEYOND : 0u));
+    group = last_not_above(t.edges, t.bytes, t.groups, column - first);
+    begin = whole(t.starts + group * t.bytes, t.bytes);
+    end = whole(t.starts + (group + 1) * t.bytes, t.bytes);
+    cell = begin + last_not_above(t.thresholds + 2 * begin, 2, end - begin, code);
+    return (uint16_t)(whole(t.words + 2 * cell, 2) | (code > top ? SIGHTLINE_TDI_BEYOND : 0u));
 }
 
 uint16_t sightline_tdi_lookup(uint32_t column, uint32_t signal)
 {
     return sightline_tdi_lookup_in(sightline_tdi_image, column, signal);
-}
-"""
+}"""
 
 
 def write_table(folder: str | Path, table: TdiTable) -> list[Path]:
@@ -93,7 +181,7 @@ def write_table(folder: str | Path, table: TdiTable) -> list[Path]:
     content = {
         IMAGE_FILE: image,
         HEADER_FILE: c_header(table).encode(),
-        SOURCE_FILE: LOOKUP.encode(),
+        SOURCE_FILE: c_source(table).encode(),
         HEX_FILE: intel_hex(image).encode(),
         SEGMENTS_FILE: segments(image),
     }
@@ -103,31 +191,25 @@ def write_table(folder: str | Path, table: TdiTable) -> list[Path]:
 
 
 def c_header(table: TdiTable) -> str:
-    """C header of a table: memory image with its address map, bits of a word, declaration of the look-up."""
-    image = table.to_bytes()
-    ratios = ", ".join(f"{ratio:.17g}" for ratio in table.ratios)
+    """C header of a table: declarations, bits of a word, addresses in the image."""
+    size = len(table.to_bytes())
+    index = (size - HEADER.size - 8 * len(table.ratios) - 4 * len(table.words) - 4) // (2 * len(table.edges))
     places, at = [], HEADER.size
-    index = int.from_bytes(image[30:32], "little")
-    for name, size in (
+    for name, count in (
         ("RATIOS", 8 * len(table.ratios)), ("EDGES", index * len(table.edges)),
         ("STARTS", index * len(table.starts)), ("THRESHOLDS", 2 * len(table.words)),
         ("WORDS", 2 * len(table.words)), ("CRC32", 4),
     ):  # fmt: skip
-        places.append(f"#define SIGHTLINE_TDI_AT_{name:<10} 0x{at:06X}u /* {size} bytes */")
-        at += size
-    data = "\n".join(
-        "    " + " ".join(f"0x{byte:02x}," for byte in image[k : k + HEX_BYTES])
-        for k in range(0, at, HEX_BYTES)
-    )
-    columns = f"{table.edges[0]} to {table.edges[-1] - 1}"
-    signals = f"{table.signals[0]:g} to {table.signals[1]:g} electrons of one line"
+        places.append(f"#define SIGHTLINE_TDI_AT_{name:<10} 0x{at:06X}u /* {count} bytes */")
+        at += count
     ratio_bits = f"{STAGE_BITS}-{STAGE_BITS + RATIO_BITS - 1}"
-    return f"""/* TDI table {table.identity:08x}, written by Sightline. Include it in one file only.
- * Columns {columns}; signals {signals}.
+    return f"""/* TDI table {table.identity:08x}, written by Sightline. Its image is in {SOURCE_FILE}.
+ * Columns {table.edges[0]} to {table.edges[-1] - 1}.
+{_signals_meant(table)}
  * Word: bits 0-{STAGE_BITS - 1} stages; bits {ratio_bits} number of the integration ratio;
  * bit {INFEASIBLE_BIT}: no setting keeps all limits somewhere in the cell;
  * bit {BEYOND_BIT}: the signal is above the table's range.
- * Integration ratios: {ratios}
+ * Integration ratios: {", ".join(map(_shortest, table.ratios))}
  */
 #ifndef SIGHTLINE_TDI_TABLE_H
 #define SIGHTLINE_TDI_TABLE_H
@@ -140,28 +222,71 @@ def c_header(table: TdiTable) -> str:
 
 /* Addresses in the image; it is little-endian, edges and starts are of {index} bytes. */
 {chr(10).join(places)}
+#define SIGHTLINE_TDI_SIZE          0x{size:06X}u
+
+#ifdef __cplusplus
+extern "C" {{
+#endif
+
+extern const uint8_t sightline_tdi_image[SIGHTLINE_TDI_SIZE];
 
 /* Word of a column and a signal in whole electrons; 0 where the table does not have the column. */
 uint16_t sightline_tdi_lookup(uint32_t column, uint32_t signal);
-/* The same in another image, for example one sent up. */
+/* The same in another image, for example one sent up, which `sightline_tdi_check` has found good. */
 uint16_t sightline_tdi_lookup_in(const uint8_t *image, uint32_t column, uint32_t signal);
+/* 1 where the `size` bytes at `image` begin with a whole and consistent image of this version, else 0. */
+int sightline_tdi_check(const uint8_t *image, uint32_t size);
 
-static const uint8_t sightline_tdi_image[{len(image)}] = {{
-{data}
-}};
+#ifdef __cplusplus
+}}
+#endif
 #endif
 """
 
 
-def read_c_header(path: str | Path) -> TdiTable:
-    """Table of a C header that `write_table` wrote."""
+def _signals_meant(table: TdiTable) -> str:
+    """Which electrons signals are, as a comment."""
+    low, high = map(_shortest, table.signals)
+    line = f"head line (the head has {table.head_stages})" if table.head_stages else "line"
+    return (
+        f" * Signals {low} to {high}: signals are electrons of one {line}\n"
+        f" * at an integration ratio of {_shortest(table.signal_ratio)}."
+    )
+
+
+def _shortest(value: float) -> str:
+    """The fewest digits that tell a number from every other; none behind a whole one."""
+    return repr(float(value)).removesuffix(".0")
+
+
+def c_source(table: TdiTable) -> str:
+    """C source of a table: look-up, check of an image, and at the end, so that a cut is seen, the image."""
+    image = table.to_bytes()
+    data = "\n".join(
+        "    " + " ".join(f"0x{byte:02x}," for byte in image[k : k + HEX_BYTES])
+        for k in range(0, len(image), HEX_BYTES)
+    )
+    return f"""/* TDI table {table.identity:08x}, written by Sightline; no floating point needed. */
+#include "{HEADER_FILE}"
+
+enum {{ HEAD_BYTES = {HEADER.size}, VERSION_READ = {VERSION}, MOST_RATIOS = {MOST_RATIOS} }};
+
+{LOOKUP}
+const uint8_t sightline_tdi_image[SIGHTLINE_TDI_SIZE] = {{
+{data}
+}};
+"""
+
+
+def read_c_source(path: str | Path) -> TdiTable:
+    """Table of a C source that `write_table` wrote."""
     text = _read(path).decode("ascii", "replace")
-    found = re.search(r"sightline_tdi_image\[(\d+)\] = \{([^}]*)\}", text)
+    found = re.search(r"sightline_tdi_image\[SIGHTLINE_TDI_SIZE\] = \{([^}]*)\}", text)
     if found is None:
-        raise FormatError(f"{path}: has no sightline_tdi_image[]; give a table.h that `sightline tdi` wrote")
-    parts = [part.strip() for part in found[2].split(",") if part.strip()]
-    if not all(re.fullmatch(r"0x[0-9a-f]{2}", part) for part in parts) or len(parts) != int(found[1]):
-        raise FormatError(f"{path}: the bytes of its image are not {found[1]} numbers; write it anew")
+        raise FormatError(f"{path}: has no sightline_tdi_image[]; give a table.c that `sightline tdi` wrote")
+    parts = [part.strip() for part in found[1].split(",") if part.strip()]
+    if not all(re.fullmatch(r"0x[0-9a-f]{2}", part) for part in parts):
+        raise FormatError(f"{path}: the bytes of its image are not all numbers; write it anew")
     return TdiTable.from_bytes(bytes(int(part, 16) for part in parts), str(path))
 
 

@@ -288,11 +288,10 @@ def signal_factors(signals: Array, grid: TdiGrid, detector: TdiDetector, rules: 
     from scipy.special import ndtri
 
     at = _snr_of(signals, grid, detector)
-    high, merit = signals, at
+    merit = at
     sigma = rules.signal_sigma
     if sigma > 0.0:
         quantile = rules.quantile
-        high = signals * (1.0 + sigma * max(ndtri(HIGH_SIGNAL if quantile is None else 1.0 - quantile), 0.0))
         if quantile is None:
             node, weight = np.polynomial.hermite_e.hermegauss(SIGNAL_NODES)
             merit = np.zeros_like(at)
@@ -300,7 +299,29 @@ def signal_factors(signals: Array, grid: TdiGrid, detector: TdiDetector, rules: 
                 merit += w * _snr_of(np.maximum(signals * (1.0 + sigma * z), 0.0), grid, detector)
         else:
             merit = _snr_of(np.maximum(signals * (1.0 + sigma * ndtri(quantile)), 0.0), grid, detector)
-    return SignalFactors(at, merit, _unsaturated(high, grid, detector), at >= rules.snr_min)
+    return SignalFactors(at, merit, unsaturated(signals, grid, detector, rules), at >= rules.snr_min)
+
+
+def _headroom(rules: ChoiceRules) -> float:
+    """Factor by which a signal may be higher than expected; wells hold that much."""
+    from scipy.special import ndtri
+
+    if rules.signal_sigma <= 0.0:
+        return 1.0
+    share = HIGH_SIGNAL if rules.quantile is None else 1.0 - rules.quantile
+    return float(1.0 + rules.signal_sigma * max(ndtri(share), 0.0))
+
+
+def fullest_signals(grid: TdiGrid, detector: TdiDetector, rules: ChoiceRules) -> Array:
+    """(P,) largest signal with which neither well of a setting overflows; infinite without wells."""
+    (line_dark, line), (total_dark, total) = (
+        level for level in well_levels(np.array([0.0, 1.0]), grid, detector)
+    )
+    room = np.minimum(
+        (detector.full_well_line - line_dark) / (line - line_dark),
+        (detector.full_well_sum - total_dark) / (total - total_dark),
+    )
+    return np.asarray(room / _headroom(rules))
 
 
 def _snr_of(signals: Array, grid: TdiGrid, detector: TdiDetector) -> Array:
@@ -309,9 +330,9 @@ def _snr_of(signals: Array, grid: TdiGrid, detector: TdiDetector) -> Array:
     return snr(signals[:, None], stages, ratio, detector.noise, detector.exposure, detector.reference)
 
 
-def _unsaturated(signals: Array, grid: TdiGrid, detector: TdiDetector) -> Flags:
+def unsaturated(signals: Array, grid: TdiGrid, detector: TdiDetector, rules: ChoiceRules) -> Flags:
     """(S, P) whether no line, and not their sum, fills its well."""
-    line, total = well_levels(signals, grid, detector)
+    line, total = well_levels(signals * _headroom(rules), grid, detector)
     return np.asarray((line <= detector.full_well_line) & (total <= detector.full_well_sum))
 
 

@@ -32,9 +32,9 @@ INFEASIBLE_BIT, BEYOND_BIT = 14, 15
 MOST_STAGES, MOST_RATIOS = (1 << STAGE_BITS) - 1, 1 << RATIO_BITS
 INFEASIBLE, BEYOND = 1 << INFEASIBLE_BIT, 1 << BEYOND_BIT
 
-MAGIC, VERSION = b"SLTD", 1
+MAGIC, VERSION = b"SLTD", 2
 #: Little-endian head of the memory image; `docs/formats.md` has its address map.
-HEADER = struct.Struct("<4sHHIIIIIHHHHIddd")
+HEADER = struct.Struct("<4sHHIIIIIHHHHIdddd")
 #: File of the memory image in a result folder.
 IMAGE_FILE = "table.bin"
 
@@ -67,6 +67,10 @@ class TdiTable:
         for the whole electron.
     shift : int
         A quantised signal is the whole electrons over 2^shift.
+    signal_ratio : float
+        Integration ratio of the line whose electrons signals are.
+    head_stages : int
+        Lines of the head, where signals are those of a head line; else 0.
 
     Notes
     -----
@@ -82,6 +86,8 @@ class TdiTable:
     signals: tuple[float, float]
     certified_loss: float
     shift: int = 0
+    signal_ratio: float = 1.0
+    head_stages: int = 0
 
     def __post_init__(self) -> None:
         problem = self._problem()
@@ -93,6 +99,8 @@ class TdiTable:
         edges, starts = self.edges, self.starts
         if len(edges) < 2 or edges[0] < 0 or (np.diff(edges) <= 0).any():
             return "groups of columns do not rise"
+        if edges[-1] > 1 << 32:
+            return f"columns reach to {edges[-1] - 1}, which 32 bits do not hold"
         if len(starts) != len(edges) or starts[0] != 0 or (np.diff(starts) <= 0).any():
             return "groups do not each have a cell"
         if starts[-1] != len(self.words) or len(self.thresholds) != len(self.words):
@@ -108,6 +116,8 @@ class TdiTable:
             return "words name settings that it does not have"
         if not 0 <= self.shift <= 16 or not 0.0 <= self.signals[0] <= self.signals[1] < 2.0**32:
             return f"range of signals is {self.signals[0]:g} to {self.signals[1]:g}"
+        if not 0.0 < self.signal_ratio < np.inf or not 0 <= self.head_stages <= np.iinfo(np.uint16).max:
+            return f"signals are of {self.head_stages} head lines at a ratio of {self.signal_ratio:g}"
         return None
 
     @property
@@ -245,8 +255,8 @@ class TdiTable:
         )
         head = HEADER.pack(
             MAGIC, VERSION, HEADER.size, HEADER.size + len(body) + 4, int(self.edges[0]), self.columns,
-            len(self.edges) - 1, len(self.words), len(self.ratios), 4 if wide else 2, self.shift, 0,
-            self.top, *self.signals, self.certified_loss,
+            len(self.edges) - 1, len(self.words), len(self.ratios), 4 if wide else 2, self.shift,
+            self.head_stages, self.top, *self.signals, self.certified_loss, self.signal_ratio,
         )  # fmt: skip
         return head + body + struct.pack("<I", zlib.crc32(head + body))
 
@@ -273,8 +283,8 @@ class TdiTable:
         if len(image) < HEADER.size + 4 or image[:4] != MAGIC:
             raise FormatError(f"{source}: is not a TDI table's memory image; it begins with {MAGIC.decode()}")
         (
-            _, version, head, size, first, columns, groups, cells, ratios, wide, shift, _,
-            top, low, high, loss,
+            _, version, head, size, first, columns, groups, cells, ratios, wide, shift,
+            head_stages, top, low, high, loss, signal_ratio,
         ) = HEADER.unpack_from(image)  # fmt: skip
         if version != VERSION or head != HEADER.size:
             raise FormatError(f"{source}: version {version} of the table is not read; {VERSION} is")
@@ -299,6 +309,7 @@ class TdiTable:
             table = cls(
                 found[1].astype(np.intp) + first, found[2].astype(np.intp), found[3].astype(np.uint16),
                 found[4].astype(np.uint16), found[0].astype(np.float64), (low, high), loss, shift,
+                signal_ratio, head_stages,
             )  # fmt: skip
         except InputError as problem:
             raise FormatError(f"{source}: {problem}") from None

@@ -10,23 +10,34 @@ Not here: the table itself (``table.py``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.tdi.choose import CHUNK, INFEASIBLE, MAIN_LOBE, MTF, TdiChoice
-from sightline.tdi.merit import ColumnMtf, SignalFactors, column_factors, signal_factors, well_levels
+from sightline.tdi.choose import CHUNK, INFEASIBLE, SATURATION, SNR, TdiChoice
+from sightline.tdi.merit import (
+    ColumnMtf,
+    SignalFactors,
+    column_factors,
+    fullest_signals,
+    signal_factors,
+    unsaturated,
+    well_levels,
+)
 from sightline.tdi.setting import Array, Index
 from sightline.tdi.table import INFEASIBLE as INFEASIBLE_FLAG
 from sightline.tdi.table import STAGE_BITS, TdiTable, check_words_fit
 from sightline.tdi.table_kernels import (
+    BLOCK,
     FEASIBLE,
     MIXED,
     add_to_group,
     best_merits,
+    bounds_of_blocks,
     cheapest_groups,
     fairest_setting,
     good_settings,
@@ -47,8 +58,17 @@ SIGNAL_STEP = 1.1
 MOST_STRETCHES = 1500
 #: Ratio of signals up to which feasible and infeasible columns share a (flagged) cell.
 MIXED_SPAN = 1.05
+#: Ratio of neighbouring signals, less 1, as a share of the bound: where limits of the SNR are near, and where
+#: wells decide.
+NEAR_STEP, SMOOTH_STEP = 0.5, 2.0
+#: Columns that say at which signals wells cut off their best settings.
+WELL_COLUMNS = 33
+#: A fall of the best merit that counts, as a share of the bound.
+WELL_STEP = 0.25
 #: Share of the bound that cells are built to; the rest is for what lies between samples.
 BUILT_TO = 0.98
+#: Share by which that falls for columns in which the bound was broken.
+TIGHTER = 0.02
 #: Signals judged per nominal one.
 DENSER = 4
 #: Ends of stretches worked on at once; even.
@@ -76,7 +96,7 @@ class Certificate:
         Worst found, where some setting keeps all limits; 1 where the table's would break one. A limit is
         kept where all signals keep it that the table cannot tell apart.
     column, signal : float
-        Where; the signal in electrons.
+        Where; the signal in electrons, rounded down to 0.0001: one just below a whole number stays below it.
     mean_loss : float
         Over all points judged.
     points : (int, int)
@@ -140,7 +160,8 @@ def build_table(model: ColumnMtf, choice: TdiChoice, max_loss: float = 0.005) ->
     check_words_fit(choice.grid)
     _check_axes(choice)
     builder = _Builder(model, choice, max_loss)
-    samples, codes = _first_samples(len(choice.columns)), first_codes(choice, max_loss)
+    samples = _first_samples(len(choice.columns))
+    codes = np.union1d(first_codes(choice, max_loss), well_codes(model, choice, max_loss))
     best: tuple[TdiTable, Certificate] | None = None
     for _ in range(ROUNDS):
         table, samples = builder.build(samples, codes)
@@ -152,6 +173,7 @@ def build_table(model: ColumnMtf, choice: TdiChoice, max_loss: float = 0.005) ->
         exhausted = len(finer) == len(samples) and len(finer_codes) == len(codes)
         if certificate.holds or exhausted or len(finer_codes) > 2 * MOST_STRETCHES:
             break
+        builder.tighten(failed[0])
         samples, codes = finer, finer_codes
     assert best is not None  # there is a first round
     table, certificate = best
@@ -185,29 +207,39 @@ def table_loss(
                 for k in range(0, len(signals), AT_ONCE)
             ]
         )
-    setting = _settings_at(table, choice, signals)
-    loss = np.empty(setting.shape)
-    blocks = [slice(k, k + SIGNAL_BLOCK) for k in range(0, len(signals), SIGNAL_BLOCK)]
-    highest = [by_signal[block].max(axis=0) for block in blocks]
-    lowest = [by_signal[block].min(axis=0) for block in blocks]
+    setting, group = _settings_at(table, choice, signals)
+    loss = np.empty((len(group), len(signals)))
+    blocks = _signal_blocks(by_signal)
     for begin in range(0, len(choice.columns), CHUNK):
         part = slice(begin, min(begin + CHUNK, len(choice.columns)))
         a = column_factors(model, part, grid, rules).allowed
-        most, least = a.max(axis=0), a.min(axis=0)
-        for block, high, low in zip(blocks, highest, lowest, strict=True):
-            # a setting whose merit is nowhere above what another has everywhere is nowhere the best
-            could = most * high
-            rivals = np.flatnonzero((could >= (least * low).max()) & (could > 0.0))
-            best = np.empty((len(a), len(by_signal[block])))
-            largest_products(
-                np.ascontiguousarray(a[:, rivals]), np.ascontiguousarray(by_signal[block][:, rivals]), best
-            )
-            chosen = setting[part, block]
+        for block, best in zip((b for b, *_ in blocks), _best_of_blocks(a, by_signal, blocks), strict=True):
+            chosen = setting[group[part], block]
             merit = np.take_along_axis(a, chosen, axis=1)
             merit *= np.take_along_axis(by_signal[block], chosen.T, axis=1).T
             with np.errstate(invalid="ignore", divide="ignore"):
                 loss[part, block] = np.where(best > 0.0, np.maximum(1.0 - merit / best, 0.0), np.nan)
     return loss
+
+
+def _signal_blocks(by_signal: Array) -> list[tuple[slice, Array, Array]]:
+    """Signals (S, P) in blocks, and what each gives to every setting at least and at most."""
+    blocks = [slice(k, k + SIGNAL_BLOCK) for k in range(0, len(by_signal), SIGNAL_BLOCK)]
+    return [(block, by_signal[block].min(axis=0), by_signal[block].max(axis=0)) for block in blocks]
+
+
+def _best_of_blocks(a: Array, by_signal: Array, blocks: list[tuple[slice, Array, Array]]) -> Iterator[Array]:
+    """Best merit (c, s) of columns (c, P) at each block of signals."""
+    most, least = a.max(axis=0), a.min(axis=0)
+    for block, low, high in blocks:
+        # a setting whose merit is nowhere above what another has everywhere is nowhere the best
+        could = most * high
+        rivals = np.flatnonzero((could >= (least * low).max()) & (could > 0.0))
+        best = np.empty((len(a), len(by_signal[block])))
+        largest_products(
+            np.ascontiguousarray(a[:, rivals]), np.ascontiguousarray(by_signal[block][:, rivals]), best
+        )
+        yield best
 
 
 def certify(
@@ -223,16 +255,19 @@ def certify(
     signals = dense_signals(choice.signals, table)
     loss = table_loss(model, choice, table, signals)
     judged = np.isfinite(loss)
-    worst = np.unravel_index(np.argmax(np.where(judged, loss, -1.0)), loss.shape)
-    column, signal = np.nonzero(np.where(judged, loss, 0.0) > max_loss)
+    # no copies: there may be tens of millions of points
+    c = int(np.argmax(np.fmax.reduce(loss, axis=1, where=judged, initial=-1.0)))
+    s = int(np.argmax(np.where(judged[c], loss[c], -1.0)))
+    points = int(np.count_nonzero(judged))
+    column, signal = np.nonzero(loss > max_loss)
     certificate = Certificate(
         max_loss,
-        float(loss[worst]) if judged.any() else 0.0,
-        float(choice.columns.column[worst[0]]),
-        float(signals[worst[1]]),
-        float(loss[judged].mean()) if judged.any() else 0.0,
+        float(loss[c, s]) if points else 0.0,
+        float(choice.columns.column[c]),
+        float(np.floor(signals[s] * 1e4) / 1e4),
+        float(loss.sum(where=judged)) / max(points, 1),
         (loss.shape[0], loss.shape[1]),
-        1.0 - float(judged.mean()),
+        1.0 - points / loss.size,
         len(table.to_bytes()),
     )
     return certificate, (column, signals[signal])
@@ -270,8 +305,8 @@ def dense_signals(nominal: Array, table: TdiTable) -> Array:
     return np.unique(np.append(every[(every >= low) & (every <= high)], low))
 
 
-def _settings_at(table: TdiTable, choice: TdiChoice, signals: Array) -> Index:
-    """(C, S) number of the setting that the table has for each column and signal."""
+def _settings_at(table: TdiTable, choice: TdiChoice, signals: Array) -> tuple[Index, Index]:
+    """(G, S) setting that the table has for each group and signal, (C,) group of each column."""
     column = choice.columns.column.astype(np.intp)
     group = np.searchsorted(table.edges, column, side="right") - 1
     firsts = np.asarray(table.edges[:-1])
@@ -281,7 +316,7 @@ def _settings_at(table: TdiTable, choice: TdiChoice, signals: Array) -> Index:
         stages, ratio = table.unpack(one_each.lookup(np.full(len(firsts), signal)))
         number = np.searchsorted(choice.grid.stages, stages) * len(choice.grid.ratios)
         per_group[:, s] = number + np.searchsorted(choice.grid.ratios, ratio)
-    return per_group[group]
+    return per_group, group
 
 
 def _check_axes(choice: TdiChoice) -> None:
@@ -330,17 +365,59 @@ def first_codes(choice: TdiChoice, max_loss: float) -> Index:
     order = np.argsort(choice.signals)
     signals, limit = choice.signals[order], choice.limit[:, order]
     unit = 2.0 ** shift_of(signals)
-    by_signal = (limit > 0) & ~np.isin(limit, (MAIN_LOBE, MTF, MAIN_LOBE + INFEASIBLE, MTF + INFEASIBLE))
-    near = np.asarray(by_signal.any(axis=0))
-    near = near[:-1] | near[1:] | (limit[:, :-1] != limit[:, 1:]).any(axis=0)
+    near = _between(limit, (SNR, SNR + INFEASIBLE))
+    near |= (limit[:, :-1] > INFEASIBLE).any(axis=0) != (limit[:, 1:] > INFEASIBLE).any(axis=0)
+    wells = _between(limit, (SATURATION, SATURATION + INFEASIBLE))
     low = np.maximum(signals, unit)
     spans = np.log(low[1:] / low[:-1])
-    fine = max(0.5 * max_loss, 1e-9, spans[near].sum() / MOST_STRETCHES)
+    # where wells cut settings off `well_codes` tells; between these the merit is smooth
+    step = np.select([near, wells], [NEAR_STEP * max_loss, SMOOTH_STEP * max_loss], np.log(SIGNAL_STEP))
+    fine = max(1e-9, spans[near | wells].sum() / MOST_STRETCHES)
     codes = [np.floor(signals / unit)]
-    for a, span, close in zip(low[:-1], spans, near, strict=True):
-        parts = int(np.ceil(span / (fine if close else np.log(SIGNAL_STEP)))) + 1
+    for a, span, most in zip(low[:-1], spans, step, strict=True):
+        parts = int(np.ceil(span / max(most, fine))) + 1
         codes.append(np.floor(a * np.exp(np.linspace(0.0, span, parts)) / unit))
     return np.unique(np.concatenate(codes)).astype(np.intp)
+
+
+def well_codes(model: ColumnMtf, choice: TdiChoice, max_loss: float) -> Index:
+    """Quantised signals from which on a well forbids a setting that some column misses.
+
+    There the best merit falls at once: no cell can reach across but with a setting that does not fill the
+    well, which may lose too much below.
+
+    Parameters
+    ----------
+    model : ColumnMtf
+    choice : TdiChoice
+    max_loss : float
+    """
+    unit, low, high = 2.0 ** shift_of(choice.signals), choice.signals.min(), choice.signals.max()
+    full = fullest_signals(choice.grid, choice.detector, choice.rules)
+    full = full[(full >= low) & (full < high)] / unit
+    # where one is a whole number but for rounding, both sides
+    codes = np.unique(np.floor(np.concatenate([full * BELOW, full / BELOW])))
+    codes = codes[(codes * unit > low) & (codes * unit < high)]
+    a = np.concatenate(
+        [
+            column_factors(model, np.array([k]), choice.grid, choice.rules).allowed
+            for k in np.unique(np.linspace(0, len(choice.columns) - 1, WELL_COLUMNS).astype(np.intp))
+        ]
+    )
+    missed = np.zeros(len(codes), dtype=bool)
+    for begin in range(0, len(codes), AT_ONCE // 2):
+        at = codes[begin : begin + AT_ONCE // 2] * unit
+        by_signal = whole_electrons(np.stack([at * BELOW, at], axis=1).ravel(), choice).allowed
+        best = np.concatenate(list(_best_of_blocks(a, by_signal, _signal_blocks(by_signal))), axis=1)
+        falls = best[:, 1::2] < (1.0 - WELL_STEP * max_loss) * best[:, ::2]
+        missed[begin : begin + AT_ONCE // 2] = falls.any(axis=0)
+    return codes[missed].astype(np.intp)
+
+
+def _between(limit: NDArray[np.uint8], which: tuple[int, ...]) -> NDArray[np.bool_]:
+    """(S - 1,) whether at one of two neighbouring signals such a limit decides, in any column."""
+    some = np.asarray(np.isin(limit, which).any(axis=0))
+    return np.asarray(some[:-1] | some[1:])
 
 
 def _finer_codes(codes: Index, failed: tuple[Index, Array]) -> Index:
@@ -373,6 +450,7 @@ class _SignalAxis:
     """Stretches of signals from code to code, and what signals give to the merit at both ends of each.
 
     `safe` is zero, and `safe_level` too, for settings with which a well overflows anywhere in the stretch.
+    `least` and `most` are bounds of `allowed` over blocks of ends.
     """
 
     codes: Index
@@ -383,46 +461,72 @@ class _SignalAxis:
     safe: Array
     safe_level: Small
     least_full: Index
+    least: Array
+    most: Array
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Builder:
+    """Builds a table panel by panel; panels whose samples have not changed are kept from round to round."""
+
     model: ColumnMtf
     choice: TdiChoice
     max_loss: float
+    axis: _SignalAxis | None = None
+    begins: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    built_to: dict[int, float] = field(default_factory=dict)
+    kept: dict[tuple[int, float, bytes], tuple[list[_Group], Index]] = field(default_factory=dict)
 
     def build(self, samples: Index, codes: Index) -> tuple[TdiTable, Index]:
         """Table from sampled columns, and the samples, to which those are added that blocks need."""
-        axis = _signal_axis(codes, self.choice)
+        if self.axis is None or not np.array_equal(self.axis.codes, codes):
+            self.axis = _signal_axis(codes, self.choice)
+            self.kept.clear()
         count = len(self.choice.columns)
         while True:
-            groups: list[_Group] = []
-            bad: list[Index] = []
-            for begin, end in self._panels(samples, axis):
-                panel = self._panel(samples[begin:end], axis)
-                # the first column after a block is its last but one step: it tells what lies between
-                after = samples[end] if end < len(samples) else count
-                blocks, invalid = _blocks(panel, axis, after)
-                bad.append(begin + invalid)
-                if not len(np.concatenate(bad)):
-                    groups += _groups(panel, blocks, axis, self._bytes())
-            broken = np.concatenate(bad)
+            self._set_panels(samples, self.axis)
+            ends = np.append(np.searchsorted(samples, self.begins), len(samples))
+            built = [self._built(samples, int(a), int(b), self.axis) for a, b in pairwise(ends)]
+            broken = np.concatenate([invalid for _, invalid in built])
             if not len(broken):
-                return self._table(groups, axis), samples
-            samples = _cut(samples, broken, count)
+                return self._table([group for groups, _ in built for group in groups], self.axis), samples
+            samples = _cut(samples, np.searchsorted(samples, broken), count)
+
+    def tighten(self, failed: Index) -> None:
+        """Leave more room in panels that hold columns at which the bound is broken."""
+        for panel in np.unique(np.searchsorted(self.begins, failed, side="right") - 1):
+            first = int(self.begins[panel])
+            self.built_to[first] = self.built_to.get(first, BUILT_TO) * (1.0 - TIGHTER)
+
+    def _built(self, samples: Index, begin: int, end: int, axis: _SignalAxis) -> tuple[list[_Group], Index]:
+        """Groups of a panel, or the columns at which blocks begin that must be cut first."""
+        # the first column after a block is its last but one step: it tells what lies between
+        columns = samples[begin : end + 1]
+        share = self.built_to.get(int(columns[0]), BUILT_TO)
+        key = (end - begin, share, columns.tobytes())
+        if key not in self.kept:
+            panel = self._panel(columns, axis, 1.0 - share * self.max_loss)
+            blocks, invalid = _blocks(panel, axis, end - begin, len(self.choice.columns))
+            groups = [] if len(invalid) else _groups(panel, blocks, axis, self._bytes())
+            self.kept[key] = groups, columns[invalid]
+        return self.kept[key]
+
+    def _set_panels(self, samples: Index, axis: _SignalAxis) -> None:
+        """Columns at which runs of samples begin that fit the memory; those there are stay."""
+        stretches, settings = len(axis.codes), len(self.choice.grid)
+        each = stretches * (settings // 64 + 1) * 32 + settings * 32
+        size = max(PANEL_BYTES // each, 64)
+        if not len(self.begins):
+            self.begins = samples[::size]
+        ends = np.append(np.searchsorted(samples, self.begins), len(samples))
+        more = [samples[a + size : b : size] for a, b in pairwise(ends) if b - a > 2 * size]
+        self.begins = np.unique(np.concatenate([self.begins, *more]))
 
     def _bytes(self) -> tuple[int, int]:
         """Of a group and of a cell."""
         return (4 if self.choice.columns.column[-1] < 1 << 16 else 8), 4
 
-    def _panels(self, samples: Index, axis: _SignalAxis) -> list[tuple[int, int]]:
-        """Runs of samples that fit the memory."""
-        stretches, settings = len(axis.codes), len(self.choice.grid)
-        each = stretches * (settings // 64 + 1) * 32 + settings * 32
-        size = max(PANEL_BYTES // each, 64)
-        return [(k, min(k + size, len(samples))) for k in range(0, len(samples), size)]
-
-    def _panel(self, columns: Index, axis: _SignalAxis) -> _Panel:
+    def _panel(self, columns: Index, axis: _SignalAxis, keep: float) -> _Panel:
         choice, ends = self.choice, len(axis.ends)
         n, settings = len(columns), len(choice.grid)
         words = settings // 64 + 1
@@ -434,19 +538,21 @@ class _Builder:
             merit[here], allowed[here] = factors.merit, factors.allowed
             level[here] = 1 + factors.in_lobe + (factors.in_lobe & factors.in_bounds)
         best, tiers = np.empty((n, ends)), np.empty((n, ends), dtype=np.uint8)
-        best_merits(allowed, level, merit, axis.allowed, axis.level, axis.merit, axis.ends, best, tiers)
+        best_merits(
+            allowed, level, merit, axis.allowed, axis.least, axis.most, axis.level, axis.merit, axis.ends,
+            best, tiers,
+        )  # fmt: skip
         shape = (n, ends // 2)
         strict, loose = np.empty((*shape, words), dtype=np.uint64), np.empty((*shape, words), dtype=np.uint64)
         kind = np.empty(shape, dtype=np.uint8)
-        keep = 1.0 - BUILT_TO * self.max_loss
         good_settings(
-            allowed, level, merit, axis.safe, axis.safe_level, axis.merit, axis.least_full, best, tiers, keep,
-            strict, loose, kind,
+            allowed, level, merit, axis.safe, axis.least, axis.most, axis.safe_level, axis.merit,
+            axis.least_full, best, tiers, keep, strict, loose, kind,
         )  # fmt: skip
         return _Panel(columns, level, merit, best, tiers, strict, loose, kind)
 
     def _table(self, groups: list[_Group], axis: _SignalAxis) -> TdiTable:
-        choice = self.choice
+        choice, exposure = self.choice, self.choice.detector.exposure
         column = choice.columns.column.astype(np.intp)
         first = [0] + [int(column[g.first - 1] + column[g.first]) // 2 + 1 for g in groups[1:]]
         first[0] = int(column[0])
@@ -464,6 +570,8 @@ class _Builder:
             (float(choice.signals.min()), float(choice.signals.max())),
             0.0,
             shift_of(choice.signals),
+            choice.detector.signal_ratio,
+            exposure.head_stages if choice.detector.signal_ratio == exposure.head_ratio else 0,
         )
 
 
@@ -496,12 +604,13 @@ def whole_electrons(signals: Array, choice: TdiChoice) -> SignalFactors:
     grid, detector, rules = choice.grid, choice.detector, choice.rules
     unit = 2.0 ** shift_of(choice.signals)
     whole = np.floor(signals / unit) * unit
-    least = signal_factors(np.maximum(whole, choice.signals.min()), grid, detector, rules)
-    most = signal_factors(np.minimum(whole + unit, choice.signals.max()), grid, detector, rules)
+    most = unsaturated(np.minimum(whole + unit, choice.signals.max()), grid, detector, rules)
     factors = signal_factors(signals, grid, detector, rules)
-    return replace(
-        factors, unsaturated=factors.unsaturated & most.unsaturated, clear=factors.clear & least.clear
-    )
+    clear = factors.clear
+    if rules.snr_min > 0.0:
+        least = signal_factors(np.maximum(whole, choice.signals.min()), grid, detector, rules)
+        clear = clear & least.clear
+    return replace(factors, unsaturated=factors.unsaturated & most, clear=clear)
 
 
 def _signal_axis(codes: Index, choice: TdiChoice) -> _SignalAxis:
@@ -511,9 +620,11 @@ def _signal_axis(codes: Index, choice: TdiChoice) -> _SignalAxis:
     last = np.maximum(np.append(first[1:], high) * BELOW, first)
     ends = np.stack([first, last], axis=1).ravel()
     shape = (len(ends), len(choice.grid))
+    blocks = (-(-len(ends) // BLOCK), len(choice.grid))
     axis = _SignalAxis(
         codes, ends, np.empty(shape), np.empty(shape, dtype=np.uint8), np.empty(shape, dtype=np.float32),
         np.empty(shape), np.empty(shape, dtype=np.uint8), np.empty(len(ends), dtype=np.intp),
+        np.empty(blocks), np.empty(blocks),
     )  # fmt: skip
     for begin in range(0, len(ends), AT_ONCE):
         part = slice(begin, begin + AT_ONCE)
@@ -525,6 +636,7 @@ def _signal_axis(codes: Index, choice: TdiChoice) -> _SignalAxis:
         axis.safe[part] = np.where(safe, axis.allowed[part], 0.0)
         axis.safe_level[part] = np.where(safe, axis.level[part], 0)
         axis.least_full[part] = _least_full(ends[part], choice)
+    bounds_of_blocks(axis.allowed, axis.least, axis.most)
     return axis
 
 
@@ -544,14 +656,14 @@ class _Blocks:
     kind: Small
 
 
-def _blocks(panel: _Panel, axis: _SignalAxis, after: int) -> tuple[_Blocks, Index]:
-    """Blocks of columns between samples, and those within which no setting suits both ends."""
-    strict, loose, kind = panel.strict.copy(), panel.loose.copy(), panel.kind.copy()
-    wide = np.flatnonzero(np.diff(panel.columns, append=after) > 1)
+def _blocks(panel: _Panel, axis: _SignalAxis, count: int, after: int) -> tuple[_Blocks, Index]:
+    """The first `count` blocks of columns between samples, and those in which no setting suits both ends."""
+    strict, loose, kind = panel.strict[:count].copy(), panel.loose[:count].copy(), panel.kind[:count].copy()
+    wide = np.flatnonzero(np.diff(panel.columns, append=after)[:count] > 1)
     starts = np.empty(strict.shape[1], dtype=np.int64)
     invalid = []
     for k in wide:
-        if k + 1 < len(strict):
+        if k + 1 < len(panel.strict):
             add_to_group(
                 strict[k], loose[k], kind[k], panel.strict[k + 1], panel.loose[k + 1], panel.kind[k + 1]
             )

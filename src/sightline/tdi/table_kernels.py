@@ -12,6 +12,8 @@ from sightline.tdi.kernels import TIE, largest
 
 #: Columns worked on at once, so that signals and words stay in the first cache.
 STRETCH = 4096
+#: Ends of stretches that share their rivals; even.
+BLOCK = 16
 #: What decides a stretch of signals: all columns feasible, none, some.
 FEASIBLE, INFEASIBLE, MIXED = range(3)
 #: Which limits hold: all; the bounds of SNR given up; those of MTF; the main lobe; the wells; or no setting
@@ -97,15 +99,60 @@ def worth(tier, column_level, column_merit, signal_level, signal_merit, p, least
 
 
 @njit(cache=True, nogil=True)
+def rivals_of(by_column, least, most, keep, rivals, merits):  # type: ignore[no-untyped-def]
+    """Settings that somewhere in a block of signals may come within `keep` of the best of a column.
+
+    Parameters
+    ----------
+    by_column : (P,)
+    least, most : (P,)
+        Bounds of what the block's signals give.
+    keep : float
+    rivals : (P,) int
+        Overwritten from its start.
+    merits : (P,)
+        The same, with factors of the column.
+
+    Returns
+    -------
+    int
+        How many; -1 where no setting is allowed in all of the block, so that any may be good.
+    """
+    sure = largest(by_column, least)
+    if sure <= 0.0:
+        return -1
+    need, count = keep * (1.0 - TIE) * sure, 0
+    for p in range(by_column.shape[0]):
+        rivals[count], merits[count] = p, by_column[p]
+        count += by_column[p] * most[p] >= need
+    return count
+
+
+@njit(cache=True, nogil=True)
+def bounds_of_blocks(by_signal, least, most):  # type: ignore[no-untyped-def]
+    """Bounds of (E, P) over blocks of `BLOCK` rows, into (E / BLOCK, P)."""
+    for block in range(least.shape[0]):
+        begin = block * BLOCK
+        least[block], most[block] = by_signal[begin], by_signal[begin]
+        for e in range(begin + 1, min(begin + BLOCK, by_signal.shape[0])):
+            for p in range(by_signal.shape[1]):
+                least[block, p] = min(least[block, p], by_signal[e, p])
+                most[block, p] = max(most[block, p], by_signal[e, p])
+
+
+@njit(cache=True, nogil=True)
 def best_merits(  # type: ignore[no-untyped-def]
-    by_column, column_level, column_merit, by_signal, signal_level, signal_merit, ends, best, tiers
-):
+    by_column, column_level, column_merit, by_signal, least, most_of, signal_level, signal_merit, ends, best,
+    tiers,
+):  # fmt: skip
     """Best merit of columns at signals, and the limits it keeps.
 
     Parameters
     ----------
     by_column, by_signal : (n, P), (E, P)
         Factors of the merit, 0 where a setting is not allowed.
+    least, most_of : (E / BLOCK, P)
+        Bounds of `by_signal` over blocks.
     column_level : (n, P) uint8
         3 within the bounds of MTF and the main lobe, 2 within the main lobe, else 1.
     signal_level : (E, P) uint8
@@ -117,12 +164,24 @@ def best_merits(  # type: ignore[no-untyped-def]
     best, tiers : (n, E)
         Overwritten.
     """
+    rivals = np.empty(by_column.shape[1], dtype=np.int64)
+    merits = np.empty(by_column.shape[1])
     for c in range(by_column.shape[0]):
+        count = -1
         for e in range(by_signal.shape[0]):
+            if e % BLOCK == 0:
+                count = rivals_of(by_column[c], least[e // BLOCK], most_of[e // BLOCK], 1.0, rivals, merits)
             if e > 0 and ends[e] == ends[e - 1]:
                 best[c, e], tiers[c, e] = best[c, e - 1], tiers[c, e - 1]
                 continue
-            most, tier = largest(by_column[c], by_signal[e]), ALL
+            if not signal_level[e].any():
+                best[c, e], tiers[c, e] = 1.0, NO_WELL
+                continue
+            most, tier = 0.0, ALL
+            for k in range(count):
+                most = max(most, merits[k] * by_signal[e, rivals[k]])
+            if count < 0:
+                most = largest(by_column[c], by_signal[e])
             while most <= 0.0 and tier < NO_LOBE:
                 tier += 1
                 for p in range(by_column.shape[1]):
@@ -131,21 +190,20 @@ def best_merits(  # type: ignore[no-untyped-def]
                     )
                     most = max(most, merit)
             if most <= 0.0:
-                most = 1.0
-                tier = WORTHLESS if signal_level[e].max() > 0 else NO_WELL
+                most, tier = 1.0, WORTHLESS
             best[c, e], tiers[c, e] = most, tier
 
 
 @njit(cache=True, nogil=True)
 def good_settings(  # type: ignore[no-untyped-def]
-    by_column, column_level, column_merit, by_signal, signal_level, signal_merit, least_full, best, tiers,
-    keep, strict, loose, kind,
+    by_column, column_level, column_merit, by_signal, least, most_of, signal_level, signal_merit, least_full,
+    best, tiers, keep, strict, loose, kind,
 ):  # fmt: skip
     """Settings that lose little at both ends of each stretch of signals, as bits.
 
     Parameters
     ----------
-    by_column, column_level, column_merit
+    by_column, column_level, column_merit, least, most_of
         As of `best_merits`.
     by_signal, signal_level, signal_merit : (2 T, P)
         The same at the lower and upper end of each stretch, but 0 where a well overflows anywhere within it.
@@ -162,9 +220,18 @@ def good_settings(  # type: ignore[no-untyped-def]
         Feasible, infeasible or mixed. Overwritten.
     """
     count = column_level.shape[1]
+    rivals, merits = np.empty(count, dtype=np.int64), np.empty(count)
     for c in range(column_level.shape[0]):
+        rival_count = -1
         for t in range(kind.shape[1]):
             low, high = 2 * t, 2 * t + 1
+            if low % BLOCK == 0:
+                block = low // BLOCK
+                rival_count = rivals_of(by_column[c], least[block], most_of[block], keep, rivals, merits)
+                if rival_count < 0:
+                    rival_count = count
+                    for p in range(count):
+                        rivals[p], merits[p] = p, by_column[c, p]
             low_free = tiers[c, low] == ALL or tiers[c, low] == WORTHLESS
             high_free = tiers[c, high] == ALL or tiers[c, high] == WORTHLESS
             kind[c, t] = (
@@ -174,15 +241,20 @@ def good_settings(  # type: ignore[no-untyped-def]
             need_low = keep * (1.0 - TIE) * best[c, low]
             need_high = keep * (1.0 - TIE) * best[c, high]
             if tiers[c, low] == ALL and tiers[c, high] == ALL:
-                for p in range(count):
-                    at_low = by_column[c, p] * by_signal[low, p]
-                    if at_low >= need_low and by_column[c, p] * by_signal[high, p] >= need_high:
+                for k in range(rival_count):
+                    p = rivals[k]
+                    at_low = merits[k] * by_signal[low, p]
+                    if at_low >= need_low and merits[k] * by_signal[high, p] >= need_high:
                         strict[c, t, p >> 6] |= np.uint64(1) << np.uint64(p & 63)
                 if strict[c, t].any():
                     loose[c, t] = strict[c, t]
                     continue
             most, favourite = -1.0, 0
+            overflows = tiers[c, low] == NO_WELL and tiers[c, high] == NO_WELL
             for p in range(count):
+                # where all overflow nothing but the least full is worth anything
+                if overflows and p != least_full[low] and p != least_full[high]:
+                    continue
                 share_low = worth(
                     tiers[c, low], column_level[c], column_merit[c], signal_level[low], signal_merit[low], p,
                     least_full[low],
