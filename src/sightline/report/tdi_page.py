@@ -206,8 +206,8 @@ def _uncertain(summary: Mapping[str, Any]) -> str:
     return (
         f"{what} not known exactly: against one who knew them this choice gives away "
         f"{100.0 * loss['mean']:.2g} % of the merit on average, and with 95 % probability no more than "
-        f"{100.0 * loss['upper_95']:.2g} % {where}{', '.join(columns)}, for "
-        "which this was reckoned."
+        f"{100.0 * loss['upper_95']:.2g} % {where}, for which this was "
+        "reckoned."
     )
 
 

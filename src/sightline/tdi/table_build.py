@@ -274,7 +274,7 @@ def certify(
 
 
 def _loss_at_limits(model: ColumnMtf, choice: TdiChoice, table: TdiTable) -> float:
-    """Worst loss at those signals whose own limits allow more than whole electrons do."""
+    """Worst loss at those signals whose own limits allow more than whole electrons do, unflagged ones."""
     signals = dense_signals(choice.signals, table)
     near = np.zeros(len(signals), dtype=bool)
     for k in range(0, len(signals), AT_ONCE):
@@ -284,7 +284,9 @@ def _loss_at_limits(model: ColumnMtf, choice: TdiChoice, table: TdiTable) -> flo
     if not near.any():
         return 0.0
     loss = table_loss(model, choice, table, signals[near], own_limits=True)
-    return float(np.nanmax(loss, initial=0.0))
+    # where no setting keeps the limits of whole electrons the word is flagged, and nothing is promised
+    promised = np.isfinite(table_loss(model, choice, table, signals[near]))
+    return float(np.max(loss, where=promised & np.isfinite(loss), initial=0.0))
 
 
 def dense_signals(nominal: Array, table: TdiTable) -> Array:
