@@ -10,7 +10,9 @@ from sightline.imaging.tdi_noise import snr
 from sightline.imaging.tdi_transfer import drift_transfer
 from sightline.tdi.choose import choose_settings, merit_of
 from sightline.tdi.setting import TdiGrid
-from sightline.tdi.table_build import build_table, dense_signals, table_loss, well_codes
+from sightline.tdi.table_build import build_table
+from sightline.tdi.table_certificate import dense_signals, table_loss
+from sightline.tdi.table_stretches import well_codes
 from tdi.tdi_example import field
 
 

@@ -26,7 +26,8 @@ from sightline.tdi.merit import (
 from sightline.tdi.predict_loss import PredictedLoss, predict_loss
 from sightline.tdi.setting import Array, ChoiceRules, Index, ScanColumns, TdiDetector, TdiGrid
 from sightline.tdi.table import TdiTable
-from sightline.tdi.table_build import Certificate, build_table, table_loss
+from sightline.tdi.table_build import build_table
+from sightline.tdi.table_certificate import Certificate, table_loss
 
 #: Columns over which other ways of choosing are compared, evenly spread: the whole is not judged thrice.
 COMPARED = 512

@@ -1,16 +1,16 @@
-"""A table that keeps a bound on the loss of merit, with few bytes, and the certificate that it does.
+"""A table that keeps a bound on the loss of merit, with few bytes.
 
 Columns are sampled, signals are cut into short stretches. For every sampled column and stretch the settings
 that lose little at both ends are bits of a set; columns and signals may share a cell where their sets
 intersect. Groups of columns are chosen so that the table is smallest. It is then judged at every column, on
 signals several times denser, and sampled closer where it fails.
 
-Not here: the table itself (``table.py``).
+Not here: the table itself (``table.py``), where stretches begin (``table_stretches.py``), what the table
+loses at worst (``table_certificate.py``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -18,19 +18,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.tdi.choose import CHUNK, INFEASIBLE, SATURATION, SNR, TdiChoice
+from sightline.tdi.choose import CHUNK, TdiChoice
 from sightline.tdi.merit import (
     ColumnMtf,
-    SignalFactors,
     column_factors,
-    fullest_signals,
-    signal_factors,
-    unsaturated,
     well_levels,
 )
 from sightline.tdi.setting import Array, Index
 from sightline.tdi.table import INFEASIBLE as INFEASIBLE_FLAG
 from sightline.tdi.table import STAGE_BITS, TdiTable, check_words_fit
+from sightline.tdi.table_certificate import (
+    AT_ONCE,
+    BELOW,
+    Certificate,
+    certify,
+    loss_at_limits,
+    shift_of,
+    whole_electrons,
+)
 from sightline.tdi.table_kernels import (
     BLOCK,
     FEASIBLE,
@@ -41,9 +46,9 @@ from sightline.tdi.table_kernels import (
     cheapest_groups,
     fairest_setting,
     good_settings,
-    largest_products,
     split_signals,
 )
+from sightline.tdi.table_stretches import MOST_STRETCHES, finer_codes, first_codes, well_codes
 
 Bits = NDArray[np.uint64]
 Small = NDArray[np.uint8]
@@ -52,79 +57,15 @@ Small = NDArray[np.uint8]
 SAMPLES = 1024
 #: A failing block of columns is cut into so many.
 FINER = 8
-#: Ratio of neighbouring signals where no limit is near.
-SIGNAL_STEP = 1.1
-#: Most stretches that signals are cut into.
-MOST_STRETCHES = 1500
 #: Ratio of signals up to which feasible and infeasible columns share a (flagged) cell.
 MIXED_SPAN = 1.05
-#: Ratio of neighbouring signals, less 1, as a share of the bound: where limits of the SNR are near, and where
-#: wells decide.
-NEAR_STEP, SMOOTH_STEP = 0.5, 2.0
-#: Columns that say at which signals wells cut off their best settings.
-WELL_COLUMNS = 33
-#: A fall of the best merit that counts, as a share of the bound.
-WELL_STEP = 0.25
 #: Share of the bound that cells are built to; the rest is for what lies between samples.
 BUILT_TO = 0.98
 #: Share by which that falls for columns in which the bound was broken.
 TIGHTER = 0.02
-#: Signals judged per nominal one.
-DENSER = 4
-#: Ends of stretches worked on at once; even.
-AT_ONCE = 256
-#: Whole electrons judged one by one from the lowest signal on.
-LOWEST = 32
-#: Signals judged together.
-SIGNAL_BLOCK = 16
 ROUNDS = 8
-#: Just below: signals have parts of an electron, which the table drops.
-BELOW = 1.0 - 1e-9
 #: Memory for sets of settings, bytes.
 PANEL_BYTES = 96 << 20
-
-
-@dataclass(frozen=True, eq=False)
-class Certificate:
-    """What a table was found to lose.
-
-    Attributes
-    ----------
-    max_loss : float
-        Relative loss of merit that was asked for.
-    loss : float
-        Worst found, where some setting keeps all limits; 1 where the table's would break one. A limit is
-        kept where all signals keep it that the table cannot tell apart.
-    column, signal : float
-        Where; the signal in electrons, rounded down to 0.0001: one just below a whole number stays below it.
-    mean_loss : float
-        Over all points judged.
-    points : (int, int)
-        Columns and signals judged: all columns; the nominal signals, several between each two, both sides of
-        the borders of all cells and of each of the lowest electrons.
-    flagged : float
-        Share of points at which no setting keeps all limits.
-    bytes : int
-        Of the table's memory image, all told.
-    at_limits: float
-        Worst loss against the best that a signal's own limits allow: within the electron in which a well
-        fills or the least SNR is reached, the table keeps clear of what the signal alone would still permit.
-    """
-
-    max_loss: float
-    loss: float
-    column: float
-    signal: float
-    mean_loss: float
-    points: tuple[int, int]
-    flagged: float
-    bytes: int
-    at_limits: float = 0.0
-
-    @property
-    def holds(self) -> bool:
-        """Whether the bound is kept."""
-        return self.loss <= self.max_loss
 
 
 def build_table(model: ColumnMtf, choice: TdiChoice, max_loss: float = 0.005) -> tuple[TdiTable, Certificate]:
@@ -169,156 +110,16 @@ def build_table(model: ColumnMtf, choice: TdiChoice, max_loss: float = 0.005) ->
         if best is None or certificate.loss < best[1].loss:
             best = table, certificate
         finer = _finer_samples(samples, failed, len(choice.columns))
-        finer_codes = codes if len(finer) > len(samples) else _finer_codes(codes, failed)
-        exhausted = len(finer) == len(samples) and len(finer_codes) == len(codes)
-        if certificate.holds or exhausted or len(finer_codes) > 2 * MOST_STRETCHES:
+        closer = codes if len(finer) > len(samples) else finer_codes(codes, failed)
+        exhausted = len(finer) == len(samples) and len(closer) == len(codes)
+        if certificate.holds or exhausted or len(closer) > 2 * MOST_STRETCHES:
             break
         builder.tighten(failed[0])
-        samples, codes = finer, finer_codes
+        samples, codes = finer, closer
     assert best is not None  # there is a first round
     table, certificate = best
-    at_limits = _loss_at_limits(model, choice, table)
+    at_limits = loss_at_limits(model, choice, table)
     return replace(table, certified_loss=certificate.loss), replace(certificate, at_limits=at_limits)
-
-
-def table_loss(
-    model: ColumnMtf, choice: TdiChoice, table: TdiTable, signals: Array, *, own_limits: bool = False
-) -> Array:
-    """Relative loss of merit (C, S) of a table against the best setting; NaN where none keeps all limits.
-
-    Parameters
-    ----------
-    model : ColumnMtf
-    choice : TdiChoice
-    table : TdiTable
-    signals : (S,)
-        Electrons of one line, rising.
-    own_limits : bool
-        Against the best that keeps limits for the signal itself, not for all that the table cannot tell from
-        it.
-    """
-    grid, rules = choice.grid, choice.rules
-    if own_limits:
-        by_signal = signal_factors(signals, grid, choice.detector, rules).allowed
-    else:
-        by_signal = np.concatenate(
-            [
-                whole_electrons(signals[k : k + AT_ONCE], choice).allowed
-                for k in range(0, len(signals), AT_ONCE)
-            ]
-        )
-    setting, group = _settings_at(table, choice, signals)
-    loss = np.empty((len(group), len(signals)))
-    blocks = _signal_blocks(by_signal)
-    for begin in range(0, len(choice.columns), CHUNK):
-        part = slice(begin, min(begin + CHUNK, len(choice.columns)))
-        a = column_factors(model, part, grid, rules).allowed
-        for block, best in zip((b for b, *_ in blocks), _best_of_blocks(a, by_signal, blocks), strict=True):
-            chosen = setting[group[part], block]
-            merit = np.take_along_axis(a, chosen, axis=1)
-            merit *= np.take_along_axis(by_signal[block], chosen.T, axis=1).T
-            with np.errstate(invalid="ignore", divide="ignore"):
-                loss[part, block] = np.where(best > 0.0, np.maximum(1.0 - merit / best, 0.0), np.nan)
-    return loss
-
-
-def _signal_blocks(by_signal: Array) -> list[tuple[slice, Array, Array]]:
-    """Signals (S, P) in blocks, and what each gives to every setting at least and at most."""
-    blocks = [slice(k, k + SIGNAL_BLOCK) for k in range(0, len(by_signal), SIGNAL_BLOCK)]
-    return [(block, by_signal[block].min(axis=0), by_signal[block].max(axis=0)) for block in blocks]
-
-
-def _best_of_blocks(a: Array, by_signal: Array, blocks: list[tuple[slice, Array, Array]]) -> Iterator[Array]:
-    """Best merit (c, s) of columns (c, P) at each block of signals."""
-    most, least = a.max(axis=0), a.min(axis=0)
-    for block, low, high in blocks:
-        # a setting whose merit is nowhere above what another has everywhere is nowhere the best
-        could = most * high
-        rivals = np.flatnonzero((could >= (least * low).max()) & (could > 0.0))
-        best = np.empty((len(a), len(by_signal[block])))
-        largest_products(
-            np.ascontiguousarray(a[:, rivals]), np.ascontiguousarray(by_signal[block][:, rivals]), best
-        )
-        yield best
-
-
-def certify(
-    model: ColumnMtf, choice: TdiChoice, table: TdiTable, max_loss: float
-) -> tuple[Certificate, tuple[Index, Array]]:
-    """Judge a table at all columns and dense signals.
-
-    Returns
-    -------
-    certificate, (columns, signals)
-        Places (numbers of columns from 0; electrons) where the bound is broken.
-    """
-    signals = dense_signals(choice.signals, table)
-    loss = table_loss(model, choice, table, signals)
-    judged = np.isfinite(loss)
-    # no copies: there may be tens of millions of points
-    c = int(np.argmax(np.fmax.reduce(loss, axis=1, where=judged, initial=-1.0)))
-    s = int(np.argmax(np.where(judged[c], loss[c], -1.0)))
-    points = int(np.count_nonzero(judged))
-    column, signal = np.nonzero(loss > max_loss)
-    certificate = Certificate(
-        max_loss,
-        float(loss[c, s]) if points else 0.0,
-        float(choice.columns.column[c]),
-        float(np.floor(signals[s] * 1e4) / 1e4),
-        float(loss.sum(where=judged)) / max(points, 1),
-        (loss.shape[0], loss.shape[1]),
-        1.0 - points / loss.size,
-        len(table.to_bytes()),
-    )
-    return certificate, (column, signals[signal])
-
-
-def _loss_at_limits(model: ColumnMtf, choice: TdiChoice, table: TdiTable) -> float:
-    """Worst loss at those signals whose own limits allow more than whole electrons do, unflagged ones."""
-    signals = dense_signals(choice.signals, table)
-    near = np.zeros(len(signals), dtype=bool)
-    for k in range(0, len(signals), AT_ONCE):
-        part = signals[k : k + AT_ONCE]
-        own = signal_factors(part, choice.grid, choice.detector, choice.rules).allowed
-        near[k : k + AT_ONCE] = (own != whole_electrons(part, choice).allowed).any(axis=1)
-    if not near.any():
-        return 0.0
-    loss = table_loss(model, choice, table, signals[near], own_limits=True)
-    # where no setting keeps the limits of whole electrons the word is flagged, and nothing is promised
-    promised = np.isfinite(table_loss(model, choice, table, signals[near]))
-    return float(np.max(loss, where=promised & np.isfinite(loss), initial=0.0))
-
-
-def dense_signals(nominal: Array, table: TdiTable) -> Array:
-    """Signals that a table is judged at, both sides of every border of its cells among them.
-
-    Parameters
-    ----------
-    nominal : (S,)
-        Those of the choice.
-    table : TdiTable
-    """
-    nominal = np.sort(nominal)
-    low, high = nominal[0], nominal[-1]
-    between = [np.linspace(a, b, DENSER, endpoint=False) for a, b in pairwise(nominal)]
-    ends = np.unique(table.thresholds).astype(np.float64) * 2.0**table.shift
-    lowest = np.arange(np.ceil(low), np.ceil(low) + LOWEST)
-    every = np.concatenate([nominal, *between, ends, ends * BELOW, lowest, lowest * BELOW])
-    return np.unique(np.append(every[(every >= low) & (every <= high)], low))
-
-
-def _settings_at(table: TdiTable, choice: TdiChoice, signals: Array) -> tuple[Index, Index]:
-    """(G, S) setting that the table has for each group and signal, (C,) group of each column."""
-    column = choice.columns.column.astype(np.intp)
-    group = np.searchsorted(table.edges, column, side="right") - 1
-    firsts = np.asarray(table.edges[:-1])
-    per_group = np.empty((len(firsts), len(signals)), dtype=np.intp)
-    one_each = replace(table, edges=np.arange(len(firsts) + 1))
-    for s, signal in enumerate(signals):
-        stages, ratio = table.unpack(one_each.lookup(np.full(len(firsts), signal)))
-        number = np.searchsorted(choice.grid.stages, stages) * len(choice.grid.ratios)
-        per_group[:, s] = number + np.searchsorted(choice.grid.ratios, ratio)
-    return per_group, group
 
 
 def _check_axes(choice: TdiChoice) -> None:
@@ -349,88 +150,6 @@ def _cut(samples: Index, blocks: Index, count: int) -> Index:
     ends = np.append(samples, count)
     more = [np.linspace(ends[k], ends[k + 1], FINER + 1)[:-1].astype(np.intp) for k in blocks]
     return np.unique(np.concatenate([samples, *more]))
-
-
-def shift_of(signals: Array) -> int:
-    """Bits that quantisation drops so that all signals, and one step more, fit 16 bits."""
-    return max(int(signals.max() + 1.0).bit_length() - 16, 0)
-
-
-def first_codes(choice: TdiChoice, max_loss: float) -> Index:
-    """Quantised signals between which stretches lie: closer where a limit of the signal is near.
-
-    Parameters
-    ----------
-    choice : TdiChoice
-    max_loss : float
-    """
-    order = np.argsort(choice.signals)
-    signals, limit = choice.signals[order], choice.limit[:, order]
-    unit = 2.0 ** shift_of(signals)
-    near = _between(limit, (SNR, SNR + INFEASIBLE))
-    near |= (limit[:, :-1] > INFEASIBLE).any(axis=0) != (limit[:, 1:] > INFEASIBLE).any(axis=0)
-    wells = _between(limit, (SATURATION, SATURATION + INFEASIBLE))
-    low = np.maximum(signals, unit)
-    spans = np.log(low[1:] / low[:-1])
-    # where wells cut settings off `well_codes` tells; between these the merit is smooth
-    step = np.select([near, wells], [NEAR_STEP * max_loss, SMOOTH_STEP * max_loss], np.log(SIGNAL_STEP))
-    fine = max(1e-9, spans[near | wells].sum() / MOST_STRETCHES)
-    codes = [np.floor(signals / unit)]
-    for a, span, most in zip(low[:-1], spans, step, strict=True):
-        parts = int(np.ceil(span / max(most, fine))) + 1
-        codes.append(np.floor(a * np.exp(np.linspace(0.0, span, parts)) / unit))
-    return np.unique(np.concatenate(codes)).astype(np.intp)
-
-
-def well_codes(model: ColumnMtf, choice: TdiChoice, max_loss: float) -> Index:
-    """Quantised signals from which on a well forbids a setting that some column misses.
-
-    There the best merit falls at once: no cell can reach across but with a setting that does not fill the
-    well, which may lose too much below.
-
-    Parameters
-    ----------
-    model : ColumnMtf
-    choice : TdiChoice
-    max_loss : float
-    """
-    unit, low, high = 2.0 ** shift_of(choice.signals), choice.signals.min(), choice.signals.max()
-    full = fullest_signals(choice.grid, choice.detector, choice.rules)
-    full = full[(full >= low) & (full < high)] / unit
-    # where one is a whole number but for rounding, both sides
-    codes = np.unique(np.floor(np.concatenate([full * BELOW, full / BELOW])))
-    codes = codes[(codes * unit > low) & (codes * unit < high)]
-    a = np.concatenate(
-        [
-            column_factors(model, np.array([k]), choice.grid, choice.rules).allowed
-            for k in np.unique(np.linspace(0, len(choice.columns) - 1, WELL_COLUMNS).astype(np.intp))
-        ]
-    )
-    missed = np.zeros(len(codes), dtype=bool)
-    for begin in range(0, len(codes), AT_ONCE // 2):
-        at = codes[begin : begin + AT_ONCE // 2] * unit
-        by_signal = whole_electrons(np.stack([at * BELOW, at], axis=1).ravel(), choice).allowed
-        best = np.concatenate(list(_best_of_blocks(a, by_signal, _signal_blocks(by_signal))), axis=1)
-        falls = best[:, 1::2] < (1.0 - WELL_STEP * max_loss) * best[:, ::2]
-        missed[begin : begin + AT_ONCE // 2] = falls.any(axis=0)
-    return codes[missed].astype(np.intp)
-
-
-def _between(limit: NDArray[np.uint8], which: tuple[int, ...]) -> NDArray[np.bool_]:
-    """(S - 1,) whether at one of two neighbouring signals such a limit decides, in any column."""
-    some = np.asarray(np.isin(limit, which).any(axis=0))
-    return np.asarray(some[:-1] | some[1:])
-
-
-def _finer_codes(codes: Index, failed: tuple[Index, Array]) -> Index:
-    """Codes with those stretches cut in which the bound is broken."""
-    # both neighbours too: a cell that ends there may be at fault
-    place = np.searchsorted(codes, np.unique(failed[1]), side="right") - 1
-    place = np.unique(np.clip(np.concatenate([place - 1, place, place + 1]), 0, max(len(codes) - 2, 0)))
-    more = [
-        np.linspace(codes[k], codes[k + 1], 5).round().astype(np.intp) for k in place if k + 1 < len(codes)
-    ]
-    return np.unique(np.concatenate([codes, *more]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -599,20 +318,6 @@ def _slices(columns: Index) -> list[tuple[int, slice]]:
         found.append((k, slice(int(columns[k]), int(columns[end - 1]) + 1, step)))
         k = end
     return found
-
-
-def whole_electrons(signals: Array, choice: TdiChoice) -> SignalFactors:
-    """What signals give to the merit; limits are kept by all that the table cannot tell from them."""
-    grid, detector, rules = choice.grid, choice.detector, choice.rules
-    unit = 2.0 ** shift_of(choice.signals)
-    whole = np.floor(signals / unit) * unit
-    most = unsaturated(np.minimum(whole + unit, choice.signals.max()), grid, detector, rules)
-    factors = signal_factors(signals, grid, detector, rules)
-    clear = factors.clear
-    if rules.snr_min > 0.0:
-        least = signal_factors(np.maximum(whole, choice.signals.min()), grid, detector, rules)
-        clear = clear & least.clear
-    return replace(factors, unsaturated=factors.unsaturated & most, clear=clear)
 
 
 def _signal_axis(codes: Index, choice: TdiChoice) -> _SignalAxis:
