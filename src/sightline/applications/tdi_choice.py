@@ -230,7 +230,11 @@ def choose_tdi(problem: TdiProblem) -> TdiResult:
     table, certificate = build_table(problem.model, choice, problem.max_loss)
     used = choice if steady is None else steady.choice
     loss = predict_loss(used, problem.model)
-    warnings = problem.notes + _warnings(problem, choice, ways[-1], certificate) + _jumps(used)
+    warnings = (
+        problem.notes
+        + _warnings(problem, choice, ways[-1], certificate)
+        + _jumps(used, moved=problem.motion is not None)
+    )
     comparison = _comparison(problem, ways[-1])
     return TdiResult(
         problem,
@@ -381,7 +385,7 @@ def _comparison(problem: TdiProblem, patent: OtherWay) -> str | None:
     )
 
 
-def _jumps(choice: TdiChoice) -> tuple[str, ...]:
+def _jumps(choice: TdiChoice, *, moved: bool) -> tuple[str, ...]:
     """That neighbouring columns differ much in stages, and what keeps them alike."""
     stages, place = choice.stages, np.searchsorted(choice.grid.stages, choice.stages)
     few, many = np.minimum(stages[1:], stages[:-1]), np.maximum(stages[1:], stages[:-1])
@@ -392,11 +396,14 @@ def _jumps(choice: TdiChoice) -> tuple[str, ...]:
     if not far.any():
         return ()
     c, s = np.unravel_index(int(np.argmax(np.where(far, many / few, 0.0))), far.shape)
+    why = "as where the merit has two summits" if moved else "as steeply as their drift does"
+    cure = (
+        ", and none if it is as large as the valley between the summits; a narrower [grid] leaves one of them"
+    )
     return (
         f"stages jump by more than a factor of {LARGE_JUMP} between neighbouring columns in {far.sum():,} "
         f"cells (columns {choice.columns.column[c]:g} and {choice.columns.column[c + 1]:g} at "
-        f"{choice.signals[s]:.4g} electrons: {stages[c, s]} and {stages[c + 1, s]}), as where the merit has "
-        "two summits: MTF and SNR jump with them; hysteresis in [choice] lets fewer columns jump in "
-        "choice.csv, and none if it is as large as the valley between the summits and max_step is "
-        "given; a narrower [grid] stages leaves one summit",
+        f"{choice.signals[s]:.4g} electrons: {stages[c, s]} and {stages[c + 1, s]}), {why}: MTF and "
+        "SNR jump with them; hysteresis and max_step in [choice] let fewer columns jump in choice.csv"
+        f"{cure if moved else ''}",
     )
