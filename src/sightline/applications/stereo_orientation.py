@@ -1,0 +1,69 @@
+"""S2: constant attitude errors of cameras that image one scene together, and what cannot be told of them.
+
+Not here: reading the problem (``io/stereo.py``), finding conjugate points in images
+(``stereo_matching.py``), what a plan would give (``stereo_prediction.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from scipy.spatial.transform import Rotation
+
+from sightline.geometry.checks import Array, ReadOnlyArrays
+from sightline.geometry.instrument import AreaDetector
+from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior
+from sightline.photogrammetry.pose_noise import PoseNoise
+from sightline.photogrammetry.sightings import Images, Tracks
+
+#: Names of the estimators, best first.
+METHODS = ("ml-track", "ml-pair", "epipolar", "plane")
+
+
+@dataclass(frozen=True, eq=False)
+class StereoProblem(ReadOnlyArrays):
+    """What a STEREO.toml says, as objects.
+
+    Attributes
+    ----------
+    cameras : tuple of str
+        Names of the cameras, in the order of all results.
+    images : Images
+        Planned poses; `shot` counts the shots in order of time.
+    shot_names : (K,)
+        Number of each shot as the user gave it.
+    detectors : tuple of AreaDetector
+        One per camera.
+    mounts : tuple of Rotation
+        body_from_camera, one per camera.
+    tracks : Tracks
+        Conjugate points.
+    point_names : (n,)
+        Number of each point as the user gave it.
+    noise : PoseNoise
+    radii : (float, float) or None
+        Of the ellipsoid whose normals are the verticals; None where the world is flat, z up.
+    heights : HeightPrior or None
+    control : ControlPoints or None
+    focal_sigma : tuple of float or None
+        Per camera, 1-sigma of the relative error of its focal length; inf to estimate it freely, 0 to keep it.
+    epoch : str or None
+        UTC, ISO 8601: the instant t = 0.
+    warnings : tuple of str
+        What was noticed while reading.
+    """
+
+    cameras: tuple[str, ...]
+    images: Images
+    shot_names: Array
+    detectors: tuple[AreaDetector, ...]
+    mounts: tuple[Rotation, ...]
+    tracks: Tracks
+    point_names: Array
+    noise: PoseNoise
+    radii: tuple[float, float] | None
+    heights: HeightPrior | None = None
+    control: ControlPoints | None = None
+    focal_sigma: tuple[float, ...] | None = None
+    epoch: str | None = None
+    warnings: tuple[str, ...] = field(default=())

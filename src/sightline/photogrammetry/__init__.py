@@ -1,0 +1,1 @@
+"""Points sighted in images to structure and orientation (S2, S4)."""
