@@ -46,7 +46,7 @@ class StereoProblem(ReadOnlyArrays):
     heights : HeightPrior or None
     control : ControlPoints or None
     focal_sigma : tuple of float or None
-        Per camera, 1-sigma of the relative error of its focal length; inf to estimate it freely, 0 to keep it.
+        Per camera, 1-sigma of the relative error of its focal length; inf: estimate it freely, 0: keep it.
     epoch : str or None
         UTC, ISO 8601: the instant t = 0.
     warnings : tuple of str
