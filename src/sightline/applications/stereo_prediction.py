@@ -39,6 +39,8 @@ BOUNDED = ("ml-track", "ml-pair")
 FACTORS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
 #: Most shots and points that a table goes up to.
 MOST_SHOTS, MOST_POINTS = 256, 1200
+#: In a radian.
+ARCSECS = 648000.0 / np.pi
 #: What is offered to better a plan.
 DEM_SIGMA, CONTROL_POINTS, CONTROL_SIGMA = 10.0, 5, 1.0
 
@@ -426,7 +428,8 @@ def _other_changes(setting: Setting) -> Iterator[tuple[str, Callable[[], Setting
             lambda: with_noise(setting, position=0.5),
         )
     if setting.noise.attitude > 0.0:
+        half = 0.5 * setting.noise.attitude * ARCSECS
         yield (
-            f"half the attitude noise from shot to shot ({setting.noise.attitude / 2.0:.2e} rad)",
+            f"half the attitude noise from shot to shot ({half:.3g} arcsec)",
             lambda: with_noise(setting, attitude=0.5),
         )
