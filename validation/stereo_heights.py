@@ -157,14 +157,14 @@ def draw(path: str) -> None:
         true = heights_of(scenario.points[problem.point_names.astype(int)], problem.radii)
         found = orient(problem)
         heights = stereo_heights(problem, found, true)
-        other = stereo_heights(problem, orient(problem, "epipolar"), true)
+        other = stereo_heights(problem, orient(problem, "epipolar", raw=True), true)
         shot = heights.shot + 1
         _band(figure, shot, heights.shot_before, heights.shot_sigma, BEFORE, faint(BEFORE, 0.3), 1, col)
         _band(figure, shot, heights.shot_after, heights.shot_sigma, AFTER, faint(AFTER, 0.2), 2, col)
         for row, values, colour, name in (
             (1, heights.shot_before, BEFORE, "as planned"),
             (2, heights.shot_after, AFTER, "ml-track"),
-            (2, other.shot_after, AXIS_COLOURS[1], "epipolar"),
+            (2, other.shot_after, AXIS_COLOURS[1], "epipolar, as S2 has it"),
         ):
             figure.add_trace(
                 go.Scatter(
@@ -178,7 +178,7 @@ def draw(path: str) -> None:
     figure.update_layout(template=TEMPLATE, width=900, height=560, margin={"t": 70, "l": 70, "r": 20})
     figure.update_layout(legend_y=1.07)
     figure.update_annotations(font_size=12)
-    figure.write_html(path)
+    figure.write_html(path, config={"displayModeBar": False})
 
 
 def _band(figure, shot, mean, sigma, colour, fill, row, col) -> None:  # type: ignore[no-untyped-def]
