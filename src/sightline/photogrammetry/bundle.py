@@ -252,7 +252,7 @@ def adjust(
         sightings, point_of = split_by_shot(sightings)
         if priors is not None:
             priors = priors.for_copies(point_of)
-    unknowns = pose_unknowns(sightings, noise, drift=drift, focal_sigma=focal_sigma)
+    unknowns = pose_unknowns(sightings, noise)
     block = _Block(sightings, unknowns, priors)
     state, usable = _first_state(block, seen_twice(sightings, priors), start)
     if int(usable.sum()) < _LEAST:
@@ -262,6 +262,14 @@ def adjust(
         )
     weight = usable.astype(np.float64)
     state, reduced, steps, scale, statistic, checked = _descend(block, state, weight, robust=robust)
+    if drift or focal_sigma is not None:
+        # weakly seen, these would run away from a start as far off as the planned attitudes are
+        unknowns = pose_unknowns(sightings, noise, drift=drift, focal_sigma=focal_sigma)
+        block = _Block(sightings, unknowns, priors)
+        more = np.zeros(unknowns.globals - len(state.common))
+        state = replace(state, common=np.concatenate([state.common, more]))
+        weight = usable.astype(np.float64)
+        state, reduced, steps, scale, statistic, checked = _descend(block, state, weight, robust=robust)
     used = seen_twice(sightings, priors, weight > 0.0)
     weight = used.astype(np.float64)
     _, _, _, r, cost = block.gradient(state, weight)
