@@ -1,4 +1,4 @@
-"""The adjustment on S2's imaging in closed form: exact, honest, its gauge, gross errors, priors, drift, focal."""
+"""The adjustment on S2's imaging in closed form: exact, honest; gauge, gross errors, priors, drift, focal."""
 
 from __future__ import annotations
 
