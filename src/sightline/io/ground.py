@@ -51,6 +51,7 @@ def build_surface(config: AcquisitionFile, files: InputFolder, cameras: Sequence
     -------
     Surface
     """
+
     def ground(surface: Surface) -> Array:
         return np.concatenate([camera.locate(image_grid(camera), surface) for camera in cameras])
 
@@ -119,9 +120,7 @@ def image_grid(camera: MovingCamera) -> Array:
     return np.stack(grid, axis=-1).reshape(-1, 2)
 
 
-def _bounds(
-    ground: Callable[[Surface], Array], local: bool, radii: tuple[float, float]
-) -> Bounds | None:
+def _bounds(ground: Callable[[Surface], Array], local: bool, radii: tuple[float, float]) -> Bounds | None:
     """Box around everything the cameras can see between the heights that exist."""
     boxes = []
     for height in SEARCH_HEIGHTS:

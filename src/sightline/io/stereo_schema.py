@@ -126,13 +126,15 @@ class StereoNoise(Section):
     )
     aim_point: Vector | None = Field(
         default=None,
-        description="With from-position: x, y, z, axes of [world]; default the point nearest to all boresights",
+        description="With from-position: x, y, z, axes of [world]; default: nearest to all boresights",
     )
 
     @model_validator(mode="after")
     def _aim_needs_its_model(self) -> StereoNoise:
         if self.aim_point is not None and self.attitude_knowledge != "from-position":
-            raise ValueError('aim_point belongs to attitude_knowledge = "from-position"; remove one of the two')
+            raise ValueError(
+                'aim_point belongs to attitude_knowledge = "from-position"; remove one of the two'
+            )
         return self
 
 
@@ -178,7 +180,7 @@ class StereoFile(Section):
     noise: StereoNoise
     surface: SurfaceSection = SurfaceSection()
     world: WorldSection = WorldSection()
-    strip: list[StereoStrip] = []
+    strip: list[StereoStrip] = Field(default=[], description="Push-broom images in place of frames")
 
     @property
     def sources(self) -> list[str]:
@@ -191,7 +193,9 @@ class StereoFile(Section):
         """Said before missing keys are: it is the commonest mistake."""
         given = [key for key in ("matches", "observations", "images") if key in data]
         if len(given) > 1:
-            raise ValueError(f"{' and '.join(given)} are given; keep one of them: the points come from one table")
+            raise ValueError(
+                f"{' and '.join(given)} are given; keep one of them: the points come from one table"
+            )
         return data
 
     @model_validator(mode="after")
@@ -211,7 +215,9 @@ class StereoFile(Section):
         if isinstance(self.camera, list):
             self._cameras_have_names(self.camera)
         elif self.camera is not None and self.camera.name is not None:
-            raise ValueError("camera.name belongs to [[camera]]; one [camera] is for all cameras: remove name")
+            raise ValueError(
+                "camera.name belongs to [[camera]]; one [camera] is for all cameras: remove name"
+            )
         self._heights_are_said_once()
         return self
 
@@ -225,13 +231,17 @@ class StereoFile(Section):
         if len(names) < 2 or len(set(names)) < len(names):
             raise ValueError(f"[[strip]] needs two or more, each with a name of its own; given: {names}")
         if self.noise.attitude_knowledge != "independent":
-            raise ValueError('attitude_knowledge = "from-position" is for frames; [[strip]] takes "independent"')
+            raise ValueError(
+                'attitude_knowledge = "from-position" is for frames; [[strip]] takes "independent"'
+            )
 
     @staticmethod
     def _cameras_have_names(cameras: list[StereoCamera]) -> None:
         names = [camera.name for camera in cameras]
         if None in names:
-            raise ValueError(f"[[camera]] number {names.index(None) + 1} has no name; add name = as in cameras.csv")
+            raise ValueError(
+                f"[[camera]] number {names.index(None) + 1} has no name; add name = as in cameras.csv"
+            )
         repeated = sorted({str(name) for name in names if names.count(name) > 1})
         if repeated:
             raise ValueError(f"two [[camera]] are called {repeated[0]!r}; each needs a name of its own")
@@ -242,7 +252,9 @@ class StereoFile(Section):
             raise ValueError("surface.kind is for stars; points to be oriented by lie near: remove it")
         if self.dem is None:
             if self.dem_sigma is not None:
-                raise ValueError("dem_sigma is given without dem; add dem = FILE, or use [surface] height_sigma")
+                raise ValueError(
+                    "dem_sigma is given without dem; add dem = FILE, or use [surface] height_sigma"
+                )
         else:
             twice = sorted(given & {"dem", "height", "height_sigma"})
             if twice:
@@ -251,8 +263,11 @@ class StereoFile(Section):
                 raise ValueError("dem is given without dem_sigma (m): say how well its heights are known")
         if "height_sigma" in given and self.surface.height_sigma == 0.0:
             raise ValueError(
-                "surface.height_sigma = 0 is not allowed: no ground is known exactly; give metres, or leave it "
+                "surface.height_sigma = 0 is not allowed: no ground is known exactly; give metres, or "
+                "leave it "
                 "out to use heights as a start only"
             )
         if self.surface.dem is not None and "height_sigma" not in given:
-            raise ValueError("surface.dem is given without height_sigma (m): say how well its heights are known")
+            raise ValueError(
+                "surface.dem is given without height_sigma (m): say how well its heights are known"
+            )
