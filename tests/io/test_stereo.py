@@ -483,7 +483,7 @@ def test_bad_input_is_told(tmp_path, case):
 def test_dem_and_surface_together_are_refused(tmp_path):
     made = scene(shots=3, points=10)
     made.toml = 'dem = "d.tif"\ndem_sigma = 3.0\n' + made.toml + "height = 3.0\n"
-    with pytest.raises(FormatError, match="dem and .surface. height are both given"):
+    with pytest.raises(FormatError, match=r"dem and .surface. height are both given"):
         load_stereo(made.write(tmp_path))
 
 

@@ -59,6 +59,8 @@ Index = NDArray[np.intp]
 
 #: Share of the points that may lie beside the DEM before the whole is refused.
 UNCOVERED_SHARE = 0.02
+#: Relative difference of the radius of a sphere that stands for the Earth.
+SPHERE = 5e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,9 @@ class Stereo:
     world : str
         ``"local"`` (z up) or ``"earth-fixed"``.
     another_body : bool
-        Whether ``[surface] radii`` are given.
+        Whether ``[surface] radii`` are not those of the Earth, nor of a sphere like it.
+    poses : PoseTable
+        Planned poses as they stand in the file, axes of ``[world]``.
     pairs : int or None
         Of ``matches``: how many; sighting n and sighting n + pairs are one match.
     pictures : StereoImages or None
@@ -106,6 +110,7 @@ class Stereo:
     surface: Surface
     world: str
     another_body: bool
+    poses: PoseTable
     pairs: int | None
     pictures: StereoImages | None
     inputs: tuple[Path, ...] = field(repr=False)
@@ -198,8 +203,9 @@ def read_stereo(path: Path) -> Stereo:
         problem,
         surface,
         "local" if _is_local(file) else "earth-fixed",
-        file.surface.radii is not None,
-        None if table is None or len(tracks) != len(table.image) else table.pairs,
+        _on_another_body(file),
+        poses,
+        None if table is None else table.pairs,
         pictures,
         tuple(files.used),
     )
@@ -207,6 +213,11 @@ def read_stereo(path: Path) -> Stereo:
 
 def _is_local(file: StereoFile) -> bool:
     return file.world.frame == "local" and file.world.origin is None
+
+
+def _on_another_body(file: StereoFile) -> bool:
+    radii = file.surface.radii
+    return radii is not None and abs(radii[0] / WGS84[0] - 1.0) > SPHERE
 
 
 def camera_sections(
