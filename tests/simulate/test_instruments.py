@@ -11,11 +11,11 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sightline.errors import InputError
+from sightline.geometry.circular_orbit import CircularOrbit
 from sightline.geometry.earth import to_geodetic
 from sightline.simulate.earth_view import meet_ellipsoid
 from sightline.simulate.instrument_files import instrument_toml, write_instrument
 from sightline.simulate.instruments import INSTRUMENT_CASES, INSTRUMENT_OPTIONS, instrument_case
-from sightline.simulate.orbit import CircularOrbit
 
 GM, EARTH, A, B = 3.986004418e14, 7.292115e-5, 6378137.0, 6356752.314245179
 SMALL = {"lines": 96, "columns": 64, "motion": "none"}

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.errors import InputError
+from sightline.geometry.aim import aimed_axes
 from sightline.geometry.checks import Array, ReadOnlyArrays, as_vector, frozen
 from sightline.photogrammetry.sightings import Images, Index
 
@@ -45,35 +46,6 @@ class PoseNoise(ReadOnlyArrays):
                 raise InputError(f"`{name}` noise must be 0 or more, got {value} {unit}")
         if self.aim_point is not None:
             object.__setattr__(self, "aim_point", frozen(as_vector(self.aim_point, "aim_point")))
-
-
-def aimed_axes(first: Array, second: Array, aim_point: Array) -> tuple[Array, Array]:
-    """S2's axes of two cameras that look at one point.
-
-    Parameters
-    ----------
-    first, second : (K, 3)
-        m, world axes; where the cameras of each shot are.
-    aim_point : (3,)
-        m, world axes.
-
-    Returns
-    -------
-    first, second : (K, 3, 3)
-        world_from_axes: z towards the aim point, y = n1 x n2 square to the plane of both cameras and the
-        point (n from the point to a camera), x = y x z. Where the first camera leads, these are body axes.
-
-    Notes
-    -----
-    S2, section "Model of synchronous imaging"; its printed e_z and second index are corrected, see
-    docs/theory/s2.md.
-    """
-    n = [place - aim_point for place in (first, second)]
-    n = [v / np.linalg.norm(v, axis=1, keepdims=True) for v in n]
-    normal = np.cross(n[0], n[1])
-    y = normal / np.linalg.norm(normal, axis=1, keepdims=True)
-    axes = [np.stack([np.cross(y, -v), y, -v], axis=-1) for v in n]
-    return axes[0], axes[1]
 
 
 def aim_sensitivity(images: Images, aim_point: Array) -> tuple[Index, Array]:

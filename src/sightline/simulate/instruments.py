@@ -22,6 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
 from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.circular_orbit import CircularOrbit
 from sightline.geometry.earth import EARTH_RATE
 from sightline.geometry.instrument import LineDetector
 from sightline.geometry.pointing import FixedMount, Pointing, ScanMirror
@@ -30,7 +31,6 @@ from sightline.geometry.spin import Spin
 from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.simulate.earth_view import ViewPlane, earth_chunks
 from sightline.simulate.jitter import nominal_profile
-from sightline.simulate.orbit import CircularOrbit
 from sightline.simulate.rendered import RenderedStrip
 from sightline.simulate.scenarios import GROUND_MARGIN_PX, MOTION_MARGIN_LINES, motion_profile
 from sightline.simulate.scene import Scene, TextureLaw, scene_layers

@@ -1,7 +1,9 @@
 """Circular orbits about the Earth, in the Earth-fixed axes that turn with it.
 
 Two bodies only: over the seconds of a strip the rest of gravity moves a satellite by centimetres, alike in
-all bands. Not here: attitudes and instruments (``instruments.py``).
+all bands.
+
+Not here: attitudes (``aim.py``), orbits of measured positions (``trajectory.py``).
 """
 
 from __future__ import annotations
@@ -11,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from sightline.errors import InputError
+from sightline.geometry.checks import Array
 from sightline.geometry.earth import WGS84, fixed_from_inertial
-from sightline.simulate.texture import Array
 
 EARTH_GM = 3.986004418e14
 """m^3/s^2, gravitational constant times mass of the Earth (WGS 84)."""
@@ -32,12 +34,15 @@ class CircularOrbit:
         rad, longitude at which the orbit crosses the equator northwards, if it did so at t = 0.
     phase : float
         rad along the orbit from there at t = 0.
+    body_radius : float
+        m, equatorial radius of the body that `altitude` counts from.
     """
 
     altitude: float
     inclination: float
     node: float = 0.0
     phase: float = 0.0
+    body_radius: float = WGS84[0]
 
     def __post_init__(self) -> None:
         """Refuse an orbit inside the Earth."""
@@ -47,7 +52,7 @@ class CircularOrbit:
     @property
     def radius(self) -> float:
         """m from the Earth's centre."""
-        return WGS84[0] + self.altitude
+        return self.body_radius + self.altitude
 
     @property
     def rate(self) -> float:

@@ -1,0 +1,183 @@
+"""Two or more sightings of a point to its position, with covariance.
+
+Each point by itself: weighted least squares of its residuals (px) under given poses. What is not known of the
+poses enters the covariance, not the weights.
+
+Not here: poses estimated with the points (``bundle.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sightline.errors import InputError
+from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
+from sightline.photogrammetry.pose_noise import PoseNoise, aim_sensitivity
+from sightline.photogrammetry.sightings import Images, Index, Sightings, as_index
+from sightline.photogrammetry.triangulate_kernels import meet, spread
+
+
+@dataclass(frozen=True, eq=False)
+class Triangulation(ReadOnlyArrays):
+    """Points found from where they were sighted.
+
+    Attributes
+    ----------
+    point : (n,) int
+        Which point each row is.
+    shot : (n,) int or None
+        Of which shot, where points were found shot by shot.
+    row : (N,) int
+        Row, of these n, that each sighting belongs to, whether it was used or not.
+    count : (n,) int
+        Sightings used.
+    position : (n, 3)
+        m, world axes; NaN where a point cannot be had: fewer than two sightings, rays that do not tell
+        how far it is, or a point behind a camera.
+    covariance : (n, 3, 3)
+        m^2; NaN likewise.
+    """
+
+    point: Index
+    shot: Index | None
+    row: Index
+    count: Index
+    position: Array
+    covariance: Array
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.point)
+
+
+def triangulate(
+    sightings: Sightings,
+    angles: Array | None = None,
+    *,
+    attitude: Array | None = None,
+    position: Array | None = None,
+    by_shot: bool = False,
+    used: NDArray[np.bool_] | None = None,
+    noise: PoseNoise | None = None,
+    angle_covariance: Array | None = None,
+) -> Triangulation:
+    """Points where the rays of their sightings meet best.
+
+    Parameters
+    ----------
+    sightings : Sightings
+        N sightings of M images by C cameras.
+    angles : (C, 3), optional
+        rad, constant errors of the cameras (roll, pitch, yaw) about body axes; none unless given.
+    attitude : (M, 3), optional
+        rad, error of each image beyond its camera's.
+    position : (M, 3), optional
+        m, world axes; error of each image's position.
+    by_shot : bool
+        A point of its own for each shot that sighted it, in place of one point seen in all shots.
+    used : (N,) bool, optional
+        False leaves a sighting out.
+    noise : PoseNoise, optional
+        What is not known of each image's pose; then it is in the covariance.
+    angle_covariance : (3C, 3C), optional
+        rad^2, of `angles`; then it is in the covariance.
+
+    Returns
+    -------
+    Triangulation
+        One row per point, from 0 to the largest; with `by_shot` one per point and shot that occur, in order
+        of shots, then of points.
+
+    Notes
+    -----
+    With weights W of the pixels and rows A of a point, errors B p of poses move it by (A' W A)^-1 A' W B p:
+    the covariance is (A' W A)^-1 and what p adds. A point is given up where its least known direction has a
+    sigma, from the noise of images alone, of more than a third of its distance.
+    """
+    row, point, shot = _rows(sightings, by_shot)
+    order, begin = _runs(row, len(point), used)
+    turned, place = _poses(sightings, angles, attitude, position)
+    weighed = sightings.px_per_tangent / sightings.sigma_px[:, None, None]
+    positions, inverse = np.empty((len(point), 3)), np.empty((len(point), 3, 3))
+    meet(begin, order, sightings.pose, sightings.tangents, weighed, turned, place, positions, inverse)
+    covariance = inverse.copy()
+    if noise is not None or angle_covariance is not None:
+        spread(
+            begin, order, sightings.pose, sightings.image, sightings.camera, sightings.tangents, weighed,
+            turned, place, sightings.body_from_camera, positions, inverse, *_unknown(sightings, noise),
+            _angle_covariance(sightings, angle_covariance), covariance,
+        )  # fmt: skip
+    return Triangulation(
+        as_index(point, "point"), None if shot is None else as_index(shot, "shot"), as_index(row, "row"),
+        as_index(np.diff(begin), "count"), frozen(positions), frozen(covariance),
+    )  # fmt: skip
+
+
+def _rows(sightings: Sightings, by_shot: bool) -> tuple[Index, Index, Index | None]:
+    """Row of each sighting (N,), and point and shot of each row (n,)."""
+    if not by_shot:
+        return sightings.point, np.arange(sightings.points), None
+    key = sightings.shot[sightings.image] * max(sightings.points, 1) + sightings.point
+    found, row = np.unique(key, return_inverse=True)
+    return row, found % max(sightings.points, 1), found // max(sightings.points, 1)
+
+
+def _runs(row: Index, count: int, used: NDArray[np.bool_] | None) -> tuple[Index, Index]:
+    """Sightings in order of their rows, and where each row's begin (n + 1,)."""
+    kept = np.arange(len(row)) if used is None else np.flatnonzero(used)
+    order = kept[np.argsort(row[kept], kind="stable")]
+    begin = np.zeros(count + 1, dtype=np.intp)
+    np.cumsum(np.bincount(row[kept], minlength=count), out=begin[1:])
+    return order, begin
+
+
+def _poses(
+    sightings: Sightings, angles: Array | None, attitude: Array | None, position: Array | None
+) -> tuple[Array, Array]:
+    """camera_from_world (P, 3, 3) and position (P, 3) of each pose, its errors taken out."""
+    image = np.zeros(len(sightings.position), dtype=np.intp)
+    image[sightings.pose] = sightings.image
+    camera = sightings.camera[image]
+    small = np.zeros((len(image), 3))
+    if angles is not None:
+        small += np.asarray(angles, dtype=np.float64)[camera]
+    if attitude is not None:
+        small += np.asarray(attitude, dtype=np.float64)[image]
+    body = sightings.world_from_body @ Rotation.from_rotvec(small).as_matrix()
+    place = np.array(sightings.position)
+    if position is not None:
+        place += np.asarray(position, dtype=np.float64)[image]
+    world_from_camera = body @ sightings.body_from_camera[camera]
+    return np.ascontiguousarray(np.swapaxes(world_from_camera, 1, 2)), place
+
+
+def _unknown(sightings: Sightings, noise: PoseNoise | None) -> tuple[float, float, Index, Array]:
+    """Sigma of positions and attitudes, and the images and turns that the errors of positions go with."""
+    images = len(sightings.camera)
+    alone = np.full(images, -1, dtype=np.intp), np.zeros((images, 2, 3, 3))
+    if noise is None:
+        return 0.0, 0.0, *alone
+    if noise.aim_point is None:
+        return noise.position, noise.attitude, *alone
+    if len(sightings.position) != images:
+        raise InputError("attitudes rebuilt from positions are of frames, with one pose per image")
+    poses = Rotation.from_matrix(sightings.world_from_body)
+    planned = Images(sightings.camera, sightings.shot, sightings.t, sightings.position, poses)
+    return noise.position, noise.attitude, *aim_sensitivity(planned, noise.aim_point)
+
+
+def _angle_covariance(sightings: Sightings, covariance: Array | None) -> Array:
+    """(3C, 3C) rad^2; nought where none is given."""
+    size = 3 * sightings.cameras
+    if covariance is None:
+        return np.zeros((size, size))
+    given = np.ascontiguousarray(covariance, dtype=np.float64)
+    if given.shape != (size, size):
+        raise InputError(
+            f"`angle_covariance` must be ({size}, {size}) for {size // 3} cameras: {given.shape}"
+        )
+    return given
