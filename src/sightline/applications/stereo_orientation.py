@@ -8,13 +8,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.geometry.checks import Array, ReadOnlyArrays
 from sightline.geometry.instrument import AreaDetector
-from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior
+from sightline.photogrammetry.bundle import adjust
+from sightline.photogrammetry.observability import Observability
+from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.pose_noise import PoseNoise
-from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.photogrammetry.sightings import Images, Tracks, sight_frames
+from sightline.photogrammetry.triangulate import triangulate
 
 #: Names of the estimators, best first.
 METHODS = ("ml-track", "ml-pair", "epipolar", "plane")
@@ -67,3 +72,76 @@ class StereoProblem(ReadOnlyArrays):
     focal_sigma: tuple[float, ...] | None = None
     epoch: str | None = None
     warnings: tuple[str, ...] = field(default=())
+
+
+@dataclass(frozen=True, eq=False)
+class StereoOrientation(ReadOnlyArrays):
+    """Constant attitude errors of cameras.
+
+    Attributes
+    ----------
+    method : str
+    cameras : tuple of str
+    angles : (C, 3)
+        rad; NaN where not observable.
+    covariance : (3 C, 3 C)
+        rad^2; inf and NaN where not observable.
+    observability : Observability
+    residual_px : (N, 2)
+        px.
+    rejected : (N,) bool
+    points : (n, 3)
+        m.
+    point_covariance : (n, 3, 3) or None
+        m^2.
+    warnings : tuple of str
+    solve_seconds : float
+        s.
+    degrees_of_freedom : int
+    cost : float
+    rates : (C, 3) or None
+    focal : (C,) or None
+    """
+
+    method: str
+    cameras: tuple[str, ...]
+    angles: Array
+    covariance: Array
+    observability: Observability
+    residual_px: Array
+    rejected: NDArray[np.bool_]
+    points: Array
+    point_covariance: Array | None
+    warnings: tuple[str, ...]
+    solve_seconds: float
+    degrees_of_freedom: int
+    cost: float
+    rates: Array | None = None
+    focal: Array | None = None
+
+
+def orient(
+    problem: StereoProblem, method: str = "ml-track", *, raw: bool = False, drift: bool = False
+) -> StereoOrientation:
+    """Orientation of a problem."""
+    sightings = sight_frames(problem.images, problem.detectors, problem.mounts, problem.tracks)
+    priors = PointPriors(problem.heights, problem.control)
+    found = adjust(
+        sightings, problem.noise, priors=priors, new_points_per_shot=method != "ml-track", drift=drift
+    )
+    t = triangulate(sightings, np.nan_to_num(found.angles), used=~found.rejected)
+    return StereoOrientation(
+        method,
+        problem.cameras,
+        found.angles,
+        found.covariance,
+        found.observability,
+        found.residual_px,
+        found.rejected,
+        t.position,
+        t.covariance,
+        (),
+        found.seconds,
+        found.degrees_of_freedom,
+        found.cost,
+    )

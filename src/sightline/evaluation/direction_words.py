@@ -55,12 +55,12 @@ def _axis_words(axis: str, column: Array, cameras: Sequence[str], least: float) 
     """One axis of a direction: which cameras turn, and whether together."""
     turning = np.flatnonzero(np.abs(column) >= least)
     if len(turning) == 1:
-        return f"{axis} of camera {cameras[turning[0]]}"
+        return f"{axis} of camera {cameras[int(turning[0])]}"
     same = np.ptp(np.abs(column[turning])) <= ALIKE * np.abs(column[turning]).max()
     signs = np.sign(column[turning])
     if same and (signs == signs[0]).all() and len(turning) == len(cameras):
         return f"{axis} of {'both' if len(cameras) == 2 else 'all'} cameras together"
     if same and len(turning) == 2 and signs[0] != signs[1]:
-        return f"{axis} of camera {cameras[turning[0]]} against camera {cameras[turning[1]]}"
-    listed = [f"camera {cameras[k]} ({column[k]:+.2f})" for k in turning]
+        return f"{axis} of camera {cameras[int(turning[0])]} against camera {cameras[int(turning[1])]}"
+    listed = [f"camera {cameras[int(k)]} ({column[k]:+.2f})" for k in turning]
     return f"{axis} of {', '.join(listed[:-1])} and {listed[-1]}"

@@ -104,17 +104,22 @@ def write_colmap(folder: Path, stereo: Stereo, result: StereoOrientation) -> Non
     """
     folder.mkdir(exist_ok=True)
     problem = stereo.problem
-    known = np.isfinite(result.points).all(axis=1)
+    known: NDArray[np.bool_] = np.isfinite(result.points).all(axis=1)
     origin = np.round(result.points[known].mean(axis=0)) if known.any() else np.zeros(3)
-    write_columns(folder / "origin.csv", dict(zip("xyz", origin[:, None], strict=True)), dict.fromkeys("xyz", "%.0f"))
+    write_columns(
+        folder / "origin.csv", dict(zip("xyz", origin[:, None], strict=True)), dict.fromkeys("xyz", "%.0f")
+    )
     _write(folder / "cameras.txt", (_camera_line(k, d) for k, d in enumerate(problem.detectors, 1)))
-    good = ~np.asarray(result.rejected) & known[problem.tracks.point]
+    good = np.asarray(~np.asarray(result.rejected) & known[problem.tracks.point], dtype=np.bool_)
     order = np.argsort(problem.tracks.image, kind="stable")
     # place of each sighting among those of its image
     counts = np.bincount(problem.tracks.image, minlength=len(problem.images))
     place = np.empty(len(order), dtype=np.intp)
     place[order] = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
-    _write(folder / "images.txt", _image_lines(stereo, result, origin, good, np.split(order, np.cumsum(counts)[:-1])))
+    _write(
+        folder / "images.txt",
+        _image_lines(stereo, result, origin, good, np.split(order, np.cumsum(counts)[:-1])),
+    )
     _write(folder / "points3D.txt", _point_lines(problem, result, origin, good, place))
 
 
@@ -140,7 +145,11 @@ def _camera_line(number: int, detector: AreaDetector) -> str:
 
 
 def _image_lines(
-    stereo: Stereo, result: StereoOrientation, origin: Array, good: NDArray[np.bool_], rows: list[NDArray[np.intp]]
+    stereo: Stereo,
+    result: StereoOrientation,
+    origin: Array,
+    good: NDArray[np.bool_],
+    rows: list[NDArray[np.intp]],
 ) -> Iterable[str]:
     """Two lines an image: its pose (camera from world), and its sightings."""
     problem, images = stereo.problem, stereo.problem.images
@@ -173,7 +182,11 @@ def _picture_names(stereo: Stereo) -> list[str]:
 
 
 def _point_lines(
-    problem: StereoProblem, result: StereoOrientation, origin: Array, good: NDArray[np.bool_], place: NDArray[np.intp]
+    problem: StereoProblem,
+    result: StereoOrientation,
+    origin: Array,
+    good: NDArray[np.bool_],
+    place: NDArray[np.intp],
 ) -> Iterable[str]:
     """A line a point: place, grey, rms residual (px), and the images that see it."""
     rows = np.flatnonzero(good)

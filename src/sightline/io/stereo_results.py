@@ -18,15 +18,16 @@ from sightline.evaluation.direction_words import AXES, angle_names, direction_wo
 from sightline.geometry.earth import local_axes, to_geodetic
 from sightline.io.results import peak_memory, write_json
 from sightline.io.stereo import Stereo
-from sightline.io.stereo_checks import meet, rays_of
 from sightline.io.tables import write_columns
+from sightline.photogrammetry.sightings import sight_frames
+from sightline.photogrammetry.triangulate import triangulate
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 ORIENTATION = ("camera", *AXES, *(f"sigma_{axis}" for axis in AXES))
-#: Times its own 1-sigma by which chi-square per degree of freedom may differ from 1 before it is spoken of, and
-#: by how much it must.
+#: Times its own 1-sigma by which chi-square per degree of freedom may differ from 1 before it is spoken of,
+#: and by how much it must.
 CHI_SIGMAS, CHI_SHARE = 3.0, 0.1
 
 
@@ -124,18 +125,12 @@ def heights_of(points: Array, radii: tuple[float, float] | None) -> Array:
 
 
 def planned_points(problem: StereoProblem, kept: BoolArray) -> Array:
-    """Points (n, 3) where rays of the planned poses meet, from the sightings `kept` (N,)."""
-    tracks = problem.tracks[kept]
-    rays = rays_of(problem.images, problem.detectors, problem.mounts, tracks)
-    origins = problem.images.position[tracks.image]
-    points = meet(origins, rays, tracks.point, len(problem.point_names)).points
-    seen = np.bincount(tracks.point, minlength=len(points))
-    return np.where((seen >= 2)[:, None], points, np.nan)
+    """Points (n, 3) m that the planned poses give, from the sightings `kept` (N,)."""
+    sightings = sight_frames(problem.images, problem.detectors, problem.mounts, problem.tracks)
+    return triangulate(sightings, used=kept).position
 
 
-def vertical_sigma(
-    points: Array, covariance: Array | None, radii: tuple[float, float] | None
-) -> Array:
+def vertical_sigma(points: Array, covariance: Array | None, radii: tuple[float, float] | None) -> Array:
     """m (n,); 1-sigma of the heights of points; NaN where it is not known."""
     if covariance is None:
         return np.full(len(points), np.nan)
@@ -151,11 +146,7 @@ def write_points(path: Path, problem: StereoProblem, result: StereoOrientation) 
     """``points.csv``: every point with its sigmas, and its height before and after."""
     before = planned_points(problem, ~np.asarray(result.rejected))
     points, covariance = result.points, result.point_covariance
-    sigma = (
-        np.full(points.shape, np.nan)
-        if covariance is None
-        else np.sqrt(np.einsum("nii->ni", covariance))
-    )
+    sigma = np.full(points.shape, np.nan) if covariance is None else np.sqrt(np.einsum("nii->ni", covariance))
     columns: dict[str, Any] = {"point": problem.point_names.astype(np.int64)}
     columns |= {axis: points[:, k] for k, axis in enumerate("xyz")}
     columns |= {f"sigma_{axis}": sigma[:, k] for k, axis in enumerate("xyz")}
@@ -167,7 +158,9 @@ def write_points(path: Path, problem: StereoProblem, result: StereoOrientation) 
     write_columns(path, columns, dict.fromkeys([*"xyz", "height", "height_before"], "%.13g"))
 
 
-def summarize_orientation(stereo: Stereo, result: StereoOrientation, *, wall_seconds: float) -> dict[str, Any]:
+def summarize_orientation(
+    stereo: Stereo, result: StereoOrientation, *, wall_seconds: float
+) -> dict[str, Any]:
     """The content of ``summary.json``."""
     problem, images = stereo.problem, stereo.problem.images
     sigma = sigmas_of(result.covariance)
@@ -241,11 +234,14 @@ def chi_square(result: StereoOrientation) -> dict[str, Any]:
         verdict = "residuals are as large as the sigmas say"
     elif ratio > 1.0:
         verdict = (
-            f"residuals are {math.sqrt(ratio):.3g} times as large as the sigmas say: enlarge sigma_px or those of "
+            f"residuals are {math.sqrt(ratio):.3g} times as large as the sigmas say: enlarge sigma_px or "
+            "those of "
             "the poses; the sigmas of the angles are too small by about that"
         )
     else:
-        verdict = f"residuals are {math.sqrt(ratio):.3g} times as large as the sigmas say: these are too large"
+        verdict = (
+            f"residuals are {math.sqrt(ratio):.3g} times as large as the sigmas say: these are too large"
+        )
     return {"per_degree": ratio, "sigma": sigma, "verdict": verdict}
 
 
