@@ -104,7 +104,7 @@ def write_colmap(folder: Path, stereo: Stereo, result: StereoOrientation) -> Non
     """
     folder.mkdir(exist_ok=True)
     problem = stereo.problem
-    known: NDArray[np.bool_] = np.isfinite(result.points).all(axis=1)
+    known = np.asarray(np.isfinite(result.points).all(axis=1), dtype=np.bool_)
     origin = np.round(result.points[known].mean(axis=0)) if known.any() else np.zeros(3)
     write_columns(
         folder / "origin.csv", dict(zip("xyz", origin[:, None], strict=True)), dict.fromkeys("xyz", "%.0f")
