@@ -6,19 +6,25 @@ Not here: reading the problem (``io/stereo.py``), finding conjugate points in im
 
 from __future__ import annotations
 
+import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.geometry.checks import Array, ReadOnlyArrays
+from sightline.errors import InputError
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
-from sightline.photogrammetry.bundle import adjust
-from sightline.photogrammetry.observability import Observability
+from sightline.photogrammetry.bundle import Adjustment, adjust
+from sightline.photogrammetry.epipolar import PairOrientation, epipolar_outliers, orient_by_epipolar
+from sightline.photogrammetry.observability import Observability, observability
+from sightline.photogrammetry.pairs import SightingPairs, pair_sightings
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.pose_noise import PoseNoise
-from sightline.photogrammetry.sightings import Images, Tracks, sight_frames
+from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_frames, sight_pushbroom
 from sightline.photogrammetry.triangulate import triangulate
 
 #: Names of the estimators, best first.
@@ -73,34 +79,67 @@ class StereoProblem(ReadOnlyArrays):
     epoch: str | None = None
     warnings: tuple[str, ...] = field(default=())
 
+    def sightings(self) -> Sightings:
+        """The points as sighted, free of lens and mount."""
+        return sight_frames(self.images, self.detectors, self.mounts, self.tracks)
+
+    @property
+    def priors(self) -> PointPriors | None:
+        """What is known of the points beforehand."""
+        if self.heights is None and self.control is None:
+            return None
+        return PointPriors(self.heights, self.control)
+
 
 @dataclass(frozen=True, eq=False)
 class StereoOrientation(ReadOnlyArrays):
-    """Constant attitude errors of cameras.
+    """Result of S2: the constant attitude error of each camera over the series.
 
     Attributes
     ----------
     method : str
+        One of `METHODS`.
     cameras : tuple of str
+        Names, in the order of all that follows.
     angles : (C, 3)
-        rad; NaN where not observable.
+        rad; roll, pitch, yaw as of `Motion.angles`: actual attitude = planned * from_rotvec(angles). NaN
+        where they are not observable.
     covariance : (3 C, 3 C)
-        rad^2; inf and NaN where not observable.
+        rad^2, in that order; inf on the diagonal and NaN beside it where they are not observable.
     observability : Observability
-    residual_px : (N, 2)
-        px.
+        Principal directions of the angles, weakest first.
+    residual_px : (N,)
+        px; size of the residual of each sighting. Of ml methods that of its reprojection; of epipolar and
+        plane half (in squares) of its pair's.
     rejected : (N,) bool
+        Sightings that were left out as gross errors, or because nothing could be learnt from them.
+    unchecked : float
+        Share of the used sightings that others could contradict in one direction only: a mismatch along the
+        epipolar line of such a pair is not found.
     points : (n, 3)
-        m.
-    point_covariance : (n, 3, 3) or None
-        m^2.
-    warnings : tuple of str
+        m, world axes; NaN where not found.
+    point_covariance : (n, 3, 3)
+        m^2, all errors in it.
+    drift : (C, 3) or None
+        rad/s, of the angles, which hold in the middle of the times.
+    drift_sigma : (C, 3) or None
+    stretch, stretch_sigma : (C,) or None
+        Relative error of each focal length; NaN and inf where it is not observable.
+    attitude : (M, 3) or None
+        rad, body axes: departure of each image beyond the constant angles.
+    position : (M, 3) or None
+        m, world axes: departure of each position.
+    bias : (C, 3) or None
+        rad; of the epipolar estimate: what noise times noise adds to it, taken out unless raw.
+    cost : float or None
+        Chi-square of an adjustment, and its degrees of freedom.
+    degrees_of_freedom : int or None
+    scale : float or None
+        Robust size of residuals over the stated one.
+    iterations : int
     solve_seconds : float
-        s.
-    degrees_of_freedom : int
-    cost : float
-    rates : (C, 3) or None
-    focal : (C,) or None
+        s, to the angles and their covariance.
+    warnings : tuple of str
     """
 
     method: str
@@ -110,38 +149,313 @@ class StereoOrientation(ReadOnlyArrays):
     observability: Observability
     residual_px: Array
     rejected: NDArray[np.bool_]
+    unchecked: float
     points: Array
-    point_covariance: Array | None
-    warnings: tuple[str, ...]
+    point_covariance: Array
     solve_seconds: float
-    degrees_of_freedom: int
-    cost: float
-    rates: Array | None = None
-    focal: Array | None = None
+    iterations: int = 1
+    drift: Array | None = None
+    drift_sigma: Array | None = None
+    stretch: Array | None = None
+    stretch_sigma: Array | None = None
+    attitude: Array | None = None
+    position: Array | None = None
+    bias: Array | None = None
+    cost: float | None = None
+    degrees_of_freedom: int | None = None
+    scale: float | None = None
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def sigma(self) -> Array:
+        """(C, 3) rad, 1-sigma of the angles; inf where they are not observable."""
+        return np.sqrt(np.diag(self.covariance)).reshape(-1, 3)
 
 
 def orient(
-    problem: StereoProblem, method: str = "ml-track", *, raw: bool = False, drift: bool = False
+    problem: StereoProblem,
+    method: str = "ml-track",
+    *,
+    raw: bool = False,
+    drift: bool = False,
+    robust: bool = True,
 ) -> StereoOrientation:
-    """Orientation of a problem."""
-    sightings = sight_frames(problem.images, problem.detectors, problem.mounts, problem.tracks)
-    priors = PointPriors(problem.heights, problem.control)
-    found = adjust(
-        sightings, problem.noise, priors=priors, new_points_per_shot=method != "ml-track", drift=drift
-    )
-    t = triangulate(sightings, np.nan_to_num(found.angles), used=~found.rejected)
-    return StereoOrientation(
+    """Constant attitude errors of all cameras of a block.
+
+    Parameters
+    ----------
+    problem : StereoProblem
+    method : str
+        "ml-track": maximum likelihood with each point one point in all shots. "ml-pair": a point is new in
+        every shot. "epipolar": S2's equation 13, "plane": S2's equation 8, corrected; both for two cameras.
+    raw : bool
+        epipolar: leave the bias in that noise times noise gives it.
+    drift : bool
+        ml: angles drift evenly with time.
+    robust : bool
+        Find gross mismatches and leave them out.
+
+    Returns
+    -------
+    StereoOrientation
+
+    Raises
+    ------
+    InputError
+        An unknown method, or one that does not fit the problem; too few points.
+    EstimationError
+        If the data cannot give any angle.
+    """
+    if method not in METHODS:
+        raise InputError(f"unknown method: got {method!r}; allowed are {', '.join(METHODS)}")
+    sightings = problem.sightings()
+    if method in ("epipolar", "plane"):
+        _check_linear(problem, method, drift)
+        return _orient_linear(problem, sightings, method, raw=raw, robust=robust)
+    if raw:
+        raise InputError(f"`raw` is for the method epipolar only, got {method!r}; leave it out")
+    pairs_only = method == "ml-pair"
+    if pairs_only and not _simultaneous(sightings):
+        raise InputError(
+            "ml-pair needs shots in which two cameras or more see the same points; no shot has them: use "
+            "ml-track"
+        )
+    return _result(
         method,
         problem.cameras,
+        sightings,
+        adjust(
+            sightings,
+            problem.noise,
+            priors=problem.priors,
+            new_points_per_shot=pairs_only,
+            drift=drift,
+            focal_sigma=problem.focal_sigma,
+            robust=robust,
+        ),
+        problem.noise,
+        problem.priors,
+        problem.focal_sigma,
+    )
+
+
+def orient_pushbroom(
+    cameras: Sequence[PushbroomCamera],
+    tracks: Tracks,
+    noise: PoseNoise,
+    *,
+    names: Sequence[str] | None = None,
+    priors: PointPriors | None = None,
+    robust: bool = True,
+) -> StereoOrientation:
+    """Constant attitude errors of pushbroom cameras whose images show the same ground.
+
+    Parameters
+    ----------
+    cameras : sequence of PushbroomCamera
+        With fixed mounts; their trajectories are as planned.
+    tracks : Tracks
+        Conjugate points; `image` counts the cameras.
+    noise : PoseNoise
+        A constant error of the position, and of the attitude, of each image beyond the angles sought.
+    names : sequence of str, optional
+        Of the cameras; "1", "2", ... otherwise.
+    priors : PointPriors, optional
+        Known heights or control points; without these two images alone leave their common turns weak.
+    robust : bool
+        Find gross mismatches and leave them out.
+
+    Returns
+    -------
+    StereoOrientation
+    """
+    sightings = sight_pushbroom(cameras, tracks)
+    labels = tuple(names) if names is not None else tuple(str(k + 1) for k in range(len(cameras)))
+    adjustment = adjust(sightings, noise, priors=priors, robust=robust)
+    return _result("ml-track", labels, sightings, adjustment, noise, priors, None)
+
+
+def _simultaneous(sightings: Sightings) -> bool:
+    """Whether some shot shows a point twice."""
+    shot = sightings.shot[sightings.image].astype(np.int64)
+    return len(np.unique(shot * max(sightings.points, 1) + sightings.point)) < len(sightings)
+
+
+def _result(
+    method: str,
+    cameras: tuple[str, ...],
+    sightings: Sightings,
+    found: Adjustment,
+    noise: PoseNoise,
+    priors: PointPriors | None,
+    focal_sigma: tuple[float, ...] | None,
+) -> StereoOrientation:
+    """An adjustment as the result of S2."""
+    points, covariance = _points(sightings, found, noise, priors)
+    sigma = np.sqrt(np.diag(found.global_covariance))
+    names = found.unknowns.names
+    drifts = [k for k, name in enumerate(names) if "_drift_" in name]
+    stretch, stretch_sigma = _stretches(found, len(cameras))
+    total = np.hypot(*found.residual_px.T)
+    common = np.nan_to_num(found.angles)[sightings.camera]
+    used = ~found.rejected
+    return StereoOrientation(
+        method,
+        cameras,
         found.angles,
         found.covariance,
         found.observability,
-        found.residual_px,
+        frozen(total),
         found.rejected,
-        t.position,
-        t.covariance,
-        (),
+        float(np.mean(~found.checked[used])) if used.any() else 0.0,
+        points,
+        covariance,
         found.seconds,
-        found.degrees_of_freedom,
+        found.iterations,
+        frozen(found.common[drifts].reshape(-1, 3) / found.time[1]) if drifts else None,
+        frozen(sigma[drifts].reshape(-1, 3) / found.time[1]) if drifts else None,
+        stretch,
+        stretch_sigma,
+        frozen(found.departures[:, :3] - common),
+        frozen(found.departures[:, 3:6]),
+        None,
         found.cost,
+        found.degrees_of_freedom,
+        found.scale,
+        _adjustment_warnings(method, found, priors, stretch_sigma, focal_sigma),
     )
+
+
+def _points(
+    sightings: Sightings, found: Adjustment, noise: PoseNoise, priors: PointPriors | None
+) -> tuple[Array, Array]:
+    """Points (n, 3) and covariances (n, 3, 3): the adjusted ones, or where the rays of all shots meet."""
+    if found.point_covariance is not None:
+        return found.points, frozen(found.point_covariance)
+    known = np.isfinite(found.angles).all()
+    if len(found.points) == sightings.points and priors is not None and known:
+        return found.points, frozen(np.full((len(found.points), 3, 3), np.nan))
+    return triangulated(sightings, found.angles, found.covariance, found.rejected, noise)
+
+
+def triangulated(
+    sightings: Sightings, angles: Array, covariance: Array, rejected: NDArray[np.bool_], noise: PoseNoise
+) -> tuple[Array, Array]:
+    """Points (n, 3) and covariances (n, 3, 3) by the rays of all shots; NaN where angles are."""
+    if not np.isfinite(angles).all():
+        count = sightings.points
+        return frozen(np.full((count, 3), np.nan)), frozen(np.full((count, 3, 3), np.nan))
+    met = triangulate(sightings, angles, used=~rejected, noise=noise, angle_covariance=covariance)
+    return met.position, met.covariance
+
+
+def _stretches(found: Adjustment, cameras: int) -> tuple[Array | None, Array | None]:
+    """Relative errors (C,) of focal lengths and their sigmas; 0 where they were not sought."""
+    names = found.unknowns.names
+    places = {
+        int(name.rpartition("_")[2]) - 1: k for k, name in enumerate(names) if name.startswith("stretch")
+    }
+    if not places:
+        return None, None
+    value, sigma = np.zeros(cameras), np.zeros(cameras)
+    for camera, k in places.items():
+        value[camera], sigma[camera] = found.common[k], np.sqrt(found.global_covariance[k, k])
+    return frozen(value), frozen(sigma)
+
+
+#: Sigma of a focal length that is sought freely from which on it counts as not observable (relative).
+_LOOSE_FOCAL = 0.02
+#: Departure of chi-square per degree of freedom from 1 that is spoken of, in its own sigmas, and at least.
+_CHI_SIGMAS, _CHI_LEAST = 4.0, 0.05
+
+
+def _adjustment_warnings(
+    method: str,
+    found: Adjustment,
+    priors: PointPriors | None,
+    stretch_sigma: Array | None,
+    focal_sigma: tuple[float, ...] | None,
+) -> tuple[str, ...]:
+    """What a user should know before trusting the numbers."""
+    said = []
+    freedom = max(found.degrees_of_freedom, 1)
+    ratio, spread = found.cost / freedom, np.sqrt(2.0 / freedom)
+    if abs(ratio - 1.0) > max(_CHI_SIGMAS * spread, _CHI_LEAST):
+        said.append(
+            f"residuals are {np.sqrt(ratio):.3g} times what sigma_px and [noise] say (chi-square "
+            f"{found.cost:.4g} for {freedom} degrees of freedom): the sigmas of the angles are as wrong as "
+            "these; correct them"
+        )
+    if method == "ml-pair" and priors is not None:
+        said.append(
+            "ml-pair takes a point of every shot as new, and with it the error of its known height or place: "
+            "where points are tracked through the shots its sigmas are too small; use ml-track"
+        )
+    if stretch_sigma is not None:
+        for camera, sigma in enumerate(stretch_sigma):
+            prior = (focal_sigma or ())[camera]
+            if prior > 0.0 and sigma > (0.5 * prior if np.isfinite(prior) else _LOOSE_FOCAL):
+                said.append(
+                    f"the focal length of camera {camera + 1} is not observable: its sigma is "
+                    f"{100 * sigma:.2g} % after the adjustment; keep it fixed, or give control points spread "
+                    "over the frame"
+                )
+    return tuple(said)
+
+
+def _check_linear(problem: StereoProblem, method: str, drift: bool) -> None:
+    """Refuse what S2's linear estimators do not know."""
+    if len(problem.cameras) != 2:
+        raise InputError(
+            f"{method} is for two cameras, {len(problem.cameras)} are given; use ml-track or ml-pair"
+        )
+    others = {
+        "a drift": drift,
+        "the focal length": any(sigma > 0.0 for sigma in problem.focal_sigma or ()),
+    }
+    for what, asked in others.items():
+        if asked:
+            raise InputError(f"{method} cannot estimate {what}; use ml-track or ml-pair")
+
+
+def _orient_linear(
+    problem: StereoProblem, sightings: Sightings, method: str, *, raw: bool, robust: bool
+) -> StereoOrientation:
+    """S2's own estimators on the pairs of a problem."""
+    begun = time.perf_counter()
+    pairs = pair_sightings(sightings)
+    gross = np.zeros(len(pairs), dtype=bool)
+    if robust:
+        gross = epipolar_outliers(pairs, problem.noise)
+    kept = pairs.kept(~gross) if gross.any() else pairs
+    found = _linear(kept, problem, method, raw=raw)
+    seconds = time.perf_counter() - begun
+    residual, rejected = np.full(len(sightings), np.nan), np.ones(len(sightings), dtype=bool)
+    for rows in kept.rows:
+        residual[rows], rejected[rows] = np.abs(found.residual_px) / np.sqrt(2.0), False
+    said = [] if problem.priors is None else [f"{method} makes no use of known heights or control points"]
+    points, covariance = triangulated(sightings, found.angles, found.covariance, rejected, problem.noise)
+    return StereoOrientation(
+        method,
+        problem.cameras,
+        frozen(found.angles),
+        frozen(found.covariance),
+        observability(found.information, _angle_names()),
+        frozen(residual),
+        rejected,
+        1.0,
+        points,
+        covariance,
+        seconds,
+        bias=frozen(found.bias) if method == "epipolar" else None,
+        warnings=tuple(said),
+    )
+
+
+def _angle_names() -> tuple[str, ...]:
+    return tuple(f"{axis}_{camera}" for camera in (1, 2) for axis in ("roll", "pitch", "yaw"))
+
+
+def _linear(pairs: SightingPairs, problem: StereoProblem, method: str, *, raw: bool) -> PairOrientation:
+    """The estimate of one of S2's two methods."""
+    return orient_by_epipolar(pairs, problem.noise, raw=raw)

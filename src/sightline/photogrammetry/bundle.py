@@ -26,6 +26,7 @@ from sightline.photogrammetry.pose_noise import PoseNoise
 from sightline.photogrammetry.pose_unknowns import PoseUnknowns, pose_unknowns
 from sightline.photogrammetry.reduced import LOOSE, Curvature, PointsFirst, PosesFirst, gather, reduce_block
 from sightline.photogrammetry.sightings import Sightings, as_index
+from sightline.photogrammetry.triangulate import triangulate
 
 #: Steps end when the next would lower the cost by less (chi-square units): a millionth of a sigma.
 CONVERGED = 1e-10
@@ -37,6 +38,8 @@ FALSE_ALARM = 0.05
 _FEW = 1e-3
 #: Median of the chi-square distribution with two degrees of freedom.
 _MEDIAN_2 = 1.3863
+#: Fewest sightings that an adjustment is tried with: three points seen twice.
+_LEAST = 6
 #: Share of a residual's variance below which it says nothing (along an epipolar line).
 _SEEN = 0.05
 BoolArray = NDArray[np.bool_]
@@ -251,13 +254,12 @@ def adjust(
             priors = priors.for_copies(point_of)
     unknowns = pose_unknowns(sightings, noise, drift=drift, focal_sigma=focal_sigma)
     block = _Block(sightings, unknowns, priors)
-    usable = seen_twice(sightings, priors)
-    if int(usable.sum()) * 2 < 6:
+    state, usable = _first_state(block, seen_twice(sightings, priors), start)
+    if int(usable.sum()) < _LEAST:
         raise InputError(
-            f"too few conjugate points: {int(usable.sum())} sightings of points that two images or more "
-            "show; at least 6 are needed; supply more matches"
+            f"too few conjugate points: {int(usable.sum())} sightings of points that two images or more show "
+            f"from directions that differ; at least {_LEAST} are needed; supply more matches"
         )
-    state = _first_state(block, usable, start)
     weight = usable.astype(np.float64)
     state, reduced, steps, scale, statistic, checked = _descend(block, state, weight, robust=robust)
     used = seen_twice(sightings, priors, weight > 0.0)
@@ -360,39 +362,29 @@ def _twice(block: _Block, weight: Array) -> BoolArray:
     return np.bincount(block.sightings.point, weight > 0.0, minlength=block.sightings.points) > 0
 
 
-def _first_state(block: _Block, usable: BoolArray, start: Array | None) -> _State:
-    """Planned poses, angles of `start`, points where the rays pass closest to each other."""
+def _first_state(block: _Block, usable: BoolArray, start: Array | None) -> tuple[_State, BoolArray]:
+    """Planned poses, angles of `start`, points where their rays meet; and which sightings are then usable."""
     unknowns, s = block.unknowns, block.sightings
+    angles = np.zeros((s.cameras, 3)) if start is None else np.nan_to_num(start)
     common = np.zeros(unknowns.globals)
-    if start is not None:
-        common[: 3 * s.cameras] = np.nan_to_num(np.ravel(start))
-    own = np.zeros((unknowns.shots, 6 * unknowns.slots))
-    turned, _ = turns(unknowns.departures(own, common)[:, :3])
-    rays = np.column_stack([s.tangents, np.ones(len(s))])
-    rays = np.einsum("nij,nj->ni", s.body_from_camera[s.camera[s.image]], rays)
-    rays = np.einsum("nji,nj->ni", turned[s.image], rays)
-    rays = np.einsum("nij,nj->ni", s.world_from_body[s.pose], rays)
-    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-    points = closest_points(rays[usable], block.position[s.pose[usable]], s.point[usable], s.points)
+    common[: 3 * s.cameras] = np.ravel(angles)
+    points = np.array(triangulate(s, angles, used=usable).position)
     if block.priors is not None:
-        points = block.priors.start(
-            points + block.origin, rays, block.position[s.pose] + block.origin, s.point
-        )
-        points -= block.origin
-    return _State(common, own, points)
+        points = block.priors.start(points, *_rays(s, angles), s.point)
+    found = np.isfinite(points).all(axis=1)
+    points[np.flatnonzero(~found)] = block.origin
+    own = np.zeros((unknowns.shots, 6 * unknowns.slots))
+    return _State(common, own, points - block.origin), np.asarray(usable & np.take(found, s.point))
 
 
-def closest_points(directions: Array, origins: Array, point: NDArray[np.intp], count: int) -> Array:
-    """Points (count, 3) with the least sum of squared distances to unit rays."""
-    square = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    matrix, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
-    pulled = np.einsum("nij,nj->ni", square, origins)
-    for i in range(3):
-        right[:, i] = np.bincount(point, pulled[:, i], minlength=count)
-        for j in range(3):
-            matrix[:, i, j] = np.bincount(point, square[:, i, j], minlength=count)
-    matrix += 1e-12 * np.eye(3)
-    return np.asarray(np.linalg.solve(matrix, right[..., None])[..., 0])
+def _rays(sightings: Sightings, angles: Array) -> tuple[Array, Array]:
+    """Unit directions and origins (N, 3), world axes, of all sightings, the cameras turned by `angles`."""
+    s = sightings
+    camera = s.camera[s.image]
+    rays = np.column_stack([s.tangents, np.ones(len(s))])
+    turned = Rotation.from_rotvec(angles).as_matrix() @ s.body_from_camera
+    rays = np.einsum("nij,njk,nk->ni", s.world_from_body[s.pose], turned[camera], rays, optimize=True)
+    return rays / np.linalg.norm(rays, axis=1, keepdims=True), s.position[s.pose]
 
 
 def _descend(

@@ -255,7 +255,7 @@ def _tangents(detector: AreaDetector, pixels: Array) -> tuple[Array, Array]:
     return at(0.0, 0.0), np.linalg.inv(np.stack([by_line, by_column], axis=-1))
 
 
-def sight_pushbroom(cameras: Sequence[PushbroomCamera], tracks: Tracks, ranges: Array) -> Sightings:
+def sight_pushbroom(cameras: Sequence[PushbroomCamera], tracks: Tracks) -> Sightings:
     """Sightings of tracks in pushbroom images, one image per camera.
 
     Parameters
@@ -264,8 +264,6 @@ def sight_pushbroom(cameras: Sequence[PushbroomCamera], tracks: Tracks, ranges: 
         Fixed mounts. The error sought is one constant for each.
     tracks : Tracks
         Rows of `cameras` by their `image`.
-    ranges : (N,)
-        m, from the camera to each point, roughly: how far a line's motion carries the ray there.
 
     Returns
     -------
@@ -273,6 +271,7 @@ def sight_pushbroom(cameras: Sequence[PushbroomCamera], tracks: Tracks, ranges: 
         One pose per sighting: that of its own line. All images are of one shot 0.
     """
     n = len(tracks)
+    ranges = _ranges(cameras, tracks)
     tangents, change = np.empty((n, 2)), np.empty((n, 2, 2))
     position, world_from_body, t = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(len(cameras))
     mounts = []
@@ -318,3 +317,30 @@ def sight_pushbroom(cameras: Sequence[PushbroomCamera], tracks: Tracks, ranges: 
         frozen(world_from_body),
         frozen(np.stack(mounts)),
     )
+
+
+def _ranges(cameras: Sequence[PushbroomCamera], tracks: Tracks) -> Array:
+    """Distance (N,) m from the camera to each point, roughly: where the rays of a point pass closest.
+
+    A line's motion carries its rays by so much more on the ground the farther that is.
+    """
+    origins, directions = np.empty((len(tracks), 3)), np.empty((len(tracks), 3))
+    for number, camera in enumerate(cameras):
+        rows = np.flatnonzero(tracks.image == number)
+        rays = camera.rays(tracks.pixels[rows])
+        origins[rows], directions[rows] = rays.origins, rays.directions
+    centre = origins.mean(axis=0)
+    count = int(tracks.point.max()) + 1
+    square = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    pulled = np.einsum("nij,nj->ni", square, origins - centre)
+    matrix, right = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    np.add.at(matrix, tracks.point, square)
+    np.add.at(right, tracks.point, pulled)
+    points = np.linalg.solve(matrix + 1e-9 * np.eye(3), right[..., None])[..., 0] + centre
+    ranges = ((points[tracks.point] - origins) * directions).sum(axis=1)
+    if not (ranges > 0.0).all():
+        raise InputError(
+            f"{int((ranges <= 0.0).sum())} of {len(ranges)} sightings are of points behind their camera; "
+            "check which matches belong to which image, and (line, column) order"
+        )
+    return np.asarray(ranges)
