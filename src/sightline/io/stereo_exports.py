@@ -56,8 +56,13 @@ def write_exports(folder: Path, stereo: Stereo, result: StereoOrientation) -> tu
 
 
 def corrections(problem: StereoProblem, result: StereoOrientation) -> Rotation:
-    """Planned body from actual body of every image, M rotations."""
-    return Rotation.from_rotvec(result.angles[problem.images.camera])
+    """Planned body from actual body of every image, M rotations: constant angles, and their drift."""
+    images = problem.images
+    angles = result.angles[images.camera]
+    if result.drift is not None:
+        middle = (images.t.min() + images.t.max()) / 2.0
+        angles = angles + (images.t - middle)[:, None] * result.drift[images.camera]
+    return Rotation.from_rotvec(angles)
 
 
 def write_corrected_cameras(path: Path, stereo: Stereo, result: StereoOrientation) -> None:
@@ -110,7 +115,7 @@ def write_colmap(folder: Path, stereo: Stereo, result: StereoOrientation) -> Non
         folder / "origin.csv", dict(zip("xyz", origin[:, None], strict=True)), dict.fromkeys("xyz", "%.0f")
     )
     _write(folder / "cameras.txt", (_camera_line(k, d) for k, d in enumerate(problem.detectors, 1)))
-    good = np.asarray(~np.asarray(result.rejected) & known[problem.tracks.point], dtype=np.bool_)
+    good = np.asarray(~result.rejected & known[problem.tracks.point], dtype=np.bool_)
     order = np.argsort(problem.tracks.image, kind="stable")
     # place of each sighting among those of its image
     counts = np.bincount(problem.tracks.image, minlength=len(problem.images))
@@ -193,8 +198,7 @@ def _point_lines(
     point = problem.tracks.point[rows]
     rows = rows[np.argsort(point, kind="stable")]
     counts = np.bincount(point, minlength=len(result.points))
-    residual = np.asarray(result.residual_px)[rows].reshape(len(rows), -1)
-    square = np.bincount(problem.tracks.point[rows], (residual**2).sum(axis=1), len(result.points))
+    square = np.bincount(problem.tracks.point[rows], result.residual_px[rows] ** 2, len(result.points))
     rms = np.sqrt(square / np.maximum(counts, 1))
     image, where = (problem.tracks.image[rows] + 1).tolist(), place[rows].tolist()
     end = np.cumsum(counts).tolist()

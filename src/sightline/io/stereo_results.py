@@ -19,7 +19,6 @@ from sightline.geometry.earth import local_axes, to_geodetic
 from sightline.io.results import peak_memory, write_json
 from sightline.io.stereo import Stereo
 from sightline.io.tables import write_columns
-from sightline.photogrammetry.sightings import sight_frames
 from sightline.photogrammetry.triangulate import triangulate
 
 Array = NDArray[np.float64]
@@ -64,14 +63,9 @@ def write_stereo_result(
 
 def write_orientation(path: Path, result: StereoOrientation) -> None:
     """``orientation.csv``: a row per camera, rad; nan and inf where an angle is not observable."""
-    sigma = sigmas_of(result.covariance)
+    sigma = result.sigma
     values = [np.array(result.cameras, dtype=str), *result.angles.T, *sigma.T]
     write_columns(path, dict(zip(ORIENTATION, values, strict=True)), dict.fromkeys(ORIENTATION, "%.17g"))
-
-
-def sigmas_of(covariance: Array) -> Array:
-    """1-sigma (C, 3) of every angle, rad; inf where it is not observable."""
-    return np.sqrt(np.diag(covariance)).reshape(-1, 3)
 
 
 def write_covariance(path: Path, cameras: tuple[str, ...], covariance: Array) -> None:
@@ -83,18 +77,12 @@ def write_covariance(path: Path, cameras: tuple[str, ...], covariance: Array) ->
     temporary.replace(path)
 
 
-def residual_sizes(result: StereoOrientation) -> Array:
-    """px (N,); length of the residual of each sighting."""
-    residual = np.asarray(result.residual_px)
-    return np.asarray(np.linalg.norm(residual, axis=1)) if residual.ndim == 2 else np.abs(residual)
-
-
 def used(stereo: Stereo, result: StereoOrientation) -> tuple[Array, BoolArray]:
     """Residual (px) and rejection of each match, or of each sighting of observations and control points.
 
     A match has the residuals of both images: the root of the sum of their squares.
     """
-    size, rejected = residual_sizes(result), np.asarray(result.rejected)
+    size, rejected = result.residual_px, result.rejected
     if stereo.pairs is None:
         return size, rejected
     first, second = slice(0, stereo.pairs), slice(stereo.pairs, 2 * stereo.pairs)
@@ -126,14 +114,11 @@ def heights_of(points: Array, radii: tuple[float, float] | None) -> Array:
 
 def planned_points(problem: StereoProblem, kept: BoolArray) -> Array:
     """Points (n, 3) m that the planned poses give, from the sightings `kept` (N,)."""
-    sightings = sight_frames(problem.images, problem.detectors, problem.mounts, problem.tracks)
-    return triangulate(sightings, used=kept).position
+    return triangulate(problem.sightings(), used=kept).position
 
 
-def vertical_sigma(points: Array, covariance: Array | None, radii: tuple[float, float] | None) -> Array:
+def vertical_sigma(points: Array, covariance: Array, radii: tuple[float, float] | None) -> Array:
     """m (n,); 1-sigma of the heights of points; NaN where it is not known."""
-    if covariance is None:
-        return np.full(len(points), np.nan)
     up = np.tile([0.0, 0.0, 1.0], (len(points), 1))
     if radii is not None:
         known = np.isfinite(points).all(axis=1)
@@ -144,9 +129,9 @@ def vertical_sigma(points: Array, covariance: Array | None, radii: tuple[float, 
 
 def write_points(path: Path, problem: StereoProblem, result: StereoOrientation) -> None:
     """``points.csv``: every point with its sigmas, and its height before and after."""
-    before = planned_points(problem, ~np.asarray(result.rejected))
+    before = planned_points(problem, ~result.rejected)
     points, covariance = result.points, result.point_covariance
-    sigma = np.full(points.shape, np.nan) if covariance is None else np.sqrt(np.einsum("nii->ni", covariance))
+    sigma = np.sqrt(np.einsum("nii->ni", covariance))
     columns: dict[str, Any] = {"point": problem.point_names.astype(np.int64)}
     columns |= {axis: points[:, k] for k, axis in enumerate("xyz")}
     columns |= {f"sigma_{axis}": sigma[:, k] for k, axis in enumerate("xyz")}
@@ -163,7 +148,7 @@ def summarize_orientation(
 ) -> dict[str, Any]:
     """The content of ``summary.json``."""
     problem, images = stereo.problem, stereo.problem.images
-    sigma = sigmas_of(result.covariance)
+    sigma = result.sigma
     return {
         "name": stereo.name,
         "epoch": problem.epoch,
@@ -183,12 +168,16 @@ def summarize_orientation(
         "unobservable": [
             entry["words"] for entry in principal_sigmas(result) if not math.isfinite(entry["sigma"])
         ],
+        "drift": _drift(result),
+        "focal_length": _focal(problem, result),
+        "bias_removed": None if result.bias is None else result.bias.tolist(),
         "matches": _matches(stereo, result),
         "cost": result.cost,
         "degrees_of_freedom": result.degrees_of_freedom,
         "chi_square": chi_square(result),
         "heights": _heights(problem, result),
         "warnings": [*problem.warnings, *result.warnings],
+        "iterations": result.iterations,
         "solve_seconds": result.solve_seconds,
         "wall_seconds": wall_seconds,
         "peak_memory_bytes": peak_memory(),
@@ -219,15 +208,44 @@ def _matches(stereo: Stereo, result: StereoOrientation) -> dict[str, Any]:
         "tried": len(size),
         "kept": int((~rejected).sum()),
         "rejected": int(rejected.sum()),
+        "unchecked": result.unchecked,
         "rms_px": float(np.sqrt((kept**2).mean())) if len(kept) else math.nan,
+    }
+
+
+def _drift(result: StereoOrientation) -> dict[str, Any] | None:
+    """rad/s of every angle of every camera, where it was sought."""
+    if result.drift is None or result.drift_sigma is None:
+        return None
+    return {
+        camera: {axis: float(result.drift[c, k]) for k, axis in enumerate(AXES)}
+        | {f"sigma_{axis}": float(result.drift_sigma[c, k]) for k, axis in enumerate(AXES)}
+        for c, camera in enumerate(result.cameras)
+    }
+
+
+def _focal(problem: StereoProblem, result: StereoOrientation) -> dict[str, Any] | None:
+    """px; focal lengths that were refined."""
+    if result.stretch is None or result.stretch_sigma is None:
+        return None
+    return {
+        camera: {
+            "focal_length_px": detector.focal_length_px * (1.0 + float(result.stretch[c])),
+            "sigma_px": detector.focal_length_px * float(result.stretch_sigma[c]),
+        }
+        for c, (camera, detector) in enumerate(zip(result.cameras, problem.detectors, strict=True))
     }
 
 
 def chi_square(result: StereoOrientation) -> dict[str, Any]:
     """Whether residuals are as large as the sigmas of the file say."""
     freedom = result.degrees_of_freedom
-    if freedom <= 0 or not math.isfinite(result.cost):
-        return {"per_degree": None, "sigma": None, "verdict": "cannot be judged: nothing is redundant"}
+    if result.cost is None or freedom is None or freedom <= 0:
+        return {
+            "per_degree": None,
+            "sigma": None,
+            "verdict": "whether residuals are as large as the sigmas say was not judged",
+        }
     ratio, sigma = result.cost / freedom, math.sqrt(2.0 / freedom)
     off = abs(ratio - 1.0)
     if off <= max(CHI_SIGMAS * sigma, CHI_SHARE):
@@ -247,7 +265,7 @@ def chi_square(result: StereoOrientation) -> dict[str, Any]:
 
 def _heights(problem: StereoProblem, result: StereoOrientation) -> dict[str, float]:
     """m; how far heights moved, and their median sigma."""
-    before = heights_of(planned_points(problem, ~np.asarray(result.rejected)), problem.radii)
+    before = heights_of(planned_points(problem, ~result.rejected), problem.radii)
     moved = heights_of(result.points, problem.radii) - before
     sigma = vertical_sigma(result.points, result.point_covariance, problem.radii)
     known, told = moved[np.isfinite(moved)], sigma[np.isfinite(sigma)]

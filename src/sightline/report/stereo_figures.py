@@ -11,13 +11,14 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
+from scipy.spatial.transform import Rotation
 
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
 from sightline.evaluation.direction_words import AXES
 from sightline.evaluation.score_orientation import ARCSEC
 from sightline.geometry.earth import local_axes, to_geodetic
 from sightline.io.stereo import Stereo
-from sightline.io.stereo_results import heights_of, planned_points, residual_sizes, vertical_sigma
+from sightline.io.stereo_results import heights_of, planned_points, vertical_sigma
 from sightline.report.style import INK, MUTED, RULE, TEMPLATE, panels
 
 Array = NDArray[np.float64]
@@ -59,10 +60,10 @@ def ellipse_figure(result: StereoOrientation) -> go.Figure | None:
         for camera in shown:
             pair = [3 * camera + a, 3 * camera + b]
             name = f"camera {result.cameras[camera]}"
-            drawn |= _ellipses(figure, covariance, pair, colour(camera), name, 1, panel)
+            drawn |= _ellipses(figure, covariance, pair, colour(camera), name, 3.6 / (camera + 1), 1, panel)
         _equal(figure, 1, panel, f"error of {AXES[a]} (arcsec)", f"error of {AXES[b]} (arcsec)")
     for k in range(3 if two else 0):
-        drawn |= _ellipses(figure, covariance, [k, 3 + k], INK, "both cameras", 2, k + 1)
+        drawn |= _ellipses(figure, covariance, [k, 3 + k], INK, "both cameras", 1.8, 2, k + 1)
         first, second = result.cameras
         _equal(figure, 2, k + 1, f"{AXES[k]} of camera {first} (arcsec)", f"of camera {second} (arcsec)")
     figure.update_layout(legend={"y": 1.09 if two else 1.16})
@@ -70,7 +71,14 @@ def ellipse_figure(result: StereoOrientation) -> go.Figure | None:
 
 
 def _ellipses(
-    figure: go.Figure, covariance: Array, pair: list[int], ink: str, name: str, row: int, col: int
+    figure: go.Figure,
+    covariance: Array,
+    pair: list[int],
+    ink: str,
+    name: str,
+    width: float,
+    row: int,
+    col: int,
 ) -> bool:
     """Ellipses of two angles (solid: 1 sigma, dotted: 95 %); False where they are not known."""
     block = covariance[np.ix_(pair, pair)]
@@ -82,7 +90,7 @@ def _ellipses(
     for size, dash, what in ((ONE_SIGMA, "solid", "1 sigma of each"), (SIGMA_95, "dot", "95 %")):
         x, y = size * ring
         figure.add_scatter(
-            x=x, y=y, row=row, col=col, mode="lines", line={"color": ink, "width": 1.8, "dash": dash},
+            x=x, y=y, row=row, col=col, mode="lines", line={"color": ink, "width": width, "dash": dash},
             name=f"{name}: {what}", legendgroup=f"{name}{dash}", showlegend=col == 1,
             hovertemplate=f"{name}, {what}<br>%{{x:.3g}}, %{{y:.3g}} arcsec<extra></extra>",
         )  # fmt: skip
@@ -111,7 +119,11 @@ def direction_figure(entries: list[dict[str, Any]]) -> go.Figure:
                 hovertemplate="%{y}: %{text} arcsec<extra></extra>",
             )  # fmt: skip
     low = 0.5 * sigma[known].min() if known.any() else 0.1
-    figure.update_xaxes(type="log", title_text="1 sigma along the direction (arcsec)", exponentformat="none")
+    ticks = [m * 10.0**k for k in range(-4, 7) for m in (1, 2, 5)]
+    figure.update_xaxes(
+        type="log", title_text="1 sigma along the direction (arcsec)", tickvals=ticks,
+        ticktext=[f"{tick:g}" for tick in ticks],
+    )  # fmt: skip
     figure.update_xaxes(range=[np.log10(low), np.log10(4.0 * longest if (~known).any() else 0.4 * longest)])
     figure.update_yaxes(autorange="reversed", automargin=True, categoryorder="array", categoryarray=labels)
     figure.update_layout(showlegend=False, margin_r=120)
@@ -121,7 +133,7 @@ def direction_figure(entries: list[dict[str, Any]]) -> go.Figure:
 def residual_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure:
     """Residual rms and share rejected of every image, shot by shot."""
     problem = stereo.problem
-    size, rejected = residual_sizes(result), np.asarray(result.rejected)
+    size, rejected = result.residual_px, result.rejected
     image, images = problem.tracks.image, problem.images
     kept = ~rejected & np.isfinite(size)
     count = np.bincount(image[kept], minlength=len(images))
@@ -146,9 +158,9 @@ def residual_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure:
                 hovertemplate=f"shot %{{x:.0f}}: %{{y:.3g}} {unit}<extra></extra>",
             )  # fmt: skip
     expected = float(np.sqrt(2.0 * np.mean(problem.tracks.sigma_px**2)))
-    figure.add_hline(
-        y=expected, row=1, col=1, line={"color": MUTED, "dash": "dot", "width": 1},
-        annotation_text="as sigma_px says", annotation_position="bottom right", annotation_font_size=11,
+    figure.add_scatter(
+        x=problem.shot_names[[0, -1]], y=[expected, expected], row=1, col=1, mode="lines",
+        line={"color": MUTED, "dash": "dot", "width": 1.4}, name="as sigma_px says", hoverinfo="skip",
     )  # fmt: skip
     figure.update_yaxes(title_text="px", rangemode="tozero", row=1)
     figure.update_yaxes(title_text="%", rangemode="tozero", row=2)
@@ -156,14 +168,28 @@ def residual_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure:
     return figure
 
 
+def residual_vectors(problem: StereoProblem, result: StereoOrientation) -> Array | None:
+    """Residuals (N, 2) px, measured less predicted (line, column); None where points were not adjusted."""
+    if result.method != "ml-track" or result.attitude is None or result.position is None:
+        return None
+    s, image = problem.sightings(), problem.tracks.image
+    camera = problem.images.camera
+    turned = Rotation.from_rotvec(np.nan_to_num(result.angles)[camera] + result.attitude).as_matrix()
+    attitude = s.world_from_body @ turned @ s.body_from_camera[camera]
+    to = result.points[problem.tracks.point] - (s.position + result.position)[image]
+    seen = np.einsum("nji,nj->ni", attitude[image], to)
+    miss = s.tangents - seen[:, :2] / seen[:, 2:]
+    return np.asarray(np.einsum("nij,nj->ni", s.px_per_tangent, miss))
+
+
 def image_plane_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure | None:
     """Mean residual in cells of each camera's frame as arrows; None where residuals have no direction."""
-    residual = np.asarray(result.residual_px)
-    if residual.ndim != 2:
+    residual = residual_vectors(stereo.problem, result)
+    if residual is None:
         return None
     problem = stereo.problem
     shown = range(min(len(problem.cameras), DRAWN_CAMERAS))
-    cells = [_cells(problem, residual, np.asarray(result.rejected), camera) for camera in shown]
+    cells = [_cells(problem, residual, result.rejected, camera) for camera in shown]
     largest = max((float(np.hypot(*c[1].T).max()) for c in cells if len(c[0])), default=0.0)
     if largest == 0.0:
         return None
@@ -219,15 +245,14 @@ def height_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure | None
     """Maps of heights before and after, of their difference, and of sigma; None without points."""
     problem = stereo.problem
     after = np.asarray(result.points)
-    before = planned_points(problem, ~np.asarray(result.rejected))
+    before = planned_points(problem, ~result.rejected)
     known = np.flatnonzero(np.isfinite(after).all(axis=1) & np.isfinite(before).all(axis=1))
     if not len(known):
         return None
     known = known[np.linspace(0, len(known) - 1, min(len(known), DRAWN_POINTS)).astype(np.intp)]
     x, y = _level(after[known], problem.radii).T
     h0, h1 = heights_of(before[known], problem.radii), heights_of(after[known], problem.radii)
-    covariance = None if result.point_covariance is None else np.asarray(result.point_covariance)[known]
-    sigma = vertical_sigma(after[known], covariance, problem.radii)
+    sigma = vertical_sigma(after[known], result.point_covariance[known], problem.radii)
     low, high = float(min(h0.min(), h1.min())), float(max(h0.max(), h1.max()))
     reach = float(np.abs(h0 - h1).max()) or 1.0
     maps: list[tuple[str, Array, str, float, float]] = [

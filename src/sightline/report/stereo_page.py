@@ -245,5 +245,9 @@ def counts(summary: Mapping[str, Any]) -> list[list[str]]:
             f"{matches['kind']} tried, kept, rejected",
             f"{matches['tried']:,}, {matches['kept']:,}, {matches['rejected']:,}",
         ],
-        ["degrees of freedom", f"{summary['degrees_of_freedom']:,}"],
+        *(
+            []
+            if summary["degrees_of_freedom"] is None
+            else [["degrees of freedom", f"{summary['degrees_of_freedom']:,}"]]
+        ),
     ]
