@@ -19,10 +19,11 @@ from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
 from sightline.photogrammetry.bundle import Adjustment, adjust
-from sightline.photogrammetry.epipolar import PairOrientation, epipolar_outliers, orient_by_epipolar
+from sightline.photogrammetry.epipolar import epipolar_outliers, orient_by_epipolar
 from sightline.photogrammetry.observability import Observability, observability
-from sightline.photogrammetry.pairs import SightingPairs, pair_sightings
-from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
+from sightline.photogrammetry.pairs import pair_sightings
+from sightline.photogrammetry.plane import common_aim, orient_by_plane
+from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors, level_axes
 from sightline.photogrammetry.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_frames, sight_pushbroom
 from sightline.photogrammetry.triangulate import triangulate
@@ -428,7 +429,12 @@ def _orient_linear(
     if robust:
         gross = epipolar_outliers(pairs, problem.noise)
     kept = pairs.kept(~gross) if gross.any() else pairs
-    found = _linear(kept, problem, method, raw=raw)
+    if method == "epipolar":
+        found = orient_by_epipolar(kept, problem.noise, raw=raw)
+    else:
+        aim = problem.noise.aim_point if problem.noise.aim_point is not None else common_aim(sightings)
+        up = level_axes(aim[None], problem.radii)[0][0]
+        found = orient_by_plane(kept, problem.noise, aim_point=aim, vertical=up)
     seconds = time.perf_counter() - begun
     residual, rejected = np.full(len(sightings), np.nan), np.ones(len(sightings), dtype=bool)
     for rows in kept.rows:
@@ -454,8 +460,3 @@ def _orient_linear(
 
 def _angle_names() -> tuple[str, ...]:
     return tuple(f"{axis}_{camera}" for camera in (1, 2) for axis in ("roll", "pitch", "yaw"))
-
-
-def _linear(pairs: SightingPairs, problem: StereoProblem, method: str, *, raw: bool) -> PairOrientation:
-    """The estimate of one of S2's two methods."""
-    return orient_by_epipolar(pairs, problem.noise, raw=raw)
