@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
+from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
-from sightline.photogrammetry.bundle import Adjustment, adjust
+from sightline.photogrammetry.bundle import Adjustment, adjust, load_kernels
 from sightline.photogrammetry.epipolar import epipolar_outliers, orient_by_epipolar
 from sightline.photogrammetry.observability import Observability, observability
 from sightline.photogrammetry.pairs import pair_sightings
@@ -139,7 +140,7 @@ class StereoOrientation(ReadOnlyArrays):
         Robust size of residuals over the stated one.
     iterations : int
     solve_seconds : float
-        s, to the angles and their covariance.
+        s, to the angles and their covariance; compiled code was loaded before.
     warnings : tuple of str
     """
 
@@ -173,6 +174,7 @@ class StereoOrientation(ReadOnlyArrays):
         return np.sqrt(np.diag(self.covariance)).reshape(-1, 3)
 
 
+@one_blas_thread
 def orient(
     problem: StereoProblem,
     method: str = "ml-track",
@@ -213,6 +215,7 @@ def orient(
     if method in ("epipolar", "plane"):
         _check_linear(problem, method, drift)
         return _orient_linear(problem, sightings, method, raw=raw, robust=robust)
+    load_kernels()
     if raw:
         raise InputError(f"`raw` is for the method epipolar only, got {method!r}; leave it out")
     pairs_only = method == "ml-pair"
@@ -240,6 +243,7 @@ def orient(
     )
 
 
+@one_blas_thread
 def orient_pushbroom(
     cameras: Sequence[PushbroomCamera],
     tracks: Tracks,
