@@ -12,7 +12,8 @@ from sightline.cli.options import Json
 
 def check(
     file: Annotated[
-        Path, typer.Argument(metavar="FILE.toml", help="An ACQUISITION.toml, INSTRUMENT.toml or TDI.toml.")
+        Path,
+        typer.Argument(metavar="FILE.toml", help="An ACQUISITION, INSTRUMENT, STEREO or TDI.toml."),
     ],
     as_json: Json = False,
 ) -> None:
@@ -21,12 +22,16 @@ def check(
     from sightline.io.acquisition import load_acquisition
     from sightline.io.config import kind_of
     from sightline.io.describe import describe_acquisition
+    from sightline.io.describe_stereo import describe_stereo
     from sightline.io.instrument import describe_instrument, load_instrument
+    from sightline.io.stereo import read_stereo
     from sightline.io.tdi import describe_tdi, load_tdi
 
     match kind_of(file):
         case "instrument":
             description = describe_instrument(load_instrument(file))
+        case "stereo":
+            description = describe_stereo(read_stereo(file))
         case "tdi":
             description = describe_tdi(load_tdi(file))
         case _:

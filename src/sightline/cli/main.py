@@ -12,7 +12,19 @@ from typing import Annotated, Any
 
 import typer
 
-from sightline.cli import check, demo, layout, recover, register, schema, score, simulate, tdi, version
+from sightline.cli import (
+    check,
+    demo,
+    layout,
+    orient,
+    recover,
+    register,
+    schema,
+    score,
+    simulate,
+    tdi,
+    version,
+)
 from sightline.cli.terminal import complain, warnings_as_messages
 from sightline.errors import EstimationError, GeometryError, SightlineError
 
@@ -47,6 +59,7 @@ app.add_typer(simulate.app, name="simulate")
 app.command("recover")(recover.recover)
 app.command("layout")(layout.layout)
 app.command("register")(register.register)
+app.command("orient")(orient.orient)
 app.command("tdi")(tdi.tdi)
 app.command("score")(score.score)
 app.command("check")(check.check)

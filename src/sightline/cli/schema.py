@@ -8,7 +8,9 @@ import typer
 
 
 def schema(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Which file: acquisition, instrument or tdi.")],
+    name: Annotated[
+        str, typer.Argument(metavar="NAME", help="Which file: acquisition, instrument, stereo or tdi.")
+    ],
 ) -> None:
     """Print the JSON Schema of one of the TOML files."""
     from sightline.cli.terminal import print_json

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -18,7 +18,7 @@ from sightline.geometry.earth import local_axes
 from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
-from sightline.io.acquisition_schema import AcquisitionFile
+from sightline.io.acquisition_schema import AcquisitionFile, WorldSection
 from sightline.motion.band import Band, ChipKnowledge, Frame, LensKnowledge
 from sightline.motion.hyper import KnownContent
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
@@ -137,6 +137,15 @@ def _relative(path: Path, folder: Path) -> str:
         return str(path)
 
 
+class HasWorld(Protocol):
+    """A file with a table ``[world]``."""
+
+    @property
+    def world(self) -> WorldSection:
+        """Axes of its positions and attitudes."""
+        ...
+
+
 class InputFolder:
     """Paths relative to the TOML file, remembered as they are used."""
 
@@ -159,7 +168,7 @@ def world_kind(config: AcquisitionFile) -> str:
     return "local" if config.platform.kind == "level-flight" or local else "earth-fixed"
 
 
-def attitude_to_world(attitude: Rotation, config: AcquisitionFile) -> Rotation:
+def attitude_to_world(attitude: Rotation, config: HasWorld) -> Rotation:
     """Attitudes in the axes of ``[world]`` → the axes of computation.
 
     Quaternions are Earth-fixed unless the frame is "local"; with "lonlat" only positions are geodetic.

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 from sightline.errors import FormatError
 from sightline.io.acquisition_schema import AcquisitionFile
 from sightline.io.instrument_schema import InstrumentFile
+from sightline.io.stereo_schema import StereoFile
 from sightline.io.tdi_schema import TdiFile
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -25,6 +26,7 @@ Model = TypeVar("Model", bound=BaseModel)
 SCHEMAS: dict[str, type[BaseModel]] = {
     "acquisition": AcquisitionFile,
     "instrument": InstrumentFile,
+    "stereo": StereoFile,
     "tdi": TdiFile,
 }
 
@@ -41,7 +43,7 @@ def json_schema(name: str) -> dict[str, Any]:
     Parameters
     ----------
     name : str
-        ``"acquisition"``, ``"instrument"`` or ``"tdi"``.
+        ``"acquisition"``, ``"instrument"``, ``"stereo"`` or ``"tdi"``.
 
     Returns
     -------
@@ -138,7 +140,7 @@ def _unknown_keys(
 
 def _model_of(annotation: Any, item: dict[str, Any]) -> type[BaseModel] | None:
     """The pydantic model that a table is checked against; of several, the one whose `kind` it names."""
-    models = list(_models_in(annotation))
+    models = list(dict.fromkeys(_models_in(annotation)))
     if len(models) <= 1:
         return models[0] if models else None
     for model in models:
@@ -205,6 +207,7 @@ def _is_type_tag(part: object) -> bool:
         in {
             "as-list",
             "as-range",
+            "as-table",
             "float",
             "int",
             "str",

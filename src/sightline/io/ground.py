@@ -5,7 +5,7 @@ Not here: reading the elevation raster (``dem.py``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +16,7 @@ from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.geometry.earth import WGS84, to_geodetic
 from sightline.geometry.surface import Dem, Ellipsoid, Infinity, Plane, Surface
 from sightline.io.acquired import InputFolder, world_kind
-from sightline.io.acquisition_schema import AcquisitionFile, CameraModelPlatform
+from sightline.io.acquisition_schema import AcquisitionFile, CameraModelPlatform, SurfaceSection
 from sightline.io.dem import Bounds, read_dem
 
 Array = NDArray[np.float64]
@@ -51,20 +51,52 @@ def build_surface(config: AcquisitionFile, files: InputFolder, cameras: Sequence
     -------
     Surface
     """
-    surface, local = config.surface, world_kind(config) == "local"
-    if surface.kind == "infinity":
-        return Infinity()
+
+    def ground(surface: Surface) -> Array:
+        return np.concatenate([camera.locate(image_grid(camera), surface) for camera in cameras])
+
     radii = body_radii(config, files)
-    if surface.dem is None:
-        return Plane(surface.height) if local else Ellipsoid(*(radii or WGS84), surface.height)
-    geoid = files(surface.geoid) if isinstance(surface.geoid, str) else surface.geoid
+    return surface_of(config.surface, files, ground, local=world_kind(config) == "local", radii=radii)
+
+
+def surface_of(
+    section: SurfaceSection,
+    files: InputFolder,
+    ground: Callable[[Surface], Array],
+    *,
+    local: bool,
+    radii: tuple[float, float] | None,
+) -> Surface:
+    """What a ``[surface]`` describes.
+
+    Parameters
+    ----------
+    section : SurfaceSection
+    files : InputFolder
+        Finds the rasters.
+    ground : callable
+        Points (N, 3) that the cameras see of a surface: they say which part of a large raster is needed.
+    local : bool
+        The world is x east, y north, z up.
+    radii : (equatorial, polar) or None
+        m; of another body than the Earth.
+
+    Returns
+    -------
+    Surface
+    """
+    if section.kind == "infinity":
+        return Infinity()
+    if section.dem is None:
+        return Plane(section.height) if local else Ellipsoid(*(radii or WGS84), section.height)
+    geoid = files(section.geoid) if isinstance(section.geoid, str) else section.geoid
     return read_dem(
-        files(surface.dem),
-        datum=surface.datum if "datum" in surface.model_fields_set else None,
+        files(section.dem),
+        datum=section.datum if "datum" in section.model_fields_set else None,
         geoid=geoid,
         local=local,
         radii=radii,
-        bounds=_bounds(cameras, local, radii or WGS84),
+        bounds=_bounds(ground, local, radii or WGS84),
     )
 
 
@@ -88,13 +120,12 @@ def image_grid(camera: MovingCamera) -> Array:
     return np.stack(grid, axis=-1).reshape(-1, 2)
 
 
-def _bounds(cameras: Sequence[MovingCamera], local: bool, radii: tuple[float, float]) -> Bounds | None:
+def _bounds(ground: Callable[[Surface], Array], local: bool, radii: tuple[float, float]) -> Bounds | None:
     """Box around everything the cameras can see between the heights that exist."""
     boxes = []
-    for camera in cameras:
-        for height in SEARCH_HEIGHTS:
-            surface: Surface = Plane(height) if local else Ellipsoid(*radii, height)
-            boxes.append(_horizontal(camera.locate(image_grid(camera), surface), local, radii))
+    for height in SEARCH_HEIGHTS:
+        surface: Surface = Plane(height) if local else Ellipsoid(*radii, height)
+        boxes.append(_horizontal(ground(surface), local, radii))
     points = np.concatenate(boxes)
     points = points[np.isfinite(points).all(axis=1)]
     if not len(points) or (not local and np.ptp(points[:, 0]) > 180.0):

@@ -20,7 +20,13 @@ from sightline.geometry.earth import WGS84, from_geodetic, local_axes, to_geodet
 from sightline.geometry.trajectory import Trajectory
 from sightline.io import ccsds, tables
 from sightline.io.acquired import InputFolder, attitude_to_world, world_kind
-from sightline.io.acquisition_schema import AcquisitionFile, EphemerisPlatform, LevelFlight, SpinPlatform
+from sightline.io.acquisition_schema import (
+    AcquisitionFile,
+    EphemerisPlatform,
+    LevelFlight,
+    SpinPlatform,
+    WorldSection,
+)
 from sightline.io.spin import must_cover, spin_of
 
 Array = NDArray[np.float64]
@@ -131,7 +137,32 @@ def read_attitudes(path: Path, epoch: str | None) -> tuple[Array, Array]:
 
 
 def to_world(points: Array, config: AcquisitionFile, path: Path | None = None) -> Array:
-    """Points (N, 3) in the axes of ``[world]`` → the axes of computation, m.
+    """Points (N, 3) in the axes of ``[world]`` → the axes of computation, m; see `points_to_world`."""
+    if world_kind(config) == "local":
+        return points
+    return points_to_world(points, config.world, config.surface.radii, path)
+
+
+def points_to_world(
+    points: Array, world: WorldSection, radii: tuple[float, float] | None, path: Path | None = None
+) -> Array:
+    """Points in the axes of ``[world]`` → the axes of computation.
+
+    Parameters
+    ----------
+    points : (N, 3)
+        m, or degrees and m for "lonlat".
+    world : WorldSection
+        With frame "local" and no origin points stay as they are.
+    radii : (equatorial, polar) or None
+        m; of another body than the Earth.
+    path : Path, optional
+        Named in messages.
+
+    Returns
+    -------
+    (N, 3)
+        m.
 
     Raises
     ------
@@ -139,10 +170,7 @@ def to_world(points: Array, config: AcquisitionFile, path: Path | None = None) -
         If coordinates are impossible in those axes; swapped and mis-scaled columns show here.
     """
     place = f"{path}: " if path is not None else ""
-    world = config.world
-    radii = config.surface.radii or WGS84
-    if world_kind(config) == "local":
-        return points
+    body = radii or WGS84
     if world.frame == "lonlat":
         lon, lat = points[:, 0], points[:, 1]
         if np.any(np.abs(lat) > 90.0) or np.any(np.abs(lon) > 360.0):
@@ -151,12 +179,13 @@ def to_world(points: Array, config: AcquisitionFile, path: Path | None = None) -
                 f'"lonlat" the columns '
                 "are x = longitude, y = latitude (degrees), z = height (m); are x and y swapped?"
             )
-        return from_geodetic(np.column_stack([np.radians(lon), np.radians(lat), points[:, 2]]), radii)
+        return from_geodetic(np.column_stack([np.radians(lon), np.radians(lat), points[:, 2]]), body)
     if world.frame == "local":
-        assert world.origin is not None  # world_kind says "local" otherwise
+        if world.origin is None:
+            return points
         lon, lat, height = np.radians(world.origin[0]), np.radians(world.origin[1]), world.origin[2]
-        return np.asarray(from_geodetic([[lon, lat, height]], radii) + local_axes(lon, lat).apply(points))
-    if config.surface.radii is None:
+        return np.asarray(from_geodetic([[lon, lat, height]], body) + local_axes(lon, lat).apply(points))
+    if radii is None:
         distance = np.linalg.norm(points, axis=1)
         low, high = EARTH_FIXED_RANGE
         if np.any((distance < low) | (distance > high)):

@@ -1,0 +1,144 @@
+"""``sightline orient``: constant attitude errors of cameras that image one scene together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.cli.options import Json, Out, Overwrite
+from sightline.cli.terminal import Progress
+
+if TYPE_CHECKING:
+    from sightline.applications.stereo_orientation import StereoOrientation
+    from sightline.io.stereo import Stereo
+
+
+class Method(StrEnum):
+    """The estimators, best first."""
+
+    ML_TRACK = "ml-track"
+    ML_PAIR = "ml-pair"
+    EPIPOLAR = "epipolar"
+    PLANE = "plane"
+
+
+def orient(
+    file: Annotated[Path, typer.Argument(metavar="STEREO.toml", help="Planned poses, points, noise.")],
+    out: Out,
+    method: Annotated[
+        Method,
+        typer.Option(
+            help="ml-track: points seen in all shots are one; ml-pair: new points in every shot; epipolar, "
+            "plane: S2's own, linear."
+        ),
+    ] = Method.ML_TRACK,
+    raw: Annotated[
+        bool, typer.Option("--raw", help="Of epipolar: keep the bias of noise times noise.")
+    ] = False,
+    drift: Annotated[
+        bool, typer.Option("--drift", help="Let the errors drift evenly with time about their middle value.")
+    ] = False,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Find the constant attitude errors of cameras from points they see together, with covariance."""
+    from sightline.cli.output import check_output_folder, output_folder
+    from sightline.cli.terminal import complain, print_json, progress, say
+
+    check_output_folder(out, overwrite=overwrite)
+    with progress() as report:
+        found = estimate(file, method, report, raw=raw, drift=drift)
+        with output_folder(out, overwrite=overwrite) as folder:
+            summary = write_oriented(folder, found, report)
+    if as_json:
+        print_json(summary)
+        return
+    for warning in summary["warnings"]:
+        complain("warning", warning)
+    tell(summary)
+    say(f"{out / 'orientation.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
+
+
+@dataclass(frozen=True, eq=False)
+class Oriented:
+    """An orientation before it is written.
+
+    Attributes
+    ----------
+    stereo : Stereo
+        What it was found from.
+    result : StereoOrientation
+    begun : float
+        s of ``time.perf_counter``; when work began.
+    """
+
+    stereo: Stereo
+    result: StereoOrientation
+    begun: float
+
+
+def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: bool) -> Oriented:
+    """The orientation of a STEREO.toml."""
+    import time
+
+    from sightline.applications.stereo_orientation import orient as solve
+    from sightline.errors import InputError
+    from sightline.io.stereo import read_stereo
+
+    if raw and method is not Method.EPIPOLAR:
+        raise InputError(f"--raw belongs to --method epipolar, here it is {method.value}; leave it out")
+    begun = time.perf_counter()
+    report(f"reading {file}")
+    stereo = read_stereo(file)
+    report(f"solving for {len(stereo.problem.cameras)} cameras in {len(stereo.problem.shot_names)} shots")
+    return Oriented(stereo, solve(stereo.problem, method.value, raw=raw, drift=drift), begun)
+
+
+def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str, Any]:
+    """Every file of the result; gives the summary."""
+    import time
+
+    from sightline.io.stereo_exports import write_exports
+    from sightline.io.stereo_results import write_stereo_result
+    from sightline.report.stereo_page import write_stereo_report
+
+    report("writing")
+    notes = write_exports(folder, found.stereo, found.result)
+    seconds = time.perf_counter() - found.begun
+    summary = write_stereo_result(
+        folder, found.stereo, found.result, wall_seconds=seconds, export_notes=list(notes)
+    )
+    write_stereo_report(folder / "report.html", found.stereo, found.result, summary)
+    return summary
+
+
+def tell(summary: dict[str, Any]) -> None:
+    """The orientation in a few lines."""
+    import math
+
+    from sightline.cli.terminal import say
+
+    arcsec = 648_000.0 / math.pi
+    for camera, angles in summary["angles"].items():
+        said = [
+            f"{axis} {arcsec * angles[axis]:+.3f} ± {arcsec * angles[f'sigma_{axis}']:.3f}"
+            if math.isfinite(angles[f"sigma_{axis}"])
+            else f"{axis} not observable"
+            for axis in ("roll", "pitch", "yaw")
+        ]
+        say(f"camera {camera}: {', '.join(said)} arcsec")
+    for words in summary["unobservable"]:
+        say(f"not observable: {words}")
+    weakest = next((entry for entry in summary["principal_sigmas"] if math.isfinite(entry["sigma"])), None)
+    if weakest is not None:
+        say(f"weakest direction that is seen: {weakest['words']}, {arcsec * weakest['sigma']:.3g} arcsec")
+    matches = summary["matches"]
+    say(
+        f"{matches['kept']} of {matches['tried']} {matches['kind']} kept, residual {matches['rms_px']:.3g} "
+        "px rms; "
+        f"{summary['chi_square']['verdict']}"
+    )

@@ -1,0 +1,276 @@
+"""A stereo orientation → its tables and ``summary.json``; their columns are described in ``docs/formats.md``.
+
+Not here: poses and models for other programs (``stereo_exports.py``), the page (``report/stereo_page.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
+from sightline.evaluation.direction_words import AXES, angle_names, direction_words
+from sightline.geometry.earth import local_axes, to_geodetic
+from sightline.io.results import peak_memory, write_json
+from sightline.io.stereo import Stereo
+from sightline.io.tables import write_columns
+from sightline.photogrammetry.triangulate import triangulate
+
+Array = NDArray[np.float64]
+BoolArray = NDArray[np.bool_]
+
+ORIENTATION = ("camera", *AXES, *(f"sigma_{axis}" for axis in AXES))
+#: Times its own 1-sigma by which chi-square per degree of freedom may differ from 1 before it is spoken of,
+#: and by how much it must.
+CHI_SIGMAS, CHI_SHARE = 3.0, 0.1
+
+
+def write_stereo_result(
+    folder: Path, stereo: Stereo, result: StereoOrientation, *, wall_seconds: float, **more: Any
+) -> dict[str, Any]:
+    """Write every table of an orientation and its summary.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    stereo : Stereo
+        What it was found from.
+    result : StereoOrientation
+    wall_seconds : float
+        s; of the whole command so far.
+    more
+        Further entries of the summary.
+
+    Returns
+    -------
+    dict
+        The summary, as in ``summary.json``.
+    """
+    write_orientation(folder / "orientation.csv", result)
+    write_covariance(folder / "covariance.csv", result.cameras, result.covariance)
+    write_matches_used(folder / "matches_used.csv", stereo, result)
+    write_points(folder / "points.csv", stereo.problem, result)
+    summary = summarize_orientation(stereo, result, wall_seconds=wall_seconds) | more
+    write_json(folder / "summary.json", summary)
+    return summary
+
+
+def write_orientation(path: Path, result: StereoOrientation) -> None:
+    """``orientation.csv``: a row per camera, rad; nan and inf where an angle is not observable."""
+    sigma = result.sigma
+    values = [np.array(result.cameras, dtype=str), *result.angles.T, *sigma.T]
+    write_columns(path, dict(zip(ORIENTATION, values, strict=True)), dict.fromkeys(ORIENTATION, "%.17g"))
+
+
+def write_covariance(path: Path, cameras: tuple[str, ...], covariance: Array) -> None:
+    """``covariance.csv``: rad^2, rows and columns as the comment at its top names them."""
+    lines = ["# " + ",".join(angle_names(cameras))]
+    lines += [",".join(f"{value:.17g}" for value in row) for row in covariance]
+    temporary = path.with_name(f".{path.name}.part")
+    temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    temporary.replace(path)
+
+
+def used(stereo: Stereo, result: StereoOrientation) -> tuple[Array, BoolArray]:
+    """Residual (px) and rejection of each match, or of each sighting of observations and control points.
+
+    A match has the residuals of both images: the root of the sum of their squares.
+    """
+    size, rejected = result.residual_px, result.rejected
+    if stereo.pairs is None:
+        return size, rejected
+    first, second = slice(0, stereo.pairs), slice(stereo.pairs, 2 * stereo.pairs)
+    return np.hypot(size[first], size[second]), rejected[first] | rejected[second]
+
+
+def write_matches_used(path: Path, stereo: Stereo, result: StereoOrientation) -> None:
+    """``matches_used.csv``: residual of each match, and whether it was rejected."""
+    problem = stereo.problem
+    size, rejected = used(stereo, result)
+    rows = slice(0, len(size))
+    image = problem.tracks.image[rows]
+    columns: dict[str, Any] = {
+        "shot": problem.shot_names[problem.images.shot[image]].astype(np.int64),
+        "point": problem.point_names[problem.tracks.point[rows]].astype(np.int64),
+        "residual_px": size,
+        "rejected": rejected,
+    }
+    if stereo.pairs is None:
+        names = np.array(problem.cameras, dtype=str)
+        columns = {"camera": names[problem.images.camera[image]], **columns}
+    write_columns(path, columns, {"residual_px": "%.6g"})
+
+
+def heights_of(points: Array, radii: tuple[float, float] | None) -> Array:
+    """m (n,); above the ellipsoid, or z of a flat world; NaN for points that are not known."""
+    return np.array(points[:, 2] if radii is None else to_geodetic(points, radii)[:, 2])
+
+
+def planned_points(problem: StereoProblem, kept: BoolArray) -> Array:
+    """Points (n, 3) m that the planned poses give, from the sightings `kept` (N,)."""
+    return triangulate(problem.sightings(), used=kept).position
+
+
+def vertical_sigma(points: Array, covariance: Array, radii: tuple[float, float] | None) -> Array:
+    """m (n,); 1-sigma of the heights of points; NaN where it is not known."""
+    up = np.tile([0.0, 0.0, 1.0], (len(points), 1))
+    if radii is not None:
+        known = np.isfinite(points).all(axis=1)
+        lon, lat, _ = to_geodetic(points[known], radii).T
+        up[known] = local_axes(lon, lat).as_matrix()[:, :, 2]
+    return np.asarray(np.sqrt(np.einsum("ni,nij,nj->n", up, covariance, up)))
+
+
+def write_points(path: Path, problem: StereoProblem, result: StereoOrientation) -> None:
+    """``points.csv``: every point with its sigmas, and its height before and after."""
+    before = planned_points(problem, ~result.rejected)
+    points, covariance = result.points, result.point_covariance
+    sigma = np.sqrt(np.einsum("nii->ni", covariance))
+    columns: dict[str, Any] = {"point": problem.point_names.astype(np.int64)}
+    columns |= {axis: points[:, k] for k, axis in enumerate("xyz")}
+    columns |= {f"sigma_{axis}": sigma[:, k] for k, axis in enumerate("xyz")}
+    columns |= {
+        "height_before": heights_of(before, problem.radii),
+        "height": heights_of(points, problem.radii),
+        "sigma_height": vertical_sigma(points, covariance, problem.radii),
+    }
+    write_columns(path, columns, dict.fromkeys([*"xyz", "height", "height_before"], "%.13g"))
+
+
+def summarize_orientation(
+    stereo: Stereo, result: StereoOrientation, *, wall_seconds: float
+) -> dict[str, Any]:
+    """The content of ``summary.json``."""
+    problem, images = stereo.problem, stereo.problem.images
+    sigma = result.sigma
+    return {
+        "name": stereo.name,
+        "epoch": problem.epoch,
+        "version": version("sightline"),
+        "method": result.method,
+        "cameras": list(result.cameras),
+        "images": len(images),
+        "shots": len(problem.shot_names),
+        "points": len(problem.point_names),
+        "window_seconds": float(np.ptp(images.t)),
+        "angles": {
+            camera: {axis: float(result.angles[c, k]) for k, axis in enumerate(AXES)}
+            | {f"sigma_{axis}": float(sigma[c, k]) for k, axis in enumerate(AXES)}
+            for c, camera in enumerate(result.cameras)
+        },
+        "principal_sigmas": principal_sigmas(result),
+        "unobservable": [
+            entry["words"] for entry in principal_sigmas(result) if not math.isfinite(entry["sigma"])
+        ],
+        "drift": _drift(result),
+        "focal_length": _focal(problem, result),
+        "bias_removed": None if result.bias is None else result.bias.tolist(),
+        "matches": _matches(stereo, result),
+        "cost": result.cost,
+        "degrees_of_freedom": result.degrees_of_freedom,
+        "chi_square": chi_square(result),
+        "heights": _heights(problem, result),
+        "warnings": [*problem.warnings, *result.warnings],
+        "iterations": result.iterations,
+        "solve_seconds": result.solve_seconds,
+        "wall_seconds": wall_seconds,
+        "peak_memory_bytes": peak_memory(),
+        "inputs": stereo.input_hashes(),
+    }
+
+
+def principal_sigmas(result: StereoOrientation) -> list[dict[str, Any]]:
+    """Principal directions of the angles, the weakest first: sigma (rad), direction by name, words."""
+    names, seen = angle_names(result.cameras), result.observability
+    order = np.argsort(-np.asarray(seen.sigmas), kind="stable")
+    return [
+        {
+            "sigma": float(seen.sigmas[k]),
+            "direction": {name: float(part) for name, part in zip(names, seen.directions[k], strict=True)},
+            "words": direction_words(seen.directions[k], result.cameras),
+        }
+        for k in order
+    ]
+
+
+def _matches(stereo: Stereo, result: StereoOrientation) -> dict[str, Any]:
+    """How many were tried, kept and rejected, and their residuals (px)."""
+    size, rejected = used(stereo, result)
+    kept = size[~rejected & np.isfinite(size)]
+    return {
+        "kind": "pairs" if stereo.pairs is not None else "sightings",
+        "tried": len(size),
+        "kept": int((~rejected).sum()),
+        "rejected": int(rejected.sum()),
+        "unchecked": result.unchecked,
+        "rms_px": float(np.sqrt((kept**2).mean())) if len(kept) else math.nan,
+    }
+
+
+def _drift(result: StereoOrientation) -> dict[str, Any] | None:
+    """rad/s of every angle of every camera, where it was sought."""
+    if result.drift is None or result.drift_sigma is None:
+        return None
+    return {
+        camera: {axis: float(result.drift[c, k]) for k, axis in enumerate(AXES)}
+        | {f"sigma_{axis}": float(result.drift_sigma[c, k]) for k, axis in enumerate(AXES)}
+        for c, camera in enumerate(result.cameras)
+    }
+
+
+def _focal(problem: StereoProblem, result: StereoOrientation) -> dict[str, Any] | None:
+    """px; focal lengths that were refined."""
+    if result.stretch is None or result.stretch_sigma is None:
+        return None
+    return {
+        camera: {
+            "focal_length_px": detector.focal_length_px * (1.0 + float(result.stretch[c])),
+            "sigma_px": detector.focal_length_px * float(result.stretch_sigma[c]),
+        }
+        for c, (camera, detector) in enumerate(zip(result.cameras, problem.detectors, strict=True))
+    }
+
+
+def chi_square(result: StereoOrientation) -> dict[str, Any]:
+    """Whether residuals are as large as the sigmas of the file say."""
+    freedom = result.degrees_of_freedom
+    if result.cost is None or freedom is None or freedom <= 0:
+        return {
+            "per_degree": None,
+            "sigma": None,
+            "verdict": "whether residuals are as large as the sigmas say was not judged",
+        }
+    ratio, sigma = result.cost / freedom, math.sqrt(2.0 / freedom)
+    off = abs(ratio - 1.0)
+    if off <= max(CHI_SIGMAS * sigma, CHI_SHARE):
+        verdict = "residuals are as large as the sigmas say"
+    elif ratio > 1.0:
+        verdict = (
+            f"residuals are {math.sqrt(ratio):.3g} times as large as the sigmas say: enlarge sigma_px or "
+            "those of "
+            "the poses; the sigmas of the angles are too small by about that"
+        )
+    else:
+        verdict = (
+            f"residuals are {math.sqrt(ratio):.3g} times as large as the sigmas say: these are too large"
+        )
+    return {"per_degree": ratio, "sigma": sigma, "verdict": verdict}
+
+
+def _heights(problem: StereoProblem, result: StereoOrientation) -> dict[str, float]:
+    """m; how far heights moved, and their median sigma."""
+    before = heights_of(planned_points(problem, ~result.rejected), problem.radii)
+    moved = heights_of(result.points, problem.radii) - before
+    sigma = vertical_sigma(result.points, result.point_covariance, problem.radii)
+    known, told = moved[np.isfinite(moved)], sigma[np.isfinite(sigma)]
+    return {
+        "mean_change": float(known.mean()) if len(known) else math.nan,
+        "rms_change": float(np.sqrt((known**2).mean())) if len(known) else math.nan,
+        "median_sigma": float(np.median(told)) if len(told) else math.nan,
+    }

@@ -1,0 +1,273 @@
+"""What a STEREO.toml may hold: keys, types, defaults and allowed values.
+
+The contract of ``docs/formats.md`` as pydantic models; the JSON Schema of ``sightline schema stereo`` is
+generated from here.
+
+Not here: reading the file (``config.py``), what is made of it (``stereo.py``).
+"""
+
+from __future__ import annotations
+
+from datetime import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import Discriminator, Field, Tag, field_validator, model_validator
+
+from sightline.errors import FormatError
+from sightline.io.acquisition_schema import (
+    Finite,
+    Positive,
+    Quaternion,
+    Section,
+    Sigma,
+    SurfaceSection,
+    Vector,
+    WorldSection,
+)
+from sightline.io.ccsds import parse_utc
+
+#: One table for all cameras or a list of tables, told apart before they are judged.
+_ONE, _EACH = "as-table", "as-list"
+
+
+def _form(value: object) -> str:
+    return _EACH if isinstance(value, list | tuple) else _ONE
+
+
+class StereoHeader(Section):
+    """``[stereo]``: what this data set is called and when t = 0 was."""
+
+    name: str = Field(default="stereo orientation", description="Title of the report")
+    epoch: str | None = Field(default=None, description="UTC instant of t = 0, ISO 8601; needed for an AEM")
+
+    @field_validator("epoch", mode="before")
+    @classmethod
+    def _epoch_as_text(cls, value: object) -> object:
+        """TOML's own date-times are taken as well as quoted ones."""
+        return value.isoformat() if isinstance(value, datetime) else value
+
+    @field_validator("epoch")
+    @classmethod
+    def _epoch_is_an_instant(cls, value: str | None) -> str | None:
+        if value is not None:
+            try:
+                parse_utc(value, "epoch")
+            except FormatError:
+                raise ValueError(
+                    f'{value!r} is not allowed: an ISO 8601 instant in UTC is, such as "2026-01-31T12:00:00Z"'
+                ) from None
+        return value
+
+
+class StereoCamera(Section):
+    """``[camera]``, or one ``[[camera]]`` each: how it sits in the body, and its lens."""
+
+    name: str | None = Field(default=None, description="Of [[camera]]: which one, as in cameras.csv")
+    mount: Literal["nominal"] = Field(default="nominal", description="Lines forward, columns left")
+    body_from_camera: Quaternion | None = Field(
+        default=None, description="[x, y, z, w] in place of the nominal mount"
+    )
+    shape: tuple[Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]] = Field(
+        description="(lines, columns) of a frame"
+    )
+    focal_length_px: Positive = Field(description="Focal length / pixel pitch")
+    focal_length_sigma_px: Sigma = Field(
+        default=0.0, description="How well it is known, to be refined; 0 = exactly"
+    )
+    focal_length: Literal["estimate"] | None = Field(
+        default=None, description='"estimate": refine it freely, starting from focal_length_px'
+    )
+    principal_point_px: tuple[Finite, Finite] | None = Field(
+        default=None, description="(line, column); default the centre of the frame"
+    )
+    distortion: Annotated[list[Finite], Field(max_length=5)] = Field(
+        default=[], description="k1, k2, p1, p2, k3 in normalised coordinates"
+    )
+
+    @field_validator("name", mode="before")
+    @classmethod
+    def _a_number_is_a_name(cls, value: object) -> object:
+        return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
+
+    @field_validator("body_from_camera")
+    @classmethod
+    def _length_one(cls, value: Quaternion | None) -> Quaternion | None:
+        length = 1.0 if value is None else float(sum(q * q for q in value)) ** 0.5
+        if abs(length - 1.0) > 1e-3:
+            raise ValueError(
+                f"{list(value or ())} has length {length:.6g}; a unit quaternion [x, y, z, w], scalar last, "
+                "is expected"
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _said_once(self) -> StereoCamera:
+        if self.body_from_camera is not None and "mount" in self.model_fields_set:
+            raise ValueError("mount and body_from_camera are both given; keep one of them")
+        if self.focal_length == "estimate" and self.focal_length_sigma_px > 0.0:
+            raise ValueError(
+                'focal_length = "estimate" takes no focal_length_sigma_px; keep one of them: a sigma, or none'
+            )
+        return self
+
+
+class StereoNoise(Section):
+    """``[noise]``: errors of points and of planned poses, 1-sigma."""
+
+    sigma_px: Positive | None = Field(
+        default=None, description="Of each coordinate of a point, px; where the table of points gives none"
+    )
+    sigma_position: Sigma = Field(description="Of planned positions, m per axis, shot to shot")
+    sigma_attitude: Sigma = Field(description="Of planned attitudes, rad per body axis, shot to shot")
+    attitude_knowledge: Literal["independent", "from-position"] = Field(
+        default="independent",
+        description="independent: measured (star tracker); from-position: each camera looked at aim_point "
+        "and attitudes were rebuilt from the noisy positions",
+    )
+    aim_point: Vector | None = Field(
+        default=None,
+        description="With from-position: x, y, z, axes of [world]; default: nearest to all boresights",
+    )
+
+    @model_validator(mode="after")
+    def _aim_needs_its_model(self) -> StereoNoise:
+        if self.aim_point is not None and self.attitude_knowledge != "from-position":
+            raise ValueError(
+                'aim_point belongs to attitude_knowledge = "from-position"; remove one of the two'
+            )
+        return self
+
+
+class StereoStrip(Section):
+    """``[[strip]]``: a push-broom image in place of the frames of a camera."""
+
+    name: str = Field(description="Camera of this strip, as in the column camera of observations")
+    acquisition: str = Field(description="ACQUISITION.toml that has its camera")
+    band: str | None = Field(default=None, description="Which of its bands; default the first")
+
+
+class StereoFile(Section):
+    """A STEREO.toml: cameras that image one scene together, points found in the images, what is known."""
+
+    stereo: StereoHeader = StereoHeader()
+    cameras: str | None = Field(
+        default=None,
+        description="CSV camera,shot,t,x,y,z,qx,qy,qz,qw: planned poses, world_from_body, scalar last",
+    )
+    matches: str | None = Field(
+        default=None,
+        description="CSV shot,point,line_1,column_1,line_2,column_2[,sigma_px], two cameras",
+    )
+    observations: str | None = Field(
+        default=None, description="CSV camera,shot,point,line,column[,sigma_px], any number of cameras"
+    )
+    images: str | None = Field(
+        default=None, description="CSV camera,shot,image[,mask]: points are found in the images"
+    )
+    dem: str | None = Field(default=None, description="Raster of heights on which all points lie")
+    dem_sigma: Positive | None = Field(default=None, description="How well it is known, m; with dem")
+    control_points: str | None = Field(
+        default=None,
+        description="CSV x,y,z,sigma and point, or camera,shot,line,column, or image,line,column",
+    )
+    camera: (
+        Annotated[
+            Annotated[StereoCamera, Tag(_ONE)] | Annotated[list[StereoCamera], Tag(_EACH)],
+            Discriminator(_form),
+        ]
+        | None
+    ) = Field(default=None, description="All cameras alike, or [[camera]] with a name each")
+    noise: StereoNoise
+    surface: SurfaceSection = SurfaceSection()
+    world: WorldSection = WorldSection()
+    strip: list[StereoStrip] = Field(default=[], description="Push-broom images in place of frames")
+
+    @property
+    def sources(self) -> list[str]:
+        """Which of the keys that bring points are given."""
+        return [key for key in ("matches", "observations", "images") if getattr(self, key) is not None]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_source_of_points(cls, data: Any) -> Any:
+        """Said before missing keys are: it is the commonest mistake."""
+        given = [key for key in ("matches", "observations", "images") if key in data]
+        if len(given) > 1:
+            raise ValueError(
+                f"{' and '.join(given)} are given; keep one of them: the points come from one table"
+            )
+        return data
+
+    @model_validator(mode="after")
+    def _parts_agree(self) -> StereoFile:
+        if not self.sources:
+            raise ValueError(
+                "nothing brings points: give matches = FILE (two cameras), observations = FILE (any number "
+                "of cameras) or images = FILE"
+            )
+        if self.strip:
+            self._strips_stand_alone()
+        else:
+            if self.cameras is None:
+                raise ValueError("key 'cameras' is missing: a CSV camera,shot,t,x,y,z,qx,qy,qz,qw; add it")
+            if self.camera is None or self.camera == []:
+                raise ValueError("[camera] is missing: shape, focal_length_px; add it")
+        if isinstance(self.camera, list):
+            self._cameras_have_names(self.camera)
+        elif self.camera is not None and self.camera.name is not None:
+            raise ValueError(
+                "camera.name belongs to [[camera]]; one [camera] is for all cameras: remove name"
+            )
+        self._heights_are_said_once()
+        return self
+
+    def _strips_stand_alone(self) -> None:
+        given = [key for key in ("cameras", "camera") if getattr(self, key) is not None]
+        if given:
+            raise ValueError(f"[[strip]] brings its own camera; remove {given[0]}")
+        if self.observations is None:
+            raise ValueError("[[strip]] takes its points from observations = FILE (camera,point,line,column)")
+        names = [strip.name for strip in self.strip]
+        if len(names) < 2 or len(set(names)) < len(names):
+            raise ValueError(f"[[strip]] needs two or more, each with a name of its own; given: {names}")
+        if self.noise.attitude_knowledge != "independent":
+            raise ValueError(
+                'attitude_knowledge = "from-position" is for frames; [[strip]] takes "independent"'
+            )
+
+    @staticmethod
+    def _cameras_have_names(cameras: list[StereoCamera]) -> None:
+        names = [camera.name for camera in cameras]
+        if None in names:
+            raise ValueError(
+                f"[[camera]] number {names.index(None) + 1} has no name; add name = as in cameras.csv"
+            )
+        repeated = sorted({str(name) for name in names if names.count(name) > 1})
+        if repeated:
+            raise ValueError(f"two [[camera]] are called {repeated[0]!r}; each needs a name of its own")
+
+    def _heights_are_said_once(self) -> None:
+        given = self.surface.model_fields_set
+        if self.surface.kind is not None:
+            raise ValueError("surface.kind is for stars; points to be oriented by lie near: remove it")
+        if self.dem is None:
+            if self.dem_sigma is not None:
+                raise ValueError(
+                    "dem_sigma is given without dem; add dem = FILE, or use [surface] height_sigma"
+                )
+        else:
+            twice = sorted(given & {"dem", "height", "height_sigma"})
+            if twice:
+                raise ValueError(f"dem and [surface] {twice[0]} are both given; keep one of them")
+            if self.dem_sigma is None:
+                raise ValueError("dem is given without dem_sigma (m): say how well its heights are known")
+        if "height_sigma" in given and self.surface.height_sigma == 0.0:
+            raise ValueError(
+                "surface.height_sigma = 0 is not allowed: no ground is known exactly; give metres, or "
+                "leave it "
+                "out to use heights as a start only"
+            )
+        if self.surface.dem is not None and "height_sigma" not in given:
+            raise ValueError(
+                "surface.dem is given without height_sigma (m): say how well its heights are known"
+            )

@@ -1,0 +1,303 @@
+"""Figures of a stereo orientation: ellipses, weak directions, residuals, heights.
+
+Not here: how it was found (``photogrammetry/``).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+from scipy.spatial.transform import Rotation
+
+from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
+from sightline.evaluation.direction_words import AXES
+from sightline.evaluation.score_orientation import ARCSEC
+from sightline.geometry.earth import local_axes, to_geodetic
+from sightline.io.stereo import Stereo
+from sightline.io.stereo_results import heights_of, planned_points, vertical_sigma
+from sightline.report.style import INK, MUTED, RULE, TEMPLATE, panels
+
+Array = NDArray[np.float64]
+
+#: One colour per camera, the same in every figure.
+CAMERA_COLOURS = ("#2f6ca3", "#c1502e", "#3f8a5a", "#8a5a9e", "#a3812f", "#4a8f9e")
+#: Radii of the ellipse in sigmas that hold 39 and 95 % of two numbers.
+ONE_SIGMA, SIGMA_95 = 1.0, 2.4477
+#: Cameras that are drawn at most, points of a map at most, cells of a frame along its larger side.
+DRAWN_CAMERAS, DRAWN_POINTS, CELLS = 6, 4000, 10
+#: Sightings of a cell whose mean is drawn.
+FEW = 5
+PAIRS = ((0, 1), (0, 2), (1, 2))
+
+
+def colour(camera: int) -> str:
+    """Of a camera."""
+    return CAMERA_COLOURS[camera % len(CAMERA_COLOURS)]
+
+
+def _grid(rows: int, columns: int, height: int, titles: list[str], **options: Any) -> go.Figure:
+    """Panels in rows and columns with titles at their left."""
+    figure = make_subplots(rows=rows, cols=columns, subplot_titles=titles, **options)
+    figure.update_layout(template=TEMPLATE, height=height, margin_t=64)
+    figure.update_annotations(font_size=12)
+    return figure
+
+
+def ellipse_figure(result: StereoOrientation) -> go.Figure | None:
+    """Where the true angles lie about the estimated ones; None where no two are known."""
+    covariance = np.asarray(result.covariance) / ARCSEC**2
+    shown = range(min(len(result.cameras), DRAWN_CAMERAS))
+    two = len(result.cameras) == 2
+    titles = [f"{AXES[a]} and {AXES[b]} of each camera" for a, b in PAIRS]
+    titles += [f"{axis} of both cameras" for axis in AXES] if two else []
+    figure = _grid(1 + two, 3, 400 + 350 * two, titles, horizontal_spacing=0.09, vertical_spacing=0.16)
+    drawn = False
+    for panel, (a, b) in enumerate(PAIRS, 1):
+        for camera in shown:
+            pair = [3 * camera + a, 3 * camera + b]
+            name = f"camera {result.cameras[camera]}"
+            drawn |= _ellipses(figure, covariance, pair, colour(camera), name, 3.6 / (camera + 1), 1, panel)
+        _equal(figure, 1, panel, f"error of {AXES[a]} (arcsec)", f"error of {AXES[b]} (arcsec)")
+    for k in range(3 if two else 0):
+        drawn |= _ellipses(figure, covariance, [k, 3 + k], INK, "both cameras", 1.8, 2, k + 1)
+        first, second = result.cameras
+        _equal(figure, 2, k + 1, f"{AXES[k]} of camera {first} (arcsec)", f"of camera {second} (arcsec)")
+    figure.update_layout(legend={"y": 1.09 if two else 1.16})
+    return figure if drawn else None
+
+
+def _ellipses(
+    figure: go.Figure,
+    covariance: Array,
+    pair: list[int],
+    ink: str,
+    name: str,
+    width: float,
+    row: int,
+    col: int,
+) -> bool:
+    """Ellipses of two angles (solid: 1 sigma, dotted: 95 %); False where they are not known."""
+    block = covariance[np.ix_(pair, pair)]
+    if not np.isfinite(block).all():
+        return False
+    values, vectors = np.linalg.eigh(block)
+    turn = np.linspace(0.0, 2.0 * np.pi, 91)
+    ring = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * np.stack([np.cos(turn), np.sin(turn)]))
+    for size, dash, what in ((ONE_SIGMA, "solid", "1 sigma of each"), (SIGMA_95, "dot", "95 %")):
+        x, y = size * ring
+        figure.add_scatter(
+            x=x, y=y, row=row, col=col, mode="lines", line={"color": ink, "width": width, "dash": dash},
+            name=f"{name}: {what}", legendgroup=f"{name}{dash}", showlegend=col == 1,
+            hovertemplate=f"{name}, {what}<br>%{{x:.3g}}, %{{y:.3g}} arcsec<extra></extra>",
+        )  # fmt: skip
+    return True
+
+
+def _equal(figure: go.Figure, row: int, col: int, x: str, y: str) -> None:
+    figure.update_xaxes(title_text=x, row=row, col=col, zeroline=True, zerolinecolor=RULE)
+    figure.update_yaxes(title_text=y, row=row, col=col, zeroline=True, zerolinecolor=RULE)
+
+
+def direction_figure(entries: list[dict[str, Any]]) -> go.Figure:
+    """Sigma of every principal direction, weakest first."""
+    sigma = np.array([entry["sigma"] for entry in entries], dtype=np.float64) / ARCSEC
+    known = np.isfinite(sigma)
+    longest = 10.0 * sigma[known].max() if known.any() else 1.0
+    labels = [f"{k}. {entry['words']}" for k, entry in enumerate(entries, 1)]
+    figure = panels(1, 90 + 44 * len(entries), top=20)
+    for which, name, ink in ((known, "seen", "#2f6ca3"), (~known, "not observable", "#d69e2e")):
+        if which.any():
+            figure.add_bar(
+                y=[label for label, yes in zip(labels, which, strict=True) if yes],
+                x=np.where(known, sigma, longest)[which], orientation="h", marker_color=ink, name=name,
+                text=[f"{s:.3g}" if np.isfinite(s) else "not observable" for s in sigma[which]],
+                textposition="outside", cliponaxis=False,
+                hovertemplate="%{y}: %{text} arcsec<extra></extra>",
+            )  # fmt: skip
+    low = 0.5 * sigma[known].min() if known.any() else 0.1
+    ticks = [m * 10.0**k for k in range(-4, 7) for m in (1, 2, 5)]
+    figure.update_xaxes(
+        type="log", title_text="1 sigma along the direction (arcsec)", tickvals=ticks,
+        ticktext=[f"{tick:g}" for tick in ticks],
+    )  # fmt: skip
+    figure.update_xaxes(range=[np.log10(low), np.log10(4.0 * longest if (~known).any() else 0.4 * longest)])
+    figure.update_yaxes(autorange="reversed", automargin=True, categoryorder="array", categoryarray=labels)
+    figure.update_layout(showlegend=False, margin_r=120)
+    return figure
+
+
+def residual_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure:
+    """Residual rms and share rejected of every image, shot by shot."""
+    problem = stereo.problem
+    size, rejected = result.residual_px, result.rejected
+    image, images = problem.tracks.image, problem.images
+    kept = ~rejected & np.isfinite(size)
+    count = np.bincount(image[kept], minlength=len(images))
+    square = np.bincount(image[kept], size[kept] ** 2, minlength=len(images))
+    rms = np.sqrt(np.where(count, square, np.nan) / np.maximum(count, 1))
+    every = np.bincount(image, minlength=len(images))
+    share = 100.0 * np.bincount(image, rejected, len(images)) / np.maximum(every, 1)
+    figure = panels(
+        2, 460, gap_px=44.0, top=52, shared_xaxes=True,
+        subplot_titles=["Residual of the kept points of each image, rms", "Points rejected"],
+    )  # fmt: skip
+    mode = "lines+markers" if len(problem.shot_names) <= 200 else "lines"
+    for camera in range(min(len(problem.cameras), DRAWN_CAMERAS)):
+        rows = np.flatnonzero(images.camera == camera)
+        rows = rows[np.argsort(images.shot[rows])]
+        x = problem.shot_names[images.shot[rows]]
+        for row, values, unit in ((1, rms, "px"), (2, share, "%")):
+            figure.add_scatter(
+                x=x, y=values[rows], row=row, col=1, mode=mode, marker_size=5,
+                line={"color": colour(camera), "width": 1.4}, name=f"camera {problem.cameras[camera]}",
+                legendgroup=str(camera), showlegend=row == 1,
+                hovertemplate=f"shot %{{x:.0f}}: %{{y:.3g}} {unit}<extra></extra>",
+            )  # fmt: skip
+    expected = float(np.sqrt(2.0 * np.mean(problem.tracks.sigma_px**2)))
+    figure.add_scatter(
+        x=problem.shot_names[[0, -1]], y=[expected, expected], row=1, col=1, mode="lines",
+        line={"color": MUTED, "dash": "dot", "width": 1.4}, name="as sigma_px says", hoverinfo="skip",
+    )  # fmt: skip
+    figure.update_yaxes(title_text="px", rangemode="tozero", row=1)
+    figure.update_yaxes(title_text="%", rangemode="tozero", row=2)
+    figure.update_xaxes(title_text="shot", row=2)
+    return figure
+
+
+def residual_vectors(problem: StereoProblem, result: StereoOrientation) -> Array | None:
+    """Residuals (N, 2) px, measured less predicted (line, column); None where points were not adjusted."""
+    if result.method != "ml-track" or result.attitude is None or result.position is None:
+        return None
+    s, image = problem.sightings(), problem.tracks.image
+    camera = problem.images.camera
+    turned = Rotation.from_rotvec(np.nan_to_num(result.angles)[camera] + result.attitude).as_matrix()
+    attitude = s.world_from_body @ turned @ s.body_from_camera[camera]
+    to = result.points[problem.tracks.point] - (s.position + result.position)[image]
+    seen = np.einsum("nji,nj->ni", attitude[image], to)
+    miss = s.tangents - seen[:, :2] / seen[:, 2:]
+    return np.asarray(np.einsum("nij,nj->ni", s.px_per_tangent, miss))
+
+
+def image_plane_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure | None:
+    """Mean residual in cells of each camera's frame as arrows; None where residuals have no direction."""
+    residual = residual_vectors(stereo.problem, result)
+    if residual is None:
+        return None
+    problem = stereo.problem
+    shown = range(min(len(problem.cameras), DRAWN_CAMERAS))
+    cells = [_cells(problem, residual, result.rejected, camera) for camera in shown]
+    largest = max((float(np.hypot(*c[1].T).max()) for c in cells if len(c[0])), default=0.0)
+    if largest == 0.0:
+        return None
+    names = [f"Camera {problem.cameras[k]}" for k in shown]
+    columns = min(len(names), 2)
+    rows = -(-len(names) // columns)
+    figure = _grid(rows, columns, 60 + 420 * rows, names, horizontal_spacing=0.1)
+    for camera in shown:
+        centre, mean, number = cells[camera]
+        lines, width = problem.detectors[camera].shape
+        scale = 0.9 * max(lines, width) / CELLS / largest
+        row, col = camera // columns + 1, camera % columns + 1
+        end = centre + scale * mean
+        gap = np.full(len(centre), np.nan)
+        figure.add_scatter(
+            x=np.column_stack([centre[:, 1], end[:, 1], gap]).ravel(),
+            y=np.column_stack([centre[:, 0], end[:, 0], gap]).ravel(),
+            row=row, col=col, mode="lines", line={"color": colour(camera), "width": 2}, hoverinfo="skip",
+        )  # fmt: skip
+        figure.add_scatter(
+            x=centre[:, 1], y=centre[:, 0], row=row, col=col, mode="markers",
+            marker={"size": 4, "color": colour(camera)}, customdata=np.column_stack([mean, number]),
+            hovertemplate="line %{customdata[0]:.3g}, column %{customdata[1]:.3g} px, "
+            "%{customdata[2]:.0f} points<extra></extra>",
+        )  # fmt: skip
+        figure.update_xaxes(title_text="column (px)", range=[0, width], row=row, col=col)
+        figure.update_yaxes(
+            title_text="line (px)", range=[lines, 0], row=row, col=col,
+            scaleanchor=f"x{camera + 1 if camera else ''}", constrain="domain",
+        )  # fmt: skip
+    figure.update_layout(showlegend=False, meta={"largest": largest})
+    return figure
+
+
+def _cells(
+    problem: StereoProblem, residual: Array, rejected: NDArray[np.bool_], camera: int
+) -> tuple[Array, Array, Array]:
+    """Centres (n, 2), mean residuals (n, 2) and numbers (n,) of the cells of a frame with enough points."""
+    tracks = problem.tracks
+    rows = (problem.images.camera[tracks.image] == camera) & ~rejected & np.isfinite(residual).all(axis=1)
+    lines, columns = problem.detectors[camera].shape
+    side = max(lines, columns) / CELLS
+    cell = np.floor(tracks.pixels[rows] / side).astype(np.intp).clip(0, CELLS - 1)
+    number = cell[:, 0] * CELLS + cell[:, 1]
+    count = np.bincount(number, minlength=CELLS**2)
+    mean = np.stack([np.bincount(number, r, CELLS**2) for r in residual[rows].T], axis=1)
+    full = np.flatnonzero(count >= FEW)
+    centre = np.asarray((np.stack([full // CELLS, full % CELLS], axis=1) + 0.5) * side, dtype=np.float64)
+    return centre, mean[full] / count[full, None], count[full].astype(np.float64)
+
+
+def height_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure | None:
+    """Maps of heights before and after, of their difference, and of sigma; None without points."""
+    problem = stereo.problem
+    after = np.asarray(result.points)
+    before = planned_points(problem, ~result.rejected)
+    known = np.flatnonzero(np.isfinite(after).all(axis=1) & np.isfinite(before).all(axis=1))
+    if not len(known):
+        return None
+    known = known[np.linspace(0, len(known) - 1, min(len(known), DRAWN_POINTS)).astype(np.intp)]
+    x, y = _level(after[known], problem.radii).T
+    h0, h1 = heights_of(before[known], problem.radii), heights_of(after[known], problem.radii)
+    sigma = vertical_sigma(after[known], result.point_covariance[known], problem.radii)
+    low, high = float(min(h0.min(), h1.min())), float(max(h0.max(), h1.max()))
+    reach = float(np.abs(h0 - h1).max()) or 1.0
+    maps: list[tuple[str, Array, str, float, float]] = [
+        ("Height by the planned attitudes", h0, "Viridis", low, high),
+        ("Height by the corrected attitudes", h1, "Viridis", low, high),
+        ("Before less after", h0 - h1, "RdBu", -reach, reach),
+    ]
+    if np.isfinite(sigma).any():
+        maps.append(("1 sigma of the height after", sigma, "Cividis", 0.0, float(np.nanmax(sigma))))
+    rows = -(-len(maps) // 2)
+    figure = _grid(
+        rows, 2, 60 + 400 * rows, [m[0] for m in maps], horizontal_spacing=0.19, vertical_spacing=0.15
+    )
+    for k, (title, values, scale, least, most) in enumerate(maps):
+        row, col = k // 2 + 1, k % 2 + 1
+        figure.add_scatter(
+            x=x, y=y, row=row, col=col, mode="markers",
+            customdata=np.column_stack([problem.point_names[known], values]),
+            marker={
+                "size": 7, "color": values, "colorscale": scale, "cmin": least, "cmax": most,
+                "line": {"width": 0.5, "color": MUTED},
+                "colorbar": {
+                    "title": {"text": "m"}, "thickness": 12, "outlinewidth": 0, "len": 0.8 / rows,
+                    "x": 0.41 if col == 1 else 1.005, "y": 1.0 - (row - 0.5) / rows,
+                },
+            },
+            hovertemplate=f"{title}<br>point %{{customdata[0]:.0f}}: %{{customdata[1]:.4g}} m<extra></extra>",
+        )  # fmt: skip
+        figure.update_xaxes(title_text="east (km)" if row == rows else None, row=row, col=col)
+        anchor = "x" if k == 0 else f"x{k + 1}"
+        figure.update_yaxes(
+            title_text="north (km)" if col == 1 else None,
+            row=row,
+            col=col,
+            scaleanchor=anchor,
+            constrain="domain",
+        )
+    figure.update_layout(showlegend=False)
+    return figure
+
+
+def _level(points: Array, radii: tuple[float, float] | None) -> Array:
+    """East and north (n, 2) km about the middle of the points; x and y of a flat world."""
+    middle = points.mean(axis=0)
+    if radii is None:
+        return (points - middle)[:, :2] / 1e3
+    lon, lat, _ = to_geodetic(middle[None], radii)[0]
+    return np.asarray(local_axes(lon, lat).inv().apply(points - middle)[:, :2] / 1e3)
