@@ -1,7 +1,8 @@
 """S2's model of synchronous imaging in numpy alone: orbit, axes, projection as its equations have them.
 
-Axes are topocentric at the aim point: x south, y east, z zenith. Camera axes are S2's own (x about forward
-where the camera numbered 1 leads, z to the scene); its angles w turn nominal camera axes into actual ones.
+Axes are topocentric at the aim point: x south, y east, z zenith. Camera axes are S2's own: z to the scene
+and, where the camera numbered 1 leads, x about forward and y to the right; its angles w turn nominal axes
+into actual ones.
 Nothing here is taken from the package: it is what the package is compared with.
 """
 
@@ -106,6 +107,6 @@ def project(w, axes, place, points):
 
 
 def pixels(tangents, focal_px, principal):
-    """(line, column) of S2's tangents with lines forward and columns to the left (S2's y is to the left)."""
+    """(line, column) of S2's tangents: lines run forward, columns to the left (y is to the right)."""
     x, y = tangents[..., 0], tangents[..., 1]
     return np.stack([principal[0] + focal_px * x, principal[1] - focal_px * y], axis=-1)

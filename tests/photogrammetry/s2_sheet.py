@@ -138,8 +138,13 @@ def sensitivities(case, truth):
     return by[..., :6], by[..., 6:]
 
 
-def bound(case, truth, *, pairs=False, dem=None, control=0, control_sigma=1.0):
-    """Covariance (6, 6) rad^2 of S2's angles; none is lower. `dem` m: heights known to that, each alone.
+def bound(case, truth, **given):
+    """Covariance (6, 6) rad^2 of S2's angles; none is lower."""
+    return np.linalg.inv(information(case, truth, **given))
+
+
+def information(case, truth, *, pairs=False, dem=None, control=0, control_sigma=1.0):
+    """Fisher's information (6, 6) rad^-2 on S2's angles. `dem` m: heights known to that, each alone.
 
     `control` points are known to `control_sigma` m. With `pairs` each shot sees points of its own.
     """
@@ -173,8 +178,7 @@ def bound(case, truth, *, pairs=False, dem=None, control=0, control_sigma=1.0):
         for axis in range(3):
             a[j, :, axis, 3 * j + axis] = 1.0 / case.sigma_attitude
     a = a.reshape(2 * size, 6)
-    information = a.T @ (a - np.linalg.solve(np.eye(2 * size) + whitened, a))
-    return np.linalg.inv(information)
+    return a.T @ (a - np.linalg.solve(np.eye(2 * size) + whitened, a))
 
 
 #: The angles of sheet section 6, S2's w.

@@ -1,4 +1,4 @@
-"""S2's imaging in closed form, from its text and numpy alone: the truth that tests of orientation compare with.
+"""S2's imaging in closed form, from its text and numpy alone: the truth of the tests of orientation.
 
 World axes are S2's local ones at the aim point: x south, y east, z zenith. Angles `w` are S2's: camera 1 and
 camera 2, about x, y, z of S2's camera axes. It imports nothing of what it tests but the types that carry it.
@@ -158,7 +158,7 @@ class Shooting:
         return sight_frames(images, [detector, detector], [NADIR_MOUNT, NADIR_MOUNT], rows)
 
     def swapped(self) -> Shooting:
-        """The same with the cameras numbered the other way; axes in hand stay those of the first numbering."""
+        """The same with the cameras numbered the other way; the axes in hand stay as they are."""
         return replace(self, m=self.m[::-1], d=self.d[::-1], r=self.r[::-1], truth=self.truth[::-1])
 
 

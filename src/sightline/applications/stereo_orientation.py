@@ -15,14 +15,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
+from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
-from sightline.photogrammetry.bundle import Adjustment, adjust
-from sightline.photogrammetry.epipolar import PairOrientation, epipolar_outliers, orient_by_epipolar
+from sightline.photogrammetry.bundle import Adjustment, adjust, load_kernels
+from sightline.photogrammetry.epipolar import epipolar_outliers, orient_by_epipolar
 from sightline.photogrammetry.observability import Observability, observability
-from sightline.photogrammetry.pairs import SightingPairs, pair_sightings
-from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
+from sightline.photogrammetry.pairs import pair_sightings
+from sightline.photogrammetry.plane import common_aim, orient_by_plane
+from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors, level_axes
 from sightline.photogrammetry.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_frames, sight_pushbroom
 from sightline.photogrammetry.triangulate import triangulate
@@ -138,7 +140,7 @@ class StereoOrientation(ReadOnlyArrays):
         Robust size of residuals over the stated one.
     iterations : int
     solve_seconds : float
-        s, to the angles and their covariance.
+        s, to the angles and their covariance; compiled code was loaded before.
     warnings : tuple of str
     """
 
@@ -172,6 +174,7 @@ class StereoOrientation(ReadOnlyArrays):
         return np.sqrt(np.diag(self.covariance)).reshape(-1, 3)
 
 
+@one_blas_thread
 def orient(
     problem: StereoProblem,
     method: str = "ml-track",
@@ -212,6 +215,7 @@ def orient(
     if method in ("epipolar", "plane"):
         _check_linear(problem, method, drift)
         return _orient_linear(problem, sightings, method, raw=raw, robust=robust)
+    load_kernels()
     if raw:
         raise InputError(f"`raw` is for the method epipolar only, got {method!r}; leave it out")
     pairs_only = method == "ml-pair"
@@ -239,6 +243,7 @@ def orient(
     )
 
 
+@one_blas_thread
 def orient_pushbroom(
     cameras: Sequence[PushbroomCamera],
     tracks: Tracks,
@@ -428,7 +433,12 @@ def _orient_linear(
     if robust:
         gross = epipolar_outliers(pairs, problem.noise)
     kept = pairs.kept(~gross) if gross.any() else pairs
-    found = _linear(kept, problem, method, raw=raw)
+    if method == "epipolar":
+        found = orient_by_epipolar(kept, problem.noise, raw=raw)
+    else:
+        aim = problem.noise.aim_point if problem.noise.aim_point is not None else common_aim(sightings)
+        up = level_axes(aim[None], problem.radii)[0][0]
+        found = orient_by_plane(kept, problem.noise, aim_point=aim, vertical=up)
     seconds = time.perf_counter() - begun
     residual, rejected = np.full(len(sightings), np.nan), np.ones(len(sightings), dtype=bool)
     for rows in kept.rows:
@@ -454,8 +464,3 @@ def _orient_linear(
 
 def _angle_names() -> tuple[str, ...]:
     return tuple(f"{axis}_{camera}" for camera in (1, 2) for axis in ("roll", "pitch", "yaw"))
-
-
-def _linear(pairs: SightingPairs, problem: StereoProblem, method: str, *, raw: bool) -> PairOrientation:
-    """The estimate of one of S2's two methods."""
-    return orient_by_epipolar(pairs, problem.noise, raw=raw)

@@ -9,6 +9,7 @@ Not here: the reduction (``reduced.py``), what it means in words (``applications
 
 from __future__ import annotations
 
+import functools
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -252,7 +253,7 @@ def adjust(
         sightings, point_of = split_by_shot(sightings)
         if priors is not None:
             priors = priors.for_copies(point_of)
-    unknowns = pose_unknowns(sightings, noise, drift=drift, focal_sigma=focal_sigma)
+    unknowns = pose_unknowns(sightings, noise)
     block = _Block(sightings, unknowns, priors)
     state, usable = _first_state(block, seen_twice(sightings, priors), start)
     if int(usable.sum()) < _LEAST:
@@ -262,6 +263,14 @@ def adjust(
         )
     weight = usable.astype(np.float64)
     state, reduced, steps, scale, statistic, checked = _descend(block, state, weight, robust=robust)
+    if drift or focal_sigma is not None:
+        # weakly seen, these would run away from a start as far off as the planned attitudes are
+        unknowns = pose_unknowns(sightings, noise, drift=drift, focal_sigma=focal_sigma)
+        block = _Block(sightings, unknowns, priors)
+        more = np.zeros(unknowns.globals - len(state.common))
+        state = replace(state, common=np.concatenate([state.common, more]))
+        weight = usable.astype(np.float64)
+        state, reduced, steps, scale, statistic, checked = _descend(block, state, weight, robust=robust)
     used = seen_twice(sightings, priors, weight > 0.0)
     weight = used.astype(np.float64)
     _, _, _, r, cost = block.gradient(state, weight)
@@ -520,3 +529,33 @@ DIVERGED = (
     "far more than [noise] says; check the camera numbers of the matches, (line, column) order, focal "
     "length, mount and quaternions (scalar last)"
 )
+
+
+@functools.cache
+def load_kernels() -> None:
+    """Load the compiled code of an adjustment, so that it is in nobody's time: a tiny block is adjusted."""
+    shots, points = 4, 12
+    rng = np.random.default_rng(0)
+    camera, shot = np.repeat([0, 1], shots), np.tile(np.arange(shots), 2)
+    position = np.column_stack([1e4 * (2 * camera - 1) + 2e3 * shot, 0.0 * shot, np.full(2 * shots, 5e4)])
+    level = np.diag([1.0, -1.0, -1.0])
+    seen = rng.uniform(-2e3, 2e3, (points, 3)) - position[:, None]
+    q = seen @ level
+    count = 2 * shots * points
+    sightings = Sightings(
+        as_index(camera, "camera"),
+        as_index(shot, "shot"),
+        frozen(shot.astype(np.float64)),
+        as_index(np.repeat(np.arange(2 * shots), points), "image"),
+        as_index(np.tile(np.arange(points), 2 * shots), "point"),
+        as_index(np.repeat(np.arange(2 * shots), points), "pose"),
+        frozen((q[..., :2] / q[..., 2:]).reshape(-1, 2)),
+        frozen(np.broadcast_to(1e3 * np.eye(2), (count, 2, 2))),
+        frozen(np.ones(count)),
+        frozen(position),
+        frozen(np.broadcast_to(level, (2 * shots, 3, 3))),
+        frozen(np.stack([np.eye(3)] * 2)),
+    )
+    noise = PoseNoise(1.0, 1e-5)
+    for pairs in (False, True):
+        adjust(sightings, noise, new_points_per_shot=pairs)

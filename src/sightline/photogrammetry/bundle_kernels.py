@@ -1,7 +1,7 @@
 """Compiled sums over sightings: residuals, and the normal equations of poses and points.
 
 x of an image is (turn of the body, move, stretch of the focal length) as in ``pose_unknowns.py``. Whitened
-residual r = S (tangents e^-stretch - q_xy / q_z), S = px_per_tangent / sigma_px,
+residual r = S (tangents - e^stretch q_xy / q_z), S = px_per_tangent / sigma_px,
 q = C^T exp(-[w]x) R^T (X - position - move). Weights multiply what a sighting adds to the sums.
 
 Not here: what is solved from the sums (``reduce_poses.py``, ``reduce_points.py``).
@@ -40,20 +40,20 @@ def _sight(
     q0 = m[0, 0] * d0 + m[0, 1] * d1 + m[0, 2] * d2
     q1 = m[1, 0] * d0 + m[1, 1] * d1 + m[1, 2] * d2
     q2 = m[2, 0] * d0 + m[2, 1] * d1 + m[2, 2] * d2
-    inverse = 1.0 / q2
+    stretched = np.exp(x[6]) if len(x) > 6 else 1.0
+    inverse = stretched / q2
     u, v = q0 * inverse, q1 * inverse
-    stretched = np.exp(-x[6]) if len(x) > 6 else 1.0
-    a0, a1 = tangents[0] * stretched - u, tangents[1] * stretched - v
+    a0, a1 = tangents[0] - u, tangents[1] - v
     for k in range(2):
         r[k] = scale[k, 0] * a0 + scale[k, 1] * a1
         g0, g1 = scale[k, 0] * inverse, scale[k, 1] * inverse
-        g2 = -(g0 * u + g1 * v)
+        g2 = -(g0 * q0 + g1 * q1) / q2
         c0, c1, c2 = g1 * q2 - g2 * q1, g2 * q0 - g0 * q2, g0 * q1 - g1 * q0
         for i in range(3):
             by_x[k, i] = c0 * j[0, i] + c1 * j[1, i] + c2 * j[2, i]
             by_x[k, 3 + i] = -(g0 * m[0, i] + g1 * m[1, i] + g2 * m[2, i])
         if len(x) > 6:
-            by_x[k, 6] = (scale[k, 0] * tangents[0] + scale[k, 1] * tangents[1]) * stretched
+            by_x[k, 6] = scale[k, 0] * u + scale[k, 1] * v
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

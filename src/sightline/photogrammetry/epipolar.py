@@ -1,8 +1,8 @@
 """S2's epipolar estimator (equations 9 to 13): six angles from coplanar rays, whatever the relief.
 
-A ray of each camera and the baseline b lie in one plane: S = r1 . (r2 x b) = 0. S and its derivatives with the
-six angles are bilinear in the tangents m1, m2 of a pair: z_i = m1^T Z_i m2 with seven matrices Z_i per shot. All
-that the observations enter by is then one 9 x 9 matrix of moments per shot.
+A ray of each camera and the baseline b lie in one plane: S = r1 . (r2 x b) = 0. S and its derivatives with
+the six angles are bilinear in the tangents m1, m2 of a pair: z_i = m1^T Z_i m2 with seven matrices Z_i per
+shot. All that the observations enter by is then one 9 x 9 matrix of moments per shot.
 
 `raw` is S2's (13): ordinary least squares. Its regressors are as noisy as its right side, which biases it; by
 default the expected products of noises are taken out of the normal equations. Derivation: docs/theory/s2.md.
@@ -19,11 +19,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
-from sightline.geometry.checks import Array, ReadOnlyArrays
+from sightline.geometry.checks import Array
 from sightline.photogrammetry.estimating_equations import observe
-from sightline.photogrammetry.pairs import SightingPairs, position_turns
+from sightline.photogrammetry.pairs import PairOrientation, SightingPairs, position_turns
 from sightline.photogrammetry.pose_noise import PoseNoise
-from sightline.photogrammetry.sightings import Index
 
 #: Most times that the equations are linearised anew, and the step (rad) at which that ends.
 _STEPS, _STEP = 10, 1e-10
@@ -42,39 +41,9 @@ _PRODUCTS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _WHERE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 
-@dataclass(frozen=True, eq=False)
-class PairOrientation(ReadOnlyArrays):
-    """Constant attitude errors of two cameras.
-
-    Attributes
-    ----------
-    angles : (2, 3)
-        rad: rotation vector (roll, pitch, yaw) in body axes by which each camera's actual attitude is the planned
-        one turned, on the right. nan where it is not determined.
-    covariance : (6, 6)
-        rad^2, in the order of `angles`; inf and nan where they are not determined.
-    information : (6, 6)
-        rad^-2; 0 along unobservable directions.
-    unobservable : (G, 6)
-        Unit vectors of the directions that cannot be told.
-    bias : (2, 3)
-        rad: what noise in the coefficients adds to ordinary least squares on the average. Still in `angles` of a
-        raw estimate, else already out of them.
-    residual_px : (N,)
-        Of each pair; which residual, the estimator says.
-    """
-
-    angles: Array
-    covariance: Array
-    information: Array
-    unobservable: Array
-    bias: Array
-    residual_px: Array
-
-
 @dataclass(frozen=True)
 class _Rays:
-    """Sightings of one image of each pair: tangents x, y (N,), their covariance for a noise of 1 px, and that noise.
+    """One image of each pair: tangents x, y (N,), their covariance for a noise of 1 px, its variance (px^2).
 
     products : (6, N), of two of (x, y, 1).
     """
@@ -136,8 +105,8 @@ def orient_by_epipolar(pairs: SightingPairs, noise: PoseNoise, *, raw: bool = Fa
 
     Notes
     -----
-    The covariance is of first order in the noise of sightings, of second in that of poses, which all pairs of a
-    shot share. It does not know of mismatches: see `epipolar_outliers`.
+    The covariance is of first order in the noise of sightings, of second in that of poses, which all pairs of
+    a shot share. It does not know of mismatches: see `epipolar_outliers`.
     """
     _check(pairs)
     rays = _Rays.of(pairs)
@@ -156,6 +125,9 @@ def orient_by_epipolar(pairs: SightingPairs, noise: PoseNoise, *, raw: bool = Fa
         equations = observe(better[:6, :6], _normal(forms, measured)[:6, :6])
         step = equations.solve(better[:6, 6]).reshape(2, 3)
         angles = (Rotation.from_rotvec(angles) * Rotation.from_rotvec(step)).as_rotvec()
+        if len(equations.unobservable):
+            # what cannot be told is said of the planned attitudes, not of those some noise leads to
+            break
         arms = _arms(pairs, angles)
         forms = _forms(*arms)
         if np.abs(step).max() < _STEP:
@@ -190,8 +162,9 @@ def epipolar_residuals(pairs: SightingPairs, angles: Array) -> tuple[Array, Arra
     Returns
     -------
     residual_px : (N,)
-        px, signed; squared it is the least sum of squares, over both images, by which the pair must move for its
-        rays to meet (Sampson's first order). Its 1-sigma is that of the sightings where both have the same.
+        px, signed; squared it is the least sum of squares, over both images, by which the pair must move for
+        its rays to meet (Sampson's first order). Its 1-sigma is that of the sightings where both have the
+        same.
     sigma_px : (N,)
         px, 1-sigma of the residual by the noise of the sightings alone.
     """
@@ -219,14 +192,14 @@ def epipolar_outliers(
     Returns
     -------
     (N,) bool
-        Pairs to reject. A point displaced along its epipolar line meets the other ray at a wrong depth and is not
-        found: no pair alone can tell.
+        Pairs to reject. A point displaced along its epipolar line meets the other ray at a wrong depth and is
+        not found: no pair alone can tell.
 
     Notes
     -----
-    What all pairs of a shot share is the shot's pose error: the median residual, drawn towards 0 by as much as
-    its own noise is to be expected in it. The 1-sigma is the declared one, or the median absolute deviation of
-    all residuals where that is larger.
+    What all pairs of a shot share is the shot's pose error: the median residual, drawn towards 0 by as much
+    as its own noise is to be expected in it. The 1-sigma is the declared one, or the median absolute
+    deviation of all residuals where that is larger.
     """
     _check(pairs)
     rejected = np.zeros(len(pairs), dtype=bool)
@@ -252,7 +225,8 @@ def _far(pairs: SightingPairs, noise: PoseNoise, angles: Array, threshold: float
         residual[order[pairs.starts[:-1] + (count - 1) // 2]]
         + residual[order[pairs.starts[:-1] + count // 2]]
     )
-    # 1-sigma (px) of the median by the pose, and by the sightings: pi/2 is the median's variance of normal ones
+    # 1-sigma (px) of the median by the pose, and by the sightings: pi/2 is the median's variance of normal
+    # ones
     shared = _pose_residual(pairs, noise, angles) ** 2
     own = 0.5 * np.pi * np.add.reduceat(sigma**2, pairs.starts[:-1]) / count**2
     spread = 1.4826 * float(np.median(np.abs(residual - middle[pairs.shot])))
@@ -281,7 +255,7 @@ def _check(pairs: SightingPairs) -> None:
         )
     if not (np.abs(pairs.baselines) > 1e-9 * np.abs(pairs.sightings.position).max()).any():
         raise InputError(
-            "both cameras stand in one place in every shot: without a baseline rays cannot be coplanar or not; "
+            "both cameras stand in one place in every shot: there is no baseline to be coplanar with; "
             "check the positions of the second camera"
         )
 
@@ -294,8 +268,10 @@ def _shot_sums(pairs: SightingPairs, first: Array, second: Array) -> Array:
 
 
 def _arms(pairs: SightingPairs, angles: Array) -> tuple[Array, Array, Array]:
-    """Factors of the forms: left and right (4, K, 3, 3), world from tangents as they are and turned about each
-    body axis, and between them middle (K, 3, 3): r1 . (r2 x b) = r1^T middle r2."""
+    """Factors of the forms: left, middle, right with r1 . (r2 x b) = r1^T middle r2.
+
+    Left and right (4, K, 3, 3) are world from tangents, as they are and turned about each body axis.
+    """
     bodies = pairs.sightings.world_from_body[pairs.images] @ _exp(angles)[:, None]
     cameras = pairs.sightings.body_from_camera[pairs.sightings.camera[pairs.images[:, 0]]]
     ways = np.concatenate([np.eye(3)[None], _TURNS])
@@ -358,7 +334,7 @@ def _pose_errors(
 
 
 def _volumes(pairs: SightingPairs, rays: tuple[_Rays, _Rays], form: Array) -> tuple[Array, Array]:
-    """S of each pair (N,) by the form (K, 9) of its shot, and the square (2, N) of its slope per px, by image."""
+    """S of each pair (N,) by the form (K, 9) of its shot, and the square (2, N) of its slope per px."""
     e = np.repeat(np.ascontiguousarray(form.T), np.diff(pairs.starts), axis=1)
     one, two = rays
     by_x1, by_y1, rest = (e[3 * i] * two.x + e[3 * i + 1] * two.y + e[3 * i + 2] for i in range(3))

@@ -1,7 +1,7 @@
 """Linear estimating equations: what they solve for, with covariance, and what they cannot tell.
 
-The equations are H a + s = 0, where H and s are sums over observations whose errors are correlated; the spread
-of H a + s about 0 at the true a is the meat V, so that the covariance of a is H^-1 V H^-1.
+The equations are H a + s = 0, where H and s are sums over observations whose errors are correlated; the
+spread of H a + s about 0 at the true a is the meat V, so that the covariance of a is H^-1 V H^-1.
 
 Not here: where H, s and V come from (``epipolar.py``, ``plane.py``).
 """
@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from sightline.geometry.checks import Array, ReadOnlyArrays
 
-#: Share of the largest eigenvalue of the scaled normal matrix below which a direction has not been seen. Round-off
-#: leaves 1e-16 to 1e-15; the weakest direction that two shots a second apart determine has some 1e-9.
+#: Share of the largest eigenvalue of the scaled normal matrix below which a direction has not been seen.
+#: Round-off leaves 1e-16 to 1e-15; the weakest direction that two shots a second apart determine has some
+#: 1e-9.
 _UNSEEN = 1e-13
 #: Least share of a direction's curvature that must not be noise of the coefficients.
 _LEAST_SIGNAL = 0.2
@@ -61,7 +62,9 @@ class Observed(ReadOnlyArrays):
         """
         spread = self.solver.T @ meat @ self.solver
         covariance = self.basis @ spread @ self.basis.T
-        information = self.forms @ np.linalg.pinv(spread, hermitian=True) @ self.forms.T
+        away = np.eye(len(meat)) - self.unobservable.T @ self.unobservable
+        forms = away @ self.forms
+        information = forms @ np.linalg.pinv(spread, hermitian=True) @ forms.T
         touched = self.touched
         covariance[touched] = np.nan
         covariance[:, touched] = np.nan
@@ -81,7 +84,8 @@ def observe(normal: Array, measured: Array | None = None) -> Observed:
         where some curvature was measured and most of it is not noise.
     """
     measured = normal if measured is None else measured
-    scale = 1.0 / np.sqrt(np.maximum(np.diag(measured), np.finfo(np.float64).tiny))
+    diagonal = np.diag(measured)
+    scale = 1.0 / np.sqrt(np.where(diagonal > 0.0, diagonal, 1.0))
     values, vectors = np.linalg.eigh(measured * np.outer(scale, scale))
     seen = values > _UNSEEN * values[-1]
     # coordinates in which `measured` is the identity

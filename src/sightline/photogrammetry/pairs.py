@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
@@ -44,9 +45,9 @@ class SightingPairs(ReadOnlyArrays):
         """Number of pairs."""
         return self.rows.shape[1]
 
-    def kept(self, keep: Array) -> SightingPairs:
+    def kept(self, keep: NDArray[np.bool_]) -> SightingPairs:
         """Only the pairs where `keep` (N,) is true; shots that lose all their pairs go."""
-        return _grouped(self.sightings, self.rows[:, np.asarray(keep, dtype=bool)])
+        return _grouped(self.sightings, self.rows[:, keep])
 
     @property
     def baselines(self) -> Array:
@@ -58,6 +59,36 @@ class SightingPairs(ReadOnlyArrays):
     def point(self) -> Index:
         """Point of each pair (N,)."""
         return self.sightings.point[self.rows[0]]
+
+
+@dataclass(frozen=True, eq=False)
+class PairOrientation(ReadOnlyArrays):
+    """Constant attitude errors of two cameras.
+
+    Attributes
+    ----------
+    angles : (2, 3)
+        rad: rotation vector (roll, pitch, yaw) in body axes by which each camera's actual attitude is the
+        planned one turned, on the right. nan where it is not determined.
+    covariance : (6, 6)
+        rad^2, in the order of `angles`; inf and nan where they are not determined.
+    information : (6, 6)
+        rad^-2; 0 along unobservable directions.
+    unobservable : (G, 6)
+        Unit vectors of the directions that cannot be told.
+    bias : (2, 3)
+        rad: what noise in the coefficients adds to ordinary least squares on the average. Still in `angles`
+        of a raw estimate, else already out of them.
+    residual_px : (N,)
+        Of each pair; which residual, the estimator says.
+    """
+
+    angles: Array
+    covariance: Array
+    information: Array
+    unobservable: Array
+    bias: Array
+    residual_px: Array
 
 
 def pair_sightings(sightings: Sightings, cameras: tuple[int, int] = (0, 1)) -> SightingPairs:

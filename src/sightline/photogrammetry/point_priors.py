@@ -78,7 +78,7 @@ class HeightPrior:
 
         NaN where the surface is not known there.
         """
-        up, east, north = _level_axes(points, self.radii)
+        up, east, north = level_axes(points, self.radii)
         heights = self._height(points, up)
         slope = np.array(up)
         for axis in (east, north):
@@ -92,7 +92,7 @@ class HeightPrior:
         return np.asarray(((points - ground) * up).sum(axis=1))
 
 
-def _level_axes(points: Array, radii: tuple[float, float] | None) -> tuple[Array, Array, Array]:
+def level_axes(points: Array, radii: tuple[float, float] | None) -> tuple[Array, Array, Array]:
     """Unit vectors up, east and north (n, 3 each) at points; x east, y north, z up in a flat world."""
     if radii is None:
         up, east, north = (np.broadcast_to(row, points.shape) for row in np.eye(3)[[2, 0, 1]])

@@ -172,6 +172,7 @@ class StereoScenario(ReadOnlyArrays):
             "radii": self.pair.radii,
             "heights": self.height_prior,
             "control": control,
+            "focal_sigma": (np.inf,) * self.options.cameras if self.options.focal_error else None,
             "epoch": EPOCH,
         }
 

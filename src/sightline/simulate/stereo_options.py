@@ -51,7 +51,7 @@ class StereoOptions:
     columns, lines : int
         Of a frame; 0 lines: as many as columns.
     focal_error : float
-        Relative: the true focal length is so much longer than the one that is told.
+        Relative: the true focal length is so much longer than the one told; not 0: told to be estimated.
     points : int
         On the ground, spread evenly at random.
     scene_size : float
@@ -261,7 +261,7 @@ CASE_OPTIONS: dict[str, dict[str, Any]] = {
         "sigma_position": 5.0,
         "sigma_attitude": 1.2 * ARCSEC,
     },
-    "A_random_relief_400": {},
+    "A_random_relief_400": {"signs": "random"},
     "A_drift": {**_FIXED, "drift": 0.05 * ARCSEC},
     "A_three_cameras": {**_FIXED, "cameras": 3},
 }
