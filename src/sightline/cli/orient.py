@@ -86,16 +86,27 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
     import time
 
     from sightline.applications.stereo_orientation import orient as solve
+    from sightline.applications.stereo_orientation import orient_pushbroom
     from sightline.errors import InputError
     from sightline.io.stereo import read_stereo
+    from sightline.io.stereo_strips import StripProblem
 
     if raw and method is not Method.EPIPOLAR:
         raise InputError(f"--raw belongs to --method epipolar, here it is {method.value}; leave it out")
     begun = time.perf_counter()
     report(f"reading {file}")
     stereo = read_stereo(file)
-    report(f"solving for {len(stereo.problem.cameras)} cameras in {len(stereo.problem.shot_names)} shots")
-    return Oriented(stereo, solve(stereo.problem, method.value, raw=raw, drift=drift), begun)
+    problem = stereo.problem
+    report(f"solving for {len(problem.cameras)} cameras in {len(problem.images)} images")
+    if isinstance(problem, StripProblem):
+        if method is not Method.ML_TRACK or drift:
+            raise InputError("[[strip]] is oriented by --method ml-track, without --drift; leave them out")
+        result = orient_pushbroom(
+            problem.strips, problem.tracks, problem.noise, names=problem.cameras, priors=problem.priors
+        )
+    else:
+        result = solve(problem, method.value, raw=raw, drift=drift)
+    return Oriented(stereo, result, begun)
 
 
 def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str, Any]:
