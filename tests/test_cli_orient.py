@@ -101,6 +101,8 @@ def test_the_summary_is_complete(done):
     assert set(entries[0]["direction"]) == {f"{a}_{c}" for a in ("roll", "pitch", "yaw") for c in "12"}
     assert sum(v**2 for v in entries[0]["direction"].values()) == pytest.approx(1.0)
     assert 0.8 < summary["chi_square"]["per_degree"] < 1.2
+    assert len(summary["improvements"]) > 3 and len(summary["improvements"][0]["sigmas"]) == 6
+    assert any("control points" in change["change"] for change in summary["improvements"])
     assert summary["solve_seconds"] > 0.0 and summary["peak_memory_bytes"] > 0
 
 
@@ -267,7 +269,7 @@ def test_the_page_asks_no_network_and_escapes_names(done):
     assert "<script src=" not in page and "<link href=" not in page
     for name in ("directions", "ellipses", "residuals", "frame", "heights"):
         assert f'id="figure-{name}"' in page
-    assert "A DEM (dem, dem_sigma)" in page and "control points" in page
+    assert "A DEM (dem, dem_sigma) tells pitch" in page and "control points" in page
 
 
 def test_check_says_what_was_understood(given, capsys):

@@ -13,8 +13,13 @@ from sightline.cli.options import Json, Out, Overwrite
 from sightline.cli.terminal import Progress
 
 if TYPE_CHECKING:
-    from sightline.applications.stereo_orientation import StereoOrientation
+    from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
+    from sightline.applications.stereo_prediction import Improvement
     from sightline.io.stereo import Stereo
+
+
+#: Sightings up to which it is reckoned what would improve the angles: eight bounds, each as long as a step.
+IMPROVED_SIGHTINGS = 200_000
 
 
 class Method(StrEnum):
@@ -74,11 +79,14 @@ class Oriented:
     result : StereoOrientation
     begun : float
         s of ``time.perf_counter``; when work began.
+    better : tuple of Improvement
+        What would better the angles; none for strips and very many sightings.
     """
 
     stereo: Stereo
     result: StereoOrientation
     begun: float
+    better: tuple[Improvement, ...]
 
 
 def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: bool) -> Oriented:
@@ -106,7 +114,22 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
         )
     else:
         result = solve(problem, method.value, raw=raw, drift=drift)
-    return Oriented(stereo, result, begun)
+    report("what would improve it")
+    return Oriented(stereo, result, begun, improvements_of(problem, method))
+
+
+def improvements_of(problem: StereoProblem, method: Method) -> tuple[Improvement, ...]:
+    """What would better the angles of frames, by the bound."""
+    from sightline.applications.stereo_prediction import improvements
+    from sightline.errors import SightlineError
+    from sightline.io.stereo_strips import StripProblem
+
+    if isinstance(problem, StripProblem) or len(problem.tracks) > IMPROVED_SIGHTINGS:
+        return ()
+    try:
+        return improvements(problem, method.value)
+    except SightlineError:  # the orientation stands without advice
+        return ()
 
 
 def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str, Any]:
@@ -121,7 +144,7 @@ def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str,
     notes = write_exports(folder, found.stereo, found.result)
     seconds = time.perf_counter() - found.begun
     summary = write_stereo_result(
-        folder, found.stereo, found.result, wall_seconds=seconds, export_notes=list(notes)
+        folder, found.stereo, found.result, found.better, wall_seconds=seconds, export_notes=list(notes)
     )
     write_stereo_report(folder / "report.html", found.stereo, found.result, summary)
     return summary
