@@ -120,9 +120,9 @@ def orient_by_plane(
     -----
     Relief is an error of this method and mostly the largest. Its share of the covariance is built from the
     heights above the fitted plane and the distance over which they go together, both measured on the
-    residuals. It is true to 10 % where heights go together over less than a tenth of the scene. Waves as long as
-    the scene leave the sigma of yaw 5 to 30 % low; for one lone mountain, or without any other noise, it does not
-    hold.
+    residuals. It is true to 10 % where heights go together over less than a tenth of the scene. Waves as long
+    as the scene leave the sigma of yaw 5 to 30 % low; for one lone mountain, or without any other noise, it
+    does not hold.
     """
     if 3 * len(pairs) < _UNKNOWNS:
         raise InputError(f"{_UNKNOWNS} unknowns need five pairs or more, got {len(pairs)}; match more points")
