@@ -5,14 +5,14 @@
 
 Case A of the simulation (300 points tracked through all shots, 0.1 px, positions 7.5 m, jitter 1.8 arcsec),
 up to 64 shots in 64 s, more of them in 256 s. Times are processor seconds of one thread, best of several
-passes; compilation and simulation are not counted. `adjust` is the adjustment to angles, covariance and points,
-`orient` the whole call. Memory is the peak of the process less what it had before.
+passes; compilation and simulation are not counted. `adjust` is the adjustment to angles, covariance and
+points, `orient` the whole call. Memory is the peak of the process less what it had before.
 
 Rivals: the same cost (same unknowns, residuals and priors) by a dense scipy.optimize.least_squares with its
-own differences, on few shots, extrapolated by the power law of its own times (too low: in the end the cost goes
-with the cube of the shots); and pycolmap's adjustment (extra `sfm`), whose poses are all free but for their
-positions: it knows neither constant angles nor a prior on attitudes, so its angles are means over the shots of
-what it turned its images by, and it gives no covariance of them.
+own differences, on few shots, extrapolated by the power law of its own times (too low: in the end the cost
+goes with the cube of the shots); and pycolmap's adjustment (extra `sfm`), whose poses are all free but for
+their positions: it knows neither constant angles nor a prior on attitudes, so its angles are means over the
+shots of what it turned its images by, and it gives no covariance of them.
 
 Targets: 64 shots 0.15 s, 1024 shots 5 s, time linear in the shots.
 """
