@@ -153,12 +153,15 @@ class _Block:
         gradients(*arguments)
         own, common = gather(self.unknowns, by_image)
         known = self.unknowns.global_information
-        cost = float((weight * (r**2).sum(axis=1)).sum() + (state.own**2).sum() + known @ state.common**2)
+        pulled = self.unknowns.prior_times(state.own)
+        cost = float(
+            (weight * (r**2).sum(axis=1)).sum() + (state.own * pulled).sum() + known @ state.common**2
+        )
         if self.priors is not None:
             pull, _, more = self.priors.at(state.points + self.origin)
             by_point += pull
             cost += more
-        return own - state.own, by_point, common - known * state.common, r, cost
+        return own - pulled, by_point, common - known * state.common, r, cost
 
     def cost(self, state: _State, weight: Array) -> float:
         """Sum of squares at a state; inf where a point lies behind a camera."""
