@@ -215,6 +215,14 @@ def test_mismatches_along_the_epipolar_line_cannot_be_found():
     assert rejected[bad.ravel()].mean() < 0.05
 
 
+@pytest.mark.parametrize("count", [2, 3, 30])
+def test_angles_not_known_yet_are_not_taken_for_mismatches(count):
+    # 360 arcsec are 47 px; nothing but these angles is said to be wrong with the poses
+    pairs = pairs_of(SHORT, Noise(0.1, 0.0, 0.0), 15, count, truth=10.0 * TRUTH)
+    assert epipolar_outliers(pairs, NONE).sum() <= 1
+    assert epipolar_outliers(pairs, NONE, angles=our_angles(10.0 * TRUTH)).sum() <= 1
+
+
 def test_bad_input_is_refused():
     rng = np.random.default_rng(11)
     shooting = shoot(SHORT, Noise(), ground(rng, 5, 11e3, 400.0, "smooth"), rng)
