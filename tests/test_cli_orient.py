@@ -401,7 +401,7 @@ def strips(tmp_path):
             # the satellite is `reach` behind the point when a line that looks ahead by `angle` sees it
             reach = (600e3 - height) * np.tan(angle)
             line = ((north - reach) / 7000.0 - start) / 5e-4
-            column = 199.5 - east / ((600e3 - height) / np.cos(angle) * 5e-6)  # columns run to the left
+            column = 199.5 - east / ((600e3 - height) * 5e-6)  # one focal plane, columns run to the left
             line, column = (v + rng.normal(0.0, 0.1) for v in (line, column))
             rows.append([name, point, float(line), float(column)])
     table(tmp_path / "observations.csv", ["camera", "point", "line", "column"], rows)
