@@ -184,7 +184,7 @@ def descend(
         if new or reduced is None:
             curvature, r = block.curvature(state, weight)
             reduced = reduce_block(curvature, block.unknowns)
-            known = observability(reduced.information, block.unknowns.names)
+            known = observability(reduced.information, block.unknowns.names, block.unknowns.limit)
             fresh, new, last = fresh + 1, False, np.inf
         step, decrease, r, cost = _step(block, state, weight, reduced, known)
         steps += 1
@@ -271,7 +271,7 @@ def _redescend(block: Block, state: State, usable: BoolArray, limit: float) -> t
         previous = scale
         curvature, _ = block.curvature(state, soft)
         reduced = reduce_block(curvature, block.unknowns)
-        known = observability(reduced.information, block.unknowns.names)
+        known = observability(reduced.information, block.unknowns.names, block.unknowns.limit)
         step, decrease, _, cost = _step(block, state, soft, reduced, known)
         state, _ = _descended(block, state, soft, step, cost, decrease)
     return state, (usable & (statistic <= limit * scale)).astype(np.float64)
