@@ -47,6 +47,12 @@ def orient(
     drift: Annotated[
         bool, typer.Option("--drift", help="Let the errors drift evenly with time about their middle value.")
     ] = False,
+    predict: Annotated[
+        bool,
+        typer.Option(
+            "--predict", help="Give the bound of what could be found, before anything is flown or matched."
+        ),
+    ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -55,6 +61,15 @@ def orient(
     from sightline.cli.terminal import complain, print_json, progress, say
 
     check_output_folder(out, overwrite=overwrite)
+    if predict:
+        with progress() as report:
+            summary = foretell(file, method, out, report, overwrite=overwrite)
+        if as_json:
+            print_json(summary)
+        else:
+            tell_bound(summary)
+            say(f"{out / 'prediction.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
+        return
     with progress() as report:
         found = estimate(file, method, report, raw=raw, drift=drift)
         with output_folder(out, overwrite=overwrite) as folder:
@@ -148,6 +163,50 @@ def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str,
     )
     write_stereo_report(folder / "report.html", found.stereo, found.result, summary)
     return summary
+
+
+def foretell(file: Path, method: Method, out: Path, report: Progress, *, overwrite: bool) -> dict[str, Any]:
+    """The bound of a STEREO.toml, in files; gives the summary."""
+    import time
+
+    from sightline.applications.stereo_prediction import predict
+    from sightline.cli.output import output_folder
+    from sightline.errors import InputError
+    from sightline.io.stereo import read_stereo
+    from sightline.io.stereo_predicted import write_prediction
+    from sightline.io.stereo_strips import StripProblem
+    from sightline.report.stereo_prediction_page import write_prediction_report
+
+    begun = time.perf_counter()
+    stereo = read_stereo(file, planned=True)
+    if isinstance(stereo.problem, StripProblem):
+        raise InputError("--predict is for frames: [[strip]] has no prediction; orient its points instead")
+    report("bounds")
+    tables = len(stereo.problem.tracks) <= IMPROVED_SIGHTINGS
+    predicted = predict(stereo.problem, method.value, tables=tables)
+    seconds = time.perf_counter() - begun
+    with output_folder(out, overwrite=overwrite) as folder:
+        summary = write_prediction(folder, stereo, predicted, wall_seconds=seconds)
+        write_prediction_report(folder / "report.html", predicted, summary)
+    return summary
+
+
+def tell_bound(summary: dict[str, Any]) -> None:
+    """The prediction in a few lines."""
+    import math
+
+    from sightline.cli.terminal import say
+
+    arcsec = 648_000.0 / math.pi
+    for camera, sigma in summary["sigmas"].items():
+        said = [
+            f"{axis} {arcsec * sigma[axis]:.3f}" if math.isfinite(sigma[axis]) else f"{axis} not observable"
+            for axis in ("roll", "pitch", "yaw")
+        ]
+        say(f"camera {camera}: bound of 1 sigma: {', '.join(said)} arcsec")
+    for words in summary["unobservable"]:
+        say(f"not observable: {words}")
+    say(f"points: {summary['points_from']}")
 
 
 def tell(summary: dict[str, Any]) -> None:

@@ -135,9 +135,17 @@ def read_stereo_file(path: Path) -> StereoFile:
     return validate(StereoFile, read_toml(path), path)
 
 
-def read_stereo(path: Path) -> Stereo:
-    """Everything a STEREO.toml says; errors as of `load_stereo`."""
+def read_stereo(path: Path, *, planned: bool = False) -> Stereo:
+    """Everything a STEREO.toml says; errors as of `load_stereo`.
+
+    With `planned`, points need not be there yet: a prediction lays them out.
+    """
     file, files = read_stereo_file(path), InputFolder(path)
+    if not file.sources and not planned:
+        raise FormatError(
+            f"{path}: nothing brings points: give matches = FILE (two cameras), observations = FILE (any "
+            "number of cameras) or images = FILE; or ask for the bound with --predict, which needs none"
+        )
     if file.strip:
         return _strips(file, files)
     if file.cameras is None or file.camera is None:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
-from sightline.applications.stereo_prediction import Improvement
+from sightline.applications.stereo_prediction import Improvement, StereoPrediction
 from sightline.evaluation.direction_words import AXES, angle_names, direction_words
 from sightline.geometry.earth import local_axes, to_geodetic
 from sightline.io.results import peak_memory, write_json
@@ -67,7 +67,7 @@ def write_stereo_result(
     write_matches_used(folder / "matches_used.csv", stereo, result)
     write_points(folder / "points.csv", stereo.problem, result)
     summary = summarize_orientation(stereo, result, wall_seconds=wall_seconds) | more
-    summary["improvements"] = [_improvement(change) for change in better]
+    summary["improvements"] = [improvement_entry(change) for change in better]
     write_json(folder / "summary.json", summary)
     return summary
 
@@ -196,12 +196,12 @@ def summarize_orientation(
     }
 
 
-def _improvement(change: Improvement) -> dict[str, Any]:
+def improvement_entry(change: Improvement) -> dict[str, Any]:
     """A change and the bounds of all angles with it, rad; and their ratio to those without."""
     return {"change": change.change, "sigmas": change.sigmas.tolist(), "ratio": change.ratio.tolist()}
 
 
-def principal_sigmas(result: StereoOrientation) -> list[dict[str, Any]]:
+def principal_sigmas(result: StereoOrientation | StereoPrediction) -> list[dict[str, Any]]:
     """Principal directions of the angles, the weakest first: sigma (rad), direction by name, words."""
     names, seen = angle_names(result.cameras), result.observability
     order = np.argsort(-np.asarray(seen.sigmas), kind="stable")

@@ -200,11 +200,6 @@ class StereoFile(Section):
 
     @model_validator(mode="after")
     def _parts_agree(self) -> StereoFile:
-        if not self.sources:
-            raise ValueError(
-                "nothing brings points: give matches = FILE (two cameras), observations = FILE (any number "
-                "of cameras) or images = FILE"
-            )
         if self.strip:
             self._strips_stand_alone()
         else:
