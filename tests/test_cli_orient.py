@@ -269,7 +269,7 @@ def test_the_page_asks_no_network_and_escapes_names(done):
     assert "<script src=" not in page and "<link href=" not in page
     for name in ("directions", "ellipses", "residuals", "frame", "heights"):
         assert f'id="figure-{name}"' in page
-    assert "A DEM (dem, dem_sigma) tells pitch" in page and "control points" in page
+    assert "an elevation model of 10 m" in page and "5 control points of 1 m" in page
 
 
 def test_check_says_what_was_understood(given, capsys):
@@ -337,3 +337,120 @@ def test_a_score_that_cannot_be_is_told(done, given, tmp_path, capsys, spoil, me
     spoil(tmp_path)
     assert run(["score", str(tmp_path), str(tmp_path / "truth.csv")]) == 2
     assert message in capsys.readouterr().err
+
+
+ACQUISITION = """
+[acquisition]
+epoch = "2026-01-01T00:00:00Z"
+[platform]
+kind = "level-flight"
+altitude = 600e3
+ground_speed = 7000.0
+[instrument]
+ifov = 5e-6
+columns = 400
+line_period = 5e-4
+[[band]]
+name = "fore"
+image = "fore.npy"
+look_ahead = 0.35
+[[band]]
+name = "aft"
+image = "aft.npy"
+look_ahead = -0.35
+first_line_time = 62.576
+[surface]
+height = 0.0
+"""
+STRIPS = """
+control_points = "control.csv"
+observations = "observations.csv"
+[[strip]]
+name = "F"
+acquisition = "acquisition.toml"
+band = "fore"
+[[strip]]
+name = "A"
+acquisition = "acquisition.toml"
+band = "aft"
+[noise]
+sigma_px = 0.1
+sigma_position = 0.5
+sigma_attitude = 1e-6
+[surface]
+height = 0.0
+height_sigma = 5.0
+"""
+
+
+@pytest.fixture
+def strips(tmp_path):
+    """Two looks of one satellite at the same ground, in closed form: it flies level, nothing is wrong."""
+    rng = np.random.default_rng(3)
+    for name in ("fore", "aft"):
+        np.save(tmp_path / f"{name}.npy", rng.normal(100.0, 10.0, (500, 400)).astype(np.float32))
+    (tmp_path / "acquisition.toml").write_text(ACQUISITION)
+    (tmp_path / "stereo.toml").write_text(STRIPS)
+    rows, known = [], []
+    for point in range(60):
+        east, height = rng.uniform(-500.0, 500.0), rng.normal(0.0, 5.0)
+        north = 600e3 * np.tan(0.35) + rng.uniform(100.0, 1600.0)
+        if point < 8:
+            known.append([point, east, north, height, 1.0])
+        for name, angle, start in (("F", 0.35, 0.0), ("A", -0.35, 62.576)):
+            # the satellite is `reach` behind the point when a line that looks ahead by `angle` sees it
+            reach = (600e3 - height) * np.tan(angle)
+            line = ((north - reach) / 7000.0 - start) / 5e-4
+            column = 199.5 - east / ((600e3 - height) * 5e-6)  # one focal plane, columns run to the left
+            line, column = (v + rng.normal(0.0, 0.1) for v in (line, column))
+            rows.append([name, point, float(line), float(column)])
+    table(tmp_path / "observations.csv", ["camera", "point", "line", "column"], rows)
+    table(tmp_path / "control.csv", ["point", "x", "y", "z", "sigma"], known)
+    return tmp_path
+
+
+def test_strips_of_push_broom_cameras(strips, capsys):
+    out = strips / "out"
+    assert run(["orient", str(strips / "stereo.toml"), "--out", str(out), "--json"]) == 0, (
+        capsys.readouterr().err
+    )
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["cameras"] == ["F", "A"] and summary["unobservable"] == []
+    covariance = np.loadtxt(out / "covariance.csv", delimiter=",")
+    error = angles_of(out).ravel()
+    assert error @ np.linalg.solve(covariance, error) < 22.5
+    assert sorted(path.name for path in out.glob("attitude_*")) == [
+        "attitude_A.aem", "attitude_A.csv", "attitude_F.aem", "attitude_F.csv",
+    ]  # fmt: skip
+    assert len(rows_of(out / "attitude_F.csv")) == 500
+    assert 'id="figure-residuals"' in (out / "report.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('band = "aft"', 'band = "nadir"', "has no band 'nadir'; it has: fore, aft"),
+        ('name = "A"', 'name = "F"', "[[strip]] needs two or more, each with a name of its own"),
+        (
+            'observations = "observations.csv"',
+            'matches = "matches.csv"',
+            "takes its points from observations",
+        ),
+        ('name = "A"', 'name = "B"', "names the camera 'A'"),
+        ('"acquisition.toml"', '"nowhere.toml"', "no such file"),
+        ("sigma_px", 'attitude_knowledge = "from-position"\nsigma_px', "is for frames"),
+    ],
+)
+def test_strips_that_cannot_be_are_told(strips, capsys, old, new, message):
+    path = strips / "stereo.toml"
+    path.write_text(STRIPS.replace(old, new))
+    assert run(["orient", str(path), "--out", str(strips / "out")]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_strips_take_one_method(strips, capsys):
+    path = str(strips / "stereo.toml")
+    assert run(["orient", path, "--out", str(strips / "out"), "--method", "ml-pair"]) == 2
+    assert "[[strip]] is oriented by --method ml-track" in capsys.readouterr().err
+    assert run(["check", path]) == 0
+    assert "2 cameras (F, A)" in capsys.readouterr().out

@@ -152,8 +152,8 @@ def read_stereo(path: Path) -> Stereo:
     images = _images(poses, poses_path, file)
     check_baseline(poses_path, poses.cameras, images, file.noise.sigma_position)
     table, points_path = _points(file, files, poses)
-    shapes = [detector.shape for detector in detectors]
-    tracks, names, control = block_of(file, files, poses, table, images.camera, shapes)
+    shapes, local = [detector.shape for detector in detectors], _is_local(file)
+    tracks, names, control = block_of(file, files, poses, table, images.camera, shapes, local=local)
     aim = _aim(file, path, poses.cameras, images, mounts)
     warnings: tuple[str, ...] = ()
     if table is not None:
@@ -162,7 +162,6 @@ def read_stereo(path: Path) -> Stereo:
     if len(tracks):
         origins, looks = origins[tracks.image], rays_of(images, detectors, mounts, tracks)
     camera = images.camera[tracks.image]
-    local = _is_local(file)
     heights, surface, more = ground_of(
         file, files, points_path, poses.cameras, camera, tracks, origins, looks, local=local
     )
