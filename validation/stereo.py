@@ -152,8 +152,9 @@ def across_line(scenario: StereoScenario) -> np.ndarray:
 def passes(
     work: Executor, case: str, count: int, methods: tuple[str, ...], **given: Any
 ) -> list[dict[str, np.ndarray]]:
-    """All passes of a case, in order of their seeds."""
-    jobs = [(case, FIRST_SEED + k, methods, given) for k in range(count)]
+    """All passes of a case, in order of their seeds; each case has seeds of its own."""
+    first = FIRST_SEED + 1000 * list(CASE_OPTIONS).index(case)
+    jobs = [(case, first + k, methods, given) for k in range(count)]
     return list(work.map(trial, jobs))
 
 
