@@ -25,7 +25,7 @@ from sightline.geometry.checks import read_only
 from sightline.geometry.interpolation import interpolate
 from sightline.geometry.surface import Surface
 from sightline.imaging.reduce import ReducedImage
-from sightline.imaging.source import ImageSource
+from sightline.imaging.source import ArrayImage, ImageSource
 from sightline.imaging.warp import WarpedImage
 from sightline.matching.displacement import DisplacementField
 from sightline.matching.match_images import match_images
@@ -48,6 +48,10 @@ _LATTICE = 8.0
 _SPACING = 4
 #: Fewest windows that two frames must share.
 _LEAST_WINDOWS = 6
+#: px; tiles that filters are estimated from.
+_TILE = (32, 32)
+#: Cycles per pixel; frequencies that filters let pass.
+_HIGHEST = 0.45
 #: Cells along each side of a frame that share the points evenly.
 _CELLS = 8
 #: Places per side of a frame that tell what two frames share.
@@ -310,7 +314,10 @@ class _Pair:
             out = interpolate(places, np.ascontiguousarray(turned), read_only(columns))
             return np.ascontiguousarray(out.reshape(len(columns), len(lines), 2).transpose(1, 0, 2))
 
-        return WarpedImage(_at_scale(self.partner, scale), mapping, _at_scale(self.hub, scale).shape, _SPACING)
+        lines, columns = _at_scale(self.hub, scale).shape
+        warped = WarpedImage(_at_scale(self.partner, scale), mapping, (lines, columns), _SPACING)
+        # windows and tiles read it again and again: one frame at a time is kept
+        return ArrayImage(warped.read((0, lines), (0, columns)))
 
     def after(self, points: Array, where: Array) -> _Pair:
         """The same pair once `points` (N, 2) of the hub were found at pixels `where` of the partner."""
@@ -346,12 +353,13 @@ def _match_pair(pair: _Pair, partner: int, points: Array, plan: TrackPlan) -> _F
     scale = _coarsest(reach, pair.hub.shape, plan.window)
     search = (int(np.ceil(reach[0] / scale)) + 1, int(np.ceil(reach[1] / scale)) + 1)
     while True:
-        look = points if scale == 1 else _whole(_coarse_points(pair.hub, scale, plan.window), scale)
-        found = _look(pair, look, scale, search, plan, gradient_filter())
-        if found.kept.sum() < _LEAST_WINDOWS:
-            return None
+        hub = _at_scale(pair.hub, scale)
+        look = points if scale == 1 else _coarse_points(hub, plan.window)
+        found = _matched(hub, pair.laid(scale), look, search, plan, gradient_filter())
         kept = found.kept
-        pair = pair.after(look[kept], pair.map(_whole(found.b[kept], scale)))
+        if kept.sum() < _LEAST_WINDOWS:
+            return None
+        pair = pair.after(_whole(look[kept], scale), pair.map(_whole(found.b[kept], scale)))
         if scale == 1:
             break
         scale //= 2
@@ -361,47 +369,74 @@ def _match_pair(pair: _Pair, partner: int, points: Array, plan: TrackPlan) -> _F
 
 def _last_look(pair: _Pair, partner: int, points: Array, plan: TrackPlan) -> _Found | None:
     """Points of the hub in a partner that is laid on it as well as can be, with both shares of the error."""
-    found = _look(pair, points, 1, (0, 0), plan, None)
+    laid = pair.laid(1)
+    whitening = _whitening(pair.hub, laid, points)
+    found = _matched(pair.hub, laid, points, (0, 0), plan, whitening)
     kept = np.flatnonzero(found.kept)
     if len(kept) < _LEAST_WINDOWS:
         return None
     turn = pair.jacobian(points[kept])
     size = np.abs(np.linalg.det(turn))
+    # one texture under noise of one strength: where the hub's covariance is C, the partner's own is
+    # turn C turn^T / |turn|, in pixels of the hub C / |turn|
+    share = hub_share(whitening) * 2.0 * size / (1.0 + size)
     seen = found.covariance_px[kept]
-    # one texture under noise of one strength: the partner's own covariance is turn C turn^T / |turn| where
-    # the hub's is C, so that the pair's, in pixels of the hub, is C (1 + 1 / |turn|)
-    hub = 0.5 * np.trace(seen, axis1=1, axis2=2) * size / (1.0 + size)
     turned = turn @ seen @ np.swapaxes(turn, 1, 2)
-    own = 0.5 * np.trace(turned, axis1=1, axis2=2) / (1.0 + size)
-    return _Found(partner, kept, pair.map(found.b[kept]), own, hub)
+    return _Found(
+        partner,
+        kept,
+        pair.map(found.b[kept]),
+        0.5 * np.trace(turned, axis1=1, axis2=2) * (1.0 - share),
+        0.5 * np.trace(seen, axis1=1, axis2=2) * share,
+    )
 
 
-def _look(
-    pair: _Pair,
+def _whitening(hub: ImageSource, laid: ImageSource, points: Array) -> Whitening:
+    """Filters for a pair laid one on the other; fixed ones where the images do not tell."""
+    try:
+        return estimate_whitening(hub, laid, points, points, tile=_TILE, reach=(1, 1))
+    except EstimationError:
+        return gradient_filter()
+
+
+def hub_share(whitening: Whitening) -> float:
+    """Share of a match's variance that is the hub's own noise, the same in all its matches.
+
+    Notes
+    -----
+    With the signal-to-noise ratio r of each of two images alike, the score's variance is 2 / r + 1 / r^2 at
+    each frequency: noise of either image times the texture, and noise times noise, which is new in every
+    pair. Their coherence is c = (r / (1 + r))^2, a match weighs frequencies by f^2 c / (1 - c).
+    """
+    if whitening.coherence is None:
+        return 0.5
+    c = whitening.coherence
+    ratio = np.sqrt(c) / (1.0 - np.sqrt(c))
+    fy, fx = np.meshgrid(np.fft.fftfreq(len(c)), np.fft.rfftfreq(len(c)), indexing="ij")
+    # frequencies beyond this are filtered out; columns but the first stand for two
+    weight = (fy**2 + fx**2) * (np.maximum(np.abs(fy), fx) < _HIGHEST) * np.where(fx > 0.0, 2.0, 1.0)
+    odds = c / (1.0 - c)
+    return float((weight * odds**2 / ratio).sum() / (weight * odds).sum())
+
+
+def _matched(
+    hub: ImageSource,
+    laid: ImageSource,
     points: Array,
-    scale: int,
     search: tuple[int, int],
     plan: TrackPlan,
-    whitening: Whitening | None,
+    whitening: Whitening,
 ) -> Matches:
-    """Points (of the whole hub) found in the laid partner, all in pixels of the scale."""
-    hub, laid = _at_scale(pair.hub, scale), pair.laid(scale)
-    places = _reduced(points, scale)
-    if whitening is None:
-        try:
-            whitening = estimate_whitening(hub, laid, places, places, tile=(32, 32), reach=(1, 1))
-        except EstimationError:
-            whitening = gradient_filter()
+    """Points (N, 2) of the hub found in a partner that is laid on it."""
     window = (plan.window, plan.window)
     return match_images(
-        hub, laid, places, places, window=window, search_px=search, whitening=whitening,
+        hub, laid, points, points, window=window, search_px=search, whitening=whitening,
         min_score=plan.min_score,
     )  # fmt: skip
 
 
-def _coarse_points(source: ImageSource, scale: int, window: int) -> Array:
+def _coarse_points(reduced: ImageSource, window: int) -> Array:
     """Windows of a reduced image, half over each other, that can be located."""
-    reduced = _at_scale(source, scale)
     size = (window, window)
     points = grid_points(reduced.shape, window=size, step=(window // 2, window // 2))
     return points[texture_strength(reduced, points, size) > 0.0]
@@ -415,9 +450,9 @@ def _search_range(pair: _Pair, plan: TrackPlan) -> Array:
     level = pair.map(probes)
     reach = np.zeros(2)
     for height in (-plan.height_range, plan.height_range):
-        moved = pair.partner_camera.project(
-            pair.hub_camera.locate(probes, pair.surface.raised(height))
-        ) - level
+        moved = (
+            pair.partner_camera.project(pair.hub_camera.locate(probes, pair.surface.raised(height))) - level
+        )
         reach = np.fmax(reach, np.nanmax(np.abs(moved), axis=0, initial=0.0))
     focal = max(pair.hub_camera.detector.focal_length_px, pair.partner_camera.detector.focal_length_px)
     return np.asarray(reach + 2.0 * plan.pointing_error * focal)

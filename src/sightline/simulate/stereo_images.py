@@ -93,9 +93,7 @@ class TexturedGround:
         )
 
 
-def random_texture(
-    seed: np.random.SeedSequence, gsd: float, reach: float, contrast: float = 0.2
-) -> Layer:
+def random_texture(seed: np.random.SeedSequence, gsd: float, reach: float, contrast: float = 0.2) -> Layer:
     """Texture of 1/f^2 power down to one cycle per pixel.
 
     Parameters
