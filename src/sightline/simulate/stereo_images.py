@@ -123,13 +123,11 @@ def render_frame(camera: FrameCamera, ground: TexturedGround, mtf_nyquist: float
     mtf_nyquist : float
         Of the system, a Gaussian in the image, at half a cycle per pixel.
     """
-    axes = [_fine(size) for size in camera.shape]
-    nodes = [np.arange(fine[0] - _NODE_STEP, fine[-1] + 2.0 * _NODE_STEP, _NODE_STEP) for fine in axes]
-    pixels = np.stack(np.meshgrid(*nodes, indexing="ij"), axis=-1).reshape(-1, 2)
-    rays = camera.rays(pixels)
-    local = ground.local(ground.intersect(rays.origins, rays.directions))
-    shape = (len(nodes[0]), len(nodes[1]))
-    x, y = (RectBivariateSpline(*nodes, local[:, k].reshape(shape))(*axes) for k in range(2))
+    lines, columns = (_fine(size) for size in camera.shape)
+    rows, places = _nodes(lines), _nodes(columns)
+    rays = camera.rays(np.stack(np.meshgrid(rows, places, indexing="ij"), axis=-1).reshape(-1, 2))
+    local = ground.local(ground.intersect(rays.origins, rays.directions)).reshape(len(rows), len(places), 3)
+    x, y = (RectBivariateSpline(rows, places, local[..., k])(lines, columns) for k in range(2))
     light = np.float32(1.0) + ground.texture.at(x, y)
     # exp(-2 pi^2 sigma^2 f^2) = mtf_nyquist at f = 1/2 per pixel
     sigma = _RAYS * np.sqrt(-2.0 * np.log(mtf_nyquist)) / np.pi
@@ -141,3 +139,8 @@ def render_frame(camera: FrameCamera, ground: TexturedGround, mtf_nyquist: float
 def _fine(size: int) -> Array:
     """Places of the rays along one axis of `size` pixels: whole pixels are the first of every `_RAYS`."""
     return np.arange((size + 2 * _BORDER) * _RAYS) / _RAYS - _BORDER
+
+
+def _nodes(fine: Array) -> Array:
+    """Places of exact rays that enclose all of `fine`."""
+    return np.arange(fine[0] - _NODE_STEP, fine[-1] + 2.0 * _NODE_STEP, _NODE_STEP)
