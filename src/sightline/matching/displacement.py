@@ -65,8 +65,8 @@ class DisplacementField:
         if len(used) == 0:
             return np.zeros((len(places), 2))
         count = min(NEIGHBOURS + (not own), len(used))
-        distance, row = cKDTree(self.points[used]).query(places, k=count)
-        distance, row = distance.reshape(len(places), -1), used[row.reshape(len(places), -1)]
+        found = cKDTree(self.points[used]).query(places, k=np.arange(1, count + 1))
+        distance, row = np.asarray(found[0]), used[np.asarray(found[1])]
         scale = 1.01 * distance[:, -1:] + 1e-9
         near = (1.0 - (distance / scale) ** 3) ** 3 * weights[row]
         if not own and count > LEAST_PLANE:

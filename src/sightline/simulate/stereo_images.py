@@ -8,18 +8,25 @@ Poses and relief come from ``stereo.py``; nothing here knows how points are matc
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import GeometryError
+from sightline.errors import GeometryError, InputError
 from sightline.geometry.camera import FrameCamera
-from sightline.geometry.earth import to_geodetic
+from sightline.geometry.instrument import AreaDetector
+from sightline.geometry.surface import Surface
+from sightline.photogrammetry.frame_cameras import frame_cameras
+from sightline.photogrammetry.sightings import Images
+from sightline.simulate.files import write_image
 from sightline.simulate.scene import Extent, TextureLaw, layer_shape
+from sightline.simulate.sensor import Radiometry
 from sightline.simulate.texture import Array, Array32, Layer, random_layer
 
 #: Rays per pixel along lines and columns: the texture ends at one cycle per pixel, of which three samples
@@ -30,8 +37,33 @@ _RAYS = 3
 _NODE_STEP = 2.0
 #: px rendered beyond the frame, for the blur.
 _BORDER = 4
-#: m; rays are followed until they meet the ground this closely.
-_CLOSE = 1e-6
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """How the cameras see.
+
+    Attributes
+    ----------
+    snr : float
+        Mean over noise of the mean ground.
+    contrast : float
+        Standard deviation of the ground's brightness, in units of its mean.
+    mtf_nyquist : float
+        Of the system, a Gaussian in the image, at half a cycle per pixel.
+    """
+
+    snr: float = 80.0
+    contrast: float = 0.2
+    mtf_nyquist: float = 0.15
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if not (self.snr > 0.0 and self.contrast > 0.0 and 0.0 < self.mtf_nyquist < 1.0):
+            raise InputError(
+                "`snr` and `contrast` must be positive and `mtf_nyquist` between 0 and 1, got "
+                f"{self.snr:g}, {self.contrast:g} and {self.mtf_nyquist:g}"
+            )
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,57 +72,20 @@ class TexturedGround:
 
     Attributes
     ----------
+    surface : Surface
+        World axes.
     origin : (3,)
         m, world axes; where the local axes begin.
     world_from_local : Rotation
         x east, y north, z up there.
-    radii : (float, float) or None
-        m; of the ellipsoid that heights are above; None: above the plane z = 0 of the local axes.
-    heights : callable
-        Height (m) of local places (x, y) of any one shape.
     texture : Layer
         Brightness less its mean, in units of the mean, at local places (x, y).
     """
 
+    surface: Surface
     origin: Array
     world_from_local: Rotation
-    radii: tuple[float, float] | None
-    heights: Callable[[Array, Array], Array]
     texture: Layer
-
-    def local(self, points: Array) -> Array:
-        """Points (N, 3) m in local axes."""
-        return np.asarray((points - self.origin) @ self.world_from_local.as_matrix())
-
-    def above(self, points: Array) -> Array:
-        """Height (N,) m of points (N, 3), world axes, over the ground under them."""
-        local = self.local(points)
-        height = local[:, 2] if self.radii is None else to_geodetic(points, self.radii)[:, 2]
-        return np.asarray(height - self.heights(local[:, 0], local[:, 1]))
-
-    def intersect(self, origins: Array, directions: Array) -> Array:
-        """Where rays (N, 3) first settle on the ground, (N, 3) m, world axes.
-
-        Raises
-        ------
-        GeometryError
-            If a ray does not, within 60 steps: the ground is too steep for it, or it misses.
-        """
-        up = self.world_from_local.as_matrix()[:, 2]
-        sink = directions @ up
-        if not (sink < 0.0).all():
-            raise GeometryError("a line of sight does not point down; turn the cameras to the ground")
-        reach = -((origins - self.origin) @ up) / sink
-        for _ in range(60):
-            points = origins + reach[:, None] * directions
-            miss = self.above(points)
-            if np.abs(miss).max() < _CLOSE:
-                return np.asarray(points)
-            reach = reach - miss / sink
-        raise GeometryError(
-            "lines of sight do not settle on the relief: the ground is steeper than the rays; use gentler "
-            "relief or view it closer to the vertical"
-        )
 
 
 def random_texture(seed: np.random.SeedSequence, gsd: float, reach: float, contrast: float = 0.2) -> Layer:
@@ -112,7 +107,7 @@ def random_texture(seed: np.random.SeedSequence, gsd: float, reach: float, contr
     return random_layer(seed, layer_shape(extent, spacing, 8192), spacing, law.psd, (-reach, -reach))
 
 
-def render_frame(camera: FrameCamera, ground: TexturedGround, mtf_nyquist: float = 0.15) -> Array32:
+def render_frame(camera: FrameCamera, ground: TexturedGround, mtf_nyquist: float) -> Array32:
     """Noiseless brightness of one frame, in units of the mean: (lines, columns) float32.
 
     Parameters
@@ -126,7 +121,10 @@ def render_frame(camera: FrameCamera, ground: TexturedGround, mtf_nyquist: float
     lines, columns = (_fine(size) for size in camera.shape)
     rows, places = _nodes(lines), _nodes(columns)
     rays = camera.rays(np.stack(np.meshgrid(rows, places, indexing="ij"), axis=-1).reshape(-1, 2))
-    local = ground.local(ground.intersect(rays.origins, rays.directions)).reshape(len(rows), len(places), 3)
+    met = ground.surface.intersect(rays.origins, rays.directions)
+    if not np.isfinite(met).all():
+        raise GeometryError("a line of sight misses the ground; make it larger (`ground_size`)")
+    local = ((met - ground.origin) @ ground.world_from_local.as_matrix()).reshape(len(rows), len(places), 3)
     x, y = (RectBivariateSpline(rows, places, local[..., k])(lines, columns) for k in range(2))
     light = np.float32(1.0) + ground.texture.at(x, y)
     # exp(-2 pi^2 sigma^2 f^2) = mtf_nyquist at f = 1/2 per pixel
@@ -144,3 +142,92 @@ def _fine(size: int) -> Array:
 def _nodes(fine: Array) -> Array:
     """Places of exact rays that enclose all of `fine`."""
     return np.arange(fine[0] - _NODE_STEP, fine[-1] + 2.0 * _NODE_STEP, _NODE_STEP)
+
+
+def textured(
+    surface: Surface, origin: Array, world_from_local: Rotation, frames: Sequence[FrameCamera], seed: int,
+    contrast: float,
+) -> TexturedGround:  # fmt: skip
+    """The ground under some frames, with a random texture fine enough for all of them.
+
+    Parameters
+    ----------
+    surface : Surface
+    origin : (3,)
+        m, world axes; the texture is laid out about it.
+    world_from_local : Rotation
+        x east, y north, z up there.
+    frames : sequence of FrameCamera
+    seed : int
+    contrast : float
+        Standard deviation, in units of the mean brightness.
+    """
+    finest, reach = np.inf, 0.0
+    for camera in frames:
+        lines, columns = camera.shape
+        corners = np.array([[0, 0], [0, columns - 1], [lines - 1, 0], [lines - 1, columns - 1]], dtype=float)
+        rays = camera.rays(corners)
+        met = surface.intersect(rays.origins, rays.directions)
+        if not np.isfinite(met).all():
+            raise GeometryError("a frame does not lie on the ground; make it larger (`ground_size`)")
+        ranges = np.linalg.norm(met - rays.origins, axis=1)
+        finest = min(finest, float(ranges.min()) / camera.detector.focal_length_px)
+        reach = max(reach, float(np.linalg.norm(met - origin, axis=1).max()))
+    texture = random_texture(np.random.SeedSequence(seed, spawn_key=(2,)), finest, 1.05 * reach, contrast)
+    return TexturedGround(surface, origin, world_from_local, texture)
+
+
+def render_frames(
+    frames: Sequence[FrameCamera], ground: TexturedGround, sensor: Sensor, seed: int
+) -> Iterator[NDArray[np.uint16]]:
+    """Each frame as the sensor gives it, (lines, columns) uint16, one at a time."""
+    radiometry = Radiometry(snr=sensor.snr)
+    for number, camera in enumerate(frames):
+        light = render_frame(camera, ground, sensor.mtf_nyquist)
+        rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(3, number)))
+        yield radiometry.digitise(light * np.float32(radiometry.mean_dn), radiometry.mean_dn, rng)
+
+
+def write_stereo_images(
+    folder: Path,
+    names: Sequence[str],
+    images: Images,
+    detectors: Sequence[AreaDetector],
+    mounts: Sequence[Rotation],
+    ground: tuple[Surface, Array, Rotation],
+    sensor: Sensor,
+    seed: int,
+) -> dict[str, Path]:
+    """Render the frames of a block into `folder`, with ``images.csv`` (camera, shot, image).
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    names : sequence of str
+        Of the cameras.
+    images : Images
+        True poses.
+    detectors, mounts : sequence
+        True detector and body_from_camera of each camera.
+    ground : (Surface, (3,), Rotation)
+        Surface; origin and attitude (world_from_local) of the level axes that the texture is laid out in.
+    sensor : Sensor
+    seed : int
+
+    Returns
+    -------
+    dict of str to Path
+        What was written, by file name.
+    """
+    frames = frame_cameras(images, detectors, mounts)
+    scene = textured(*ground, frames, seed, sensor.contrast)
+    written, rows = {}, ["camera,shot,image"]
+    for row, pixels in enumerate(render_frames(frames, scene, sensor, seed)):
+        camera, shot = names[images.camera[row]], images.shot[row]
+        name = f"camera-{camera}-shot-{shot:03d}.tif"
+        written[name] = write_image(folder / name, pixels.shape, iter([(0, pixels)]))
+        rows.append(f"{camera},{shot},{name}")
+    table = folder / "images.csv"
+    table.write_text("\n".join(rows) + "\n", encoding="utf-8")
+    return {table.name: table, **written}
