@@ -2,8 +2,8 @@
 
     python validation/stereo_images.py              # some minutes; --seeds 2 is quicker
 
-Passes of S2's geometry with frames of 400 x 400 px (18.7 m, field of 0.86 degrees), six shots in 24 s, constant
-errors of 36 arcsec, over flat ground and over smooth relief of 400 m. Per convergence and relief:
+Passes of S2's geometry with frames of 400 x 400 px (18.7 m, field of 0.86 degrees), six shots in 24 s,
+constant errors of 36 arcsec, over flat ground and over smooth relief of 400 m. Per convergence and relief:
 
     match noise   rms of the matches about the truth, px per coordinate: residuals at the true poses about the
                   point that fits each track best
@@ -72,7 +72,7 @@ def separation(convergence: float) -> float:
 def point_residuals(
     tracks: Tracks, cameras: Sequence[FrameCamera], points: Array
 ) -> tuple[Array, Array, int]:
-    """Residuals (N, 2) px about the best point of each track near `points`, whitened ones, and their number."""
+    """Residuals (N, 2) px about the point that fits each track best, whitened ones, degrees of freedom."""
     errors, change = np.empty((len(tracks), 2)), np.empty((len(tracks), 2, 3))
     step = 50.0 * np.eye(3)
     for image, camera in enumerate(cameras):
@@ -109,7 +109,7 @@ def window_bound(clean: Array, noise: float, pixels: Array) -> float:
 
 
 def orientation(problem: StereoProblem, scenario: StereoScenario, noise_px: float) -> tuple[Array, Array]:
-    """Errors (6,) and bound (6,), rad, of the angles; the bound with every sigma scaled to the achieved noise."""
+    """Errors (6,) of the angles and their bound (6,), rad; that with sigmas scaled to the achieved noise."""
     tracks = problem.tracks
     made = adjust(sight_frames(problem.images, problem.detectors, problem.mounts, tracks), problem.noise)
     scale = noise_px / float(np.sqrt((tracks.sigma_px**2).mean()))
@@ -165,8 +165,8 @@ def main() -> None:
     options = parser.parse_args()
     sensor = Sensor(snr=options.snr)
     print(
-        f"{'convergence':>11} {'relief':>7} {'platform':>8} {'sightings':>9} {'match noise':>11} {'/ sigma':>8} "
-        f"{'/ window':>8} {'RMSE / bound':>12}   bound, arcsec: roll pitch yaw"
+        f"{'convergence':>11} {'relief':>7} {'platform':>8} {'sightings':>9} {'match noise':>11} "
+        f"{'/ sigma':>8} {'/ window':>8} {'RMSE / bound':>12}   bound, arcsec: roll pitch yaw"
     )
     worst = []
     for convergence in options.convergence:
@@ -177,10 +177,11 @@ def main() -> None:
                 ratio = rms([run.errors for run in runs])
                 worst.append(ratio)
                 sigma = np.median([run.bound for run in runs], axis=0)[:3] / ARCSEC
+                count = np.mean([run.tracks for run in runs])
+                noise, stated, window = (rms([run[k] for run in runs]) for k in range(3))
                 print(
-                    f"{convergence:8.0f} deg {relief:>7} {platform:>8} {np.mean([r.tracks for r in runs]):9.0f} "
-                    f"{rms([r.noise for r in runs]):8.4f} px {rms([r.over_sigma for r in runs]):8.3f} "
-                    f"{rms([r.over_window for r in runs]):8.3f} {ratio:12.3f}   "
+                    f"{convergence:7.0f} deg {relief:>7} {platform:>8} {count:9.0f} {noise:8.4f} px "
+                    f"{stated:8.3f} {window:8.3f} {ratio:12.3f}   "
                     + " ".join(f"{value:.2f}" for value in sigma),
                     flush=True,
                 )
