@@ -120,6 +120,9 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
     begun = time.perf_counter()
     report(f"reading {file}")
     stereo = read_stereo(file)
+    if stereo.pictures is not None:
+        report(f"finding points in {len(stereo.pictures.sources)} pictures")
+        stereo = with_points_found(stereo)
     problem = stereo.problem
     report(f"solving for {len(problem.cameras)} cameras in {len(problem.images)} images")
     if isinstance(problem, StripProblem):
@@ -132,6 +135,19 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
         result = solve(problem, method.value, raw=raw, drift=drift)
     report("what would improve it")
     return Oriented(stereo, result, begun, improvements_of(problem, method))
+
+
+def with_points_found(stereo: Stereo) -> Stereo:
+    """The same with points found in its pictures."""
+    from dataclasses import replace
+
+    from sightline.applications.stereo_matching import match_problem
+
+    if stereo.pictures is None:
+        return stereo
+    pictures = stereo.pictures
+    found = match_problem(stereo.problem, pictures.sources, image=pictures.image, surface=stereo.surface)
+    return replace(stereo, problem=found)
 
 
 def improvements_of(problem: StereoProblem, method: Method) -> tuple[Improvement, ...]:
