@@ -37,6 +37,10 @@ _FEW = 1e-3
 _MEDIAN_2 = 1.3863
 #: Fewest sightings that an adjustment is tried with: three points seen twice.
 LEAST = 6
+#: Share of the cost that a step must promise for the cost to be looked at, rounding being larger than less.
+_ROUNDING = 1e-9
+#: Share of the cost below which the promise of a step shows that gross errors can be judged.
+_ROUGHLY = 1e-2
 #: Share of a residual's variance below which it says nothing (along an epipolar line).
 _SEEN = 0.05
 BoolArray = NDArray[np.bool_]
@@ -179,7 +183,7 @@ def descend(
     # chi-square with two degrees of freedom: exp(-limit / 2) of good ones are larger
     limit = 2.0 * np.log(max(int(usable.sum()), 1) / FALSE_ALARM)
     reduced, steps, fresh, last, new = None, 0, 0, np.inf, True
-    softened = False
+    softened = looked = False
     while True:
         if new or reduced is None:
             curvature, r = block.curvature(state, weight)
@@ -190,6 +194,15 @@ def descend(
         steps += 1
         if not np.isfinite(decrease) or fresh > FRESH or steps > STEPS:
             raise EstimationError(DIVERGED)
+        if robust and not (softened or looked) and decrease < _ROUGHLY * cost:
+            # many gross errors are told long before the fit that they spoil has settled
+            looked = True
+            statistic, checked = _statistic(replace(curvature, weight=weight), r)
+            scale = max(_scale(statistic[usable & checked]), 1.0)
+            if int((usable & (statistic > limit * scale)).sum()) > _FEW * int(usable.sum()):
+                state, weight[:] = _redescend(block, state, usable, limit)
+                softened, new = True, True
+                continue
         settled = decrease < CONVERGED or (decrease < 1e-6 and decrease > 0.5 * last)
         if not settled and decrease > 0.1 * last:
             new = True  # the equations of an earlier state lead no further
@@ -250,7 +263,7 @@ def _descended(
             state.own + share * step.own,
             state.points + share * step.points,
         )
-        if decrease < 1e-3 * max(cost, 1.0) or block.cost(tried, weight) <= cost:
+        if decrease < _ROUNDING * max(cost, 1.0) or block.cost(tried, weight) <= cost:
             return tried, share
         share *= 0.5
     raise EstimationError(DIVERGED)

@@ -1,0 +1,165 @@
+"""Poses of all frames of a flight, on pinholes in closed form: accuracy, honesty, gaps, biases."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sightline.errors import InputError
+from sightline.geometry.instrument import AreaDetector
+from sightline.geometry.rotations import NADIR_MOUNT
+from sightline.geometry.surface import Plane
+from sightline.photogrammetry.frame_poses import FramePoses, RoughPoses, adjust_frames, path_precision
+from sightline.photogrammetry.point_priors import HeightPrior, PointPriors
+from sightline.photogrammetry.sightings import Images, Tracks, sight_frames
+
+HEIGHT, FOCAL, SHAPE, RATE = 100.0, 400.0, (256, 320), 25.0
+SIGMA_PX, SIGMA_POSITION, SIGMA_ATTITUDE = 0.1, 0.3, 0.003
+#: world_from_body of level flight north: x forward = north, y right = east, z down.
+LEVEL = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+FRAMES = 30
+
+
+class Flight:
+    """A path with jitter, points on the ground, sightings, and rough tables with biases."""
+
+    def __init__(self, seed: int, *, count: int = FRAMES, step: float = 0.04, hidden=(), bias=(1.0, 0.01)):
+        rng = np.random.default_rng(seed)
+        self.t = np.arange(count) / RATE
+        footprint = SHAPE[0] / FOCAL * HEIGHT
+        speed = footprint * step * RATE
+        phase = rng.uniform(0.0, 2.0 * np.pi, (4, 3))
+        sway = 0.05 * np.sin(2.0 * np.pi * 0.3 * self.t[:, None] + phase[0])
+        self.position = np.stack([0.0 * self.t, speed * self.t, np.full(count, HEIGHT)], axis=1) + sway
+        slow, fast = 2.0 * np.pi * 0.5 * self.t[:, None], 2.0 * np.pi * 3.0 * self.t[:, None]
+        self.angles = np.radians(np.sin(slow + phase[1]) + 0.1 * np.sin(fast + phase[2]))
+        self.attitude = LEVEL * Rotation.from_rotvec(self.angles)
+        points = np.column_stack([
+            rng.uniform(-0.4, 0.4, 250) * SHAPE[1] / FOCAL * HEIGHT,
+            rng.uniform(-0.6 * footprint, speed * self.t[-1] + 0.6 * footprint, 250),
+            rng.uniform(-3.0, 3.0, 250),
+        ])  # fmt: skip
+        image, point, pixels = [], [], []
+        middle = (np.array(SHAPE) - 1.0) / 2.0
+        for k in range(count):
+            forward, right, down = self.attitude[k].inv().apply(points - self.position[k]).T
+            # lines run forward, columns to the left
+            seen = middle + FOCAL * np.column_stack([forward / down, -right / down])
+            rows = np.flatnonzero(((seen > 0) & (seen < np.array(SHAPE) - 1)).all(axis=1))
+            if k in hidden:
+                continue
+            image.append(np.full(len(rows), k))
+            point.append(rows)
+            pixels.append(seen[rows] + SIGMA_PX * rng.standard_normal((len(rows), 2)))
+        self.tracks = Tracks(
+            np.concatenate(image), np.concatenate(point), np.concatenate(pixels), np.array(SIGMA_PX)
+        )
+        self.bias = np.concatenate([bias[0] * rng.standard_normal(3), bias[1] * rng.standard_normal(3)])
+        noise = SIGMA_ATTITUDE * rng.standard_normal((count, 3))
+        self.images = Images(
+            np.zeros(count), np.arange(count), self.t,
+            self.position + self.bias[:3] + SIGMA_POSITION * rng.standard_normal((count, 3)),
+            self.attitude * Rotation.from_rotvec(self.bias[3:] + noise),
+        )  # fmt: skip
+        self.known = RoughPoses(
+            np.full((count, 3), SIGMA_POSITION), np.full((count, 3), SIGMA_ATTITUDE), *bias
+        )
+
+    def solve(self, **given) -> FramePoses:
+        detector = AreaDetector("frame", SHAPE, FOCAL, ((SHAPE[0] - 1) / 2.0, (SHAPE[1] - 1) / 2.0))
+        sightings = sight_frames(self.images, [detector], [NADIR_MOUNT], self.tracks)
+        # heights are drawn over +-3 m: 1.7 m rms
+        heights = PointPriors(HeightPrior(Plane(0.0), 1.75, None))
+        return adjust_frames(self.images, sightings, self.known, priors=heights, **given)
+
+    def errors(self, found: FramePoses) -> np.ndarray:
+        """(M, 6): of positions, then of angles about body axes."""
+        turn = (self.attitude.inv() * found.world_from_body).as_rotvec()
+        return np.concatenate([found.position - self.position, turn], axis=1)
+
+
+def test_frames_are_found_relative_to_each_other_far_better_than_the_tables_say():
+    flight = Flight(0)
+    found = flight.solve()
+    error = flight.errors(found)
+    # a tilt and a shift of 100 m times it look alike but for perspective; where they point is told far better:
+    # some 70 points of 0.1 px each show the ground, to 0.1 / sqrt(70) px and what perspective leaves
+    pitch, roll = error[:, 4], error[:, 3]
+    forward = (error[:, 1] + HEIGHT * pitch) * FOCAL / HEIGHT
+    right = (error[:, 0] - HEIGHT * roll) * FOCAL / HEIGHT
+    assert np.diff(forward).std() < 0.05 and np.diff(right).std() < 0.05
+    assert np.diff(error[:, 5]).std() < 2e-4  # yaw stands alone
+    assert error[:, :3].std(axis=0).max() < 0.5 * SIGMA_POSITION
+    assert error[:, 3:].std(axis=0).max() < 0.5 * SIGMA_ATTITUDE
+
+
+def test_sigmas_of_every_frame_hold_over_many_flights():
+    # the datum is one draw a flight: 25 flights, chi-square of 6 of the middle frame, mean 6 +- sqrt(12/25)
+    nees = []
+    for seed in range(25):
+        flight = Flight(seed)
+        found = flight.solve()
+        error = flight.errors(found)[15]
+        nees.append(error @ np.linalg.solve(found.covariance[15], error))
+    assert abs(np.mean(nees) - 6.0) < 4.0 * np.sqrt(12.0 / 25.0)
+
+
+def test_biases_of_the_tables_are_found_where_the_ground_tells_them():
+    flight = Flight(1)
+    found = flight.solve()
+    error = found.bias - flight.bias
+    assert error @ np.linalg.solve(found.bias_covariance, error) < 22.5  # chi-square of 6 at 1e-3
+    sigma = np.sqrt(np.diag(found.bias_covariance))
+    assert sigma[2] < 0.5  # level ground tells the height
+    assert sigma[0] > 0.9  # nothing tells where the flight is
+
+
+def test_frames_that_nobody_sees_are_bridged_with_honest_sigmas():
+    gap = (13, 14, 15, 16)
+    ratio = []
+    for seed in range(12):
+        flight = Flight(seed, hidden=gap)
+        found = flight.solve()
+        assert (found.sightings[list(gap)] == 0).all()
+        sigma = np.sqrt(np.einsum("kii->ki", found.covariance))
+        # the middle of the gap is known worse than its ends, in angles by far
+        assert (sigma[14, 3:] >= sigma[12, 3:]).all()
+        step = flight.errors(found)
+        relative = step[14] - 0.5 * (step[12] + step[17])  # the datum cancels
+        ratio.append(relative[3:] / sigma[14, 3:])
+    # absolute sigmas own the datum too, so the ratio is below 1; it must not be far above
+    assert np.sqrt(np.mean(np.square(ratio))) < 1.3
+
+
+def test_gross_mismatches_are_left_out():
+    flight = Flight(2)
+    rng = np.random.default_rng(20)
+    bad = rng.random(len(flight.tracks)) < 0.03
+    pixels = np.array(flight.tracks.pixels)
+    pixels[bad] += rng.uniform(2.0, 20.0, (bad.sum(), 2))
+    clean = flight.solve()
+    flight.tracks = Tracks(flight.tracks.image, flight.tracks.point, pixels, flight.tracks.sigma_px)
+    found = flight.solve()
+    assert found.rejected[bad].mean() > 0.97
+    assert np.abs(flight.errors(found) - flight.errors(clean))[:, 3:].max() < 3e-4
+
+
+def test_even_motion_costs_nothing_and_bends_cost_by_their_rate():
+    t = np.array([0.0, 0.1, 0.3, 0.4, 0.8])
+    precision = path_precision(t, np.full(6, 2.0))
+    whole = np.zeros((30, 30))
+    for k in range(5):
+        for d in range(min(k, 2) + 1):
+            whole[6 * k : 6 * k + 6, 6 * (k - d) : 6 * (k - d) + 6] = precision[k, d]
+            whole[6 * (k - d) : 6 * (k - d) + 6, 6 * k : 6 * k + 6] = precision[k, d].T
+    straight = (3.0 + 2.0 * t)[:, None] * np.arange(1.0, 7.0)
+    assert np.abs(whole @ straight.ravel()).max() < 1e-9
+    bent = np.where(t > 0.3, t - 0.3, 0.0)[:, None] * np.array([1.0, 0, 0, 0, 0, 0])
+    # one bend of 1 per s at t = 0.3: variance 2 (0.2 + 0.1) / 3
+    assert bent.ravel() @ whole @ bent.ravel() == pytest.approx(1.0 / 0.2)
+
+
+def test_sigmas_of_tables_must_be_positive():
+    with pytest.raises(InputError, match="`attitude` must be positive sigmas of shape"):
+        RoughPoses(np.ones((3, 3)), np.zeros((3, 3)))
