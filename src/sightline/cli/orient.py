@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
     from sightline.applications.stereo_prediction import Improvement
     from sightline.io.stereo import Stereo
+    from sightline.io.stereo_plan import PlannedPass
 
 
 #: Sightings up to which it is reckoned what would improve the angles: eight bounds, each as long as a step.
@@ -68,7 +69,7 @@ def orient(
             print_json(summary)
         else:
             tell_bound(summary)
-            say(f"{out / 'prediction.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
+            say(f"{out / 'orientation.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
         return
     with progress() as report:
         found = estimate(file, method, report, raw=raw, drift=drift)
@@ -119,6 +120,9 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
     begun = time.perf_counter()
     report(f"reading {file}")
     stereo = read_stereo(file)
+    if stereo.pictures is not None:
+        report(f"finding points in {len(stereo.pictures.sources)} pictures")
+        stereo = with_points_found(stereo)
     problem = stereo.problem
     report(f"solving for {len(problem.cameras)} cameras in {len(problem.images)} images")
     if isinstance(problem, StripProblem):
@@ -131,6 +135,19 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
         result = solve(problem, method.value, raw=raw, drift=drift)
     report("what would improve it")
     return Oriented(stereo, result, begun, improvements_of(problem, method))
+
+
+def with_points_found(stereo: Stereo) -> Stereo:
+    """The same with points found in its pictures."""
+    from dataclasses import replace
+
+    from sightline.applications.stereo_matching import match_problem
+
+    if stereo.pictures is None:
+        return stereo
+    pictures = stereo.pictures
+    found = match_problem(stereo.problem, pictures.sources, image=pictures.image, surface=stereo.surface)
+    return replace(stereo, problem=found)
 
 
 def improvements_of(problem: StereoProblem, method: Method) -> tuple[Improvement, ...]:
@@ -169,24 +186,32 @@ def foretell(file: Path, method: Method, out: Path, report: Progress, *, overwri
     """The bound of a STEREO.toml, in files; gives the summary."""
     import time
 
-    from sightline.applications.stereo_prediction import predict
+    from sightline.applications.stereo_prediction import predict, predict_plan
     from sightline.cli.output import output_folder
     from sightline.errors import InputError
     from sightline.io.stereo import read_stereo
+    from sightline.io.stereo_plan import has_plan, read_plan
     from sightline.io.stereo_predicted import write_prediction
     from sightline.io.stereo_strips import StripProblem
     from sightline.report.stereo_prediction_page import write_prediction_report
 
     begun = time.perf_counter()
-    stereo = read_stereo(file, planned=True)
-    if isinstance(stereo.problem, StripProblem):
-        raise InputError("--predict is for frames: [[strip]] has no prediction; orient its points instead")
     report("bounds")
-    tables = len(stereo.problem.tracks) <= IMPROVED_SIGHTINGS
-    predicted = predict(stereo.problem, method.value, tables=tables)
+    problem: Stereo | PlannedPass
+    if has_plan(file):
+        problem = read_plan(file)
+        predicted = predict_plan(problem.plan, method.value)
+    else:
+        problem = read_stereo(file, planned=True)
+        if isinstance(problem.problem, StripProblem):
+            raise InputError(
+                "--predict is for frames: [[strip]] has no prediction; orient its points instead"
+            )
+        tables = len(problem.problem.tracks) <= IMPROVED_SIGHTINGS
+        predicted = predict(problem.problem, method.value, tables=tables)
     seconds = time.perf_counter() - begun
     with output_folder(out, overwrite=overwrite) as folder:
-        summary = write_prediction(folder, stereo, predicted, wall_seconds=seconds)
+        summary = write_prediction(folder, problem, predicted, wall_seconds=seconds)
         write_prediction_report(folder / "report.html", predicted, summary)
     return summary
 
@@ -204,8 +229,8 @@ def tell_bound(summary: dict[str, Any]) -> None:
             for axis in ("roll", "pitch", "yaw")
         ]
         say(f"camera {camera}: bound of 1 sigma: {', '.join(said)} arcsec")
-    for words in summary["unobservable"]:
-        say(f"not observable: {words}")
+    for entry in summary["unobservable"]:
+        say(f"not observable: {entry['words']}")
     say(f"points: {summary['points_from']}")
 
 
@@ -224,8 +249,8 @@ def tell(summary: dict[str, Any]) -> None:
             for axis in ("roll", "pitch", "yaw")
         ]
         say(f"camera {camera}: {', '.join(said)} arcsec")
-    for words in summary["unobservable"]:
-        say(f"not observable: {words}")
+    for entry in summary["unobservable"]:
+        say(f"not observable: {entry['words']}")
     weakest = next((entry for entry in summary["principal_sigmas"] if math.isfinite(entry["sigma"])), None)
     if weakest is not None:
         say(f"weakest direction that is seen: {weakest['words']}, {arcsec * weakest['sigma']:.3g} arcsec")

@@ -141,6 +141,11 @@ def read_stereo(path: Path, *, planned: bool = False) -> Stereo:
     With `planned`, points need not be there yet: a prediction lays them out.
     """
     file, files = read_stereo_file(path), InputFolder(path)
+    if file.plan is not None:
+        raise FormatError(
+            f"{path}: [plan] is a pass not yet flown: ask for its bound with --predict, or give cameras = "
+            "FILE and points in place of [plan]"
+        )
     if not file.sources and not planned:
         raise FormatError(
             f"{path}: nothing brings points: give matches = FILE (two cameras), observations = FILE (any "

@@ -1,11 +1,10 @@
-"""What a stereo orientation would give → ``prediction.csv``, ``tables.csv``, ``covariance.csv``, summary.
+"""What a stereo orientation would give → tables of sigmas, covariance, ``summary.json``.
 
 Not here: the results of an orientation (``stereo_results.py``).
 """
 
 from __future__ import annotations
 
-import math
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,14 +15,24 @@ from sightline.applications.stereo_prediction import SigmaTable, StereoPredictio
 from sightline.evaluation.direction_words import AXES, angle_names
 from sightline.io.results import write_json
 from sightline.io.stereo import Stereo
-from sightline.io.stereo_results import improvement_entry, principal_sigmas, write_covariance
+from sightline.io.stereo_plan import PlannedPass
+from sightline.io.stereo_results import (
+    ORIENTATION,
+    baseline_turn,
+    improvement_entry,
+    principal_sigmas,
+    unobservable,
+    write_covariance,
+)
 from sightline.io.tables import write_columns
-
-PREDICTION = ("camera", *(f"sigma_{axis}" for axis in AXES))
 
 
 def write_prediction(
-    folder: Path, stereo: Stereo, predicted: StereoPrediction, *, wall_seconds: float
+    folder: Path,
+    problem: Stereo | PlannedPass,
+    predicted: StereoPrediction,
+    *,
+    wall_seconds: float,
 ) -> dict[str, Any]:
     """Write every table of a prediction and its summary.
 
@@ -31,7 +40,7 @@ def write_prediction(
     ----------
     folder : Path
         Exists.
-    stereo : Stereo
+    problem : Stereo or PlannedPass
         What it is for.
     predicted : StereoPrediction
     wall_seconds : float
@@ -43,12 +52,16 @@ def write_prediction(
         The summary, as in ``summary.json``.
     """
     names = np.array(predicted.cameras, dtype=str)
-    values = dict(zip(PREDICTION, [names, *predicted.sigmas.T], strict=True))
-    write_columns(folder / "prediction.csv", values, dict.fromkeys(PREDICTION, "%.9g"))
+    unknown = np.full(predicted.sigmas.shape, np.nan)
+    write_columns(
+        folder / "orientation.csv",
+        dict(zip(ORIENTATION, [names, *unknown.T, *predicted.sigmas.T], strict=True)),
+        dict.fromkeys(ORIENTATION, "%.17g"),
+    )
     write_covariance(folder / "covariance.csv", predicted.cameras, predicted.covariance)
     if predicted.tables:
         _write_tables(folder / "tables.csv", predicted)
-    summary = summarize_prediction(stereo, predicted, wall_seconds=wall_seconds)
+    summary = summarize_prediction(problem, predicted, wall_seconds=wall_seconds)
     write_json(folder / "summary.json", summary)
     return summary
 
@@ -67,12 +80,12 @@ def _write_tables(path: Path, predicted: StereoPrediction) -> None:
 
 
 def summarize_prediction(
-    stereo: Stereo, predicted: StereoPrediction, *, wall_seconds: float
+    problem: Stereo | PlannedPass, predicted: StereoPrediction, *, wall_seconds: float
 ) -> dict[str, Any]:
     """The content of ``summary.json``."""
     entries = principal_sigmas(predicted)
     return {
-        "name": stereo.name,
+        "name": problem.name,
         "version": version("sightline"),
         "method": predicted.method,
         "cameras": list(predicted.cameras),
@@ -87,12 +100,14 @@ def summarize_prediction(
             for c, camera in enumerate(predicted.cameras)
         },
         "principal_sigmas": entries,
-        "unobservable": [entry["words"] for entry in entries if not math.isfinite(entry["sigma"])],
+        "unobservable": unobservable(
+            predicted, baseline_turn(problem.problem) if isinstance(problem, Stereo) else None
+        ),
         "tables": [_table(table) for table in predicted.tables],
         "improvements": [improvement_entry(change) for change in predicted.improvements],
-        "warnings": list(stereo.problem.warnings),
+        "warnings": list(problem.problem.warnings) if isinstance(problem, Stereo) else [],
         "wall_seconds": wall_seconds,
-        "inputs": stereo.input_hashes(),
+        "inputs": problem.input_hashes(),
     }
 
 

@@ -176,9 +176,7 @@ def summarize_orientation(
             for c, camera in enumerate(result.cameras)
         },
         "principal_sigmas": principal_sigmas(result),
-        "unobservable": [
-            entry["words"] for entry in principal_sigmas(result) if not math.isfinite(entry["sigma"])
-        ],
+        "unobservable": unobservable(result, baseline_turn(problem)),
         "drift": _drift(result),
         "focal_length": _focal(problem, result),
         "bias_removed": None if result.bias is None else result.bias.tolist(),
@@ -194,6 +192,39 @@ def summarize_orientation(
         "peak_memory_bytes": peak_memory(),
         "inputs": stereo.input_hashes(),
     }
+
+
+def unobservable(known: StereoOrientation | StereoPrediction, turn: Array | None) -> list[dict[str, Any]]:
+    """Words and direction of what nothing tells; `turn` (3 C,) is that about the baseline, if any."""
+    entries = []
+    for entry in principal_sigmas(known):
+        if math.isfinite(entry["sigma"]):
+            continue
+        words = entry["words"]
+        if turn is not None and abs(np.array(list(entry["direction"].values())) @ turn) > _SAME_TURN:
+            words = f"turn of all cameras about the baseline ({words})"
+        entries.append({"words": words, "direction": entry["direction"]})
+    return entries
+
+
+#: Cosine from which on a direction is the turn about the baseline: within about 6 degrees.
+_SAME_TURN = 0.995
+
+
+def baseline_turn(problem: StereoProblem) -> Array | None:
+    """Unit direction (6,) of a turn of both cameras about their mean baseline; None if they are not two."""
+    images = problem.images
+    if len(problem.cameras) != 2:
+        return None
+    first, second = (np.flatnonzero(images.camera == c) for c in (0, 1))
+    _, a, b = np.intersect1d(images.shot[first], images.shot[second], return_indices=True)
+    if len(a) == 0:
+        return None
+    first, second = first[a], second[b]
+    along = images.position[first] - images.position[second]
+    turns = [images.world_from_body[rows].inv().apply(along).mean(axis=0) for rows in (first, second)]
+    turn = np.concatenate(turns)
+    return np.asarray(turn / np.linalg.norm(turn))
 
 
 def improvement_entry(change: Improvement) -> dict[str, Any]:

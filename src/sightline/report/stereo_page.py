@@ -189,7 +189,7 @@ def _rejected(matches: Mapping[str, Any]) -> str:
 
 
 def _hidden(summary: Mapping[str, Any]) -> list[str]:
-    words = summary["unobservable"]
+    words = [entry["words"] for entry in summary["unobservable"]]
     if not words:
         return []
     one = len(words) == 1

@@ -64,7 +64,7 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
         f"{digits(summary['baseline'] / 1e3, 3)} km apart. Points: {summary['points_from']}.",
     ]
     if summary["unobservable"]:
-        said.append(f"Not observable: {'; '.join(summary['unobservable'])}.")
+        said.append(f"Not observable: {'; '.join(entry['words'] for entry in summary['unobservable'])}.")
     seen = [entry for entry in summary["principal_sigmas"] if math.isfinite(entry["sigma"])]
     if seen:
         said.append(
