@@ -1,0 +1,81 @@
+"""S2 from images: conjugate points of a stereo problem found in its frames.
+
+Not here: the search (``photogrammetry/match_frames.py``), the orientation (``stereo_orientation.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from sightline.applications.stereo_orientation import StereoProblem
+from sightline.errors import InputError
+from sightline.geometry.surface import Ellipsoid, Plane, Surface
+from sightline.imaging.source import ImageSource
+from sightline.photogrammetry.frame_cameras import frame_cameras
+from sightline.photogrammetry.match_frames import TrackPlan, match_frames
+from sightline.photogrammetry.sightings import Index, Tracks, as_index
+
+#: The ground lies within so many sigmas of a surface known by its sigma.
+_HEIGHT_SIGMAS = 3.0
+
+
+def match_problem(
+    problem: StereoProblem,
+    sources: Sequence[ImageSource],
+    *,
+    image: Index | None = None,
+    surface: Surface | None = None,
+    plan: TrackPlan | None = None,
+) -> StereoProblem:
+    """The same problem with points found in its images in place of its tracks.
+
+    Parameters
+    ----------
+    problem : StereoProblem
+        Its tracks and point names are not used.
+    sources : sequence of ImageSource
+        Pictures.
+    image : (len(sources),) int, optional
+        Row of `problem.images` that each picture belongs to; all, in their order, unless given.
+    surface : Surface, optional
+        The ground, as well as it is known; that of the problem's heights unless given, or its ellipsoid, or
+        the plane z = 0.
+    plan : TrackPlan, optional
+        By default heights within three sigmas of a surface whose sigma the problem knows, or within 1 km.
+
+    Returns
+    -------
+    StereoProblem
+        Points numbered from 0.
+
+    Raises
+    ------
+    InputError
+        If pictures and poses do not agree, or points of control name points of the old tracks.
+    EstimationError
+        If no point is found in two images.
+    """
+    rows = np.arange(len(problem.images)) if image is None else as_index(image, "image", len(problem.images))
+    if len(sources) != len(rows):
+        raise InputError(
+            f"one image per pose is needed: {len(rows)} poses, {len(sources)} images; check images.csv "
+            "against cameras.csv"
+        )
+    if problem.control is not None:
+        raise InputError(
+            "control points name points of `matches` or `observations`, which are not given with images; "
+            "leave them out"
+        )
+    if surface is None:
+        surface = Plane() if problem.radii is None else Ellipsoid(*problem.radii)
+        if problem.heights is not None:
+            surface = problem.heights.surface
+    if plan is None and problem.heights is not None:
+        plan = TrackPlan(height_range=_HEIGHT_SIGMAS * problem.heights.sigma)
+    cameras = frame_cameras(problem.images, problem.detectors, problem.mounts)
+    found = match_frames(sources, [cameras[row] for row in rows], surface, plan)
+    tracks = Tracks(rows[found.image], found.point, found.pixels, found.sigma_px)
+    return replace(problem, tracks=tracks, point_names=np.arange(int(found.point.max()) + 1, dtype=float))

@@ -1,0 +1,72 @@
+"""An image at a coarser scale: the mean of square blocks, read window by window.
+
+Not here: matching at several scales (``photogrammetry/match_frames.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import InputError
+from sightline.imaging.source import ImageSource
+
+
+@dataclass(frozen=True, eq=False)
+class ReducedImage:
+    """Means of `factor` x `factor` pixels of another image; lines and columns left over are cut off.
+
+    Pixel (i, j) is centred at (i, j) * factor + (factor - 1) / 2 of the source.
+
+    Parameters
+    ----------
+    source : ImageSource
+    factor : int
+        Pixels per block along each side.
+
+    Examples
+    --------
+    >>> from sightline.imaging.source import ArrayImage
+    >>> ReducedImage(ArrayImage(np.arange(16.0).reshape(4, 4)), 2).read((0, 2), (0, 1)).tolist()
+    [[2.5], [10.5]]
+    """
+
+    source: ImageSource
+    factor: int
+
+    def __post_init__(self) -> None:
+        """Check that one block fits."""
+        if self.factor < 1 or self.factor > min(self.source.shape):
+            raise InputError(
+                f"`factor` must be 1 to the sides of the image {self.source.shape}, got {self.factor}"
+            )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """(lines, columns) of whole blocks."""
+        return self.source.shape[0] // self.factor, self.source.shape[1] // self.factor
+
+    def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.float32]:
+        """Means of blocks, float32; NaN where a pixel of the block is. First and one past the last."""
+        blocks = self._blocks(self.source.read(*self._window(lines, columns)))
+        return np.ascontiguousarray(blocks.mean(axis=(1, 3), dtype=np.float64), dtype=np.float32)
+
+    def mask(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.bool_] | None:
+        """Blocks that hold an unusable pixel, or None when the image has no mask."""
+        unusable = self.source.mask(*self._window(lines, columns))
+        return None if unusable is None else np.asarray(self._blocks(unusable).any(axis=(1, 3)))
+
+    def _window(
+        self, lines: tuple[int, int], columns: tuple[int, int]
+    ) -> tuple[tuple[int, int], tuple[int, int]]:
+        """The window of the source that holds a window of blocks."""
+        k = self.factor
+        return (lines[0] * k, lines[1] * k), (columns[0] * k, columns[1] * k)
+
+    def _blocks(self, pixels: NDArray[Any]) -> NDArray[Any]:
+        """Pixels as (lines, factor, columns, factor)."""
+        k = self.factor
+        return pixels.reshape(pixels.shape[0] // k, k, pixels.shape[1] // k, k)
