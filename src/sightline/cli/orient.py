@@ -93,9 +93,24 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
         raise InputError(f"--raw belongs to --method epipolar, here it is {method.value}; leave it out")
     begun = time.perf_counter()
     report(f"reading {file}")
-    stereo = read_stereo(file)
+    stereo = found_in_pictures(read_stereo(file), report)
     report(f"solving for {len(stereo.problem.cameras)} cameras in {len(stereo.problem.shot_names)} shots")
     return Oriented(stereo, solve(stereo.problem, method.value, raw=raw, drift=drift), begun)
+
+
+def found_in_pictures(stereo: Stereo, report: Progress) -> Stereo:
+    """The same with points found in its pictures, where it has these in place of points."""
+    from dataclasses import replace
+
+    from sightline.applications.stereo_matching import match_problem
+
+    if stereo.pictures is None:
+        return stereo
+    report(f"finding points in {len(stereo.pictures.sources)} images")
+    problem = match_problem(
+        stereo.problem, stereo.pictures.sources, image=stereo.pictures.image, surface=stereo.surface
+    )
+    return replace(stereo, problem=problem)
 
 
 def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str, Any]:
