@@ -91,12 +91,8 @@ def test_the_points_are_as_good_as_their_covariance_says():
     assert abs(np.mean(nees) - 3.0) < 4.0 * np.sqrt(6.0 / 20.0)
 
 
-def test_both_orders_of_elimination_give_the_same_equations():
-    rng = np.random.default_rng(3)
-    shooting, _ = measure(3)
-    keep = rng.random(2 * 12 * 60) < 0.6  # unequal tracks, missing points
-    sightings = shooting.sightings(keep=keep)
-    unknowns = pose_unknowns(sightings, NOISE, drift=True, focal_sigma=(0.01, np.inf))
+def random_equations(rng, sightings, unknowns):
+    """Rows of any size for the pattern of `sightings`, and the sums over them."""
     count, width = len(sightings), unknowns.width
     rows = rng.standard_normal((count, 2, width + 3))
     of_images = np.zeros((len(sightings.camera), width, width))
@@ -106,7 +102,61 @@ def test_both_orders_of_elimination_give_the_same_equations():
         x, p = rows[i, :, :width], rows[i, :, width:]
         of_images[sightings.image[i]] += weight[i] * x.T @ x
         of_points[sightings.point[i]] += weight[i] * p.T @ p
-    curvature = Curvature(rows, weight, sightings.image, sightings.point, of_images, of_points)
+    return Curvature(rows, weight, sightings.image, sightings.point, of_images, of_points)
+
+
+def test_tied_shots_and_the_covariance_of_every_image_equal_the_dense_inverse():
+    rng = np.random.default_rng(4)
+    shooting, _ = measure(4, plan=replace(SMALL, shots=5), count=8)
+    sightings = shooting.sightings(keep=rng.random(80) < 0.7)
+    unknowns = pose_unknowns(sightings, NOISE, drift=True)
+    size = 12
+    tied = np.zeros((5, 3, size, size))
+    root = rng.standard_normal((5 * size, 5 * size)) * np.tri(5 * size) * (np.tri(5 * size, k=-25) == 0)
+    whole = root @ root.T + np.eye(5 * size)  # shots two apart are tied, three apart are not
+    for k in range(5):
+        for d in range(min(k, 2) + 1):
+            tied[k, d] = whole[k * size : (k + 1) * size, (k - d) * size : (k - d + 1) * size]
+    for k in range(3, 5):
+        whole[k * size :, : (k - 2) * size] = whole[: (k - 2) * size, k * size :] = 0.0
+    unknowns = replace(unknowns, precision=tied, by_shot=1e3 * unknowns.by_shot)
+    curvature = random_equations(rng, sightings, unknowns)
+    reduced = PointsFirst(curvature, unknowns)
+    # dense: own unknowns, globals, points
+    own, points, free = 5 * size, sightings.points, unknowns.globals
+    rows = np.zeros((2 * len(sightings), own + free + 3 * points))
+    for i, (m, n) in enumerate(zip(sightings.image, sightings.point, strict=True)):
+        k, slot = unknowns.shot[m], slice(6 * unknowns.slot[m], 6 * unknowns.slot[m] + 6)
+        x, p = curvature.rows[i, :, :6], curvature.rows[i, :, 6:]
+        here = slice(2 * i, 2 * i + 2)
+        rows[here, k * size : (k + 1) * size] = x @ unknowns.by_shot[k, slot]
+        rows[here, own : own + free] = x @ unknowns.by_global[k, slot]
+        rows[here, own + free + 3 * n : own + free + 3 * n + 3] = p
+        rows[here] *= np.sqrt(curvature.weight[i])
+    dense = rows.T @ rows
+    dense[:own, :own] += whole
+    dense[own + free :, own + free :] += 1e-3 * np.eye(3 * points)
+    inverse = np.linalg.inv(dense)
+    common = inverse[own : own + free, own : own + free]
+    assert np.allclose(np.linalg.inv(reduced.information), common, rtol=1e-7)
+    found = reduced.departure_covariance(common)
+    for m in range(len(sightings.camera)):
+        k, slot = unknowns.shot[m], slice(6 * unknowns.slot[m], 6 * unknowns.slot[m] + 6)
+        to = np.zeros((6, own + free))
+        to[:, k * size : (k + 1) * size] = unknowns.by_shot[k, slot]
+        to[:, own:] = unknowns.by_global[k, slot]
+        assert np.allclose(found[m], to @ inverse[: own + free, : own + free] @ to.T, rtol=1e-6, atol=1e-9)
+    z = rng.standard_normal((5, size))
+    assert np.allclose(unknowns.prior_times(z).ravel(), whole @ z.ravel())
+
+
+def test_both_orders_of_elimination_give_the_same_equations():
+    rng = np.random.default_rng(3)
+    shooting, _ = measure(3)
+    keep = rng.random(2 * 12 * 60) < 0.6  # unequal tracks, missing points
+    sightings = shooting.sightings(keep=keep)
+    unknowns = pose_unknowns(sightings, NOISE, drift=True, focal_sigma=(0.01, np.inf))
+    curvature = random_equations(rng, sightings, unknowns)
     first, second = PosesFirst(curvature, unknowns), PointsFirst(curvature, unknowns)
     assert np.allclose(first.information, second.information, rtol=1e-9, atol=1e-9)
     right = (

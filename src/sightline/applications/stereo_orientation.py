@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import InputError
+from sightline.errors import EstimationError, InputError
+from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
-from sightline.photogrammetry.bundle import Adjustment, adjust
+from sightline.photogrammetry.bundle import Adjustment, adjust, load_kernels
 from sightline.photogrammetry.epipolar import epipolar_outliers, orient_by_epipolar
 from sightline.photogrammetry.observability import Observability, observability
 from sightline.photogrammetry.pairs import pair_sightings
@@ -139,7 +140,7 @@ class StereoOrientation(ReadOnlyArrays):
         Robust size of residuals over the stated one.
     iterations : int
     solve_seconds : float
-        s, to the angles and their covariance.
+        s, to the angles and their covariance; compiled code was loaded before.
     warnings : tuple of str
     """
 
@@ -173,6 +174,7 @@ class StereoOrientation(ReadOnlyArrays):
         return np.sqrt(np.diag(self.covariance)).reshape(-1, 3)
 
 
+@one_blas_thread
 def orient(
     problem: StereoProblem,
     method: str = "ml-track",
@@ -213,6 +215,7 @@ def orient(
     if method in ("epipolar", "plane"):
         _check_linear(problem, method, drift)
         return _orient_linear(problem, sightings, method, raw=raw, robust=robust)
+    load_kernels()
     if raw:
         raise InputError(f"`raw` is for the method epipolar only, got {method!r}; leave it out")
     pairs_only = method == "ml-pair"
@@ -225,21 +228,44 @@ def orient(
         method,
         problem.cameras,
         sightings,
-        adjust(
-            sightings,
-            problem.noise,
-            priors=problem.priors,
-            new_points_per_shot=pairs_only,
-            drift=drift,
-            focal_sigma=problem.focal_sigma,
-            robust=robust,
-        ),
+        _adjusted(problem, sightings, pairs_only=pairs_only, drift=drift, robust=robust),
         problem.noise,
         problem.priors,
         problem.focal_sigma,
     )
 
 
+def _adjusted(
+    problem: StereoProblem, sightings: Sightings, *, pairs_only: bool, drift: bool, robust: bool
+) -> Adjustment:
+    """The adjustment of a problem of frames.
+
+    Where planned poses are off by degrees, points start so far from the surface that they are to lie on that no
+    step leads on; what the rays alone say of the angles is then the place to start from.
+    """
+
+    def solve(priors: PointPriors | None, start: Array | None = None) -> Adjustment:
+        return adjust(
+            sightings,
+            problem.noise,
+            priors=priors,
+            new_points_per_shot=pairs_only,
+            drift=drift,
+            focal_sigma=problem.focal_sigma,
+            robust=robust,
+            start=start,
+        )
+
+    try:
+        return solve(problem.priors)
+    except EstimationError:
+        if problem.priors is None:
+            raise
+        alone = solve(None).angles
+        return solve(problem.priors, np.where(np.isfinite(alone), alone, 0.0))
+
+
+@one_blas_thread
 def orient_pushbroom(
     cameras: Sequence[PushbroomCamera],
     tracks: Tracks,

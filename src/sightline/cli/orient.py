@@ -13,8 +13,13 @@ from sightline.cli.options import Json, Out, Overwrite
 from sightline.cli.terminal import Progress
 
 if TYPE_CHECKING:
-    from sightline.applications.stereo_orientation import StereoOrientation
+    from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
+    from sightline.applications.stereo_prediction import Improvement
     from sightline.io.stereo import Stereo
+
+
+#: Sightings up to which it is reckoned what would improve the angles: eight bounds, each as long as a step.
+IMPROVED_SIGHTINGS = 200_000
 
 
 class Method(StrEnum):
@@ -74,11 +79,14 @@ class Oriented:
     result : StereoOrientation
     begun : float
         s of ``time.perf_counter``; when work began.
+    better : tuple of Improvement
+        What would better the angles; none for strips and very many sightings.
     """
 
     stereo: Stereo
     result: StereoOrientation
     begun: float
+    better: tuple[Improvement, ...]
 
 
 def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: bool) -> Oriented:
@@ -86,16 +94,42 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
     import time
 
     from sightline.applications.stereo_orientation import orient as solve
+    from sightline.applications.stereo_orientation import orient_pushbroom
     from sightline.errors import InputError
     from sightline.io.stereo import read_stereo
+    from sightline.io.stereo_strips import StripProblem
 
     if raw and method is not Method.EPIPOLAR:
         raise InputError(f"--raw belongs to --method epipolar, here it is {method.value}; leave it out")
     begun = time.perf_counter()
     report(f"reading {file}")
     stereo = found_in_pictures(read_stereo(file), report)
-    report(f"solving for {len(stereo.problem.cameras)} cameras in {len(stereo.problem.shot_names)} shots")
-    return Oriented(stereo, solve(stereo.problem, method.value, raw=raw, drift=drift), begun)
+    problem = stereo.problem
+    report(f"solving for {len(problem.cameras)} cameras in {len(problem.images)} images")
+    if isinstance(problem, StripProblem):
+        if method is not Method.ML_TRACK or drift:
+            raise InputError("[[strip]] is oriented by --method ml-track, without --drift; leave them out")
+        result = orient_pushbroom(
+            problem.strips, problem.tracks, problem.noise, names=problem.cameras, priors=problem.priors
+        )
+    else:
+        result = solve(problem, method.value, raw=raw, drift=drift)
+    report("what would improve it")
+    return Oriented(stereo, result, begun, improvements_of(problem, method))
+
+
+def improvements_of(problem: StereoProblem, method: Method) -> tuple[Improvement, ...]:
+    """What would better the angles of frames, by the bound."""
+    from sightline.applications.stereo_prediction import improvements
+    from sightline.errors import SightlineError
+    from sightline.io.stereo_strips import StripProblem
+
+    if isinstance(problem, StripProblem) or len(problem.tracks) > IMPROVED_SIGHTINGS:
+        return ()
+    try:
+        return improvements(problem, method.value)
+    except SightlineError:  # the orientation stands without advice
+        return ()
 
 
 def found_in_pictures(stereo: Stereo, report: Progress) -> Stereo:
@@ -103,8 +137,9 @@ def found_in_pictures(stereo: Stereo, report: Progress) -> Stereo:
     from dataclasses import replace
 
     from sightline.applications.stereo_matching import match_problem
+    from sightline.io.stereo_strips import StripProblem
 
-    if stereo.pictures is None:
+    if stereo.pictures is None or isinstance(stereo.problem, StripProblem):
         return stereo
     report(f"finding points in {len(stereo.pictures.sources)} images")
     problem = match_problem(
@@ -125,7 +160,7 @@ def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str,
     notes = write_exports(folder, found.stereo, found.result)
     seconds = time.perf_counter() - found.begun
     summary = write_stereo_result(
-        folder, found.stereo, found.result, wall_seconds=seconds, export_notes=list(notes)
+        folder, found.stereo, found.result, found.better, wall_seconds=seconds, export_notes=list(notes)
     )
     write_stereo_report(folder / "report.html", found.stereo, found.result, summary)
     return summary

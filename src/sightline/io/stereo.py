@@ -15,50 +15,41 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.stereo_orientation import StereoProblem
-from sightline.errors import FormatError, GeometryError
+from sightline.errors import FormatError
 from sightline.geometry.earth import WGS84
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
-from sightline.geometry.surface import Dem, Surface
+from sightline.geometry.surface import Surface
 from sightline.io.acquired import InputFolder, attitude_to_world, sha256
 from sightline.io.config import read_toml, validate
-from sightline.io.ground import inside_raster, surface_of
 from sightline.io.images import Source, check_content, open_image
 from sightline.io.platform import points_to_world
 from sightline.io.stereo_checks import (
-    Meeting,
     aim_of,
     boresights,
     check_aim,
     check_baseline,
-    check_directions,
-    check_enough,
     check_spread,
-    meet,
     rays_of,
 )
+from sightline.io.stereo_points import block_of, check_points, ground_of, without_single
 from sightline.io.stereo_schema import StereoCamera, StereoFile
+from sightline.io.stereo_strips import strip_problem
 from sightline.io.stereo_tables import (
-    ControlTable,
     PointTable,
     PoseTable,
-    check_inside,
     listed,
-    read_control,
     read_image_list,
     read_matches,
     read_observations,
     read_poses,
 )
-from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior
 from sightline.photogrammetry.pose_noise import PoseNoise
-from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.photogrammetry.sightings import Images
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
-#: Share of the points that may lie beside the DEM before the whole is refused.
-UNCOVERED_SHARE = 0.02
 #: Relative difference of the radius of a sphere that stands for the Earth.
 SPHERE = 5e-3
 
@@ -145,11 +136,12 @@ def read_stereo_file(path: Path) -> StereoFile:
 
 
 def read_stereo(path: Path) -> Stereo:
-    """Everything a STEREO.toml of frames says; errors as of `load_stereo`."""
-    file = read_stereo_file(path)
-    if file.strip or file.cameras is None or file.camera is None:
-        raise FormatError(f"{path}: has [[strip]]: read it with load_strip_stereo; frames are expected here")
-    files = InputFolder(path)
+    """Everything a STEREO.toml says; errors as of `load_stereo`."""
+    file, files = read_stereo_file(path), InputFolder(path)
+    if file.strip:
+        return _strips(file, files)
+    if file.cameras is None or file.camera is None:
+        raise FormatError(f"{path}: cameras and [camera] are missing; add them")
     poses_path = files(file.cameras)
     poses = read_poses(poses_path)
     cameras = camera_sections(file.camera, poses.cameras, path)
@@ -160,26 +152,23 @@ def read_stereo(path: Path) -> Stereo:
     images = _images(poses, poses_path, file)
     check_baseline(poses_path, poses.cameras, images, file.noise.sigma_position)
     table, points_path = _points(file, files, poses)
-    if table is not None:
-        check_inside(points_path, table.image, images.camera, table.pixels, [d.shape for d in detectors])
-    tracks, names, control = _block(file, files, poses, table, images, detectors)
+    shapes = [detector.shape for detector in detectors]
+    tracks, names, control = block_of(file, files, poses, table, images.camera, shapes)
     aim = _aim(file, path, poses.cameras, images, mounts)
     warnings: tuple[str, ...] = ()
     if table is not None:
-        tracks, names, control, warnings = _without_single(tracks, names, control)
-    heights, surface, more = _ground(
-        file, files, points_path, images, detectors, mounts, tracks, poses.cameras
+        tracks, names, control, warnings = without_single(tracks, names, control)
+    origins, looks = images.position, boresights(images, mounts)
+    if len(tracks):
+        origins, looks = origins[tracks.image], rays_of(images, detectors, mounts, tracks)
+    camera = images.camera[tracks.image]
+    local = _is_local(file)
+    heights, surface, more = ground_of(
+        file, files, points_path, poses.cameras, camera, tracks, origins, looks, local=local
     )
     if table is not None:
-        check_enough(
-            points_path,
-            len(poses.cameras),
-            tracks,
-            len(names),
-            control=0 if control is None else len(control.point),
-            heights=heights is not None,
-        )
-        check_spread(points_path, poses.cameras, images, tracks)
+        check_points(points_path, len(poses.cameras), tracks, names, control, heights)
+        check_spread(points_path, camera, tracks)
     problem = StereoProblem(
         cameras=poses.cameras,
         images=images,
@@ -207,6 +196,23 @@ def read_stereo(path: Path) -> Stereo:
         poses,
         None if table is None else table.pairs,
         pictures,
+        tuple(files.used),
+    )
+
+
+def _strips(file: StereoFile, files: InputFolder) -> Stereo:
+    """A file with ``[[strip]]``."""
+    problem, poses, surface, local = strip_problem(file, files)
+    return Stereo(
+        files.toml,
+        file.stereo.name,
+        problem,
+        surface,
+        "local" if local else "earth-fixed",
+        _on_another_body(file),
+        poses,
+        None,
+        None,
         tuple(files.used),
     )
 
@@ -292,75 +298,6 @@ def _points(file: StereoFile, files: InputFolder, poses: PoseTable) -> tuple[Poi
     return None, files.toml
 
 
-def _block(
-    file: StereoFile,
-    files: InputFolder,
-    poses: PoseTable,
-    table: PointTable | None,
-    images: Images,
-    detectors: tuple[AreaDetector, ...],
-) -> tuple[Tracks, Array, ControlPoints | None]:
-    """Sightings of all points, their numbers, and those of known coordinates."""
-    if table is None:
-        nothing: Array = np.empty(0)
-        table = PointTable(np.empty(0, dtype=np.intp), nothing, np.empty((0, 2)), nothing)
-    numbers, point = np.unique(table.point, return_inverse=True)
-    image, pixels, sigma = table.image, table.pixels, table.sigma_px
-    control = None
-    if file.control_points is not None:
-        path = files(file.control_points)
-        read = read_control(path, poses, file.noise.sigma_px)
-        places = points_to_world(read.position, file.world, file.surface.radii, path)
-        if read.seen is None:
-            which = _known(path, read, numbers)
-        else:
-            check_inside(path, read.seen.image, images.camera, read.seen.pixels, [d.shape for d in detectors])
-            # control points seen in pixels of their own are points of their own, numbered below all others
-            which = len(numbers) + np.arange(len(places))
-            first = min(0.0, float(numbers.min(initial=0.0))) - len(places)
-            numbers = np.concatenate([numbers, first + np.arange(len(places))])
-            point = np.concatenate([point, which[read.seen.point.astype(np.intp)]])
-            image = np.concatenate([image, read.seen.image])
-            pixels = np.concatenate([pixels, read.seen.pixels])
-            sigma = np.concatenate([sigma, read.seen.sigma_px])
-        control = ControlPoints(which, places, read.sigma)
-    return Tracks(image, point, pixels, sigma), numbers, control
-
-
-def _known(path: Path, read: ControlTable, numbers: Array) -> Index:
-    """Which of the points each control point is."""
-    point = np.asarray(read.point)
-    place = np.clip(np.searchsorted(numbers, point), 0, max(len(numbers) - 1, 0))
-    lost = np.flatnonzero(numbers[place] != point) if len(numbers) else np.arange(len(point))
-    if lost.size:
-        raise FormatError(
-            f"{path}: row {int(lost[0]) + 1} names point {point[lost[0]]:g}, which the table of points "
-            "does not "
-            "have; give where it was seen (camera,shot,line,column), or correct the number"
-        )
-    return np.asarray(place, dtype=np.intp)
-
-
-def _without_single(
-    tracks: Tracks, names: Array, control: ControlPoints | None
-) -> tuple[Tracks, Array, ControlPoints | None, tuple[str, ...]]:
-    """Points seen in one image only tell nothing, unless their coordinates are known."""
-    seen = np.bincount(tracks.point, minlength=len(names))
-    kept = seen >= 2
-    if control is not None:
-        kept[control.point] |= seen[control.point] > 0
-    if kept.all():
-        return tracks, names, control, ()
-    number = np.cumsum(kept) - 1
-    rows = kept[tracks.point]
-    fewer = Tracks(tracks.image[rows], number[tracks.point[rows]], tracks.pixels[rows], tracks.sigma_px[rows])
-    if control is not None:
-        control = ControlPoints(number[control.point], control.position, control.sigma)
-    lost = int((~kept).sum())
-    what = "1 point" if lost == 1 else f"{lost} points"
-    return fewer, names[kept], control, (f"{what} seen in one image only: left out, nothing follows from it",)
-
-
 def _aim(
     file: StereoFile, path: Path, names: tuple[str, ...], images: Images, mounts: tuple[Rotation, ...]
 ) -> Array | None:
@@ -380,61 +317,6 @@ def _aim(
         aim = points_to_world(np.array([given]), file.world, file.surface.radii, path)[0]
     check_aim(path, names, images, mounts, aim)
     return aim
-
-
-def _ground(
-    file: StereoFile,
-    files: InputFolder,
-    points_path: Path,
-    images: Images,
-    detectors: tuple[AreaDetector, ...],
-    mounts: tuple[Rotation, ...],
-    tracks: Tracks,
-    names: tuple[str, ...],
-) -> tuple[HeightPrior | None, Surface, tuple[str, ...]]:
-    """Height prior, ground, and what was noticed while looking where rays meet."""
-    local, radii = _is_local(file), file.surface.radii
-    origins, looks = images.position, boresights(images, mounts)
-    warnings: tuple[str, ...] = ()
-    meeting: Meeting | None = None
-    if len(tracks):
-        origins, looks = images.position[tracks.image], rays_of(images, detectors, mounts, tracks)
-        _check_light(points_path, looks, tracks)
-        meeting = meet(origins, looks, tracks.point, int(tracks.point.max()) + 1)
-        warnings = check_directions(points_path, names, images, tracks, meeting)
-    section = file.surface
-    if file.dem is not None:
-        section = section.model_copy(update={"dem": file.dem, "height_sigma": file.dem_sigma})
-    surface = surface_of(
-        section, files, lambda ground: ground.intersect(origins, looks), local=local, radii=radii
-    )
-    if section.height_sigma <= 0.0:
-        return None, surface, warnings
-    if isinstance(surface, Dem) and meeting is not None:
-        _check_dem(files(str(section.dem)), surface, meeting.points)
-    prior = HeightPrior(surface, section.height_sigma, None if local else (radii or WGS84))
-    return prior, surface, warnings
-
-
-def _check_light(path: Path, looks: Array, tracks: Tracks) -> None:
-    dark = np.flatnonzero(~np.isfinite(looks).all(axis=1))
-    if dark.size:
-        raise FormatError(
-            f"{path}: pixel {tracks.pixels[dark[0]].tolist()} (line, column) lies where the lens brings no "
-            "light "
-            f"({dark.size} such); check [camera] distortion and focal_length_px"
-        )
-
-
-def _check_dem(path: Path, dem: Dem, points: Array) -> None:
-    """Refuse a raster beside which points lie."""
-    found = points[np.isfinite(points).all(axis=1)]
-    beside = 1.0 - float(np.mean(inside_raster(dem, found))) if len(found) else 1.0
-    if beside > UNCOVERED_SHARE:
-        raise GeometryError(
-            f"{path}: the DEM does not cover the points: {100 * beside:.0f} % of them lie outside it; give a "
-            "larger DEM, or check its coordinate system and the poses"
-        )
 
 
 def _pictures(

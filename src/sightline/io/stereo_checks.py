@@ -133,9 +133,7 @@ def _largest_baseline(names: Sequence[str], images: Images) -> tuple[float, str]
     return largest, who
 
 
-def check_directions(
-    path: Path, names: Sequence[str], images: Images, tracks: Tracks, meeting: Meeting
-) -> tuple[str, ...]:
+def check_directions(path: Path, names: Sequence[str], camera: Index, meeting: Meeting) -> tuple[str, ...]:
     """Refuse cameras that do not look at the same ground; gives warnings about large errors.
 
     Raises
@@ -150,7 +148,6 @@ def check_directions(
             "point "
             "can be placed; check that both cameras look at the same ground from different places"
         )
-    camera = images.camera[tracks.image]
     middles = [
         float(np.nanmedian(miss[camera == k])) if (camera == k).any() else 0.0 for k in range(len(names))
     ]
@@ -196,7 +193,7 @@ def check_enough(
         )
 
 
-def check_spread(path: Path, names: Sequence[str], images: Images, tracks: Tracks) -> None:
+def check_spread(path: Path, camera: Index, tracks: Tracks) -> None:
     """Refuse points that lie on one line in all images.
 
     Raises
@@ -204,9 +201,9 @@ def check_spread(path: Path, names: Sequence[str], images: Images, tracks: Track
     EstimationError
         Names the spread across the line.
     """
-    counts = np.bincount(tracks.image, minlength=len(images))
+    counts = np.bincount(tracks.image)
     # two points always lie on a line: where images have no more, those of all shots are taken together
-    group = tracks.image if (counts >= 3).any() else images.camera[tracks.image]
+    group = tracks.image if (counts >= 3).any() else camera
     groups = int(group.max()) + 1
     seen = np.bincount(group, minlength=groups)
     kept = seen >= 3

@@ -19,8 +19,9 @@ from sightline.geometry.instrument import AreaDetector
 from sightline.io.ccsds import write_aem
 from sightline.io.results import AEM_FRAMES
 from sightline.io.stereo import Stereo
+from sightline.io.stereo_strips import StripProblem
 from sightline.io.stereo_tables import CAMERAS
-from sightline.io.tables import write_columns
+from sightline.io.tables import write_attitudes, write_columns
 
 Array = NDArray[np.float64]
 
@@ -45,6 +46,8 @@ def write_exports(folder: Path, stereo: Stereo, result: StereoOrientation) -> tu
     """
     if not np.isfinite(result.angles).all():
         return ("no corrected poses were written: some angles are not observable",)
+    if isinstance(stereo.problem, StripProblem):
+        return write_strip_attitudes(folder, stereo, stereo.problem, result)
     write_corrected_cameras(folder / "cameras_corrected.csv", stereo, result)
     write_colmap(folder / "colmap", stereo, result)
     if stereo.problem.epoch is None:
@@ -53,6 +56,27 @@ def write_exports(folder: Path, stereo: Stereo, result: StereoOrientation) -> tu
         return ("no attitude message (AEM) was written: the body is not the Earth",)
     write_attitude_messages(folder, stereo, result)
     return ()
+
+
+def write_strip_attitudes(
+    folder: Path, stereo: Stereo, problem: StripProblem, result: StereoOrientation
+) -> tuple[str, ...]:
+    """``attitude_NAME.csv``: corrected attitude of each strip's body at every line; the same as an AEM."""
+    messages = problem.epoch is not None and not stereo.another_body
+    for camera, name, angles in zip(problem.strips, problem.cameras, result.angles, strict=True):
+        t = camera.times(np.arange(float(camera.lines)))
+        attitude = (camera.trajectory.at(t).world_from_body * Rotation.from_rotvec(angles)).as_quat()
+        write_attitudes(folder / f"attitude_{file_name(name)}.csv", t, attitude)
+        if messages:
+            write_aem(
+                folder / f"attitude_{file_name(name)}.aem",
+                t,
+                attitude,
+                str(problem.epoch),
+                object_name=f"STRIP {name}".upper(),
+                frame=AEM_FRAMES[stereo.world],
+            )
+    return () if messages else ("no attitude messages (AEM) were written: no epoch, or another body",)
 
 
 def corrections(problem: StereoProblem, result: StereoOrientation) -> Rotation:

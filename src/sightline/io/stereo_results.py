@@ -6,6 +6,7 @@ Not here: poses and models for other programs (``stereo_exports.py``), the page 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
+from sightline.applications.stereo_prediction import Improvement
 from sightline.evaluation.direction_words import AXES, angle_names, direction_words
 from sightline.geometry.earth import local_axes, to_geodetic
 from sightline.io.results import peak_memory, write_json
@@ -31,7 +33,13 @@ CHI_SIGMAS, CHI_SHARE = 3.0, 0.1
 
 
 def write_stereo_result(
-    folder: Path, stereo: Stereo, result: StereoOrientation, *, wall_seconds: float, **more: Any
+    folder: Path,
+    stereo: Stereo,
+    result: StereoOrientation,
+    better: Sequence[Improvement] = (),
+    *,
+    wall_seconds: float,
+    **more: Any,
 ) -> dict[str, Any]:
     """Write every table of an orientation and its summary.
 
@@ -42,6 +50,8 @@ def write_stereo_result(
     stereo : Stereo
         What it was found from.
     result : StereoOrientation
+    better : sequence of Improvement
+        What would better the angles.
     wall_seconds : float
         s; of the whole command so far.
     more
@@ -57,6 +67,7 @@ def write_stereo_result(
     write_matches_used(folder / "matches_used.csv", stereo, result)
     write_points(folder / "points.csv", stereo.problem, result)
     summary = summarize_orientation(stereo, result, wall_seconds=wall_seconds) | more
+    summary["improvements"] = [_improvement(change) for change in better]
     write_json(folder / "summary.json", summary)
     return summary
 
@@ -183,6 +194,11 @@ def summarize_orientation(
         "peak_memory_bytes": peak_memory(),
         "inputs": stereo.input_hashes(),
     }
+
+
+def _improvement(change: Improvement) -> dict[str, Any]:
+    """A change and the bounds of all angles with it, rad; and their ratio to those without."""
+    return {"change": change.change, "sigmas": change.sigmas.tolist(), "ratio": change.ratio.tolist()}
 
 
 def principal_sigmas(result: StereoOrientation) -> list[dict[str, Any]]:

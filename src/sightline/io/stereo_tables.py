@@ -224,6 +224,8 @@ class PointTable:
 
     Attributes
     ----------
+    path : Path
+        The table.
     image : (N,) int
         Row of the poses.
     point : (N,)
@@ -236,6 +238,7 @@ class PointTable:
         Of ``matches``: how many there are; sighting n of camera 1 and n + pairs of camera 2 are one match.
     """
 
+    path: Path
     image: Index
     point: Array
     pixels: Array
@@ -263,19 +266,23 @@ def read_matches(path: Path, poses: PoseTable, sigma_px: float | None) -> PointT
     pixels = [np.column_stack([table[f"line_{k}"], table[f"column_{k}"]]) for k in (1, 2)]
     sigma = _sigma_px(path, table, count, sigma_px)
     return PointTable(
-        np.concatenate(images), np.tile(point, 2), np.concatenate(pixels), np.tile(sigma, 2), count
+        path, np.concatenate(images), np.tile(point, 2), np.concatenate(pixels), np.tile(sigma, 2), count
     )
 
 
-def read_observations(path: Path, poses: PoseTable, sigma_px: float | None) -> PointTable:
-    """``camera,shot,point,line,column[,sigma_px]`` of any number of cameras."""
-    table = read_long_columns(path, OBSERVATIONS, optional=("sigma_px",), text=("camera",))
+def read_observations(
+    path: Path, poses: PoseTable, sigma_px: float | None, *, strips: bool = False
+) -> PointTable:
+    """``camera,shot,point,line,column[,sigma_px]`` of any number of cameras; of `strips` without shots."""
+    names = tuple(name for name in OBSERVATIONS if not (strips and name == "shot"))
+    table = read_long_columns(path, names, optional=("sigma_px",), text=("camera",))
     camera = numbers_of(path, poses.cameras, table["camera"])
-    shot, point = (whole_numbers(path, name, table[name]) for name in ("shot", "point"))
+    point = whole_numbers(path, "point", table["point"])
+    shot = np.zeros(len(point)) if strips else whole_numbers(path, "shot", table["shot"])
     image = poses.image_of(path, camera, shot)
     refuse_seen_twice(path, image, point)
     pixels = np.column_stack([table["line"], table["column"]])
-    return PointTable(image, point, pixels, _sigma_px(path, table, len(point), sigma_px))
+    return PointTable(path, image, point, pixels, _sigma_px(path, table, len(point), sigma_px))
 
 
 def refuse_seen_twice(path: Path, image: Index, point: NDArray[Any]) -> None:
@@ -364,7 +371,7 @@ def read_control(path: Path, poses: PoseTable, sigma_px: float | None) -> Contro
     which = np.asarray(place, dtype=np.float64).reshape(-1)
     refuse_seen_twice(path, image, which)
     pixels = np.column_stack([raw["line"], raw["column"]])
-    seen = PointTable(image, which, pixels, _sigma_px(path, raw, len(which), sigma_px))
+    seen = PointTable(path, image, which, pixels, _sigma_px(path, raw, len(which), sigma_px))
     return ControlTable(different[:, :3].copy(), different[:, 3].copy(), None, seen)
 
 

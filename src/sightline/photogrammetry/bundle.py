@@ -9,6 +9,7 @@ Not here: the reduction (``reduced.py``), what it means in words (``applications
 
 from __future__ import annotations
 
+import functools
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -152,12 +153,15 @@ class _Block:
         gradients(*arguments)
         own, common = gather(self.unknowns, by_image)
         known = self.unknowns.global_information
-        cost = float((weight * (r**2).sum(axis=1)).sum() + (state.own**2).sum() + known @ state.common**2)
+        pulled = self.unknowns.prior_times(state.own)
+        cost = float(
+            (weight * (r**2).sum(axis=1)).sum() + (state.own * pulled).sum() + known @ state.common**2
+        )
         if self.priors is not None:
             pull, _, more = self.priors.at(state.points + self.origin)
             by_point += pull
             cost += more
-        return own - state.own, by_point, common - known * state.common, r, cost
+        return own - pulled, by_point, common - known * state.common, r, cost
 
     def cost(self, state: _State, weight: Array) -> float:
         """Sum of squares at a state; inf where a point lies behind a camera."""
@@ -528,3 +532,33 @@ DIVERGED = (
     "far more than [noise] says; check the camera numbers of the matches, (line, column) order, focal "
     "length, mount and quaternions (scalar last)"
 )
+
+
+@functools.cache
+def load_kernels() -> None:
+    """Load the compiled code of an adjustment, so that it is in nobody's time: a tiny block is adjusted."""
+    shots, points = 4, 12
+    rng = np.random.default_rng(0)
+    camera, shot = np.repeat([0, 1], shots), np.tile(np.arange(shots), 2)
+    position = np.column_stack([1e4 * (2 * camera - 1) + 2e3 * shot, 0.0 * shot, np.full(2 * shots, 5e4)])
+    level = np.diag([1.0, -1.0, -1.0])
+    seen = rng.uniform(-2e3, 2e3, (points, 3)) - position[:, None]
+    q = seen @ level
+    count = 2 * shots * points
+    sightings = Sightings(
+        as_index(camera, "camera"),
+        as_index(shot, "shot"),
+        frozen(shot.astype(np.float64)),
+        as_index(np.repeat(np.arange(2 * shots), points), "image"),
+        as_index(np.tile(np.arange(points), 2 * shots), "point"),
+        as_index(np.repeat(np.arange(2 * shots), points), "pose"),
+        frozen((q[..., :2] / q[..., 2:]).reshape(-1, 2)),
+        frozen(np.broadcast_to(1e3 * np.eye(2), (count, 2, 2))),
+        frozen(np.ones(count)),
+        frozen(position),
+        frozen(np.broadcast_to(level, (2 * shots, 3, 3))),
+        frozen(np.stack([np.eye(3)] * 2)),
+    )
+    noise = PoseNoise(1.0, 1e-5)
+    for pairs in (False, True):
+        adjust(sightings, noise, new_points_per_shot=pairs)

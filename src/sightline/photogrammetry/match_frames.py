@@ -80,6 +80,9 @@ class TrackPlan:
         Frames whose windows are sought in the others; None: as few as see all.
     min_score : float
         Lowest normalised correlation of a match.
+    floor_px : float
+        px per coordinate, added to every sigma in quadrature: what the lens and the ground do that the noise
+        of images does not tell.
     """
 
     points: int = 300
@@ -89,6 +92,7 @@ class TrackPlan:
     view_angle: float = np.radians(65.0)
     hubs: tuple[int, ...] | None = None
     min_score: float = 0.3
+    floor_px: float = 0.0
 
     def __post_init__(self) -> None:
         """Check."""
@@ -96,7 +100,7 @@ class TrackPlan:
             raise InputError(
                 f"points must be 1 or more and windows 9 px or more, got {self.points} and {self.window} px"
             )
-        for name in ("height_range", "pointing_error", "view_angle"):
+        for name in ("height_range", "pointing_error", "view_angle", "floor_px"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise InputError(f"`{name}` must be 0 or more, got {getattr(self, name)}")
 
@@ -268,7 +272,7 @@ def _match_hub(
         np.concatenate([np.full(len(found), hub), *(np.full(len(p.rows), p.image) for p in parts)]),
         np.concatenate([name[found], *(name[p.rows] for p in parts)]),
         np.concatenate([points[found], *(p.pixels for p in parts)]),
-        np.sqrt(np.concatenate([own, *(p.own for p in parts)])),
+        np.sqrt(np.concatenate([own, *(p.own for p in parts)]) + plan.floor_px**2),
     )
 
 

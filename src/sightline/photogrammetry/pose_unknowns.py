@@ -41,6 +41,9 @@ class PoseUnknowns(ReadOnlyArrays):
         Of the global unknowns: ``roll_1``, ``roll_drift_1``, ``stretch_1`` ...; numbers are of cameras.
     time : (2,)
         s: middle of the times and half their span; a drift is in rad per half the span.
+    precision : (K, 1 + s, 6 n, 6 n) or None
+        What is known beforehand of the shots' own unknowns, where shots are tied to their neighbours:
+        precision[k, d] has the rows of shot k and the columns of shot k - d. None: each has unit covariance.
     """
 
     shot: Index
@@ -50,6 +53,7 @@ class PoseUnknowns(ReadOnlyArrays):
     global_information: Array
     names: tuple[str, ...]
     time: tuple[float, float]
+    precision: Array | None = None
 
     @property
     def shots(self) -> int:
@@ -70,6 +74,26 @@ class PoseUnknowns(ReadOnlyArrays):
     def globals(self) -> int:
         """Number of global unknowns."""
         return self.by_global.shape[2]
+
+    def prior_block(self, step: int) -> Array:
+        """Prior precision between shots (K - step, 6 n, 6 n), or (6 n, 6 n) where it is the same for all."""
+        size = 6 * self.slots
+        if self.precision is None:
+            return np.eye(size) if step == 0 else np.zeros((size, size))
+        if step >= self.precision.shape[1]:
+            return np.zeros((size, size))
+        return self.precision[step:, step]
+
+    def prior_times(self, own: Array) -> Array:
+        """Prior precision times unknowns (K, 6 n): the pull of the prior, reversed."""
+        if self.precision is None:
+            return own
+        out = np.einsum("kab,kb->ka", self.precision[:, 0], own)
+        for step in range(1, self.precision.shape[1]):
+            block = self.precision[step:, step]
+            out[step:] += np.einsum("kab,kb->ka", block, own[:-step])
+            out[:-step] += np.einsum("kab,ka->kb", block, own[step:])
+        return out
 
     def departures(self, own: Array, common: Array) -> Array:
         """x (M, D) of all images: `own` (K, 6 n) and `common` (G,) unknowns."""

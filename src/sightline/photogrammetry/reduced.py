@@ -13,11 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import cho_solve_banded, cholesky_banded, solve_triangular
+from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dtrtri
 
 from sightline.errors import EstimationError
+from sightline.estimation.banded import BandedFactor
 from sightline.geometry.checks import Array
 from sightline.photogrammetry.bundle_kernels import couple, eliminate_points
 from sightline.photogrammetry.pose_unknowns import PoseUnknowns
@@ -60,6 +61,8 @@ def reduce_block(curvature: Curvature, unknowns: PoseUnknowns) -> PosesFirst | P
 
 def poses_first(curvature: Curvature, unknowns: PoseUnknowns) -> bool:
     """Whether eliminating shots first is the cheaper order (both costs in multiplications)."""
+    if unknowns.precision is not None:
+        return False
     points, own = len(curvature.of_points), 6 * unknowns.slots
     span = _span(curvature, unknowns)
     dense = unknowns.shots * own * (3.0 * points) ** 2 + (3.0 * points) ** 3 / 3.0
@@ -211,19 +214,21 @@ class PointsFirst:
             curvature.rows[order], curvature.weight[order], first, curvature.image[order], unknowns.shot,
             unknowns.slot, self._inverse, width, blocks,
         )  # fmt: skip
-        own = 6 * slots
-        band = np.zeros((own * (span + 1), shots * own))
+        own, tied = 6 * slots, unknowns.precision
+        reach = span if tied is None else max(span, tied.shape[1] - 1)
+        band = np.zeros((own * (reach + 1), shots * own))
         border = np.zeros((shots, own, unknowns.globals))
         corner = np.diag(unknowns.global_information)
-        for step in range(span + 1):
+        for step in range(reach + 1):
             here, there = np.arange(step, shots), np.arange(shots - step)
-            block = blocks[step:, step]
+            block = blocks[step:, step] if step <= span else np.zeros((1, slots * width, slots * width))
             small = np.swapaxes(unknowns.by_shot[here], 1, 2) @ block @ unknowns.by_shot[there]
-            if step == 0:
-                small += np.eye(own)
+            small += unknowns.prior_block(step)
             for a in range(own):
                 for b in range(a + 1 if step == 0 else own):
                     band[step * own + a - b, own * there + b] = small[:, a, b]
+            if step > span:
+                continue
             shared, moved = unknowns.by_global[here], unknowns.by_global[there]
             border[here] += np.swapaxes(unknowns.by_shot[here], 1, 2) @ block @ moved
             add = np.einsum("kag,kab,kbh->gh", shared, block, moved, optimize=True)
@@ -234,11 +239,11 @@ class PointsFirst:
                 )
                 corner = corner + add.T
         try:
-            self._band = cholesky_banded(band, lower=True, overwrite_ab=True, check_finite=False)
-        except np.linalg.LinAlgError:
+            self._factor = BandedFactor(band)
+        except EstimationError:
             raise EstimationError(UNSOLVABLE) from None
         self._border = border.reshape(shots * own, -1)
-        self._bridge = cho_solve_banded((self._band, True), self._border, check_finite=False)
+        self._bridge = self._factor.solve(self._border)
         self.information = corner - self._border.T @ self._bridge
 
     def _eliminated(self, shots: Array, points: Array, common: Array) -> tuple[Array, Array]:
@@ -265,7 +270,7 @@ class PointsFirst:
     def solve(self, shots: Array, points: Array, common: Array, step: Array) -> tuple[Array, Array]:
         """Steps (K, 6 n) and (n, 3) for right-hand sides, the globals having taken `step` (G,)."""
         own, _ = self._eliminated(shots, points, common)
-        solved = cho_solve_banded((self._band, True), own.ravel(), check_finite=False)
+        solved = self._factor.solve(own.ravel())
         own_step = (solved - self._bridge @ step).reshape(shots.shape)
         c, width = self._curvature, self._unknowns.width
         departures = self._unknowns.departures(own_step, step)
@@ -275,6 +280,23 @@ class PointsFirst:
         for a in range(3):
             right[:, a] -= np.bincount(c.point, pulled[:, a], minlength=len(right))
         return own_step, np.einsum("nab,nb->na", self._inverse, right)
+
+    def departure_covariance(self, covariance: Array) -> Array:
+        """Covariance (M, D, D) of the departure of each image, `covariance` (G, G) that of the globals."""
+        u = self._unknowns
+        own = 6 * u.slots
+        band = self._factor.inverse_band(own - 1)
+        inner = np.zeros((u.shots, own, own))
+        at = own * np.arange(u.shots)
+        for a in range(own):
+            for b in range(a + 1):
+                inner[:, a, b] = inner[:, b, a] = band[a - b, at + b]
+        # departures = by_shot (own, the globals known) + (by_global - by_shot bridge) globals
+        common = u.by_global - u.by_shot @ self._bridge.reshape(u.shots, own, -1)
+        whole = u.by_shot @ inner @ np.swapaxes(u.by_shot, 1, 2)
+        whole += common @ covariance @ np.swapaxes(common, 1, 2)
+        split = whole.reshape(u.shots, u.slots, u.width, u.slots, u.width)
+        return split[u.shot, u.slot, :, u.slot, :]
 
     def point_covariance(self, covariance: Array) -> None:
         """Not kept in this order: triangulate the points with the poses found."""

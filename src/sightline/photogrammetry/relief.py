@@ -84,5 +84,5 @@ def _in_cells(place: Array, influence: Array) -> tuple[Array, Array, float]:
     key = np.minimum((place - low) // size, _CELLS - 1).astype(np.intp)
     cells, which = np.unique(key[:, 0] * _CELLS + key[:, 1], return_inverse=True)
     sums = np.stack([np.bincount(which, column) for column in influence.T], axis=1)
-    middles = low + size * (np.stack([cells // _CELLS, cells % _CELLS], axis=1) + 0.5)
-    return np.asarray(middles), sums, size
+    middles: Array = low + size * (np.stack([cells // _CELLS, cells % _CELLS], axis=1) + 0.5)
+    return middles, sums.astype(np.float64), size

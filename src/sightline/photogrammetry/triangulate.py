@@ -107,7 +107,7 @@ def triangulate(
     covariance = inverse.copy()
     if noise is not None or angle_covariance is not None:
         spread(
-            begin, order, sightings.pose, sightings.image, sightings.camera, sightings.tangents, weighed,
+            begin, order, sightings.pose, sightings.image, sightings.camera, weighed,
             turned, place, sightings.body_from_camera, positions, inverse, *_unknown(sightings, noise),
             _angle_covariance(sightings, angle_covariance), covariance,
         )  # fmt: skip

@@ -139,26 +139,54 @@ def meet(begin, order, pose, tangents, weighed, turned, place, points, inverse):
 
 
 @njit(cache=True, nogil=True)
-def _gains(s, m, c, mount, weighed, x, inverse, move, turn):
-    """How much a point moves (3, 3) by its camera's move (world axes) and its turn (body axes)."""
-    q, by_q, v = np.empty(3), np.empty((2, 3)), np.empty(3)
+def _gains(m, c, mount, weighed, x, inverse, work, move, turn):
+    """How much a point moves (3, 3) by its camera's move (world axes) and its turn (body axes).
+
+    m, c: camera_from_world and place of the pose; `work` (4, 3, 3) is overwritten.
+    """
+    q, v, by_q, by_x, gain = work[0, 0], work[0, 1], work[1], work[2], work[3]
     for i in range(3):
         q[i] = m[i, 0] * (x[0] - c[0]) + m[i, 1] * (x[1] - c[1]) + m[i, 2] * (x[2] - c[2])
     for i in range(3):
         v[i] = mount[i, 0] * q[0] + mount[i, 1] * q[1] + mount[i, 2] * q[2]
-    _rows_of(q, weighed[s], by_q)
-    by_x = by_q @ m
-    by_body = by_q @ mount.T
-    # turned by w the body sees v + v x w
-    cross = np.array([[0.0, -v[2], v[1]], [v[2], 0.0, -v[0]], [-v[1], v[0], 0.0]])
-    gain = inverse @ by_x.T
-    move[:] = gain @ by_x
-    turn[:] = -(gain @ (by_body @ cross))
+    _rows_of(q, weighed, by_q)
+    for i in range(2):
+        for j in range(3):
+            by_x[i, j] = by_q[i, 0] * m[0, j] + by_q[i, 1] * m[1, j] + by_q[i, 2] * m[2, j]
+    for i in range(3):
+        for k in range(2):
+            gain[i, k] = inverse[i, 0] * by_x[k, 0] + inverse[i, 1] * by_x[k, 1] + inverse[i, 2] * by_x[k, 2]
+    for k in range(2):
+        # rows by the point in body axes; turned by w the body sees v + v x w
+        a = by_q[k, 0] * mount[0, 0] + by_q[k, 1] * mount[0, 1] + by_q[k, 2] * mount[0, 2]
+        b = by_q[k, 0] * mount[1, 0] + by_q[k, 1] * mount[1, 1] + by_q[k, 2] * mount[1, 2]
+        e = by_q[k, 0] * mount[2, 0] + by_q[k, 1] * mount[2, 1] + by_q[k, 2] * mount[2, 2]
+        by_q[k, 0], by_q[k, 1], by_q[k, 2] = b * v[2] - e * v[1], e * v[0] - a * v[2], a * v[1] - b * v[0]
+    for i in range(3):
+        for j in range(3):
+            move[i, j] = gain[i, 0] * by_x[0, j] + gain[i, 1] * by_x[1, j]
+            turn[i, j] = -gain[i, 0] * by_q[0, j] - gain[i, 1] * by_q[1, j]
+
+
+@njit(cache=True, nogil=True)
+def _add_product(a, b, out):
+    """Add a (3, 3) times b (3, 3) to `out`."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] += a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+
+
+@njit(cache=True, nogil=True)
+def _add_square(a, factor, out):
+    """Add `factor` times a (3, 3) a' to `out`."""
+    for i in range(3):
+        for j in range(3):
+            out[i, j] += factor * (a[i, 0] * a[j, 0] + a[i, 1] * a[j, 1] + a[i, 2] * a[j, 2])
 
 
 @njit(cache=True, nogil=True)
 def spread(
-    begin, order, pose, image, camera, tangents, weighed, turned, place, mounts, points, inverse,
+    begin, order, pose, image, camera, weighed, turned, place, mounts, points, inverse,
     sigma_position, sigma_attitude, partner, sway, angle_covariance, covariance,
 ):  # fmt: skip
     """Add to `covariance` (n, 3, 3) what unknown poses do to points found by `meet`.
@@ -172,36 +200,37 @@ def spread(
     for i in range(len(points)):
         longest = max(longest, begin[i + 1] - begin[i])
     move, turn = np.empty((longest, 3, 3)), np.empty((longest, 3, 3))
+    work, by_place, unseen = np.zeros((4, 3, 3)), np.empty((3, 3)), np.empty((3, 3))
     by_angles = np.empty((3, len(angle_covariance)))
     for i in range(len(points)):
         if not np.isfinite(points[i, 0]):
             continue
-        rows = order[begin[i] : begin[i + 1]]
+        rows, out = order[begin[i] : begin[i + 1]], covariance[i]
         by_angles[:] = 0.0
         for k in range(len(rows)):
             s = rows[k]
             at[image[s]] = k
             which = camera[image[s]]
             _gains(
-                s, turned[pose[s]], place[pose[s]], mounts[which], weighed, points[i], inverse[i],
+                turned[pose[s]], place[pose[s]], mounts[which], weighed[s], points[i], inverse[i], work,
                 move[k], turn[k],
             )  # fmt: skip
             by_angles[:, 3 * which : 3 * which + 3] += turn[k]
-        total = by_angles @ angle_covariance @ by_angles.T
+        out += by_angles @ angle_covariance @ by_angles.T
         for k in range(len(rows)):
             this = image[rows[k]]
-            total += sigma_attitude**2 * (turn[k] @ turn[k].T)
-            by_place = move[k].copy()
+            _add_square(turn[k], sigma_attitude**2, out)
+            by_place[:] = move[k]
             other = partner[this]
             if other >= 0:
-                by_place += turn[k] @ sway[this, 0]
+                _add_product(turn[k], sway[this, 0], by_place)
                 if at[other] >= 0:
-                    by_place += turn[at[other]] @ sway[other, 1]
+                    _add_product(turn[at[other]], sway[other, 1], by_place)
                 else:
                     # the partner did not see the point, but where it was turned this camera
-                    unseen = turn[k] @ sway[this, 1]
-                    total += sigma_position**2 * (unseen @ unseen.T)
-            total += sigma_position**2 * (by_place @ by_place.T)
-        covariance[i] += total
+                    unseen[:] = 0.0
+                    _add_product(turn[k], sway[this, 1], unseen)
+                    _add_square(unseen, sigma_position**2, out)
+            _add_square(by_place, sigma_position**2, out)
         for k in range(len(rows)):
             at[image[rows[k]]] = -1

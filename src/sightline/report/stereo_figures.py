@@ -19,6 +19,7 @@ from sightline.evaluation.score_orientation import ARCSEC
 from sightline.geometry.earth import local_axes, to_geodetic
 from sightline.io.stereo import Stereo
 from sightline.io.stereo_results import heights_of, planned_points, vertical_sigma
+from sightline.io.stereo_strips import StripProblem
 from sightline.report.style import INK, MUTED, RULE, TEMPLATE, panels
 
 Array = NDArray[np.float64]
@@ -170,7 +171,9 @@ def residual_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure:
 
 def residual_vectors(problem: StereoProblem, result: StereoOrientation) -> Array | None:
     """Residuals (N, 2) px, measured less predicted (line, column); None where points were not adjusted."""
-    if result.method != "ml-track" or result.attitude is None or result.position is None:
+    # a strip has a pose for every sighting: the arrays of its images do not stand for them
+    one_pose = not isinstance(problem, StripProblem)
+    if not one_pose or result.method != "ml-track" or result.attitude is None or result.position is None:
         return None
     s, image = problem.sightings(), problem.tracks.image
     camera = problem.images.camera

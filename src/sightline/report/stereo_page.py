@@ -41,7 +41,6 @@ def write_stereo_report(
 
 def stereo_html(stereo: Stereo, result: StereoOrientation, summary: Mapping[str, Any]) -> str:
     """The page as text; parameters as of `write_stereo_report`."""
-    improvements = summary.get("improvements", [])
     return render(
         "stereo.html.j2",
         summary=summary,
@@ -49,8 +48,8 @@ def stereo_html(stereo: Stereo, result: StereoOrientation, summary: Mapping[str,
         warnings=summary["warnings"],
         angles=angle_rows(summary),
         sections=sections(stereo, result, summary),
-        improvement_heads=["change", *(f"{a} (arcsec)" for a in AXES), "weakest (arcsec)"],
-        improvements=[improvement_row(entry) for entry in improvements],
+        improvement_heads=["change", *(f"{axis} {camera}" for camera in result.cameras for axis in AXES)],
+        improvements=improvement_rows(summary),
         advice=advice(stereo, summary),
         counts=counts(summary),
         export_notes=summary.get("export_notes", []),
@@ -79,10 +78,20 @@ def _with_sigma(value: float, sigma: float) -> str:
     return f"{value:+.{places}f} ± {sigma:.{places}f}"
 
 
-def improvement_row(entry: Mapping[str, Any]) -> list[str]:
-    """One change and the largest sigma of each axis that it would leave."""
-    sigma = [entry["sigmas"][axis] / ARCSEC for axis in AXES]
-    return [entry["change"], *(digits(s, 2) for s in sigma), digits(entry["weakest"] / ARCSEC, 2)]
+def improvement_rows(summary: Mapping[str, Any]) -> list[list[str]]:
+    """Per change, sigma (arcsec) of every angle and how far it falls."""
+    return [
+        [entry["change"], *(_better(s, r) for s, r in zip(entry["sigmas"], entry["ratio"], strict=True))]
+        for entry in summary.get("improvements", [])
+    ]
+
+
+def _better(sigma: float, ratio: float) -> str:
+    """A sigma and what the change makes of it."""
+    if not math.isfinite(sigma):
+        return "not observable"
+    percent = f"{100.0 * (ratio - 1.0):+.0f} %" if ratio > 0.0 else "now seen"
+    return f"{digits(sigma / ARCSEC, 2)} ({percent})"
 
 
 def sections(stereo: Stereo, result: StereoOrientation, summary: Mapping[str, Any]) -> list[Section]:
@@ -213,21 +222,16 @@ def advice(stereo: Stereo, summary: Mapping[str, Any]) -> list[str]:
             "Shots that span time: with one shot a turn of both cameras about their baseline stays unseen."
         )
     elif summary["window_seconds"] < SHORT_WINDOW:
-        said.append(
-            f"More time: the window is {digits(summary['window_seconds'], 2)} s; what is weak falls about "
-            "as its "
-            "length, until the geometry has turned enough."
-        )
+        said.append("More time: what is weak falls about as the length of the window while that is short.")
     if "yaw" in weak:
         said.append(
-            f"Yaw ({weak}) is told by image noise over the field of view: points at the edges of the "
-            "frame, better "
-            "matching, more pixels; neither DEM nor control points help much."
+            f"Yaw ({weak}) is told by image noise over the field of view: points at the edges of the frame, "
+            "better matching, more pixels, more points; DEM and control points help it little."
         )
     if problem.heights is None:
-        said.append("A DEM (dem, dem_sigma): heights tell pitch, which otherwise hides in them.")
+        said.append("A DEM (dem, dem_sigma) tells pitch, which otherwise hides in the heights.")
     if problem.control is None:
-        said.append("A few control points: they tell roll and pitch of both cameras absolutely.")
+        said.append("A few control points (control_points) tell roll and pitch of both cameras absolutely.")
     if summary["method"] != "ml-track":
         said.append("Points followed through all shots (--method ml-track): the same matches then tell more.")
     return said
