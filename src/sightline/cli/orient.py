@@ -142,8 +142,9 @@ def found_in_pictures(stereo: Stereo, report: Progress) -> Stereo:
     if stereo.pictures is None or isinstance(stereo.problem, StripProblem):
         return stereo
     report(f"finding points in {len(stereo.pictures.sources)} images")
+    seen = stereo.pictures
     problem = match_problem(
-        stereo.problem, stereo.pictures.sources, image=stereo.pictures.image, surface=stereo.surface
+        stereo.problem, seen.sources, image=seen.image, surface=stereo.surface, floor_px=seen.floor_px
     )
     return replace(stereo, problem=problem)
 

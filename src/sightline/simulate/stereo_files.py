@@ -94,7 +94,7 @@ def stereo_toml(scenario: StereoScenario, *, control_points: bool = False, image
         'mount = "nominal"',
         "",
         "[noise]",
-        f"sigma_px = {told.sigma_px!r}",
+        *([] if images else [f"sigma_px = {told.sigma_px!r}"]),
         f"sigma_position = {told.sigma_position!r}",
         f"sigma_attitude = {told.sigma_attitude!r}",
         f'attitude_knowledge = "{told.attitude_knowledge}"',
