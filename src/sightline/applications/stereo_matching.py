@@ -48,8 +48,8 @@ def match_problem(
         px; added to the sigma of every match in quadrature: what the lens and the ground do that the noise of
         images does not tell.
     plan : TrackPlan, optional
-        In place of `floor_px` and of heights within three sigmas of a surface whose sigma the problem knows, or
-        else within 1 km.
+        In place of `floor_px` and of heights within three sigmas of a surface whose sigma the problem knows,
+        or else within 1 km.
 
     Returns
     -------

@@ -240,8 +240,8 @@ def _adjusted(
 ) -> Adjustment:
     """The adjustment of a problem of frames.
 
-    Where planned poses are off by degrees, points start so far from the surface that they are to lie on that no
-    step leads on; what the rays alone say of the angles is then the place to start from.
+    Where planned poses are off by degrees, points start so far from the surface that they are to lie on that
+    no step leads on; what the rays alone say of the angles is then the place to start from.
     """
 
     def solve(priors: PointPriors | None, start: Array | None = None) -> Adjustment:

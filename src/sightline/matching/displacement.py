@@ -16,8 +16,9 @@ from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 
-#: Neighbours that a local quadratic is fitted to: four for each of its six terms.
-NEIGHBOURS = 24
+#: Neighbours that a local quadratic is fitted to: of windows half over each other, as many as 24 side by side
+#: cover. Fewer follow relief better, but then the field follows the noise of matches within a window.
+NEIGHBOURS = 96
 #: Fewest points for a quadratic; a plane is fitted to fewer, a mean to less than `LEAST_PLANE`.
 LEAST_QUADRATIC, LEAST_PLANE = 15, 6
 #: Residuals of so many of the field's own spread (1.4826 times the median size) carry no weight.

@@ -39,14 +39,18 @@ Array = NDArray[np.float64]
 
 #: Pixels of the coarsest scale that a search may span to each side: few enough for one clear peak.
 _COARSE_SEARCH = 6
+#: Pixels that it spans at most, where the frame is too small to be reduced further.
+_LONGEST_SEARCH = 16
 #: px; search at each finer scale: what the scale before, half as sharp, and relief between points leave.
 _FINE_SEARCH = 3
 #: Fewest windows along a side of the coarsest scale.
-_COARSE_WINDOWS = 4
+_COARSE_WINDOWS = 3
 #: px between places where the map between two frames is computed exactly; cubic between them.
 _LATTICE = 8.0
 #: Columns between places where it is handed to the resampler.
 _SPACING = 4
+#: Looks at the finest scale after the first: each is deformed by less than the one before.
+_SETTLING = 1
 #: Share of the windows tried that must agree with those around them, or the search is widened by the next of
 #: these factors of the pointing error.
 _AGREEMENT, _WIDENINGS = 0.6, (1.0, 8.0, 64.0)
@@ -77,7 +81,7 @@ class TrackPlan:
     height_range : float
         m; the ground lies within this of the surface.
     pointing_error : float
-        rad; planned attitudes are wrong by about this, of each frame. Searches are widened where it does not do.
+        rad; planned attitudes of frames are wrong by about this; searches are widened where more.
     view_angle : float
         rad; largest angle between the lines of sight under which a window is sought again.
     hubs : tuple of int or None
@@ -366,23 +370,22 @@ def _match_pair(pair: _Pair, partner: int, points: Array, plan: TrackPlan) -> _F
     Where most windows do not agree, the search is widened: poses may be worse than planned.
     """
     for widening in _WIDENINGS:
-        learnt, agreement = _coarse_to_fine(pair, points, plan, widening)
+        learnt, agreement = _coarse_to_fine(pair, plan, widening)
         if agreement >= _AGREEMENT:
             break
     return None if learnt is None else _last_look(learnt, partner, points, plan)
 
 
-def _coarse_to_fine(
-    pair: _Pair, points: Array, plan: TrackPlan, widening: float
-) -> tuple[_Pair | None, float]:
-    """The pair with its map learnt, None where too few windows are found; and the share of them that agree."""
+def _coarse_to_fine(pair: _Pair, plan: TrackPlan, widening: float) -> tuple[_Pair | None, float]:
+    """The pair with its map learnt (None: too few windows found), and the share of windows that agree."""
     reach = _search_range(pair, plan, widening)
     scale = _coarsest(reach, pair.hub.shape, plan.window)
-    search = (int(np.ceil(reach[0] / scale)) + 1, int(np.ceil(reach[1] / scale)) + 1)
-    agreement = 1.0
+    lines, columns = np.minimum(np.ceil(reach / scale), _LONGEST_SEARCH).astype(int) + 1
+    search = (int(lines), int(columns))
+    agreement, settling = 1.0, _SETTLING
     while True:
         hub = _at_scale(pair.hub, scale)
-        look = points if scale == 1 else _coarse_points(hub, plan.window)
+        look = _dense_points(hub, plan.window)
         found = _matched(hub, pair.laid(scale), look, search, plan, gradient_filter())
         kept = found.kept
         if kept.sum() < _LEAST_WINDOWS:
@@ -390,10 +393,14 @@ def _coarse_to_fine(
         pair = pair.after(_whole(look[kept], scale), pair.map(_whole(found.b[kept], scale)))
         tried = kept.sum() + np.isin(found.status, (codes.NO_CONVERGENCE, codes.LOW_SCORE)).sum()
         agreement = min(agreement, float((pair.weights > 0.0).sum() / tried))
-        if scale == 1:
+        if scale > 1:
+            scale //= 2
+            search = (_FINE_SEARCH, _FINE_SEARCH)
+            continue
+        if settling == 0:
             return pair, agreement
-        scale //= 2
-        search = (_FINE_SEARCH, _FINE_SEARCH)
+        settling -= 1
+        search = (0, 0)
 
 
 def _last_look(pair: _Pair, partner: int, points: Array, plan: TrackPlan) -> _Found | None:
@@ -464,8 +471,8 @@ def _matched(
     )  # fmt: skip
 
 
-def _coarse_points(reduced: ImageSource, window: int) -> Array:
-    """Windows of a reduced image, half over each other, that can be located."""
+def _dense_points(reduced: ImageSource, window: int) -> Array:
+    """Centres of windows of an image, half over each other, that can be located."""
     size = (window, window)
     points = grid_points(reduced.shape, window=size, step=(window // 2, window // 2))
     return points[texture_strength(reduced, points, size) > 0.0]
