@@ -51,8 +51,7 @@ body_from_camera = {mount}\n[noise]\n{NOISE}\n[surface]\nheight = {GROUND}\nheig
 for name, text in {"cameras.csv": poses, "images.csv": images, "stereo.toml": stereo_toml}.items():
     (out / name).write_text(text)
 stereo = read_stereo(out / "stereo.toml")
-seen = stereo.pictures
-problem = match_problem(stereo.problem, seen.sources, surface=stereo.surface, floor_px=seen.floor_px)
+problem = match_problem(stereo.problem, stereo.pictures.sources, surface=stereo.surface, floor_px=0.1)
 found = orient(problem)
 print(
     "boresight error, degrees:", np.degrees(found.angles[0]).round(3), f"of {len(problem.tracks)} sightings"

@@ -65,8 +65,8 @@ def test_points_lie_where_the_ground_is_seen_and_as_well_as_stated(flown, tracks
     error, sigma = errors_of_pairs(flown, tracks)
     assert len(error) > 250  # of 121 windows in three other frames, less those whose rim leaves the frame
     white = error / sigma[:, None]
-    # The hub's noise is in three matches each: 2 x 110 independent numbers and more, 5 % of chance in the rms.
-    # What relief leaves in the windows of some pairs widens the sigma of all their matches: too large, if so.
+    # The hub's noise is in three matches each: 2 x 110 independent numbers and more, 5 % of chance. Relief
+    # that windows of a pair do not follow widens the sigma of all its matches: too large, if so.
     assert 0.65 < np.sqrt((white**2).mean()) < 1.2
     assert np.abs(white).max() < 6.0
     assert np.sqrt((error**2).mean()) < 0.025  # S/N 80 over 21 x 21 px
@@ -80,8 +80,8 @@ def test_the_errors_of_a_point_in_two_frames_share_no_more_than_the_hub(flown, t
     white[tracks.image[others], tracks.point[others]] = error / sigma[:, None]
     used = [row for row in range(4) if np.isfinite(white[row]).any()]
     shared = np.nanmean([white[a] * white[b] for a in used for b in used if a < b])
-    # Half of each match's variance is the hub's, in units of a sigma that may be a third too large; three pairs
-    # of images times 220 products of spread 1 about the hub's own chance (9 %): 0.07.
+    # Half of each match's variance is the hub's, in units of a sigma that may be a third too large; three
+    # pairs of images times 220 products of spread 1 about the hub's own chance (9 %): 0.07.
     assert 0.2 < shared < 0.7
 
 

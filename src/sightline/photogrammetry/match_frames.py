@@ -49,8 +49,6 @@ _COARSE_WINDOWS = 3
 _LATTICE = 8.0
 #: Columns between places where it is handed to the resampler.
 _SPACING = 4
-#: Looks at the finest scale after the first: each is deformed by less than the one before.
-_SETTLING = 1
 #: Share of the windows tried that must agree with those around them, or the search is widened by the next of
 #: these factors of the pointing error.
 _AGREEMENT, _WIDENINGS = 0.6, (1.0, 8.0, 64.0)
@@ -370,22 +368,24 @@ def _match_pair(pair: _Pair, partner: int, points: Array, plan: TrackPlan) -> _F
     Where most windows do not agree, the search is widened: poses may be worse than planned.
     """
     for widening in _WIDENINGS:
-        learnt, agreement = _coarse_to_fine(pair, plan, widening)
+        learnt, agreement = _coarse_to_fine(pair, points, plan, widening)
         if agreement >= _AGREEMENT:
             break
     return None if learnt is None else _last_look(learnt, partner, points, plan)
 
 
-def _coarse_to_fine(pair: _Pair, plan: TrackPlan, widening: float) -> tuple[_Pair | None, float]:
+def _coarse_to_fine(
+    pair: _Pair, points: Array, plan: TrackPlan, widening: float
+) -> tuple[_Pair | None, float]:
     """The pair with its map learnt (None: too few windows found), and the share of windows that agree."""
     reach = _search_range(pair, plan, widening)
     scale = _coarsest(reach, pair.hub.shape, plan.window)
     lines, columns = np.minimum(np.ceil(reach / scale), _LONGEST_SEARCH).astype(int) + 1
     search = (int(lines), int(columns))
-    agreement, settling = 1.0, _SETTLING
+    agreement = 1.0
     while True:
         hub = _at_scale(pair.hub, scale)
-        look = _dense_points(hub, plan.window)
+        look = points if scale == 1 else _dense_points(hub, plan.window)
         found = _matched(hub, pair.laid(scale), look, search, plan, gradient_filter())
         kept = found.kept
         if kept.sum() < _LEAST_WINDOWS:
@@ -393,14 +393,10 @@ def _coarse_to_fine(pair: _Pair, plan: TrackPlan, widening: float) -> tuple[_Pai
         pair = pair.after(_whole(look[kept], scale), pair.map(_whole(found.b[kept], scale)))
         tried = kept.sum() + np.isin(found.status, (codes.NO_CONVERGENCE, codes.LOW_SCORE)).sum()
         agreement = min(agreement, float((pair.weights > 0.0).sum() / tried))
-        if scale > 1:
-            scale //= 2
-            search = (_FINE_SEARCH, _FINE_SEARCH)
-            continue
-        if settling == 0:
+        if scale == 1:
             return pair, agreement
-        settling -= 1
-        search = (0, 0)
+        scale //= 2
+        search = (_FINE_SEARCH, _FINE_SEARCH)
 
 
 def _last_look(pair: _Pair, partner: int, points: Array, plan: TrackPlan) -> _Found | None:
