@@ -5,8 +5,8 @@ Run: python examples/iss_stereo.py [OUT]
 
 Ten photographs, six seconds apart: time in place of a second camera. EXIF times are cut to the second (7 km
 along the track); its positions lie within 100 m of an even flight. Not in the sigmas: a delay common to all
-positions (0.06 degrees of pitch per second) and terrain that slopes as a whole (0.1 degrees of roll for 350 m
-in 200 km). The lens is what `sightline recover` finds. Clouds are masked.
+positions (0.06 degrees of pitch per second) and terrain that slopes as a whole (350 m in 200 km: 0.1 degrees
+of roll). The lens is what `sightline recover` finds. Clouds are masked.
 """
 
 from __future__ import annotations
@@ -33,9 +33,8 @@ NOISE = "sigma_px = 0.1\nsigma_position = 100.0\nsigma_attitude = 1e-3"
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp(prefix="iss-stereo-"))
 photos = sorted((DATA / "iss_astropi_a").glob("*.jpg"))
 if not photos:
-    sys.exit(
-        print(f"no photographs in {DATA / 'iss_astropi_a'}; set SIGHTLINE_DATA to the folder of real data")
-    )
+    print(f"no photographs in {DATA / 'iss_astropi_a'}; set SIGHTLINE_DATA to the folder of real data")
+    sys.exit()
 out.mkdir(parents=True, exist_ok=True)
 known = load_acquisition(write_photo_acquisition(photos, out, height=ALTITUDE))
 mount = mount_by_motion(known.frames, known.surface).body_from_camera.as_quat().tolist()
@@ -51,10 +50,9 @@ body_from_camera = {mount}\n[noise]\n{NOISE}\n[surface]\nheight = {GROUND}\nheig
 for name, text in {"cameras.csv": poses, "images.csv": images, "stereo.toml": stereo_toml}.items():
     (out / name).write_text(text)
 stereo = read_stereo(out / "stereo.toml")
-problem = match_problem(stereo.problem, stereo.pictures.sources, surface=stereo.surface, floor_px=0.1)
-found = orient(problem)
+found = orient(match_problem(stereo.problem, stereo.pictures.sources, surface=stereo.surface, floor_px=0.1))
 print(
-    "boresight error, degrees:", np.degrees(found.angles[0]).round(3), f"of {len(problem.tracks)} sightings"
+    "boresight error, degrees:", np.degrees(found.angles[0]).round(3), f"of {len(found.rejected)} sightings"
 )
 for sigma, direction in zip(found.observability.sigmas, found.observability.directions, strict=True):
     print(f"± {np.degrees(sigma):.3f} degrees along (roll, pitch, yaw) = {direction.round(2)}")
