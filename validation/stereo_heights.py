@@ -93,7 +93,7 @@ def number(value: float) -> str:
 
 
 def main() -> None:
-    """Print the table; draw the figure where asked."""
+    """Print the table, and draw the figure where asked."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--passes", type=int, default=40)
     parser.add_argument("--figure", help="an HTML file for S2's figures 1 and 2")

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from sightline.applications.registration import Registration, register_bands
     from sightline.applications.results import LineOfSight
     from sightline.applications.spin_attitude import SpinAttitude, SpinOptions, recover_spin_attitude
+    from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem, orient
     from sightline.applications.strip import RecoverOptions
     from sightline.applications.tdi_choice import TdiProblem, TdiResult, choose_tdi
     from sightline.errors import (
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from sightline.io.acquired import Acquisition
     from sightline.io.acquisition import load_acquisition
     from sightline.io.instrument import load_instrument
+    from sightline.io.stereo import load_stereo
     from sightline.io.tdi import load_tdi
     from sightline.matching.match_images import match_images
     from sightline.matching.matches import Matches
@@ -106,6 +108,8 @@ _MODULE_OF = {
     "Spin": "sightline.geometry.spin",
     "SpinAttitude": "sightline.applications.spin_attitude",
     "SpinOptions": "sightline.applications.spin_attitude",
+    "StereoOrientation": "sightline.applications.stereo_orientation",
+    "StereoProblem": "sightline.applications.stereo_orientation",
     "Surface": "sightline.geometry.surface",
     "TdiChoice": "sightline.tdi.choose",
     "TdiDetector": "sightline.tdi.setting",
@@ -123,8 +127,10 @@ _MODULE_OF = {
     "line_of_sight_case": "sightline.simulate.scenarios",
     "load_acquisition": "sightline.io.acquisition",
     "load_instrument": "sightline.io.instrument",
+    "load_stereo": "sightline.io.stereo",
     "load_tdi": "sightline.io.tdi",
     "match_images": "sightline.matching.match_images",
+    "orient": "sightline.applications.stereo_orientation",
     "predict_match": "sightline.motion.predict",
     "recover_frame_attitude": "sightline.applications.frame_attitude",
     "recover_line_of_sight": "sightline.applications.line_of_sight",
@@ -181,6 +187,8 @@ __all__ = [
     "Spin",
     "SpinAttitude",
     "SpinOptions",
+    "StereoOrientation",
+    "StereoProblem",
     "Surface",
     "TdiChoice",
     "TdiDetector",
@@ -198,8 +206,10 @@ __all__ = [
     "line_of_sight_case",
     "load_acquisition",
     "load_instrument",
+    "load_stereo",
     "load_tdi",
     "match_images",
+    "orient",
     "predict_match",
     "recover_frame_attitude",
     "recover_line_of_sight",

@@ -21,6 +21,7 @@ from sightline.geometry.trajectory import Trajectory
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.simulate.stereo import stereo_case
 
 PLAN = Plan(shots=16)
 
@@ -195,3 +196,13 @@ def test_pushbroom_strips_give_the_constant_error_of_each_camera():
     error = (found.angles - truth).ravel()
     assert error @ np.linalg.solve(found.covariance, error) < 27.9  # chi-square of 9 at 1e-3
     assert found.cameras == ("1", "2", "3")
+
+
+@pytest.mark.parametrize("method", ["ml-track", "ml-pair", "epipolar"])
+def test_of_one_shot_no_angle_is_given_that_a_hidden_direction_touches(method):
+    scenario = stereo_case("A_paper_T6_K64", 0, shots=1)
+    found = orient(StereoProblem(**scenario.problem()), method)
+    touched = found.observability.touched
+    assert touched.any()
+    np.testing.assert_array_equal(np.isnan(found.angles.ravel()), touched)
+    np.testing.assert_array_equal(np.isinf(found.sigma.ravel()), touched)

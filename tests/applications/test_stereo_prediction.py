@@ -28,6 +28,7 @@ from sightline.geometry.orbit_pair import OrbitPair
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.photogrammetry.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.simulate.stereo import stereo_case
 
 DETECTOR = AreaDetector("frame", (700, 700), 350.0 / np.tan(np.radians(0.75)), (349.5, 349.5))
 CASE = Case(shots=16, points=60, relief=0.0)
@@ -197,3 +198,30 @@ def test_what_cannot_be_planned_is_refused():
     lost = Images(images.camera, images.shot, images.t, images.position, up)
     with pytest.raises(InputError, match="do not look at the ground"):
         predict(replace(away, images=lost))
+
+
+def test_three_cameras_with_gaps_and_control_points_are_varied_too():
+    scenario = stereo_case(
+        "A_three_cameras", 0, shots=12, points=40, missing_images=0.2, unpaired=True, track_shots=(4, 10)
+    )
+    found = predict(StereoProblem(**scenario.problem(control_points=3)))
+    assert found.sigmas.shape == (3, 3) and np.isfinite(found.sigmas).all()
+    for table in found.tables:
+        at = int(np.argmin(np.abs(table.values - table.planned)))
+        np.testing.assert_allclose(table.sigmas[0, at], found.sigmas.ravel(), rtol=1e-6)
+    noise = next(table for table in found.tables if table.quantity == "image noise")
+    assert (np.diff(noise.sigmas[0], axis=0) > 0.0).all()
+    assert any("5 more control points" in change.change for change in found.improvements)
+
+
+def test_attitudes_rebuilt_from_positions_do_not_suffer_from_them():
+    given = plan()
+    aimed = replace(given, noise=replace(given.noise, aim_point=given.pair.aim_point))
+    found = predict_plan(aimed, tables=False)
+    half = next(c for c in found.improvements if "position noise" in c.change)
+    # to first order the errors of positions cancel
+    np.testing.assert_allclose(half.ratio, 1.0, atol=0.02)
+    independent = next(
+        c for c in predict_plan(given, tables=False).improvements if "position noise" in c.change
+    )
+    assert independent.ratio.min() < 0.95

@@ -321,7 +321,11 @@ def control(text, key='control_points = "control.csv"\n'):
 BAD = {
     # the file
     "misspelt key": (toml("sigma_position", "sigma_positon"), FormatError, "did you mean sigma_position"),
-    "no points": (toml('matches = "matches.csv"\n', ""), FormatError, "nothing brings points: give matches"),
+    "no points": (
+        toml('matches = "matches.csv"\n', ""),
+        FormatError,
+        "nothing brings points: give matches = FILE",
+    ),
     "two sources": (
         toml('matches = "', 'observations = "o.csv"\nmatches = "'),
         FormatError,

@@ -22,7 +22,8 @@ from tests.photogrammetry.stereo_scene import (
 
 from sightline.errors import InputError
 from sightline.geometry.surface import Plane
-from sightline.photogrammetry.bundle import adjust, bound, turns
+from sightline.photogrammetry.bundle import adjust, bound
+from sightline.photogrammetry.descent import turns
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.pose_noise import PoseNoise
 from sightline.photogrammetry.pose_unknowns import pose_unknowns
@@ -326,3 +327,17 @@ def test_the_jacobian_of_rotation_vectors_is_their_derivative():
             Rotation.from_matrix(inverse) * Rotation.from_rotvec(angles - step * np.eye(3)[axis])
         ).as_rotvec()
         assert np.allclose(jacobian[:, :, axis], (more - less) / (2.0 * step), atol=1e-8)
+
+
+def test_chi_square_counts_what_is_known_of_points():
+    # heights drawn with the sigma of the prior: chi-square per degree of freedom is 1 +- sqrt(2 / 1500)
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        points = ground(rng, 60, 11e3, 0.0, "white")
+        points[:, 2] = 20.0 * rng.standard_normal(60)
+        shooting = shoot(SMALL, NOISY, points, rng)
+        found = adjust(shooting.sightings(), NOISE, priors=PointPriors(HeightPrior(Plane(0.0), 20.0, None)))
+        assert abs(found.cost / found.degrees_of_freedom - 1.0) < 5.0 * np.sqrt(
+            2.0 / found.degrees_of_freedom
+        )
+        assert found.degrees_of_freedom == 4 * 60 * 12 + 60 - 3 * 60 - 6

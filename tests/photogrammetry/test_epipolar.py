@@ -4,8 +4,12 @@ Monte-Carlo bounds: over n trials a mean has a standard error of sigma / sqrt(n)
 and the mean NEES of six angles one of sqrt(12 / n); three of them are allowed.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
 
 from photogrammetry.stereo_scene import (
     ARCSEC,
@@ -211,6 +215,14 @@ def test_mismatches_along_the_epipolar_line_cannot_be_found():
     assert rejected[bad.ravel()].mean() < 0.05
 
 
+@pytest.mark.parametrize("count", [2, 3, 30])
+def test_angles_not_known_yet_are_not_taken_for_mismatches(count):
+    # 360 arcsec are 47 px; nothing but these angles is said to be wrong with the poses
+    pairs = pairs_of(SHORT, Noise(0.1, 0.0, 0.0), 15, count, truth=10.0 * TRUTH)
+    assert epipolar_outliers(pairs, NONE).sum() <= 1
+    assert epipolar_outliers(pairs, NONE, angles=our_angles(10.0 * TRUTH)).sum() <= 1
+
+
 def test_bad_input_is_refused():
     rng = np.random.default_rng(11)
     shooting = shoot(SHORT, Noise(), ground(rng, 5, 11e3, 400.0, "smooth"), rng)
@@ -242,3 +254,33 @@ def test_one_point_per_shot_does_not_pretend_to_tell_everything():
     assert len(found.unobservable) >= 1
     assert np.isinf(np.diag(found.covariance)).any()
     assert not np.isfinite(found.angles).all()
+
+
+def test_angles_are_about_the_body_however_the_camera_sits_in_it():
+    rng = np.random.default_rng(13)
+    sightings = shoot(SHORT, Noise(), ground(rng, 60, 11e3, 400.0, "smooth"), rng).sightings()
+    turns = [Rotation.from_rotvec([0.3, -0.2, 1.0]), Rotation.from_rotvec([2.0, 0.5, -0.4])]
+    turned = replace(
+        sightings,
+        world_from_body=np.concatenate(
+            [sightings.world_from_body[16 * j : 16 * j + 16] @ turns[j].as_matrix() for j in range(2)]
+        ),
+        body_from_camera=np.stack(
+            [turns[j].inv().as_matrix() @ sightings.body_from_camera[j] for j in range(2)]
+        ),
+    )
+    for knowledge in (PAPER, PoseNoise(7.5, 1.8 * ARCSEC, np.zeros(3))):
+        before = orient_by_epipolar(pair_sightings(sightings), knowledge)
+        after = orient_by_epipolar(pair_sightings(turned), knowledge)
+        expected = np.stack([turns[j].inv().apply(before.angles[j]) for j in range(2)])
+        np.testing.assert_allclose(after.angles, expected, atol=1e-5 * ARCSEC)
+        block = block_diag(*[turn.as_matrix() for turn in turns])
+        change = block @ after.covariance @ block.T - before.covariance
+        assert np.abs(change).max() < 1e-5 * before.covariance.max()
+
+
+def test_points_in_one_line_of_one_pair_leave_more_than_the_baseline():
+    rng = np.random.default_rng(14)
+    line = np.outer(np.linspace(-5e3, 5e3, 50), [0.6, 0.8, 0.0])
+    pairs = pair_sightings(shoot(Plan(shots=1), QUIET, line, rng).sightings())
+    assert len(orient_by_epipolar(pairs, NONE).unobservable) >= 2

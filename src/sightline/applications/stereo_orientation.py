@@ -466,13 +466,15 @@ def _orient_linear(
     for rows in kept.rows:
         residual[rows], rejected[rows] = np.abs(found.residual_px) / np.sqrt(2.0), False
     said = [] if problem.priors is None else [f"{method} makes no use of known heights or control points"]
-    points, covariance = triangulated(sightings, found.angles, found.covariance, rejected, problem.noise)
+    known = observability(found.information, _angle_names())
+    angles, of_angles = _told(found.angles, found.covariance, known)
+    points, covariance = triangulated(sightings, angles, of_angles, rejected, problem.noise)
     return StereoOrientation(
         method,
         problem.cameras,
-        frozen(found.angles),
-        frozen(found.covariance),
-        observability(found.information, _angle_names()),
+        frozen(angles),
+        frozen(of_angles),
+        known,
         frozen(residual),
         rejected,
         1.0,
@@ -482,6 +484,14 @@ def _orient_linear(
         bias=frozen(found.bias) if method == "epipolar" else None,
         warnings=tuple(said),
     )
+
+
+def _told(angles: Array, covariance: Array, known: Observability) -> tuple[Array, Array]:
+    """Angles (C, 3) and covariance with NaN and inf for those that take part in a hidden direction."""
+    hidden = known.touched
+    spread = np.where(hidden[:, None] | hidden[None, :], np.nan, covariance)
+    spread[hidden, hidden] = np.inf
+    return np.where(hidden.reshape(angles.shape), np.nan, angles), spread
 
 
 def _angle_names() -> tuple[str, ...]:

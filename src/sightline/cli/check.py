@@ -25,13 +25,18 @@ def check(
     from sightline.io.describe_stereo import describe_stereo
     from sightline.io.instrument import describe_instrument, load_instrument
     from sightline.io.stereo import read_stereo
+    from sightline.io.stereo_plan import describe_plan, has_plan, read_plan
     from sightline.io.tdi import describe_tdi, load_tdi
 
     match kind_of(file):
         case "instrument":
             description = describe_instrument(load_instrument(file))
         case "stereo":
-            description = describe_stereo(read_stereo(file))
+            description = (
+                describe_plan(read_plan(file))
+                if has_plan(file)
+                else describe_stereo(read_stereo(file, planned=True))
+            )
         case "tdi":
             description = describe_tdi(load_tdi(file))
         case _:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
     from sightline.applications.stereo_prediction import Improvement
     from sightline.io.stereo import Stereo
+    from sightline.io.stereo_plan import PlannedPass
 
 
 #: Sightings up to which it is reckoned what would improve the angles: eight bounds, each as long as a step.
@@ -47,6 +48,12 @@ def orient(
     drift: Annotated[
         bool, typer.Option("--drift", help="Let the errors drift evenly with time about their middle value.")
     ] = False,
+    predict: Annotated[
+        bool,
+        typer.Option(
+            "--predict", help="Give the bound of what could be found, before anything is flown or matched."
+        ),
+    ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -55,6 +62,15 @@ def orient(
     from sightline.cli.terminal import complain, print_json, progress, say
 
     check_output_folder(out, overwrite=overwrite)
+    if predict:
+        with progress() as report:
+            summary = foretell(file, method, out, report, overwrite=overwrite)
+        if as_json:
+            print_json(summary)
+        else:
+            tell_bound(summary)
+            say(f"{out / 'orientation.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
+        return
     with progress() as report:
         found = estimate(file, method, report, raw=raw, drift=drift)
         with output_folder(out, overwrite=overwrite) as folder:
@@ -103,7 +119,10 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
         raise InputError(f"--raw belongs to --method epipolar, here it is {method.value}; leave it out")
     begun = time.perf_counter()
     report(f"reading {file}")
-    stereo = found_in_pictures(read_stereo(file), report)
+    stereo = read_stereo(file)
+    if stereo.pictures is not None:
+        report(f"finding points in {len(stereo.pictures.sources)} pictures")
+        stereo = with_points_found(stereo)
     problem = stereo.problem
     report(f"solving for {len(problem.cameras)} cameras in {len(problem.images)} images")
     if isinstance(problem, StripProblem):
@@ -118,6 +137,25 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
     return Oriented(stereo, result, begun, improvements_of(problem, method))
 
 
+def with_points_found(stereo: Stereo) -> Stereo:
+    """The same with points found in its pictures."""
+    from dataclasses import replace
+
+    from sightline.applications.stereo_matching import match_problem
+
+    if stereo.pictures is None:
+        return stereo
+    pictures = stereo.pictures
+    found = match_problem(
+        stereo.problem,
+        pictures.sources,
+        image=pictures.image,
+        surface=stereo.surface,
+        floor_px=pictures.floor_px,
+    )
+    return replace(stereo, problem=found)
+
+
 def improvements_of(problem: StereoProblem, method: Method) -> tuple[Improvement, ...]:
     """What would better the angles of frames, by the bound."""
     from sightline.applications.stereo_prediction import improvements
@@ -130,23 +168,6 @@ def improvements_of(problem: StereoProblem, method: Method) -> tuple[Improvement
         return improvements(problem, method.value)
     except SightlineError:  # the orientation stands without advice
         return ()
-
-
-def found_in_pictures(stereo: Stereo, report: Progress) -> Stereo:
-    """The same with points found in its pictures, where it has these in place of points."""
-    from dataclasses import replace
-
-    from sightline.applications.stereo_matching import match_problem
-    from sightline.io.stereo_strips import StripProblem
-
-    if stereo.pictures is None or isinstance(stereo.problem, StripProblem):
-        return stereo
-    report(f"finding points in {len(stereo.pictures.sources)} images")
-    seen = stereo.pictures
-    problem = match_problem(
-        stereo.problem, seen.sources, image=seen.image, surface=stereo.surface, floor_px=seen.floor_px
-    )
-    return replace(stereo, problem=problem)
 
 
 def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str, Any]:
@@ -167,6 +188,58 @@ def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str,
     return summary
 
 
+def foretell(file: Path, method: Method, out: Path, report: Progress, *, overwrite: bool) -> dict[str, Any]:
+    """The bound of a STEREO.toml, in files; gives the summary."""
+    import time
+
+    from sightline.applications.stereo_prediction import predict, predict_plan
+    from sightline.cli.output import output_folder
+    from sightline.errors import InputError
+    from sightline.io.stereo import read_stereo
+    from sightline.io.stereo_plan import has_plan, read_plan
+    from sightline.io.stereo_predicted import write_prediction
+    from sightline.io.stereo_strips import StripProblem
+    from sightline.report.stereo_prediction_page import write_prediction_report
+
+    begun = time.perf_counter()
+    report("bounds")
+    problem: Stereo | PlannedPass
+    if has_plan(file):
+        problem = read_plan(file)
+        predicted = predict_plan(problem.plan, method.value)
+    else:
+        problem = read_stereo(file, planned=True)
+        if isinstance(problem.problem, StripProblem):
+            raise InputError(
+                "--predict is for frames: [[strip]] has no prediction; orient its points instead"
+            )
+        tables = len(problem.problem.tracks) <= IMPROVED_SIGHTINGS
+        predicted = predict(problem.problem, method.value, tables=tables)
+    seconds = time.perf_counter() - begun
+    with output_folder(out, overwrite=overwrite) as folder:
+        summary = write_prediction(folder, problem, predicted, wall_seconds=seconds)
+        write_prediction_report(folder / "report.html", predicted, summary)
+    return summary
+
+
+def tell_bound(summary: dict[str, Any]) -> None:
+    """The prediction in a few lines."""
+    import math
+
+    from sightline.cli.terminal import say
+
+    arcsec = 648_000.0 / math.pi
+    for camera, sigma in summary["sigmas"].items():
+        said = [
+            f"{axis} {arcsec * sigma[axis]:.3f}" if math.isfinite(sigma[axis]) else f"{axis} not observable"
+            for axis in ("roll", "pitch", "yaw")
+        ]
+        say(f"camera {camera}: bound of 1 sigma: {', '.join(said)} arcsec")
+    for entry in summary["unobservable"]:
+        say(f"not observable: {entry['words']}")
+    say(f"points: {summary['points_from']}")
+
+
 def tell(summary: dict[str, Any]) -> None:
     """The orientation in a few lines."""
     import math
@@ -182,8 +255,8 @@ def tell(summary: dict[str, Any]) -> None:
             for axis in ("roll", "pitch", "yaw")
         ]
         say(f"camera {camera}: {', '.join(said)} arcsec")
-    for words in summary["unobservable"]:
-        say(f"not observable: {words}")
+    for entry in summary["unobservable"]:
+        say(f"not observable: {entry['words']}")
     weakest = next((entry for entry in summary["principal_sigmas"] if math.isfinite(entry["sigma"])), None)
     if weakest is not None:
         say(f"weakest direction that is seen: {weakest['words']}, {arcsec * weakest['sigma']:.3g} arcsec")

@@ -109,7 +109,7 @@ def stereo(
     ] = None,
     images: Annotated[
         bool,
-        typer.Option("--images/--points", help="Write rendered frames, in which points are yet to be found."),
+        typer.Option("--images", help="Write rendered frames, in which points are yet to be found."),
     ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,

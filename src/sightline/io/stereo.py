@@ -138,9 +138,22 @@ def read_stereo_file(path: Path) -> StereoFile:
     return validate(StereoFile, read_toml(path), path)
 
 
-def read_stereo(path: Path) -> Stereo:
-    """Everything a STEREO.toml says; errors as of `load_stereo`."""
+def read_stereo(path: Path, *, planned: bool = False) -> Stereo:
+    """Everything a STEREO.toml says; errors as of `load_stereo`.
+
+    With `planned`, points need not be there yet: a prediction lays them out.
+    """
     file, files = read_stereo_file(path), InputFolder(path)
+    if file.plan is not None:
+        raise FormatError(
+            f"{path}: [plan] is a pass not yet flown: ask for its bound with --predict, or give cameras = "
+            "FILE and points in place of [plan]"
+        )
+    if not file.sources and not planned:
+        raise FormatError(
+            f"{path}: nothing brings points: give matches = FILE (two cameras), observations = FILE (any "
+            "number of cameras) or images = FILE; or ask for the bound with --predict, which needs none"
+        )
     if file.strip:
         return _strips(file, files)
     if file.cameras is None or file.camera is None:
@@ -155,8 +168,8 @@ def read_stereo(path: Path) -> Stereo:
     images = _images(poses, poses_path, file)
     check_baseline(poses_path, poses.cameras, images, file.noise.sigma_position)
     table, points_path = _points(file, files, poses)
-    shapes = [detector.shape for detector in detectors]
-    tracks, names, control = block_of(file, files, poses, table, images.camera, shapes)
+    shapes, local = [detector.shape for detector in detectors], _is_local(file)
+    tracks, names, control = block_of(file, files, poses, table, images.camera, shapes, local=local)
     aim = _aim(file, path, poses.cameras, images, mounts)
     warnings: tuple[str, ...] = ()
     if table is not None:
@@ -165,7 +178,6 @@ def read_stereo(path: Path) -> Stereo:
     if len(tracks):
         origins, looks = origins[tracks.image], rays_of(images, detectors, mounts, tracks)
     camera = images.camera[tracks.image]
-    local = _is_local(file)
     heights, surface, more = ground_of(
         file, files, points_path, poses.cameras, camera, tracks, origins, looks, local=local
     )

@@ -65,7 +65,7 @@ def write_strip_attitudes(
     messages = problem.epoch is not None and not stereo.another_body
     for camera, name, angles in zip(problem.strips, problem.cameras, result.angles, strict=True):
         t = camera.times(np.arange(float(camera.lines)))
-        attitude = (camera.trajectory.at(t).world_from_body * Rotation.from_rotvec(angles)).as_quat()
+        attitude = (camera.trajectory.at(t).world_from_body * Rotation.from_rotvec(angles.copy())).as_quat()
         write_attitudes(folder / f"attitude_{file_name(name)}.csv", t, attitude)
         if messages:
             write_aem(

@@ -37,6 +37,8 @@ def block_of(
     table: PointTable | None,
     camera: Index,
     shapes: Sequence[tuple[int, int]],
+    *,
+    local: bool,
 ) -> tuple[Tracks, Array, ControlPoints | None]:
     """Sightings of all points, their numbers, and those of known coordinates.
 
@@ -52,6 +54,8 @@ def block_of(
         Of each image.
     shapes : sequence of (lines, columns)
         One per camera.
+    local : bool
+        The world is flat: coordinates stay as they are.
     """
     if table is not None:
         check_inside(table.path, table.image, camera, table.pixels, shapes)
@@ -64,7 +68,9 @@ def block_of(
     if file.control_points is not None:
         path = files(file.control_points)
         read = read_control(path, poses, file.noise.sigma_px)
-        places = points_to_world(read.position, file.world, file.surface.radii, path)
+        places = read.position
+        if not local:
+            places = points_to_world(places, file.world, file.surface.radii, path)
         if read.seen is None:
             which = _known(path, read, numbers)
         else:

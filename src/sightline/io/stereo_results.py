@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
-from sightline.applications.stereo_prediction import Improvement
+from sightline.applications.stereo_prediction import Improvement, StereoPrediction
 from sightline.evaluation.direction_words import AXES, angle_names, direction_words
 from sightline.geometry.earth import local_axes, to_geodetic
 from sightline.io.results import peak_memory, write_json
@@ -67,7 +67,7 @@ def write_stereo_result(
     write_matches_used(folder / "matches_used.csv", stereo, result)
     write_points(folder / "points.csv", stereo.problem, result)
     summary = summarize_orientation(stereo, result, wall_seconds=wall_seconds) | more
-    summary["improvements"] = [_improvement(change) for change in better]
+    summary["improvements"] = [improvement_entry(change) for change in better]
     write_json(folder / "summary.json", summary)
     return summary
 
@@ -176,9 +176,7 @@ def summarize_orientation(
             for c, camera in enumerate(result.cameras)
         },
         "principal_sigmas": principal_sigmas(result),
-        "unobservable": [
-            entry["words"] for entry in principal_sigmas(result) if not math.isfinite(entry["sigma"])
-        ],
+        "unobservable": unobservable(result, baseline_turn(problem)),
         "drift": _drift(result),
         "focal_length": _focal(problem, result),
         "bias_removed": None if result.bias is None else result.bias.tolist(),
@@ -196,12 +194,45 @@ def summarize_orientation(
     }
 
 
-def _improvement(change: Improvement) -> dict[str, Any]:
+def unobservable(known: StereoOrientation | StereoPrediction, turn: Array | None) -> list[dict[str, Any]]:
+    """Words and direction of what nothing tells; `turn` (3 C,) is that about the baseline, if any."""
+    entries = []
+    for entry in principal_sigmas(known):
+        if math.isfinite(entry["sigma"]):
+            continue
+        words = entry["words"]
+        if turn is not None and abs(np.array(list(entry["direction"].values())) @ turn) > _SAME_TURN:
+            words = f"turn of all cameras about the baseline ({words})"
+        entries.append({"words": words, "direction": entry["direction"]})
+    return entries
+
+
+#: Cosine from which on a direction is the turn about the baseline: within about 6 degrees.
+_SAME_TURN = 0.995
+
+
+def baseline_turn(problem: StereoProblem) -> Array | None:
+    """Unit direction (6,) of a turn of both cameras about their mean baseline; None if they are not two."""
+    images = problem.images
+    if len(problem.cameras) != 2:
+        return None
+    first, second = (np.flatnonzero(images.camera == c) for c in (0, 1))
+    _, a, b = np.intersect1d(images.shot[first], images.shot[second], return_indices=True)
+    if len(a) == 0:
+        return None
+    first, second = first[a], second[b]
+    along = images.position[first] - images.position[second]
+    turns = [images.world_from_body[rows].inv().apply(along).mean(axis=0) for rows in (first, second)]
+    turn = np.concatenate(turns)
+    return np.asarray(turn / np.linalg.norm(turn))
+
+
+def improvement_entry(change: Improvement) -> dict[str, Any]:
     """A change and the bounds of all angles with it, rad; and their ratio to those without."""
     return {"change": change.change, "sigmas": change.sigmas.tolist(), "ratio": change.ratio.tolist()}
 
 
-def principal_sigmas(result: StereoOrientation) -> list[dict[str, Any]]:
+def principal_sigmas(result: StereoOrientation | StereoPrediction) -> list[dict[str, Any]]:
     """Principal directions of the angles, the weakest first: sigma (rad), direction by name, words."""
     names, seen = angle_names(result.cameras), result.observability
     order = np.argsort(-np.asarray(seen.sigmas), kind="stable")

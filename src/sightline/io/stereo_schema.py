@@ -148,6 +148,26 @@ class StereoStrip(Section):
     band: str | None = Field(default=None, description="Which of its bands; default the first")
 
 
+class PlanSection(Section):
+    """``[plan]``: a pass that is not flown yet, for ``--predict``; in place of cameras and points."""
+
+    altitude: Positive = Field(default=500e3, description="m above the equatorial radius, circular orbits")
+    inclination_deg: Positive = Field(default=97.4, description="Of the orbits, degrees")
+    latitude_deg: Finite = Field(default=0.0, description="Geocentric, of the aim point, degrees")
+    separation: Positive = Field(description="s between the first spacecraft and the last on their orbit")
+    window: Positive = Field(description="s in which the shots are taken")
+    shots: Annotated[int, Field(ge=1)] = Field(description="How many")
+    offset: Finite = Field(default=0.0, description="s from the middle of the pass to that of the window")
+    cross_track: Finite = Field(
+        default=0.0, description="m of the aim point beside the track, to the left of the flight"
+    )
+    cameras: Annotated[int, Field(ge=2)] = Field(default=2, description="How many spacecraft")
+    points: Annotated[int, Field(ge=1)] = Field(default=300, description="Conjugate points in every shot")
+    scene_size: Positive | None = Field(
+        default=None, description="m, side of the square they cover; default 0.9 of a frame from nearest"
+    )
+
+
 class StereoFile(Section):
     """A STEREO.toml: cameras that image one scene together, points found in the images, what is known."""
 
@@ -183,6 +203,7 @@ class StereoFile(Section):
     surface: SurfaceSection = SurfaceSection()
     world: WorldSection = WorldSection()
     strip: list[StereoStrip] = Field(default=[], description="Push-broom images in place of frames")
+    plan: PlanSection | None = Field(default=None, description="A pass not yet flown, for --predict")
 
     @property
     def sources(self) -> list[str]:
@@ -202,12 +223,9 @@ class StereoFile(Section):
 
     @model_validator(mode="after")
     def _parts_agree(self) -> StereoFile:
-        if not self.sources:
-            raise ValueError(
-                "nothing brings points: give matches = FILE (two cameras), observations = FILE (any number "
-                "of cameras) or images = FILE"
-            )
-        if self.strip:
+        if self.plan is not None:
+            self._plan_stands_alone()
+        elif self.strip:
             self._strips_stand_alone()
         else:
             if self.cameras is None:
@@ -222,6 +240,16 @@ class StereoFile(Section):
             )
         self._heights_are_said_once()
         return self
+
+    def _plan_stands_alone(self) -> None:
+        keys = ("cameras", "strip", "dem", "control_points", *self.sources)
+        given = [key for key in keys if getattr(self, key)]
+        if given:
+            raise ValueError(f"[plan] lays out poses and points itself; remove {given[0]}, or [plan]")
+        if self.camera is None or self.camera == []:
+            raise ValueError("[camera] is missing: shape, focal_length_px; add it")
+        if self.surface.dem is not None:
+            raise ValueError("[plan] takes [surface] height and height_sigma, no dem; remove it")
 
     def _strips_stand_alone(self) -> None:
         given = [key for key in ("cameras", "camera") if getattr(self, key) is not None]

@@ -99,9 +99,10 @@ def strip_problem(file: StereoFile, files: InputFolder) -> tuple[StripProblem, P
     )
     path = files(str(file.observations))
     table = read_observations(path, poses, file.noise.sigma_px, strips=True)
-    tracks, points, control = block_of(file, files, poses, table, images.camera, [c.shape for c in cameras])
-    tracks, points, control, warnings = without_single(tracks, points, control)
     local = acquisitions[0].world == "local"
+    shapes = [camera.shape for camera in cameras]
+    tracks, points, control = block_of(file, files, poses, table, images.camera, shapes, local=local)
+    tracks, points, control, warnings = without_single(tracks, points, control)
     origins, looks = _rays(cameras, tracks)
     heights, surface, more = ground_of(
         file, files, path, names, tracks.image, tracks, origins, looks, local=local

@@ -202,49 +202,61 @@ def epipolar_outliers(
     deviation of all residuals where that is larger.
     """
     _check(pairs)
-    rejected = np.zeros(len(pairs), dtype=bool)
+    rays = _Rays.of(pairs)
     judge = np.zeros((2, 3)) if angles is None else np.asarray(angles, dtype=np.float64)
-    for _ in range(_ROUNDS):
-        before = rejected
-        rejected = _far(pairs, noise, judge, threshold)
-        if angles is not None or np.array_equal(rejected, before):
-            break
+    rejected = _far(pairs, rays, noise, judge, threshold, estimated=angles is not None)
+    for _ in range(_ROUNDS if angles is None else 0):
         kept = pairs.kept(~rejected)
         if len(kept) < 6:
             break
-        judge = np.nan_to_num(orient_by_epipolar(kept, noise).angles)
+        before, judge = rejected, np.nan_to_num(orient_by_epipolar(kept, noise).angles)
+        rejected = _far(pairs, rays, noise, judge, threshold, estimated=True)
+        if np.array_equal(rejected, before):
+            break
     return rejected
 
 
-def _far(pairs: SightingPairs, noise: PoseNoise, angles: Array, threshold: float) -> NDArray[np.bool_]:
-    """Pairs (N,) further than `threshold` sigmas from where the median of their shot is."""
-    residual, sigma = epipolar_residuals(pairs, angles)
+def _far(
+    pairs: SightingPairs,
+    rays: tuple[_Rays, _Rays],
+    noise: PoseNoise,
+    angles: Array,
+    threshold: float,
+    *,
+    estimated: bool,
+) -> NDArray[np.bool_]:
+    """Pairs (N,) further than `threshold` sigmas from where their shot is: its median, before an estimate."""
+    arms = _arms(pairs, angles)
+    volume, slopes = _volumes(pairs, rays, _forms(*arms)[:, 6])
+    slope = slopes.sum(axis=0)
+    residual = volume / np.sqrt(slope)
+    variance = (slopes[0] * rays[0].variance + slopes[1] * rays[1].variance) / slope
     count = np.diff(pairs.starts)
     order = np.lexsort((residual, pairs.shot))
-    middle = 0.5 * (
-        residual[order[pairs.starts[:-1] + (count - 1) // 2]]
-        + residual[order[pairs.starts[:-1] + count // 2]]
-    )
-    # 1-sigma (px) of the median by the pose, and by the sightings: pi/2 is the median's variance of normal
-    # ones
-    shared = _pose_residual(pairs, noise, angles) ** 2
-    own = 0.5 * np.pi * np.add.reduceat(sigma**2, pairs.starts[:-1]) / count**2
-    spread = 1.4826 * float(np.median(np.abs(residual - middle[pairs.shot])))
-    sigma = np.maximum(sigma, spread)
-    trust = shared / (shared + np.maximum(own, 0.5 * np.pi * spread**2 / count))
-    left = ((1.0 - trust) * shared)[pairs.shot]
-    return np.asarray(np.abs(residual - (trust * middle)[pairs.shot]) > threshold * np.sqrt(sigma**2 + left))
+    lower, upper = (residual[order[pairs.starts[:-1] + half]] for half in ((count - 1) // 2, count // 2))
+    middle = 0.5 * (lower + upper)
+    spread = (1.4826 * float(np.median(np.abs(residual - middle[pairs.shot])))) ** 2
+    variance = np.maximum(variance, spread)
+    trust, left = np.ones_like(middle), np.zeros_like(middle)
+    if estimated:
+        shared = _pose_variance(pairs, noise, arms, slope)
+        # the variance of a median of normal values is pi/2 that of their mean
+        own = 0.5 * np.pi * np.add.reduceat(variance, pairs.starts[:-1]) / count**2
+        trust = shared / (shared + own)
+        left = (1.0 - trust) * shared
+    beyond = (residual - (trust * middle)[pairs.shot]) ** 2
+    return np.asarray(beyond > threshold**2 * (variance + left[pairs.shot]))
 
 
-def _pose_residual(pairs: SightingPairs, noise: PoseNoise, angles: Array) -> Array:
-    """1-sigma (K,), px, of a shot's residuals by the errors of its poses, at its middle pair."""
-    arms = _arms(pairs, angles)
+def _pose_variance(
+    pairs: SightingPairs, noise: PoseNoise, arms: tuple[Array, Array, Array], slope: Array
+) -> Array:
+    """Variance (K,), px^2, of a shot's residuals by the errors of its poses, at its middle pair."""
     errors = _pose_errors(pairs, noise, position_turns(pairs, noise), arms)[:, :, 6]
     at = pairs.starts[:-1] + np.diff(pairs.starts) // 2
     m = np.concatenate([pairs.sightings.tangents[pairs.rows[:, at]], np.ones((2, len(at), 1))], axis=-1)
     shift = np.einsum("lkab,ka,kb->lk", errors.reshape(*errors.shape[:2], 3, 3), m[0], m[1])
-    slopes = _volumes(pairs, _Rays.of(pairs), _forms(*arms)[:, 6])[1].sum(axis=0)
-    return np.asarray(np.sqrt((shift**2).sum(axis=0) / slopes[at]))
+    return np.asarray((shift**2).sum(axis=0) / slope[at])
 
 
 def _check(pairs: SightingPairs) -> None:

@@ -89,7 +89,7 @@ def observability(information: Array, names: Sequence[str], limit: float = LIMIT
     """
     symmetric = 0.5 * (information + information.T)
     values, vectors = np.linalg.eigh(symmetric)
-    seen = values > limit**-2
+    seen = values > max(limit**-2, 0.0)
     sigmas = np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), np.inf)
     directions = vectors.T
     signs = np.sign(directions[np.arange(len(values)), np.abs(directions).argmax(axis=1)])

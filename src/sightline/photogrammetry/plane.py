@@ -120,7 +120,9 @@ def orient_by_plane(
     -----
     Relief is an error of this method and mostly the largest. Its share of the covariance is built from the
     heights above the fitted plane and the distance over which they go together, both measured on the
-    residuals. It holds for relief that departs from a plane alike over the scene; one lone mountain is not.
+    residuals. It is true to 10 % where heights go together over less than a tenth of the scene. Waves as long
+    as the scene leave the sigma of yaw 5 to 30 % low; for one lone mountain, or without any other noise, it
+    does not hold.
     """
     if 3 * len(pairs) < _UNKNOWNS:
         raise InputError(f"{_UNKNOWNS} unknowns need five pairs or more, got {len(pairs)}; match more points")
@@ -134,7 +136,7 @@ def orient_by_plane(
         found = equations.solve(sums[:, :, -1].sum(axis=0))
         step = found[:6].reshape(2, 3)
         angles = (Rotation.from_rotvec(angles) * Rotation.from_rotvec(step)).as_rotvec()
-        if np.abs(step).max() < _STEP:
+        if np.abs(step).max() < _STEP or len(equations.unobservable):
             break
     left = rows.columns[:, -1] + np.einsum("rpn,p->rn", rows.columns[:, :_UNKNOWNS], found)
     meat = _image_meat(rows) + _pose_meat(pairs, noise, sums) + _relief_meat(pairs, rows, left, up)

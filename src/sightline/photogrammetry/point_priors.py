@@ -117,10 +117,10 @@ class PointPriors(ReadOnlyArrays):
     heights: HeightPrior | None = None
     control: ControlPoints | None = None
 
-    @property
-    def count(self) -> int:
-        """Number of conditions that control points add."""
-        return 0 if self.control is None else 3 * len(self.control.point)
+    def count(self, points: int) -> int:
+        """Number of conditions that are added to a block in which so many points are used."""
+        of_heights = 0 if self.heights is None else points
+        return of_heights + (0 if self.control is None else 3 * len(self.control.point))
 
     def known(self, points: int) -> NDArray[np.bool_]:
         """Which of so many points something is known of, so that one sighting is of use."""

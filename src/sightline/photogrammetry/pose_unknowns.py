@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
+from sightline.photogrammetry.observability import LIMIT
 from sightline.photogrammetry.pose_noise import PoseNoise, aim_sensitivity
 from sightline.photogrammetry.sightings import Images, Index, Sightings, as_index
 
@@ -44,6 +45,8 @@ class PoseUnknowns(ReadOnlyArrays):
     precision : (K, 1 + s, 6 n, 6 n) or None
         What is known beforehand of the shots' own unknowns, where shots are tied to their neighbours:
         precision[k, d] has the rows of shot k and the columns of shot k - d. None: each has unit covariance.
+    limit : float
+        Sigma of a global unknown from which on it counts as not observable (their unit).
     """
 
     shot: Index
@@ -54,6 +57,7 @@ class PoseUnknowns(ReadOnlyArrays):
     names: tuple[str, ...]
     time: tuple[float, float]
     precision: Array | None = None
+    limit: float = LIMIT
 
     @property
     def shots(self) -> int:

@@ -261,7 +261,7 @@ def height_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure | None
     maps: list[tuple[str, Array, str, float, float]] = [
         ("Height by the planned attitudes", h0, "Viridis", low, high),
         ("Height by the corrected attitudes", h1, "Viridis", low, high),
-        ("Before less after", h0 - h1, "RdBu", -reach, reach),
+        (f"Before less after, mean {(h0 - h1).mean():.3g} m", h0 - h1, "RdBu", -reach, reach),
     ]
     if np.isfinite(sigma).any():
         maps.append(("1 sigma of the height after", sigma, "Cividis", 0.0, float(np.nanmax(sigma))))

@@ -90,7 +90,8 @@ def _better(sigma: float, ratio: float) -> str:
     """A sigma and what the change makes of it."""
     if not math.isfinite(sigma):
         return "not observable"
-    percent = f"{100.0 * (ratio - 1.0):+.0f} %" if ratio > 0.0 else "now seen"
+    change = round(100.0 * (ratio - 1.0))
+    percent = "now seen" if ratio <= 0.0 else f"{change:+d} %" if change else "as it is"
     return f"{digits(sigma / ARCSEC, 2)} ({percent})"
 
 
@@ -130,12 +131,11 @@ def sections(stereo: Stereo, result: StereoOrientation, summary: Mapping[str, An
     )
     plane = stereo_figures.image_plane_figure(stereo, result)
     if plane is not None:
+        longest = digits(plane.layout.meta["largest"], 2)
         caption = (
-            "Mean residual of the kept points in cells of the frame, all shots together; the longest "
-            "arrow is "
-            f"{digits(plane.layout.meta['largest'], 2)} px. Arrows that point at random are noise; a "
-            "pattern (all "
-            "outward, all turning) is a lens or a focal length that is not as stated."
+            "Mean residual of the kept points in cells of the frame, all shots together, as a stroke from a "
+            f"dot; the longest is {longest} px. Strokes at random are noise; a pattern (all outward, all "
+            "turning) is a lens or a focal length that is not as stated."
         )
         found.append(Section("frame", "Residuals over the frame", caption, plane))
     heights = stereo_figures.height_figure(stereo, result)
@@ -189,7 +189,7 @@ def _rejected(matches: Mapping[str, Any]) -> str:
 
 
 def _hidden(summary: Mapping[str, Any]) -> list[str]:
-    words = summary["unobservable"]
+    words = [entry["words"] for entry in summary["unobservable"]]
     if not words:
         return []
     one = len(words) == 1
@@ -228,9 +228,10 @@ def advice(stereo: Stereo, summary: Mapping[str, Any]) -> list[str]:
             f"Yaw ({weak}) is told by image noise over the field of view: points at the edges of the frame, "
             "better matching, more pixels, more points; DEM and control points help it little."
         )
-    if problem.heights is None:
+    reckoned = bool(summary.get("improvements"))
+    if problem.heights is None and not reckoned:
         said.append("A DEM (dem, dem_sigma) tells pitch, which otherwise hides in the heights.")
-    if problem.control is None:
+    if problem.control is None and not reckoned:
         said.append("A few control points (control_points) tell roll and pitch of both cameras absolutely.")
     if summary["method"] != "ml-track":
         said.append("Points followed through all shots (--method ml-track): the same matches then tell more.")

@@ -1,0 +1,52 @@
+"""``sightline orient`` on pictures: the package finds the points itself."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from sightline.cli.main import run
+from sightline.simulate.stereo import stereo_case
+from sightline.simulate.stereo_files import write_stereo
+from sightline.simulate.stereo_images import Sensor, write_stereo_images
+
+
+@pytest.fixture(scope="module")
+def pass_(tmp_path_factory):
+    """Rendered frames of a short pass of two cameras that converge at some 20 degrees."""
+    folder = tmp_path_factory.mktemp("pictures")
+    scenario = stereo_case(
+        "A_paper_T6_K64", 2, separation=20.0, shots=3, window=16.0, columns=200, fov=0.0087, relief="none",
+        points=20, scene_size=3e3, ground_size=40e3,
+    )  # fmt: skip
+    write_stereo(scenario, folder)
+    ground = scenario.surface, scenario.pair.aim_point, scenario.pair.world_from_local
+    write_stereo_images(
+        folder,
+        scenario.cameras,
+        scenario.true_images,
+        scenario.detectors,
+        scenario.mounts,
+        ground,
+        Sensor(),
+        2,
+    )
+    text = (folder / "stereo.toml").read_text().replace('matches = "matches.csv"', 'images = "images.csv"')
+    (folder / "stereo.toml").write_text(text)
+    return folder
+
+
+def test_points_are_found_and_the_angles_are_those_put_in(pass_, capsys):
+    out = pass_ / "out"
+    assert run(["orient", str(pass_ / "stereo.toml"), "--out", str(out), "--json"]) == 0, (
+        capsys.readouterr().err
+    )
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["matches"]["kind"] == "sightings" and summary["matches"]["kept"] > 200
+    assert run(["score", str(out), str(pass_ / "orientation-truth.csv")]) == 0
+    score = json.loads(capsys.readouterr().out)
+    # chi-square with 6 degrees of freedom: beyond 22.5 once in a thousand scenes
+    assert score["nees"] < 22.5
+    images = (out / "colmap" / "images.txt").read_text()
+    assert "camera-1-shot-000.tif" in images
