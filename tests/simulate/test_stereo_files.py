@@ -184,3 +184,14 @@ def test_a_wrong_option_gives_one_error_and_writes_nothing(tmp_path, capsys, wor
     error = capsys.readouterr().err
     assert status in (1, 2) and message in error and "Traceback" not in error
     assert not (tmp_path / "pass").exists()
+
+
+def test_frames_are_written_in_place_of_points(tmp_path):
+    out = tmp_path / "pass"
+    words = "--images --shots 1 --columns 32 --fov 0.1 --relief none"
+    assert run(["simulate", "stereo", *words.split(), "--out", str(out)]) == 0
+    told = tomllib.loads((out / "stereo.toml").read_text(encoding="utf-8"))
+    assert told["images"] == "images.csv" and "matches" not in told and "sigma_px" not in told["noise"]
+    assert not (out / "matches.csv").exists() and not (out / "truth-points.csv").exists()
+    assert len(list(out.glob("camera-*.tif"))) == 2
+    assert run(["simulate", "stereo", "--images", "--control-points", "3", "--out", str(tmp_path / "b")]) == 2

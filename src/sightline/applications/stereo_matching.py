@@ -28,6 +28,7 @@ def match_problem(
     *,
     image: Index | None = None,
     surface: Surface | None = None,
+    floor_px: float = 0.0,
     plan: TrackPlan | None = None,
 ) -> StereoProblem:
     """The same problem with points found in its images in place of its tracks.
@@ -43,8 +44,12 @@ def match_problem(
     surface : Surface, optional
         The ground, as well as it is known; that of the problem's heights unless given, or its ellipsoid, or
         the plane z = 0.
+    floor_px : float
+        px; added to the sigma of every match in quadrature: what the lens and the ground do that the noise of
+        images does not tell.
     plan : TrackPlan, optional
-        By default heights within three sigmas of a surface whose sigma the problem knows, or within 1 km.
+        In place of `floor_px` and of heights within three sigmas of a surface whose sigma the problem knows,
+        or else within 1 km.
 
     Returns
     -------
@@ -73,8 +78,11 @@ def match_problem(
         surface = Plane() if problem.radii is None else Ellipsoid(*problem.radii)
         if problem.heights is not None:
             surface = problem.heights.surface
-    if plan is None and problem.heights is not None:
-        plan = TrackPlan(height_range=_HEIGHT_SIGMAS * problem.heights.sigma)
+    if plan is None:
+        reach = TrackPlan().height_range
+        if problem.heights is not None:
+            reach = _HEIGHT_SIGMAS * problem.heights.sigma
+        plan = TrackPlan(height_range=reach, floor_px=floor_px)
     cameras = frame_cameras(problem.images, problem.detectors, problem.mounts)
     found = match_frames(sources, [cameras[row] for row in rows], surface, plan)
     tracks = Tracks(rows[found.image], found.point, found.pixels, found.sigma_px)

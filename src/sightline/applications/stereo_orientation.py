@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import InputError
+from sightline.errors import EstimationError, InputError
 from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
@@ -228,19 +228,41 @@ def orient(
         method,
         problem.cameras,
         sightings,
-        adjust(
-            sightings,
-            problem.noise,
-            priors=problem.priors,
-            new_points_per_shot=pairs_only,
-            drift=drift,
-            focal_sigma=problem.focal_sigma,
-            robust=robust,
-        ),
+        _adjusted(problem, sightings, pairs_only=pairs_only, drift=drift, robust=robust),
         problem.noise,
         problem.priors,
         problem.focal_sigma,
     )
+
+
+def _adjusted(
+    problem: StereoProblem, sightings: Sightings, *, pairs_only: bool, drift: bool, robust: bool
+) -> Adjustment:
+    """The adjustment of a problem of frames.
+
+    Where planned poses are off by degrees, points start so far from the surface that they are to lie on that
+    no step leads on; what the rays alone say of the angles is then the place to start from.
+    """
+
+    def solve(priors: PointPriors | None, start: Array | None = None) -> Adjustment:
+        return adjust(
+            sightings,
+            problem.noise,
+            priors=priors,
+            new_points_per_shot=pairs_only,
+            drift=drift,
+            focal_sigma=problem.focal_sigma,
+            robust=robust,
+            start=start,
+        )
+
+    try:
+        return solve(problem.priors)
+    except EstimationError:
+        if problem.priors is None:
+            raise
+        alone = solve(None).angles
+        return solve(problem.priors, np.where(np.isfinite(alone), alone, 0.0))
 
 
 @one_blas_thread

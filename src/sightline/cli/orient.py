@@ -146,7 +146,13 @@ def with_points_found(stereo: Stereo) -> Stereo:
     if stereo.pictures is None:
         return stereo
     pictures = stereo.pictures
-    found = match_problem(stereo.problem, pictures.sources, image=pictures.image, surface=stereo.surface)
+    found = match_problem(
+        stereo.problem,
+        pictures.sources,
+        image=pictures.image,
+        surface=stereo.surface,
+        floor_px=pictures.floor_px,
+    )
     return replace(stereo, problem=found)
 
 

@@ -20,6 +20,8 @@ _UNITS = {
     ),
     **dict.fromkeys(("sigma_attitude", "error", "drift"), _ARCSEC),
 }
+#: m; side of the ground under frames: those that look obliquely reach far beyond the scene.
+_FRAMED_GROUND = 60e3
 
 
 def _option(flag: str, text: str) -> Any:
@@ -105,21 +107,27 @@ def stereo(
     scene_seed: Annotated[
         Count, _option("--scene-seed", "Of ground and errors; below 0: the same as the seed.")
     ] = None,
+    images: Annotated[
+        bool,
+        typer.Option("--images", help="Write rendered frames, in which points are yet to be found."),
+    ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Shots of synchronous cameras and points found in them: STEREO.toml for `orient`, and the truth."""
     given = {name: value for name, value in locals().items() if value is not None}
-    own = ("out", "case", "seed", "control_points", "overwrite", "as_json")
+    own = ("out", "case", "seed", "control_points", "images", "overwrite", "as_json")
     options = {name: _si(name, value) for name, value in given.items() if name not in own}
     from sightline.simulate.stereo import stereo_case
     from sightline.simulate.stereo_files import write_stereo
 
     check_output_folder(out, overwrite=overwrite)
     begin = time.perf_counter()
+    if images:
+        options.setdefault("ground_size", _FRAMED_GROUND)
     scenario = stereo_case(case, seed, **options)
     with output_folder(out, overwrite=overwrite) as folder:
-        names = list(write_stereo(scenario, folder, control_points=control_points))
+        names = list(write_stereo(scenario, folder, control_points=control_points, images=images))
     seconds = time.perf_counter() - begin
     if as_json:
         print_json({"folder": out, "files": names, "wall_seconds": round(seconds, 3)})

@@ -63,10 +63,13 @@ class StereoImages:
     image : (M,) int
         Row of the problem's images, for each picture.
     sources : tuple of ImageSource
+    floor_px : float
+        px; to be added to the sigma of every match in quadrature.
     """
 
     image: Index
     sources: tuple[Source, ...]
+    floor_px: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,7 +200,7 @@ def read_stereo(path: Path, *, planned: bool = False) -> Stereo:
         epoch=file.stereo.epoch,
         warnings=warnings + more,
     )
-    pictures = None if file.images is None else _pictures(files, file.images, poses, detectors)
+    pictures = None if file.images is None else _pictures(files, file, poses, detectors)
     return Stereo(
         path,
         file.stereo.name,
@@ -332,10 +335,10 @@ def _aim(
 
 
 def _pictures(
-    files: InputFolder, name: str, poses: PoseTable, detectors: tuple[AreaDetector, ...]
+    files: InputFolder, file: StereoFile, poses: PoseTable, detectors: tuple[AreaDetector, ...]
 ) -> StereoImages:
     """Pictures of the table of images, opened; FormatError for a shape that is not the camera's."""
-    path = files(name)
+    path = files(str(file.images))
     table = read_image_list(path, poses)
     sources = []
     for row, image, mask in zip(table.row, table.files, table.masks, strict=True):
@@ -348,4 +351,4 @@ def _pictures(
             )
         check_content(source)
         sources.append(source)
-    return StereoImages(table.row, tuple(sources))
+    return StereoImages(table.row, tuple(sources), file.noise.sigma_px or 0.0)

@@ -115,7 +115,9 @@ class StereoNoise(Section):
     """``[noise]``: errors of points and of planned poses, 1-sigma."""
 
     sigma_px: Positive | None = Field(
-        default=None, description="Of each coordinate of a point, px; where the table of points gives none"
+        default=None,
+        description="Of each coordinate of a point, px; where the table of points gives none. With images: "
+        "added in quadrature to what each match says of itself",
     )
     sigma_position: Sigma = Field(description="Of planned positions, m per axis, shot to shot")
     sigma_attitude: Sigma = Field(description="Of planned attitudes, rad per body axis, shot to shot")

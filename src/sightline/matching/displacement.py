@@ -16,7 +16,8 @@ from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 
-#: Neighbours that a local quadratic is fitted to: four for each of its six terms.
+#: Neighbours that a local quadratic is fitted to: four for each of its six terms. Fewer, or windows that lie
+#: closer, follow relief better, but then the field follows the noise of matches within a window too.
 NEIGHBOURS = 24
 #: Fewest points for a quadratic; a plane is fitted to fewer, a mean to less than `LEAST_PLANE`.
 LEAST_QUADRATIC, LEAST_PLANE = 15, 6
@@ -73,10 +74,11 @@ class DisplacementField:
             near[distance < 1e-6] = 0.0
         u = (self.points[row] - places[:, None]) / scale[..., None]
         basis = _basis(u, len(used))
-        normal = np.einsum("mk,mki,mkj->mij", near, basis, basis)
+        weighed = np.swapaxes(near[..., None] * basis, 1, 2)
+        normal = weighed @ basis
         # a trace of the size of rounding keeps points on one line from making it singular
         normal += 1e-6 * np.trace(normal, axis1=1, axis2=2)[:, None, None] * np.eye(basis.shape[2])
-        right = np.einsum("mk,mki,mkj->mij", near, basis, self.values[row])
+        right = weighed @ self.values[row]
         return np.asarray(np.linalg.solve(normal, right)[:, 0])
 
 

@@ -27,6 +27,7 @@ from sightline.geometry.surface import Surface
 from sightline.imaging.reduce import ReducedImage
 from sightline.imaging.source import ArrayImage, ImageSource
 from sightline.imaging.warp import WarpedImage
+from sightline.matching import matches as codes
 from sightline.matching.displacement import DisplacementField
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import Matches
@@ -38,14 +39,19 @@ Array = NDArray[np.float64]
 
 #: Pixels of the coarsest scale that a search may span to each side: few enough for one clear peak.
 _COARSE_SEARCH = 6
+#: Pixels that it spans at most, where the frame is too small to be reduced further.
+_LONGEST_SEARCH = 16
 #: px; search at each finer scale: what the scale before, half as sharp, and relief between points leave.
 _FINE_SEARCH = 3
 #: Fewest windows along a side of the coarsest scale.
-_COARSE_WINDOWS = 4
+_COARSE_WINDOWS = 3
 #: px between places where the map between two frames is computed exactly; cubic between them.
 _LATTICE = 8.0
 #: Columns between places where it is handed to the resampler.
 _SPACING = 4
+#: Share of the windows tried that must agree with those around them, or the search is widened by the next of
+#: these factors of the pointing error.
+_AGREEMENT, _WIDENINGS = 0.6, (1.0, 8.0, 64.0)
 #: Fewest windows that two frames must share.
 _LEAST_WINDOWS = 6
 #: px; tiles that filters are estimated from.
@@ -73,13 +79,16 @@ class TrackPlan:
     height_range : float
         m; the ground lies within this of the surface.
     pointing_error : float
-        rad; planned attitudes are wrong by at most this, of each frame.
+        rad; planned attitudes of frames are wrong by about this; searches are widened where more.
     view_angle : float
         rad; largest angle between the lines of sight under which a window is sought again.
     hubs : tuple of int or None
         Frames whose windows are sought in the others; None: as few as see all.
     min_score : float
         Lowest normalised correlation of a match.
+    floor_px : float
+        px per coordinate, added to every sigma in quadrature: what the lens and the ground do that the noise
+        of images does not tell.
     """
 
     points: int = 300
@@ -89,6 +98,7 @@ class TrackPlan:
     view_angle: float = np.radians(65.0)
     hubs: tuple[int, ...] | None = None
     min_score: float = 0.3
+    floor_px: float = 0.0
 
     def __post_init__(self) -> None:
         """Check."""
@@ -96,7 +106,7 @@ class TrackPlan:
             raise InputError(
                 f"points must be 1 or more and windows 9 px or more, got {self.points} and {self.window} px"
             )
-        for name in ("height_range", "pointing_error", "view_angle"):
+        for name in ("height_range", "pointing_error", "view_angle", "floor_px"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise InputError(f"`{name}` must be 0 or more, got {getattr(self, name)}")
 
@@ -268,7 +278,7 @@ def _match_hub(
         np.concatenate([np.full(len(found), hub), *(np.full(len(p.rows), p.image) for p in parts)]),
         np.concatenate([name[found], *(name[p.rows] for p in parts)]),
         np.concatenate([points[found], *(p.pixels for p in parts)]),
-        np.sqrt(np.concatenate([own, *(p.own for p in parts)])),
+        np.sqrt(np.concatenate([own, *(p.own for p in parts)]) + plan.floor_px**2),
     )
 
 
@@ -296,6 +306,11 @@ class _Pair:
         """Where the partner shows pixels (N, 2) of the hub, as far as is known."""
         where = self.partner_camera.project(self.hub_camera.locate(pixels, self.surface))
         return where if self.learnt is None else where + self.learnt.at(pixels)
+
+    @property
+    def weights(self) -> Array:
+        """(N,) 0 to 1; of the displacements learnt, 0 where one does not go with those around it."""
+        return np.ones(0) if self.learnt is None else self.learnt.weights
 
     def jacobian(self, pixels: Array) -> Array:
         """Change (N, 2, 2) of the map with (line, column) of the hub, px/px."""
@@ -348,23 +363,40 @@ def _whole(pixels: Array, scale: int) -> Array:
 
 
 def _match_pair(pair: _Pair, partner: int, points: Array, plan: TrackPlan) -> _Found | None:
-    """Points of the hub in one partner, from coarse to fine; None if they share too little."""
-    reach = _search_range(pair, plan)
+    """Points of the hub in one partner, from coarse to fine; None if they share too little.
+
+    Where most windows do not agree, the search is widened: poses may be worse than planned.
+    """
+    for widening in _WIDENINGS:
+        learnt, agreement = _coarse_to_fine(pair, points, plan, widening)
+        if agreement >= _AGREEMENT:
+            break
+    return None if learnt is None else _last_look(learnt, partner, points, plan)
+
+
+def _coarse_to_fine(
+    pair: _Pair, points: Array, plan: TrackPlan, widening: float
+) -> tuple[_Pair | None, float]:
+    """The pair with its map learnt (None: too few windows found), and the share of windows that agree."""
+    reach = _search_range(pair, plan, widening)
     scale = _coarsest(reach, pair.hub.shape, plan.window)
-    search = (int(np.ceil(reach[0] / scale)) + 1, int(np.ceil(reach[1] / scale)) + 1)
+    lines, columns = np.minimum(np.ceil(reach / scale), _LONGEST_SEARCH).astype(int) + 1
+    search = (int(lines), int(columns))
+    agreement = 1.0
     while True:
         hub = _at_scale(pair.hub, scale)
-        look = points if scale == 1 else _coarse_points(hub, plan.window)
+        look = points if scale == 1 else _dense_points(hub, plan.window)
         found = _matched(hub, pair.laid(scale), look, search, plan, gradient_filter())
         kept = found.kept
         if kept.sum() < _LEAST_WINDOWS:
-            return None
+            return None, 0.0
         pair = pair.after(_whole(look[kept], scale), pair.map(_whole(found.b[kept], scale)))
+        tried = kept.sum() + np.isin(found.status, (codes.NO_CONVERGENCE, codes.LOW_SCORE)).sum()
+        agreement = min(agreement, float((pair.weights > 0.0).sum() / tried))
         if scale == 1:
-            break
+            return pair, agreement
         scale //= 2
         search = (_FINE_SEARCH, _FINE_SEARCH)
-    return _last_look(pair, partner, points, plan)
 
 
 def _last_look(pair: _Pair, partner: int, points: Array, plan: TrackPlan) -> _Found | None:
@@ -435,15 +467,15 @@ def _matched(
     )  # fmt: skip
 
 
-def _coarse_points(reduced: ImageSource, window: int) -> Array:
-    """Windows of a reduced image, half over each other, that can be located."""
+def _dense_points(reduced: ImageSource, window: int) -> Array:
+    """Centres of windows of an image, half over each other, that can be located."""
     size = (window, window)
     points = grid_points(reduced.shape, window=size, step=(window // 2, window // 2))
     return points[texture_strength(reduced, points, size) > 0.0]
 
 
-def _search_range(pair: _Pair, plan: TrackPlan) -> Array:
-    """How far (lines, columns; px) heights and pointing can move what the hub shows, at most."""
+def _search_range(pair: _Pair, plan: TrackPlan, widening: float) -> Array:
+    """How far (lines, columns; px) heights and (widened) pointing can move what the hub shows, at most."""
     shape = np.array(pair.hub.shape)
     axes = [np.linspace(0.0, size - 1.0, 3) for size in shape]
     probes = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
@@ -455,7 +487,7 @@ def _search_range(pair: _Pair, plan: TrackPlan) -> Array:
         )
         reach = np.fmax(reach, np.nanmax(np.abs(moved), axis=0, initial=0.0))
     focal = max(pair.hub_camera.detector.focal_length_px, pair.partner_camera.detector.focal_length_px)
-    return np.asarray(reach + 2.0 * plan.pointing_error * focal)
+    return np.asarray(reach + 2.0 * widening * plan.pointing_error * focal)
 
 
 def _coarsest(reach: Array, shape: tuple[int, int], window: int) -> int:

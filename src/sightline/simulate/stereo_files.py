@@ -1,6 +1,7 @@
 """Writes a simulated pass of synchronous cameras as a user would receive it, with its truth beside it.
 
-Files: ``stereo.toml``, ``cameras.csv``, ``matches.csv`` (or ``observations.csv``), where they are told
+Files: ``stereo.toml``, ``cameras.csv``, ``matches.csv`` (or ``observations.csv``, or ``images.csv`` and the
+frames it names, in which points are yet to be found), where they are told
 ``dem.tif`` and ``control_points.csv``; and the truth, which nothing but a score should read:
 ``orientation-truth.csv``, ``truth-cameras.csv``, ``truth-points.csv``, ``truth-mismatches.csv``, where they
 differ from zero ``truth-rates.csv`` and ``truth-focal.csv``. Their contents are described in
@@ -14,15 +15,22 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.errors import InputError
 from sightline.geometry.surface import Dem
 from sightline.photogrammetry.point_priors import ControlPoints
 from sightline.photogrammetry.sightings import Images
 from sightline.simulate.stereo import EPOCH, StereoScenario
+from sightline.simulate.stereo_images import Sensor, write_stereo_images
 from sightline.simulate.texture import Array
 
 
 def write_stereo(
-    scenario: StereoScenario, folder: Path, *, control_points: int = 0, control_sigma: float = 1.0
+    scenario: StereoScenario,
+    folder: Path,
+    *,
+    control_points: int = 0,
+    control_sigma: float = 1.0,
+    images: bool = False,
 ) -> dict[str, Path]:
     """Write `scenario` into `folder`.
 
@@ -35,24 +43,27 @@ def write_stereo(
         Also write and name so many points of known coordinates.
     control_sigma : float
         m, how well they are known.
+    images : bool
+        Render the frames and write these in place of points.
 
     Returns
     -------
     dict of str to Path
         What was written, by file name.
     """
-    written = [
-        _write_cameras(folder / "cameras.csv", scenario, scenario.images),
-        _write_points(folder, scenario),
-    ]
+    if images and control_points:
+        raise InputError("control points name points, which are not written with images; leave them out")
+    written = [_write_cameras(folder / "cameras.csv", scenario, scenario.images)]
+    written += _write_frames(folder, scenario) if images else [_write_points(folder, scenario)]
     if scenario.height_prior is not None and isinstance(scenario.surface, Dem):
         written.append(write_geographic_dem(folder / "dem.tif", scenario.surface))
     if control_points:
         known = scenario.control_points(control_points, control_sigma)
         written.append(_write_control(folder / "control_points.csv", known))
-    written += _write_truth(folder, scenario)
+    written += _write_truth(folder, scenario, points=not images)
     toml = folder / "stereo.toml"
-    toml.write_text(stereo_toml(scenario, control_points=control_points > 0))
+    table = "images.csv" if images else None
+    toml.write_text(stereo_toml(scenario, control_points=control_points > 0, images=table))
     return {path.name: path for path in [toml, *written]}
 
 
@@ -83,7 +94,7 @@ def stereo_toml(scenario: StereoScenario, *, control_points: bool = False, image
         'mount = "nominal"',
         "",
         "[noise]",
-        f"sigma_px = {told.sigma_px!r}",
+        *([] if images else [f"sigma_px = {told.sigma_px!r}"]),
         f"sigma_position = {told.sigma_position!r}",
         f"sigma_attitude = {told.sigma_attitude!r}",
         f'attitude_knowledge = "{told.attitude_knowledge}"',
@@ -155,12 +166,29 @@ def _write_points(folder: Path, scenario: StereoScenario) -> Path:
     return _write_rows(folder / "matches.csv", "shot,point,line_1,column_1,line_2,column_2", rows)
 
 
+def _write_frames(folder: Path, scenario: StereoScenario) -> list[Path]:
+    """``images.csv`` and the frames it names."""
+    level = scenario.pair.aim_point, scenario.pair.world_from_local
+    return list(
+        write_stereo_images(
+            folder,
+            scenario.cameras,
+            scenario.true_images,
+            scenario.detectors,
+            scenario.mounts,
+            (scenario.surface, *level),
+            Sensor(),
+            scenario.seed,
+        ).values()
+    )
+
+
 def _write_control(path: Path, known: ControlPoints) -> Path:
     rows = zip(*known.position.T.tolist(), known.sigma.tolist(), known.point, strict=True)
     return _write_rows(path, "x,y,z,sigma,point", rows)
 
 
-def _write_truth(folder: Path, scenario: StereoScenario) -> list[Path]:
+def _write_truth(folder: Path, scenario: StereoScenario, *, points: bool) -> list[Path]:
     def angles(name: str, values: Array) -> Path:
         rows = ([camera, *row] for camera, row in zip(scenario.cameras, values.tolist(), strict=True))
         return _write_rows(folder / name, "camera,roll,pitch,yaw", rows)
@@ -168,13 +196,16 @@ def _write_truth(folder: Path, scenario: StereoScenario) -> list[Path]:
     written = [
         angles("orientation-truth.csv", scenario.angles),
         _write_cameras(folder / "truth-cameras.csv", scenario, scenario.true_images),
-        _write_rows(
-            folder / "truth-points.csv",
-            "point,x,y,z",
-            ([point, *place] for point, place in enumerate(scenario.points.tolist())),
-        ),
-        _write_mismatches(folder / "truth-mismatches.csv", scenario),
     ]
+    if points:
+        written += [
+            _write_rows(
+                folder / "truth-points.csv",
+                "point,x,y,z",
+                ([point, *place] for point, place in enumerate(scenario.points.tolist())),
+            ),
+            _write_mismatches(folder / "truth-mismatches.csv", scenario),
+        ]
     if scenario.options.drift:
         written.append(angles("truth-rates.csv", scenario.rates))
     if scenario.options.focal_error:
