@@ -166,17 +166,16 @@ def adjust(
             f"too few conjugate points: {int(usable.sum())} sightings of points that two images or more show "
             f"from directions that differ; at least {LEAST} are needed; supply more matches"
         )
-    weight = usable.astype(np.float64)
-    state, reduced, steps, scale, statistic, checked = descend(block, state, weight, robust=robust)
+    fit = descend(block, state, usable, robust=robust)
     if drift or focal_sigma is not None:
         # weakly seen, these would run away from a start as far off as the planned attitudes are
         unknowns = pose_unknowns(sightings, noise, drift=drift, focal_sigma=focal_sigma)
         block = Block(sightings, unknowns, priors)
-        more = np.zeros(unknowns.globals - len(state.common))
-        state = replace(state, common=np.concatenate([state.common, more]))
-        weight = usable.astype(np.float64)
-        state, reduced, steps, scale, statistic, checked = descend(block, state, weight, robust=robust)
-    used = seen_twice(sightings, priors, weight > 0.0)
+        more = np.zeros(unknowns.globals - len(fit.state.common))
+        state = replace(fit.state, common=np.concatenate([fit.state.common, more]))
+        fit = descend(block, state, usable, robust=robust, weight=fit.weight)
+    state, reduced = fit.state, fit.reduced
+    used = seen_twice(sightings, priors, fit.weight > 0.0)
     weight = used.astype(np.float64)
     _, _, _, r, cost = block.gradient(state, weight)
     known = observability(reduced.information, unknowns.names)
@@ -204,13 +203,13 @@ def adjust(
         point_of,
         frozen(unknowns.departures(state.own, state.common)),
         frozen(r * sightings.sigma_px[:, None]),
-        frozen(statistic),
+        frozen(fit.statistic),
         ~used,
-        checked,
+        fit.checked,
         cost,
         rows - free,
-        scale,
-        steps,
+        fit.scale,
+        fit.steps,
         seconds,
     )
 

@@ -27,8 +27,8 @@ from sightline.photogrammetry.triangulate import triangulate
 
 #: Steps end when the next would lower the cost by less (chi-square units): a millionth of a sigma.
 CONVERGED = 1e-10
-#: Largest number of steps, and of those with fresh normal equations.
-STEPS, FRESH = 40, 20
+#: Largest number of steps for one set of weights, and of those with fresh normal equations; of such sets.
+STEPS, FRESH, ROUNDS = 60, 30, 12
 #: Chance that one good sighting or more of a whole block is called a gross error.
 FALSE_ALARM = 0.05
 #: Share of sightings up to which gross errors are left out one per point, without weights in between.
@@ -175,57 +175,141 @@ def _rays(sightings: Sightings, angles: Array) -> tuple[Array, Array]:
     return rays / np.linalg.norm(rays, axis=1, keepdims=True), s.position[s.pose]
 
 
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """The least cost for some weights.
+
+    Attributes
+    ----------
+    state : State
+    weight : (N,)
+        0 at gross errors.
+    reduced : PosesFirst or PointsFirst
+        Normal equations of a state near by.
+    curvature : Curvature
+        What they were made of.
+    residuals : (N, 2)
+        Whitened.
+    steps : int
+        Taken in all.
+    statistic : (N,)
+        Squared residual over its expectation.
+    checked : (N,) bool
+        Whether other sightings could have contradicted this one in both directions.
+    scale : float
+        Robust size of the residuals relative to the stated ones.
+    """
+
+    state: State
+    weight: Array
+    reduced: Reduction
+    curvature: Curvature
+    residuals: Array
+    steps: int
+    statistic: Array
+    checked: BoolArray
+    scale: float
+
+
 def descend(
-    block: Block, state: State, weight: Array, *, robust: bool
-) -> tuple[State, Reduction, int, float, Array, BoolArray]:
-    """Steps to the least cost; `weight` becomes 0 at gross errors (and stays so)."""
-    usable = weight > 0.0
+    block: Block, state: State, usable: BoolArray, *, robust: bool, weight: Array | None = None
+) -> Fit:
+    """The least cost, gross errors found and left out.
+
+    Parameters
+    ----------
+    block : Block
+    state : State
+        To start from.
+    usable : (N,) bool
+        Sightings that may count.
+    robust : bool
+        Find gross errors.
+    weight : (N,), optional
+        What was found of them before: 0 where they are.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    EstimationError
+        If steps do not end.
+    """
     # chi-square with two degrees of freedom: exp(-limit / 2) of good ones are larger
     limit = 2.0 * np.log(max(int(usable.sum()), 1) / FALSE_ALARM)
-    reduced, steps, fresh, last, new = None, 0, 0, np.inf, True
-    softened = looked = False
-    while True:
-        if new or reduced is None:
-            curvature, r = block.curvature(state, weight)
-            reduced = reduce_block(curvature, block.unknowns)
-            known = observability(reduced.information, block.unknowns.names, block.unknowns.limit)
-            fresh, new, last = fresh + 1, False, np.inf
-        step, decrease, r, cost = _step(block, state, weight, reduced, known)
-        steps += 1
-        if not np.isfinite(decrease) or fresh > FRESH or steps > STEPS:
-            raise EstimationError(DIVERGED)
-        if robust and not (softened or looked) and decrease < _ROUGHLY * cost:
-            # many gross errors are told long before the fit that they spoil has settled
-            looked = True
-            statistic, checked = _statistic(replace(curvature, weight=weight), r)
-            scale = max(_scale(statistic[usable & checked]), 1.0)
-            if int((usable & (statistic > limit * scale)).sum()) > _FEW * int(usable.sum()):
-                state, weight[:] = _redescend(block, state, usable, limit)
-                softened, new = True, True
-                continue
-        settled = decrease < CONVERGED or (decrease < 1e-6 and decrease > 0.5 * last)
-        if not settled and decrease > 0.1 * last:
-            new = True  # the equations of an earlier state lead no further
-            continue
-        state, share = _descended(block, state, weight, step, cost, decrease)
-        new = not settled and (share < 1.0 or not reduced.reusable)
-        last = decrease
-        if not settled:
-            continue
-        statistic, checked = _statistic(replace(curvature, weight=weight), r)
-        scale = _scale(statistic[usable & checked])
-        gross = usable & (statistic > limit * max(scale, 1.0))
-        if not robust or bool((gross == (usable & (weight == 0.0))).all()):
-            return state, reduced, steps, float(np.sqrt(scale)), statistic, checked
+    now = usable.astype(np.float64) if weight is None else np.array(weight)
+    softened, fit = weight is not None, None
+    if robust and not softened:
+        # many gross errors are told long before the fit that they spoil has settled
+        rough = _settle(block, state, now, usable, enough=_ROUGHLY)
+        state, fit = rough.state, rough
+        if int(_gross(rough, usable, limit).sum()) > _FEW * int(usable.sum()):
+            state, now = _redescend(block, state, usable, limit)
+            softened, fit = True, None
+    for _ in range(ROUNDS):
+        fit = _settle(block, state, now, usable, known=fit)
+        state, gross = fit.state, _gross(fit, usable, limit)
+        if not robust or bool((gross == (usable & (now == 0.0))).all()):
+            return fit
         if int(gross.sum()) <= _FEW * int(usable.sum()):
-            weight[:] = usable & ~_worst(gross, statistic, block.sightings.point)
-            last = np.inf
+            now = (usable & ~_worst(gross, fit.statistic, block.sightings.point)).astype(np.float64)
             continue
         if softened:
-            weight[:] = usable & ~gross
+            now = (usable & ~gross).astype(np.float64)
         else:
-            state, weight[:] = _redescend(block, state, usable, limit)
-        softened, new = True, True
+            state, now = _redescend(block, state, usable, limit)
+        softened, fit = True, None
+    # sightings at the margin come and go: either way they change little
+    return _settle(block, state, now, usable)
+
+
+def _gross(fit: Fit, usable: BoolArray, limit: float) -> BoolArray:
+    """Usable sightings (N,) whose residual is beyond chance."""
+    return np.asarray(usable & (fit.statistic > limit * max(fit.scale**2, 1.0)))
+
+
+def _settle(
+    block: Block,
+    state: State,
+    weight: Array,
+    usable: BoolArray,
+    *,
+    known: Fit | None = None,
+    enough: float = 0.0,
+) -> Fit:
+    """Steps until none lowers the cost, or promises more than a share `enough` of it.
+
+    `known`: a fit of other weights near by, whose equations serve first.
+    """
+    taken, fresh, last = 0 if known is None else known.steps, 0, np.inf
+    curvature = None if known is None else known.curvature
+    reduced = None if known is None or not known.reduced.reusable else known.reduced
+    for steps in range(taken + 1, taken + STEPS + 1):
+        if reduced is None or curvature is None:
+            curvature, _ = block.curvature(state, weight)
+            reduced, fresh, last = reduce_block(curvature, block.unknowns), fresh + 1, np.inf
+        directions = observability(reduced.information, block.unknowns.names, block.unknowns.limit)
+        step, decrease, r, cost = _step(block, state, weight, reduced, directions)
+        if not np.isfinite(decrease) or fresh > FRESH:
+            break
+        settled = decrease < CONVERGED or (decrease < 1e-6 and decrease > 0.5 * last)
+        if not settled and decrease > 0.1 * last:
+            reduced = None  # the equations of an earlier state lead no further
+            continue
+        if not settled and decrease >= enough * cost:
+            state, share = _descended(block, state, weight, step, cost, decrease)
+            last = decrease
+            if share < 1.0 or not reduced.reusable:
+                reduced = None
+            continue
+        if settled:
+            state, _ = _descended(block, state, weight, step, cost, decrease)
+        statistic, checked = _statistic(replace(curvature, weight=weight), r)
+        scale = np.sqrt(_scale(statistic[usable & checked]))
+        return Fit(state, weight, reduced, curvature, r, steps, statistic, checked, float(scale))
+    raise EstimationError(DIVERGED)
 
 
 def _worst(gross: BoolArray, statistic: Array, point: NDArray[np.intp]) -> BoolArray:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
-from sightline.photogrammetry.descent import Block, State, descend, first_state, seen_twice
+from sightline.photogrammetry.descent import Block, Fit, descend, first_state, seen_twice
 from sightline.photogrammetry.observability import observability
 from sightline.photogrammetry.point_priors import PointPriors
 from sightline.photogrammetry.pose_unknowns import PoseUnknowns
@@ -224,17 +224,13 @@ def adjust_frames(
         given = np.asarray(np.isfinite(points).all(axis=1))
         state.points[given] = points[given] - block.origin
         usable = usable | (given[sightings.point] & seen_twice(sightings, priors))
-    weight = usable.astype(np.float64)
-    for _ in range(_ROUNDS if measured else 1):
-        state, reduced, _, scale, _, _ = descend(block, state, weight, robust=robust)
-        if measured and len(images) > 2:
-            rough = _roughness(images.t, state.own * _UNITS, _count(sightings, weight, images))
-            unknowns = replace(unknowns, precision=frame_unknowns(images, known, rough).precision)
-            block = Block(sightings, unknowns, priors)
-    if measured:
-        state, reduced, _, scale, _, _ = descend(block, state, weight, robust=False)
-    assert isinstance(reduced, PointsFirst)
-    return _poses(images, block, state, reduced, weight, rough, scale, known)
+    fit = descend(block, state, usable, robust=robust)
+    for _ in range(_ROUNDS if measured and len(images) > 2 else 0):
+        rough = _roughness(images.t, fit.state.own * _UNITS, _count(sightings, fit.weight, images))
+        unknowns = replace(unknowns, precision=frame_unknowns(images, known, rough).precision)
+        block = Block(sightings, unknowns, priors)
+        fit = descend(block, fit.state, usable, robust=robust, weight=fit.weight)
+    return _poses(images, block, fit, rough, known)
 
 
 def _count(sightings: Sightings, weight: Array, images: Images) -> Array:
@@ -252,18 +248,10 @@ def _roughness(t: Array, departures: Array, seen: Array) -> Array:
     return np.maximum(used.mean(axis=0), 1e-12 * _UNITS**2)
 
 
-def _poses(
-    images: Images,
-    block: Block,
-    state: State,
-    reduced: PointsFirst,
-    weight: Array,
-    roughness: Array,
-    scale: float,
-    known: RoughPoses,
-) -> FramePoses:
+def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: RoughPoses) -> FramePoses:
     """A solution as poses with covariance."""
-    unknowns, sightings = block.unknowns, block.sightings
+    unknowns, sightings, state, reduced = block.unknowns, block.sightings, fit.state, fit.reduced
+    assert isinstance(reduced, PointsFirst)  # frames are tied to their neighbours
     common = observability(reduced.information, unknowns.names, np.inf).covariance()
     x = unknowns.departures(state.own, state.common)
     order = [3, 4, 5, 0, 1, 2]
@@ -273,7 +261,7 @@ def _poses(
     rows = np.concatenate([np.arange(p, p + 3) for p in places]) if places else np.zeros(0, dtype=np.intp)
     bias[rows] = -state.common
     bias_covariance[np.ix_(rows, rows)] = common
-    used = seen_twice(sightings, block.priors, weight > 0.0)
+    used = seen_twice(sightings, block.priors, fit.weight > 0.0)
     r = block.gradient(state, used.astype(np.float64))[3]
     kept = np.bincount(sightings.point, used, minlength=sightings.points) > 0
     return FramePoses(
@@ -287,5 +275,5 @@ def _poses(
         ~used,
         np.bincount(sightings.image, used, minlength=len(images)).astype(np.intp),
         frozen(roughness),
-        scale,
+        fit.scale,
     )
