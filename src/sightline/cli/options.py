@@ -14,6 +14,8 @@ ORBIT_CASES = (
     "pushbroom", "spin-leo", "spin-geo", "mirror-leo", "mirror-geo", "staggered", "every-line",
     "dedicated-matrix", "dedicated-strip", "multi-line",
 )  # fmt: skip
+#: Photographs of a matrix instrument in place of a strip.
+FRAMES_CASE = "frames"
 #: Cases of synchronous cameras.
 STEREO_CASES = (
     "A_paper_T6_K64", "B_paper_T7_K64", "C_paper_T8_K64_128s", "D_paper_T6_K128", "E_modern_4k_sep40",
