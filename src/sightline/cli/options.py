@@ -22,6 +22,10 @@ STEREO_CASES = (
     "F_oblique_cross120_off20", "G_good_orbit_K32", "H_equator_iss_sep90", "A_random_relief_400", "A_drift",
     "A_three_cameras",
 )  # fmt: skip
+#: Cases of flights of filter cameras.
+SEQUENCE_CASES = (
+    "lvf", "stepwise", "mosaic", "rgb", "pan", "small", "cube-60", "two-lines", "long", "aircraft", "cubesat",
+)  # fmt: skip
 
 Out = Annotated[
     Path,

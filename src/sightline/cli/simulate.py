@@ -11,11 +11,13 @@ import typer
 
 from sightline.cli.options import FRAMES_CASE, ORBIT_CASES, STRIP_CASES, Json, Out, Overwrite, Seed
 from sightline.cli.output import check_output_folder, output_folder
+from sightline.cli.simulate_frames import frames
 from sightline.cli.simulate_stereo import stereo
 from sightline.cli.terminal import print_json, say
 
 app = typer.Typer(help="Render a scene whose truth is known.", no_args_is_help=True)
 app.command("stereo")(stereo)
+app.command("frames")(frames)
 
 # Said in --help, which must not wait for the import of the cases.
 _LINES, _COLUMNS = "3000; real: 2400; instruments: 1500", "1000; real: 640; instruments: 640"

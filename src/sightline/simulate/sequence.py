@@ -85,7 +85,8 @@ class SequenceScenario:
     @cached_property
     def _tangents(self) -> Array:
         lines, columns = self.options.shape
-        pixels = np.stack(np.indices((lines, columns), dtype=np.float64), axis=-1).reshape(-1, 2)
+        line, column = np.indices((lines, columns), dtype=np.float64)
+        pixels = np.column_stack([line.ravel(), column.ravel()])
         directions = self.detector.directions(pixels)
         return np.ascontiguousarray(directions[:, :2] / directions[:, 2:]).reshape(lines, columns, 2)
 
@@ -101,9 +102,7 @@ class SequenceScenario:
         """Noiseless relative signal (channels, lines, columns) of a frame, out of focus or not."""
         position, world_from_body = self.line_poses(frame)
         matrices = (world_from_body * NADIR_MOUNT).as_matrix()
-        light = render_frame(
-            self._tangents, matrices, position, self.ground, self._weights, self.options.gsd
-        )
+        light = render_frame(self._tangents, matrices, position, self.ground, self._weights, self.options.gsd)
         if frame in self.options.blurred:
             from scipy.ndimage import gaussian_filter
 
@@ -135,8 +134,8 @@ class SequenceScenario:
         options = self.options
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(_TOLD,)))
         noise = rng.standard_normal((2, options.total_frames, 3))
-        place_bias, turn_bias = (
-            rng.standard_normal((2, 3)) * np.array([[options.position_bias_sigma], [options.attitude_bias_sigma]])
+        place_bias, turn_bias = rng.standard_normal((2, 3)) * np.array(
+            [[options.position_bias_sigma], [options.attitude_bias_sigma]]
         )
         _, position, attitude = self.poses
         told = position + place_bias + options.position_sigma * noise[0]
@@ -190,9 +189,7 @@ def sequence_case(case: str = "lvf", seed: int = 0, **overrides: Any) -> Sequenc
         raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
     options = SequenceOptions(**{**CASE_OPTIONS[case], **overrides})
     flight = draw_flight(options, np.random.SeedSequence(seed, spawn_key=(_FLIGHT,)))
-    ground = draw_ground(
-        options, _seen(options, flight), np.random.SeedSequence(seed, spawn_key=(_GROUND,))
-    )
+    ground = draw_ground(options, _seen(options, flight), np.random.SeedSequence(seed, spawn_key=(_GROUND,)))
     ground = dataclasses.replace(ground, water=_water(options))
     detector = AreaDetector(
         "frame", options.shape, options.focal_length_px, options.centre_px, options.distortion

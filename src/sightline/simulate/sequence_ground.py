@@ -62,7 +62,7 @@ class Ground:
     edge: float
 
     def signal(self, x: Array, y: Array, weights: Array32) -> Array32:
-        """Relative signal (..., n) at places `x`, `y` m (any one shape) for n rows of `weights` (n, KINDS)."""
+        """Relative signal (..., n) at places `x`, `y` m (any one shape) for `weights` (n, KINDS)."""
         flat_x, flat_y = (np.ascontiguousarray(v, dtype=np.float64).ravel() for v in (x, y))
         out = np.empty((flat_x.size, len(weights)), dtype=np.float32)
         still = (weights @ self.mean).astype(np.float32) * np.float32(_WATER_DARKNESS)
@@ -144,7 +144,7 @@ def _drawn_amounts(
 
 
 def _wrapped(table: Array32) -> Array32:
-    """The table (rows + _MARGIN, columns + _MARGIN, ...) with its margin filled by its beginning, in place."""
+    """The table (rows + _MARGIN, columns + _MARGIN, ...) its margin filled by its beginning, in place."""
     table[-_MARGIN:] = table[:_MARGIN]
     table[:, -_MARGIN:] = table[:, :_MARGIN]
     return table
@@ -211,9 +211,7 @@ def _real_amounts(name: str) -> Array32:
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def spline_signal(
-    amounts: Array32, grid: Array, x: float, y: float, weights: Array32, out: Array32
-) -> None:
+def spline_signal(amounts: Array32, grid: Array, x: float, y: float, weights: Array32, out: Array32) -> None:
     """Amounts of each kind at a place, times each row of `weights` (n, KINDS), into `out` (n,)."""
     rows, columns = amounts.shape[0] - 3, amounts.shape[1] - 3
     u = (x - grid[0]) / (grid[2] * columns)
