@@ -195,4 +195,4 @@ def unseen_motion(frequency: Array, gap: float) -> Array:
     s = np.linspace(0.0, 1.0, 401)
     w = 2.0 * np.pi * np.asarray(frequency)[..., None] * gap
     error = np.exp(1j * w * s) - (1.0 - s) - s * np.exp(1j * w)
-    return np.sqrt(0.5 * (np.abs(error) ** 2).mean(axis=-1))
+    return np.sqrt(0.5 * np.trapezoid(np.abs(error) ** 2, s, axis=-1))
