@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import inspect
 import json
 import tomllib
 
@@ -10,11 +12,11 @@ import pytest
 import rasterio
 from rasterio.errors import NotGeoreferencedWarning, RasterioError
 
-from sightline.cli import options
+from sightline.cli import options, simulate_frames
 from sightline.cli.main import run
 from sightline.simulate.sequence import sequence_case
 from sightline.simulate.sequence_files import sequence_toml, write_sequence
-from sightline.simulate.sequence_options import CASE_OPTIONS
+from sightline.simulate.sequence_options import CASE_OPTIONS, SequenceOptions
 
 pytestmark = pytest.mark.filterwarnings(
     f"ignore::{NotGeoreferencedWarning.__module__}.NotGeoreferencedWarning"
@@ -156,6 +158,22 @@ def test_the_help_names_every_case():
     assert tuple(CASE_OPTIONS) == options.SEQUENCE_CASES
 
 
+def test_every_option_of_a_flight_is_an_option_of_the_command():
+    own = {"out", "case", "seed", "dem", "image_format", "truth_bands", "overwrite", "as_json"}
+    named = set(inspect.signature(simulate_frames.frames).parameters) - own
+    assert named == {field.name for field in dataclasses.fields(SequenceOptions)}
+
+
+def test_options_reach_the_camera_in_si_units(tmp_path):
+    folder = tmp_path / "scene"
+    arguments = ["--distortion", "-0.1,0.02", "--principal-point-px", "15", "20", "--jitter", "0.1"]
+    assert run([*COMMAND, *arguments, "--truth-bands", "0", "--out", str(folder)]) == 0
+    camera = tomllib.loads((folder / "sequence.toml").read_text())["camera"]
+    assert camera["distortion"] == [-0.1, 0.02] and camera["principal_point_px"] == [15.0, 20.0]
+    scene = json.loads((folder / "truth-scene.json").read_text())
+    assert scene["options"]["jitter"] == pytest.approx(np.radians(0.1))
+
+
 def test_the_command_writes_the_folder_and_replaces_it(tmp_path, capsys):
     folder = tmp_path / "scene"
     assert run([*COMMAND, "--missing", "1", "--attitude-sigma", "0.05", "--out", str(folder), "--json"]) == 0
@@ -173,6 +191,7 @@ def test_the_command_writes_the_folder_and_replaces_it(tmp_path, capsys):
     [
         (["--case", "kite"], "unknown case: got 'kite'; allowed are lvf"),
         (["--missing", "1-x"], "--missing must list frames as 3,20-40, got '1-x'"),
+        (["--distortion", "a"], "--distortion must be numbers as -0.1,0.02, got 'a'"),
         (["--water", "2-1"], "--water must list frames"),
         (["--unreadable", "9"], "`unreadable` names frame 9"),
         (["--format", "bmp"], "--format must be one of tif, png"),

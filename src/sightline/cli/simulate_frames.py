@@ -38,6 +38,12 @@ def frames(
     frames: Annotated[Count, _option("--frames", "Of every flight line.")] = None,
     shape: Annotated[tuple[int, int] | None, _option("--shape", "Lines and columns of a frame.")] = None,
     focal_length_px: Annotated[Number, _option("--focal-length-px", "Pixels.")] = None,
+    principal_point_px: Annotated[
+        tuple[float, float] | None, _option("--principal-point-px", "Line and column.")
+    ] = None,
+    distortion: Annotated[
+        Word, _option("--distortion", "k1,k2,p1,p2,k3 in normalised coordinates, as many as wanted.")
+    ] = None,
     altitude: Annotated[Number, _option("--altitude", "Metres above the mean ground.")] = None,
     frame_rate: Annotated[Number, _option("--frame-rate", "Frames per second.")] = None,
     overlap: Annotated[Number, _option("--overlap", "Of successive frames, 0-1.")] = None,
@@ -51,6 +57,7 @@ def frames(
     wavelengths_nm: Annotated[
         tuple[float, float] | None, _option("--wavelengths-nm", "Shortest and longest.")
     ] = None,
+    fwhm_nm: Annotated[Number, _option("--fwhm-nm", "Width of a filter's pass-band.")] = None,
     bands: Annotated[
         Count, _option("--bands", "Groups of lines that are told one wavelength; 0: a wavelength per line.")
     ] = None,
@@ -73,10 +80,17 @@ def frames(
         Number, _option("--attitude-bias-sigma", "Degrees, of their constant error.")
     ] = None,
     relief: Annotated[Number, _option("--relief", "Half its range over the altitude.")] = None,
+    relief_scale: Annotated[
+        Number, _option("--relief-scale", "Altitudes, beyond which hills grow no more.")
+    ] = None,
     spectra: Annotated[
         Word, _option("--spectra", "Of the ground: law, rededge, landsat, or auto (rededge where it is).")
     ] = None,
     texture: Annotated[Word, _option("--texture", "spectrum, or a real scene: rededge, landsat.")] = None,
+    contrast: Annotated[
+        Number, _option("--contrast", "Of the brightness that all wavelengths share.")
+    ] = None,
+    mtf_nyquist: Annotated[Number, _option("--mtf-nyquist", "At half a cycle per pixel.")] = None,
     snr: Annotated[Number, _option("--snr", "Of the mean ground.")] = None,
     bits: Annotated[Count, _option("--bits", "Of a pixel; up to 8 are written in 8.")] = None,
     water: Annotated[
@@ -85,6 +99,7 @@ def frames(
     missing: Annotated[Word, _option("--missing", "Frames never delivered, as 3,20-40.")] = None,
     unreadable: Annotated[Word, _option("--unreadable", "Frames whose files are cut short.")] = None,
     blurred: Annotated[Word, _option("--blurred", "Frames out of focus.")] = None,
+    blur_px: Annotated[Number, _option("--blur-px", "Sigma of their blur.")] = None,
     dem: Annotated[
         bool, typer.Option("--dem/--no-dem", help="Tell the relief, or only its mean and scatter.")
     ] = False,
@@ -126,11 +141,23 @@ def _parsed(name: str, value: Any) -> Any:
     """An option in SI units, radians and numbers of frames."""
     if name in _DEGREES:
         return math.radians(value)
+    if name == "distortion":
+        return _numbers(name, value)
     if name in _STRETCHES:
         return tuple(_stretches(name, value))
     if name in _LISTS:
         return tuple(frame for a, b in _stretches(name, value) for frame in range(a, b + 1))
     return value
+
+
+def _numbers(name: str, text: str) -> tuple[float, ...]:
+    """The numbers of "-0.1,0.02"."""
+    from sightline.errors import InputError
+
+    try:
+        return tuple(float(part) for part in filter(None, text.split(",")))
+    except ValueError:
+        raise InputError(f"--{name} must be numbers as -0.1,0.02, got {text!r}") from None
 
 
 def _stretches(name: str, text: str) -> list[tuple[int, int]]:

@@ -46,6 +46,7 @@ class SequenceScenario:
     seed : int
     options : SequenceOptions
     detector : AreaDetector
+        As told: with the wavelength of each line where the filter has one per line.
     flight : Flight
         True motion, a closed form of time.
     filter : FilterLayout
@@ -191,10 +192,12 @@ def sequence_case(case: str = "lvf", seed: int = 0, **overrides: Any) -> Sequenc
     flight = draw_flight(options, np.random.SeedSequence(seed, spawn_key=(_FLIGHT,)))
     ground = draw_ground(options, _seen(options, flight), np.random.SeedSequence(seed, spawn_key=(_GROUND,)))
     ground = dataclasses.replace(ground, water=_water(options))
+    layout = filter_layout(options)
+    by_line = layout.told_nm[0, :, 0] if layout.kind in ("lvf", "stepwise") else None
     detector = AreaDetector(
-        "frame", options.shape, options.focal_length_px, options.centre_px, options.distortion
+        "frame", options.shape, options.focal_length_px, options.centre_px, options.distortion, by_line
     )
-    return SequenceScenario(case, seed, options, detector, flight, filter_layout(options), ground)
+    return SequenceScenario(case, seed, options, detector, flight, layout, ground)
 
 
 def _reach(options: SequenceOptions, flight: Flight) -> float:
