@@ -41,6 +41,21 @@ def test_an_instrument_is_rendered_and_checked(tmp_path, capsys):
     assert said["pairs"][0]["lag"] == pytest.approx(97 * 28e-6 / 0.10472, rel=1e-2)
 
 
+def test_photographs_of_a_matrix_instrument_are_rendered(tmp_path):
+    folder = tmp_path / "scene"
+    arguments = ["--case", "frames", "--count", "2", "--interval", "4", "--out", str(folder)]
+    assert run(["simulate", "line-of-sight", *arguments]) == 0
+    assert {"acquisition.toml", "frame-000.tif", "frame-001.tif"} <= {p.name for p in folder.iterdir()}
+    assert "time = 4.0" in (folder / "acquisition.toml").read_text()
+
+
+@pytest.mark.parametrize("arguments", [["--off-nadir", "3"], ["--gyro"], ["--no-dem"], ["--motion", "none"]])
+def test_what_photographs_do_not_have_is_refused(tmp_path, capsys, arguments):
+    command = ["simulate", "line-of-sight", "--case", "frames", "--out", str(tmp_path / "scene")]
+    assert run([*command, *arguments]) == 2
+    assert f"{arguments[0]} is not for case 'frames'" in capsys.readouterr().err
+
+
 def test_check_finds_the_few_columns_that_staggered_detectors_share(tmp_path, capsys):
     folder = tmp_path / "scene"
     arguments = ["--case", "staggered", "--lines", "400", "--out", str(folder)]
@@ -59,6 +74,9 @@ def test_check_finds_the_few_columns_that_staggered_detectors_share(tmp_path, ca
         (["--case", "mirror-leo", "--no-dem"], "--no-dem is not for case 'mirror-leo'"),
         (["--case", "staggered", "--gyro"], "--gyro is not for case 'staggered'"),
         (["--case", "multi-line", "--motion", "wobble"], "unknown motion: got 'wobble'"),
+        (["--case", "nominal", "--count", "3"], "--count is not for case 'nominal'; it is for: frames"),
+        (["--case", "spin-leo", "--estimate-camera"], "--estimate-camera is not for case 'spin-leo'"),
+        (["--case", "frames"], "--lines is not for case 'frames'"),
     ],
 )
 def test_what_an_instrument_does_not_have_is_refused(tmp_path, capsys, arguments, words):

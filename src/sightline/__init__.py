@@ -53,6 +53,7 @@ if TYPE_CHECKING:
     from sightline.motion.predict import predict_match
     from sightline.products.frame_mosaic import frame_mosaic
     from sightline.simulate.scenarios import line_of_sight_case
+    from sightline.simulate.sequence import sequence_case
     from sightline.simulate.stereo import stereo_case
     from sightline.tdi.choose import TdiChoice
     from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
@@ -137,6 +138,7 @@ _MODULE_OF = {
     "recover_spin_attitude": "sightline.applications.spin_attitude",
     "register_bands": "sightline.applications.registration",
     "score_motion": "sightline.evaluation.score",
+    "sequence_case": "sightline.simulate.sequence",
     "stereo_case": "sightline.simulate.stereo",
 }
 
@@ -216,6 +218,7 @@ __all__ = [
     "recover_spin_attitude",
     "register_bands",
     "score_motion",
+    "sequence_case",
     "stereo_case",
 ]
 

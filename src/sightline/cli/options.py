@@ -14,11 +14,17 @@ ORBIT_CASES = (
     "pushbroom", "spin-leo", "spin-geo", "mirror-leo", "mirror-geo", "staggered", "every-line",
     "dedicated-matrix", "dedicated-strip", "multi-line",
 )  # fmt: skip
+#: Photographs of a matrix instrument in place of a strip.
+FRAMES_CASE = "frames"
 #: Cases of synchronous cameras.
 STEREO_CASES = (
     "A_paper_T6_K64", "B_paper_T7_K64", "C_paper_T8_K64_128s", "D_paper_T6_K128", "E_modern_4k_sep40",
     "F_oblique_cross120_off20", "G_good_orbit_K32", "H_equator_iss_sep90", "A_random_relief_400", "A_drift",
     "A_three_cameras",
+)  # fmt: skip
+#: Cases of flights of filter cameras.
+SEQUENCE_CASES = (
+    "lvf", "stepwise", "mosaic", "rgb", "pan", "small", "cube-60", "two-lines", "long", "aircraft", "cubesat",
 )  # fmt: skip
 
 Out = Annotated[

@@ -9,13 +9,15 @@ from typing import Annotated, Any
 
 import typer
 
-from sightline.cli.options import ORBIT_CASES, STRIP_CASES, Json, Out, Overwrite, Seed
+from sightline.cli.options import FRAMES_CASE, ORBIT_CASES, STRIP_CASES, Json, Out, Overwrite, Seed
 from sightline.cli.output import check_output_folder, output_folder
+from sightline.cli.simulate_frames import frames
 from sightline.cli.simulate_stereo import stereo
 from sightline.cli.terminal import print_json, say
 
 app = typer.Typer(help="Render a scene whose truth is known.", no_args_is_help=True)
 app.command("stereo")(stereo)
+app.command("frames")(frames)
 
 # Said in --help, which must not wait for the import of the cases.
 _LINES, _COLUMNS = "3000; real: 2400; instruments: 1500", "1000; real: 640; instruments: 640"
@@ -30,7 +32,8 @@ def line_of_sight(
         typer.Option(
             "--case",
             metavar="CASE",
-            help=f"One of: {', '.join(STRIP_CASES)}; over a real orbit: {', '.join(ORBIT_CASES)}.",
+            help=f"One of: {', '.join(STRIP_CASES)}; over a real orbit: {', '.join(ORBIT_CASES)}; "
+            f"photographs of a matrix instrument: {FRAMES_CASE}.",
         ),
     ] = "nominal",
     seed: Seed = 0,
@@ -54,6 +57,23 @@ def line_of_sight(
     control_points: Annotated[
         int, typer.Option("--control-points", min=0, help="Also write so many, known to a metre.")
     ] = 0,
+    count: Annotated[
+        int | None, typer.Option("--count", min=2, help="Frames, of case frames.", show_default="10")
+    ] = None,
+    interval: Annotated[
+        float | None,
+        typer.Option("--interval", min=0.0, help="Seconds between frames, of case frames.", show_default="6"),
+    ] = None,
+    relief_rms: Annotated[
+        float | None,
+        typer.Option("--relief-rms", min=0.0, help="Metres, of case frames.", show_default="0"),
+    ] = None,
+    estimate_camera: Annotated[
+        bool,
+        typer.Option(
+            "--estimate-camera", help="Of case frames: leave focal length and distortion to be estimated."
+        ),
+    ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
@@ -64,17 +84,27 @@ def line_of_sight(
 
     check_output_folder(out, overwrite=overwrite)
     begin = time.perf_counter()
-    if case not in (*STRIP_CASES, *ORBIT_CASES):
-        allowed = ", ".join((*STRIP_CASES, *ORBIT_CASES))
-        raise InputError(f"unknown case: got {case!r}; allowed are {allowed}")
+    cases = (*STRIP_CASES, *ORBIT_CASES, FRAMES_CASE)
+    if case not in cases:
+        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(cases)}")
     options: dict[str, Any] = {"lines": lines, "columns": columns, "motion": motion}
     given = {k: v for k, v in options.items() if v is not None}
+    photographs = {"count": count, "interval": interval, "relief_rms": relief_rms}
+    asked = {k: v for k, v in photographs.items() if v is not None}
+    if case == FRAMES_CASE:
+        others = {f"--{name}": True for name in given}
+        others |= {"--off-nadir": off_nadir is not None, "--no-dem": not dem, "--gyro": gyro}
+        others |= {"--star-tracker": star_tracker, "--control-points": control_points > 0}
+        _refuse(others, f"case {case!r}")
+        names = _photographs(seed, asked, estimate_camera, out, overwrite)
+        _say(out, names, time.perf_counter() - begin, as_json)
+        return
+    others = {f"--{name.replace('_', '-')}": True for name in asked}
+    _refuse(others | {"--estimate-camera": estimate_camera}, f"case {case!r}; it is for: {FRAMES_CASE}")
     if case in ORBIT_CASES:
         others = {"--no-dem": not dem, "--star-tracker": star_tracker, "--gyro": gyro}
         others["--control-points"] = control_points > 0
-        refused = [name for name, asked in others.items() if asked]
-        if refused:
-            raise InputError(f"{refused[0]} is not for case {case!r}, which has no relief and no sensors")
+        _refuse(others, f"case {case!r}, which has no relief and no sensors")
         if off_nadir is not None:
             given["off_nadir"] = math.radians(off_nadir)
         names = _instrument(case, seed, given, out, overwrite)
@@ -101,29 +131,25 @@ def _instrument(case: str, seed: int, given: dict[str, Any], out: Path, overwrit
         return list(write_instrument(scenario, folder))
 
 
-@app.command("frames")
-def frames(
-    out: Out,
-    seed: Seed = 0,
-    count: Annotated[int, typer.Option("--count", min=2, help="Frames.")] = 10,
-    interval: Annotated[float, typer.Option("--interval", min=0.0, help="Seconds between frames.")] = 6.0,
-    relief_rms: Annotated[float, typer.Option("--relief-rms", min=0.0, help="Metres.")] = 0.0,
-    estimate_camera: Annotated[
-        bool, typer.Option("--estimate-camera", help="Leave focal length and distortion to be estimated.")
-    ] = False,
-    overwrite: Overwrite = False,
-    as_json: Json = False,
-) -> None:
-    """Frames of a matrix instrument: ACQUISITION.toml for `recover`, and truth.csv."""
+def _photographs(
+    seed: int, given: dict[str, Any], estimate_camera: bool, out: Path, overwrite: bool
+) -> list[str]:
+    """Render frames of a matrix instrument; the names of their files."""
     from sightline.simulate.files import write_frames
     from sightline.simulate.frames import frames_case
 
-    check_output_folder(out, overwrite=overwrite)
-    begin = time.perf_counter()
-    scenario = frames_case(seed, count=count, interval=interval, relief_rms=relief_rms)
+    scenario = frames_case(seed, **given)
     with output_folder(out, overwrite=overwrite) as folder:
-        names = list(write_frames(scenario, folder, estimate_camera=estimate_camera))
-    _say(out, names, time.perf_counter() - begin, as_json)
+        return list(write_frames(scenario, folder, estimate_camera=estimate_camera))
+
+
+def _refuse(asked: dict[str, bool], case: str) -> None:
+    """Refuse the first option that was `asked` for and is not for this `case`."""
+    from sightline.errors import InputError
+
+    for name, given in asked.items():
+        if given:
+            raise InputError(f"{name} is not for {case}")
 
 
 def _say(out: Path, names: list[str], seconds: float, as_json: bool) -> None:

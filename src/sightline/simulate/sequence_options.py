@@ -1,0 +1,260 @@
+"""What a simulated flight of a filter camera is made of, and what each named case changes of it.
+
+Flights are drawn from their options in ``sequence.py``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from sightline.errors import InputError
+
+FILTERS = ("lvf", "stepwise", "mosaic", "rgb", "pan")
+SPECTRA = ("auto", "law", "rededge", "landsat")
+TEXTURES = ("spectrum", "rededge", "landsat")
+ANCHOR_STRIDE = 20
+"""Frames between two anchors at 80 % overlap, when a step is 1 % of the frame."""
+
+REFERENCE_RATE = 25.0
+"""Frames per second at which the frequencies of the jitter are those of the sheet."""
+
+
+@dataclass(frozen=True)
+class SequenceOptions:
+    """What a flight is made of; the defaults are the reference simulation of frame sequences.
+
+    Parameters
+    ----------
+    frames : int
+        Of every flight line.
+    shape : (int, int)
+        Lines and columns of a frame; lines run forward.
+    focal_length_px : float
+    principal_point_px : (float, float) or None
+        Line and column; None: the middle of the frame.
+    distortion : tuple of float
+        k1, k2, p1, p2, k3 in normalised coordinates.
+    altitude : float
+        m above the mean ground; with the focal length it gives the size of a ground pixel.
+    frame_rate : float
+        Hz
+    overlap : float
+        Of successive frames, 0-1; with the frame rate it gives the speed.
+    flight_lines : int
+        Parallel lines, flown to and fro from west to east; frames are taken on the lines, not in the turns.
+    cross_lines : int
+        Lines flown afterwards across the others, evenly over their length.
+    side_overlap : float
+        Of neighbouring flight lines, 0-1.
+    readout_time : float
+        s from the exposure of line 0 to that of the last line; 0: all lines at once.
+    filter : str
+        "lvf" (linear variable: the wavelength runs along the lines), "stepwise" (groups of lines of one
+        wavelength), "mosaic" (a small pattern repeated over the frame), "rgb" (three images at once), "pan".
+    wavelengths_nm : (float, float)
+        Of the first and the last line (or cell of the pattern).
+    fwhm_nm : float
+        Width of the Gaussian pass-band of a filter; of "rgb" 80, whatever is given.
+    bands : int
+        "stepwise": groups of lines. "lvf": groups of lines of which one wavelength is told each; 0: every
+        line is told its own.
+    pattern : int
+        "mosaic": side of the pattern, px.
+    jitter : float
+        rad, rms about each axis of what linear interpolation between true attitudes `ANCHOR_STRIDE` frames
+        apart leaves.
+    position_jitter : float
+        m rms along each axis, below 0.4 Hz at 25 frames/s.
+    position_sigma, position_bias_sigma : float
+        m per axis: noise of every position told, and of a constant common to all; sigma 0: none told.
+    attitude_sigma, attitude_bias_sigma : float
+        rad per body axis, likewise.
+    relief : float
+        Half the range of heights over the altitude.
+    relief_scale : float
+        Period, in altitudes, beyond which the spectrum of the relief stops growing.
+    spectra : str
+        Of the ground: "law" (built in), "rededge" or "landsat" (measured from real bands), "auto" (the first
+        of rededge and law that is there).
+    texture : str
+        "spectrum" (drawn from a power law), or what a real scene of those names shows.
+    contrast : float
+        Of the brightness common to all wavelengths, standard deviation over mean ("spectrum").
+    mtf_nyquist : float
+        System MTF at half a cycle per pixel ("spectrum"; a real scene has its own).
+    snr : float
+        Mean over noise, of the mean ground.
+    bits : int
+        Of the converter: up to 8 are written in 8, more in 16.
+    water : tuple of (int, int)
+        First and last frame, counted on the first flight line, that see nothing but water.
+    missing, unreadable, blurred : tuple of int
+        Frames that were never delivered, whose files are cut short, that are out of focus.
+    blur_px : float
+        Sigma of the blur of the last.
+    """
+
+    frames: int = 640
+    shape: tuple[int, int] = (512, 640)
+    focal_length_px: float = 800.0
+    principal_point_px: tuple[float, float] | None = None
+    distortion: tuple[float, ...] = ()
+    altitude: float = 80.0
+    frame_rate: float = REFERENCE_RATE
+    overlap: float = 0.99
+    flight_lines: int = 1
+    cross_lines: int = 0
+    side_overlap: float = 0.4
+    readout_time: float = 0.0
+    filter: str = "lvf"
+    wavelengths_nm: tuple[float, float] = (450.0, 900.0)
+    fwhm_nm: float = 10.0
+    bands: int = 0
+    pattern: int = 4
+    jitter: float = float(np.radians(0.335))
+    position_jitter: float = 0.2
+    position_sigma: float = 1.0
+    position_bias_sigma: float = 2.0
+    attitude_sigma: float = float(np.radians(0.5))
+    attitude_bias_sigma: float = float(np.radians(1.0))
+    relief: float = 0.03
+    relief_scale: float = 0.75
+    spectra: str = "auto"
+    texture: str = "spectrum"
+    contrast: float = 0.2
+    mtf_nyquist: float = 0.15
+    snr: float = 80.0
+    bits: int = 12
+    water: tuple[tuple[int, int], ...] = ()
+    missing: tuple[int, ...] = ()
+    unreadable: tuple[int, ...] = ()
+    blurred: tuple[int, ...] = ()
+    blur_px: float = 4.0
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be flown."""
+        for name, allowed in (("filter", FILTERS), ("spectra", SPECTRA), ("texture", TEXTURES)):
+            if getattr(self, name) not in allowed:
+                raise InputError(f"`{name}` must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
+        self._check_numbers()
+        self._check_filter()
+        self._check_frames()
+
+    def _check_numbers(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if isinstance(value, float) and not np.isfinite(value):
+                raise InputError(f"`{field.name}` must be finite, got {value}")
+        for name in ("focal_length_px", "altitude", "frame_rate", "relief_scale", "fwhm_nm", "snr"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(f"`{name}` must be positive, got {getattr(self, name)}")
+        for name in (
+            "jitter", "position_jitter", "position_sigma", "position_bias_sigma", "attitude_sigma",
+            "attitude_bias_sigma", "cross_lines", "contrast", "blur_px",
+        ):  # fmt: skip
+            if getattr(self, name) < 0:
+                raise InputError(f"`{name}` must be 0 or more, got {getattr(self, name)}")
+        for name, low, high in (
+            ("overlap", 0.0, 0.999), ("side_overlap", 0.0, 0.95), ("relief", 0.0, 0.2),
+            ("mtf_nyquist", 1e-3, 0.9), ("bits", 4, 16), ("jitter", 0.0, 0.02),
+        ):  # fmt: skip
+            if not low <= getattr(self, name) <= high:
+                raise InputError(f"`{name}` must be from {low:g} to {high:g}, got {getattr(self, name)}")
+        if not abs(self.readout_time) < 1.0 / self.frame_rate:
+            raise InputError(
+                f"`readout_time` must be shorter than the {1.0 / self.frame_rate:g} s between frames, "
+                f"got {self.readout_time}"
+            )
+
+    def _check_filter(self) -> None:
+        if min(self.shape) < 16:
+            raise InputError(f"`shape` must be 16 x 16 or more, got {self.shape[0]} x {self.shape[1]}")
+        low, high = self.wavelengths_nm
+        if not 400.0 <= low < high <= 1000.0:
+            raise InputError(
+                f"`wavelengths_nm` must rise and lie within 400 to 1000 nm, got {low:g} to {high:g}"
+            )
+        fewest = 2 if self.filter == "stepwise" else 0
+        if not fewest <= self.bands <= self.shape[0]:
+            raise InputError(
+                f"`bands` must be from {fewest} to the {self.shape[0]} lines of a frame, got {self.bands}"
+            )
+        if not 2 <= self.pattern <= 8:
+            raise InputError(f"`pattern` must be from 2 to 8 px, got {self.pattern}")
+
+    def _check_frames(self) -> None:
+        if self.frames < 2 or self.flight_lines < 1:
+            raise InputError(
+                f"a flight has 1 line of 2 frames or more, got {self.flight_lines} of {self.frames}"
+            )
+        for name in ("missing", "unreadable", "blurred"):
+            wrong = [frame for frame in getattr(self, name) if not 0 <= frame < self.total_frames]
+            if wrong:
+                raise InputError(f"`{name}` names frame {wrong[0]}; there are 0 to {self.total_frames - 1}")
+        if self.total_frames - len(set(self.missing)) < 2:
+            raise InputError("`missing` leaves fewer than two frames")
+        for first, last in self.water:
+            if not 0 <= first <= last < self.frames:
+                raise InputError(f"`water` must be frames from 0 to {self.frames - 1}, got {first} to {last}")
+
+    @property
+    def total_frames(self) -> int:
+        """Frames of all flight lines."""
+        return self.frames * (self.flight_lines + self.cross_lines)
+
+    @property
+    def gsd(self) -> float:
+        """m of one pixel at the nadir of the mean ground."""
+        return self.altitude / self.focal_length_px
+
+    @property
+    def step(self) -> float:
+        """m flown from frame to frame."""
+        return (1.0 - self.overlap) * self.shape[0] * self.gsd
+
+    @property
+    def speed(self) -> float:
+        """m/s"""
+        return self.step * self.frame_rate
+
+    @property
+    def spacing(self) -> float:
+        """m between neighbouring flight lines."""
+        return (1.0 - self.side_overlap) * self.shape[1] * self.gsd
+
+    @property
+    def centre_px(self) -> tuple[float, float]:
+        """The principal point, (line, column)."""
+        middle = (0.5 * (self.shape[0] - 1), 0.5 * (self.shape[1] - 1))
+        return self.principal_point_px or middle
+
+
+_SMALL: dict[str, Any] = {"shape": (160, 200), "focal_length_px": 250.0, "bits": 8}
+
+#: What each case changes of the defaults. Angles of the last two are 4.7 px of jitter, as of the first.
+CASE_OPTIONS: dict[str, dict[str, Any]] = {
+    "lvf": {},
+    "stepwise": {"filter": "stepwise", "bands": 32},
+    "mosaic": {"filter": "mosaic"},
+    "rgb": {"filter": "rgb", "bits": 8},
+    "pan": {"filter": "pan"},
+    "small": {**_SMALL, "frames": 60, "overlap": 0.98},
+    "cube-60": {"shape": (480, 320), "focal_length_px": 750.0, "frames": 200, "bands": 60},
+    "two-lines": {
+        "shape": (320, 400), "focal_length_px": 500.0, "frames": 200, "flight_lines": 2,
+        "readout_time": 0.02,
+    },
+    "long": {**_SMALL, "frames": 10000},
+    "aircraft": {
+        "altitude": 1500.0, "frame_rate": 6.25, "position_jitter": 3.0, "position_sigma": 2.0,
+        "position_bias_sigma": 3.0,
+    },
+    "cubesat": {
+        "altitude": 500e3, "focal_length_px": 50e3, "frame_rate": 137.0, "relief": 1e-3,
+        "relief_scale": 0.02, "jitter": 9.4e-5, "position_jitter": 0.0, "position_sigma": 10.0,
+        "position_bias_sigma": 20.0, "attitude_sigma": 2e-4, "attitude_bias_sigma": 1e-3,
+    },
+}  # fmt: skip
