@@ -50,7 +50,7 @@ TARGETS = {64: 0.15, 1024: 5.0}
 #: Largest growth of the seconds per shot from 64 shots to 1024 that still is linear.
 LINEAR = 1.5
 RIVAL_SHOTS = (2, 8, 16)
-#: Steps that the dense rival would need at the least: from zero angles three are enough (sheet, section 4).
+#: Steps that the dense rival would need at the least: from zero angles three are enough (prototype).
 LEAST_STEPS = 3
 
 

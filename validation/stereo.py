@@ -1,4 +1,4 @@
-"""Stereo orientation against its bound: what S2's sheet asks for, on scenes of our own.
+"""Stereo orientation against its bound: as its theory promises, on scenes of our own.
 
     python validation/stereo.py                      everything, 100 passes each: half an hour on one core
     python validation/stereo.py --passes 20 --workers 2 --parts bound monte-carlo
@@ -12,7 +12,7 @@ mismatches: 5 % of the matches wrong by 2 to 50 px, evenly over the ring.
 gauge: one shot leaves one direction that nothing tells.
 
 Angles are arcsec, of camera 1 where not told otherwise. Bounds on random figures are three of their own
-standard errors, as the sheet has them. Ends with an error that names what was missed.
+standard errors, derived from the number of passes. Ends with an error that names what was missed.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT)]
 
-from tests.photogrammetry import s2_sheet  # noqa: E402
-from tests.photogrammetry.test_bound import SHEET, package  # noqa: E402
+from tests.photogrammetry import s2_dense  # noqa: E402
+from tests.photogrammetry.test_bound import PROTOTYPE, package  # noqa: E402
 
 from sightline.applications.stereo_orientation import METHODS, StereoProblem, orient  # noqa: E402
 from sightline.execution import Executor, executor_from_name  # noqa: E402
@@ -174,14 +174,14 @@ def bounds(case: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def part_bound(work: Executor, count: int) -> None:
-    """Sheet 7, 1."""
-    print("\n## bound: package beside dense computation and the sheet (its own draw of points)\n")
-    head("case A", "package", "dense", "worst ratio", "sheet")
-    for name, (given, sheet) in SHEET.items():
-        ours = np.sqrt(np.diag(package(s2_sheet.Case(), **given).covariance())) / ARCSEC
-        dense = np.sqrt(np.diag(s2_sheet.bound(s2_sheet.Case(), s2_sheet.TRUTH, **given))) / ARCSEC
+    """The bound, and what one shot hides."""
+    print("\n## bound: package beside dense computation and the prototype (its own draw of points)\n")
+    head("case A", "package", "dense", "worst ratio", "prototype")
+    for name, (given, prototype) in PROTOTYPE.items():
+        ours = np.sqrt(np.diag(package(s2_dense.Case(), **given).covariance())) / ARCSEC
+        dense = np.sqrt(np.diag(s2_dense.bound(s2_dense.Case(), s2_dense.TRUTH, **given))) / ARCSEC
         worst = float(np.abs(ours / dense - 1.0).max())
-        row(name, three(ours), three(dense), f"{1.0 + worst:.4f}", three(np.array(sheet)))
+        row(name, three(ours), three(dense), f"{1.0 + worst:.4f}", three(np.array(prototype)))
         check(f"bound of {name}: {worst:.2%} from the dense one", worst <= 0.01)
     print()
     gauge = {
@@ -189,20 +189,20 @@ def part_bound(work: Executor, count: int) -> None:
         32: ((5.3, 6.1, 14.1), (3.5, 1.9, 9.3)), 128: ((1.6, 2.3, 5.7), (1.2, 0.8, 3.7)),
         256: ((1.2, 2.2, 6.2), (0.8, 0.5, 3.0)),
     }  # fmt: skip
-    head("window (s)", "ml-pair", "sheet", "ml-track", "sheet", "weakest direction of ml-track")
-    for window, sheet in gauge.items():
-        case = s2_sheet.Case(window=float(window))
+    head("window (s)", "ml-pair", "prototype", "ml-track", "prototype", "weakest direction of ml-track")
+    for window, was in gauge.items():
+        case = s2_dense.Case(window=float(window))
         pair, track = (package(case, pairs=pairs) for pairs in (True, False))
         sigmas = [np.sqrt(np.diag(known.covariance())) / ARCSEC for known in (pair, track)]
         weak = np.round(track.directions[0], 2)
         row(
-            window, three(sigmas[0]), three(np.array(sheet[0])), three(sigmas[1]), three(np.array(sheet[1])),
+            window, three(sigmas[0]), three(np.array(was[0])), three(sigmas[1]), three(np.array(was[1])),
             f"{track.sigmas[0] / ARCSEC:.3g} along {weak.tolist()}",
         )  # fmt: skip
 
 
 def part_recovery(work: Executor, count: int) -> None:
-    """Sheet 7, 2."""
+    """Recovery without noise."""
     print("\n## recovery without noise: worst angle over both cameras\n")
     limits = {
         "ml-track": ("smooth", None, 1e-3), "ml-pair": ("smooth", None, 1e-3),
@@ -224,7 +224,7 @@ def part_recovery(work: Executor, count: int) -> None:
 
 
 def part_monte_carlo(work: Executor, count: int) -> None:
-    """Sheet 7, 3 to 5."""
+    """Errors beside the bound, and the methods beside each other."""
     print(f"\n## error over bound, {count} passes each, seeds from {FIRST_SEED}\n")
     standard = dataclasses.asdict(StereoOptions())
     print("all: " + words(dict(list(standard.items())[: list(standard).index("noise_scale")])))
@@ -353,7 +353,7 @@ def part_mismatches(work: Executor, count: int) -> None:
 
 
 def part_gauge(work: Executor, count: int) -> None:
-    """Sheet 7, 6."""
+    """Gross mismatches."""
     print("\n## one shot\n")
     scenario = stereo_case("A_paper_T6_K64", 0, shots=1)
     head("method", "hidden directions", "share along the baseline", "other sigmas (arcsec)", "angles")

@@ -28,8 +28,8 @@ from sightline.applications.stereo_orientation import METHODS, StereoOrientation
 from sightline.photogrammetry.triangulate import triangulate
 from sightline.simulate.stereo import StereoScenario, stereo_case
 
-#: What the sheet's own simulation gave (section 5): trend rms and scatter, m.
-SHEET = {
+#: What the prototype's own simulation gave (section 5): trend rms and scatter, m.
+EARLIER = {
     "none": (162.0, 32.0),
     "epipolar, raw": (63.0, 15.0),
     "epipolar": (np.nan, np.nan),
@@ -88,7 +88,7 @@ def available(problem: StereoProblem) -> list[str]:
 
 
 def number(value: float) -> str:
-    """A number of the sheet, or nothing."""
+    """A number of the prototype, or nothing."""
     return f"{value:g}" if np.isfinite(value) else ""
 
 
@@ -111,7 +111,9 @@ def main() -> None:
             ):
                 into.append(value)
     print(f"{given.passes} passes of case A with random signs and ground, seeds from {FIRST_SEED}; m")
-    print("| angles taken out | trend | sheet | multi-view | as adjusted | scatter | sheet | per shot |")
+    print(
+        "| angles taken out | trend | prototype | multi-view | as adjusted | scatter | prototype | per shot |"
+    )
     print("|---|---|---|---|---|---|---|---|")
     rms = {}
     for name, row in errors.items():
@@ -119,8 +121,8 @@ def main() -> None:
         rms[name] = trend, rays
         adjusted = f"{own:.1f}" if np.isfinite(own) else ""
         print(
-            f"| {name} | {trend:.1f} | {number(SHEET[name][0])} | {rays:.1f} | {adjusted} | {scatter:.1f} | "
-            f"{number(SHEET[name][1])} | {shot:.1f} |"
+            f"| {name} | {trend:.1f} | {number(EARLIER[name][0])} | {rays:.1f} | {adjusted} | {scatter:.1f} | "
+            f"{number(EARLIER[name][1])} | {shot:.1f} |"
         )
     if given.figure:
         draw(given.figure)

@@ -26,7 +26,7 @@ def test_noise_free_heights_are_true_after_and_trend_before():
     heights = stereo_heights(problem, found, true)
     np.testing.assert_allclose(heights.after, true, atol=0.05)
     np.testing.assert_allclose(heights.shot_after, 0.0, atol=0.05)
-    # pitches of opposite signs of 36 arcsec each: the rays meet some 200 m off (sheet, section 5: 207-242 m)
+    # pitches of opposite signs of 36 arcsec each: the rays meet some 200 m off (prototype: 207-242 m)
     assert ((np.abs(heights.shot_before) > 150.0) & (np.abs(heights.shot_before) < 300.0)).all()
     np.testing.assert_allclose(np.abs(heights.before - true), 218.0, rtol=0.2)
     np.testing.assert_array_equal(heights.shot, np.arange(24))
@@ -44,7 +44,7 @@ def test_sigma_is_that_of_the_errors_and_shots_scatter_as_their_noise():
         scatter.append(heights.scatter_after)
     # errors of the points of a pass go together: one or two independent numbers per pass
     assert 0.2 < np.mean(squares) < 2.5
-    # sheet, section 5: 14 m at a point, from positions of 7.5 m and jitter of 1.8 arcsec
+    # prototype: 14 m at a point, from positions of 7.5 m and jitter of 1.8 arcsec
     assert np.mean(scatter) == pytest.approx(14.0, rel=0.15)
 
 

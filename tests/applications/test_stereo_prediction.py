@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.photogrammetry import s2_sheet
-from tests.photogrammetry.s2_sheet import ARCSEC, Case
+from tests.photogrammetry import s2_dense
+from tests.photogrammetry.s2_dense import ARCSEC, Case
 
 from sightline.applications.stereo_orientation import StereoProblem
 from sightline.applications.stereo_prediction import improvements, predict, predict_plan
@@ -65,7 +65,7 @@ def arcsec(prediction):
 def test_bound_of_a_plan_is_that_of_a_dense_computation(method):
     found = predict_plan(plan(), method, tables=False)
     draws = [
-        s2_sheet.bound(replace(CASE, seed=seed), np.zeros((2, 3)), pairs=method == "ml-pair")
+        s2_dense.bound(replace(CASE, seed=seed), np.zeros((2, 3)), pairs=method == "ml-pair")
         for seed in range(5)
     ]
     dense = np.sqrt(np.mean([np.diag(draw) for draw in draws], axis=0)) / ARCSEC
@@ -73,7 +73,7 @@ def test_bound_of_a_plan_is_that_of_a_dense_computation(method):
     np.testing.assert_allclose(arcsec(found).ravel(), dense, rtol=0.1)
     assert (found.points, found.shots, found.sightings) == (60, 16, 2 * 16 * 60)
     assert found.window == pytest.approx(64.0)
-    assert found.baseline == pytest.approx(np.linalg.norm(np.diff(s2_sheet.positions(CASE)[1], axis=0)[0, 0]))
+    assert found.baseline == pytest.approx(np.linalg.norm(np.diff(s2_dense.positions(CASE)[1], axis=0)[0, 0]))
 
 
 def test_a_problem_has_the_bound_of_its_plan():
@@ -158,7 +158,7 @@ def test_improvements_are_what_they_say():
         np.testing.assert_allclose(change.sigmas, made, rtol=0.03)
         np.testing.assert_allclose(change.ratio, change.sigmas / now.sigmas.ravel())
     for change in found.values():
-        # a longer baseline sees the ground at a slant: pitch loses (sheet, section 6: 1.2 to 1.4 arcsec)
+        # a longer baseline sees the ground at a slant: pitch loses (prototype: 1.2 to 1.4 arcsec)
         if "baseline" not in change.change:
             assert (change.sigmas <= now.sigmas.ravel() * (1.0 + 1e-9)).all(), change.change
 

@@ -41,7 +41,7 @@ def test_axes_are_those_of_the_closed_form(case):
     places, _, _ = s2_scene.camera_places(shots=9, **case)
     expected = s2_scene.camera_axes(*places)
     pair, t = pair_and_times(case)
-    # local x south, y east of the sheet, in our east, north, up
+    # local x south, y east of the prototype, in our east, north, up
     local = pair.world_from_local.as_matrix() @ np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     for ours, theirs in zip(pair.world_from_body(t), expected, strict=True):
         np.testing.assert_allclose(np.swapaxes(ours, 1, 2) @ local, theirs, atol=1e-6)

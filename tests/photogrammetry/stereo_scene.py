@@ -17,13 +17,13 @@ from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_
 
 RADIUS, MU, SPIN = 6_371_000.0, 3.986004418e14, 7.2921159e-5
 ARCSEC = np.pi / 648_000.0
-#: True S2 angles of the sheet's fixed cases, rad: (roll, pitch, yaw) of camera 1, then of camera 2.
+#: True S2 angles of the prototype's fixed cases, rad: (roll, pitch, yaw) of camera 1, then of camera 2.
 TRUTH = 36.0 * ARCSEC * np.array([[1.0, -1.0, 1.0], [-1.0, 1.0, 1.0]])
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Where and how the two cameras look. Case A of the S2 specification by default."""
+    """Where and how the two cameras look. Case A of the prototype by default."""
 
     separation: float = 70.0  # s between the spacecraft
     window: float = 64.0  # s

@@ -114,7 +114,7 @@ def test_points_seen_once_are_left_out_and_shots_may_have_unequal_numbers():
 
 @pytest.mark.parametrize(("position", "bias"), [(3.75, -3.2), (7.5, -12.6), (15.0, -50.2)])
 def test_position_noise_biases_the_pitch_of_least_squares(position, bias):
-    # S2 specification, section 3: bias of S2's pitch of camera 1, mirrored in camera 2, by its own 30 trials
+    # prototype: bias of S2's pitch of camera 1, mirrored in camera 2, by its own 30 trials
     plan, noise, n = Plan(), Noise(0.0, position, 0.0), 12
     errors, _, found = trials(plan, noise, n, raw=True, truth=np.zeros((2, 3)))
     sigma = np.sqrt(found[0].covariance[1, 1]) / ARCSEC
@@ -142,7 +142,7 @@ def test_the_covariance_is_true(noise):
 
 
 def test_attitudes_rebuilt_from_positions_have_errors_that_cancel():
-    # S2 specification, section 3: position noise alone then leaves a pitch of about 1 arcsec and no bias
+    # prototype: position noise alone then leaves a pitch of about 1 arcsec and no bias
     errors, _, found = trials(Plan(), Noise(0.0, 7.5, 0.0, aimed=True), 10, raw=True)
     assert np.sqrt((errors**2).mean(axis=0)).max() < 2.0
     assert np.sqrt(np.diag(found[0].covariance)).max() < 2.0 * ARCSEC

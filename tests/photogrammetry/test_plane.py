@@ -66,7 +66,7 @@ def test_a_sloping_ground_is_a_plane_too():
 
 
 def test_white_relief_leaves_less_than_three_arcseconds_of_pitch():
-    # S2 specification, section 7.2, table 1: N 200, K 64, 200 m
+    # prototype, table 1: N 200, K 64, 200 m
     for seed in range(5):
         found = orient(pairs_of(QUIET, seed, 200.0, "white", Plan(), 200))
         error = np.abs(found.angles - our_angles(TRUTH)) / ARCSEC

@@ -57,7 +57,7 @@ def test_table_1_the_plane_s_own_error():
             pair_sightings(shooting.sightings(1e-3)), PoseNoise(0.0, 0.0), aim_point=AIM, vertical=UP
         )
         errors.append(found.angles - our_angles(shooting.truth))
-    # the specification's own white relief gave 0.02 / 0.76 / 41; the paper, whose relief is not known, has
+    # the prototype's own white relief gave 0.02 / 0.76 / 41; the paper, whose relief is not known, has
     # 0.31 / 1.71 / 54: pitch and yaw are of that size, roll is not
     ratio = rms(errors) / [0.02, 0.76, 41.0]
     assert (np.abs(np.log(ratio)) < np.log(1.6)).all()
@@ -77,7 +77,7 @@ def test_table_5_the_first_row_without_noise():
 def test_table_5_image_noise_alone_cannot_give_its_roll(noise, specified):
     n = 20
     raw, _ = epipolar_rms(Plan(), noise, n)
-    # both cameras' errors go together in roll and yaw: n independent ones, and the specification's of 100
+    # both cameras' errors go together in roll and yaw: n independent ones, and the prototype's of 100
     assert (np.abs(np.log(raw / specified)) < 3.0 * np.sqrt(0.5 / n + 0.5 / 100.0) + 0.05).all()
     assert raw[0] < 0.2  # paper: 1.13 and 1.21
 
@@ -85,7 +85,7 @@ def test_table_5_image_noise_alone_cannot_give_its_roll(noise, specified):
 def test_table_6_least_squares_as_printed_and_without_its_bias():
     n = 20
     raw, clean = epipolar_rms(Plan(), Noise(), n)
-    # the specification's figures for the same scene, of 100 trials; the paper's are 2.6 / 11.1 / 14.7
+    # the prototype's figures for the same scene, of 100 trials; the paper's are 2.6 / 11.1 / 14.7
     assert (np.abs(np.log(raw / [2.9, 10.85, 11.55])) < 3.0 * np.sqrt(0.5 / n + 0.5 / 100.0)).all()
     assert clean[1] < 0.6 * raw[1]
 

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.applications.stereo_heights import height_sigmas, heights_of
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
 from sightline.applications.stereo_prediction import Improvement, StereoPrediction
 from sightline.evaluation.direction_words import AXES, angle_names, direction_words
-from sightline.geometry.earth import local_axes, to_geodetic
 from sightline.io.results import peak_memory, write_json
 from sightline.io.stereo import Stereo
 from sightline.io.tables import write_columns
@@ -118,24 +118,9 @@ def write_matches_used(path: Path, stereo: Stereo, result: StereoOrientation) ->
     write_columns(path, columns, {"residual_px": "%.6g"})
 
 
-def heights_of(points: Array, radii: tuple[float, float] | None) -> Array:
-    """m (n,); above the ellipsoid, or z of a flat world; NaN for points that are not known."""
-    return np.array(points[:, 2] if radii is None else to_geodetic(points, radii)[:, 2])
-
-
 def planned_points(problem: StereoProblem, kept: BoolArray) -> Array:
     """Points (n, 3) m that the planned poses give, from the sightings `kept` (N,)."""
     return triangulate(problem.sightings(), used=kept).position
-
-
-def vertical_sigma(points: Array, covariance: Array, radii: tuple[float, float] | None) -> Array:
-    """m (n,); 1-sigma of the heights of points; NaN where it is not known."""
-    up = np.tile([0.0, 0.0, 1.0], (len(points), 1))
-    if radii is not None:
-        known = np.isfinite(points).all(axis=1)
-        lon, lat, _ = to_geodetic(points[known], radii).T
-        up[known] = local_axes(lon, lat).as_matrix()[:, :, 2]
-    return np.asarray(np.sqrt(np.einsum("ni,nij,nj->n", up, covariance, up)))
 
 
 def write_points(path: Path, problem: StereoProblem, result: StereoOrientation) -> None:
@@ -149,7 +134,7 @@ def write_points(path: Path, problem: StereoProblem, result: StereoOrientation) 
     columns |= {
         "height_before": heights_of(before, problem.radii),
         "height": heights_of(points, problem.radii),
-        "sigma_height": vertical_sigma(points, covariance, problem.radii),
+        "sigma_height": height_sigmas(points, covariance, problem.radii),
     }
     write_columns(path, columns, dict.fromkeys([*"xyz", "height", "height_before"], "%.13g"))
 
@@ -314,7 +299,7 @@ def _heights(problem: StereoProblem, result: StereoOrientation) -> dict[str, flo
     """m; how far heights moved, and their median sigma."""
     before = heights_of(planned_points(problem, ~result.rejected), problem.radii)
     moved = heights_of(result.points, problem.radii) - before
-    sigma = vertical_sigma(result.points, result.point_covariance, problem.radii)
+    sigma = height_sigmas(result.points, result.point_covariance, problem.radii)
     known, told = moved[np.isfinite(moved)], sigma[np.isfinite(sigma)]
     return {
         "mean_change": float(known.mean()) if len(known) else math.nan,

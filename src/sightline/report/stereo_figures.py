@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 from scipy.spatial.transform import Rotation
 
+from sightline.applications.stereo_heights import height_sigmas, heights_of
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
 from sightline.evaluation.direction_words import AXES
 from sightline.evaluation.score_orientation import ARCSEC
 from sightline.geometry.earth import local_axes, to_geodetic
 from sightline.io.stereo import Stereo
-from sightline.io.stereo_results import heights_of, planned_points, vertical_sigma
+from sightline.io.stereo_results import planned_points
 from sightline.io.stereo_strips import StripProblem
 from sightline.report.style import INK, MUTED, RULE, TEMPLATE, panels
 
@@ -255,7 +256,7 @@ def height_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure | None
     known = known[np.linspace(0, len(known) - 1, min(len(known), DRAWN_POINTS)).astype(np.intp)]
     x, y = _level(after[known], problem.radii).T
     h0, h1 = heights_of(before[known], problem.radii), heights_of(after[known], problem.radii)
-    sigma = vertical_sigma(after[known], result.point_covariance[known], problem.radii)
+    sigma = height_sigmas(after[known], result.point_covariance[known], problem.radii)
     low, high = float(min(h0.min(), h1.min())), float(max(h0.max(), h1.max()))
     reach = float(np.abs(h0 - h1).max()) or 1.0
     maps: list[tuple[str, Array, str, float, float]] = [

@@ -19,7 +19,7 @@ ANCHOR_STRIDE = 20
 """Frames between two anchors at 80 % overlap, when a step is 1 % of the frame."""
 
 REFERENCE_RATE = 25.0
-"""Frames per second at which the frequencies of the jitter are those of the sheet."""
+"""Frames per second at which the frequencies of the jitter are those given."""
 
 
 @dataclass(frozen=True)

@@ -181,5 +181,5 @@ def information(case, truth, *, pairs=False, dem=None, control=0, control_sigma=
     return a.T @ (a - np.linalg.solve(np.eye(2 * size) + whitened, a))
 
 
-#: The angles of sheet section 6, S2's w.
+#: The angles of prototype section 6, S2's w.
 TRUTH = 36.0 * ARCSEC * np.array([[1.0, -1.0, 1.0], [-1.0, 1.0, 1.0]])
