@@ -121,8 +121,8 @@ def main() -> None:
         rms[name] = trend, rays
         adjusted = f"{own:.1f}" if np.isfinite(own) else ""
         print(
-            f"| {name} | {trend:.1f} | {number(EARLIER[name][0])} | {rays:.1f} | {adjusted} | {scatter:.1f} | "
-            f"{number(EARLIER[name][1])} | {shot:.1f} |"
+            f"| {name} | {trend:.1f} | {number(EARLIER[name][0])} | {rays:.1f} | {adjusted} | "
+            f"{scatter:.1f} | {number(EARLIER[name][1])} | {shot:.1f} |"
         )
     if given.figure:
         draw(given.figure)

@@ -1,4 +1,4 @@
-"""The bound of the constant angles against S2's geometry worked out by hand, and beside a prototype's figures.
+"""The bound of the constant angles against S2's geometry worked out by hand, and a prototype's figures.
 
 Own computation: S2's axes and angles, derivatives by complex steps, one dense matrix (`s2_dense`). Angles of
 the package are minus S2's to first order about the same axes, which changes no sigma.
