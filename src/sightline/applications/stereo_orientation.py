@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,10 +19,10 @@ from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
-from sightline.photogrammetry.bundle import Adjustment, adjust, load_kernels
-from sightline.photogrammetry.epipolar import epipolar_outliers, orient_by_epipolar
+from sightline.photogrammetry.bundle import Adjustment, adjust, bound, load_kernels
+from sightline.photogrammetry.epipolar import epipolar_outliers, noise_ratios, orient_by_epipolar
 from sightline.photogrammetry.observability import Observability, observability
-from sightline.photogrammetry.pairs import pair_sightings
+from sightline.photogrammetry.pairs import PairOrientation, SightingPairs, pair_sightings
 from sightline.photogrammetry.plane import common_aim, orient_by_plane
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors, level_axes
 from sightline.photogrammetry.pose_noise import PoseNoise
@@ -244,6 +244,8 @@ def _adjusted(
     no step leads on; what the rays alone say of the angles is then the place to start from.
     """
 
+    suspect = _suspects(sightings, problem.noise) if pairs_only and robust else None
+
     def solve(priors: PointPriors | None, start: Array | None = None) -> Adjustment:
         return adjust(
             sightings,
@@ -254,6 +256,7 @@ def _adjusted(
             focal_sigma=problem.focal_sigma,
             robust=robust,
             start=start,
+            suspect=suspect,
         )
 
     try:
@@ -318,7 +321,7 @@ def _result(
     focal_sigma: tuple[float, ...] | None,
 ) -> StereoOrientation:
     """An adjustment as the result of S2."""
-    points, covariance = _points(sightings, found, noise, priors)
+    points, covariance = _points(sightings, found, noise, tracked=method == "ml-track")
     sigma = np.sqrt(np.diag(found.global_covariance))
     names = found.unknowns.names
     drifts = [k for k, name in enumerate(names) if "_drift_" in name]
@@ -354,25 +357,45 @@ def _result(
 
 
 def _points(
-    sightings: Sightings, found: Adjustment, noise: PoseNoise, priors: PointPriors | None
+    sightings: Sightings, found: Adjustment, noise: PoseNoise, *, tracked: bool
 ) -> tuple[Array, Array]:
-    """Points (n, 3) and covariances (n, 3, 3): the adjusted ones, or where the rays of all shots meet."""
-    if found.point_covariance is not None:
+    """Points (n, 3) and covariances (n, 3, 3): the adjusted ones, or where the rays of adjusted poses meet.
+
+    Where the adjustment keeps no covariance of points, that of rays from poses as noisy as declared is given,
+    which is somewhat larger.
+    """
+    if tracked and found.point_covariance is not None:
         return found.points, frozen(found.point_covariance)
-    known = np.isfinite(found.angles).all()
-    if len(found.points) == sightings.points and priors is not None and known:
-        return found.points, frozen(np.full((len(found.points), 3, 3), np.nan))
-    return triangulated(sightings, found.angles, found.covariance, found.rejected, noise)
+    position, covariance = triangulated(
+        sightings, found.angles, found.covariance, found.rejected, noise, found.departures
+    )
+    return (found.points if tracked and np.isfinite(found.angles).all() else position), covariance
 
 
 def triangulated(
-    sightings: Sightings, angles: Array, covariance: Array, rejected: NDArray[np.bool_], noise: PoseNoise
+    sightings: Sightings,
+    angles: Array,
+    covariance: Array,
+    rejected: NDArray[np.bool_],
+    noise: PoseNoise,
+    departures: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Points (n, 3) and covariances (n, 3, 3) by the rays of all shots; NaN where angles are."""
+    """Points (n, 3) and covariances (n, 3, 3) by the rays of all shots; NaN where angles are.
+
+    `departures` (M, 6): of each image from its plan (turn, move), the angles in them.
+    """
     if not np.isfinite(angles).all():
         count = sightings.points
         return frozen(np.full((count, 3), np.nan)), frozen(np.full((count, 3, 3), np.nan))
-    met = triangulate(sightings, angles, used=~rejected, noise=noise, angle_covariance=covariance)
+    met = triangulate(
+        sightings,
+        angles if departures is None else None,
+        attitude=None if departures is None else departures[:, :3],
+        position=None if departures is None else departures[:, 3:6],
+        used=~rejected,
+        noise=noise,
+        angle_covariance=covariance,
+    )
     return met.position, met.covariance
 
 
@@ -393,7 +416,9 @@ def _stretches(found: Adjustment, cameras: int) -> tuple[Array | None, Array | N
 #: Sigma of a focal length that is sought freely from which on it counts as not observable (relative).
 _LOOSE_FOCAL = 0.02
 #: Departure of chi-square per degree of freedom from 1 that is spoken of, in its own sigmas, and at least.
-_CHI_SIGMAS, _CHI_LEAST = 4.0, 0.05
+CHI_SIGMAS, CHI_SHARE = 3.0, 0.1
+#: The same of the size of the poses' own errors.
+_POSE_SIGMAS, _POSE_SHARE = 4.0, 0.15
 
 
 def _adjustment_warnings(
@@ -407,11 +432,18 @@ def _adjustment_warnings(
     said = []
     freedom = max(found.degrees_of_freedom, 1)
     ratio, spread = found.cost / freedom, np.sqrt(2.0 / freedom)
-    if abs(ratio - 1.0) > max(_CHI_SIGMAS * spread, _CHI_LEAST):
+    if abs(ratio - 1.0) > max(CHI_SIGMAS * spread, CHI_SHARE):
         said.append(
             f"residuals are {np.sqrt(ratio):.3g} times what sigma_px and [noise] say (chi-square "
             f"{found.cost:.4g} for {freedom} degrees of freedom): the sigmas of the angles are as wrong as "
             "these; correct them"
+        )
+    excess, sigma = found.pose_scale - 1.0, 1.0 / np.sqrt(2.0 * max(found.pose_freedom, 1.0))
+    if excess > max(_POSE_SIGMAS * sigma, _POSE_SHARE):
+        said.append(
+            f"poses are off by {found.pose_scale:.3g} times what sigma_position and sigma_attitude say: the "
+            "sigmas of the angles are too small, by up to as much; enlarge these, or let the angles drift "
+            "(--drift)"
         )
     if method == "ml-pair" and priors is not None:
         said.append(
@@ -445,6 +477,32 @@ def _check_linear(problem: StereoProblem, method: str, drift: bool) -> None:
             raise InputError(f"{method} cannot estimate {what}; use ml-track or ml-pair")
 
 
+def _suspects(sightings: Sightings, noise: PoseNoise) -> NDArray[np.bool_] | None:
+    """Sightings (N,) of pairs that miss each other by the epipolar estimate; None where it cannot say.
+
+    An adjustment of pairs has one condition for each: it needs a start without gross errors more than one of
+    tracks does.
+    """
+    if sightings.cameras != 2 or len(sightings.position) != len(sightings.camera):
+        return None
+    pairs = pair_sightings(sightings)
+    if len(pairs) < _SUSPECTED:
+        return None
+    out = np.zeros(len(sightings), dtype=bool)
+    out[pairs.rows[:, epipolar_outliers(pairs, noise)].ravel()] = True
+    return out if out.any() else None
+
+
+#: Fewest pairs that are searched for gross errors before an adjustment.
+_SUSPECTED = 100
+#: rad; larger angles are beyond what S2's linear estimators hold for.
+_LARGE = 0.03
+#: Ratio of measured to declared variances of noise from which on the measured ones serve, and fewest shots.
+_MISDECLARED, _SHOTS = 4.0, 8
+#: Pairs per shot below which the covariance of S2's linear estimators is known to be small.
+_SCARCE = 10
+
+
 def _orient_linear(
     problem: StereoProblem, sightings: Sightings, method: str, *, raw: bool, robust: bool
 ) -> StereoOrientation:
@@ -455,8 +513,11 @@ def _orient_linear(
     if robust:
         gross = epipolar_outliers(pairs, problem.noise)
     kept = pairs.kept(~gross) if gross.any() else pairs
+    said: list[str] = []
     if method == "epipolar":
         found = orient_by_epipolar(kept, problem.noise, raw=raw)
+        if not raw:
+            found, said = _by_measured_noise(found, kept, problem.noise)
     else:
         aim = problem.noise.aim_point if problem.noise.aim_point is not None else common_aim(sightings)
         up = level_axes(aim[None], problem.radii)[0][0]
@@ -465,9 +526,9 @@ def _orient_linear(
     residual, rejected = np.full(len(sightings), np.nan), np.ones(len(sightings), dtype=bool)
     for rows in kept.rows:
         residual[rows], rejected[rows] = np.abs(found.residual_px) / np.sqrt(2.0), False
-    said = [] if problem.priors is None else [f"{method} makes no use of known heights or control points"]
-    known = observability(found.information, _angle_names())
+    known = observability(_tellable(found.information, sightings, problem.noise), _angle_names())
     angles, of_angles = _told(found.angles, found.covariance, known)
+    said += _linear_warnings(method, problem, kept, found, angles, raw=raw)
     points, covariance = triangulated(sightings, angles, of_angles, rejected, problem.noise)
     return StereoOrientation(
         method,
@@ -484,6 +545,76 @@ def _orient_linear(
         bias=frozen(found.bias) if method == "epipolar" else None,
         warnings=tuple(said),
     )
+
+
+def _by_measured_noise(
+    found: PairOrientation, pairs: SightingPairs, noise: PoseNoise
+) -> tuple[PairOrientation, list[str]]:
+    """The epipolar estimate with the bias of the noise that there is, where that is far from the declared."""
+    angles = np.nan_to_num(found.angles)
+    image, pose = noise_ratios(pairs, noise, angles)
+    ratios = np.array([image, pose if len(pairs.starts) > _SHOTS else 1.0])
+    wrong = (ratios > _MISDECLARED) | (ratios < 1.0 / _MISDECLARED)
+    if not wrong.any() or not np.isfinite(found.angles).all():
+        return found, []
+    by_image, by_pose = np.where(wrong, np.sqrt(np.maximum(ratios, 1e-12)), 1.0)
+    measured = PoseNoise(noise.position * by_pose, noise.attitude * by_pose, noise.aim_point)
+    sightings = replace(pairs.sightings, sigma_px=frozen(pairs.sightings.sigma_px * by_image))
+    return orient_by_epipolar(replace(pairs, sightings=sightings), measured), [
+        f"points scatter {np.sqrt(image):.2g} times and poses {np.sqrt(pose):.2g} times what [noise] says: "
+        "the measured scatter is used for the bias and the sigmas"
+    ]
+
+
+def _tellable(information: Array, sightings: Sightings, noise: PoseNoise) -> Array:
+    """Information of a linear estimate without directions that no pair of rays can tell.
+
+    Noise in its coefficients looks like information along them.
+    """
+    points = np.array(triangulate(sightings).position)
+    known = np.isfinite(points).all(axis=1)
+    if not known.any():
+        return information
+    points[~known] = points[known].mean(axis=0)
+    pairs, _ = bound(sightings, noise, points, new_points_per_shot=True)
+    left = np.eye(len(information))
+    for direction in pairs.directions[pairs.hidden]:
+        left -= np.outer(direction, direction)
+    return np.asarray(left @ information @ left)
+
+
+def _linear_warnings(
+    method: str,
+    problem: StereoProblem,
+    pairs: SightingPairs,
+    found: PairOrientation,
+    angles: Array,
+    *,
+    raw: bool,
+) -> list[str]:
+    """What a user of S2's own estimators should know; refuses angles beyond what is linear."""
+    largest = float(np.nanmax(np.abs(angles), initial=0.0))
+    if largest > _LARGE:
+        raise EstimationError(
+            f"{method} finds an angle of {np.degrees(largest):.3g} degrees, beyond the "
+            f"{np.degrees(_LARGE):.2g} that a linear estimate holds for: points and planned poses do not "
+            "belong together (check which camera is the first of the matches, (line, column) order, mount); "
+            "or use ml-track"
+        )
+    said = []
+    if problem.priors is not None:
+        said.append(f"{method} makes no use of known heights or control points")
+    if raw:
+        worst = np.degrees(np.abs(found.bias).max()) * 3600.0
+        said.append(
+            f"the bias of noise times noise, {worst:.2g} arcsec, is in the angles and not in their sigmas"
+        )
+    scarce = len(pairs) / max(len(pairs.starts) - 1, 1)
+    if scarce < _SCARCE:
+        said.append(
+            f"{scarce:.2g} pairs per shot: the sigmas of {method} are too small with so few; use ml-track"
+        )
+    return said
 
 
 def _told(angles: Array, covariance: Array, known: Observability) -> tuple[Array, Array]:

@@ -22,6 +22,7 @@ from sightline.photogrammetry.descent import (
     LEAST,
     Block,
     BoolArray,
+    Fit,
     State,
     descend,
     first_state,
@@ -31,7 +32,7 @@ from sightline.photogrammetry.descent import (
 from sightline.photogrammetry.observability import Observability, marginal, observability
 from sightline.photogrammetry.point_priors import PointPriors
 from sightline.photogrammetry.pose_noise import PoseNoise
-from sightline.photogrammetry.pose_unknowns import pose_unknowns
+from sightline.photogrammetry.pose_unknowns import PoseUnknowns, pose_unknowns
 from sightline.photogrammetry.reduced import reduce_block
 from sightline.photogrammetry.sightings import Sightings, as_index
 
@@ -76,6 +77,9 @@ class Adjustment(ReadOnlyArrays):
     degrees_of_freedom : int
     scale : float
         Robust size of the residuals relative to the stated ones (1 when these are true).
+    pose_scale, pose_freedom : float
+        Size of the poses' own errors relative to the stated ones (1 when these are true), and how many of
+        them the sightings tell: its sigma is 1 / sqrt(2 pose_freedom).
     iterations : int
     seconds : float
         s, to the angles and their covariance.
@@ -99,6 +103,8 @@ class Adjustment(ReadOnlyArrays):
     cost: float
     degrees_of_freedom: int
     scale: float
+    pose_scale: float
+    pose_freedom: float
     iterations: int
     seconds: float
 
@@ -120,6 +126,7 @@ def adjust(
     focal_sigma: tuple[float, ...] | None = None,
     robust: bool = True,
     start: Array | None = None,
+    suspect: NDArray[np.bool_] | None = None,
 ) -> Adjustment:
     """Constant angles of all cameras, the errors of each shot, and the points, by maximum likelihood.
 
@@ -140,6 +147,8 @@ def adjust(
         Find gross errors and leave them out.
     start : (C, 3), optional
         rad; where to start from; zero otherwise.
+    suspect : (N,) bool, optional
+        With `robust`: sightings that look like gross errors by that start; they are judged again.
 
     Returns
     -------
@@ -166,7 +175,10 @@ def adjust(
             f"too few conjugate points: {int(usable.sum())} sightings of points that two images or more show "
             f"from directions that differ; at least {LEAST} are needed; supply more matches"
         )
-    fit = descend(block, state, usable, robust=robust)
+    weight = None
+    if robust and suspect is not None:
+        weight = seen_twice(sightings, priors, usable & ~suspect).astype(np.float64)
+    fit = descend(block, state, usable, robust=robust, weight=weight)
     if drift or focal_sigma is not None:
         # weakly seen, these would run away from a start as far off as the planned attitudes are
         unknowns = pose_unknowns(sightings, noise, drift=drift, focal_sigma=focal_sigma)
@@ -209,9 +221,28 @@ def adjust(
         cost,
         rows - free,
         fit.scale,
+        *_pose_scale(fit, unknowns, known),
         fit.steps,
         seconds,
     )
+
+
+def _pose_scale(fit: Fit, unknowns: PoseUnknowns, known: Observability) -> tuple[float, float]:
+    """Size of the shots' own unknowns over what they were to have, and their number that is told.
+
+    Of each, the share that sightings tell is one less its variance afterwards; the sum of variances by random
+    signs (M. F. Hutchinson, 1990), some per cent of it in error.
+    """
+    rng = np.random.default_rng(0)
+    left, probes = 0.0, 4
+    points, none = np.zeros_like(fit.state.points), np.zeros(unknowns.globals)
+    for _ in range(probes):
+        signs = rng.choice([-1.0, 1.0], fit.state.own.shape)
+        step = known.solve(fit.reduced.condense(signs, points, none))
+        left += float((signs * fit.reduced.solve(signs, points, none, step)[0]).sum()) / probes
+    told = fit.state.own.size - left
+    size = float((fit.state.own**2).sum())
+    return (float(np.sqrt(size / told)), told) if told > 1.0 else (1.0, 0.0)
 
 
 def bound(

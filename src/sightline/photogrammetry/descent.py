@@ -21,14 +21,24 @@ from sightline.photogrammetry.bundle_kernels import curvatures, gradients, stati
 from sightline.photogrammetry.observability import Observability, observability
 from sightline.photogrammetry.point_priors import PointPriors
 from sightline.photogrammetry.pose_unknowns import PoseUnknowns
-from sightline.photogrammetry.reduced import LOOSE, Curvature, PointsFirst, PosesFirst, gather, reduce_block
+from sightline.photogrammetry.reduced import (
+    Curvature,
+    PointsFirst,
+    PosesFirst,
+    gather,
+    invert_points,
+    reduce_block,
+)
 from sightline.photogrammetry.sightings import Sightings
 from sightline.photogrammetry.triangulate import triangulate
 
 #: Steps end when the next would lower the cost by less (chi-square units): a millionth of a sigma.
 CONVERGED = 1e-10
+#: The same where steps have become many: a tenth of a sigma, in the weakest direction, along which a curved
+#: valley is followed slowly.
+NEAR = 1e-2
 #: Largest number of steps for one set of weights, and of those with fresh normal equations; of such sets.
-STEPS, FRESH, ROUNDS = 60, 30, 12
+STEPS, FRESH, ROUNDS = 100, 50, 12
 #: Chance that one good sighting or more of a whole block is called a gross error.
 FALSE_ALARM = 0.05
 #: Share of sightings up to which gross errors are left out one per point, without weights in between.
@@ -37,6 +47,8 @@ _FEW = 1e-3
 _MEDIAN_2 = 1.3863
 #: Fewest sightings that an adjustment is tried with: three points seen twice.
 LEAST = 6
+#: How often a step is tried with its globals held more, and then halved.
+_TRIALS = 9
 #: Share of the cost that a step must promise for the cost to be looked at, rounding being larger than less.
 _ROUNDING = 1e-9
 #: Share of the cost below which the promise of a step shows that gross errors can be judged.
@@ -251,18 +263,25 @@ def descend(
     for _ in range(ROUNDS):
         fit = _settle(block, state, now, usable, known=fit)
         state, gross = fit.state, _gross(fit, usable, limit)
-        if not robust or bool((gross == (usable & (now == 0.0))).all()):
+        good = _together(block, usable & ~gross)
+        if not robust or bool((good == now).all()):
             return fit
         if int(gross.sum()) <= _FEW * int(usable.sum()):
-            now = (usable & ~_worst(gross, fit.statistic, block.sightings.point)).astype(np.float64)
+            worst = _worst(gross, fit.statistic, block.sightings.point)
+            now = _together(block, usable & ~worst)
             continue
         if softened:
-            now = (usable & ~gross).astype(np.float64)
+            now = good
         else:
             state, now = _redescend(block, state, usable, limit)
         softened, fit = True, None
     # sightings at the margin come and go: either way they change little
     return _settle(block, state, now, usable)
+
+
+def _together(block: Block, good: BoolArray) -> Array:
+    """Weights (N,): 1 for good sightings of points that are still seen twice, or known of."""
+    return seen_twice(block.sightings, block.priors, good).astype(np.float64)
 
 
 def _gross(fit: Fit, usable: BoolArray, limit: float) -> BoolArray:
@@ -291,24 +310,28 @@ def _settle(
             curvature, _ = block.curvature(state, weight)
             reduced, fresh, last = reduce_block(curvature, block.unknowns), fresh + 1, np.inf
         directions = observability(reduced.information, block.unknowns.names, block.unknowns.limit)
-        step, decrease, r, cost = _step(block, state, weight, reduced, directions)
-        if not np.isfinite(decrease) or fresh > FRESH:
+        pull = _pull(block, state, weight, reduced)
+        step, decrease = _step(pull, reduced, directions)
+        if not np.isfinite(decrease):
             break
-        settled = decrease < CONVERGED or (decrease < 1e-6 and decrease > 0.5 * last)
+        late = fresh > FRESH or steps == taken + STEPS
+        if late and decrease > NEAR and not directions.hidden.any():
+            break  # with a hidden direction no number depends on how near the end of the valley is
+        settled = late or decrease < CONVERGED or (decrease < 1e-6 and decrease > 0.5 * last)
         if not settled and decrease > 0.1 * last:
             reduced = None  # the equations of an earlier state lead no further
             continue
-        if not settled and decrease >= enough * cost:
-            state, share = _descended(block, state, weight, step, cost, decrease)
+        if not settled and decrease >= enough * pull.cost:
+            state, whole = _descended(block, state, weight, pull, step, decrease, reduced, directions)
             last = decrease
-            if share < 1.0 or not reduced.reusable:
+            if not (whole and reduced.reusable):
                 reduced = None
             continue
         if settled:
-            state, _ = _descended(block, state, weight, step, cost, decrease)
-        statistic, checked = _statistic(replace(curvature, weight=weight), r)
+            state, _ = _descended(block, state, weight, pull, step, decrease, reduced, directions)
+        statistic, checked = _statistic(replace(curvature, weight=weight), pull.residuals)
         scale = np.sqrt(_scale(statistic[usable & checked]))
-        return Fit(state, weight, reduced, curvature, r, steps, statistic, checked, float(scale))
+        return Fit(state, weight, reduced, curvature, pull.residuals, steps, statistic, checked, float(scale))
     raise EstimationError(DIVERGED)
 
 
@@ -322,35 +345,78 @@ def _worst(gross: BoolArray, statistic: Array, point: NDArray[np.intp]) -> BoolA
     return out
 
 
-def _step(
-    block: Block, state: State, weight: Array, reduced: Reduction, known: Observability
-) -> tuple[State, float, Array, float]:
-    """One step; how much it should lower the cost; residuals and cost before it."""
+@dataclass(frozen=True, eq=False)
+class _Pull:
+    """Right-hand sides at a state, and what is left of them for the globals."""
+
+    own: Array  # (K, 6 n)
+    points: Array  # (n, 3)
+    common: Array  # (G,)
+    condensed: Array  # (G,)
+    residuals: Array  # (N, 2), whitened
+    cost: float
+
+
+def _pull(block: Block, state: State, weight: Array, reduced: Reduction) -> _Pull:
+    """Pull of all sightings and priors at a state."""
     own, by_point, common, r, cost = block.gradient(state, weight)
-    step = known.solve(reduced.condense(own, by_point, common))
-    own_step, point_step = reduced.solve(own, by_point, common, step)
-    decrease = float((own * own_step).sum() + (by_point * point_step).sum() + common @ step)
-    return State(step, own_step, point_step), decrease, r, cost
+    return _Pull(own, by_point, common, reduced.condense(own, by_point, common), r, cost)
+
+
+def _step(pull: _Pull, reduced: Reduction, known: Observability, damping: float = 0.0) -> tuple[State, float]:
+    """A step, and how much it should lower the cost; `damping` (1 / their unit squared) holds the globals."""
+    step = known.solve(pull.condensed, damping)
+    own, points = reduced.solve(pull.own, pull.points, pull.common, step)
+    decrease = float((pull.own * own).sum() + (pull.points * points).sum() + pull.common @ step)
+    return State(step, own, points), decrease
 
 
 def _descended(
-    block: Block, state: State, weight: Array, step: State, cost: float, decrease: float
-) -> tuple[State, float]:
-    """State after the largest share 1, 1/2, 1/4 ... of a step that does not raise the cost, and the share.
+    block: Block,
+    state: State,
+    weight: Array,
+    pull: _Pull,
+    step: State,
+    decrease: float,
+    reduced: Reduction,
+    known: Observability,
+) -> tuple[State, bool]:
+    """State after a step that does not raise the cost, and whether it was the whole one.
 
-    Steps that promise little are taken whole: their gain is rounding's.
+    Where the whole step raises it, the globals are held ever more (their weakest directions first: there the
+    equations bend), then all is halved. Steps that promise little are taken whole: their gain is
+    rounding's.
     """
-    share = 1.0
-    while share > 1e-4:
-        tried = State(
-            state.common + share * step.common,
-            state.own + share * step.own,
-            state.points + share * step.points,
-        )
-        if decrease < _ROUNDING * max(cost, 1.0) or block.cost(tried, weight) <= cost:
-            return tried, share
-        share *= 0.5
+    seen = known.sigmas[~known.hidden]
+    weakest = float(seen.max()) ** -2.0 if len(seen) else 0.0
+    if decrease < _ROUNDING * max(pull.cost, 1.0):
+        return _moved(state, step), True
+    for trial in range(_TRIALS):
+        if trial:
+            step, _ = _step(pull, reduced, known, weakest * (3.0**trial - 1.0))
+        tried = _moved(state, step)
+        if block.cost(tried, weight) <= pull.cost:
+            return tried, trial == 0
+        tried = _followed(block, tried, weight, reduced)
+        if block.cost(tried, weight) <= pull.cost:
+            return tried, False
+    for _ in range(_TRIALS):
+        step = State(0.5 * step.common, 0.5 * step.own, 0.5 * step.points)
+        tried = _moved(state, step)
+        if block.cost(tried, weight) <= pull.cost:
+            return tried, False
     raise EstimationError(DIVERGED)
+
+
+def _followed(block: Block, state: State, weight: Array, reduced: Reduction) -> State:
+    """State after shots and points have followed the globals, which stay, once more."""
+    own, by_point, common, _, _ = block.gradient(state, weight)
+    still = np.zeros_like(state.common)
+    return _moved(state, State(still, *reduced.solve(own, by_point, common, still)))
+
+
+def _moved(state: State, step: State) -> State:
+    return State(state.common + step.common, state.own + step.own, state.points + step.points)
 
 
 def _redescend(block: Block, state: State, usable: BoolArray, limit: float) -> tuple[State, Array]:
@@ -369,9 +435,10 @@ def _redescend(block: Block, state: State, usable: BoolArray, limit: float) -> t
         curvature, _ = block.curvature(state, soft)
         reduced = reduce_block(curvature, block.unknowns)
         known = observability(reduced.information, block.unknowns.names, block.unknowns.limit)
-        step, decrease, _, cost = _step(block, state, soft, reduced, known)
-        state, _ = _descended(block, state, soft, step, cost, decrease)
-    return state, (usable & (statistic <= limit * scale)).astype(np.float64)
+        pull = _pull(block, state, soft, reduced)
+        step, decrease = _step(pull, reduced, known)
+        state, _ = _descended(block, state, soft, pull, step, decrease, reduced, known)
+    return state, _together(block, usable & (statistic <= limit * scale))
 
 
 def _statistic(curvature: Curvature, r: Array) -> tuple[Array, BoolArray]:
@@ -382,10 +449,10 @@ def _statistic(curvature: Curvature, r: Array) -> tuple[Array, BoolArray]:
     """
     c = curvature
     idle = np.bincount(c.point, c.weight > 0.0, minlength=len(c.of_points))[c.point] < 2
-    of_points = np.array(c.of_points) + LOOSE * np.eye(3)
+    of_points = np.array(c.of_points)
     by_point = c.rows[idle, :, c.rows.shape[2] - 3 :]
     np.add.at(of_points, c.point[idle], np.einsum("nka,nkb->nab", by_point, by_point))
-    inverse: Array = np.asarray(np.linalg.inv(of_points), dtype=np.float64)
+    inverse = invert_points(of_points)
     out, checked = np.empty(len(r)), np.empty(len(r))
     statistics(c.rows, np.where(idle, 1.0, c.weight), c.point, inverse, r, _SEEN, out, checked)
     return out, checked > 0.0

@@ -216,6 +216,34 @@ def epipolar_outliers(
     return rejected
 
 
+def noise_ratios(pairs: SightingPairs, noise: PoseNoise, angles: Array) -> tuple[float, float]:
+    """Variance of the residuals over what was declared: of sightings, within shots; of poses, between them.
+
+    Parameters
+    ----------
+    pairs : SightingPairs
+    noise : PoseNoise
+        As declared.
+    angles : (2, 3)
+        rad, found.
+
+    Returns
+    -------
+    image, pose : float
+        1 where the declared sigmas are true; the second is as good as sqrt(2 / shots), 1 where no pose noise
+        is declared.
+    """
+    residual, sigma = epipolar_residuals(pairs, angles)
+    arms = _arms(pairs, np.asarray(angles, dtype=np.float64))
+    slope = _volumes(pairs, _Rays.of(pairs), _forms(*arms)[:, 6])[1].sum(axis=0)
+    count = np.diff(pairs.starts)
+    middle = np.add.reduceat(residual, pairs.starts[:-1]) / count
+    image = float(1.4826 * np.median(np.abs(residual - middle[pairs.shot]) / sigma)) ** 2
+    shared = float(_pose_variance(pairs, noise, arms, slope).sum())
+    own = image * float((np.add.reduceat(sigma**2, pairs.starts[:-1]) / count**2).sum())
+    return image, max(float((middle**2).sum()) - own, 0.0) / shared if shared > 0.0 else 1.0
+
+
 def _far(
     pairs: SightingPairs,
     rays: tuple[_Rays, _Rays],

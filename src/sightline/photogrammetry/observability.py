@@ -16,8 +16,6 @@ from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 #: rad; a direction whose sigma is larger is not observable: the cameras' model is linear no further, and a
 #: spacecraft knows its attitude better without images. Rounding alone gives about 10 rad.
 LIMIT = 0.1
-#: An angle is touched by a direction if its share of it is larger.
-TOUCHED = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +30,14 @@ class Observability(ReadOnlyArrays):
         Rows are unit vectors over the unknowns.
     names : tuple of str
         Of the unknowns.
+    limit : float
+        rad; how far a hidden direction may lead.
     """
 
     sigmas: Array
     directions: Array
     names: tuple[str, ...]
+    limit: float = LIMIT
 
     @property
     def hidden(self) -> NDArray[np.bool_]:
@@ -45,8 +46,11 @@ class Observability(ReadOnlyArrays):
 
     @property
     def touched(self) -> NDArray[np.bool_]:
-        """(G,) unknowns that take part in a direction that nothing tells, so that no number can be given."""
-        return np.asarray((np.abs(self.directions[self.hidden]) > TOUCHED).any(axis=0))
+        """(G,) unknowns that a hidden direction moves by more than their sigma: no number can be given."""
+        hidden = self.hidden
+        seen = np.sqrt(((self.directions[~hidden].T * self.sigmas[~hidden]) ** 2).sum(axis=1))
+        moved = np.abs(self.directions[hidden])
+        return np.asarray((moved > 0.0).any(axis=0) & ((moved * self.limit) > seen).any(axis=0))
 
     def covariance(self) -> Array:
         """Covariance (G, G), rad^2: inf on the diagonal and NaN beside it for the unknowns `touched`."""
@@ -58,11 +62,14 @@ class Observability(ReadOnlyArrays):
         out[touched, touched] = np.inf
         return np.asarray(out)
 
-    def solve(self, right: Array) -> Array:
-        """Step (G,) for a right-hand side (G,), none along hidden directions."""
+    def solve(self, right: Array, damping: float = 0.0) -> Array:
+        """Step (G,) for a right-hand side (G,), none along hidden directions.
+
+        `damping` adds to the information along every direction, which holds the weakest most.
+        """
         seen = ~self.hidden
         along = self.directions[seen]
-        return np.asarray(along.T @ (self.sigmas[seen] ** 2 * (along @ right)))
+        return np.asarray(along.T @ ((along @ right) / (self.sigmas[seen] ** -2.0 + damping)))
 
 
 def observability(information: Array, names: Sequence[str], limit: float = LIMIT) -> Observability:
@@ -93,7 +100,7 @@ def observability(information: Array, names: Sequence[str], limit: float = LIMIT
     sigmas = np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), np.inf)
     directions = vectors.T
     signs = np.sign(directions[np.arange(len(values)), np.abs(directions).argmax(axis=1)])
-    return Observability(frozen(sigmas), frozen(directions * signs[:, None]), tuple(names))
+    return Observability(frozen(sigmas), frozen(directions * signs[:, None]), tuple(names), limit)
 
 
 def marginal(information: Array, keep: int) -> Array:

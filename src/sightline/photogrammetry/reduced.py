@@ -26,6 +26,8 @@ from sightline.photogrammetry.sightings import Index
 
 #: 1/m^2: what is known of a point beforehand (1000 km), so that a point on one ray alone stays solvable.
 LOOSE = 1e-12
+#: The same as a share of what is known of the point in all, well above rounding.
+_RIDGE = 1e-13
 #: Numbers kept at once while shots are eliminated.
 _CHUNK = 4_000_000
 #: Numbers up to which the eliminated shots are kept for further right-hand sides.
@@ -201,8 +203,7 @@ class PointsFirst:
         self._unknowns = unknowns
         width, slots, shots = unknowns.width, unknowns.slots, unknowns.shots
         self._curvature = curvature
-        inverse = np.linalg.inv(curvature.of_points + LOOSE * np.eye(3))
-        self._inverse = np.asarray(inverse, dtype=np.float64)
+        self._inverse = invert_points(curvature.of_points)
         span = _span(curvature, unknowns)
         blocks = np.zeros((shots, span + 1, slots * width, slots * width))
         blocks[:, 0] = _in_shots(curvature.of_images, unknowns)
@@ -301,6 +302,12 @@ class PointsFirst:
     def point_covariance(self, covariance: Array) -> None:
         """Not kept in this order: triangulate the points with the poses found."""
         return None
+
+
+def invert_points(of_points: Array) -> Array:
+    """Inverses of blocks (n, 3, 3) of points, one ray's own (singular but for rounding) too."""
+    ridge = LOOSE + _RIDGE * np.einsum("nii->n", of_points)
+    return np.asarray(np.linalg.inv(of_points + ridge[:, None, None] * np.eye(3)), dtype=np.float64)
 
 
 def gather(unknowns: PoseUnknowns, by_image: Array) -> tuple[Array, Array]:
