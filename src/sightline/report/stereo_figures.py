@@ -19,6 +19,7 @@ from sightline.evaluation.score_orientation import ARCSEC
 from sightline.io.stereo import Stereo
 from sightline.io.stereo_strips import StripProblem
 from sightline.report.style import INK, MUTED, RULE, TEMPLATE, panels
+from sightline.report.words import digits
 
 Array = NDArray[np.float64]
 
@@ -115,7 +116,7 @@ def direction_figure(entries: list[dict[str, Any]]) -> go.Figure:
             figure.add_bar(
                 y=[label for label, yes in zip(labels, which, strict=True) if yes],
                 x=np.where(known, sigma, longest)[which], orientation="h", marker_color=ink, name=name,
-                text=[f"{s:.3g}" if np.isfinite(s) else "not observable" for s in sigma[which]],
+                text=[digits(s, 3) if np.isfinite(s) else "not observable" for s in sigma[which]],
                 textposition="outside", cliponaxis=False,
                 hovertemplate="%{y}: %{text} arcsec<extra></extra>",
             )  # fmt: skip
@@ -207,7 +208,8 @@ def residual_vectors(problem: StereoProblem, result: StereoOrientation) -> Array
     attitude = s.world_from_body @ turned @ s.body_from_camera[camera]
     to = result.points[problem.tracks.point] - (s.position + result.position)[image]
     seen = np.einsum("nji,nj->ni", attitude[image], to)
-    miss = s.tangents - seen[:, :2] / seen[:, 2:]
+    longer = 0.0 if result.stretch is None else np.nan_to_num(result.stretch)[camera][image, None]
+    miss = s.tangents - (1.0 + longer) * seen[:, :2] / seen[:, 2:]
     return np.asarray(np.einsum("nij,nj->ni", s.px_per_tangent, miss))
 
 
