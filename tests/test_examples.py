@@ -30,7 +30,7 @@ def test_an_example_runs_and_prints(path):
 def test_the_python_of_the_readme_runs_and_prints_three_axes():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
-    assert len(blocks) == 2 and len([line for line in blocks[0].splitlines() if line.strip()]) <= 20
+    assert len(blocks) == 3 and len([line for line in blocks[0].splitlines() if line.strip()]) <= 20
     lines = run(["-c", blocks[0]]).splitlines()
     assert [line.split()[0] for line in lines] == ["roll", "pitch", "yaw"]
     shown = re.search(r"```text\n(roll .*?)```", readme, re.DOTALL)
@@ -52,6 +52,22 @@ def test_the_tdi_files_and_python_of_the_readme_run_as_stated(tmp_path):
     (tmp_path / "tdi.toml").write_text(text, encoding="utf-8")
     (tmp_path / "columns.csv").write_text(block["csv"][0], encoding="utf-8")
     assert run(["-c", block["python"][1]], tmp_path) == block["text"][1]
+
+
+@pytest.mark.slow
+def test_the_stereo_python_of_the_readme_runs_as_stated(tmp_path):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    python, text = (re.findall(rf"```{kind}\n(.*?)```", readme, re.DOTALL) for kind in ("python", "text"))
+    assert "simulate stereo --out pass --seed 1 " in readme
+    words = ["simulate", "stereo", "--out", str(tmp_path / "pass"), "--seed", "1"]
+    run(["-c", f"import sys; from sightline.cli.main import run; sys.exit(run({words!r}))"])
+    printed, stated = run(["-c", python[2]], tmp_path), text[2]
+    number = r"[+-]?\d+\.\d+"
+    assert re.sub(number, "#", printed) == re.sub(number, "#", stated)
+    # libraries of another version may change the last digit by one
+    assert [float(n) for n in re.findall(number, printed)] == pytest.approx(
+        [float(n) for n in re.findall(number, stated)], abs=0.11
+    )
 
 
 def test_the_noise_example_refuses_what_it_cannot_use(tmp_path):

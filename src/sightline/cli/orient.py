@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -19,6 +20,10 @@ if TYPE_CHECKING:
     from sightline.io.stereo_plan import PlannedPass
 
 
+_AXES = ("roll", "pitch", "yaw")
+_ARCSECS = 648_000.0 / math.pi
+#: What residuals are of the methods that adjust no points.
+_RESIDUALS = {"epipolar": "distance from epipolar lines", "plane": "miss on the plane (relief is in it)"}
 #: Sightings up to which it is reckoned what would improve the angles: eight bounds, each as long as a step.
 IMPROVED_SIGHTINGS = 200_000
 
@@ -80,7 +85,7 @@ def orient(
         return
     for warning in summary["warnings"]:
         complain("warning", warning)
-    tell(summary)
+    tell(found, summary)
     say(f"{out / 'orientation.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
 
 
@@ -224,45 +229,60 @@ def foretell(file: Path, method: Method, out: Path, report: Progress, *, overwri
 
 def tell_bound(summary: dict[str, Any]) -> None:
     """The prediction in a few lines."""
-    import math
-
     from sightline.cli.terminal import say
 
-    arcsec = 648_000.0 / math.pi
     for camera, sigma in summary["sigmas"].items():
-        said = [
-            f"{axis} {arcsec * sigma[axis]:.3f}" if math.isfinite(sigma[axis]) else f"{axis} not observable"
-            for axis in ("roll", "pitch", "yaw")
-        ]
-        say(f"camera {camera}: bound of 1 sigma: {', '.join(said)} arcsec")
+        values = {axis: f"{size * _ARCSECS:.3f}" for axis, size in sigma.items() if math.isfinite(size)}
+        say(f"camera {camera}: bound of 1 sigma: {_axes_said(values)}")
     for entry in summary["unobservable"]:
         say(f"not observable: {entry['words']}")
     say(f"points: {summary['points_from']}")
 
 
-def tell(summary: dict[str, Any]) -> None:
+def _axes_said(values: dict[str, str]) -> str:
+    """Values (arcsec) of the axes that have one, and the names of the others."""
+    given = ", ".join(f"{axis} {value}" for axis, value in values.items())
+    hidden = ", ".join(axis for axis in _AXES if axis not in values)
+    parts = [f"{given} arcsec" if given else "", f"{hidden} not observable" if hidden else ""]
+    return "; ".join(part for part in parts if part)
+
+
+def tell(found: Oriented, summary: dict[str, Any]) -> None:
     """The orientation in a few lines."""
-    import math
-
     from sightline.cli.terminal import say
+    from sightline.report.stereo_words import angle_words
 
-    arcsec = 648_000.0 / math.pi
     for camera, angles in summary["angles"].items():
-        said = [
-            f"{axis} {arcsec * angles[axis]:+.3f} ± {arcsec * angles[f'sigma_{axis}']:.3f}"
+        values = {
+            axis: f"{angles[axis] * _ARCSECS:+.3f} ± {angles[f'sigma_{axis}'] * _ARCSECS:.3f}"
+            for axis in _AXES
             if math.isfinite(angles[f"sigma_{axis}"])
-            else f"{axis} not observable"
-            for axis in ("roll", "pitch", "yaw")
-        ]
-        say(f"camera {camera}: {', '.join(said)} arcsec")
+        }
+        say(f"camera {camera}: {_axes_said(values)}")
+    _tell_drift_and_focal_length(found)
     for entry in summary["unobservable"]:
         say(f"not observable: {entry['words']}")
     weakest = next((entry for entry in summary["principal_sigmas"] if math.isfinite(entry["sigma"])), None)
     if weakest is not None:
-        say(f"weakest direction that is seen: {weakest['words']}, {arcsec * weakest['sigma']:.3g} arcsec")
+        say(f"weakest direction that is seen: {weakest['words']}, {angle_words(weakest['sigma'])}")
     matches = summary["matches"]
+    what = _RESIDUALS.get(summary["method"], "residual")
     say(
-        f"{matches['kept']} of {matches['tried']} {matches['kind']} kept, residual {matches['rms_px']:.3g} "
-        "px rms; "
-        f"{summary['chi_square']['verdict']}"
+        f"{matches['kept']} of {matches['tried']} {matches['kind']} kept, {what} {matches['rms_px']:.3g} "
+        f"px rms; {summary['chi_square']['verdict']}"
     )
+    for note in summary["export_notes"]:
+        say(note)
+
+
+def _tell_drift_and_focal_length(found: Oriented) -> None:
+    """Rates and focal lengths, where they were sought."""
+    from sightline.cli.terminal import say
+    from sightline.report.stereo_words import drift_rows, focal_rows
+
+    for camera, *rates in drift_rows(found.result):
+        values = {axis: r for axis, r in zip(_AXES, rates, strict=True) if r != "not observable"}
+        say(f"camera {camera}: drift: {_axes_said(values).replace(' arcsec', ' arcsec/s')}")
+    for camera, length, _, percent in focal_rows(found.stereo.problem, found.result):
+        said = length if percent == "not observable" else f"{length} px, {percent} % from that of the file"
+        say(f"camera {camera}: focal length {said}")

@@ -1,6 +1,6 @@
-"""Figures of a stereo orientation: ellipses, weak directions, residuals, heights.
+"""Figures of a stereo orientation: ellipses, weak directions, residuals.
 
-Not here: how it was found (``photogrammetry/``).
+Not here: how it was found (``photogrammetry/``); heights (``stereo_height_figure.py``).
 """
 
 from __future__ import annotations
@@ -13,15 +13,13 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.stereo_heights import height_sigmas, heights_of
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
 from sightline.evaluation.direction_words import AXES
 from sightline.evaluation.score_orientation import ARCSEC
-from sightline.geometry.earth import local_axes, to_geodetic
 from sightline.io.stereo import Stereo
-from sightline.io.stereo_results import planned_points
 from sightline.io.stereo_strips import StripProblem
 from sightline.report.style import INK, MUTED, RULE, TEMPLATE, panels
+from sightline.report.words import digits
 
 Array = NDArray[np.float64]
 
@@ -29,8 +27,10 @@ Array = NDArray[np.float64]
 CAMERA_COLOURS = ("#2f6ca3", "#c1502e", "#3f8a5a", "#8a5a9e", "#a3812f", "#4a8f9e")
 #: Radii of the ellipse in sigmas that hold 39 and 95 % of two numbers.
 ONE_SIGMA, SIGMA_95 = 1.0, 2.4477
-#: Cameras that are drawn at most, points of a map at most, cells of a frame along its larger side.
-DRAWN_CAMERAS, DRAWN_POINTS, CELLS = 6, 4000, 10
+#: Cameras that are drawn at most, cells of a frame along its larger side.
+DRAWN_CAMERAS, CELLS = 6, 10
+#: Shots up to which each has a tick, decades up to which 2 and 5 have one too.
+TICKED_SHOTS, FINE_DECADES = 12, 2.0
 #: Sightings of a cell whose mean is drawn.
 FEW = 5
 PAIRS = ((0, 1), (0, 2), (1, 2))
@@ -41,7 +41,7 @@ def colour(camera: int) -> str:
     return CAMERA_COLOURS[camera % len(CAMERA_COLOURS)]
 
 
-def _grid(rows: int, columns: int, height: int, titles: list[str], **options: Any) -> go.Figure:
+def panel_grid(rows: int, columns: int, height: int, titles: list[str], **options: Any) -> go.Figure:
     """Panels in rows and columns with titles at their left."""
     figure = make_subplots(rows=rows, cols=columns, subplot_titles=titles, **options)
     figure.update_layout(template=TEMPLATE, height=height, margin_t=64)
@@ -56,7 +56,7 @@ def ellipse_figure(result: StereoOrientation) -> go.Figure | None:
     two = len(result.cameras) == 2
     titles = [f"{AXES[a]} and {AXES[b]} of each camera" for a, b in PAIRS]
     titles += [f"{axis} of both cameras" for axis in AXES] if two else []
-    figure = _grid(1 + two, 3, 400 + 350 * two, titles, horizontal_spacing=0.09, vertical_spacing=0.16)
+    figure = panel_grid(1 + two, 3, 400 + 350 * two, titles, horizontal_spacing=0.09, vertical_spacing=0.16)
     drawn = False
     for panel, (a, b) in enumerate(PAIRS, 1):
         for camera in shown:
@@ -116,20 +116,42 @@ def direction_figure(entries: list[dict[str, Any]]) -> go.Figure:
             figure.add_bar(
                 y=[label for label, yes in zip(labels, which, strict=True) if yes],
                 x=np.where(known, sigma, longest)[which], orientation="h", marker_color=ink, name=name,
-                text=[f"{s:.3g}" if np.isfinite(s) else "not observable" for s in sigma[which]],
+                text=[digits(s, 3) if np.isfinite(s) else "not observable" for s in sigma[which]],
                 textposition="outside", cliponaxis=False,
                 hovertemplate="%{y}: %{text} arcsec<extra></extra>",
             )  # fmt: skip
     low = 0.5 * sigma[known].min() if known.any() else 0.1
-    ticks = [m * 10.0**k for k in range(-4, 7) for m in (1, 2, 5)]
+    high = 4.0 * longest if (~known).any() else 0.4 * longest
     figure.update_xaxes(
-        type="log", title_text="1 sigma along the direction (arcsec)", tickvals=ticks,
-        ticktext=[f"{tick:g}" for tick in ticks],
+        type="log", title_text="1 sigma, arcsec (logarithmic)", **_ticks(low, high),
+        range=[np.log10(low), np.log10(high)],
     )  # fmt: skip
-    figure.update_xaxes(range=[np.log10(low), np.log10(4.0 * longest if (~known).any() else 0.4 * longest)])
     figure.update_yaxes(autorange="reversed", automargin=True, categoryorder="array", categoryarray=labels)
     figure.update_layout(showlegend=False, margin_r=120)
     return figure
+
+
+def _ticks(low: float, high: float) -> dict[str, Any]:
+    """Ticks of a logarithmic axis: whole decades, and 2 and 5 of each where there are few of them."""
+    steps = (1, 2, 5) if np.log10(high / low) <= FINE_DECADES else (1,)
+    ticks = [m * 10.0**k for k in range(-4, 7) for m in steps]
+    return {"tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
+
+
+#: What residuals are, by the method: title of the panel, and of how far they are from good ones.
+RESIDUALS = {
+    "epipolar": "Distance of each image's kept points from the epipolar lines (each image's half), rms",
+    "plane": "Miss of the kept points on the plane (each image's half), rms; relief is in it",
+}
+
+
+def image_noise(problem: StereoProblem, method: str) -> float | None:
+    """px; rms of residuals by the noise of sightings alone; None where others rule them."""
+    if method == "plane":
+        return None
+    # both coordinates of a sighting, or half in squares of the one number that a pair has
+    share = 0.5 if method == "epipolar" else 2.0
+    return float(np.sqrt(share * np.mean(problem.tracks.sigma_px**2)))
 
 
 def residual_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure:
@@ -145,7 +167,9 @@ def residual_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure:
     share = 100.0 * np.bincount(image, rejected, len(images)) / np.maximum(every, 1)
     figure = panels(
         2, 460, gap_px=44.0, top=52, shared_xaxes=True,
-        subplot_titles=["Residual of the kept points of each image, rms", "Points rejected"],
+        subplot_titles=[
+            RESIDUALS.get(result.method, "Residual of the kept points of each image, rms"), "Points rejected",
+        ],
     )  # fmt: skip
     mode = "lines+markers" if len(problem.shot_names) <= 200 else "lines"
     for camera in range(min(len(problem.cameras), DRAWN_CAMERAS)):
@@ -159,14 +183,16 @@ def residual_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure:
                 legendgroup=str(camera), showlegend=row == 1,
                 hovertemplate=f"shot %{{x:.0f}}: %{{y:.3g}} {unit}<extra></extra>",
             )  # fmt: skip
-    expected = float(np.sqrt(2.0 * np.mean(problem.tracks.sigma_px**2)))
-    figure.add_scatter(
-        x=problem.shot_names[[0, -1]], y=[expected, expected], row=1, col=1, mode="lines",
-        line={"color": MUTED, "dash": "dot", "width": 1.4}, name="as sigma_px says", hoverinfo="skip",
-    )  # fmt: skip
+    expected, names = image_noise(problem, result.method), problem.shot_names
+    if expected is not None:
+        figure.add_scatter(
+            x=[names.min() - 0.5, names.max() + 0.5], y=[expected, expected], row=1, col=1, mode="lines",
+            line={"color": MUTED, "dash": "dot", "width": 1.4}, name="as sigma_px says", hoverinfo="skip",
+        )  # fmt: skip
     figure.update_yaxes(title_text="px", rangemode="tozero", row=1)
     figure.update_yaxes(title_text="%", rangemode="tozero", row=2)
     figure.update_xaxes(title_text="shot", row=2)
+    figure.update_xaxes(tickformat="d", dtick=1 if np.ptp(names) < TICKED_SHOTS else None)
     return figure
 
 
@@ -182,7 +208,8 @@ def residual_vectors(problem: StereoProblem, result: StereoOrientation) -> Array
     attitude = s.world_from_body @ turned @ s.body_from_camera[camera]
     to = result.points[problem.tracks.point] - (s.position + result.position)[image]
     seen = np.einsum("nji,nj->ni", attitude[image], to)
-    miss = s.tangents - seen[:, :2] / seen[:, 2:]
+    longer = 0.0 if result.stretch is None else np.nan_to_num(result.stretch)[camera][image, None]
+    miss = s.tangents - (1.0 + longer) * seen[:, :2] / seen[:, 2:]
     return np.asarray(np.einsum("nij,nj->ni", s.px_per_tangent, miss))
 
 
@@ -200,7 +227,7 @@ def image_plane_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure |
     names = [f"Camera {problem.cameras[k]}" for k in shown]
     columns = min(len(names), 2)
     rows = -(-len(names) // columns)
-    figure = _grid(rows, columns, 60 + 420 * rows, names, horizontal_spacing=0.1)
+    figure = panel_grid(rows, columns, 60 + 420 * rows, names, horizontal_spacing=0.1)
     for camera in shown:
         centre, mean, number = cells[camera]
         lines, width = problem.detectors[camera].shape
@@ -243,65 +270,3 @@ def _cells(
     full = np.flatnonzero(count >= FEW)
     centre = np.asarray((np.stack([full // CELLS, full % CELLS], axis=1) + 0.5) * side, dtype=np.float64)
     return centre, mean[full] / count[full, None], count[full].astype(np.float64)
-
-
-def height_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure | None:
-    """Maps of heights before and after, of their difference, and of sigma; None without points."""
-    problem = stereo.problem
-    after = np.asarray(result.points)
-    before = planned_points(problem, ~result.rejected)
-    known = np.flatnonzero(np.isfinite(after).all(axis=1) & np.isfinite(before).all(axis=1))
-    if not len(known):
-        return None
-    known = known[np.linspace(0, len(known) - 1, min(len(known), DRAWN_POINTS)).astype(np.intp)]
-    x, y = _level(after[known], problem.radii).T
-    h0, h1 = heights_of(before[known], problem.radii), heights_of(after[known], problem.radii)
-    sigma = height_sigmas(after[known], result.point_covariance[known], problem.radii)
-    low, high = float(min(h0.min(), h1.min())), float(max(h0.max(), h1.max()))
-    reach = float(np.abs(h0 - h1).max()) or 1.0
-    maps: list[tuple[str, Array, str, float, float]] = [
-        ("Height by the planned attitudes", h0, "Viridis", low, high),
-        ("Height by the corrected attitudes", h1, "Viridis", low, high),
-        (f"Before less after, mean {(h0 - h1).mean():.3g} m", h0 - h1, "RdBu", -reach, reach),
-    ]
-    if np.isfinite(sigma).any():
-        maps.append(("1 sigma of the height after", sigma, "Cividis", 0.0, float(np.nanmax(sigma))))
-    rows = -(-len(maps) // 2)
-    figure = _grid(
-        rows, 2, 60 + 400 * rows, [m[0] for m in maps], horizontal_spacing=0.19, vertical_spacing=0.15
-    )
-    for k, (title, values, scale, least, most) in enumerate(maps):
-        row, col = k // 2 + 1, k % 2 + 1
-        figure.add_scatter(
-            x=x, y=y, row=row, col=col, mode="markers",
-            customdata=np.column_stack([problem.point_names[known], values]),
-            marker={
-                "size": 7, "color": values, "colorscale": scale, "cmin": least, "cmax": most,
-                "line": {"width": 0.5, "color": MUTED},
-                "colorbar": {
-                    "title": {"text": "m"}, "thickness": 12, "outlinewidth": 0, "len": 0.8 / rows,
-                    "x": 0.41 if col == 1 else 1.005, "y": 1.0 - (row - 0.5) / rows,
-                },
-            },
-            hovertemplate=f"{title}<br>point %{{customdata[0]:.0f}}: %{{customdata[1]:.4g}} m<extra></extra>",
-        )  # fmt: skip
-        figure.update_xaxes(title_text="east (km)" if row == rows else None, row=row, col=col)
-        anchor = "x" if k == 0 else f"x{k + 1}"
-        figure.update_yaxes(
-            title_text="north (km)" if col == 1 else None,
-            row=row,
-            col=col,
-            scaleanchor=anchor,
-            constrain="domain",
-        )
-    figure.update_layout(showlegend=False)
-    return figure
-
-
-def _level(points: Array, radii: tuple[float, float] | None) -> Array:
-    """East and north (n, 2) km about the middle of the points; x and y of a flat world."""
-    middle = points.mean(axis=0)
-    if radii is None:
-        return (points - middle)[:, :2] / 1e3
-    lon, lat, _ = to_geodetic(middle[None], radii)[0]
-    return np.asarray(local_axes(lon, lat).inv().apply(points - middle)[:, :2] / 1e3)

@@ -1,12 +1,12 @@
 """The report of a stereo orientation: one HTML page that asks no network for anything.
 
-Not here: its figures (``stereo_figures.py``).
+Not here: its figures (``stereo_figures.py``, ``stereo_height_figure.py``), its words (``stereo_words.py``).
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +16,17 @@ from sightline.evaluation.score_orientation import ARCSEC
 from sightline.io.stereo import Stereo
 from sightline.report import stereo_figures
 from sightline.report.page import Section, render, write_page
+from sightline.report.stereo_height_figure import PointHeights, height_figure, point_heights
+from sightline.report.stereo_words import (
+    DRIFT_HEADS,
+    FOCAL_HEADS,
+    advice,
+    drift_rows,
+    focal_rows,
+    sentences,
+    with_sigma,
+)
 from sightline.report.words import digits
-
-#: Seconds of a window, and degrees of convergence, below which more of it is advised first.
-SHORT_WINDOW = 60.0
 
 
 def write_stereo_report(
@@ -41,16 +48,22 @@ def write_stereo_report(
 
 def stereo_html(stereo: Stereo, result: StereoOrientation, summary: Mapping[str, Any]) -> str:
     """The page as text; parameters as of `write_stereo_report`."""
+    heights = point_heights(stereo, result)
+    problem = stereo.problem
     return render(
         "stereo.html.j2",
         summary=summary,
-        sentences=sentences(summary),
+        sentences=sentences(problem, result, summary, heights),
         warnings=summary["warnings"],
         angles=angle_rows(summary),
-        sections=sections(stereo, result, summary),
+        drift_heads=DRIFT_HEADS,
+        drift=drift_rows(result),
+        focal_heads=FOCAL_HEADS,
+        focal=focal_rows(problem, result),
+        sections=sections(stereo, result, summary, heights),
         improvement_heads=["change", *(f"{axis} {camera}" for camera in result.cameras for axis in AXES)],
         improvements=improvement_rows(summary),
-        advice=advice(stereo, summary),
+        advice=advice(problem, summary),
         counts=counts(summary),
         export_notes=summary.get("export_notes", []),
     )
@@ -63,19 +76,9 @@ def angle_rows(summary: Mapping[str, Any]) -> list[list[str]]:
         row = [camera]
         for unit in (ARCSEC, 1e-6):
             for axis in AXES:
-                row.append(_with_sigma(angles[axis] / unit, angles[f"sigma_{axis}"] / unit))
+                row.append(with_sigma(angles[axis] / unit, angles[f"sigma_{axis}"] / unit))
         rows.append(row)
     return rows
-
-
-def _with_sigma(value: float, sigma: float) -> str:
-    """Value and sigma with two figures of the sigma."""
-    if not math.isfinite(sigma):
-        return "not observable"
-    if sigma <= 0.0:
-        return f"{value:.4g}"
-    places = max(0, 1 - math.floor(math.log10(sigma)))
-    return f"{value:+.{places}f} ± {sigma:.{places}f}"
 
 
 def improvement_rows(summary: Mapping[str, Any]) -> list[list[str]]:
@@ -95,7 +98,39 @@ def _better(sigma: float, ratio: float) -> str:
     return f"{digits(sigma / ARCSEC, 2)} ({percent})"
 
 
-def sections(stereo: Stereo, result: StereoOrientation, summary: Mapping[str, Any]) -> list[Section]:
+_RESIDUAL_CAPTIONS = {
+    "ml-track": "Length of the residuals of both coordinates. Good points lie near the dotted line: below it "
+    "by what the adjustment takes up, above it where the noise was stated too small or poses of a shot are "
+    "wrong.",
+    "epipolar": "How far each pair must move for its rays to meet, shared evenly (in squares) by its two "
+    "images. The dotted line is the noise of points alone; the noise of positions and attitudes, which this "
+    "method does not adjust, lifts residuals above it.",
+    "plane": "How far apart on the plane the two rays of a pair arrive, as the second camera sees it, shared "
+    "evenly (in squares) by its two images. Relief is in it and is mostly the largest part: this is no "
+    "measure of how well points were found.",
+}
+
+
+def _height_caption(heights: PointHeights) -> str:
+    """How to read the maps of heights."""
+    said = (
+        "Every point where its rays meet, all shots together, before and after the compensation. Errors of "
+        "pitch raise or lower the whole scene: the mean of the change is in its title, the map shows what is "
+        "left of it. Sigma holds all errors, most of them common to all points; that of differences between "
+        "points is smaller."
+    )
+    poor = int((~heights.good).sum())
+    if poor:
+        said += (
+            f" Rings: {poor:,} point{' is' if poor == 1 else 's are'} known three times worse than the "
+            "median or more, and in no mean or scale here."
+        )
+    return said
+
+
+def sections(
+    stereo: Stereo, result: StereoOrientation, summary: Mapping[str, Any], heights: PointHeights | None
+) -> list[Section]:
     """All figures in the order of the page."""
     found = [
         Section(
@@ -119,11 +154,7 @@ def sections(stereo: Stereo, result: StereoOrientation, summary: Mapping[str, An
             "better than each by itself."
         )
         found.append(Section("ellipses", "Error ellipses", caption, ellipses))
-    caption = (
-        "Length of the residuals of both coordinates. Good points lie near the dotted line: below it by "
-        "what the "
-        "adjustment takes up, above it where the noise was stated too small or poses of a shot are wrong."
-    )
+    caption = _RESIDUAL_CAPTIONS.get(result.method, _RESIDUAL_CAPTIONS["ml-track"])
     found.append(
         Section(
             "residuals", "Residuals of every shot", caption, stereo_figures.residual_figure(stereo, result)
@@ -138,104 +169,11 @@ def sections(stereo: Stereo, result: StereoOrientation, summary: Mapping[str, An
             "turning) is a lens or a focal length that is not as stated."
         )
         found.append(Section("frame", "Residuals over the frame", caption, plane))
-    heights = stereo_figures.height_figure(stereo, result)
     if heights is not None:
-        caption = (
-            "Every point where its rays meet, all shots together, before and after the compensation. "
-            "Errors of "
-            "pitch raise or lower the whole scene."
+        found.append(
+            Section("heights", "Heights before and after", _height_caption(heights), height_figure(heights))
         )
-        found.append(Section("heights", "Heights before and after", caption, heights))
     return found
-
-
-def sentences(summary: Mapping[str, Any]) -> list[str]:
-    """The orientation in plain words."""
-    matches = summary["matches"]
-    what = "pairs of conjugate points" if matches["kind"] == "pairs" else "sightings of points"
-    said = [
-        f"From {matches['kept']:,} {what} in {summary['shots']:,} shots over "
-        f"{digits(summary['window_seconds'], 3)} "
-        f"s, the constant attitude errors of {_cameras(summary['cameras'])} were found. {_rejected(matches)}",
-        *_hidden(summary),
-        _weakest(summary),
-        f"{summary['chi_square']['verdict'][0].upper()}{summary['chi_square']['verdict'][1:]}.",
-    ]
-    heights = summary["heights"]
-    if math.isfinite(heights["rms_change"]):
-        sigma = heights["median_sigma"]
-        known = f", known to {digits(sigma, 2)} m each (median)" if math.isfinite(sigma) else ""
-        said.append(
-            f"The compensation moves the points' heights by {digits(heights['mean_change'], 2)} m on "
-            "average, "
-            f"{digits(heights['rms_change'], 2)} m rms{known}."
-        )
-    return [sentence for sentence in said if sentence]
-
-
-def _cameras(names: Sequence[str]) -> str:
-    if len(names) > 4:
-        return f"{len(names)} cameras"
-    word = "camera" if len(names) == 1 else "cameras"
-    return f"{word} {' and '.join(names)}" if len(names) < 3 else f"cameras {', '.join(names)}"
-
-
-def _rejected(matches: Mapping[str, Any]) -> str:
-    count = matches["rejected"]
-    if not count:
-        return "None was rejected."
-    was = "1 was" if count == 1 else f"{count:,} were"
-    return f"{was} rejected ({100.0 * count / matches['tried']:.2g} %)."
-
-
-def _hidden(summary: Mapping[str, Any]) -> list[str]:
-    words = [entry["words"] for entry in summary["unobservable"]]
-    if not words:
-        return []
-    one = len(words) == 1
-    return [
-        f"{'One direction is' if one else f'{len(words)} directions are'} not observable from these data: "
-        f"{'; '.join(words)}. The angles that take part in {'it' if one else 'them'} are not given: any "
-        "number "
-        "would be invented."
-    ]
-
-
-def _weakest(summary: Mapping[str, Any]) -> str:
-    seen = [entry for entry in summary["principal_sigmas"] if math.isfinite(entry["sigma"])]
-    if not seen:
-        return ""
-    weak, strong = seen[0], seen[-1]
-    return (
-        f"Known least is {weak['words']}, to {digits(weak['sigma'] / ARCSEC, 2)} arcsec; known best is "
-        f"{strong['words']}, to {digits(strong['sigma'] / ARCSEC, 2)} arcsec."
-    )
-
-
-def advice(stereo: Stereo, summary: Mapping[str, Any]) -> list[str]:
-    """What helps against weak directions, by what is weak here."""
-    problem = stereo.problem
-    said = []
-    weak = summary["principal_sigmas"][0]["words"]
-    if summary["unobservable"] and summary["shots"] == 1:
-        said.append(
-            "Shots that span time: with one shot a turn of both cameras about their baseline stays unseen."
-        )
-    elif summary["window_seconds"] < SHORT_WINDOW:
-        said.append("More time: what is weak falls about as the length of the window while that is short.")
-    if "yaw" in weak:
-        said.append(
-            f"Yaw ({weak}) is told by image noise over the field of view: points at the edges of the frame, "
-            "better matching, more pixels, more points; DEM and control points help it little."
-        )
-    reckoned = bool(summary.get("improvements"))
-    if problem.heights is None and not reckoned:
-        said.append("A DEM (dem, dem_sigma) tells pitch, which otherwise hides in the heights.")
-    if problem.control is None and not reckoned:
-        said.append("A few control points (control_points) tell roll and pitch of both cameras absolutely.")
-    if summary["method"] != "ml-track":
-        said.append("Points followed through all shots (--method ml-track): the same matches then tell more.")
-    return said
 
 
 def counts(summary: Mapping[str, Any]) -> list[list[str]]:

@@ -74,6 +74,22 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
     return said
 
 
+#: Ratio of sigmas below which cameras are alike.
+_ALIKE = 1.02
+
+
+def _whose(predicted: StereoPrediction) -> str:
+    """Which camera that is, axis by axis, as planned."""
+    sigmas = predicted.sigmas
+    names = []
+    for k, axis in enumerate(AXES):
+        if not sigmas[:, k].max() <= _ALIKE * sigmas[:, k].min():
+            names.append(f"{axis} of camera {predicted.cameras[int(sigmas[:, k].argmax())]}")
+    if not names:
+        return " (as planned all are known alike)"
+    return f" (as planned {', '.join(names)}{'' if len(names) == len(AXES) else '; else all alike'})"
+
+
 def sections(predicted: StereoPrediction, summary: Mapping[str, Any]) -> list[Section]:
     """All figures in the order of the page."""
     found = [
@@ -89,7 +105,8 @@ def sections(predicted: StereoPrediction, summary: Mapping[str, Any]) -> list[Se
             Section(
                 "tables",
                 "Sigma against what can be chosen",
-                "Bounds of the angles when one quantity changes and all else stays as planned.",
+                "Bounds of the angles when one quantity changes and all else stays as planned. Roll, pitch "
+                f"and yaw are each of the camera known least{_whose(predicted)}.",
                 stereo_prediction_figures.prediction_figure(predicted.tables),
             )
         )
@@ -98,7 +115,8 @@ def sections(predicted: StereoPrediction, summary: Mapping[str, Any]) -> list[Se
             Section(
                 "improvements",
                 "What would improve it",
-                "What each change leaves of the sigmas.",
+                "What each change leaves of the sigmas: bars show roll, pitch and yaw each of the camera "
+                "known least, the table all cameras.",
                 stereo_prediction_figures.improvements_figure(predicted.improvements),
             )
         )
