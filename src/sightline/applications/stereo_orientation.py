@@ -528,6 +528,10 @@ def _orient_linear(
         residual[rows], rejected[rows] = np.abs(found.residual_px) / np.sqrt(2.0), False
     known = observability(_tellable(found.information, sightings, problem.noise), _angle_names())
     angles, of_angles = _told(found.angles, found.covariance, known)
+    if known.hidden.any() and float(np.nanmax(np.abs(angles), initial=0.0)) > _LARGE:
+        # noise in the coefficients, nothing else, is left of what the hidden direction spoilt
+        angles, of_angles = np.full((2, 3), np.nan), np.full((6, 6), np.nan)
+        np.fill_diagonal(of_angles, np.inf)
     said += _linear_warnings(method, problem, kept, found, angles, raw=raw)
     points, covariance = triangulated(sightings, angles, of_angles, rejected, problem.noise)
     return StereoOrientation(

@@ -16,6 +16,8 @@ from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 #: rad; a direction whose sigma is larger is not observable: the cameras' model is linear no further, and a
 #: spacecraft knows its attitude better without images. Rounding alone gives about 10 rad.
 LIMIT = 0.1
+#: Part of a sigma by which a hidden direction may move an unknown that is still given a number.
+PART = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,11 +48,11 @@ class Observability(ReadOnlyArrays):
 
     @property
     def touched(self) -> NDArray[np.bool_]:
-        """(G,) unknowns that a hidden direction moves by more than their sigma: no number can be given."""
+        """(G,) unknowns that a hidden direction may move by a good part of their sigma: no number then."""
         hidden = self.hidden
         seen = np.sqrt(((self.directions[~hidden].T * self.sigmas[~hidden]) ** 2).sum(axis=1))
         moved = np.abs(self.directions[hidden])
-        return np.asarray((moved > 0.0).any(axis=0) & ((moved * self.limit) > seen).any(axis=0))
+        return np.asarray((moved > 0.0).any(axis=0) & ((moved * self.limit) > PART * seen).any(axis=0))
 
     def covariance(self) -> Array:
         """Covariance (G, G), rad^2: inf on the diagonal and NaN beside it for the unknowns `touched`."""
