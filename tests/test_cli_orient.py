@@ -483,10 +483,34 @@ def test_a_prediction_lays_points_out_where_there_are_none(tmp_path, capsys):
     assert run(["orient", path, "--predict", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "camera 1: bound of 1 sigma: roll" in said and "points laid out evenly" in said
+    assert "image noise of 0.1 px, as told" in said
     assert run(["orient", path, "--out", str(tmp_path / "other")]) == 2
     assert "ask for the bound with --predict" in capsys.readouterr().err
     assert run(["orient", path, "--predict", "--method", "plane", "--out", str(tmp_path / "other")]) == 2
     assert "bounds are those of ml-track and ml-pair" in capsys.readouterr().err
+
+
+def test_a_prediction_without_matches_takes_the_noise_of_the_file(tmp_path, capsys):
+    made = scene(shots=2, points=10)
+    made.toml = made.toml.replace('matches = "matches.csv"\n', "")
+    # poses are exact: all that is not known comes from the images, and grows in proportion
+    exact = made.toml.replace("sigma_position = 1.0", "sigma_position = 0").replace("= 1e-6", "= 0")
+
+    def bound(name, told):
+        made.toml = exact.replace("sigma_px = 0.1\n", told)
+        path = str(made.write(tmp_path / name))
+        assert run(["orient", path, "--predict", "--out", str(tmp_path / name / "out"), "--json"]) == 0
+        summary = json.loads(capsys.readouterr().out)
+        return np.array([entry["sigma"] for entry in summary["principal_sigmas"]]), summary["points_from"]
+
+    fine, how = bound("fine", "sigma_px = 0.1\n")
+    assert "0.1 px, as told" in how
+    seen = np.isfinite(fine)
+    coarse, how = bound("coarse", "sigma_px = 0.7\n")
+    assert seen.sum() >= 5 and coarse[seen] == pytest.approx(7.0 * fine[seen], rel=1e-3)
+    assert "0.7 px, as told" in how
+    silent, how = bound("silent", "")
+    assert silent[seen] == pytest.approx(fine[seen]) and "0.1 px, assumed, as none is told" in how
 
 
 PLAN = """

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from tests.io.stereo_files import ARCSEC, RADIUS, SHAPE, TRUTH, scene, table
 
 from sightline.errors import EstimationError, FormatError, GeometryError, SightlineError
+from sightline.io.describe_stereo import describe_stereo
 from sightline.io.stereo import load_stereo, read_stereo
 
 
@@ -56,7 +57,13 @@ def test_names_in_words_shots_and_points_of_any_number(tmp_path):
     for row in made.matches:
         row[0], row[1] = 100 + 7 * row[0], 1000 - row[1]
     problem = load_stereo(made.write(tmp_path))
-    assert problem.cameras == ("aft", "fore")  # sorted: line_1 is of "aft"
+    assert problem.cameras == ("fore", "aft")  # as first met: line_1 is of "fore"
+    assert problem.tracks.pixels[1].tolist() == made.matches[1][2:4]
+    assert problem.images.camera[problem.tracks.image[1]] == 0
+    assert problem.images.position[0].tolist() == made.cameras[0][3:6]
+    said = " ".join(describe_stereo(read_stereo(tmp_path / "stereo.toml"))["understood"])
+    assert "line_1, column_1 of matches are of camera fore, line_2, column_2 of camera aft" in said
+    assert "1e-06 rad (0.206 arcsec)" in said
     assert problem.shot_names.tolist() == [100, 107, 114]
     assert problem.point_names.tolist() == list(range(991, 1001))
 
@@ -66,6 +73,9 @@ def test_numbered_cameras_are_sorted_by_number(tmp_path):
     for row in made.cameras:
         row[0] = {1: 10, 2: 9}[row[0]]
     assert load_stereo(made.write(tmp_path)).cameras == ("9", "10")
+    for row in made.cameras:
+        row[0] = {10: "1.0", 9: "0.5"}[row[0]]  # no whole numbers: names
+    assert load_stereo(made.write(tmp_path)).cameras == ("1.0", "0.5")
 
 
 def test_points_may_be_unequal_from_shot_to_shot(tmp_path):

@@ -5,6 +5,7 @@ Not here: what the whole means (``stereo.py``), whether its geometry can answer 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -30,6 +31,8 @@ IMAGES = ("camera", "shot", "image")
 SAME_TIME = 1e-3
 #: px beyond the edge of a frame at which a point cannot have been seen in it, noise of matching or not.
 BEYOND_PX = 50.0
+#: Names of cameras that are numbered.
+_WHOLE = re.compile(r"[+-]?[0-9]+")
 #: Names that are listed in a message.
 LISTED = 8
 
@@ -41,7 +44,7 @@ class PoseTable:
     Attributes
     ----------
     cameras : tuple of str
-        Names, sorted: by value where all are numbers.
+        Names, in the order of `camera_names`.
     camera : (M,) int
         Which of `cameras`.
     shot : (M,) int
@@ -91,12 +94,11 @@ class PoseTable:
 
 
 def camera_names(words: Sequence[str]) -> tuple[str, ...]:
-    """Different names, sorted: by value where all are numbers."""
-    names = set(words)
-    try:
-        return tuple(sorted(names, key=lambda name: (float(name), name)))
-    except ValueError:
-        return tuple(sorted(names))
+    """Different names in the order of all tables: by value if all are whole numbers, else as first met."""
+    names = dict.fromkeys(words)
+    if all(_WHOLE.fullmatch(name) for name in names):
+        return tuple(sorted(names, key=lambda name: (int(name), name)))
+    return tuple(names)
 
 
 def numbers_of(path: Path, names: Sequence[str], words: Sequence[str]) -> Index:
