@@ -319,6 +319,30 @@ def test_data_that_cannot_answer_end_with_status_1(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_linear_method_says_why_residuals_were_not_judged(given, tmp_path, capsys):
+    file = str(given[1] / "stereo.toml")
+    assert run(["orient", file, "--method", "epipolar", "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "was not judged: epipolar adjusts no points, so it has no chi-square; ml-track has one" in said
+
+
+def test_a_file_of_another_command_is_pointed_there(given, tmp_path, capsys):
+    for command in (["recover"], ["tdi"]):
+        assert run([*command, str(given[1] / "stereo.toml"), "--out", str(tmp_path / "out")]) == 2
+        assert "looks like a file for `sightline orient`" in capsys.readouterr().err
+    (tmp_path / "a.toml").write_text(ACQUISITION)
+    assert run(["orient", str(tmp_path / "a.toml"), "--out", str(tmp_path / "out")]) == 2
+    assert "looks like a file for `sightline recover`" in capsys.readouterr().err
+
+
+def test_a_prediction_is_not_scored(given, tmp_path, capsys):
+    out = str(tmp_path / "out")
+    assert run(["orient", str(given[1] / "stereo.toml"), "--predict", "--out", out]) == 0
+    capsys.readouterr()
+    assert run(["score", out, str(given[1] / "orientation-truth.csv")]) == 2
+    assert "holds a prediction (`orient --predict`): sigmas and no angles" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import FormatError
-from sightline.io.tables import check_quaternions, header_of, read_columns, read_long_columns
+from sightline.io.tables import check_quaternions, header_of, line_of_row, read_columns, read_long_columns
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -85,10 +85,9 @@ class PoseTable:
         if lost.size:
             row = int(lost[0])
             raise FormatError(
-                f"{path}: row {row + 1} is of shot {shot[row]:g} of camera {self.cameras[camera[row]]}, "
-                "which "
-                f"the table of cameras does not have ({lost.size} such rows); add its pose, or remove the "
-                "rows"
+                f"{path}: line {line_of_row(path, row)} is of shot {shot[row]:g} of camera "
+                f"{self.cameras[camera[row]]}, which the table of cameras does not have ({lost.size} such in "
+                "all); add its pose, or remove the lines"
             )
         return rows
 
@@ -108,8 +107,8 @@ def numbers_of(path: Path, names: Sequence[str], words: Sequence[str]) -> Index:
     lost = np.flatnonzero(found < 0)
     if lost.size:
         raise FormatError(
-            f"{path}: row {int(lost[0]) + 1} names the camera {words[int(lost[0])]!r}, which the table of "
-            f"cameras does not have; it has: {listed(names)}"
+            f"{path}: line {line_of_row(path, int(lost[0]))} names the camera {words[int(lost[0])]!r}, which "
+            f"the table of cameras does not have; it has: {listed(names)}"
         )
     return found
 
