@@ -319,6 +319,30 @@ def test_data_that_cannot_answer_end_with_status_1(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_a_linear_method_says_why_residuals_were_not_judged(given, tmp_path, capsys):
+    file = str(given[1] / "stereo.toml")
+    assert run(["orient", file, "--method", "epipolar", "--out", str(tmp_path / "out")]) == 0
+    said = capsys.readouterr().out
+    assert "was not judged: epipolar adjusts no points, so it has no chi-square; ml-track has one" in said
+
+
+def test_a_file_of_another_command_is_pointed_there(given, tmp_path, capsys):
+    for command in (["recover"], ["tdi"]):
+        assert run([*command, str(given[1] / "stereo.toml"), "--out", str(tmp_path / "out")]) == 2
+        assert "looks like a file for `sightline orient`" in capsys.readouterr().err
+    (tmp_path / "a.toml").write_text(ACQUISITION)
+    assert run(["orient", str(tmp_path / "a.toml"), "--out", str(tmp_path / "out")]) == 2
+    assert "looks like a file for `sightline recover`" in capsys.readouterr().err
+
+
+def test_a_prediction_is_not_scored(given, tmp_path, capsys):
+    out = str(tmp_path / "out")
+    assert run(["orient", str(given[1] / "stereo.toml"), "--predict", "--out", out]) == 0
+    capsys.readouterr()
+    assert run(["score", out, str(given[1] / "orientation-truth.csv")]) == 2
+    assert "holds a prediction (`orient --predict`): sigmas and no angles" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
@@ -483,10 +507,34 @@ def test_a_prediction_lays_points_out_where_there_are_none(tmp_path, capsys):
     assert run(["orient", path, "--predict", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "camera 1: bound of 1 sigma: roll" in said and "points laid out evenly" in said
+    assert "image noise of 0.1 px, as told" in said
     assert run(["orient", path, "--out", str(tmp_path / "other")]) == 2
     assert "ask for the bound with --predict" in capsys.readouterr().err
     assert run(["orient", path, "--predict", "--method", "plane", "--out", str(tmp_path / "other")]) == 2
     assert "bounds are those of ml-track and ml-pair" in capsys.readouterr().err
+
+
+def test_a_prediction_without_matches_takes_the_noise_of_the_file(tmp_path, capsys):
+    made = scene(shots=2, points=10)
+    made.toml = made.toml.replace('matches = "matches.csv"\n', "")
+    # poses are exact: all that is not known comes from the images, and grows in proportion
+    exact = made.toml.replace("sigma_position = 1.0", "sigma_position = 0").replace("= 1e-6", "= 0")
+
+    def bound(name, told):
+        made.toml = exact.replace("sigma_px = 0.1\n", told)
+        path = str(made.write(tmp_path / name))
+        assert run(["orient", path, "--predict", "--out", str(tmp_path / name / "out"), "--json"]) == 0
+        summary = json.loads(capsys.readouterr().out)
+        return np.array([entry["sigma"] for entry in summary["principal_sigmas"]]), summary["points_from"]
+
+    fine, how = bound("fine", "sigma_px = 0.1\n")
+    assert "0.1 px, as told" in how
+    seen = np.isfinite(fine)
+    coarse, how = bound("coarse", "sigma_px = 0.7\n")
+    assert seen.sum() >= 5 and coarse[seen] == pytest.approx(7.0 * fine[seen], rel=1e-3)
+    assert "0.7 px, as told" in how
+    silent, how = bound("silent", "")
+    assert silent[seen] == pytest.approx(fine[seen]) and "0.1 px, assumed, as none is told" in how
 
 
 PLAN = """

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
 import json
+import shutil
 
+import numpy as np
 import pytest
 
 from sightline.cli.main import run
@@ -50,3 +53,20 @@ def test_points_are_found_and_the_angles_are_those_put_in(pass_, capsys):
     assert score["nees"] < 22.5
     images = (out / "colmap" / "images.txt").read_text()
     assert "camera-1-shot-000.tif" in images
+
+
+def test_pictures_without_common_texture_are_told_in_the_words_of_the_file(pass_, tmp_path, capsys):
+    rng = np.random.default_rng(8)
+    for name in ("stereo.toml", "cameras.csv", "images.csv"):
+        shutil.copy(pass_ / name, tmp_path / name)
+    with (pass_ / "images.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    text = (tmp_path / "images.csv").read_text()
+    for number, row in enumerate(rows):
+        text = text.replace(row["image"], f"{number}.npy")
+        np.save(tmp_path / f"{number}.npy", rng.normal(100.0, 10.0, (200, 200)).astype(np.float32))
+    (tmp_path / "images.csv").write_text(text)
+    assert run(["orient", str(tmp_path / "stereo.toml"), "--out", str(tmp_path / "out")]) == 1
+    said = capsys.readouterr().err
+    assert "no point was found in two of 6 pictures" in said and "enlarge height_sigma" in said
+    assert "height_range" not in said and "pointing_error" not in said

@@ -6,7 +6,9 @@ import pytest
 
 from sightline.errors import FormatError
 from sightline.io.acquisition import load_acquisition, read_acquisition
-from sightline.io.config import json_schema
+from sightline.io.acquisition_schema import AcquisitionFile
+from sightline.io.config import json_schema, validate
+from sightline.io.stereo_schema import StereoFile
 
 
 def message(folder) -> str:
@@ -106,6 +108,18 @@ def test_an_epoch_that_is_no_utc_instant_is_refused_when_the_file_is_read(folder
     said = message(folder.replace('"2026-01-01T00:00:00Z"', f'"{epoch}"'))
     assert f"acquisition.epoch: {epoch!r} is not allowed" in said
     assert 'an ISO 8601 instant in UTC is, such as "2026-01-31T12:00:00Z"' in said
+
+
+def test_a_file_for_another_command_is_pointed_there(tmp_path):
+    path = tmp_path / "x.toml"
+    stereo = {"cameras": "c.csv", "matches": "m.csv", "camera": {}, "noise": {}}
+    with pytest.raises(FormatError, match="looks like a file for `sightline orient`"):
+        validate(AcquisitionFile, stereo, path)
+    with pytest.raises(FormatError, match="looks like a file for `sightline recover`"):
+        validate(StereoFile, {"acquisition": {}, "platform": {}, "instrument": {}, "band": []}, path)
+    # one strange table among its own is a mistake in the file, not another file
+    with pytest.raises(FormatError, match="unknown key 'cameras'"):
+        validate(AcquisitionFile, {"cameras": "c.csv", "acquisition": {}, "platform": {}, "band": []}, path)
 
 
 def test_the_json_schema_describes_every_table_and_can_be_printed():

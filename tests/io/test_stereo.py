@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from tests.io.stereo_files import ARCSEC, RADIUS, SHAPE, TRUTH, scene, table
 
 from sightline.errors import EstimationError, FormatError, GeometryError, SightlineError
+from sightline.io.describe_stereo import describe_stereo
 from sightline.io.stereo import load_stereo, read_stereo
 
 
@@ -56,7 +57,13 @@ def test_names_in_words_shots_and_points_of_any_number(tmp_path):
     for row in made.matches:
         row[0], row[1] = 100 + 7 * row[0], 1000 - row[1]
     problem = load_stereo(made.write(tmp_path))
-    assert problem.cameras == ("aft", "fore")  # sorted: line_1 is of "aft"
+    assert problem.cameras == ("fore", "aft")  # as first met: line_1 is of "fore"
+    assert problem.tracks.pixels[1].tolist() == made.matches[1][2:4]
+    assert problem.images.camera[problem.tracks.image[1]] == 0
+    assert problem.images.position[0].tolist() == made.cameras[0][3:6]
+    said = " ".join(describe_stereo(read_stereo(tmp_path / "stereo.toml"))["understood"])
+    assert "line_1, column_1 of matches are of camera fore, line_2, column_2 of camera aft" in said
+    assert "1e-06 rad (0.206 arcsec)" in said
     assert problem.shot_names.tolist() == [100, 107, 114]
     assert problem.point_names.tolist() == list(range(991, 1001))
 
@@ -66,6 +73,9 @@ def test_numbered_cameras_are_sorted_by_number(tmp_path):
     for row in made.cameras:
         row[0] = {1: 10, 2: 9}[row[0]]
     assert load_stereo(made.write(tmp_path)).cameras == ("9", "10")
+    for row in made.cameras:
+        row[0] = {10: "1.0", 9: "0.5"}[row[0]]  # no whole numbers: names
+    assert load_stereo(made.write(tmp_path)).cameras == ("1.0", "0.5")
 
 
 def test_points_may_be_unequal_from_shot_to_shot(tmp_path):
@@ -288,6 +298,12 @@ def observed(made):
     made.toml = made.toml.replace("matches", "observations")
 
 
+def below_the_ground(made):
+    made.toml += '[world]\nframe = "local"\norigin = [0.0, 0.0, 0.0]\n'
+    for row in made.cameras:
+        row[3:6] = [0.0, 0.0, -420e3]  # z down
+
+
 def unknown_camera(made):
     observed(made)
     made.observations[3][0] = "7"
@@ -354,6 +370,42 @@ BAD = {
         toml("sigma_attitude = 1e-6", "sigma_attitude = nan"),
         FormatError,
         "noise.sigma_attitude = nan",
+    ),
+    "sigma in arcseconds": (
+        toml("sigma_attitude = 1e-6", "sigma_attitude = 1.8"),
+        FormatError,
+        "sigma_attitude: 1.8 rad is 103 degrees .* 1.8 arcsec would be 8.7e-06",
+    ),
+    "one number for the shape": (
+        toml("[600, 700]", "700"),
+        FormatError,
+        r"camera.shape: 700 is not allowed: two whole numbers .lines, columns. are",
+    ),
+    "half a line": (toml("[600, 700]", "[600.5, 700]"), FormatError, "two whole numbers .lines, columns."),
+    "no table of noise": (
+        toml("[noise]\nsigma_px = 0.1\nsigma_position = 1.0\nsigma_attitude = 1e-6\n", ""),
+        FormatError,
+        "'noise' is missing; add it: it holds sigma_position, sigma_attitude; if wanted also sigma_px",
+    ),
+    "two keys missing": (
+        toml("sigma_position = 1.0\nsigma_attitude = 1e-6\n", ""),
+        FormatError,
+        r"'noise.sigma_position' is missing; add it \(also missing: noise.sigma_attitude\)",
+    ),
+    "one key missing, one wrong": (
+        toml("sigma_px = 0.1\nsigma_position = 1.0\n", "sigma_px = -1\n"),
+        FormatError,
+        r"noise.sigma_px = -1 is not allowed.*\(also missing: noise.sigma_position\)",
+    ),
+    "Earth-fixed in a flat world": (
+        toml("[surface]", '[world]\nframe = "local"\n[surface]'),
+        FormatError,
+        "no origin .* are they Earth-fixed",
+    ),
+    "below the ground": (
+        below_the_ground,
+        FormatError,
+        r"are they in km, or Earth-fixed, not east, north and up about \[world\] origin",
     ),
     "knowledge": (
         toml("[noise]", '[noise]\nattitude_knowledge = "star-tracker"'),
@@ -433,16 +485,16 @@ BAD = {
     "word": (match_cell(2, 3, "left"), FormatError, "line 4, column 'column_1': 'left' is not a number"),
     "point twice": (match_cell(1, 1, 0), FormatError, "rows 1 and 2 are both point 0 of shot 0"),
     "half a point": (match_cell(1, 1, 0.5), FormatError, "point = 0.5; points are whole numbers"),
-    "shot without image": (match_cell(7, 0, 9), FormatError, "row 8 is of shot 9 of camera 1"),
+    "shot without image": (match_cell(7, 0, 9), FormatError, "line 9 is of shot 9 of camera 1"),
     "line and column exchanged": (swap_lines_and_columns, FormatError, "are line and column exchanged"),
     "beside the frame": (
         match_cell(0, 2, 5000.0),
         FormatError,
         "line 5000, .* outside its frame of 600 lines x 700",
     ),
-    "unknown camera": (unknown_camera, FormatError, "row 4 names the camera '7'.* it has: 1, 2"),
+    "unknown camera": (unknown_camera, FormatError, "line 5 names the camera '7'.* it has: 1, 2"),
     "seen twice": (seen_twice, FormatError, "are both point 5 in the same image"),
-    "image unknown": (no_image, FormatError, "row 4 is of shot 17 of camera 1"),
+    "image unknown": (no_image, FormatError, "line 5 is of shot 17 of camera 1"),
     # geometry
     "too few": (few, EstimationError, "too few points: 5 points in 10 sightings give 5 equations"),
     "on a line": (on_a_line, EstimationError, "all points lie on one line"),
@@ -491,14 +543,37 @@ def test_dem_and_surface_together_are_refused(tmp_path):
         load_stereo(made.write(tmp_path))
 
 
-def test_positions_in_kilometres_are_told_where_the_body_is_the_earth(tmp_path):
+@pytest.mark.parametrize("radii", ["", "[surface]\nradii = [6371000.0, 6371000.0]\n"])
+@pytest.mark.parametrize(("factor", "unit"), [(1e-3, "km"), (0.93, "km"), (1e3, "mm")])
+def test_positions_inside_a_body_or_far_from_it_are_refused(tmp_path, radii, factor, unit):
     made = scene(shots=3, points=10)
-    made.toml = made.toml.replace("[surface]\nradii = [6371000.0, 6371000.0]\n", "")
+    made.toml = made.toml.replace("[surface]\nradii = [6371000.0, 6371000.0]\n", radii)
     load_stereo(made.write(tmp_path))
     for row in made.cameras:
-        row[3:6] = [v / 1e3 for v in row[3:6]]
-    with pytest.raises(FormatError, match="are they in km"):
+        row[3:6] = [v * factor for v in row[3:6]]  # km, 53 km below the ground, mm
+    with pytest.raises(
+        FormatError, match=f"cameras.csv: a position lies .* centre.* in {unit}, or in other axes"
+    ):
         load_stereo(made.write(tmp_path))
+
+
+def test_exact_positions_and_attitudes_may_be_told(tmp_path):
+    made = scene(shots=3, points=10)
+    made.toml = made.toml.replace("sigma_position = 1.0", "sigma_position = 0")
+    made.toml = made.toml.replace("sigma_attitude = 1e-6", "sigma_attitude = 0")
+    noise = load_stereo(made.write(tmp_path)).noise
+    assert noise.position == 0.0 and noise.attitude == 0.0
+
+
+def test_lines_are_counted_as_an_editor_does(tmp_path):
+    made = scene(shots=3, points=10)
+    path = made.write(tmp_path)
+    made.matches[7][0] = 9
+    rows = [",".join(str(v) for v in row) for row in made.matches]
+    text = "# a comment\n\nshot,point,line_1,column_1,line_2,column_2\n" + "\n".join(rows)
+    (tmp_path / "matches.csv").write_text(text)
+    with pytest.raises(FormatError, match=r"matches.csv: line 11 is of shot 9"):
+        load_stereo(path)
 
 
 def test_attitude_errors_of_degrees_are_warned_of(tmp_path):

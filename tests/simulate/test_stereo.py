@@ -404,6 +404,7 @@ def test_every_case_can_be_drawn_and_its_points_are_seen(case):
         ({"relief": "white", "dem_sigma": 1.0}, "no DEM"),
         ({"separation": 0.0}, "no baseline"),
         ({"latitude": 1.5}, "`latitude` must be below"),
+        ({"latitude": 1.6}, "`latitude` must be from -90 to 90 degrees, got 91.67"),
         ({"colour": 3}, "unknown option: colour"),
     ],
 )

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from sightline.applications.stereo_orientation import StereoProblem
-from sightline.errors import InputError
+from sightline.errors import EstimationError, InputError
 from sightline.geometry.surface import Ellipsoid, Plane, Surface
 from sightline.imaging.source import ImageSource
 from sightline.photogrammetry.frame_cameras import frame_cameras
@@ -84,6 +84,20 @@ def match_problem(
             reach = _HEIGHT_SIGMAS * problem.heights.sigma
         plan = TrackPlan(height_range=reach, floor_px=floor_px)
     cameras = frame_cameras(problem.images, problem.detectors, problem.mounts)
-    found = match_frames(sources, [cameras[row] for row in rows], surface, plan)
+    try:
+        found = match_frames(sources, [cameras[row] for row in rows], surface, plan)
+    except EstimationError:
+        raise EstimationError(_nothing_found(len(sources), plan)) from None
     tracks = Tracks(rows[found.image], found.point, found.pixels, found.sigma_px)
     return replace(problem, tracks=tracks, point_names=np.arange(int(found.point.max()) + 1, dtype=float))
+
+
+def _nothing_found(pictures: int, plan: TrackPlan) -> str:
+    """What may be wrong where no point is found, in the words of a STEREO.toml."""
+    return (
+        f"no point was found in two of {pictures} pictures: they show no common texture where the planned "
+        "poses place it; check that images.csv gives each camera and shot its own picture, that planned "
+        "poses and mount look at the same ground, and [surface] (height, dem): points are sought within "
+        f"{plan.height_range:g} m of it, three times height_sigma (1000 m without one); enlarge height_sigma "
+        "if the ground may lie further"
+    )

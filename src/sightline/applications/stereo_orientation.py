@@ -64,6 +64,8 @@ class StereoProblem(ReadOnlyArrays):
         UTC, ISO 8601: the instant t = 0.
     warnings : tuple of str
         What was noticed while reading.
+    sigma_px : float or None
+        px; expected 1-sigma of each coordinate of points that are not found yet; None where nobody says.
     """
 
     cameras: tuple[str, ...]
@@ -80,6 +82,7 @@ class StereoProblem(ReadOnlyArrays):
     focal_sigma: tuple[float, ...] | None = None
     epoch: str | None = None
     warnings: tuple[str, ...] = field(default=())
+    sigma_px: float | None = None
 
     def sightings(self) -> Sightings:
         """The points as sighted, free of lens and mount."""

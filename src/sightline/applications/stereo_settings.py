@@ -319,12 +319,15 @@ def _laid_out(problem: StereoProblem) -> Setting:
     places = ground(int(POINTS * POINTS / max(len(np.unique(seen)), 1)))
     image, point = _shown(images, problem.detectors, problem.mounts, places)
     names, point = np.unique(point, return_inverse=True)
+    sigma, whose = problem.sigma_px, "as told"
+    if sigma is None:
+        sigma, whose = SIGMA_PX, "assumed, as none is told ([noise] sigma_px)"
     how = (
         f"{len(names)} points laid out evenly over the middle frame of camera {problem.cameras[camera]}, on "
-        f"the surface, where another frame shows them too; image noise of {SIGMA_PX:g} px"
+        f"the surface, where another frame shows them too; image noise of {sigma:g} px, {whose}"
     )
     return Setting(
-        images, problem.detectors, problem.mounts, image, point, np.full(len(image), SIGMA_PX),
+        images, problem.detectors, problem.mounts, image, point, np.full(len(image), sigma),
         frozen(places[names]), problem.noise, problem.radii, problem.heights, None, how,
     )  # fmt: skip
 

@@ -30,6 +30,11 @@ SCHEMAS: dict[str, type[BaseModel]] = {
     "tdi": TdiFile,
 }
 
+#: The command that reads each of them.
+COMMANDS = {"acquisition": "recover", "instrument": "layout", "stereo": "orient", "tdi": "tdi"}
+#: Keys that are listed in a message.
+_LISTED = 8
+
 #: Values of ``kind`` by table: pydantic names the one it tried in the place of a mistake.
 KINDS = {
     "platform": ("camera-model", "ephemeris", "level-flight", "spin"),
@@ -102,14 +107,59 @@ def validate(model: type[Model], data: dict[str, Any], path: Path) -> Model:
     """
     unknown = next(_unknown_keys(model, data, ()), None)
     if unknown is not None:
-        raise FormatError(f"{path}: {unknown}")
+        raise FormatError(f"{path}: {_meant_for_another(model, data) or unknown}")
     try:
         return model.model_validate(data)
     except ValidationError as error:
-        first = error.errors()[0]
-        more = error.error_count() - 1
-        tail = f" (and {more} more)" if more else ""
-        raise FormatError(f"{path}: {_explain(first)}{tail}") from None
+        first, *others = error.errors()
+        raise FormatError(f"{path}: {_explain(first)}{_held(model, first)}{_others(others)}") from None
+
+
+def _meant_for_another(model: type[BaseModel], data: dict[str, Any]) -> str:
+    """Which command a file is for that holds more tables of another schema than of `model`; else empty."""
+    own = len(data.keys() & model.model_fields.keys())
+    shared = {name: len(data.keys() & other.model_fields.keys()) for name, other in SCHEMAS.items()}
+    best = max(shared, key=lambda name: shared[name])
+    name = next((name for name, other in SCHEMAS.items() if other is model), None)
+    if name is None or shared[best] <= own:
+        return ""
+    return (
+        f"this looks like a file for `sightline {COMMANDS[best]}` ({best.upper()}.toml: it holds "
+        f"{', '.join(key for key in data if key in SCHEMAS[best].model_fields)}); give it to that command; "
+        f"here {name.upper()}.toml is read"
+    )
+
+
+def _held(model: type[BaseModel], error: Any) -> str:
+    """What a missing table of `model` holds, in words; empty for other mistakes."""
+    if error["type"] != "missing" or len(error["loc"]) != 1:
+        return ""
+    inner = list(dict.fromkeys(_models_in(model.model_fields[str(error["loc"][0])].annotation)))
+    if len(inner) != 1:
+        return ""
+    fields = inner[0].model_fields
+    needed = [name for name, field in fields.items() if field.is_required()]
+    optional = [name for name in fields if name not in needed]
+    said = f": it holds {', '.join(needed)}" if needed else ""
+    return said + (f"; if wanted also {', '.join(optional)}" if optional else "")
+
+
+def _others(errors: Sequence[Any]) -> str:
+    """Further mistakes by the names of their keys."""
+    if not errors:
+        return ""
+    missing = [_place(error) for error in errors if error["type"] == "missing"]
+    wrong = [_place(error) for error in errors if error["type"] != "missing"]
+    said = [f"also missing: {_few(missing)}"] if missing else []
+    said += [f"also wrong: {_few(wrong)}"] if wrong else []
+    return f" ({'; '.join(said)})"
+
+
+def _few(keys: Sequence[str]) -> str:
+    """Names of keys, each once; how many more there are than a message should list."""
+    names = list(dict.fromkeys(keys))
+    more = len(names) - _LISTED
+    return ", ".join(names[:_LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _near(word: str, allowed: Sequence[str] | dict[str, Any]) -> str:
@@ -178,8 +228,7 @@ def _key(where: Sequence[str | int]) -> str:
 
 def _explain(error: Any) -> str:
     """One pydantic complaint in our form: key, value, what is allowed."""
-    tags = {tag for kinds in KINDS.values() for tag in kinds}
-    where = tuple(part for part in error["loc"] if part not in tags and not _is_type_tag(part))
+    where = _where(error)
     key, kind, given = _key(where), error["type"], error["input"]
     context = error.get("ctx", {})
     if kind == "missing":
@@ -198,6 +247,17 @@ def _explain(error: Any) -> str:
         return f"{key} = {given!r} is not known; allowed: {context['expected']}"
     shown = repr(given) if not isinstance(given, dict) else "a table"
     return f"{key} = {shown} is not allowed: {error['msg'][0].lower()}{error['msg'][1:]}"
+
+
+def _where(error: Any) -> tuple[str | int, ...]:
+    """Place of a complaint in the file, without the tags of the types that were tried."""
+    tags = {tag for kinds in KINDS.values() for tag in kinds}
+    return tuple(part for part in error["loc"] if part not in tags and not _is_type_tag(part))
+
+
+def _place(error: Any) -> str:
+    """The key a complaint is about."""
+    return _key(_where(error)) or "the file as a whole"
 
 
 def _is_type_tag(part: object) -> bool:

@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 #: rad of convergence below which heights, and with them pitch, are told badly.
 NARROW = np.radians(5.0)
+_ARCSEC = np.pi / 648_000.0
 #: Share of the frame that points should span for yaw.
 SPAN = 0.5
 
@@ -40,10 +41,11 @@ def _understood(stereo: Stereo) -> list[str]:
     said = [
         f"{stereo.name}: {len(problem.cameras)} cameras ({', '.join(problem.cameras[:8])}), "
         f"{len(problem.shot_names)} shots over {np.ptp(images.t):.6g} s, {len(images)} images",
-        f"{len(problem.point_names)} points in {len(problem.tracks)} sightings"
+        f"{len(problem.point_names)} points in {len(problem.tracks)} sightings{_columns_of(stereo)}"
         if stereo.pictures is None
         else f"{len(stereo.pictures.sources)} pictures, in which points are to be found",
-        f"noise of positions {problem.noise.position:g} m, of attitudes {problem.noise.attitude:.3g} rad, "
+        f"noise of positions {problem.noise.position:g} m, of attitudes {problem.noise.attitude:.3g} rad "
+        f"({problem.noise.attitude / _ARCSEC:.3g} arcsec), "
         + (
             "attitudes measured by themselves"
             if problem.noise.aim_point is None
@@ -61,6 +63,14 @@ def _understood(stereo: Stereo) -> list[str]:
     if problem.control is not None:
         said.append(f"{len(problem.control.point)} control points")
     return said + list(problem.warnings)
+
+
+def _columns_of(stereo: Stereo) -> str:
+    """Of ``matches``: which camera is _1 and which is _2."""
+    if stereo.pairs is None:
+        return ""
+    first, second = stereo.problem.cameras
+    return f"; line_1, column_1 of matches are of camera {first}, line_2, column_2 of camera {second}"
 
 
 def separation(problem: StereoProblem) -> tuple[float, float] | None:

@@ -31,8 +31,12 @@ from sightline.io.spin import must_cover, spin_of
 
 Array = NDArray[np.float64]
 
-#: Earth-fixed positions must lie between these distances from the Earth's centre (m).
-EARTH_FIXED_RANGE = (6.3e6, 1e9)
+#: m; positions lie no deeper than this below the smallest radius of the body.
+DEPTH = 20e3
+#: m, and radii of the body; positions lie no further from its centre than the larger of both.
+FARTHEST, FARTHEST_RADII = 1e9, 150.0
+#: m; height, and distance from the origin, up to which a world may be flat.
+HIGHEST_FLAT, WIDEST_FLAT = 1e6, 6e6
 #: Share of the strip's duration by which a closed-form trajectory reaches beyond it on both sides.
 MARGIN_SHARE = 0.1
 #: The same in seconds, for images of one instant.
@@ -182,20 +186,41 @@ def points_to_world(
         return from_geodetic(np.column_stack([np.radians(lon), np.radians(lat), points[:, 2]]), body)
     if world.frame == "local":
         if world.origin is None:
+            _check_flat(points, place)
             return points
         lon, lat, height = np.radians(world.origin[0]), np.radians(world.origin[1]), world.origin[2]
-        return np.asarray(from_geodetic([[lon, lat, height]], body) + local_axes(lon, lat).apply(points))
-    if radii is None:
-        distance = np.linalg.norm(points, axis=1)
-        low, high = EARTH_FIXED_RANGE
-        if np.any((distance < low) | (distance > high)):
-            odd = float(distance[np.argmax((distance < low) | (distance > high))])
-            raise FormatError(
-                f"{place}a position lies {odd:.6g} m from the Earth's centre; Earth-fixed positions in "
-                f"metres lie beyond "
-                f'{low:.3g} m; are they in km, or in other axes ([world] frame = "local" or "lonlat")?'
-            )
+        places = np.asarray(from_geodetic([[lon, lat, height]], body) + local_axes(lon, lat).apply(points))
+        _check_distance(places, body, place, "Earth-fixed, not east, north and up about [world] origin?")
+        return places
+    _check_distance(points, body, place, 'in other axes ([world] frame = "local" or "lonlat")?')
     return points
+
+
+def _check_distance(points: Array, radii: tuple[float, float], place: str, other: str) -> None:
+    """Refuse positions (N, 3) m that lie deep inside a body, or too far from it to image it."""
+    distance = np.linalg.norm(points, axis=1)
+    low, high = min(radii) - DEPTH, max(FARTHEST, FARTHEST_RADII * max(radii))
+    odd = (distance < low) | (distance > high)
+    if odd.any():
+        row = int(np.argmax(odd))
+        centre = "Earth's" if radii == WGS84 else "body's"
+        raise FormatError(
+            f"{place}a position lies {distance[row]:.6g} m from the {centre} centre; positions in "
+            f"metres lie between {low:.4g} m and {high:.3g} m from it; are they in "
+            f"{'km' if distance[row] < low else 'mm'}, or {other}"
+        )
+
+
+def _check_flat(points: Array, place: str) -> None:
+    """Refuse positions (N, 3) m that no flat world about its origin can hold."""
+    far = (np.abs(points[:, 2]) > HIGHEST_FLAT) | (np.linalg.norm(points, axis=1) > WIDEST_FLAT)
+    if far.any():
+        row = int(np.argmax(far))
+        raise FormatError(
+            f"{place}a position is x, y, z = {', '.join(f'{v:.6g}' for v in points[row])} m; with [world] "
+            'frame = "local" and no origin the columns are metres east, north and up over a flat ground; '
+            'are they Earth-fixed (frame = "earth-fixed"), or in mm?'
+        )
 
 
 def along_track_attitude(

@@ -199,6 +199,7 @@ def read_stereo(path: Path, *, planned: bool = False) -> Stereo:
         focal_sigma=_focal_sigma(cameras),
         epoch=file.stereo.epoch,
         warnings=warnings + more,
+        sigma_px=file.noise.sigma_px,
     )
     pictures = None if file.images is None else _pictures(files, file, poses, detectors)
     return Stereo(

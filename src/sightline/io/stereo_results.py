@@ -273,11 +273,11 @@ def chi_square(result: StereoOrientation) -> dict[str, Any]:
     """Whether residuals are as large as the sigmas of the file say."""
     freedom = result.degrees_of_freedom
     if result.cost is None or freedom is None or freedom <= 0:
-        return {
-            "per_degree": None,
-            "sigma": None,
-            "verdict": "whether residuals are as large as the sigmas say was not judged",
-        }
+        why = "no equation is left over to judge by"
+        if result.cost is None:
+            why = f"{result.method} adjusts no points, so it has no chi-square; ml-track has one"
+        verdict = f"whether residuals are as large as the sigmas say was not judged: {why}"
+        return {"per_degree": None, "sigma": None, "verdict": verdict}
     ratio, sigma = result.cost / freedom, math.sqrt(2.0 / freedom)
     off = abs(ratio - 1.0)
     if off <= max(CHI_SIGMAS * sigma, CHI_SHARE):

@@ -8,6 +8,7 @@ Not here: reading the file (``config.py``), what is made of it (``stereo.py``).
 
 from __future__ import annotations
 
+import math
 from datetime import datetime
 from typing import Annotated, Any, Literal
 
@@ -25,6 +26,9 @@ from sightline.io.acquisition_schema import (
     WorldSection,
 )
 from sightline.io.ccsds import parse_utc
+
+#: rad; noise of attitudes beyond which nothing is linear, and which no sensor has: given in other units.
+LARGEST_ATTITUDE_SIGMA = 0.05
 
 #: One table for all cameras or a list of tables, told apart before they are judged.
 _ONE, _EACH = "as-table", "as-list"
@@ -89,6 +93,16 @@ class StereoCamera(Section):
     def _a_number_is_a_name(cls, value: object) -> object:
         return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
+    @field_validator("shape", mode="before")
+    @classmethod
+    def _two_numbers(cls, value: object) -> object:
+        whole = isinstance(value, list | tuple) and all(
+            isinstance(v, int | float) and float(v).is_integer() for v in value
+        )
+        if not whole or len(value) != 2:  # type: ignore[arg-type]
+            raise ValueError(f"{value!r} is not allowed: two whole numbers [lines, columns] are")
+        return value
+
     @field_validator("body_from_camera")
     @classmethod
     def _length_one(cls, value: Quaternion | None) -> Quaternion | None:
@@ -130,6 +144,17 @@ class StereoNoise(Section):
         default=None,
         description="With from-position: x, y, z, axes of [world]; default: nearest to all boresights",
     )
+
+    @field_validator("sigma_attitude")
+    @classmethod
+    def _in_radians(cls, value: float) -> float:
+        if value > LARGEST_ATTITUDE_SIGMA:
+            raise ValueError(
+                f"{value:g} rad is {math.degrees(value):.3g} degrees and is not allowed: radians up to "
+                f"{LARGEST_ATTITUDE_SIGMA:g} are; {value:g} arcsec would be "
+                f"{value * math.pi / 648_000.0:.2g}, {value:g} degrees {math.radians(value):.2g}"
+            )
+        return value
 
     @model_validator(mode="after")
     def _aim_needs_its_model(self) -> StereoNoise:

@@ -73,6 +73,11 @@ def read_covariance(path: Path, count: int) -> Array:
 def score_orientation_folder(folder: Path, truth: Path) -> dict[str, Any]:
     """Score of the ``orientation.csv`` in `folder`, with its ``covariance.csv`` where there is one."""
     cameras, angles, sigma = read_orientation(folder / "orientation.csv")
+    if np.isnan(angles).all() and np.isfinite(sigma).any():
+        raise FormatError(
+            f"{folder}: holds a prediction (`orient --predict`): sigmas and no angles, so there is "
+            "nothing to score; run `orient` without --predict"
+        )
     true = read_orientation_truth(truth, cameras)
     table = folder / "covariance.csv"
     covariance = read_covariance(table, 3 * len(cameras)) if table.is_file() else None

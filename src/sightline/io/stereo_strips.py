@@ -123,6 +123,7 @@ def strip_problem(file: StereoFile, files: InputFolder) -> tuple[StripProblem, P
         control=control,
         epoch=file.stereo.epoch or acquisitions[0].epoch,
         warnings=warnings + more,
+        sigma_px=file.noise.sigma_px,
         strips=tuple(cameras),
     )
     return problem, poses, surface, local

@@ -5,6 +5,7 @@ Not here: what the whole means (``stereo.py``), whether its geometry can answer 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -15,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import FormatError
-from sightline.io.tables import check_quaternions, header_of, read_columns, read_long_columns
+from sightline.io.tables import check_quaternions, header_of, line_of_row, read_columns, read_long_columns
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -30,6 +31,8 @@ IMAGES = ("camera", "shot", "image")
 SAME_TIME = 1e-3
 #: px beyond the edge of a frame at which a point cannot have been seen in it, noise of matching or not.
 BEYOND_PX = 50.0
+#: Names of cameras that are numbered.
+_WHOLE = re.compile(r"[+-]?[0-9]+")
 #: Names that are listed in a message.
 LISTED = 8
 
@@ -41,7 +44,7 @@ class PoseTable:
     Attributes
     ----------
     cameras : tuple of str
-        Names, sorted: by value where all are numbers.
+        Names, in the order of `camera_names`.
     camera : (M,) int
         Which of `cameras`.
     shot : (M,) int
@@ -82,21 +85,19 @@ class PoseTable:
         if lost.size:
             row = int(lost[0])
             raise FormatError(
-                f"{path}: row {row + 1} is of shot {shot[row]:g} of camera {self.cameras[camera[row]]}, "
-                "which "
-                f"the table of cameras does not have ({lost.size} such rows); add its pose, or remove the "
-                "rows"
+                f"{path}: line {line_of_row(path, row)} is of shot {shot[row]:g} of camera "
+                f"{self.cameras[camera[row]]}, which the table of cameras does not have ({lost.size} such in "
+                "all); add its pose, or remove the lines"
             )
         return rows
 
 
 def camera_names(words: Sequence[str]) -> tuple[str, ...]:
-    """Different names, sorted: by value where all are numbers."""
-    names = set(words)
-    try:
-        return tuple(sorted(names, key=lambda name: (float(name), name)))
-    except ValueError:
-        return tuple(sorted(names))
+    """Different names in the order of all tables: by value if all are whole numbers, else as first met."""
+    names = dict.fromkeys(words)
+    if all(_WHOLE.fullmatch(name) for name in names):
+        return tuple(sorted(names, key=lambda name: (int(name), name)))
+    return tuple(names)
 
 
 def numbers_of(path: Path, names: Sequence[str], words: Sequence[str]) -> Index:
@@ -106,8 +107,8 @@ def numbers_of(path: Path, names: Sequence[str], words: Sequence[str]) -> Index:
     lost = np.flatnonzero(found < 0)
     if lost.size:
         raise FormatError(
-            f"{path}: row {int(lost[0]) + 1} names the camera {words[int(lost[0])]!r}, which the table of "
-            f"cameras does not have; it has: {listed(names)}"
+            f"{path}: line {line_of_row(path, int(lost[0]))} names the camera {words[int(lost[0])]!r}, which "
+            f"the table of cameras does not have; it has: {listed(names)}"
         )
     return found
 

@@ -178,6 +178,11 @@ def header_of(path: Path) -> list[str]:
     raise FormatError(f"{path}: the file is empty; a header line and rows are expected")
 
 
+def line_of_row(path: Path, row: int) -> int:
+    """Line of a CSV file, as an editor counts, that holds row `row` (from 0) below the header."""
+    return _lines(path)[row + 1][0]
+
+
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Line number and cells of every row that is neither empty nor a comment."""
     kept = _lines(path)

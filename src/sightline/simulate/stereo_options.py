@@ -178,6 +178,10 @@ class StereoOptions:
             raise InputError(f"`lines` must be 16 or more, or 0 for as many as columns, got {self.lines}")
         if not self.fov < np.radians(120.0):
             raise InputError(f"`fov` must be below 120 degrees, got {np.degrees(self.fov):g} (radians?)")
+        if not abs(self.latitude) <= 0.5 * np.pi:
+            raise InputError(
+                f"`latitude` must be from -90 to 90 degrees, got {np.degrees(self.latitude):g} degrees"
+            )
         if not abs(self.focal_error) < 0.5:
             raise InputError(f"`focal_error` must be between -0.5 and 0.5, got {self.focal_error}")
 
