@@ -273,13 +273,16 @@ def test_raw_epipolar_says_that_its_bias_is_left_in():
 
 
 @pytest.mark.parametrize("method", ["epipolar", "plane"])
-def test_linear_methods_refuse_angles_beyond_what_is_linear(method):
+def test_linear_methods_give_no_angles_beyond_what_is_linear(method):
     given, _ = problem(12)
     swapped = Tracks(
         given.tracks.image, given.tracks.point, np.array(given.tracks.pixels)[:, ::-1], given.tracks.sigma_px
     )
-    with pytest.raises(SightlineError):
-        orient(replace(given, tracks=swapped), method)
+    try:
+        found = orient(replace(given, tracks=swapped), method)
+    except SightlineError:
+        return
+    assert np.isnan(found.angles).all() and found.warnings
 
 
 def test_pose_noise_that_is_larger_than_declared_is_spoken_of():
