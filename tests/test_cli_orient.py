@@ -319,6 +319,20 @@ def test_data_that_cannot_answer_end_with_status_1(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_named_cameras_come_in_the_order_of_their_table(tmp_path):
+    made = scene()
+    for row in made.cameras:
+        row[0] = {1: "west", 2: "east"}[row[0]]
+    out = tmp_path / "out"
+    assert run(["orient", str(made.write(tmp_path)), "--method", "ml-track", "--out", str(out)]) == 0
+    rows = rows_of(out / "orientation.csv")
+    assert [row["camera"] for row in rows] == ["west", "east"]
+    assert (out / "covariance.csv").read_text().startswith("# roll_west,pitch_west,yaw_west,roll_east")
+    sigma = np.array([[float(row[f"sigma_{axis}"]) for axis in ("roll", "pitch", "yaw")] for row in rows])
+    # opposite signs of 36 arcsec: columns of matches taken for the wrong camera would not fit at all
+    assert np.abs((angles_of(out) - TRUTH) / sigma).max() < 5.0
+
+
 def test_a_linear_method_says_why_residuals_were_not_judged(given, tmp_path, capsys):
     file = str(given[1] / "stereo.toml")
     assert run(["orient", file, "--method", "epipolar", "--out", str(tmp_path / "out")]) == 0
