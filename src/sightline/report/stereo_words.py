@@ -45,7 +45,7 @@ def with_sigma(value: float, sigma: float) -> str:
 def angle_words(sigma: float) -> str:
     """A size (rad) in arcsec, or in degrees where that is shorter."""
     arcsec = sigma / ARCSEC
-    return f"{digits(arcsec, 2)} arcsec" if arcsec < IN_DEGREES else f"{digits(arcsec / 3600.0, 2)} degrees"
+    return f"{digits(arcsec, 2)} arcsec" if arcsec < IN_DEGREES else f"{digits(arcsec / 3600.0, 2)} deg"
 
 
 def several(count: int, what: str) -> str:
