@@ -100,7 +100,7 @@ def test_sizes_are_in_degrees_where_arcsec_are_many():
     assert words.angle_words(3600.0 * ARCSEC) == "1 deg"
 
 
-def test_points_known_poorly_are_rings_and_in_no_mean(tmp_path):
+def test_points_known_poorly_are_crosses_and_in_no_mean(tmp_path):
     stereo, result, _ = oriented(tmp_path, shots=8)
     covariance = np.array(result.point_covariance)
     covariance[3] *= 100.0
@@ -114,8 +114,8 @@ def test_points_known_poorly_are_rings_and_in_no_mean(tmp_path):
     assert heights.change == pytest.approx(change.mean())
     figure = height_figure(heights)
     assert f"mean of {heights.change:+.3g} m" in figure.layout.annotations[2].text
-    discs, ring = (trace for trace in figure.data if trace.hovertemplate.startswith("After less"))
-    assert len(discs.x) == 49 and len(ring.x) == 1 and ring.marker.symbol == "circle-open"
+    discs, cross = (trace for trace in figure.data if trace.hovertemplate.startswith("After less"))
+    assert len(discs.x) == 49 and len(cross.x) == 1 and cross.marker.symbol == "x"
     assert np.mean(discs.marker.color) == pytest.approx(0.0, abs=1e-6)
     assert discs.marker.cmax <= np.abs(change - change.mean()).max()
 
