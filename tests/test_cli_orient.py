@@ -214,6 +214,8 @@ def test_one_pair_is_told_to_hide_a_direction(tmp_path, capsys):
     rows = rows_of(out / "orientation.csv")
     for row in rows:
         assert [row["roll"], row["yaw"], row["sigma_roll"], row["sigma_yaw"]] == ["nan", "nan", "inf", "inf"]
+    assert "camera 1: pitch " in said.out and "; roll, yaw not observable" in said.out
+    assert "no corrected poses were written" in said.out
     summary = json.loads((out / "summary.json").read_text())
     assert len(summary["unobservable"]) == 1 and summary["principal_sigmas"][0]["sigma"] is None
     assert "no corrected poses" in summary["export_notes"][0] and not (out / "colmap").exists()

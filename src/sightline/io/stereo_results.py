@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.stereo_heights import height_sigmas, heights_of
-from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
+from sightline.applications.stereo_orientation import CHI_SHARE, CHI_SIGMAS, StereoOrientation, StereoProblem
 from sightline.applications.stereo_prediction import Improvement, StereoPrediction
 from sightline.evaluation.direction_words import AXES, angle_names, direction_words
 from sightline.io.results import peak_memory, write_json
@@ -27,9 +27,6 @@ Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
 
 ORIENTATION = ("camera", *AXES, *(f"sigma_{axis}" for axis in AXES))
-#: Times its own 1-sigma by which chi-square per degree of freedom may differ from 1 before it is spoken of,
-#: and by how much it must.
-CHI_SIGMAS, CHI_SHARE = 3.0, 0.1
 
 
 def write_stereo_result(

@@ -120,13 +120,13 @@ def _map(
     panel: int,
     rows: int,
 ) -> None:
-    """One map: good points as discs, those known poorly as rings."""
+    """One map: good points as discs, those known poorly as crosses."""
     title, values, scale, least, most = drawn
     row, col = panel // 2 + 1, panel % 2 + 1
     shown = np.linspace(0, len(values) - 1, min(len(values), DRAWN_POINTS)).astype(np.intp)
     for which, symbol, edge in (
         (shown[heights.good[shown]], "circle", {"width": 0.5, "color": MUTED}),
-        (shown[~heights.good[shown]], "circle-open", {"width": 1.5}),
+        (shown[~heights.good[shown]], "x", {"width": 0.5, "color": MUTED}),
     ):
         if not len(which):
             continue

@@ -116,13 +116,13 @@ def _height_caption(heights: PointHeights) -> str:
     said = (
         "Every point where its rays meet, all shots together, before and after the compensation. Errors of "
         "pitch raise or lower the whole scene: the mean of the change is in its title, the map shows what is "
-        "left of it. Sigma holds all errors, most of them common to all points; that of differences between "
-        "points is smaller."
+        "left of it. Sigma holds all errors, those that are common to all points too: differences between "
+        "points are known better."
     )
     poor = int((~heights.good).sum())
     if poor:
         said += (
-            f" Rings: {poor:,} point{' is' if poor == 1 else 's are'} known three times worse than the "
+            f" Crosses: {poor:,} point{' is' if poor == 1 else 's are'} known three times worse than the "
             "median or more, and in no mean or scale here."
         )
     return said

@@ -22,6 +22,8 @@ IN_DEGREES = 1000.0
 #: Relative sigma from which on a focal length that is sought freely counts as not observable; share of the
 #: sigma known beforehand from which on the data told nothing.
 LOOSE_FOCAL, UNTOLD_SHARE = 0.02, 0.5
+#: Share of the variance of heights that must be alike in all points to be called common to them.
+SHARED = 0.75
 
 DRIFT_HEADS = ["camera", *(f"{axis} (arcsec/s)" for axis in AXES)]
 FOCAL_HEADS = [
@@ -45,7 +47,7 @@ def with_sigma(value: float, sigma: float) -> str:
 def angle_words(sigma: float) -> str:
     """A size (rad) in arcsec, or in degrees where that is shorter."""
     arcsec = sigma / ARCSEC
-    return f"{digits(arcsec, 2)} arcsec" if arcsec < IN_DEGREES else f"{digits(arcsec / 3600.0, 2)} degrees"
+    return f"{digits(arcsec, 2)} arcsec" if arcsec < IN_DEGREES else f"{digits(arcsec / 3600.0, 2)} deg"
 
 
 def several(count: int, what: str) -> str:
@@ -202,8 +204,9 @@ def _heights(problem: StereoProblem, heights: PointHeights) -> str:
     )
     sigma = heights.median_sigma
     if math.isfinite(sigma):
-        # known ground ties every point by itself
-        common = ", most of it common to all" if problem.heights is None else ""
+        # what all points share cannot exceed the least sigma; known ground ties every point by itself
+        shared = heights.sigma[heights.good].min() ** 2 > SHARED * sigma**2
+        common = ", most of it common to all" if shared and problem.heights is None else ""
         said += f"; heights are known to {digits(sigma, 2)} m each{common} (median of 1 sigma)"
     poor = int((~heights.good).sum())
     if poor:
