@@ -34,12 +34,13 @@ def describe_sequence(sequence: FrameSequence) -> dict[str, Any]:
 
 
 def steps_of(problem: SequenceProblem) -> tuple[Array, float]:
-    """By the rough poses: m from frame to frame (M - 1,), and m of ground along the lines of a frame."""
+    """By the rough poses: m from frame to frame, over so many that noise hardly counts; m a frame covers."""
     detector = problem.detector
     looks = problem.images.world_from_body.apply(problem.mount.as_matrix()[:, 2])
     ground = problem.surface.intersect(problem.images.position, looks)
     distance = np.linalg.norm(ground - problem.images.position, axis=1)
-    steps = np.linalg.norm(np.diff(problem.images.position, axis=0), axis=1)
+    position, over = problem.images.position, max(1, len(problem) // 8)
+    steps = np.linalg.norm(position[over:] - position[:-over], axis=1) / over
     return steps, float(np.nanmedian(distance)) * detector.shape[0] / detector.focal_length_px
 
 
@@ -81,8 +82,8 @@ def _filter_words(problem: SequenceProblem) -> str:
     wavelength = problem.detector.wavelength_nm
     if wavelength is not None:
         bands = len(np.unique(wavelength))
-        return f"filter: {bands} wavelengths along the lines, {wavelength.min():.4g} to "
-        f"{wavelength.max():.4g} nm"
+        ends = f"{wavelength.min():.4g} to {wavelength.max():.4g} nm"
+        return f"filter: {bands} wavelengths along the lines, {ends}"
     if problem.mosaic_nm is not None:
         rows, columns = problem.mosaic_nm.shape
         return f"filter: a mosaic of {rows} x {columns}"
