@@ -88,8 +88,8 @@ def _filter_words(problem: SequenceProblem) -> str:
         rows, columns = problem.mosaic_nm.shape
         return f"filter: a mosaic of {rows} x {columns}"
     if problem.channel_nm:
-        return "filter: " + ", ".join(f"{nm:g} nm" for nm in problem.channel_nm) + " in the bands of "
-        "each image"
+        told = ", ".join(f"{nm:g} nm" for nm in problem.channel_nm)
+        return f"filter: {told} in the bands of each image"
     return "no filter: panchromatic"
 
 
