@@ -42,7 +42,7 @@ class Alignment:
 
     def apply(self, position: Array, attitude: Rotation) -> tuple[Array, Rotation]:
         """Aligned positions (M, 3) and attitudes."""
-        return self.scale * self.rotation.apply(position) + self.move, self.rotation * attitude
+        return self.scale * self.rotation.apply(np.array(position)) + self.move, self.rotation * attitude
 
 
 def align(
