@@ -57,6 +57,9 @@ def test_frames_are_read_when_they_are_asked_for(tmp_path):
     assert source.shape == SHAPE
     np.testing.assert_array_equal(source.read((2, 9), (4, 20)), expected[2:9, 4:20])
     assert source.mask((2, 9), (4, 20)) is None
+    source.path.write_bytes(npy(np.full(SHAPE, 5.0)))
+    os.utime(source.path, ns=(0, 0))
+    assert (source.read((0, 2), (0, 2)) == 5.0).all()  # written anew, read anew
 
 
 @pytest.mark.skipif(not Path("/proc/self/fd").is_dir(), reason="counts open files as Linux shows them")

@@ -14,21 +14,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import FormatError
-from sightline.io.images import Source, check_content, open_image
+from sightline.io.images import RasterImage, Source, check_content, open_image
 
 #: Files kept open at a time: those that are matched with one another, by as many threads.
 _KEPT = 32
-_opened: OrderedDict[tuple[Path, int | str], Source] = OrderedDict()
+_opened: OrderedDict[tuple[Path, int | str, int], Source] = OrderedDict()
 _opening = threading.Lock()
 
 
 def opened(path: Path, band: int | str) -> Source:
     """The source of a file, opened unless it was read a short while ago."""
-    key = (path, band)
+    # a file that was written anew is another one
+    key = path, band, path.stat().st_mtime_ns if path.exists() else 0
     with _opening:
         source = _opened.get(key)
         if source is None:
-            source = _opened[key] = open_image(path, 1 if path.suffix.lower() == ".npy" else band)
+            source = _opened[key] = open_image(path, band)
             while len(_opened) > _KEPT:
                 _opened.popitem(last=False)
         _opened.move_to_end(key)
@@ -84,29 +85,10 @@ def probe(path: Path) -> Probe:
     """Open a file, look at its first, middle and last lines, and close it."""
     shape, bands = None, 0
     try:
-        bands = _bands(path)
-        source = open_image(path, "luminance" if bands > 1 else 1)
-        shape = source.shape
+        source = open_image(path, "luminance")
+        shape, bands = source.shape, source.bands if isinstance(source, RasterImage) else 1
         check_content(source)
     except FormatError as error:
         reason = str(error).removeprefix(f"{path}: ").split("; ")[0]
         return Probe(shape, bands, reason)
     return Probe(shape, bands, "")
-
-
-def _bands(path: Path) -> int:
-    """Number of bands of a file that can be opened."""
-    if path.suffix.lower() == ".npy":
-        return 1
-    import warnings
-
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning
-
-    from sightline.io.images import must_exist, raster_errors
-
-    must_exist(path)
-    with raster_errors(path), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path) as dataset:
-            return int(dataset.count)
