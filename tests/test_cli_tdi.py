@@ -397,4 +397,4 @@ class TestMotion:
     def test_a_folder_that_is_no_result_is_named(self, strip, tmp_path, capsys):
         command = ["tdi", str(strip / "tdi.toml"), "--motion", str(strip / "strip")]
         assert run([*command, "--out", str(tmp_path / "out")]) == 2
-        assert "must be a folder that `recover`, `orient` or `georeference` wrote" in capsys.readouterr().err
+        assert "must be a folder that `recover` wrote" in capsys.readouterr().err
