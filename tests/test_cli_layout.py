@@ -130,4 +130,4 @@ def test_an_acquisition_is_not_taken_for_an_instrument(tmp_path, capsys):
     path = tmp_path / "acquisition.toml"
     path.write_text('[platform]\nkind = "level-flight"\n')
     assert run(["layout", str(path), *BAND]) == 2
-    assert "unknown key 'platform'" in capsys.readouterr().err
+    assert "this looks like a file for `sightline recover`" in capsys.readouterr().err

@@ -69,7 +69,7 @@ def test_a_folder_that_recover_did_not_write_is_named(result, capsys, folder):
     assert run(["score", str(place), str(result.parent / "truth.csv")]) == 2
     said = capsys.readouterr().err
     assert f"{place}: DIR must be a folder that `recover` or `orient` wrote" in said
-    assert "(motion.csv or orientation.csv is missing)" in said
+    assert "(motion.csv, orientation.csv or poses.csv is missing)" in said
 
 
 def test_a_missing_truth_is_named_and_not_looked_for_in_a_toml_file(result, capsys):

@@ -53,7 +53,7 @@ def test_every_convention_names_a_test_and_every_test_of_conventions_is_named():
     assert all("test_" in row for row in rows[1:]), "a line of the table names no test"
 
 
-@pytest.mark.parametrize("name", ["acquisition", "instrument", "stereo", "tdi"])
+@pytest.mark.parametrize("name", ["acquisition", "instrument", "sequence", "stereo", "tdi"])
 def test_every_key_of_a_file_is_described(name):
     from sightline.io.config import json_schema
 

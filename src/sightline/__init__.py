@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from sightline.applications.focal_plane import FocalPlane, LayoutChoice, choose_layout
     from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
     from sightline.applications.frame_passes import FrameOptions
+    from sightline.applications.frame_sequence import SequenceProblem
     from sightline.applications.line_of_sight import recover_line_of_sight
     from sightline.applications.registration import Registration, register_bands
     from sightline.applications.results import LineOfSight
@@ -43,6 +44,7 @@ if TYPE_CHECKING:
     from sightline.io.acquired import Acquisition
     from sightline.io.acquisition import load_acquisition
     from sightline.io.instrument import load_instrument
+    from sightline.io.sequence import load_sequence
     from sightline.io.stereo import load_stereo
     from sightline.io.tdi import load_tdi
     from sightline.matching.match_images import match_images
@@ -104,6 +106,7 @@ _MODULE_OF = {
     "ScanColumns": "sightline.tdi.setting",
     "ScanMirror": "sightline.geometry.pointing",
     "Score": "sightline.evaluation.score",
+    "SequenceProblem": "sightline.applications.frame_sequence",
     "SightlineError": "sightline.errors",
     "SpanError": "sightline.errors",
     "Spin": "sightline.geometry.spin",
@@ -128,6 +131,7 @@ _MODULE_OF = {
     "line_of_sight_case": "sightline.simulate.scenarios",
     "load_acquisition": "sightline.io.acquisition",
     "load_instrument": "sightline.io.instrument",
+    "load_sequence": "sightline.io.sequence",
     "load_stereo": "sightline.io.stereo",
     "load_tdi": "sightline.io.tdi",
     "match_images": "sightline.matching.match_images",
@@ -184,6 +188,7 @@ __all__ = [
     "ScanColumns",
     "ScanMirror",
     "Score",
+    "SequenceProblem",
     "SightlineError",
     "SpanError",
     "Spin",
@@ -208,6 +213,7 @@ __all__ = [
     "line_of_sight_case",
     "load_acquisition",
     "load_instrument",
+    "load_sequence",
     "load_stereo",
     "load_tdi",
     "match_images",

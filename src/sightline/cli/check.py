@@ -13,7 +13,7 @@ from sightline.cli.options import Json
 def check(
     file: Annotated[
         Path,
-        typer.Argument(metavar="FILE.toml", help="An ACQUISITION, INSTRUMENT, STEREO or TDI.toml."),
+        typer.Argument(metavar="FILE.toml", help="An ACQUISITION, INSTRUMENT, SEQUENCE, STEREO or TDI.toml."),
     ],
     as_json: Json = False,
 ) -> None:
@@ -22,8 +22,10 @@ def check(
     from sightline.io.acquisition import load_acquisition
     from sightline.io.config import kind_of
     from sightline.io.describe import describe_acquisition
+    from sightline.io.describe_sequence import describe_sequence
     from sightline.io.describe_stereo import describe_stereo
     from sightline.io.instrument import describe_instrument, load_instrument
+    from sightline.io.sequence import read_sequence
     from sightline.io.stereo import read_stereo
     from sightline.io.stereo_plan import describe_plan, has_plan, read_plan
     from sightline.io.tdi import describe_tdi, load_tdi
@@ -31,6 +33,8 @@ def check(
     match kind_of(file):
         case "instrument":
             description = describe_instrument(load_instrument(file))
+        case "sequence":
+            description = describe_sequence(read_sequence(file))
         case "stereo":
             description = (
                 describe_plan(read_plan(file))

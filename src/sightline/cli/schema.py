@@ -9,7 +9,8 @@ import typer
 
 def schema(
     name: Annotated[
-        str, typer.Argument(metavar="NAME", help="Which file: acquisition, instrument, stereo or tdi.")
+        str,
+        typer.Argument(metavar="NAME", help="Which file: acquisition, instrument, sequence, stereo or tdi."),
     ],
 ) -> None:
     """Print the JSON Schema of one of the TOML files."""

@@ -9,10 +9,16 @@ import typer
 
 
 def score(
-    result: Annotated[Path, typer.Argument(metavar="DIR", help="Folder that `recover` or `orient` wrote.")],
+    result: Annotated[
+        Path,
+        typer.Argument(metavar="DIR", help="Folder that `recover` or `orient` wrote, or with a poses.csv."),
+    ],
     truth: Annotated[
         Path,
-        typer.Argument(metavar="TRUTH.csv", help="t,roll,pitch,yaw, or of `orient` camera,roll,pitch,yaw."),
+        typer.Argument(
+            metavar="TRUTH.csv",
+            help="t,roll,pitch,yaw; of `orient` camera,roll,pitch,yaw; of poses poses-truth.csv.",
+        ),
     ],
 ) -> None:
     """Print errors, NEES and coverage of a result against its truth, as JSON."""
@@ -21,8 +27,16 @@ def score(
     print_json(score_folder(result, truth))
 
 
+#: Table of each kind of result, and the form and name of its truth.
+_RESULTS = {
+    "poses.csv": ("frame,t,x,y,z,qx,qy,qz,qw", "poses-truth.csv"),
+    "orientation.csv": ("camera,roll,pitch,yaw", "orientation-truth.csv"),
+    "motion.csv": ("t,roll,pitch,yaw", "truth.csv"),
+}
+
+
 def score_folder(result: Path, truth: Path) -> dict[str, Any]:
-    """Score of a folder with ``orientation.csv``, or with ``motion.csv``.
+    """Score of a folder with ``poses.csv``, ``orientation.csv``, or ``motion.csv``.
 
     Of a motion, hidden directions and pixel size are as its summary says; without a ``summary.json`` a
     constant per axis is hidden and errors are in urad.
@@ -30,21 +44,22 @@ def score_folder(result: Path, truth: Path) -> dict[str, Any]:
     from sightline.errors import FormatError
     from sightline.evaluation.score import score_motion
     from sightline.io.hidden import read_hidden, read_summary
+    from sightline.io.pose_score import score_pose_folder
     from sightline.io.stereo_score import score_orientation_folder
     from sightline.io.tables import read_motion
 
-    oriented = (result / "orientation.csv").is_file()
-    if not oriented and not (result / "motion.csv").is_file():
+    kind = next((name for name in _RESULTS if (result / name).is_file()), None)
+    if kind is None:
         raise FormatError(
-            f"{result}: DIR must be a folder that `recover` or `orient` wrote (motion.csv or "
-            "orientation.csv is "
-            "missing)"
+            f"{result}: DIR must be a folder that `recover` or `orient` wrote (motion.csv, "
+            "orientation.csv or poses.csv is missing)"
         )
     if not truth.is_file():
-        form = "camera,roll,pitch,yaw" if oriented else "t,roll,pitch,yaw"
-        name = "orientation-truth.csv" if oriented else "truth.csv"
+        form, name = _RESULTS[kind]
         raise FormatError(f"{truth}: no such truth file; give a CSV file {form} (`simulate` writes {name})")
-    if oriented:
+    if kind == "poses.csv":
+        return score_pose_folder(result, truth)
+    if kind == "orientation.csv":
         return score_orientation_folder(result, truth)
     motion, true = read_motion(result / "motion.csv"), read_motion(truth)
     if motion.sigma is None:

@@ -1,4 +1,4 @@
-"""``sightline simulate frames``: a flight of a filter camera with known truth, for `georeference`."""
+"""``sightline simulate frames``: a flight of a filter camera with known truth."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def frames(
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Frames of an area detector behind a filter: SEQUENCE.toml for `georeference`, and the truth."""
+    """Frames of an area detector behind a filter: SEQUENCE.toml, and the truth."""
     given = {name: value for name, value in locals().items() if value is not None}
     own = ("out", "case", "seed", "dem", "image_format", "truth_bands", "overwrite", "as_json")
     options = {name: _parsed(name, value) for name, value in given.items() if name not in own}
@@ -134,7 +134,7 @@ def frames(
         print_json({"folder": out, "files": list(written), "wall_seconds": round(seconds, 3)})
     else:
         say(f"rendered {len(scenario.frames)} frames in {seconds:.1f} s: {out / 'sequence.toml'}")
-        say(f"next: sightline georeference {out / 'sequence.toml'} --out RESULT")
+        say(f"next: sightline check {out / 'sequence.toml'}")
 
 
 def _parsed(name: str, value: Any) -> Any:

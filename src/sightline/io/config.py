@@ -17,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 from sightline.errors import FormatError
 from sightline.io.acquisition_schema import AcquisitionFile
 from sightline.io.instrument_schema import InstrumentFile
+from sightline.io.sequence_schema import SequenceFile
 from sightline.io.stereo_schema import StereoFile
 from sightline.io.tdi_schema import TdiFile
 
@@ -26,12 +27,19 @@ Model = TypeVar("Model", bound=BaseModel)
 SCHEMAS: dict[str, type[BaseModel]] = {
     "acquisition": AcquisitionFile,
     "instrument": InstrumentFile,
+    "sequence": SequenceFile,
     "stereo": StereoFile,
     "tdi": TdiFile,
 }
 
 #: The command that reads each of them.
-COMMANDS = {"acquisition": "recover", "instrument": "layout", "stereo": "orient", "tdi": "tdi"}
+COMMANDS = {
+    "acquisition": "recover",
+    "instrument": "layout",
+    "sequence": "check",
+    "stereo": "orient",
+    "tdi": "tdi",
+}
 #: Keys that are listed in a message.
 _LISTED = 8
 
@@ -48,7 +56,7 @@ def json_schema(name: str) -> dict[str, Any]:
     Parameters
     ----------
     name : str
-        ``"acquisition"``, ``"instrument"``, ``"stereo"`` or ``"tdi"``.
+        ``"acquisition"``, ``"instrument"``, ``"sequence"``, ``"stereo"`` or ``"tdi"``.
 
     Returns
     -------

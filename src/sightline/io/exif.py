@@ -1,8 +1,9 @@
 """Time and place that a camera wrote into the EXIF of a photograph; positions table from a series.
 
-EXIF gives times to the second and places to what the writer rounded to: enough to start from.
+EXIF gives times to the second, by some cameras to a fraction, and places to what the writer rounded to:
+enough to start from.
 
-Not here: pixels (``images.py``).
+Not here: pixels (``images.py``), angles of gimbals and tags of rigs (``xmp.py``).
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -30,17 +32,23 @@ class Exif:
     Attributes
     ----------
     time : str
-        ISO 8601, as the camera's clock had it (taken as UTC), to the second.
+        ISO 8601, as the camera's clock had it (taken as UTC), to the second or what the camera gave beyond.
     longitude_deg, latitude_deg : float or None
         Degrees, east and north positive; None where the file has no GPS entry.
     height : float or None
         m; None where the file has none.
+    focal_35mm : float or None
+        mm; focal length of the same field of view on 36 mm x 24 mm film.
+    unreferenced : bool
+        Whether longitude or latitude have no E, W, N or S beside them.
     """
 
     time: str
     longitude_deg: float | None
     latitude_deg: float | None
     height: float | None
+    focal_35mm: float | None = None
+    unreferenced: bool = False
 
 
 def read_exif(path: Path) -> Exif:
@@ -80,12 +88,29 @@ def read_exif(path: Path) -> Exif:
         )
     year, month, day, clock = match.groups()
     altitude = _numbers(tags.get("EXIF_GPSAltitude"))
+    below = "1" in tags.get("EXIF_GPSAltitudeRef", "").removeprefix("0x")
+    focal = _numbers(tags.get("EXIF_FocalLengthIn35mmFilm"))
+    longitude = _degrees(tags, "EXIF_GPSLongitude", "W")
+    references = ("EXIF_GPSLongitudeRef", "EXIF_GPSLatitudeRef")
     return Exif(
-        f"{year}-{month}-{day}T{clock}Z",
-        _degrees(tags, "EXIF_GPSLongitude", "W"),
+        _with_fraction(f"{year}-{month}-{day}T{clock}", tags),
+        longitude,
         _degrees(tags, "EXIF_GPSLatitude", "S"),
-        altitude[0] if altitude else None,
+        (-altitude[0] if below else altitude[0]) if altitude else None,
+        focal[0] if focal and focal[0] > 0.0 else None,
+        longitude is not None and not all(tags.get(name, "").strip() for name in references),
     )
+
+
+def _with_fraction(instant: str, tags: dict[str, str]) -> str:
+    """The instant with the digits of the sub-second tag; some cameras count them back from the second."""
+    names = ("EXIF_SubSecTime_Original", "EXIF_SubSecTimeOriginal", "EXIF_SubSecTime")
+    digits = next((tags[name].strip() for name in names if tags.get(name, "").strip()), "")
+    if re.fullmatch(r"-\d+", digits) and float(digits):
+        back = datetime.fromisoformat(instant) - timedelta(seconds=1)
+        count = len(digits) - 1
+        return f"{back.isoformat()}.{10**count - int(digits[1:]):0{count}d}Z"
+    return f"{instant}.{digits}Z" if digits.isdigit() else f"{instant}Z"
 
 
 def _numbers(text: str | None) -> list[float]:

@@ -126,6 +126,11 @@ class RasterImage:
         """Type of its pixels in the file."""
         return self._type
 
+    @property
+    def bands(self) -> int:
+        """How many bands of the file are read."""
+        return len(self._bands)
+
     def _dataset(self) -> Any:
         """The handle of this thread."""
         dataset = getattr(self._local, "dataset", None)

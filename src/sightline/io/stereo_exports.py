@@ -17,6 +17,7 @@ from scipy.spatial.transform import Rotation
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
 from sightline.geometry.instrument import AreaDetector
 from sightline.io.ccsds import write_aem
+from sightline.io.colmap import CORNER, camera_of
 from sightline.io.results import AEM_FRAMES
 from sightline.io.stereo import Stereo
 from sightline.io.stereo_strips import StripProblem
@@ -24,9 +25,6 @@ from sightline.io.stereo_tables import CAMERAS
 from sightline.io.tables import write_attitudes, write_columns
 
 Array = NDArray[np.float64]
-
-#: COLMAP counts pixels from the corner of the first, we from its centre.
-CORNER = 0.5
 
 
 def write_exports(folder: Path, stereo: Stereo, result: StereoOrientation) -> tuple[str, ...]:
@@ -160,15 +158,8 @@ def _write(path: Path, lines: Iterable[str]) -> None:
 
 
 def _camera_line(number: int, detector: AreaDetector) -> str:
-    """PINHOLE, or the OpenCV models where there is distortion."""
-    line, column = detector.principal_point_px
-    f = detector.focal_length_px
-    values = [f, f, column + CORNER, line + CORNER]
-    model = "PINHOLE"
-    if detector.distortion:
-        given = [*detector.distortion, *([0.0] * (5 - len(detector.distortion)))]
-        model = "FULL_OPENCV" if given[4] else "OPENCV"
-        values += given + [0.0] * 3 if given[4] else given[:4]
+    """Number, model, size and parameters of a camera."""
+    model, values = camera_of(detector)
     lines, columns = detector.shape
     return f"{number} {model} {columns} {lines} " + " ".join(f"{v:.17g}" for v in values)
 

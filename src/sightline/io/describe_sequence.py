@@ -1,0 +1,135 @@
+"""A SEQUENCE.toml in plain words: what was understood, what is missing, what will be observable.
+
+Not here: reading the file (``sequence.py``).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.applications.frame_sequence import SequenceProblem
+from sightline.io.sequence import FrameSequence
+
+Array = NDArray[np.float64]
+
+#: Share of a frame that successive frames have to share for displacements to be told.
+LEAST_OVERLAP = 0.5
+#: Frames that are named in a message.
+LISTED = 5
+
+
+def describe_sequence(sequence: FrameSequence) -> dict[str, Any]:
+    """A sequence in words: ``understood``, ``missing``, ``observable``, lists of sentences."""
+    problem = sequence.problem
+    return {
+        "understood": _understood(sequence),
+        "missing": _missing(problem),
+        "observable": _observable(problem),
+        "frames": len(problem),
+        "usable": int(problem.usable.sum()),
+    }
+
+
+def steps_of(problem: SequenceProblem) -> tuple[Array, float]:
+    """By the rough poses: m from frame to frame, over so many that noise hardly counts; m a frame covers."""
+    detector = problem.detector
+    looks = problem.images.world_from_body.apply(problem.mount.as_matrix()[:, 2])
+    ground = problem.surface.intersect(problem.images.position, looks)
+    distance = np.linalg.norm(ground - problem.images.position, axis=1)
+    position, over = problem.images.position, max(1, len(problem) // 8)
+    steps = np.linalg.norm(position[over:] - position[:-over], axis=1) / over
+    return steps, float(np.nanmedian(distance)) * detector.shape[0] / detector.focal_length_px
+
+
+def _understood(sequence: FrameSequence) -> list[str]:
+    problem = sequence.problem
+    lines, columns = problem.detector.shape
+    steps, length = steps_of(problem)
+    said = [
+        f"{sequence.name}: {len(problem)} frames of {lines} lines x {columns} columns over "
+        f"{np.ptp(problem.t):.6g} s, {int(problem.usable.sum())} of them usable",
+        f"focal length {problem.detector.focal_length_px:.6g} px"
+        + (", to be refined" if problem.focal_length_sigma_px > 0.0 else ", kept"),
+        _filter_words(problem),
+        f"by the rough poses a frame covers {length:.4g} m along its lines; a subset of "
+        f"{problem.overlap:.0%} overlap "
+        f"has a frame every {(1.0 - problem.overlap) * length:.4g} m",
+    ]
+    if len(steps):
+        said.append(f"frames are {float(np.median(steps)):.4g} m apart, by the rough positions")
+    if problem.readout_time > 0.0:
+        said.append(f"rolling shutter: {problem.readout_time:g} s from the first line to the last")
+    for what, sigma, bias, unit in (
+        ("positions", problem.known.position, problem.known.position_bias, "m"),
+        ("attitudes", problem.known.attitude, problem.known.attitude_bias, "rad"),
+    ):
+        own = np.isfinite(sigma).all(axis=1)
+        if own.any():
+            said.append(
+                f"{what} of {int(own.sum())} frames, sigma {float(np.median(sigma[own])):.3g} {unit}"
+                + (f", with a constant error of {bias:.3g} {unit}" if bias else "")
+            )
+    if problem.control is not None and problem.control_tracks is not None:
+        said.append(f"{len(problem.control.point)} control points, seen {len(problem.control_tracks)} times")
+    said += [f"note: {words}" for words in problem.warnings]
+    return said
+
+
+def _filter_words(problem: SequenceProblem) -> str:
+    wavelength = problem.detector.wavelength_nm
+    if wavelength is not None:
+        bands = len(np.unique(wavelength))
+        ends = f"{wavelength.min():.4g} to {wavelength.max():.4g} nm"
+        return f"filter: {bands} wavelengths along the lines, {ends}"
+    if problem.mosaic_nm is not None:
+        rows, columns = problem.mosaic_nm.shape
+        return f"filter: a mosaic of {rows} x {columns}"
+    if problem.channel_nm:
+        told = ", ".join(f"{nm:g} nm" for nm in problem.channel_nm)
+        return f"filter: {told} in the bands of each image"
+    return "no filter: panchromatic"
+
+
+def _missing(problem: SequenceProblem) -> list[str]:
+    lost = np.flatnonzero(~problem.usable)
+    said = [f"frame {problem.frames[k]}: {problem.excluded[k]}" for k in lost[:LISTED]]
+    if len(lost) > LISTED:
+        said.append(f"and {len(lost) - LISTED} more frames that cannot be used")
+    if not np.isfinite(problem.known.attitude).any():
+        said.append("attitudes: none; a bow of the strip is told by positions and control points alone")
+    if problem.height_sigma <= 0.0:
+        said.append("[surface] height_sigma: heights of the ground are a start only")
+    return said
+
+
+def _observable(problem: SequenceProblem) -> list[str]:
+    said = []
+    if np.isfinite(problem.known.position).any() or problem.control is not None:
+        said.append("place, size and direction of the whole: by " + _datum_words(problem))
+    else:
+        said.append(
+            "place, size and direction of the whole: not observable without positions or control points"
+        )
+    steps, length = steps_of(problem)
+    if len(steps):
+        overlap = 1.0 - float(np.median(steps)) / length
+        said.append(f"successive frames share about {max(overlap, 0.0):.0%}, by the rough positions")
+        if overlap < LEAST_OVERLAP:
+            said.append(
+                "so little common ground tells poses badly; check positions, height, and focal length"
+            )
+    return said
+
+
+def _datum_words(problem: SequenceProblem) -> str:
+    words = []
+    if np.isfinite(problem.known.position).any():
+        words.append("positions")
+    if np.isfinite(problem.known.attitude).any():
+        words.append("attitudes")
+    if problem.control is not None:
+        words.append("control points")
+    return ", ".join(words)

@@ -1,0 +1,273 @@
+"""A SEQUENCE.toml as a SequenceProblem.
+
+Not here: keys and allowed values (``sequence_schema.py``), frames (``sequence_frames.py``), rough poses
+(``sequence_poses.py``), control points (``sequence_control.py``).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sightline.applications.frame_sequence import SequenceProblem
+from sightline.errors import FormatError, GeometryError
+from sightline.geometry.checks import read_only
+from sightline.geometry.instrument import AreaDetector
+from sightline.geometry.rotations import NADIR_MOUNT
+from sightline.geometry.surface import Surface
+from sightline.io.acquired import InputFolder, sha256
+from sightline.io.acquisition_schema import WorldSection
+from sightline.io.config import read_toml, validate
+from sightline.io.envi import read_envi_wavelengths
+from sightline.io.frame_files import FrameFile
+from sightline.io.ground import surface_of
+from sightline.io.sequence_control import control_of
+from sightline.io.sequence_frames import FrameList, excluded, probe_frames, read_frames, shape_of
+from sightline.io.sequence_poses import is_local, radii_of, starting_poses
+from sightline.io.sequence_schema import SequenceCamera, SequenceFile
+from sightline.photogrammetry.sightings import Images
+
+Array = NDArray[np.float64]
+
+#: Relative 1-sigma of a focal length that EXIF tells for film of 36 mm.
+_FILM_SIGMA = 0.1
+#: mm; diagonal of such film.
+_FILM_DIAGONAL = float(np.hypot(36.0, 24.0))
+#: Share of the frames whose middle may look beside the ground before that is told.
+_BESIDE_SHARE = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class FrameSequence:
+    """A SEQUENCE.toml with what only its files and its page need.
+
+    Attributes
+    ----------
+    path : Path
+    name : str
+        Title of the report.
+    problem : SequenceProblem
+    world : WorldSection
+        Axes of the tables of the file, and of ``poses.csv``.
+    files : tuple of Path
+        Image of each frame.
+    inputs : tuple of Path
+        Every other file that was read.
+    """
+
+    path: Path
+    name: str
+    problem: SequenceProblem
+    world: WorldSection
+    files: tuple[Path, ...] = field(repr=False)
+    inputs: tuple[Path, ...] = field(repr=False)
+
+    def input_hashes(self) -> dict[str, str]:
+        """SHA-256 of every input file by its name, and of all images together as ``frames``."""
+        images = hashlib.sha256()
+        for path in self.files:
+            images.update((sha256(path) if path.is_file() else "none").encode())
+        return {path.name: sha256(path) for path in self.inputs} | {"frames": images.hexdigest()}
+
+
+def load_sequence(path: str | Path) -> SequenceProblem:
+    """The problem of a SEQUENCE.toml.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    SequenceProblem
+        Frames that cannot be used are in it, each with the reason.
+
+    Raises
+    ------
+    FormatError
+        Names file, key, value, what is allowed; also for the tables it names, and where no frame is left.
+    GeometryError
+        If no frame looks at the ground.
+    """
+    return read_sequence(Path(path)).problem
+
+
+def read_sequence(path: Path) -> FrameSequence:
+    """Everything a SEQUENCE.toml says; errors as of `load_sequence`."""
+    file, files = validate(SequenceFile, read_toml(path), path), InputFolder(path)
+    frames = read_frames(file, files)
+    mount = mount_of(file.camera)
+    start = starting_poses(file, files, frames, mount)
+    probes = probe_frames(frames)
+    shape = file.camera.shape or shape_of(probes)
+    if shape is None:
+        raise FormatError(f"{frames.path}: no frame can be read: {probes[0].reason}; check the files")
+    channels = len(file.camera.channel_nm or ())
+    reasons = excluded(frames, probes, shape, channels)
+    detector, focal_sigma, lens_words = detector_of(file.camera, files, frames, shape)
+    _check_mosaic(file.camera, shape, path)
+    _check_readout(file.camera, frames, path)
+    bands = {p.bands for p, reason in zip(probes, reasons, strict=True) if not reason}
+    surface, ground_words = _ground(file, files, start.images, detector, mount)
+    control, tracks = control_of(file, files, frames, shape)
+    problem = SequenceProblem(
+        frames=frames.names,
+        t=frames.t,
+        sources=tuple(FrameFile(p, shape, "luminance" if bands != {1} else 1) for p in frames.files),
+        detector=detector,
+        mount=mount,
+        images=start.images,
+        known=start.known,
+        surface=surface,
+        height_sigma=file.surface.height_sigma,
+        readout_time=file.camera.readout_time,
+        overlap=file.subset.overlap,
+        excluded=reasons,
+        mosaic_nm=None if file.camera.mosaic_nm is None else read_only(np.array(file.camera.mosaic_nm)),
+        channel_nm=tuple(file.camera.channel_nm or ()),
+        channels=tuple(
+            tuple(FrameFile(p, shape, k) for k in range(1, channels + 1))
+            for p in (frames.files if channels else ())
+        ),
+        focal_length_sigma_px=focal_sigma,
+        control=control,
+        control_tracks=tracks,
+        radii=radii_of(file),
+        epoch=frames.epoch,
+        warnings=(*frames.warnings, *lens_words, *start.warnings, *ground_words, *_lost(frames, reasons)),
+    )
+    return FrameSequence(path, file.sequence.name, problem, file.world, frames.files, tuple(files.used))
+
+
+def _lost(frames: FrameList, reasons: Sequence[str]) -> tuple[str, ...]:
+    """How many frames cannot be used, and the first of them."""
+    lost = [k for k, reason in enumerate(reasons) if reason]
+    if not lost:
+        return ()
+    k = lost[0]
+    return (
+        f"{len(lost)} of {len(reasons)} frames cannot be used; the first, {frames.names[k]}: {reasons[k]}",
+    )
+
+
+def mount_of(camera: SequenceCamera) -> Rotation:
+    """body_from_camera."""
+    return NADIR_MOUNT if camera.body_from_camera is None else Rotation.from_quat(camera.body_from_camera)
+
+
+def detector_of(
+    camera: SequenceCamera, files: InputFolder, frames: FrameList, shape: tuple[int, int]
+) -> tuple[AreaDetector, float, tuple[str, ...]]:
+    """The detector, 1-sigma (px) of its focal length, and what was noticed.
+
+    What ``[camera]`` leaves out is taken from XMP, then EXIF of photographs.
+    """
+    focal, sigma, words = _focal_length(camera, files, frames, shape)
+    tags = next((xmp for xmp in frames.xmp if xmp is not None and xmp.focal_length_px is not None), None)
+    middle = (shape[0] - 1) / 2.0, (shape[1] - 1) / 2.0
+    principal, distortion = camera.principal_point_px, tuple(camera.distortion)
+    if tags is not None and camera.focal_length_px is None:
+        principal = principal or tags.principal_point_px
+        distortion = distortion or tags.distortion
+    detector = AreaDetector(
+        "camera", shape, focal, principal or middle, distortion, _wavelengths(camera, files, shape)
+    )
+    return detector, sigma, words
+
+
+def _focal_length(
+    camera: SequenceCamera, files: InputFolder, frames: FrameList, shape: tuple[int, int]
+) -> tuple[float, float, tuple[str, ...]]:
+    sigma = np.inf if camera.focal_length == "estimate" else camera.focal_length_sigma_px
+    if camera.focal_length_px is not None:
+        return camera.focal_length_px, sigma, ()
+    for xmp in frames.xmp:
+        if xmp is not None and xmp.focal_length_px is not None:
+            return xmp.focal_length_px, sigma, (f"focal length by XMP: {xmp.focal_length_px:.5g} px",)
+    for exif in frames.exif:
+        if exif is not None and exif.focal_35mm is not None:
+            focal = exif.focal_35mm / _FILM_DIAGONAL * float(np.hypot(*shape))
+            words = f"focal length by EXIF: {focal:.4g} px +- {100 * _FILM_SIGMA:.0f} %, to be refined"
+            return focal, sigma or _FILM_SIGMA * focal, (words,)
+    raise FormatError(
+        f"{files.toml}: key 'camera.focal_length_px' is missing, and no photograph tells it; add it "
+        "(focal length / "
+        "pixel pitch)"
+    )
+
+
+def _wavelengths(camera: SequenceCamera, files: InputFolder, shape: tuple[int, int]) -> Array | None:
+    """Of each line, from the list or from the ENVI header."""
+    given = camera.wavelength_nm
+    if given is None:
+        return None
+    values = read_envi_wavelengths(files(given)) if isinstance(given, str) else np.array(given)
+    if len(values) != shape[0]:
+        place = files.toml if not isinstance(given, str) else files(given)
+        raise FormatError(
+            f"{place}: {len(values)} wavelengths for frames of {shape[0]} lines; one per line is expected"
+        )
+    return np.asarray(values, dtype=np.float64)
+
+
+def _check_mosaic(camera: SequenceCamera, shape: tuple[int, int], path: Path) -> None:
+    mosaic = camera.mosaic_nm
+    if mosaic is not None and (len(mosaic) > shape[0] or len(mosaic[0]) > shape[1]):
+        raise FormatError(
+            f"{path}: camera.mosaic_nm has {len(mosaic)} rows x {len(mosaic[0])} columns, a frame "
+            f"{shape[0]} x "
+            f"{shape[1]}; the pattern that repeats over the frame is expected"
+        )
+
+
+def _check_readout(camera: SequenceCamera, frames: FrameList, path: Path) -> None:
+    """Frames follow one another: the last line of one is exposed before the first of the next."""
+    if len(frames.t) > 1 and camera.readout_time > float(np.median(np.diff(frames.t))):
+        raise FormatError(
+            f"{path}: camera.readout_time = {camera.readout_time:g} s is longer than the "
+            f"{float(np.median(np.diff(frames.t))):.4g} s from frame to frame; seconds are expected"
+        )
+
+
+def _ground(
+    file: SequenceFile, files: InputFolder, images: Images, detector: AreaDetector, mount: Rotation
+) -> tuple[Surface, tuple[str, ...]]:
+    """The ground, and how many frames look beside it by their rough poses."""
+    rays = _rays_of_frames(images, detector, mount)
+    surface = surface_of(file.surface, files, _seen(*rays), local=is_local(file), radii=file.surface.radii)
+    origins, directions = images.position, images.world_from_body.apply(mount.as_matrix()[:, 2])
+    seen: NDArray[np.bool_] = np.asarray(
+        np.isfinite(surface.intersect(origins, directions)).all(axis=1), dtype=np.bool_
+    )
+    if not seen.any():
+        raise GeometryError(
+            f"{files.toml}: no frame looks at the ground: by their rough poses all are below it, look "
+            "away from it, or "
+            "lie beside the dem; check z of the positions against [surface] height, [world], and the mount"
+        )
+    beside = int((~seen).sum())
+    if beside > _BESIDE_SHARE * len(seen):
+        return surface, (f"{beside} of {len(seen)} frames look beside the ground by their rough poses",)
+    return surface, ()
+
+
+def _rays_of_frames(images: Images, detector: AreaDetector, mount: Rotation) -> tuple[Array, Array]:
+    """Rays of the corners and the middle of every frame."""
+    lines, columns = detector.shape
+    ends = [(0, 0), (0, columns - 1), (lines - 1, 0), (lines - 1, columns - 1)]
+    pixels = np.array([*ends, ((lines - 1) / 2.0, (columns - 1) / 2.0)], dtype=np.float64)
+    looks = mount.apply(detector.directions(pixels))
+    world = np.einsum("mij,kj->mki", images.world_from_body.as_matrix(), looks)
+    origins = np.repeat(images.position, len(pixels), axis=0)
+    good = np.isfinite(world).all(axis=2).ravel()
+    return read_only(origins[good]), read_only(world.reshape(-1, 3)[good])
+
+
+def _seen(origins: Array, directions: Array) -> Callable[[Surface], Array]:
+    return lambda surface: surface.intersect(origins, directions)

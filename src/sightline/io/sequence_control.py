@@ -1,0 +1,91 @@
+"""Control points of a sequence: their coordinates, and where they were seen in which frames.
+
+Not here: rough poses (``sequence_poses.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import FormatError
+from sightline.geometry.earth import WGS84, from_geodetic
+from sightline.io.acquired import InputFolder
+from sightline.io.odm import read_gcp_list
+from sightline.io.platform import points_to_world
+from sightline.io.sequence_frames import FrameList
+from sightline.io.sequence_poses import radii_of
+from sightline.io.sequence_schema import SequenceFile
+from sightline.io.stereo_tables import check_inside, refuse_seen_twice
+from sightline.io.tables import read_control_points
+from sightline.photogrammetry.point_priors import ControlPoints
+from sightline.photogrammetry.sightings import Tracks
+
+Array = NDArray[np.float64]
+
+
+def control_of(
+    file: SequenceFile, files: InputFolder, frames: FrameList, shape: tuple[int, int]
+) -> tuple[ControlPoints | None, Tracks | None]:
+    """Control points and their sightings; None where there are none.
+
+    Raises
+    ------
+    FormatError
+        If one is of an unknown frame, seen twice in one, or lies outside it.
+    """
+    images: Sequence[str]
+    if file.gcp_list is not None:
+        path = files(file.gcp_list)
+        listed = read_gcp_list(path)
+        radians = np.column_stack([np.radians(listed.lonlat[:, :2]), listed.lonlat[:, 2]])
+        position = from_geodetic(radians, radii_of(file) or WGS84)
+        sigma, images, pixels = np.full(len(position), file.gcp_sigma), listed.images, listed.pixels
+        _, point = np.unique(np.array(listed.names, dtype=str), return_inverse=True)
+    elif file.control_points is not None or file.control_point:
+        path, given, sigma, images, pixels = _of_tables(file, files)
+        position = points_to_world(given, file.world, file.surface.radii, path)
+        rows = np.column_stack([given, sigma])
+        _, point = np.unique(rows, axis=0, return_inverse=True)
+    else:
+        return None, None
+    point = np.asarray(point, dtype=np.intp).reshape(-1)
+    image = _frames_of(path, images, frames)
+    refuse_seen_twice(path, image, point.astype(np.float64))
+    check_inside(path, image, np.zeros(len(frames.names), dtype=np.intp), pixels, [shape])
+    _, first = np.unique(point, return_index=True)
+    control = ControlPoints(np.arange(len(first)), position[first], sigma[first])
+    return control, Tracks(image, point, pixels, np.full(len(point), file.control_sigma_px))
+
+
+def _of_tables(file: SequenceFile, files: InputFolder) -> tuple[Path, Array, Array, Sequence[str], Array]:
+    """File, coordinates as given, sigma, image and pixels of each sighting."""
+    if file.control_points is not None:
+        path = files(file.control_points)
+        return path, *read_control_points(path)
+    points = file.control_point
+    return (
+        files.toml,
+        np.array([[p.x, p.y, p.z] for p in points]),
+        np.array([p.sigma for p in points]),
+        [p.image for p in points],
+        np.array([[p.line, p.column] for p in points]),
+    )
+
+
+def _frames_of(path: Path, images: Sequence[str], frames: FrameList) -> NDArray[np.intp]:
+    """Which frame each image is, by the frame's name or that of its file."""
+    number = {file.name: k for k, file in enumerate(frames.files)}
+    number |= {name: k for k, name in enumerate(frames.names)}
+    found = np.array([number.get(name, -1) for name in images], dtype=np.intp)
+    lost = np.flatnonzero(found < 0)
+    if len(lost):
+        raise FormatError(
+            f"{path}: row {int(lost[0]) + 1} names the image {images[int(lost[0])]!r}, which is no "
+            "frame; frames are "
+            f"called {frames.names[0]!r}, ..."
+        )
+    return found

@@ -1,0 +1,187 @@
+"""What a SEQUENCE.toml may hold: keys, types, defaults and allowed values.
+
+The contract of ``docs/formats.md`` as pydantic models; the JSON Schema of ``sightline schema sequence`` is
+generated from here.
+
+Not here: reading the file (``config.py``), what is made of it (``sequence.py``).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from sightline.io.acquisition_schema import (
+    ControlPointSection,
+    Finite,
+    Positive,
+    Quaternion,
+    Section,
+    Sigma,
+    SurfaceSection,
+    WorldSection,
+)
+from sightline.io.stereo_schema import StereoHeader
+
+#: m, rad; 1-sigma of positions and angles for which nothing is said: GPS of a camera, angles of a gimbal.
+POSITION_SIGMA, ATTITUDE_SIGMA = 5.0, 0.035
+
+Wavelength = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+
+
+class SequenceHeader(StereoHeader):
+    """``[sequence]``: what this data set is called and when t = 0 was."""
+
+    name: str = Field(default="frame sequence", description="Title of the report")
+    epoch: str | None = Field(
+        default=None, description="UTC instant of t = 0, ISO 8601; default for photographs: the first one"
+    )
+
+
+class SequenceCamera(Section):
+    """``[camera]``: of all frames; its lens, how it sits in the body, what each pixel sees."""
+
+    mount: Literal["nominal"] = Field(default="nominal", description="Lines forward, columns left")
+    body_from_camera: Quaternion | None = Field(
+        default=None, description="[x, y, z, w] in place of the nominal mount"
+    )
+    shape: tuple[Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]] | None = Field(
+        default=None, description="(lines, columns) of a frame; default that of most frames"
+    )
+    focal_length_px: Positive | None = Field(
+        default=None, description="Focal length / pixel pitch; default what EXIF or XMP of photographs say"
+    )
+    focal_length_sigma_px: Sigma = Field(
+        default=0.0, description="How well it is known, to be refined; 0 = exactly"
+    )
+    focal_length: Literal["estimate"] | None = Field(
+        default=None, description='"estimate": refine it freely, starting from focal_length_px'
+    )
+    principal_point_px: tuple[Finite, Finite] | None = Field(
+        default=None, description="(line, column); default the centre of the frame"
+    )
+    distortion: Annotated[list[Finite], Field(max_length=5)] = Field(
+        default=[], description="k1, k2, p1, p2, k3 in normalised coordinates"
+    )
+    wavelength_nm: list[Wavelength] | str | None = Field(
+        default=None, description="One per line, or an ENVI header that has them"
+    )
+    mosaic_nm: list[list[Wavelength]] | None = Field(
+        default=None, description="Rows of a pattern that repeats from pixel (0, 0)"
+    )
+    channel_nm: list[Wavelength] | None = Field(default=None, description="One per band of the image")
+    readout_time: Sigma = Field(
+        default=0.0, description="s from the exposure of line 0 to that of the last line (rolling shutter)"
+    )
+
+    @field_validator("body_from_camera")
+    @classmethod
+    def _length_one(cls, value: Quaternion | None) -> Quaternion | None:
+        length = 1.0 if value is None else float(sum(q * q for q in value)) ** 0.5
+        if abs(length - 1.0) > 1e-3:
+            raise ValueError(
+                f"{list(value or ())} has length {length:.6g}; a unit quaternion [x, y, z, w], scalar last, "
+                "is expected"
+            )
+        return value
+
+    @field_validator("mosaic_nm")
+    @classmethod
+    def _rows_alike(cls, value: list[list[float]] | None) -> list[list[float]] | None:
+        if value is not None and (not value or not value[0] or len({len(row) for row in value}) > 1):
+            raise ValueError("rows of equal length are expected, such as [[450.0, 500.0], [550.0, 600.0]]")
+        return value
+
+    @model_validator(mode="after")
+    def _said_once(self) -> SequenceCamera:
+        if self.body_from_camera is not None and "mount" in self.model_fields_set:
+            raise ValueError("mount and body_from_camera are both given; keep one of them")
+        if self.focal_length == "estimate" and self.focal_length_sigma_px > 0.0:
+            raise ValueError(
+                'focal_length = "estimate" takes no focal_length_sigma_px; keep one of them: a sigma, or none'
+            )
+        filters = [k for k in ("wavelength_nm", "mosaic_nm", "channel_nm") if getattr(self, k) is not None]
+        if len(filters) > 1:
+            raise ValueError(
+                f"{' and '.join(filters)} are given; keep one of them: a filter is told per line, as a "
+                "mosaic, or per band of the image"
+            )
+        self._filter_fits()
+        return self
+
+    def _filter_fits(self) -> None:
+        given = self.wavelength_nm
+        if isinstance(given, list) and self.shape is not None and len(given) != self.shape[0]:
+            raise ValueError(
+                f"wavelength_nm has {len(given)} values, shape {self.shape[0]} lines; one per line is "
+                "expected"
+            )
+        if given == []:
+            raise ValueError("wavelength_nm is empty; one per line is expected")
+        if self.channel_nm == []:
+            raise ValueError("channel_nm is empty; one per band of the image is expected")
+
+
+class SubsetSection(Section):
+    """``[subset]``: frames that photogrammetry is done on."""
+
+    overlap: Annotated[float, Field(gt=0.0, lt=1.0, allow_inf_nan=False)] = Field(
+        default=0.8, description="Wanted along the flight, share of the frame"
+    )
+
+
+class SequenceFile(Section):
+    """A SEQUENCE.toml: overlapping frames of one camera, and what is known of their poses."""
+
+    sequence: SequenceHeader = SequenceHeader()
+    frames: str = Field(description="Folder of images (times by EXIF), or CSV frame,t,image")
+    positions: str | None = Field(
+        default=None, description="CSV frame,t,x,y,z,sigma_x,sigma_y,sigma_z, axes of [world]"
+    )
+    attitudes: str | None = Field(
+        default=None, description="CSV frame,t,qx,qy,qz,qw,sigma_roll,sigma_pitch,sigma_yaw: world_from_body"
+    )
+    geo: str | None = Field(default=None, description="geo.txt of OpenDroneMap in place of positions")
+    position_bias_sigma: Sigma = Field(
+        default=0.0, description="m per axis: constant error of all positions, to be estimated; 0 = none"
+    )
+    attitude_bias_sigma: Sigma = Field(
+        default=0.0, description="rad per body axis: constant error of all attitudes; 0 = none"
+    )
+    position_sigma: Positive = Field(
+        default=POSITION_SIGMA, description="m per axis, of EXIF and geo.txt where they give none"
+    )
+    attitude_sigma: Positive = Field(
+        default=ATTITUDE_SIGMA, description="rad per axis, of angles of a gimbal in XMP"
+    )
+    altitude: Finite | None = Field(
+        default=None, description="m above the ellipsoid, of photographs and geo.txt that give no height"
+    )
+    control_points: str | None = Field(
+        default=None, description="CSV x,y,z,sigma,image,line,column of ground control points"
+    )
+    gcp_list: str | None = Field(default=None, description="gcp_list.txt of OpenDroneMap")
+    gcp_sigma: Positive = Field(default=0.05, description="m per axis, of the points of gcp_list")
+    control_sigma_px: Positive = Field(default=1.0, description="px, of where control points were seen")
+    camera: SequenceCamera = SequenceCamera()
+    subset: SubsetSection = SubsetSection()
+    surface: SurfaceSection = SurfaceSection()
+    world: WorldSection = WorldSection()
+    control_point: list[ControlPointSection] = Field(default=[], description="Control points one by one")
+
+    @model_validator(mode="after")
+    def _parts_agree(self) -> SequenceFile:
+        if self.surface.kind is not None:
+            raise ValueError("surface.kind is for stars; a sequence of frames looks at ground: remove it")
+        if self.geo is not None and self.positions is not None:
+            raise ValueError("positions and geo are both given; keep one of them")
+        ways = [k for k in ("control_point", "control_points", "gcp_list") if getattr(self, k)]
+        if len(ways) > 1:
+            raise ValueError(f"{' and '.join(ways)} are given; keep one of them")
+        if (self.gcp_list or self.geo) and self.world.frame == "local" and self.world.origin is None:
+            raise ValueError(
+                'gcp_list and geo hold map coordinates: give [world] frame = "lonlat" or "earth-fixed", or '
+                "local axes with an origin"
+            )
+        return self
