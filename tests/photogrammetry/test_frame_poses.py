@@ -165,3 +165,13 @@ def test_even_motion_costs_nothing_and_bends_cost_by_their_rate():
 def test_sigmas_of_tables_must_be_positive():
     with pytest.raises(InputError, match="`attitude` must be positive sigmas of shape"):
         RoughPoses(np.ones((3, 3)), np.zeros((3, 3)))
+
+
+def test_tables_without_biases_hold_the_flight_alone():
+    flight = Flight(3, bias=(1e-9, 1e-9))
+    known = RoughPoses(flight.known.position, flight.known.attitude)
+    flight.known = known
+    found = flight.solve()
+    assert (found.bias == 0.0).all()
+    error = flight.errors(found)[15]
+    assert error @ np.linalg.solve(found.covariance[15], error) < 22.5  # chi-square of 6 at 1e-3

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen, same_length
-from sightline.geometry.earth import local_axes, to_geodetic
+from sightline.geometry.earth import to_geodetic
+from sightline.photogrammetry.point_priors import level_axes
 from sightline.photogrammetry.triangulate import Triangulation, triangulate
 
 
@@ -110,10 +111,8 @@ def heights_of(points: Array, radii: tuple[float, float] | None) -> Array:
 
 def height_sigmas(points: Array, covariance: Array, radii: tuple[float, float] | None) -> Array:
     """1-sigma (n,) m of the heights of points (n, 3) of a covariance (n, 3, 3); NaN where that is."""
-    if radii is None:
-        return np.sqrt(covariance[:, 2, 2])
     out, known = np.full(len(points), np.nan), np.isfinite(points).all(axis=1)
-    up = local_axes(*to_geodetic(points[known], radii)[:, :2].T).as_matrix()[:, :, 2]
+    up = level_axes(points[known], radii)[0]
     out[known] = np.sqrt(np.einsum("na,nab,nb->n", up, covariance[known], up))
     return out
 

@@ -91,9 +91,7 @@ class StereoProblem(ReadOnlyArrays):
     @property
     def priors(self) -> PointPriors | None:
         """What is known of the points beforehand."""
-        if self.heights is None and self.control is None:
-            return None
-        return PointPriors(self.heights, self.control)
+        return PointPriors.of(self.heights, self.control)
 
 
 @dataclass(frozen=True, eq=False)

@@ -153,8 +153,7 @@ class Setting(ReadOnlyArrays):
     @property
     def priors(self) -> PointPriors | None:
         """What is known of the points."""
-        known = self.heights is not None or self.control is not None
-        return PointPriors(self.heights, self.control) if known else None
+        return PointPriors.of(self.heights, self.control)
 
     def sightings(self) -> Sightings:
         """The sightings as planned."""
@@ -270,9 +269,7 @@ def setting_of_problem(problem: StereoProblem) -> Setting:
     tracks = problem.tracks
     if len(tracks) == 0:
         return _laid_out(problem)
-    sightings = sight_frames(problem.images, problem.detectors, problem.mounts, tracks)
-    found = triangulate(sightings)
-    places = np.array(found.position)
+    places = np.array(triangulate(problem.sightings()).position)
     if problem.control is not None:
         places[problem.control.point] = problem.control.position
     kept = np.asarray(np.isfinite(places).all(axis=1))

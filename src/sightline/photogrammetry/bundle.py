@@ -28,6 +28,7 @@ from sightline.photogrammetry.descent import (
     first_state,
     seen_twice,
     still_seen,
+    together,
 )
 from sightline.photogrammetry.observability import Observability, marginal, observability
 from sightline.photogrammetry.point_priors import PointPriors
@@ -109,11 +110,15 @@ class Adjustment(ReadOnlyArrays):
     seconds: float
 
 
-def split_by_shot(sightings: Sightings) -> tuple[Sightings, NDArray[np.intp]]:
-    """The same sightings with every point of every shot a point of its own, and the point each was (n,)."""
+def split_by_shot(
+    sightings: Sightings, priors: PointPriors | None
+) -> tuple[Sightings, NDArray[np.intp], PointPriors | None]:
+    """The same with every point of every shot a point of its own, and the point each was (n,)."""
     shot = sightings.shot[sightings.image]
     pairs, point = np.unique(shot.astype(np.int64) * sightings.points + sightings.point, return_inverse=True)
-    return replace(sightings, point=as_index(point, "point")), np.asarray(pairs % sightings.points)
+    was = np.asarray(pairs % sightings.points)
+    known = None if priors is None else priors.for_copies(was)
+    return replace(sightings, point=as_index(point, "point")), was, known
 
 
 def adjust(
@@ -162,11 +167,9 @@ def adjust(
         The equations are singular beyond the angles, or do not converge.
     """
     begun = time.perf_counter()
-    point_of = np.arange(sightings.points)
+    point_of: NDArray[np.intp] = np.arange(sightings.points)
     if new_points_per_shot:
-        sightings, point_of = split_by_shot(sightings)
-        if priors is not None:
-            priors = priors.for_copies(point_of)
+        sightings, point_of, priors = split_by_shot(sightings, priors)
     unknowns = pose_unknowns(sightings, noise)
     block = Block(sightings, unknowns, priors)
     state, usable = first_state(block, seen_twice(sightings, priors), start)
@@ -177,7 +180,7 @@ def adjust(
         )
     weight = None
     if robust and suspect is not None:
-        weight = seen_twice(sightings, priors, usable & ~suspect).astype(np.float64)
+        weight = together(block, usable & ~suspect)
     fit = descend(block, state, usable, robust=robust, weight=weight)
     if drift or focal_sigma is not None:
         # weakly seen, these would run away from a start as far off as the planned attitudes are
@@ -186,11 +189,10 @@ def adjust(
         more = np.zeros(unknowns.globals - len(fit.state.common))
         state = replace(fit.state, common=np.concatenate([fit.state.common, more]))
         fit = descend(block, state, usable, robust=robust, weight=fit.weight)
-    state, reduced = fit.state, fit.reduced
-    used = seen_twice(sightings, priors, fit.weight > 0.0)
-    weight = used.astype(np.float64)
+    state, reduced, known = fit.state, fit.equations.reduced, fit.equations.known
+    weight = together(block, fit.weight > 0.0)
+    used = weight > 0.0
     _, _, _, r, cost = block.gradient(state, weight)
-    known = observability(reduced.information, unknowns.names)
     seconds = time.perf_counter() - begun
     angles = observability(
         marginal(reduced.information, 3 * sightings.cameras), unknowns.names[: 3 * sightings.cameras]
@@ -198,8 +200,9 @@ def adjust(
     common = np.where(known.touched, np.nan, state.common)
     covariance = known.covariance()
     seen = np.where(np.isfinite(covariance), covariance, 0.0)
-    points = np.where(still_seen(block, weight)[:, None], state.points + block.origin, np.nan)
-    count = int(still_seen(block, weight).sum())
+    kept = still_seen(block, weight)
+    points = np.where(kept[:, None], state.points + block.origin, np.nan)
+    count = int(kept.sum())
     free = 3 * count + unknowns.globals - int(known.hidden.sum())
     rows = 2 * int(used.sum()) + (0 if priors is None else priors.count(count))
     return Adjustment(
@@ -221,13 +224,13 @@ def adjust(
         cost,
         rows - free,
         fit.scale,
-        *_pose_scale(fit, unknowns, known),
+        *_pose_scale(fit, unknowns),
         fit.steps,
         seconds,
     )
 
 
-def _pose_scale(fit: Fit, unknowns: PoseUnknowns, known: Observability) -> tuple[float, float]:
+def _pose_scale(fit: Fit, unknowns: PoseUnknowns) -> tuple[float, float]:
     """Size of the shots' own unknowns over what they were to have, and their number that is told.
 
     Of each, the share that sightings tell is one less its variance afterwards; the sum of variances by random
@@ -235,11 +238,12 @@ def _pose_scale(fit: Fit, unknowns: PoseUnknowns, known: Observability) -> tuple
     """
     rng = np.random.default_rng(0)
     left, probes = 0.0, 4
+    reduced, known = fit.equations.reduced, fit.equations.known
     points, none = np.zeros_like(fit.state.points), np.zeros(unknowns.globals)
     for _ in range(probes):
         signs = rng.choice([-1.0, 1.0], fit.state.own.shape)
-        step = known.solve(fit.reduced.condense(signs, points, none))
-        left += float((signs * fit.reduced.solve(signs, points, none, step)[0]).sum()) / probes
+        step = known.solve(reduced.condense(signs, points, none))
+        left += float((signs * reduced.solve(signs, points, none, step)[0]).sum()) / probes
     told = fit.state.own.size - left
     size = float((fit.state.own**2).sum())
     return (float(np.sqrt(size / told)), told) if told > 1.0 else (1.0, 0.0)
@@ -273,9 +277,8 @@ def bound(
     """
     places = np.asarray(points, dtype=np.float64)
     if new_points_per_shot:
-        sightings, point_of = split_by_shot(sightings)
+        sightings, point_of, priors = split_by_shot(sightings, priors)
         places = places[point_of]
-        priors = None if priors is None else priors.for_copies(point_of)
     unknowns = pose_unknowns(sightings, noise, drift=drift, focal_sigma=focal_sigma)
     block = Block(sightings, unknowns, priors)
     state = State(

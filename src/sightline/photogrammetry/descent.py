@@ -167,7 +167,8 @@ def first_state(block: Block, usable: BoolArray, start: Array | None) -> tuple[S
     unknowns, s = block.unknowns, block.sightings
     angles = np.zeros((s.cameras, 3)) if start is None else np.nan_to_num(start)
     common = np.zeros(unknowns.globals)
-    common[: 3 * s.cameras] = np.ravel(angles)
+    if start is not None:
+        common[: 3 * s.cameras] = np.ravel(angles)
     points = np.array(triangulate(s, angles, used=usable).position)
     if block.priors is not None:
         points = block.priors.start(points, *_rays(s, angles), s.point)
@@ -188,6 +189,31 @@ def _rays(sightings: Sightings, angles: Array) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, eq=False)
+class Equations:
+    """Normal equations of a block at one state, factorised.
+
+    Attributes
+    ----------
+    curvature : Curvature
+    reduced : PosesFirst or PointsFirst
+    known : Observability
+        What they tell of the globals.
+    """
+
+    curvature: Curvature
+    reduced: Reduction
+    known: Observability
+
+
+def _equations(block: Block, state: State, weight: Array) -> Equations:
+    """Normal equations at a state."""
+    curvature, _ = block.curvature(state, weight)
+    reduced = reduce_block(curvature, block.unknowns)
+    known = observability(reduced.information, block.unknowns.names, block.unknowns.limit)
+    return Equations(curvature, reduced, known)
+
+
+@dataclass(frozen=True, eq=False)
 class Fit:
     """The least cost for some weights.
 
@@ -196,12 +222,8 @@ class Fit:
     state : State
     weight : (N,)
         0 at gross errors.
-    reduced : PosesFirst or PointsFirst
-        Normal equations of a state near by.
-    curvature : Curvature
-        What they were made of.
-    residuals : (N, 2)
-        Whitened.
+    equations : Equations
+        Of a state near by.
     steps : int
         Taken in all.
     statistic : (N,)
@@ -214,9 +236,7 @@ class Fit:
 
     state: State
     weight: Array
-    reduced: Reduction
-    curvature: Curvature
-    residuals: Array
+    equations: Equations
     steps: int
     statistic: Array
     checked: BoolArray
@@ -263,12 +283,12 @@ def descend(
     for _ in range(ROUNDS):
         fit = _settle(block, state, now, usable, known=fit)
         state, gross = fit.state, _gross(fit, usable, limit)
-        good = _together(block, usable & ~gross)
+        good = together(block, usable & ~gross)
         if not robust or bool((good == now).all()):
             return fit
         if int(gross.sum()) <= _FEW * int(usable.sum()):
             worst = _worst(gross, fit.statistic, block.sightings.point)
-            now = _together(block, usable & ~worst)
+            now = together(block, usable & ~worst)
             continue
         if softened:
             now = good
@@ -279,7 +299,7 @@ def descend(
     return _settle(block, state, now, usable)
 
 
-def _together(block: Block, good: BoolArray) -> Array:
+def together(block: Block, good: BoolArray) -> Array:
     """Weights (N,): 1 for good sightings of points that are still seen twice, or known of."""
     return seen_twice(block.sightings, block.priors, good).astype(np.float64)
 
@@ -303,13 +323,11 @@ def _settle(
     `known`: a fit of other weights near by, whose equations serve first.
     """
     taken, fresh, last = 0 if known is None else known.steps, 0, np.inf
-    curvature = None if known is None else known.curvature
-    reduced = None if known is None or not known.reduced.reusable else known.reduced
+    equations = None if known is None or not known.equations.reduced.reusable else known.equations
     for steps in range(taken + 1, taken + STEPS + 1):
-        if reduced is None or curvature is None:
-            curvature, _ = block.curvature(state, weight)
-            reduced, fresh, last = reduce_block(curvature, block.unknowns), fresh + 1, np.inf
-        directions = observability(reduced.information, block.unknowns.names, block.unknowns.limit)
+        if equations is None:
+            equations, fresh, last = _equations(block, state, weight), fresh + 1, np.inf
+        reduced, directions = equations.reduced, equations.known
         pull = _pull(block, state, weight, reduced)
         step, decrease = _step(pull, reduced, directions)
         if not np.isfinite(decrease):
@@ -319,19 +337,19 @@ def _settle(
             break  # with a hidden direction no number depends on how near the end of the valley is
         settled = late or decrease < CONVERGED or (decrease < 1e-6 and decrease > 0.5 * last)
         if not settled and decrease > 0.1 * last:
-            reduced = None  # the equations of an earlier state lead no further
+            equations = None  # those of an earlier state lead no further
             continue
         if not settled and decrease >= enough * pull.cost:
-            state, whole = _descended(block, state, weight, pull, step, decrease, reduced, directions)
+            state, whole = _descended(block, state, weight, pull, step, decrease, equations)
             last = decrease
             if not (whole and reduced.reusable):
-                reduced = None
+                equations = None
             continue
         if settled:
-            state, _ = _descended(block, state, weight, pull, step, decrease, reduced, directions)
-        statistic, checked = _statistic(replace(curvature, weight=weight), pull.residuals)
+            state, _ = _descended(block, state, weight, pull, step, decrease, equations)
+        statistic, checked = _statistic(replace(equations.curvature, weight=weight), pull.residuals)
         scale = np.sqrt(_scale(statistic[usable & checked]))
-        return Fit(state, weight, reduced, curvature, pull.residuals, steps, statistic, checked, float(scale))
+        return Fit(state, weight, equations, steps, statistic, checked, float(scale))
     raise EstimationError(DIVERGED)
 
 
@@ -378,8 +396,7 @@ def _descended(
     pull: _Pull,
     step: State,
     decrease: float,
-    reduced: Reduction,
-    known: Observability,
+    equations: Equations,
 ) -> tuple[State, bool]:
     """State after a step that does not raise the cost, and whether it was the whole one.
 
@@ -387,6 +404,7 @@ def _descended(
     equations bend), then all is halved. Steps that promise little are taken whole: their gain is
     rounding's.
     """
+    reduced, known = equations.reduced, equations.known
     seen = known.sigmas[~known.hidden]
     weakest = float(seen.max()) ** -2.0 if len(seen) else 0.0
     if decrease < _ROUNDING * max(pull.cost, 1.0):
@@ -432,13 +450,11 @@ def _redescend(block: Block, state: State, usable: BoolArray, limit: float) -> t
         if scale > 0.9 * previous:
             break
         previous = scale
-        curvature, _ = block.curvature(state, soft)
-        reduced = reduce_block(curvature, block.unknowns)
-        known = observability(reduced.information, block.unknowns.names, block.unknowns.limit)
-        pull = _pull(block, state, soft, reduced)
-        step, decrease = _step(pull, reduced, known)
-        state, _ = _descended(block, state, soft, pull, step, decrease, reduced, known)
-    return state, _together(block, usable & (statistic <= limit * scale))
+        equations = _equations(block, state, soft)
+        pull = _pull(block, state, soft, equations.reduced)
+        step, decrease = _step(pull, equations.reduced, equations.known)
+        state, _ = _descended(block, state, soft, pull, step, decrease, equations)
+    return state, together(block, usable & (statistic <= limit * scale))
 
 
 def _statistic(curvature: Curvature, r: Array) -> tuple[Array, BoolArray]:

@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.photogrammetry.descent import Block, Fit, descend, first_state, seen_twice
-from sightline.photogrammetry.observability import observability
 from sightline.photogrammetry.point_priors import PointPriors
 from sightline.photogrammetry.pose_unknowns import PoseUnknowns
 from sightline.photogrammetry.reduced import PointsFirst
@@ -250,9 +249,9 @@ def _roughness(t: Array, departures: Array, seen: Array) -> Array:
 
 def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: RoughPoses) -> FramePoses:
     """A solution as poses with covariance."""
-    unknowns, sightings, state, reduced = block.unknowns, block.sightings, fit.state, fit.reduced
+    unknowns, sightings, state, reduced = block.unknowns, block.sightings, fit.state, fit.equations.reduced
     assert isinstance(reduced, PointsFirst)  # frames are tied to their neighbours
-    common = observability(reduced.information, unknowns.names, np.inf).covariance()
+    common = fit.equations.known.covariance()
     x = unknowns.departures(state.own, state.common)
     order = [3, 4, 5, 0, 1, 2]
     covariance = reduced.departure_covariance(common)[:, order][:, :, order]

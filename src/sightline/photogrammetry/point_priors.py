@@ -117,6 +117,11 @@ class PointPriors(ReadOnlyArrays):
     heights: HeightPrior | None = None
     control: ControlPoints | None = None
 
+    @classmethod
+    def of(cls, heights: HeightPrior | None, control: ControlPoints | None) -> PointPriors | None:
+        """Both together; None where nothing is known."""
+        return None if heights is None and control is None else cls(heights, control)
+
     def count(self, points: int) -> int:
         """Number of conditions that are added to a block in which so many points are used."""
         of_heights = 0 if self.heights is None else points

@@ -12,13 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.photogrammetry.observability import LIMIT
 from sightline.photogrammetry.pose_noise import PoseNoise, aim_sensitivity
-from sightline.photogrammetry.sightings import Images, Index, Sightings, as_index
+from sightline.photogrammetry.sightings import Index, Sightings, as_index, frames_of
 
 #: Numbers of x: turn (3), move (3), and the stretch of the focal length where it is sought.
 TURN, MOVE, STRETCH = slice(0, 3), slice(3, 6), 6
@@ -180,23 +179,8 @@ def _by_shot(
         out[shot, slot, 3 + axis, slot, 3 + axis] = noise.position
     if noise.aim_point is not None:
         # a position that is wrong by a move turns the rebuilt attitude of its own image and of its partner
-        partner, turn = aim_sensitivity(_frames(sightings), noise.aim_point)
+        partner, turn = aim_sensitivity(frames_of(sightings), noise.aim_point)
         for axis in range(3):
             out[shot, slot, :3, slot, 3 + axis] += noise.position * turn[:, 0, :, axis]
             out[shot, slot, :3, slot[partner], 3 + axis] += noise.position * turn[:, 1, :, axis]
     return out.reshape(shots, slots * width, slots * 6)
-
-
-def _frames(sightings: Sightings) -> Images:
-    """The planned poses of frames; InputError for images that are not taken at one instant."""
-    if len(sightings.position) != len(sightings.camera):
-        raise InputError(
-            "attitudes rebuilt from positions are known for frames only, not for pushbroom images"
-        )
-    return Images(
-        sightings.camera,
-        sightings.shot,
-        sightings.t,
-        sightings.position,
-        Rotation.from_matrix(sightings.world_from_body),
-    )

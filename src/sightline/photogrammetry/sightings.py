@@ -243,6 +243,21 @@ def sight_frames(
     )
 
 
+def frames_of(sightings: Sightings) -> Images:
+    """The planned poses of frames; InputError for images that are not taken at one instant each."""
+    if len(sightings.position) != len(sightings.camera):
+        raise InputError(
+            "attitudes rebuilt from positions are known for frames only, not for pushbroom images"
+        )
+    return Images(
+        sightings.camera,
+        sightings.shot,
+        sightings.t,
+        sightings.position,
+        Rotation.from_matrix(sightings.world_from_body),
+    )
+
+
 def _tangents(detector: AreaDetector, pixels: Array) -> tuple[Array, Array]:
     """Tangents (N, 2) of pixels and the change (N, 2, 2) of (line, column) with them."""
 

@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.photogrammetry.pose_noise import PoseNoise, aim_sensitivity
-from sightline.photogrammetry.sightings import Images, Index, Sightings, as_index
+from sightline.photogrammetry.sightings import Index, Sightings, as_index, frames_of
 from sightline.photogrammetry.triangulate_kernels import meet, spread
 
 
@@ -163,11 +163,7 @@ def _unknown(sightings: Sightings, noise: PoseNoise | None) -> tuple[float, floa
         return 0.0, 0.0, *alone
     if noise.aim_point is None:
         return noise.position, noise.attitude, *alone
-    if len(sightings.position) != images:
-        raise InputError("attitudes rebuilt from positions are of frames, with one pose per image")
-    poses = Rotation.from_matrix(sightings.world_from_body)
-    planned = Images(sightings.camera, sightings.shot, sightings.t, sightings.position, poses)
-    return noise.position, noise.attitude, *aim_sensitivity(planned, noise.aim_point)
+    return noise.position, noise.attitude, *aim_sensitivity(frames_of(sightings), noise.aim_point)
 
 
 def _angle_covariance(sightings: Sightings, covariance: Array | None) -> Array:
