@@ -101,7 +101,9 @@ def observability(information: Array, names: Sequence[str], limit: float = LIMIT
     seen = values > max(limit**-2, 0.0)
     sigmas = np.where(seen, 1.0 / np.sqrt(np.where(seen, values, 1.0)), np.inf)
     directions = vectors.T
-    signs = np.sign(directions[np.arange(len(values)), np.abs(directions).argmax(axis=1)])
+    # the largest part of each counts as positive; there may be no unknown at all
+    extremes = directions.max(axis=1, initial=0.0), directions.min(axis=1, initial=0.0)
+    signs = np.where(extremes[0] >= -extremes[1], 1.0, -1.0)
     return Observability(frozen(sigmas), frozen(directions * signs[:, None]), tuple(names), limit)
 
 
