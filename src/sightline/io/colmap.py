@@ -2,10 +2,10 @@
 
 COLMAP's pixels are (x, y) = (column, line) with 0 at the corner of the first pixel, so that half a pixel is
 added to ours; its poses are camera_from_world: a quaternion with the scalar first, and the world's origin in
-camera axes; camera axes are ours. Sightings of no point are left out. Rigs and frames of newer versions are
-not needed: one image is one frame.
+camera axes; camera axes are ours. Sightings of no point are written as such, and left out in reading. Rigs
+and frames of newer versions are not needed: one image is one frame.
 
-Not here: what is written of a stereo orientation (``stereo_exports.py``).
+Not here: which poses and points of a result are written (``stereo_exports.py``, ``sequence_exports.py``).
 """
 
 from __future__ import annotations
@@ -105,7 +105,9 @@ def write_colmap_model(folder: Path, model: Reconstruction, *, binary: bool = Fa
     x, y, z, w = camera_from_world.as_quat().T
     poses = np.column_stack([w, x, y, z, -camera_from_world.apply(np.array(model.position))])
     seen = [
-        np.column_stack([model.pixels[r][:, ::-1] + CORNER, model.point[r] + 1.0])
+        np.column_stack(
+            [model.pixels[r][:, ::-1] + CORNER, np.where(model.point[r] < 0, -1, model.point[r] + 1)]
+        )
         if len(r)
         else np.empty((0, 3))
         for r in rows
@@ -124,8 +126,9 @@ def write_colmap_model(folder: Path, model: Reconstruction, *, binary: bool = Fa
 def _tracks(model: Reconstruction, place: NDArray[np.intp]) -> list[NDArray[np.intp]]:
     """Per point (n_k, 2): image number from 1, place of the sighting in it."""
     order = np.argsort(model.point, kind="stable")
+    order = order[model.point[order] >= 0]
     pairs = np.column_stack([model.image[order] + 1, place[order]])
-    counts = np.bincount(model.point, minlength=len(model.points))
+    counts = np.bincount(model.point[order], minlength=len(model.points))
     return np.split(pairs, np.cumsum(counts)[:-1]) if len(model.points) else []
 
 
@@ -154,7 +157,8 @@ def _image_lines(model: Reconstruction, poses: Array, seen: list[Array]) -> Iter
 
 
 def _point_lines(model: Reconstruction, tracks: list[NDArray[np.intp]]) -> Iterable[str]:
-    for k, (x, y, z) in enumerate(model.points.tolist()):
+    for k in model.known:
+        x, y, z = model.points[k]
         track = " ".join(f"{image} {at}" for image, at in tracks[k].tolist())
         yield f"{k + 1} {x:.17g} {y:.17g} {z:.17g} 128 128 128 {_residual(model, k):.9g} {track}"
 
@@ -184,9 +188,9 @@ def _image_bytes(model: Reconstruction, poses: Array, seen: list[Array]) -> Iter
 
 
 def _point_bytes(model: Reconstruction, tracks: list[NDArray[np.intp]]) -> Iterable[bytes]:
-    yield struct.pack("<Q", len(model.points))
-    for k, point in enumerate(model.points.tolist()):
-        yield struct.pack("<Q3d3Bd", k + 1, *point, 128, 128, 128, _residual(model, k))
+    yield struct.pack("<Q", len(model.known))
+    for k in model.known:
+        yield struct.pack("<Q3d3Bd", k + 1, *model.points[k], 128, 128, 128, _residual(model, k))
         yield struct.pack("<Q", len(tracks[k])) + tracks[k].astype("<i4").tobytes()
 
 

@@ -43,8 +43,8 @@ def write_opensfm(
         "cameras": {_name(k): _camera(detector) for k, detector in enumerate(model.detectors)},
         "shots": {},
         "points": {
-            str(k): {"coordinates": place, "color": [128.0, 128.0, 128.0]}
-            for k, place in enumerate(model.points.tolist())
+            str(k): {"coordinates": model.points[k].tolist(), "color": [128.0, 128.0, 128.0]}
+            for k in model.known
         },
     }
     camera_from_world = model.world_from_camera.inv()

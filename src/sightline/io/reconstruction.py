@@ -41,11 +41,11 @@ class Reconstruction(ReadOnlyArrays):
     world_from_camera : Rotation
         M rotations.
     points : (n, 3)
-        m.
+        m; NaN for those that are not known, which no format is given.
     residual_px : (n,)
         rms of each point; NaN where it is not known.
     image, point : (N,) int
-        Of each sighting; empty where the format has none.
+        Of each sighting; empty where the format has none. A sighting of no (known) point has -1 as its point.
     pixels : (N, 2)
         (line, column).
     """
@@ -67,7 +67,7 @@ class Reconstruction(ReadOnlyArrays):
             object.__setattr__(self, name, frozen(getattr(self, name)))
         object.__setattr__(self, "camera", as_index(self.camera, "camera", len(self.detectors)))
         object.__setattr__(self, "image", as_index(self.image, "image", len(self.names)))
-        object.__setattr__(self, "point", as_index(self.point, "point", len(self.points)))
+        object.__setattr__(self, "point", as_index(self.point, "point", len(self.points), least=-1))
         images = [len(self.names), len(self.camera), len(self.position), len(self.world_from_camera)]
         sights = [len(self.image), len(self.point), len(self.pixels)]
         if len(set(images)) != 1 or len(set(sights)) != 1 or len(self.points) != len(self.residual_px):
@@ -78,6 +78,36 @@ class Reconstruction(ReadOnlyArrays):
         name, count = Counter(self.names).most_common(1)[0] if self.names else ("", 0)
         if count > 1:
             raise InputError(f"{count} images are called {name!r}; each needs a name of its own")
+
+    @property
+    def known(self) -> list[int]:
+        """Rows of the points that are known."""
+        return [int(k) for k in np.flatnonzero(np.isfinite(self.points).all(axis=1))]
+
+
+def points_of(points: Array, point: Index, square: Array, good: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """Points that good sightings show, and their rms residual (px).
+
+    Parameters
+    ----------
+    points : (n, 3)
+        m.
+    point : (N,) int
+        Of each sighting.
+    square : (N,)
+        px^2; its squared residual.
+    good : (N,) bool
+
+    Returns
+    -------
+    points : (n, 3)
+        NaN where no good sighting is.
+    rms : (n,)
+    """
+    count = np.bincount(point[good], minlength=len(points))
+    total = np.bincount(point[good], square[good], minlength=len(points))
+    rms = np.where(count > 0, np.sqrt(total / np.maximum(count, 1)), np.nan)
+    return np.where(count[:, None] > 0, points, np.nan), rms
 
 
 def by_image(image: NDArray[np.intp], count: int) -> tuple[list[NDArray[np.intp]], NDArray[np.intp]]:

@@ -5,9 +5,7 @@ Not here: the tables of the result (``stereo_results.py``).
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -15,9 +13,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
-from sightline.geometry.instrument import AreaDetector
 from sightline.io.ccsds import write_aem
-from sightline.io.colmap import CORNER, camera_of
+from sightline.io.colmap import write_colmap_model
+from sightline.io.reconstruction import Reconstruction, points_of
 from sightline.io.results import AEM_FRAMES
 from sightline.io.stereo import Stereo
 from sightline.io.stereo_strips import StripProblem
@@ -129,98 +127,40 @@ def write_colmap(folder: Path, stereo: Stereo, result: StereoOrientation) -> Non
 
     Coordinates are world axes less the origin, so that programs in single precision can show them.
     """
-    folder.mkdir(exist_ok=True)
     problem = stereo.problem
     known = np.asarray(np.isfinite(result.points).all(axis=1), dtype=np.bool_)
     origin = np.round(result.points[known].mean(axis=0)) if known.any() else np.zeros(3)
+    images, tracks = problem.images, problem.tracks
+    good = ~result.rejected & known[tracks.point]
+    body = images.world_from_body * corrections(problem, result)
+    model = Reconstruction(
+        _picture_names(stereo),
+        problem.detectors,
+        images.camera,
+        images.position - origin,
+        body * Rotation.concatenate(list(problem.mounts))[images.camera],
+        *points_of(result.points - origin, tracks.point, result.residual_px**2, good),
+        tracks.image,
+        np.where(good, tracks.point, -1),
+        tracks.pixels,
+    )
+    write_colmap_model(folder, model)
     write_columns(
         folder / "origin.csv", dict(zip("xyz", origin[:, None], strict=True)), dict.fromkeys("xyz", "%.0f")
     )
-    _write(folder / "cameras.txt", (_camera_line(k, d) for k, d in enumerate(problem.detectors, 1)))
-    good = np.asarray(~result.rejected & known[problem.tracks.point], dtype=np.bool_)
-    order = np.argsort(problem.tracks.image, kind="stable")
-    # place of each sighting among those of its image
-    counts = np.bincount(problem.tracks.image, minlength=len(problem.images))
-    place = np.empty(len(order), dtype=np.intp)
-    place[order] = np.arange(len(order)) - np.repeat(np.cumsum(counts) - counts, counts)
-    _write(
-        folder / "images.txt",
-        _image_lines(stereo, result, origin, good, np.split(order, np.cumsum(counts)[:-1])),
-    )
-    _write(folder / "points3D.txt", _point_lines(problem, result, origin, good, place))
 
 
-def _write(path: Path, lines: Iterable[str]) -> None:
-    temporary = path.with_name(f".{path.name}.part")
-    with temporary.open("w", encoding="utf-8") as stream:
-        stream.writelines(line + "\n" for line in lines)
-    os.replace(temporary, path)
-
-
-def _camera_line(number: int, detector: AreaDetector) -> str:
-    """Number, model, size and parameters of a camera."""
-    model, values = camera_of(detector)
-    lines, columns = detector.shape
-    return f"{number} {model} {columns} {lines} " + " ".join(f"{v:.17g}" for v in values)
-
-
-def _image_lines(
-    stereo: Stereo,
-    result: StereoOrientation,
-    origin: Array,
-    good: NDArray[np.bool_],
-    rows: list[NDArray[np.intp]],
-) -> Iterable[str]:
-    """Two lines an image: its pose (camera from world), and its sightings."""
-    problem, images = stereo.problem, stereo.problem.images
-    body = images.world_from_body * corrections(problem, result)
-    mounts = Rotation.concatenate(list(problem.mounts))[images.camera]
-    camera_from_world = (body * mounts).inv()
-    moved = camera_from_world.apply(images.position - origin)
-    x, y, z, w = camera_from_world.as_quat().T
-    names = _picture_names(stereo)
-    tracks = problem.tracks
-    ids = np.where(good, tracks.point + 1, -1)
-    for k in range(len(images)):
-        pose = [w[k], x[k], y[k], z[k], *(-moved[k])]
-        yield f"{k + 1} " + " ".join(f"{v:.17g}" for v in pose) + f" {images.camera[k] + 1} {names[k]}"
-        seen = zip((tracks.pixels[rows[k]] + CORNER).tolist(), ids[rows[k]].tolist(), strict=True)
-        yield " ".join(f"{column:.10g} {line:.10g} {point}" for (line, column), point in seen)
-
-
-def _picture_names(stereo: Stereo) -> list[str]:
-    """Of the pictures, else ``camera/shot``."""
+def _picture_names(stereo: Stereo) -> tuple[str, ...]:
+    """Of the pictures, where each has one of its own, else ``camera/shot``; without spaces."""
     problem, images = stereo.problem, stereo.problem.images
     names = [
         f"{problem.cameras[camera]}/{problem.shot_names[shot]:.0f}"
         for camera, shot in zip(images.camera, images.shot, strict=True)
     ]
+    told = list(names)
     if stereo.pictures is not None:
         for row, source in zip(stereo.pictures.image, stereo.pictures.sources, strict=True):
-            names[row] = source.path.name
-    return names
-
-
-def _point_lines(
-    problem: StereoProblem,
-    result: StereoOrientation,
-    origin: Array,
-    good: NDArray[np.bool_],
-    place: NDArray[np.intp],
-) -> Iterable[str]:
-    """A line a point: place, grey, rms residual (px), and the images that see it."""
-    rows = np.flatnonzero(good)
-    point = problem.tracks.point[rows]
-    rows = rows[np.argsort(point, kind="stable")]
-    counts = np.bincount(point, minlength=len(result.points))
-    square = np.bincount(problem.tracks.point[rows], result.residual_px[rows] ** 2, len(result.points))
-    rms = np.sqrt(square / np.maximum(counts, 1))
-    image, where = (problem.tracks.image[rows] + 1).tolist(), place[rows].tolist()
-    end = np.cumsum(counts).tolist()
-    for k, position in enumerate((result.points - origin).tolist()):
-        if not counts[k]:
-            continue
-        start = end[k] - int(counts[k])
-        track = " ".join(f"{image[n]} {where[n]}" for n in range(start, end[k]))
-        x, y, z = position
-        yield f"{k + 1} {x:.17g} {y:.17g} {z:.17g} 128 128 128 {rms[k]:.6g} {track}"
+            told[row] = source.path.name
+    if len(set(told)) < len(told):
+        told = names
+    return tuple("_".join(name.split()) for name in told)

@@ -29,14 +29,14 @@ Index = NDArray[np.intp]
 _STEP = 0.5
 
 
-def as_index(values: object, name: str, count: int | None = None) -> Index:
-    """Whole numbers (N,) from 0, below `count` where given, as a read-only array."""
+def as_index(values: object, name: str, count: int | None = None, least: int = 0) -> Index:
+    """Whole numbers (N,) from `least`, below `count` where given, as a read-only array."""
     array = np.array(values, dtype=np.float64)
     whole = array.astype(np.intp)
     if array.ndim != 1 or not (array == whole).all():
         raise InputError(f"`{name}` must be whole numbers of shape (N,), got {array.dtype} of {array.shape}")
-    if len(whole) and (whole.min() < 0 or (count is not None and whole.max() >= count)):
-        allowed = "0 or more" if count is None else f"0 to {count - 1}"
+    if len(whole) and (whole.min() < least or (count is not None and whole.max() >= count)):
+        allowed = f"{least} or more" if count is None else f"{least} to {count - 1}"
         raise InputError(f"`{name}` must be {allowed}, got {whole.min()} to {whole.max()}")
     whole.setflags(write=False)
     return whole
