@@ -23,7 +23,7 @@ from sightline.photogrammetry.descent import Block, Fit, State, descend, first_s
 from sightline.photogrammetry.observability import observability
 from sightline.photogrammetry.point_priors import PointPriors
 from sightline.photogrammetry.pose_unknowns import PoseUnknowns
-from sightline.photogrammetry.reduced import PointsFirst
+from sightline.photogrammetry.reduced import PointsFirst, gather
 from sightline.photogrammetry.sightings import Images, Sightings, as_index
 
 #: rad, m: units of the unknowns; any of the size of the corrections keeps numbers near one.
@@ -93,6 +93,9 @@ class FramePoses(ReadOnlyArrays):
         Of the path: spectral density of the acceleration of (turn, move), rad^2/s^3 and m^2/s^3.
     scale : float
         Robust size of residuals over the stated one.
+    bow : (S, 3)
+        rad, 1-sigma of how each of S stretches is bent about body axes: of the even trend of the angles' errors
+        from its first frame to its last, rms over it.
     """
 
     position: Array
@@ -106,6 +109,7 @@ class FramePoses(ReadOnlyArrays):
     sightings: NDArray[np.intp]
     roughness: Array
     scale: float
+    bow: Array
 
 
 def stretches(t: Array) -> NDArray[np.intp]:
@@ -400,4 +404,25 @@ def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: Roug
         np.bincount(sightings.image, used, minlength=len(images)).astype(np.intp),
         frozen(roughness),
         fit.scale,
+        _bow(images, block, reduced),
     )
+
+
+def _bow(images: Images, block: Block, reduced: PointsFirst) -> Array:
+    """Sigma (S, 3) of the trend of the angles over each stretch, rms over it."""
+    stretch = stretches(images.t)
+    known = observability(reduced.information, block.unknowns.names, np.inf)
+    nothing = np.zeros((block.sightings.points, 3))
+    out = np.zeros((int(stretch[-1]) + 1, 3))
+    for number in range(len(out)):
+        rows = np.flatnonzero(stretch == number)
+        place = images.t[rows] - images.t[rows].mean()
+        size = float(np.sqrt((place**2).mean()))
+        for axis in range(3 if size > 0.0 else 0):
+            form = np.zeros((len(images), 6))
+            form[rows, axis] = place / (len(rows) * size)
+            own, common = gather(block.unknowns, form)
+            step = known.solve(reduced.condense(own, nothing, common))
+            taken = block.unknowns.departures(reduced.solve(own, nothing, common, step)[0], step)
+            out[number, axis] = np.sqrt((form * taken).sum())
+    return frozen(out)

@@ -1,0 +1,216 @@
+"""Points that stretches of a flight have in common: flight lines beside each other, crossing, or flown again.
+
+Frames of one stretch look alike; frames of two look alike where they overlap and the filter shows the ground
+in like wavelengths. Poses must be known to some pixels.
+
+Not here: points within a stretch (``matching/follow.py``); the search of one frame in another
+(``match_frames.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sightline.errors import EstimationError
+from sightline.geometry.camera import FrameCamera
+from sightline.geometry.checks import Array, read_only
+from sightline.geometry.instrument import AreaDetector
+from sightline.geometry.surface import Surface
+from sightline.imaging.source import ImageSource, MaskedImage
+from sightline.photogrammetry.frame_cameras import frame_cameras
+from sightline.photogrammetry.match_frames import TrackPlan, match_frames
+from sightline.photogrammetry.sightings import Images, Tracks
+
+#: nm; wavelengths that far apart are not compared.
+_ALIKE_NM = 60.0
+#: Places along each side of a frame that tell what two frames share; and the least share of them.
+_PROBES, _LEAST_SHARE = 9, 0.04
+#: Share of a frame's lines that it moves from one frame that is compared to the next.
+_SPACING = 0.25
+#: Windows of a pair at most.
+_POINTS = 60
+
+
+@dataclass(frozen=True)
+class CrossPlan:
+    """How stretches are compared.
+
+    Attributes
+    ----------
+    height_range : float
+        m; the ground lies within this of the surface.
+    pointing_error : float
+        rad; poses are wrong by about this.
+    partners : int
+        Frames of each other stretch that a frame is compared with, at most.
+    window : int
+        px
+    """
+
+    height_range: float
+    pointing_error: float
+    partners: int = 2
+    window: int = 21
+
+
+def cross_pairs(
+    images: Images,
+    detector: AreaDetector,
+    mount: Rotation,
+    surface: Surface,
+    group: NDArray[np.intp],
+    partners: int = 2,
+) -> list[tuple[int, int, NDArray[np.bool_]]]:
+    """Pairs of frames of different stretches that see the same ground in like wavelengths.
+
+    Parameters
+    ----------
+    images : Images
+    detector, mount
+        Of all frames.
+    surface : Surface
+    group : (M,) int
+        Stretch of each frame; -1 leaves it out.
+    partners : int
+        Of each frame in each other stretch, at most.
+
+    Returns
+    -------
+    list of (frame, partner, lines)
+        `lines` (bool): those of the frame that the partner sees in like wavelengths.
+    """
+    lines, columns = detector.shape
+    probes = np.stack(
+        np.meshgrid(np.linspace(0, lines - 1, _PROBES), np.linspace(0, columns - 1, _PROBES), indexing="ij"),
+        axis=-1,
+    ).reshape(-1, 2)
+    cameras = frame_cameras(images, [detector], [mount])
+    nm = _line_nm(detector)
+    chosen = _spaced(images, detector, mount, surface, group)
+    ground = {k: cameras[k].locate(probes, surface) for k in chosen}
+    centre = {k: np.nanmean(g, axis=0) for k, g in ground.items()}
+    out = []
+    for i in chosen:
+        best: dict[int, list[tuple[float, int, NDArray[np.bool_]]]] = {}
+        extent = np.nanmax(np.linalg.norm(ground[i] - centre[i], axis=1))
+        for j in chosen:
+            if group[j] <= group[i] or np.linalg.norm(centre[j] - centre[i]) > 2.0 * extent:
+                continue
+            found = _alike(cameras[j], probes, ground[i], nm, lines)
+            if found is not None:
+                best.setdefault(int(group[j]), []).append((found[0], j, found[1]))
+        for candidates in best.values():
+            candidates.sort(key=lambda c: -c[0])
+            out += [(i, j, rows) for _, j, rows in candidates[:partners]]
+    return out
+
+
+def _line_nm(detector: AreaDetector) -> Array:
+    """Wavelength (lines,) nm; 0 where all lines see alike."""
+    if detector.wavelength_nm is None:
+        return np.zeros(detector.shape[0])
+    return np.asarray(detector.wavelength_nm, dtype=np.float64)
+
+
+def _spaced(
+    images: Images, detector: AreaDetector, mount: Rotation, surface: Surface, group: NDArray[np.intp]
+) -> list[int]:
+    """Frames of each stretch some way apart."""
+    middle = 0.5 * (np.array([detector.shape]) - 1.0)
+    ends = np.concatenate([middle, [[0.0, middle[0, 1]]]])
+    rays = mount.apply(detector.directions(ends))
+    out: list[int] = []
+    last: Array | None = None
+    for k in np.flatnonzero(group >= 0):
+        seen = surface.intersect(
+            read_only(np.repeat(images.position[k : k + 1], 2, axis=0)),
+            read_only(images.world_from_body[int(k)].apply(rays)),
+        )
+        far = last is None or group[k] != group[out[-1]]
+        if last is not None and not far:
+            far = bool(np.linalg.norm(seen[0] - last) > _SPACING * 2.0 * np.linalg.norm(seen[0] - seen[1]))
+        if far:
+            out.append(int(k))
+            last = seen[0]
+    return out
+
+
+def _alike(
+    camera: FrameCamera, probes: Array, ground: Array, nm: Array, lines: int
+) -> tuple[float, NDArray[np.bool_]] | None:
+    """Share of a frame that another sees in like wavelengths, and its lines there; None if it is too little."""
+    seen = camera.project(ground)
+    with np.errstate(invalid="ignore"):
+        inside = ((seen >= 0.0) & (seen <= np.array(camera.shape) - 1.0)).all(axis=1)
+    if not inside.any():
+        return None
+    places = np.arange(lines)
+    other = np.interp(np.where(inside, np.nan_to_num(seen[:, 0]), 0.0), places, nm)
+    near = inside & (np.abs(np.interp(probes[:, 0], places, nm) - other) < _ALIKE_NM)
+    if near.mean() < _LEAST_SHARE:
+        return None
+    half = 0.5 * (lines - 1.0) / (_PROBES - 1)
+    low, high = probes[near, 0].min() - half, probes[near, 0].max() + half
+    return float(near.mean()), np.asarray((places >= low) & (places <= high))
+
+
+def link_stretches(
+    sources: Sequence[ImageSource],
+    images: Images,
+    detector: AreaDetector,
+    mount: Rotation,
+    surface: Surface,
+    group: NDArray[np.intp],
+    plan: CrossPlan,
+) -> Tracks | None:
+    """Points that frames of different stretches have in common; None if there are none.
+
+    Parameters
+    ----------
+    sources : sequence of ImageSource
+        M frames.
+    images : Images
+        Their poses, to some pixels.
+    detector, mount
+        Of all frames.
+    surface : Surface
+    group : (M,) int
+        Stretch of each; -1 leaves it out.
+    plan : CrossPlan
+    """
+    found: list[Tracks] = []
+    names = 0
+    for i, j, rows in cross_pairs(images, detector, mount, surface, group, plan.partners):
+        unusable = np.broadcast_to(~rows[:, None], detector.shape)
+        pair = images_of(images, [i, j])
+        cameras = frame_cameras(pair, [detector], [mount])
+        tracks = TrackPlan(
+            points=_POINTS, window=plan.window, height_range=plan.height_range,
+            pointing_error=plan.pointing_error, hubs=(0,), min_score=0.4,
+        )  # fmt: skip
+        try:
+            two = match_frames([MaskedImage(sources[i], unusable), sources[j]], cameras, surface, tracks)
+        except EstimationError:
+            continue
+        which = np.array([i, j])[two.image]
+        found.append(Tracks(which, two.point + names, two.pixels, two.sigma_px))
+        names += int(two.point.max()) + 1
+    return joined(found) if found else None
+
+
+def images_of(images: Images, rows: Sequence[int]) -> Images:
+    """Some of the images."""
+    at = np.asarray(rows, dtype=np.intp)
+    return Images(
+        images.camera[at], images.shot[at], images.t[at], images.position[at], images.world_from_body[at]
+    )
+
+
+def joined(tracks: Sequence[Tracks]) -> Tracks:
+    """Tracks one after the other, as they are numbered."""
+    return Tracks(*(np.concatenate([getattr(t, n) for t in tracks]) for n in ("image", "point", "pixels", "sigma_px")))
