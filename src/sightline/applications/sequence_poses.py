@@ -26,10 +26,13 @@ from sightline.photogrammetry.frame_subset import Subset, choose_subset
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.rolling_shutter import sight_lines
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, as_index, sight_frames
+from sightline.photogrammetry.track_noise import with_drift
 
 SOLVED, ESTIMATED, INTERPOLATED = "solved", "estimated", "interpolated"
 #: Good sightings from which on a frame's own image tells its pose.
 _ENOUGH = 6
+#: Rounds in which the noise of the sightings is taken from the residuals of the solution before.
+_NOISE_ROUNDS = 1
 #: Rounds in which the path within frames is taken from the solution before.
 _SHUTTER_ROUNDS = 2
 
@@ -175,6 +178,9 @@ def _all_poses(
     """All frames solved together (760), once more with what stretches share and with the path in frames."""
     block = _Block(problem, followed)
     poses = block.solve(tracks, None)
+    for _ in range(_NOISE_ROUNDS):
+        tracks = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
+        poses = block.solve(tracks, poses)
     clock.note("760 all poses")
     group = _linked(followed)
     if cross and len(np.unique(group[group >= 0])) > 1:
@@ -188,7 +194,7 @@ def _all_poses(
             moved = Tracks(shared.image, shared.point + first, shared.pixels, shared.sigma_px)
             tracks = joined([tracks, moved])
             poses = block.solve(tracks, poses)
-    for _ in range(_SHUTTER_ROUNDS if problem.readout_time != 0.0 else 0):
+    for _ in range(_SHUTTER_ROUNDS - _NOISE_ROUNDS if problem.readout_time != 0.0 else 0):
         poses = block.solve(tracks, poses)
     clock.note("760 all poses")
     return poses, block.with_control(tracks)
@@ -243,7 +249,7 @@ class _Block:
             if shutter:
                 delay = p.readout_time * tracks.pixels[:, 0] / (p.detector.shape[0] - 1.0)
                 sightings = sight_lines(sightings, p.images, _estimated(p.images, before), delay)
-        return adjust_frames(p.images, sightings, p.known, priors=priors, points=points)
+        return adjust_frames(p.images, sightings, p.known, priors=priors, points=points, start=before)
 
     def cross_plan(self, poses: FramePoses) -> CrossPlan:
         """How far to look for what stretches share."""

@@ -27,11 +27,11 @@ from sightline.photogrammetry.match_frames import TrackPlan, match_frames
 from sightline.photogrammetry.sightings import Images, Tracks
 
 #: nm; wavelengths that far apart are not compared.
-_ALIKE_NM = 60.0
+_ALIKE_NM = 90.0
 #: Places along each side of a frame that tell what two frames share; and the least share of them.
-_PROBES, _LEAST_SHARE = 9, 0.04
+_PROBES, _LEAST_SHARE = 17, 0.03
 #: Share of a frame's lines that it moves from one frame that is compared to the next.
-_SPACING = 0.25
+_SPACING = 0.12
 #: Windows of a pair at most.
 _POINTS = 60
 

@@ -294,6 +294,7 @@ def adjust_frames(
     *,
     priors: PointPriors | None = None,
     points: Array | None = None,
+    start: FramePoses | None = None,
     roughness: Array | None = None,
     robust: bool = True,
 ) -> FramePoses:
@@ -311,6 +312,8 @@ def adjust_frames(
         Known heights, control points.
     points : (n, 3), optional
         m; where to start from. Where the rays of the rough poses meet, otherwise.
+    start : FramePoses, optional
+        A solution near by.
     roughness : (6,), optional
         Of the path; measured on the solution otherwise.
     robust : bool
@@ -321,16 +324,21 @@ def adjust_frames(
     FramePoses
     """
     rank = solving_order(images, sightings)
-    loose = np.full(6, _LOOSE_ROUGHNESS) * _UNITS**2
-    block = Block(sightings, frame_unknowns(images, known, loose, rank), priors)
+    moved = np.zeros((len(images), 6)) if start is None else _departures(images, start)
+    rough = np.full(6, _LOOSE_ROUGHNESS) * _UNITS**2 if start is None else start.roughness
+    common = None if start is None else -start.bias
+    unknowns = frame_unknowns(images, known, rough, rank, moved)
+    block = Block(_from_poses(sightings, moved), unknowns, priors)
     state, usable = first_state(block, seen_twice(sightings, priors), None)
+    if common is not None:
+        common = common[_bias_rows(known)]
+        state = replace(state, common=common, own=_held(unknowns, common))
     if points is not None:
         given = np.asarray(np.isfinite(points).all(axis=1))
         state.points[given] = points[given] - block.origin
         usable = usable | (given[sightings.point] & seen_twice(sightings, priors))
     fit = descend(block, state, usable, robust=robust)
-    moved, rough = np.zeros((len(images), 6)), loose
-    for _ in range(_ROUNDS if len(images) > 2 else 0):
+    for _ in range((_ROUNDS if start is None else 1) if len(images) > 2 else 0):
         step = block.unknowns.departures(fit.state.own, fit.state.common)
         turned = Rotation.from_rotvec(moved[:, :3]) * Rotation.from_rotvec(step[:, :3])
         moved = np.concatenate([turned.as_rotvec(), moved[:, 3:] + step[:, 3:]], axis=1)
@@ -339,10 +347,22 @@ def adjust_frames(
         rough = _roughness(images.t, path, seen) if roughness is None else np.asarray(roughness)
         unknowns = frame_unknowns(images, known, rough, rank, moved)
         before, block = block, Block(_from_poses(block.sightings, step), unknowns, priors)
-        common = fit.state.common
-        state = State(common, _held(unknowns, common), fit.state.points + before.origin - block.origin)
+        held = _held(unknowns, fit.state.common)
+        state = State(fit.state.common, held, fit.state.points + before.origin - block.origin)
         fit = descend(block, state, usable, robust=robust, weight=fit.weight)
     return _poses(_moved(images, moved), block, fit, rough, known)
+
+
+def _departures(images: Images, poses: FramePoses) -> Array:
+    """(M, 6) rad and m, by which poses depart from those of images."""
+    turn = (images.world_from_body.inv() * poses.world_from_body).as_rotvec()
+    return np.concatenate([turn, poses.position - images.position], axis=1)
+
+
+def _bias_rows(known: RoughPoses) -> NDArray[np.intp]:
+    """Places of the biases sought in `FramePoses.bias`, in the order of the globals."""
+    places = [k for k, on in ((3, known.attitude_bias > 0.0), (0, known.position_bias > 0.0)) if on]
+    return np.concatenate([np.arange(p, p + 3) for p in places]) if places else np.zeros(0, dtype=np.intp)
 
 
 def _from_poses(sightings: Sightings, step: Array) -> Sightings:
@@ -385,8 +405,7 @@ def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: Roug
     order = [3, 4, 5, 0, 1, 2]
     covariance = reduced.departure_covariance(common)[:, order][:, :, order]
     bias, bias_covariance = np.zeros(6), np.zeros((6, 6))
-    places = [k for k, on in ((3, known.attitude_bias > 0.0), (0, known.position_bias > 0.0)) if on]
-    rows = np.concatenate([np.arange(p, p + 3) for p in places]) if places else np.zeros(0, dtype=np.intp)
+    rows = _bias_rows(known)
     bias[rows] = -state.common
     bias_covariance[np.ix_(rows, rows)] = common
     used = seen_twice(sightings, block.priors, fit.weight > 0.0)
