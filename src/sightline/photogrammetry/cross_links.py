@@ -3,8 +3,8 @@
 Frames of one stretch look alike; frames of two look alike where they overlap and the filter shows the ground
 in like wavelengths. Poses must be known to some pixels.
 
-Not here: points within a stretch (``matching/follow.py``); the search of one frame in another
-(``match_frames.py``).
+Not here: points within a stretch (``matching/follow.py``); blocks of few frames from all
+sides (``match_frames.py``).
 """
 
 from __future__ import annotations
@@ -16,14 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import EstimationError
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.checks import Array, read_only
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.surface import Surface
-from sightline.imaging.source import ImageSource, MaskedImage
+from sightline.imaging.source import ImageSource
+from sightline.matching.match_images import match_images
+from sightline.matching.select import grid_points, spread_subset, texture_strength
+from sightline.matching.whitening import gradient_filter
 from sightline.photogrammetry.frame_cameras import frame_cameras
-from sightline.photogrammetry.match_frames import TrackPlan, match_frames
 from sightline.photogrammetry.sightings import Images, Tracks
 
 #: nm; wavelengths that far apart are not compared.
@@ -32,8 +33,12 @@ _ALIKE_NM = 90.0
 _PROBES, _LEAST_SHARE = 17, 0.03
 #: Share of a frame's lines that it moves from one frame that is compared to the next.
 _SPACING = 0.12
-#: Windows of a pair at most.
-_POINTS = 60
+#: Windows of a pair: at most, at least; cells along a side that share them; share that must go together.
+_POINTS, _LEAST_WINDOWS, _CELLS, _AGREEMENT = 60, 5, 6, 0.6
+#: px; longest search, and how far windows may lie from each other, relief apart.
+_LONGEST_SEARCH, _DISAGREE = 30, 2.0
+#: Lowest correlation; px: what other wavelengths and another view move a window by.
+_MIN_SCORE, _FLOOR = 0.55, 0.15
 
 
 @dataclass(frozen=True)
@@ -185,22 +190,68 @@ def link_stretches(
     """
     found: list[Tracks] = []
     names = 0
-    for i, j, rows in cross_pairs(images, detector, mount, surface, group, plan.partners):
-        unusable = np.broadcast_to(~rows[:, None], detector.shape)
-        pair = images_of(images, [i, j])
-        cameras = frame_cameras(pair, [detector], [mount])
-        tracks = TrackPlan(
-            points=_POINTS, window=plan.window, height_range=plan.height_range,
-            pointing_error=plan.pointing_error, hubs=(0,), min_score=0.4,
-        )  # fmt: skip
-        try:
-            two = match_frames([MaskedImage(sources[i], unusable), sources[j]], cameras, surface, tracks)
-        except EstimationError:
+    for i, j, lines in cross_pairs(images, detector, mount, surface, group, plan.partners):
+        cameras = frame_cameras(images_of(images, [i, j]), [detector], [mount])
+        two = _match_pair((sources[i], sources[j]), cameras, surface, lines, plan)
+        if two is None:
             continue
-        which = np.array([i, j])[two.image]
-        found.append(Tracks(which, two.point + names, two.pixels, two.sigma_px))
-        names += int(two.point.max()) + 1
+        here, there, sigma = two
+        name = names + np.arange(len(here))
+        names += len(here)
+        image = np.repeat([i, j], len(here))
+        found.append(Tracks(image, np.tile(name, 2), np.concatenate([here, there]), np.tile(sigma, 2)))
     return joined(found) if found else None
+
+
+def _match_pair(
+    sources: tuple[ImageSource, ImageSource],
+    cameras: Sequence[FrameCamera],
+    surface: Surface,
+    lines: NDArray[np.bool_],
+    plan: CrossPlan,
+) -> tuple[Array, Array, Array] | None:
+    """Pixels in both frames of a pair and the sigma of each; None if too few agree."""
+    hub, partner = cameras
+
+    def seen(pixels: Array, height: float = 0.0) -> Array:
+        return partner.project(hub.locate(pixels, surface.raised(height) if height else surface))
+
+    size = (plan.window, plan.window)
+    step = 2 * plan.window // 3
+    points = grid_points(sources[0].shape, window=size, step=(step, step))
+    points = points[lines[np.rint(points[:, 0]).astype(np.intp)]]
+    there = seen(points)
+    with np.errstate(invalid="ignore"):
+        inside = ((there >= 0.0) & (there <= np.array(partner.shape) - 1.0)).all(axis=1)
+    points, there = points[inside], there[inside]
+    strength = texture_strength(sources[0], points, size)
+    strength[~(strength > 0.0)] = np.nan
+    rows = spread_subset(points, strength, _POINTS, (_CELLS, _CELLS))
+    if len(rows) < _LEAST_WINDOWS:
+        return None
+    points, there = points[rows], there[rows]
+    high = np.abs(seen(points, plan.height_range) - there)
+    loose = 2.0 * plan.pointing_error * partner.detector.focal_length_px
+    reach = np.minimum(np.ceil(np.nanmax(high, axis=0) + loose) + 1, _LONGEST_SEARCH).astype(int)
+    affine = np.stack(
+        [(seen(points + s) - seen(points - s)) / 2.0 for s in np.eye(2)], axis=-1
+    )
+    found = match_images(
+        sources[0], sources[1], points, there, window=size, affine=affine,
+        search_px=(int(reach[0]), int(reach[1])), whitening=gradient_filter(), min_score=_MIN_SCORE,
+    )  # fmt: skip
+    kept = found.kept
+    if kept.sum() < _LEAST_WINDOWS:
+        return None
+    # windows that lie on a spurious peak lie anywhere; true ones go together but for the relief
+    moved = found.b[kept] - there[kept]
+    spread = np.nanmedian(high, axis=0) + _DISAGREE
+    near = (np.abs(moved - np.median(moved, axis=0)) < spread).all(axis=1)
+    if near.sum() < _LEAST_WINDOWS or near.mean() < _AGREEMENT:
+        return None
+    covariance = found.covariance_px[kept][near]
+    sigma = np.sqrt(0.25 * np.trace(covariance, axis1=1, axis2=2) + _FLOOR**2)
+    return points[kept][near], found.b[kept][near], sigma
 
 
 def images_of(images: Images, rows: Sequence[int]) -> Images:
