@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.errors import InputError
@@ -24,6 +25,8 @@ from sightline.photogrammetry.cross_links import CrossPlan, joined, link_stretch
 from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
+from sightline.photogrammetry.pose_interpolation import by_displacement
+from sightline.photogrammetry.reconstruct import filter_pairs, reconstruct
 from sightline.photogrammetry.rolling_shutter import sight_lines
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, as_index, sight_frames
 from sightline.photogrammetry.track_noise import with_drift
@@ -77,6 +80,7 @@ def georeference_sequence(
     plan: FollowPlan | None = None,
     stride: int | None = None,
     cross: bool = True,
+    photogrammetry: bool | None = None,
     progress: Callable[[str, int], None] | None = None,
 ) -> SequencePoses:
     """Pose and covariance of every frame of a sequence.
@@ -90,6 +94,8 @@ def georeference_sequence(
         A subset of every so many frames, for comparison.
     cross : bool
         Look for what stretches of the flight have in common.
+    photogrammetry : bool, optional
+        Begin with a model of the subset by pycolmap (extra ``sfm``); where no attitude is told, otherwise.
     progress : callable, optional
         Called with the stage's name and the number of frames done.
 
@@ -110,6 +116,11 @@ def georeference_sequence(
         overlap=problem.overlap, stride=stride,
     )  # fmt: skip
     clock.note("720 subset")
+    if photogrammetry is None:
+        photogrammetry = not np.isfinite(problem.known.attitude).any()
+    if photogrammetry:
+        problem = _with_model(problem, followed, subset)
+        clock.note("730/740 photogrammetry")
     tracks = Tracks(followed.image, followed.point, followed.pixels, followed.sigma_px)
     poses, tracks = _all_poses(problem, followed, tracks, cross, clock)
     source, reason = _sources(problem, followed, subset, poses)
@@ -117,6 +128,29 @@ def georeference_sequence(
         poses, source, reason, subset, followed, tracks, _linked(followed), clock.seconds,
         tuple(_warnings(problem, poses, source)),
     )  # fmt: skip
+
+
+def _with_model(problem: SequenceProblem, followed: Followed, subset: Subset) -> SequenceProblem:
+    """The problem with attitudes to start from where none are told, from a model of the subset."""
+    sigma = problem.known.position.max(axis=1)
+    model = reconstruct(
+        problem.sources, subset.frames, filter_pairs(subset.frames, followed, problem.detector),
+        problem.detector, problem.mount, problem.images.position, sigma,
+    )  # fmt: skip
+    distance = float(np.median(model.position[:, 2]) - np.median(model.points[:, 2]))
+    place, attitude = by_displacement(
+        problem.t, model.frames, model.position, model.world_from_body, followed, problem.detector,
+        problem.mount, distance,
+    )  # fmt: skip
+    told = np.isfinite(problem.known.attitude).all(axis=1)
+    turned = [problem.images.world_from_body[k] if told[k] else attitude[k] for k in range(len(told))]
+    known = np.isfinite(sigma)[:, None]
+    images = replace(
+        problem.images,
+        position=np.where(known, problem.images.position, place),
+        world_from_body=Rotation.concatenate(turned),
+    )
+    return replace(problem, images=images)
 
 
 class _Clock:
@@ -185,7 +219,7 @@ def _all_poses(
     group = _linked(followed)
     if cross and len(np.unique(group[group >= 0])) > 1:
         shared = link_stretches(
-            block.sources, _estimated(problem.images, poses), problem.detector, problem.mount,
+            problem.sources, _estimated(problem.images, poses), problem.detector, problem.mount,
             problem.surface, group, block.cross_plan(poses),
         )  # fmt: skip
         clock.note("730 stretches compared")
@@ -207,11 +241,6 @@ class _Block:
         self.problem, self.followed = problem, followed
         self.per_frame = float(max(np.median(followed.windows[followed.windows > 0]), 1.0))
 
-    @property
-    def sources(self) -> tuple:  # type: ignore[type-arg]
-        """Images of all frames."""
-        return self.problem.sources
-
     def with_control(self, tracks: Tracks) -> Tracks:
         """The same tracks and those of points of control, which are numbered after the others."""
         own = self.problem.control_tracks
@@ -229,7 +258,9 @@ class _Block:
             heights = HeightPrior(p.surface, p.height_sigma * np.sqrt(self.per_frame), p.radii)
         if p.control is not None and p.control_tracks is not None:
             first = int(tracks.point.max()) + 1
-            control = ControlPoints(as_index(p.control.point + first, "point"), p.control.position, p.control.sigma)
+            control = ControlPoints(
+                as_index(p.control.point + first, "point"), p.control.position, p.control.sigma
+            )
         return None if heights is None and control is None else PointPriors(heights, control)
 
     def solve(self, tracks: Tracks, before: FramePoses | None) -> FramePoses:
@@ -245,7 +276,9 @@ class _Block:
         points = _on_surface(sightings, p)
         if before is not None:
             known = len(before.points)
-            points[:known] = np.where(np.isfinite(before.points), before.points, points[:known])[: len(points)]
+            points[:known] = np.where(np.isfinite(before.points), before.points, points[:known])[
+                : len(points)
+            ]
             if shutter:
                 delay = p.readout_time * tracks.pixels[:, 0] / (p.detector.shape[0] - 1.0)
                 sightings = sight_lines(sightings, p.images, _estimated(p.images, before), delay)
@@ -346,6 +379,7 @@ def _warnings(problem: SequenceProblem, poses: FramePoses, source: tuple[str, ..
     out = list(problem.warnings)
     idle = source.count(INTERPOLATED)
     if idle:
-        out.append(f"{idle} of {len(source)} frames are interpolated: their images tell nothing of their poses")
+        out.append(
+            f"{idle} of {len(source)} frames are interpolated: their images tell nothing of their poses"
+        )
     return out
-

@@ -193,7 +193,9 @@ class _Reader:
         shape = (lines // self._plan.reduction, columns // self._plan.reduction)
         least = self._plan.window + 2 * _RIM
         if min(shape) < 2 * least:
-            raise InputError(f"frames of {shape} px are too small to follow windows in; {2 * least} are needed")
+            raise InputError(
+                f"frames of {shape} px are too small to follow windows in; {2 * least} are needed"
+            )
         return shape
 
     def _pixels(self, number: int) -> tuple[Array32, Flags | None] | None:
@@ -243,7 +245,9 @@ class _Reader:
         )  # fmt: skip
 
 
-def phase_shift(a: NDArray[np.complex64], b: NDArray[np.complex64], shape: tuple[int, int]) -> tuple[Array, float]:
+def phase_shift(
+    a: NDArray[np.complex64], b: NDArray[np.complex64], shape: tuple[int, int]
+) -> tuple[Array, float]:
     """Whole pixels by which an image moved, from two spectra: where b shows what a shows, and how clearly.
 
     Parameters

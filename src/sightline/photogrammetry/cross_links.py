@@ -233,9 +233,7 @@ def _match_pair(
     high = np.abs(seen(points, plan.height_range) - there)
     loose = 2.0 * plan.pointing_error * partner.detector.focal_length_px
     reach = np.minimum(np.ceil(np.nanmax(high, axis=0) + loose) + 1, _LONGEST_SEARCH).astype(int)
-    affine = np.stack(
-        [(seen(points + s) - seen(points - s)) / 2.0 for s in np.eye(2)], axis=-1
-    )
+    affine = np.stack([(seen(points + s) - seen(points - s)) / 2.0 for s in np.eye(2)], axis=-1)
     found = match_images(
         sources[0], sources[1], points, there, window=size, affine=affine,
         search_px=(int(reach[0]), int(reach[1])), whitening=gradient_filter(), min_score=_MIN_SCORE,
@@ -264,4 +262,6 @@ def images_of(images: Images, rows: Sequence[int]) -> Images:
 
 def joined(tracks: Sequence[Tracks]) -> Tracks:
     """Tracks one after the other, as they are numbered."""
-    return Tracks(*(np.concatenate([getattr(t, n) for t in tracks]) for n in ("image", "point", "pixels", "sigma_px")))
+    return Tracks(
+        *(np.concatenate([getattr(t, n) for t in tracks]) for n in ("image", "point", "pixels", "sigma_px"))
+    )

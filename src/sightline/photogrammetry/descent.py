@@ -87,9 +87,7 @@ class Block:
         own, common = gather(self.unknowns, by_image)
         known = self.unknowns.global_information
         pulled, tied = self.unknowns.prior_slope(state.own)
-        cost = float(
-            (weight * (r**2).sum(axis=1)).sum() + tied + known @ state.common**2
-        )
+        cost = float((weight * (r**2).sum(axis=1)).sum() + tied + known @ state.common**2)
         if self.priors is not None:
             pull, _, more = self.priors.at(state.points + self.origin)
             by_point += pull

@@ -8,7 +8,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
@@ -204,7 +203,10 @@ def _next(walk: _Walk, chain: list[int], start: int, wanted: float) -> tuple[int
     if not good.any():
         good = np.arange(len(share)) == int(np.argmin(np.abs(share - wanted)))
     note = ""
-    if angle[good].max() < _LEAST_PARALLAX and (deep := (share >= _LEAST_OVERLAP) & (angle >= _LEAST_PARALLAX)).any():
+    if (
+        angle[good].max() < _LEAST_PARALLAX
+        and (deep := (share >= _LEAST_OVERLAP) & (angle >= _LEAST_PARALLAX)).any()
+    ):
         good = np.arange(len(share)) == int(np.flatnonzero(deep)[0])
         note = "; nearer ones have too little parallax"
     clear = good & (sharp >= _BLURRED)
