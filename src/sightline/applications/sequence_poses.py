@@ -1,7 +1,7 @@
 """System S4: poses of all frames of a sequence, from rough tables and what the frames show.
 
-Reads like figure 7 of S4: displacement and yaw of successive frames (750), the subset (720), photogrammetry on
-it (730/740), the parameters of all frames (760). Windows followed from frame to frame carry 750 and 760 at
+Reads like figure 7 of S4: displacement and yaw of successive frames (750), the subset (720), photogrammetry
+on it (730/740), the parameters of all frames (760). Windows followed from frame to frame carry 750 and 760 at
 once: all frames are solved together with the points, so that nothing is interpolated that an image tells.
 
 Not here: files (``io/sequence.py``), the cube (``products/``).
@@ -132,19 +132,20 @@ def georeference_sequence(
 
 def _with_model(problem: SequenceProblem, followed: Followed, subset: Subset) -> SequenceProblem:
     """The problem with attitudes to start from where none are told, from a model of the subset."""
-    sigma = problem.known.position.max(axis=1)
+    loose = problem.known.position.max(axis=1)
     model = reconstruct(
         problem.sources, subset.frames, filter_pairs(subset.frames, followed, problem.detector),
-        problem.detector, problem.mount, problem.images.position, sigma,
+        problem.detector, problem.mount, problem.images.position, loose, problem.radii,
     )  # fmt: skip
-    distance = float(np.median(model.position[:, 2]) - np.median(model.points[:, 2]))
+    distance = float(np.median([np.linalg.norm(model.points - p, axis=1).min() for p in model.position]))
     place, attitude = by_displacement(
         problem.t, model.frames, model.position, model.world_from_body, followed, problem.detector,
         problem.mount, distance,
     )  # fmt: skip
-    told = np.isfinite(problem.known.attitude).all(axis=1)
-    turned = [problem.images.world_from_body[k] if told[k] else attitude[k] for k in range(len(told))]
-    known = np.isfinite(sigma)[:, None]
+    rough = problem.images.world_from_body
+    told = [bool(np.isfinite(sigma).all()) for sigma in problem.known.attitude]
+    turned = [(rough if own else attitude)[k] for k, own in enumerate(told)]
+    known = np.isfinite(loose)[:, None]
     images = replace(
         problem.images,
         position=np.where(known, problem.images.position, place),
@@ -264,7 +265,7 @@ class _Block:
         return None if heights is None and control is None else PointPriors(heights, control)
 
     def solve(self, tracks: Tracks, before: FramePoses | None) -> FramePoses:
-        """Poses of all frames; `before` tells how frames moved while they were read out, and where points are."""
+        """Poses of all frames; `before` tells where points are, and how frames moved while read out."""
         p = self.problem
         priors = self._priors(tracks)
         tracks = self.with_control(tracks)
@@ -323,7 +324,7 @@ def first_line_pixels(
 
 
 def _on_surface(sightings: Sightings, problem: SequenceProblem) -> Array:
-    """Points (n, 3) m: mean over their sightings of where rough rays meet the surface; NaN where they do not."""
+    """Points (n, 3) m: where rough rays meet the surface, mean over sightings; NaN where they do not."""
     rays = np.column_stack([sightings.tangents, np.ones(len(sightings))])
     turned = np.einsum("nij,nj->ni", sightings.world_from_body[sightings.pose], problem.mount.apply(rays))
     turned /= np.linalg.norm(turned, axis=1, keepdims=True)
@@ -379,7 +380,5 @@ def _warnings(problem: SequenceProblem, poses: FramePoses, source: tuple[str, ..
     out = list(problem.warnings)
     idle = source.count(INTERPOLATED)
     if idle:
-        out.append(
-            f"{idle} of {len(source)} frames are interpolated: their images tell nothing of their poses"
-        )
+        out.append(f"{idle} of {len(source)} frames are interpolated: their images tell nothing of them")
     return out

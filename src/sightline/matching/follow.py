@@ -1,9 +1,9 @@
 """Windows followed from frame to frame of a sequence, as long as they look alike.
 
-Neighbours of a sequence look alike, because their places and their wavelengths are near. Windows of one frame,
-its hub, are looked for in the frames after it, each time where the motion so far has carried them; when too
-few are left, a new hub takes over. Every sighting is compared with the hub itself, so that errors do not add
-up. A frame that links to none is stepped over; where that does not help, a new stretch begins.
+Neighbours of a sequence look alike, because their places and their wavelengths are near. Windows of one
+frame, its hub, are looked for in the frames after it, each time where the motion so far has carried them;
+when too few are left, a new hub takes over. Every sighting is compared with the hub itself, so that errors do
+not add up. A frame that links to none is stepped over; where that does not help, a new stretch begins.
 
 One frame at a time is read, and only hubs whose windows are still followed are kept.
 
@@ -38,7 +38,7 @@ Flags = NDArray[np.bool_]
 
 #: Lines that whole frames are compared at.
 _COARSE_LINES = 128
-#: Standard deviations of the phase correlation that its peak must stand out by: 20,000 places of noise reach 4.
+#: Standard deviations of the phase correlation that its peak must stand out by: noise reaches 4 of them.
 _LEAST_PEAK = 6.0
 #: Windows that tell how a frame moved as a whole, at most; and how many must agree, as number and as share.
 _SEEDS, _LEAST, _AGREEMENT = 64, 10, 0.5
@@ -58,8 +58,8 @@ _RIM = 20
 _ITERATIONS, _TOLERANCE = 12, 0.01
 _NONE = np.empty((0, 0), np.bool_)
 NOTHING = (
-    "no two frames in a row look alike; check that the frames are in the order of their times, that they overlap "
-    "and that they show more than water or cloud"
+    "no two frames in a row look alike; check that the frames are in the order of their times, that they "
+    "overlap and that they show more than water or cloud"
 )
 
 
@@ -193,9 +193,7 @@ class _Reader:
         shape = (lines // self._plan.reduction, columns // self._plan.reduction)
         least = self._plan.window + 2 * _RIM
         if min(shape) < 2 * least:
-            raise InputError(
-                f"frames of {shape} px are too small to follow windows in; {2 * least} are needed"
-            )
+            raise InputError(f"frames of {shape} px are too small to be followed; {2 * least} are needed")
         return shape
 
     def _pixels(self, number: int) -> tuple[Array32, Flags | None] | None:

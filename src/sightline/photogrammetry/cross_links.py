@@ -148,7 +148,7 @@ def _spaced(
 def _alike(
     camera: FrameCamera, probes: Array, ground: Array, nm: Array, lines: int
 ) -> tuple[float, NDArray[np.bool_]] | None:
-    """Share of a frame that another sees in like wavelengths, and its lines there; None if it is too little."""
+    """Share of a frame that another sees in like wavelengths, and its lines there; None if too little."""
     seen = camera.project(ground)
     with np.errstate(invalid="ignore"):
         inside = ((seen >= 0.0) & (seen <= np.array(camera.shape) - 1.0)).all(axis=1)

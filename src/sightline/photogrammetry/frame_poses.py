@@ -94,8 +94,8 @@ class FramePoses(ReadOnlyArrays):
     scale : float
         Robust size of residuals over the stated one.
     bow : (S, 3)
-        rad, 1-sigma of how each of S stretches is bent about body axes: of the even trend of the angles' errors
-        from its first frame to its last, rms over it.
+        rad, 1-sigma of how each of S stretches is bent about body axes: of the even trend of the angles'
+        errors from its first frame to its last, rms over it.
     """
 
     position: Array
@@ -165,7 +165,7 @@ def path_precision(t: Array, roughness: Array, stretch: NDArray[np.intp], rank: 
 
 
 def _bends(t: Array, roughness: Array, stretch: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp], Array]:
-    """Bends of a path: weights (n, 3) of three frames in a row, the last of them (n,), 1 / variance (n, 6)."""
+    """Bends of a path: weights (n, 3) of three frames in a row, the last (n,), 1 / variance (n, 6)."""
     h = np.diff(t)
     first, last = 1.0 / h[:-1], 1.0 / h[1:]
     row = np.stack([first, -(first + last), last], axis=1)

@@ -1,12 +1,14 @@
 """Poses of the frames between anchors without adjustment: slerp, a spline, S4's displacement and yaw.
 
-For comparison: what lies between anchors is jitter, which a curve through them cannot know; displacement scaled
-by one distance knows it but for the relief.
+For comparison: what lies between anchors is jitter, which a curve through them cannot know; displacement
+scaled by one distance knows it but for the relief.
 
 Not here: the adjustment of all frames (``frame_poses.py``).
 """
 
 from __future__ import annotations
+
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +70,7 @@ def by_displacement(
     mount: Rotation,
     distance: float,
 ) -> tuple[Array, Rotation]:
-    """Poses at all times from those of anchors and the displacement and yaw of successive frames (S4, 750/760).
+    """Poses at all times from those of anchors and how successive frames moved and turned (S4, 750/760).
 
     Parameters
     ----------
@@ -97,7 +99,7 @@ def by_displacement(
     middle = 0.5 * (np.array(detector.shape) - 1.0)
     step = detector.directions(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
     hand = np.sign(np.cross(step[1] - step[0], step[2] - step[0])[2])
-    for n, (a, b) in enumerate(zip(anchors[:-1], anchors[1:], strict=True)):
+    for n, (a, b) in enumerate(pairwise(anchors)):
         if not (followed.before[a + 1 : b + 1] == np.arange(a, b)).all():
             continue
         start = attitude[n] * mount

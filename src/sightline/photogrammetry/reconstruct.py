@@ -23,6 +23,7 @@ from sightline.geometry.instrument import AreaDetector
 from sightline.imaging.source import ImageSource, read_padded
 from sightline.matching.follow import Followed
 from sightline.photogrammetry.frame_subset import chained
+from sightline.photogrammetry.point_priors import level_axes
 from sightline.photogrammetry.sightings import Index, as_index
 
 #: nm; ground is not compared in wavelengths further apart, neighbours excepted.
@@ -101,6 +102,7 @@ def reconstruct(
     mount: Rotation,
     position: Array,
     sigma: Array,
+    radii: tuple[float, float] | None = None,
 ) -> Reconstruction:
     """A model of the frames of a subset.
 
@@ -118,6 +120,8 @@ def reconstruct(
         m, as told.
     sigma : (M,)
         m, of each; inf where none was told.
+    radii : (float, float), optional
+        Of the ellipsoid whose normals are the verticals; z is up otherwise.
 
     Raises
     ------
@@ -134,17 +138,16 @@ def reconstruct(
             "pip install 'sightline[sfm]'"
         ) from None
     if np.isfinite(sigma[frames]).sum() < 3:
-        raise InputError(
-            "a model is brought to the world by three positions told or more; give a positions table"
-        )
+        raise InputError("a model is brought to the world by three positions or more; give a positions table")
     with tempfile.TemporaryDirectory() as folder:
         model = _mapped(pycolmap, Path(folder), sources, frames, pairs, detector, position, sigma)
     if model is None or model.num_reg_images() < 3:
         raise EstimationError(
-            f"photogrammetry on {len(frames)} frames gave no model: they are too little alike; lower `overlap` "
-            "less, or give attitudes"
+            f"photogrammetry on {len(frames)} frames gave no model: they are too little alike; "
+            "raise `overlap`, or give attitudes"
         )
-    return _in_world(model, detector, mount, position, sigma)
+    up = level_axes(position[frames], radii)[0].mean(axis=0)
+    return _in_world(model, detector, mount, position, sigma, -up / np.linalg.norm(up))
 
 
 def _mapped(
@@ -205,7 +208,7 @@ def _mapped(
 
 
 def _in_world(
-    model: Any, detector: AreaDetector, mount: Rotation, position: Array, sigma: Array
+    model: Any, detector: AreaDetector, mount: Rotation, position: Array, sigma: Array, down: Array
 ) -> Reconstruction:
     """A model brought to the world by the positions told: scale, turn and move that fit them best."""
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda i: i.name)
@@ -213,7 +216,7 @@ def _in_world(
     centre = np.array([image.projection_center() for image in images])
     camera = Rotation.from_matrix([image.cam_from_world().rotation.matrix().T for image in images])
     told = np.isfinite(sigma[frames])
-    scale, turn, moved = similarity(centre[told], position[frames][told], camera[told])
+    scale, turn, moved = similarity(centre[told], position[frames][told], camera[told], down)
     # columns, lines, depth in our camera's axes
     middle = np.array([detector.principal_point_px])
     steps = detector.directions(middle + np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]]))
@@ -228,16 +231,16 @@ def _in_world(
     )
 
 
-def similarity(places: Array, wanted: Array, camera: Rotation) -> tuple[float, Rotation, Array]:
+def similarity(places: Array, wanted: Array, camera: Rotation, down: Array) -> tuple[float, Rotation, Array]:
     """Scale, turn and move from a model to the world, by places (N, 3) in both.
 
-    A single flight line leaves the turn about it open; cameras that look down (-z) on the whole close it.
+    A single flight line leaves the turn about it open; cameras that look `down` on the whole close it.
     """
     a, b = places - places.mean(axis=0), wanted - wanted.mean(axis=0)
     size = float(np.sqrt((b**2).sum() / max((a**2).sum(), 1e-30)))
     view = camera.apply([0.0, 0.0, 1.0])
     # what cameras see is given a share of the flight's length: enough to decide, too little to bend
     lever = 0.05 * np.sqrt((b**2).sum() / len(b))
-    from_, to = np.vstack([size * a, lever * view]), np.vstack([b, np.tile([0.0, 0.0, -lever], (len(b), 1))])
+    from_, to = np.vstack([size * a, lever * view]), np.vstack([b, np.tile(lever * down, (len(b), 1))])
     turn, _ = Rotation.align_vectors(to, from_)
     return size, turn, wanted.mean(axis=0) - size * turn.apply(places.mean(axis=0))

@@ -16,10 +16,10 @@ from scipy.spatial.transform import Rotation
 
 from sightline.geometry.checks import Array, frozen
 from sightline.photogrammetry.frame_poses import path_turns, stretches
-from sightline.photogrammetry.sightings import Images, Sightings, as_index
+from sightline.photogrammetry.sightings import Images, Index, Sightings, as_index
 
 
-def line_poses(estimated: Images, image: Array, delay: Array) -> tuple[Array, Rotation]:
+def line_poses(estimated: Images, image: Index, delay: Array) -> tuple[Array, Rotation]:
     """How the camera moved and turned since a frame's first line, along a spline through all frames.
 
     Parameters

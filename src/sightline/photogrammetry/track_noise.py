@@ -1,7 +1,7 @@
 """How sightings of followed windows err: each by itself, and all of a track by a slow drift.
 
-A window changes while it is followed, with its wavelength and with the angle it is seen under; what that moves
-it by is much the same in the next frame. Sightings that err alike count for fewer than they are.
+A window changes while it is followed, with its wavelength and with the angle it is seen under; what that
+moves it by is much the same in the next frame. Sightings that err alike count for fewer than they are.
 
 Not here: following (``matching/follow.py``).
 """
@@ -17,7 +17,7 @@ from sightline.photogrammetry.sightings import Tracks
 
 #: Fewest pairs of sightings that tell of a lag.
 _PAIRS = 100
-#: Share of a usual track up to which lags are looked at: the point's place takes up what drifts over all of it.
+#: Share of a usual track up to which lags are looked at: longer drifts the point's place takes up.
 _SHORT = 0.3
 
 
