@@ -60,6 +60,15 @@ def ground_error_px(scenario: SequenceScenario, position: np.ndarray, attitude: 
     return np.array(errors) / scenario.options.gsd
 
 
+def height_of(scenario: SequenceScenario, points: np.ndarray) -> np.ndarray:
+    """m, of the relief under points, to the nearest post."""
+    relief = scenario.ground.relief
+    columns = np.rint((points[:, 0] - relief.west) / relief.posting[0]).astype(int)
+    rows = np.rint((relief.north - points[:, 1]) / relief.posting[1]).astype(int)
+    last = np.array(relief.heights.shape) - 1
+    return relief.heights[np.clip(rows, 0, last[0]), np.clip(columns, 0, last[1])]
+
+
 def between(errors: np.ndarray, stride: int) -> float:
     """px rms of what is left between every `stride`-th frame."""
     left = []
@@ -160,12 +169,15 @@ def test_two_lines_are_tied_where_they_overlap():
     scenario = sequence_case("two-lines", 1, frames=60, overlap=0.97, filter="pan", readout_time=0.0)
     found = georeference_sequence(problem_of(scenario))
     assert set(found.stretch) == {0, 1}
-    error = ground_error_px(scenario, found.poses.position, found.poses.world_from_body)
+    # the datum is the tables': ground that is found too low is seen further out from both sides
+    points = found.poses.points[np.isfinite(found.poses.points[:, 0])]
+    sunk = float((points[:, 2] - height_of(scenario, points)).mean())
+    error = ground_error_px(scenario, found.poses.position - [0.0, 0.0, sunk], found.poses.world_from_body)
     # both lines see the ground between them on their right, in low columns
     shared = error.reshape(len(error), 4, 4, 2)[:, :, :2]
     apart = shared[:60].mean(axis=(0, 1, 2)) - shared[60:].mean(axis=(0, 1, 2))
     # tables alone leave the lines apart by noise of 1 m and 0.5 deg over sqrt(60) frames: 1 px and more
-    assert np.abs(apart).max() < 0.8
+    assert np.abs(apart).max() < 0.5
 
 
 def test_a_mosaic_filter_is_averaged_over_its_pattern():
