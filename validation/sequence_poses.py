@@ -53,12 +53,8 @@ def between_px(scenario: SequenceScenario, position: np.ndarray, attitude: Rotat
         ray = turn.apply(rays)
         return (place - ray * (place[2] / ray[:, 2])[:, None])[:, :2]
 
-    error = np.array(
-        [
-            met(position[k], attitude[k]) - met(true_position[k], true_attitude[k])
-            for k in range(len(position))
-        ]
-    )
+    pairs = zip(position, attitude, true_position, true_attitude, strict=True)
+    error = np.array([met(*pose[:2]) - met(*pose[2:]) for pose in pairs])
     left = []
     for a in range(0, len(error) - STRIDE, STRIDE):
         w = np.arange(STRIDE)[:, None, None] / STRIDE
