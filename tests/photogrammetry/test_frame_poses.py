@@ -149,7 +149,7 @@ def test_gross_mismatches_are_left_out():
 
 def test_even_motion_costs_nothing_and_bends_cost_by_their_rate():
     t = np.array([0.0, 0.1, 0.3, 0.4, 0.8])
-    precision = path_precision(t, np.full(6, 2.0))
+    precision = path_precision(t, np.full(6, 2.0), np.zeros(5, dtype=int), np.arange(5))
     whole = np.zeros((30, 30))
     for k in range(5):
         for d in range(min(k, 2) + 1):

@@ -98,10 +98,8 @@ class Block:
         gradients(*arguments)
         own, common = gather(self.unknowns, by_image)
         known = self.unknowns.global_information
-        pulled = self.unknowns.prior_times(state.own)
-        cost = float(
-            (weight * (r**2).sum(axis=1)).sum() + (state.own * pulled).sum() + known @ state.common**2
-        )
+        pulled, tied = self.unknowns.prior_slope(state.own)
+        cost = float((weight * (r**2).sum(axis=1)).sum() + tied + known @ state.common**2)
         if self.priors is not None:
             pull, _, more = self.priors.at(state.points + self.origin)
             by_point += pull

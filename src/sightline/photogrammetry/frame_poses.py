@@ -1,8 +1,8 @@
 """Poses of many frames of one flight: rough tables, points seen in frame after frame, and a smooth path.
 
 Every frame is free. Tables of positions and attitudes hold it where they are, each with a constant bias of
-its own; between neighbours the path is as smooth as it was found to be. One banded solution gives all frames
-with the covariance of each, those that no image evidence reaches too.
+its own; between neighbours of one stretch the path is as smooth as it was found to be. One banded solution
+gives all frames with the covariance of each, those that no image evidence reaches too.
 
 Not here: finding the points (``applications/``), constant errors of calibrated cameras (``bundle.py``).
 """
@@ -13,20 +13,25 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
-from sightline.photogrammetry.descent import Block, Fit, descend, first_state, seen_twice
+from sightline.photogrammetry.descent import Block, Fit, State, descend, first_state, seen_twice
+from sightline.photogrammetry.observability import observability
 from sightline.photogrammetry.point_priors import PointPriors
 from sightline.photogrammetry.pose_unknowns import PoseUnknowns
-from sightline.photogrammetry.reduced import PointsFirst
+from sightline.photogrammetry.reduced import PointsFirst, gather
 from sightline.photogrammetry.sightings import Images, Sightings, as_index
 
 #: rad, m: units of the unknowns; any of the size of the corrections keeps numbers near one.
 _UNITS = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1])
 #: Roughness (unit^2 / s^3 in `_UNITS`) with which the first solution starts: hardly any smoothness.
 _LOOSE_ROUGHNESS = 1e8
+#: Times the usual step between frames from which on it is a pause.
+_PAUSE = 10.0
 #: Rounds in which the roughness of the path is measured anew.
 _ROUNDS = 2
 
@@ -88,6 +93,9 @@ class FramePoses(ReadOnlyArrays):
         Of the path: spectral density of the acceleration of (turn, move), rad^2/s^3 and m^2/s^3.
     scale : float
         Robust size of residuals over the stated one.
+    bow : (S, 3)
+        rad, 1-sigma of how each of S stretches is bent about body axes: of the even trend of the angles'
+        errors from its first frame to its last, rms over it.
     """
 
     position: Array
@@ -101,21 +109,39 @@ class FramePoses(ReadOnlyArrays):
     sightings: NDArray[np.intp]
     roughness: Array
     scale: float
+    bow: Array
 
 
-def path_precision(t: Array, roughness: Array) -> Array:
-    """Prior precision (M, 3, 6, 6) that ties each frame to the two before it.
+def stretches(t: Array) -> NDArray[np.intp]:
+    """Which stretch (M,) of the flight each frame is of: a new one begins after a pause.
 
     Parameters
     ----------
     t : (M,)
-        s, increasing, three or more.
+        s, increasing.
+    """
+    step = np.diff(t)
+    pause = step > _PAUSE * np.median(step) if len(step) else np.zeros(0, dtype=bool)
+    return np.concatenate([[0], np.cumsum(pause)]).astype(np.intp)
+
+
+def path_precision(t: Array, roughness: Array, stretch: NDArray[np.intp], rank: NDArray[np.intp]) -> Array:
+    """Prior precision (M, 1 + s, 6, 6) that ties each frame to the two before it.
+
+    Parameters
+    ----------
+    t : (M,)
+        s, increasing.
     roughness : (6,)
         Spectral density of the second derivative of each unknown, unit^2 / s^3.
+    stretch : (M,) int
+        Frames of different stretches are not tied.
+    rank : (M,) int
+        Row of the precision that each frame has.
 
     Returns
     -------
-    (M, 3, 6, 6)
+    (M, 1 + s, 6, 6)
         As `PoseUnknowns.precision`. Straight and even motion costs nothing.
 
     Notes
@@ -123,21 +149,55 @@ def path_precision(t: Array, roughness: Array) -> Array:
     With white acceleration the bend (x3 - x2)/h2 - (x2 - x1)/h1 has variance roughness (h1 + h2)/3; that
     neighbouring bends go together is left out.
     """
-    count = len(t)
-    out = np.zeros((count, 3, 6, 6))
-    h = np.diff(t)
-    first, last = 1.0 / h[:-1], 1.0 / h[1:]
-    row = np.stack([first, -(first + last), last], axis=1)
-    at = np.arange(2, count)
+    row, at, strength = _bends(t, roughness, stretch)
+    places = rank[at[:, None] + np.arange(-2, 1)]
+    reach = int(np.abs(places[:, :, None] - places[:, None, :]).max()) if len(at) else 0
+    out = np.zeros((len(t), 1 + reach, 6, 6))
     axis = np.arange(6)
-    strength = 3.0 / ((h[:-1] + h[1:])[:, None] * roughness)
     for i in range(3):
-        for j in range(i + 1):
-            out[(at - 2 + i)[:, None], i - j, axis, axis] += (row[:, i] * row[:, j])[:, None] * strength
+        for j in range(3):
+            # each pair once: the block below the diagonal
+            low = places[:, i] >= places[:, j]
+            first, second = places[low, i], places[low, j]
+            value = (row[low, i] * row[low, j])[:, None] * strength[low]
+            np.add.at(out, (first[:, None], (first - second)[:, None], axis, axis), value)
     return out
 
 
-def frame_unknowns(images: Images, known: RoughPoses, roughness: Array) -> PoseUnknowns:
+def _bends(t: Array, roughness: Array, stretch: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp], Array]:
+    """Bends of a path: weights (n, 3) of three frames in a row, the last (n,), 1 / variance (n, 6)."""
+    h = np.diff(t)
+    first, last = 1.0 / h[:-1], 1.0 / h[1:]
+    row = np.stack([first, -(first + last), last], axis=1)
+    kept = np.flatnonzero(stretch[2:] == stretch[:-2])
+    strength = 3.0 / ((h[:-1] + h[1:])[:, None] * roughness)
+    return row[kept], kept + 2, strength[kept]
+
+
+def _moved(images: Images, moved: Array) -> Images:
+    """Images turned and moved by (M, 6)."""
+    turned = images.world_from_body * Rotation.from_rotvec(moved[:, :3])
+    return replace(images, position=images.position + moved[:, 3:], world_from_body=turned)
+
+
+def path_turns(images: Images, stretch: NDArray[np.intp]) -> Array:
+    """Poses as a path (M, 6): turns (rad, body axes) from the mean of the stretch, and places (m)."""
+    out = np.empty((len(images), 6))
+    out[:, 3:] = images.position - images.position.mean(axis=0)
+    for number in np.unique(stretch):
+        rows = np.flatnonzero(stretch == number)
+        attitude = images.world_from_body[rows]
+        out[rows, :3] = (attitude.mean().inv() * attitude).as_rotvec()
+    return out
+
+
+def frame_unknowns(
+    images: Images,
+    known: RoughPoses,
+    roughness: Array,
+    rank: NDArray[np.intp] | None = None,
+    moved: Array | None = None,
+) -> PoseUnknowns:
     """Unknowns of a flight: every frame free, held by tables, biases and the smoothness of the path.
 
     Parameters
@@ -147,17 +207,40 @@ def frame_unknowns(images: Images, known: RoughPoses, roughness: Array) -> PoseU
     known : RoughPoses
     roughness : (6,)
         Of (turn, move), rad^2/s^3 and m^2/s^3.
+    rank : (M,) int, optional
+        Order in which frames are solved; that of time otherwise.
+    moved : (M, 6), optional
+        (turn, move), rad and m, by which poses already depart from the tables; unknowns count from there.
 
     Returns
     -------
     PoseUnknowns
         Globals: what biases of the tables make of the poses, ``turn_1`` ..., ``move_1`` ...
+
+    Notes
+    -----
+    Turns are added as if they commuted. Half their product is wrong by that: where tables are noisy it would
+    look like bends, that a constant turn makes larger or smaller. So unknowns count from poses near the
+    solution.
     """
     count = len(images)
-    precision = path_precision(images.t, roughness / _UNITS**2) if count > 2 else np.zeros((count, 3, 6, 6))
+    moved = np.zeros((count, 6)) if moved is None else moved
+    rank = np.arange(count) if rank is None else rank
+    stretch = stretches(images.t)
+    small = roughness / _UNITS**2
+    precision = path_precision(images.t, small, stretch, rank)
+    # it is the path itself that is smooth, not what tables have wrong of it
+    row, at, strength = _bends(images.t, small, stretch)
+    planned = path_turns(_moved(images, moved), stretch) / _UNITS
+    bend = np.einsum("nk,nka->na", row, planned[at[:, None] + np.arange(-2, 1)])
+    pull = np.zeros((count, 6))
+    for k in range(3):
+        pull[rank[at + k - 2]] += row[:, k, None] * strength * bend
     sigma = np.concatenate([known.attitude, known.position], axis=1) / _UNITS
     axis = np.arange(6)
-    precision[:, 0, axis, axis] += sigma**-2.0
+    precision[rank[:, None], 0, axis, axis] += sigma**-2.0
+    departed = sigma**-2.0 * (moved / _UNITS)
+    pull[rank] += departed
     parts, names, information = [], [], []
     for first, bias, name in ((0, known.attitude_bias, "turn"), (3, known.position_bias, "move")):
         if bias > 0.0:
@@ -169,7 +252,7 @@ def frame_unknowns(images: Images, known: RoughPoses, roughness: Array) -> PoseU
     by_global = np.concatenate([np.zeros((count, 6, 0)), *parts], axis=2)
     half = 0.5 * float(np.ptp(images.t))
     return PoseUnknowns(
-        as_index(np.arange(count), "shot"),
+        as_index(rank, "shot"),
         as_index(np.zeros(count), "slot"),
         frozen(np.broadcast_to(np.diag(_UNITS), (count, 6, 6))),
         frozen(by_global),
@@ -178,7 +261,30 @@ def frame_unknowns(images: Images, known: RoughPoses, roughness: Array) -> PoseU
         (float(images.t[0]) + half, half),
         frozen(precision),
         np.inf,  # each has a prior
+        frozen(pull),
+        float((strength * bend**2).sum() + (departed * moved / _UNITS).sum()),
     )
+
+
+def solving_order(images: Images, sightings: Sightings) -> NDArray[np.intp]:
+    """Rank (M,) of each frame such that frames with points in common lie near each other.
+
+    That of time serves a single line; where lines cross or lie beside each other, frames of all lines go
+    together.
+    """
+    count = len(images)
+    order = np.lexsort((sightings.image, sightings.point))
+    image, point = sightings.image[order], sightings.point[order]
+    first = np.flatnonzero(np.concatenate([[True], np.diff(point) > 0]))
+    hub = np.repeat(image[first], np.diff(np.append(first, len(point))))
+    near = np.arange(count - 1)
+    rows, columns = np.concatenate([hub, near]), np.concatenate([image, near + 1])
+    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
+    found = reverse_cuthill_mckee(graph + graph.T, symmetric_mode=True)
+    rank = np.empty(count, dtype=np.intp)
+    rank[found] = np.arange(count)
+    in_time = int(np.abs(rows - columns).max())
+    return rank if 2 * int(np.abs(rank[rows] - rank[columns]).max()) < in_time else np.arange(count)
 
 
 def adjust_frames(
@@ -188,6 +294,7 @@ def adjust_frames(
     *,
     priors: PointPriors | None = None,
     points: Array | None = None,
+    start: FramePoses | None = None,
     roughness: Array | None = None,
     robust: bool = True,
 ) -> FramePoses:
@@ -205,6 +312,8 @@ def adjust_frames(
         Known heights, control points.
     points : (n, 3), optional
         m; where to start from. Where the rays of the rough poses meet, otherwise.
+    start : FramePoses, optional
+        A solution near by.
     roughness : (6,), optional
         Of the path; measured on the solution otherwise.
     robust : bool
@@ -214,22 +323,63 @@ def adjust_frames(
     -------
     FramePoses
     """
-    measured = roughness is None
-    rough = np.full(6, _LOOSE_ROUGHNESS) * _UNITS**2 if roughness is None else np.asarray(roughness)
-    unknowns = frame_unknowns(images, known, rough)
-    block = Block(sightings, unknowns, priors)
+    rank = solving_order(images, sightings)
+    moved = np.zeros((len(images), 6)) if start is None else _departures(images, start)
+    rough = np.full(6, _LOOSE_ROUGHNESS) * _UNITS**2 if start is None else start.roughness
+    common = None if start is None else -start.bias
+    unknowns = frame_unknowns(images, known, rough, rank, moved)
+    block = Block(_from_poses(sightings, moved), unknowns, priors)
     state, usable = first_state(block, seen_twice(sightings, priors), None)
+    if common is not None:
+        common = common[_bias_rows(known)]
+        state = replace(state, common=common, own=_held(unknowns, common))
     if points is not None:
         given = np.asarray(np.isfinite(points).all(axis=1))
         state.points[given] = points[given] - block.origin
         usable = usable | (given[sightings.point] & seen_twice(sightings, priors))
     fit = descend(block, state, usable, robust=robust)
-    for _ in range(_ROUNDS if measured and len(images) > 2 else 0):
-        rough = _roughness(images.t, fit.state.own * _UNITS, _count(sightings, fit.weight, images))
-        unknowns = replace(unknowns, precision=frame_unknowns(images, known, rough).precision)
-        block = Block(sightings, unknowns, priors)
-        fit = descend(block, fit.state, usable, robust=robust, weight=fit.weight)
-    return _poses(images, block, fit, rough, known)
+    for _ in range((_ROUNDS if start is None else 1) if len(images) > 2 else 0):
+        step = block.unknowns.departures(fit.state.own, fit.state.common)
+        turned = Rotation.from_rotvec(moved[:, :3]) * Rotation.from_rotvec(step[:, :3])
+        moved = np.concatenate([turned.as_rotvec(), moved[:, 3:] + step[:, 3:]], axis=1)
+        path = path_turns(_moved(images, moved), stretches(images.t))
+        seen = _count(sightings, fit.weight, images)
+        rough = _roughness(images.t, path, seen) if roughness is None else np.asarray(roughness)
+        unknowns = frame_unknowns(images, known, rough, rank, moved)
+        before, block = block, Block(_from_poses(block.sightings, step), unknowns, priors)
+        held = _held(unknowns, fit.state.common)
+        state = State(fit.state.common, held, fit.state.points + before.origin - block.origin)
+        fit = descend(block, state, usable, robust=robust, weight=fit.weight)
+    return _poses(_moved(images, moved), block, fit, rough, known)
+
+
+def _departures(images: Images, poses: FramePoses) -> Array:
+    """(M, 6) rad and m, by which poses depart from those of images."""
+    turn = (images.world_from_body.inv() * poses.world_from_body).as_rotvec()
+    return np.concatenate([turn, poses.position - images.position], axis=1)
+
+
+def _bias_rows(known: RoughPoses) -> NDArray[np.intp]:
+    """Places of the biases sought in `FramePoses.bias`, in the order of the globals."""
+    places = [k for k, on in ((3, known.attitude_bias > 0.0), (0, known.position_bias > 0.0)) if on]
+    return np.concatenate([np.arange(p, p + 3) for p in places]) if places else np.zeros(0, dtype=np.intp)
+
+
+def _from_poses(sightings: Sightings, step: Array) -> Sightings:
+    """The same sightings, their poses turned and moved by `step` (M, 6) of their images."""
+    of_pose = np.zeros(len(sightings.position), dtype=np.intp)
+    of_pose[sightings.pose] = sightings.image
+    turn = Rotation.from_rotvec(step[:, :3]).as_matrix()[of_pose]
+    return replace(
+        sightings,
+        position=frozen(sightings.position + step[of_pose, 3:]),
+        world_from_body=frozen(sightings.world_from_body @ turn),
+    )
+
+
+def _held(unknowns: PoseUnknowns, common: Array) -> Array:
+    """Own unknowns (K, 6) that keep poses where they are when the biases are `common`."""
+    return np.asarray(-(unknowns.by_global @ common) / np.diag(unknowns.by_shot[0]))
 
 
 def _count(sightings: Sightings, weight: Array, images: Images) -> Array:
@@ -237,14 +387,13 @@ def _count(sightings: Sightings, weight: Array, images: Images) -> Array:
     return np.asarray(np.bincount(sightings.image, weight, minlength=len(images)), dtype=np.float64)
 
 
-def _roughness(t: Array, departures: Array, seen: Array) -> Array:
+def _roughness(t: Array, path: Array, seen: Array) -> Array:
     """Roughness (6,) of a path by its bends where three frames in a row are well seen (all, if none are)."""
-    h = np.diff(t)[:, None]
-    slope = np.diff(departures, axis=0) / h
-    bend = np.diff(slope, axis=0) ** 2 * 3.0 / (h[:-1] + h[1:])
-    good = (seen >= 4)[:-2] & (seen >= 4)[1:-1] & (seen >= 4)[2:]
+    row, at, strength = _bends(t, np.ones(6), stretches(t))
+    bend = np.einsum("nk,nka->na", row, path[at[:, None] + np.arange(-2, 1)]) ** 2 * strength
+    good = (seen[at[:, None] + np.arange(-2, 1)] >= 4).all(axis=1)
     used = bend[good] if good.any() else bend
-    return np.maximum(used.mean(axis=0), 1e-12 * _UNITS**2)
+    return np.maximum(used.mean(axis=0) if len(used) else 0.0, 1e-12 * _UNITS**2)
 
 
 def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: RoughPoses) -> FramePoses:
@@ -256,8 +405,7 @@ def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: Roug
     order = [3, 4, 5, 0, 1, 2]
     covariance = reduced.departure_covariance(common)[:, order][:, :, order]
     bias, bias_covariance = np.zeros(6), np.zeros((6, 6))
-    places = [k for k, on in ((3, known.attitude_bias > 0.0), (0, known.position_bias > 0.0)) if on]
-    rows = np.concatenate([np.arange(p, p + 3) for p in places]) if places else np.zeros(0, dtype=np.intp)
+    rows = _bias_rows(known)
     bias[rows] = -state.common
     bias_covariance[np.ix_(rows, rows)] = common
     used = seen_twice(sightings, block.priors, fit.weight > 0.0)
@@ -275,4 +423,25 @@ def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: Roug
         np.bincount(sightings.image, used, minlength=len(images)).astype(np.intp),
         frozen(roughness),
         fit.scale,
+        _bow(images, block, reduced),
     )
+
+
+def _bow(images: Images, block: Block, reduced: PointsFirst) -> Array:
+    """Sigma (S, 3) of the trend of the angles over each stretch, rms over it."""
+    stretch = stretches(images.t)
+    known = observability(reduced.information, block.unknowns.names, np.inf)
+    nothing = np.zeros((block.sightings.points, 3))
+    out = np.zeros((int(stretch[-1]) + 1, 3))
+    for number in range(len(out)):
+        rows = np.flatnonzero(stretch == number)
+        place = images.t[rows] - images.t[rows].mean()
+        size = float(np.sqrt((place**2).mean()))
+        for axis in range(3 if size > 0.0 else 0):
+            form = np.zeros((len(images), 6))
+            form[rows, axis] = place / (len(rows) * size)
+            own, common = gather(block.unknowns, form)
+            step = known.solve(reduced.condense(own, nothing, common))
+            taken = block.unknowns.departures(reduced.solve(own, nothing, common, step)[0], step)
+            out[number, axis] = np.sqrt((form * taken).sum())
+    return frozen(out)

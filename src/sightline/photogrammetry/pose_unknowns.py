@@ -46,6 +46,10 @@ class PoseUnknowns(ReadOnlyArrays):
         precision[k, d] has the rows of shot k and the columns of shot k - d. None: each has unit covariance.
     limit : float
         Sigma of a global unknown from which on it counts as not observable (their unit).
+    pull : (K, 6 n) or None
+        Slope of the prior's cost (half of it) where the shots' own unknowns are zero, where it is not least
+        there; with `rest`, what it costs there.
+    rest : float
     """
 
     shot: Index
@@ -57,6 +61,8 @@ class PoseUnknowns(ReadOnlyArrays):
     time: tuple[float, float]
     precision: Array | None = None
     limit: float = LIMIT
+    pull: Array | None = None
+    rest: float = 0.0
 
     @property
     def shots(self) -> int:
@@ -97,6 +103,14 @@ class PoseUnknowns(ReadOnlyArrays):
             out[step:] += np.einsum("kab,kb->ka", block, own[:-step])
             out[:-step] += np.einsum("kab,ka->kb", block, own[step:])
         return out
+
+    def prior_slope(self, own: Array) -> tuple[Array, float]:
+        """Slope (K, 6 n) of half the prior's cost, and the cost."""
+        pulled = self.prior_times(own)
+        cost = float((own * pulled).sum()) + self.rest
+        if self.pull is None:
+            return pulled, cost
+        return pulled + self.pull, cost + 2.0 * float((own * self.pull).sum())
 
     def departures(self, own: Array, common: Array) -> Array:
         """x (M, D) of all images: `own` (K, 6 n) and `common` (G,) unknowns."""

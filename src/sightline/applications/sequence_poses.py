@@ -1,0 +1,384 @@
+"""System S4: poses of all frames of a sequence, from rough tables and what the frames show.
+
+Reads like figure 7 of S4: displacement and yaw of successive frames (750), the subset (720), photogrammetry
+on it (730/740), the parameters of all frames (760). Windows followed from frame to frame carry 750 and 760 at
+once: all frames are solved together with the points, so that nothing is interpolated that an image tells.
+
+Not here: files (``io/sequence.py``), the cube (``products/``).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sightline.applications.frame_sequence import SequenceProblem
+from sightline.errors import InputError
+from sightline.geometry.checks import Array, read_only
+from sightline.matching.follow import Followed, FollowPlan, follow_windows
+from sightline.photogrammetry.cross_links import CrossPlan, joined, link_stretches
+from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
+from sightline.photogrammetry.frame_subset import Subset, choose_subset
+from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
+from sightline.photogrammetry.pose_interpolation import by_displacement
+from sightline.photogrammetry.reconstruct import filter_pairs, reconstruct
+from sightline.photogrammetry.rolling_shutter import sight_lines
+from sightline.photogrammetry.sightings import Images, Sightings, Tracks, as_index, sight_frames
+from sightline.photogrammetry.track_noise import with_drift
+
+SOLVED, ESTIMATED, INTERPOLATED = "solved", "estimated", "interpolated"
+#: Good sightings from which on a frame's own image tells its pose.
+_ENOUGH = 6
+#: Rounds in which the noise of the sightings is taken from the residuals of the solution before.
+_NOISE_ROUNDS = 1
+#: Rounds in which the path within frames is taken from the solution before.
+_SHUTTER_ROUNDS = 2
+
+
+@dataclass(frozen=True, eq=False)
+class SequencePoses:
+    """What was found of a sequence.
+
+    Attributes
+    ----------
+    poses : FramePoses
+        Of all M frames of the problem.
+    source : tuple of str
+        Of each: "solved" (of the subset), "estimated", "interpolated" (its image says nothing of it).
+    reason : tuple of str
+        Why a frame is interpolated; "" otherwise.
+    subset : Subset
+    followed : Followed
+    tracks : Tracks
+        All sightings, points of control last.
+    stretch : (M,) int
+        Frames linked to each other, directly or through others; -1: to none.
+    seconds : dict of str to float
+        CPU time of each stage.
+    warnings : tuple of str
+    """
+
+    poses: FramePoses
+    source: tuple[str, ...]
+    reason: tuple[str, ...]
+    subset: Subset
+    followed: Followed
+    tracks: Tracks
+    stretch: NDArray[np.intp]
+    seconds: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+
+
+def georeference_sequence(
+    problem: SequenceProblem,
+    *,
+    plan: FollowPlan | None = None,
+    stride: int | None = None,
+    cross: bool = True,
+    photogrammetry: bool | None = None,
+    progress: Callable[[str, int], None] | None = None,
+) -> SequencePoses:
+    """Pose and covariance of every frame of a sequence.
+
+    Parameters
+    ----------
+    problem : SequenceProblem
+    plan : FollowPlan, optional
+        How windows are followed.
+    stride : int, optional
+        A subset of every so many frames, for comparison.
+    cross : bool
+        Look for what stretches of the flight have in common.
+    photogrammetry : bool, optional
+        Begin with a model of the subset by pycolmap (extra ``sfm``); where no attitude is told, otherwise.
+    progress : callable, optional
+        Called with the stage's name and the number of frames done.
+
+    Returns
+    -------
+    SequencePoses
+
+    Raises
+    ------
+    EstimationError
+        If no two frames are alike.
+    """
+    clock = _Clock()
+    followed = follow_sequence(problem, plan, progress)
+    clock.note("750 displacement and yaw")
+    subset = choose_subset(
+        followed, problem.images.position, _distances(problem), problem.detector.shape,
+        overlap=problem.overlap, stride=stride,
+    )  # fmt: skip
+    clock.note("720 subset")
+    if photogrammetry is None:
+        photogrammetry = not np.isfinite(problem.known.attitude).any()
+    if photogrammetry:
+        problem = _with_model(problem, followed, subset)
+        clock.note("730/740 photogrammetry")
+    tracks = Tracks(followed.image, followed.point, followed.pixels, followed.sigma_px)
+    poses, tracks = _all_poses(problem, followed, tracks, cross, clock)
+    source, reason = _sources(problem, followed, subset, poses)
+    return SequencePoses(
+        poses, source, reason, subset, followed, tracks, _linked(followed), clock.seconds,
+        tuple(_warnings(problem, poses, source)),
+    )  # fmt: skip
+
+
+def _with_model(problem: SequenceProblem, followed: Followed, subset: Subset) -> SequenceProblem:
+    """The problem with attitudes to start from where none are told, from a model of the subset."""
+    loose = problem.known.position.max(axis=1)
+    model = reconstruct(
+        problem.sources, subset.frames, filter_pairs(subset.frames, followed, problem.detector),
+        problem.detector, problem.mount, problem.images.position, loose, problem.radii,
+    )  # fmt: skip
+    distance = float(np.median([np.linalg.norm(model.points - p, axis=1).min() for p in model.position]))
+    place, attitude = by_displacement(
+        problem.t, model.frames, model.position, model.world_from_body, followed, problem.detector,
+        problem.mount, distance,
+    )  # fmt: skip
+    rough = problem.images.world_from_body
+    told = [bool(np.isfinite(sigma).all()) for sigma in problem.known.attitude]
+    turned = [(rough if own else attitude)[k] for k, own in enumerate(told)]
+    known = np.isfinite(loose)[:, None]
+    images = replace(
+        problem.images,
+        position=np.where(known, problem.images.position, place),
+        world_from_body=Rotation.concatenate(turned),
+    )
+    return replace(problem, images=images)
+
+
+class _Clock:
+    """CPU seconds since the last note."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.process_time()
+
+    def note(self, stage: str) -> None:
+        """Add the time since the last note to a stage."""
+        now = time.process_time()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
+        self._last = now
+
+
+def follow_sequence(
+    problem: SequenceProblem,
+    plan: FollowPlan | None = None,
+    progress: Callable[[str, int], None] | None = None,
+) -> Followed:
+    """Windows of all usable frames followed (750).
+
+    Parameters
+    ----------
+    problem : SequenceProblem
+    plan : FollowPlan, optional
+        Its reduction is the period of the problem's mosaic filter where it has one.
+    progress : callable, optional
+        Called with "750 displacement and yaw" and the number of frames done.
+    """
+    plan = FollowPlan() if plan is None else plan
+    if problem.mosaic_nm is not None:
+        plan = replace(plan, reduction=int(np.lcm(*problem.mosaic_nm.shape)))
+    sources = [s if not why else None for s, why in zip(problem.sources, problem.excluded, strict=True)]
+    if not any(source is not None for source in sources):
+        raise InputError("no frame of the sequence can be used; see why each was excluded")
+
+    def report(done: int) -> None:
+        if progress is not None:
+            progress("750 displacement and yaw", done)
+
+    return follow_windows(sources, plan, progress=report)
+
+
+def _distances(problem: SequenceProblem) -> Array:
+    """m (M,) from each frame to the ground in its middle, by the rough poses."""
+    middle = 0.5 * (np.array([problem.detector.shape]) - 1.0)
+    axis = problem.images.world_from_body.apply(problem.mount.apply(problem.detector.directions(middle))[0])
+    ground = problem.surface.intersect(read_only(problem.images.position), read_only(axis))
+    far = np.linalg.norm(ground - problem.images.position, axis=1)
+    known = np.isfinite(far)
+    return np.where(known, far, np.median(far[known]) if known.any() else np.nan)
+
+
+def _all_poses(
+    problem: SequenceProblem, followed: Followed, tracks: Tracks, cross: bool, clock: _Clock
+) -> tuple[FramePoses, Tracks]:
+    """All frames solved together (760), once more with what stretches share and with the path in frames."""
+    block = _Block(problem, followed)
+    poses = block.solve(tracks, None)
+    for _ in range(_NOISE_ROUNDS):
+        tracks = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
+        poses = block.solve(tracks, poses)
+    clock.note("760 all poses")
+    group = _linked(followed)
+    if cross and len(np.unique(group[group >= 0])) > 1:
+        shared = link_stretches(
+            problem.sources, _estimated(problem.images, poses), problem.detector, problem.mount,
+            problem.surface, group, block.cross_plan(poses),
+        )  # fmt: skip
+        clock.note("730 stretches compared")
+        if shared is not None:
+            first = int(tracks.point.max()) + 1
+            moved = Tracks(shared.image, shared.point + first, shared.pixels, shared.sigma_px)
+            tracks = joined([tracks, moved])
+            poses = block.solve(tracks, poses)
+    for _ in range(_SHUTTER_ROUNDS - _NOISE_ROUNDS if problem.readout_time != 0.0 else 0):
+        poses = block.solve(tracks, poses)
+    clock.note("760 all poses")
+    return poses, block.with_control(tracks)
+
+
+class _Block:
+    """The sightings of a problem, solved again and again."""
+
+    def __init__(self, problem: SequenceProblem, followed: Followed) -> None:
+        self.problem, self.followed = problem, followed
+        self.per_frame = float(max(np.median(followed.windows[followed.windows > 0]), 1.0))
+
+    def with_control(self, tracks: Tracks) -> Tracks:
+        """The same tracks and those of points of control, which are numbered after the others."""
+        own = self.problem.control_tracks
+        if own is None or self.problem.control is None:
+            return tracks
+        first = int(tracks.point.max()) + 1
+        return joined([tracks, Tracks(own.image, own.point + first, own.pixels, own.sigma_px)])
+
+    def _priors(self, tracks: Tracks) -> PointPriors | None:
+        """What is known of the points: a surface, points of control."""
+        p = self.problem
+        heights = control = None
+        if p.height_sigma > 0.0:
+            # a surface is wrong over a whole frame alike: all points in it together tell its height once
+            heights = HeightPrior(p.surface, p.height_sigma * np.sqrt(self.per_frame), p.radii)
+        if p.control is not None and p.control_tracks is not None:
+            first = int(tracks.point.max()) + 1
+            control = ControlPoints(
+                as_index(p.control.point + first, "point"), p.control.position, p.control.sigma
+            )
+        return None if heights is None and control is None else PointPriors(heights, control)
+
+    def solve(self, tracks: Tracks, before: FramePoses | None) -> FramePoses:
+        """Poses of all frames; `before` tells where points are, and how frames moved while read out."""
+        p = self.problem
+        priors = self._priors(tracks)
+        tracks = self.with_control(tracks)
+        shutter = p.readout_time != 0.0
+        if shutter and before is None:
+            still = first_line_pixels(tracks, self.followed, p.t, p.readout_time, p.detector.shape)
+            tracks = Tracks(tracks.image, tracks.point, still, tracks.sigma_px)
+        sightings = sight_frames(p.images, [p.detector], [p.mount], tracks)
+        points = _on_surface(sightings, p)
+        if before is not None:
+            known = len(before.points)
+            points[:known] = np.where(np.isfinite(before.points), before.points, points[:known])[
+                : len(points)
+            ]
+            if shutter:
+                delay = p.readout_time * tracks.pixels[:, 0] / (p.detector.shape[0] - 1.0)
+                sightings = sight_lines(sightings, p.images, _estimated(p.images, before), delay)
+        return adjust_frames(p.images, sightings, p.known, priors=priors, points=points, start=before)
+
+    def cross_plan(self, poses: FramePoses) -> CrossPlan:
+        """How far to look for what stretches share."""
+        sigma = np.sqrt(np.einsum("kii->ki", poses.covariance))
+        found = np.isfinite(poses.points).all(axis=1)
+        heights = poses.points[found]
+        prior = HeightPrior(self.problem.surface, 1.0, self.problem.radii)
+        above = np.abs(prior.above(heights)[0])
+        far = float(np.median(_distances(self.problem)))
+        # biases of the tables are the same for all stretches, up to where the flight turns
+        loose = float(np.median(np.hypot(sigma[:, 3:].max(axis=1), sigma[:, :3].max(axis=1) / far)))
+        return CrossPlan(float(np.nanquantile(above, 0.99)), min(loose, 0.05))
+
+
+def first_line_pixels(
+    tracks: Tracks, followed: Followed, t: Array, readout_time: float, shape: tuple[int, int]
+) -> Array:
+    """Pixels (N, 2) where points would be if all lines were exposed with the first, by how frames move.
+
+    Relief apart, whose share of the motion within a frame is not known yet.
+    """
+    rate = np.zeros((len(t), 4))
+    weight = np.zeros(len(t))
+    for k in np.flatnonzero(followed.before >= 0):
+        each = followed.motion[k] / (t[k] - t[followed.before[k]])
+        for frame in (int(k), int(followed.before[k])):
+            rate[frame] += each
+            weight[frame] += 1.0
+    rate /= np.maximum(weight, 1.0)[:, None]
+    delay = readout_time * tracks.pixels[:, 0] / (shape[0] - 1.0)
+    moved = rate[tracks.image] * delay[:, None]
+    x = tracks.pixels - 0.5 * (np.array(shape) - 1.0)
+    turn, growth = moved[:, 2], moved[:, 3]
+    shift = moved[:, :2] + np.stack(
+        [growth * x[:, 0] - turn * x[:, 1], turn * x[:, 0] + growth * x[:, 1]], axis=1
+    )
+    return np.asarray(tracks.pixels - shift)
+
+
+def _on_surface(sightings: Sightings, problem: SequenceProblem) -> Array:
+    """Points (n, 3) m: where rough rays meet the surface, mean over sightings; NaN where they do not."""
+    rays = np.column_stack([sightings.tangents, np.ones(len(sightings))])
+    turned = np.einsum("nij,nj->ni", sightings.world_from_body[sightings.pose], problem.mount.apply(rays))
+    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
+    met = problem.surface.intersect(read_only(sightings.position[sightings.pose]), read_only(turned))
+    good = np.isfinite(met).all(axis=1)
+    count = np.bincount(sightings.point, good, minlength=sightings.points)
+    sums = [
+        np.bincount(sightings.point, np.where(good, met[:, axis], 0.0), minlength=sightings.points)
+        for axis in range(3)
+    ]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.stack(sums, axis=1) / count[:, None]
+
+
+def _estimated(images: Images, poses: FramePoses) -> Images:
+    """Images with the poses found."""
+    return replace(images, position=poses.position, world_from_body=poses.world_from_body)
+
+
+def _linked(followed: Followed) -> NDArray[np.intp]:
+    """Stretch (M,) of each frame; -1 where it stands alone."""
+    out = np.full(len(followed.before), -1, dtype=np.intp)
+    count = 0
+    for k, before in enumerate(followed.before):
+        if before < 0:
+            continue
+        if out[before] < 0:
+            out[before] = count
+            count += 1
+        out[k] = out[before]
+    return out
+
+
+def _sources(
+    problem: SequenceProblem, followed: Followed, subset: Subset, poses: FramePoses
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """How each frame's pose came about, and why its image told nothing of it."""
+    chosen = set(subset.frames.tolist())
+    source, reason = [], []
+    for k in range(len(problem)):
+        if poses.sightings[k] >= _ENOUGH:
+            source.append(SOLVED if k in chosen else ESTIMATED)
+            reason.append("")
+            continue
+        source.append(INTERPOLATED)
+        why = problem.excluded[k] or followed.reason[k]
+        reason.append(why or f"{int(poses.sightings[k])} of {int(followed.windows[k])} windows are good")
+    return tuple(source), tuple(reason)
+
+
+def _warnings(problem: SequenceProblem, poses: FramePoses, source: tuple[str, ...]) -> list[str]:
+    """What a user should know."""
+    out = list(problem.warnings)
+    idle = source.count(INTERPOLATED)
+    if idle:
+        out.append(f"{idle} of {len(source)} frames are interpolated: their images tell nothing of them")
+    return out

@@ -1,0 +1,553 @@
+"""Windows followed from frame to frame of a sequence, as long as they look alike.
+
+Neighbours of a sequence look alike, because their places and their wavelengths are near. Windows of one
+frame, its hub, are looked for in the frames after it, each time where the motion so far has carried them;
+when too few are left, a new hub takes over. Every sighting is compared with the hub itself, so that errors do
+not add up. A frame that links to none is stepped over; where that does not help, a new stretch begins.
+
+One frame at a time is read, and only hubs whose windows are still followed are kept.
+
+Not here: poses (``photogrammetry/frame_poses.py``); stretches seen from other directions
+(``photogrammetry/match_frames.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from sightline.errors import EstimationError, InputError, SightlineError
+from sightline.geometry.checks import ReadOnlyArrays, frozen
+from sightline.imaging.reduce import ReducedImage
+from sightline.imaging.resample import kernel_table
+from sightline.imaging.source import ArrayImage, ImageSource, read_padded
+from sightline.matching import kernels
+from sightline.matching.correlate import pair_covariances, search_shift
+from sightline.matching.select import grid_points, spread_subset, texture_strength
+from sightline.matching.whitening import gradient_filter
+
+__all__ = ["FollowPlan", "Followed", "follow_windows"]
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+Flags = NDArray[np.bool_]
+
+#: Lines that whole frames are compared at.
+_COARSE_LINES = 128
+#: Standard deviations of the phase correlation that its peak must stand out by: noise reaches 4 of them.
+_LEAST_PEAK = 6.0
+#: Windows that tell how a frame moved as a whole, at most; and how many must agree, as number and as share.
+_SEEDS, _LEAST, _AGREEMENT = 64, 10, 0.5
+#: px; windows that lie further from the common motion disagree (relief moves some by a part of a pixel).
+_DISAGREE = 1.5
+#: Share of the larger side by which a turn between two frames may move a window at the rim.
+_TURN = 0.01
+#: px; how far a window may lie from where it is predicted, when the frame's own motion is known.
+_REACH = 1.2
+#: Frames, evenly over the sequence, that tell how bright each line is on the whole.
+_SAMPLES = 24
+#: Cells along each side that share new windows evenly.
+_CELLS = 8
+#: px; what filter, derivative and interpolation need around a window.
+_RIM = 20
+#: Steps and px that end the fit of a window.
+_ITERATIONS, _TOLERANCE = 12, 0.01
+_NONE = np.empty((0, 0), np.bool_)
+NOTHING = (
+    "no two frames in a row look alike; check that the frames are in the order of their times, that they "
+    "overlap and that they show more than water or cloud"
+)
+
+
+@dataclass(frozen=True)
+class FollowPlan:
+    """How windows are followed.
+
+    Attributes
+    ----------
+    points : int
+        Windows wanted in every frame.
+    window : int
+        px, side of a window.
+    renewal : float
+        Share of a frame's lines that it moves before windows are added.
+    life : float
+        Share of a frame's lines that a window moves before it is given up: its wavelength is another then.
+    min_score : float
+        Lowest normalised correlation of a window with its hub.
+    reduction : int
+        Pixels are averaged in squares of this side first: the period of a mosaic filter.
+    """
+
+    points: int = 300
+    window: int = 21
+    renewal: float = 0.05
+    life: float = 0.4
+    min_score: float = 0.5
+    reduction: int = 1
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if self.points < _LEAST or self.window < 9 or self.window % 2 == 0 or self.reduction < 1:
+            raise InputError(
+                f"points must be {_LEAST} or more, window odd and 9 px or more, reduction 1 or more; got "
+                f"{self.points}, {self.window} and {self.reduction}"
+            )
+        if not (0.0 < self.renewal < 1.0 and 0.0 < self.life <= 1.0 and 0.0 < self.min_score < 1.0):
+            raise InputError(
+                "renewal, life and min_score must be between 0 and 1, got "
+                f"{self.renewal}, {self.life} and {self.min_score}"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Followed(ReadOnlyArrays):
+    """Windows followed through M frames.
+
+    Attributes
+    ----------
+    image, point : (N,) int
+        Of each sighting. The first of a point is its hub.
+    pixels : (N, 2)
+        (line, column).
+    sigma_px : (N,)
+        1-sigma of each coordinate, each frame's own share.
+    before : (M,) int
+        The frame that each was linked to; -1 where a stretch begins or a frame stands alone.
+    motion : (M, 4)
+        From that frame to this one, about the middle of the frame: shift of (line, column) px, turn (rad,
+        from line towards column), relative growth. NaN without a link.
+    windows : (M,) int
+        Sightings in each frame.
+    sharpness : (M,)
+        Fine over coarse contrast, free of the scene's own; NaN where a frame could not be read.
+    contrast : (M,)
+        Of brightness in detail, standard deviation over mean.
+    reason : tuple of str
+        Why a frame has no link; "" where it has one, or was linked to later.
+    """
+
+    image: NDArray[np.intp]
+    point: NDArray[np.intp]
+    pixels: Array
+    sigma_px: Array
+    before: NDArray[np.intp]
+    motion: Array
+    windows: NDArray[np.intp]
+    sharpness: Array
+    contrast: Array
+    reason: tuple[str, ...]
+
+
+@dataclass(eq=False)
+class _Frame:
+    """A frame as it is compared: filtered, and coarse."""
+
+    number: int
+    level: Array32
+    fine: Array32
+    bad: Flags
+    coarse: NDArray[np.complex64]
+    sharpness: float
+    contrast: float
+
+
+@dataclass(eq=False)
+class _Hub:
+    """Windows of one frame: `alive` are the rows of those still followed, `place` where they were last."""
+
+    frame: _Frame
+    centre: NDArray[np.int64]
+    first_name: int
+    alive: NDArray[np.intp]
+    place: Array
+    seen: list[tuple[NDArray[np.intp], Array]] = field(default_factory=list)
+
+
+class _Reader:
+    """Frames read, made even along lines, filtered."""
+
+    def __init__(self, sources: Sequence[ImageSource | None], plan: FollowPlan) -> None:
+        self._sources, self._plan = sources, plan
+        self.shape = self._shape()
+        self._factor = max(1, min(self.shape) // _COARSE_LINES)
+        self._gain = self._line_gain()
+        self.taps = gradient_filter().taps_a
+        coarse = tuple(size // self._factor for size in self.shape)
+        self._taper = np.outer(*(np.hanning(size + 2)[1:-1] for size in coarse)).astype(np.float32)
+
+    @property
+    def factor(self) -> int:
+        """Pixels per coarse pixel."""
+        return self._factor
+
+    def _shape(self) -> tuple[int, int]:
+        shapes = {source.shape for source in self._sources if source is not None}
+        if len(shapes) != 1:
+            raise InputError(f"frames of one size are needed, got {sorted(shapes)}; leave out the others")
+        lines, columns = shapes.pop()
+        shape = (lines // self._plan.reduction, columns // self._plan.reduction)
+        least = self._plan.window + 2 * _RIM
+        if min(shape) < 2 * least:
+            raise InputError(f"frames of {shape} px are too small to be followed; {2 * least} are needed")
+        return shape
+
+    def _pixels(self, number: int) -> tuple[Array32, Flags | None] | None:
+        source = self._sources[number]
+        if source is None:
+            return None
+        if self._plan.reduction > 1:
+            source = ReducedImage(source, self._plan.reduction)
+        try:
+            return read_padded(source, (0, self.shape[0]), (0, self.shape[1]))
+        except (SightlineError, OSError):
+            return None
+
+    def _line_gain(self) -> Array32:
+        """(lines, 1): brightness of each line over that of all; a filter's steps would look like texture."""
+        rows = np.unique(np.linspace(0, len(self._sources) - 1, _SAMPLES).astype(int))
+        read = [pixels[0].mean(axis=1) for row in rows if (pixels := self._pixels(int(row))) is not None]
+        if not read:
+            return np.ones((self.shape[0], 1), np.float32)
+        gain = np.mean([line / max(float(line.mean()), 1e-6) for line in read], axis=0)
+        return np.asarray(np.maximum(gain, 0.05), dtype=np.float32)[:, None]
+
+    def read(self, number: int) -> _Frame | None:
+        """A frame; None where it cannot be read."""
+        found = self._pixels(number)
+        if found is None:
+            return None
+        level = found[0] / self._gain
+        mean = float(level.mean())
+        level = np.ascontiguousarray((level - np.float32(mean)) / np.float32(max(abs(mean), 1e-6)))
+        fine = np.empty_like(level)
+        kernels.filter_image(level, self.taps, fine)
+        k = self._factor
+        lines, columns = (size // k for size in self.shape)
+        small = level[: lines * k, : columns * k].reshape(lines, k, columns, k).mean(axis=(1, 3))
+        coarse = np.zeros_like(small)
+        coarse[1:, 1:] = small[1:, 1:] - 0.5 * (small[:-1, 1:] + small[1:, :-1])
+        bad = _NONE
+        if found[1] is not None:
+            from scipy import ndimage
+
+            bad = ndimage.maximum_filter(found[1], 9, mode="nearest")
+        contrast = float(fine[_RIM:-_RIM, _RIM:-_RIM].std())
+        return _Frame(
+            number, level, fine, bad, np.asarray(np.fft.rfft2(coarse * self._taper), dtype=np.complex64),
+            contrast / max(float(coarse[1:, 1:].std()), 1e-9), contrast,
+        )  # fmt: skip
+
+
+def phase_shift(
+    a: NDArray[np.complex64], b: NDArray[np.complex64], shape: tuple[int, int]
+) -> tuple[Array, float]:
+    """Whole pixels by which an image moved, from two spectra: where b shows what a shows, and how clearly.
+
+    Parameters
+    ----------
+    a, b : (lines, columns // 2 + 1)
+        `numpy.fft.rfft2` of two images.
+    shape : (int, int)
+        Of the images.
+
+    Returns
+    -------
+    shift : (2,) px
+        (line, column), within half of the image.
+    peak : float
+        In standard deviations of the correlation.
+    """
+    cross = a.conj() * b
+    cross /= np.maximum(np.abs(cross), 1e-20)
+    surface = np.fft.irfft2(cross, s=shape)
+    best = np.unravel_index(int(surface.argmax()), shape)
+    shift = np.array([(p + size // 2) % size - size // 2 for p, size in zip(best, shape, strict=True)], float)
+    return shift, float(surface[best] / max(float(surface.std()), 1e-20))
+
+
+def fit_motion(places: Array, moved: Array, middle: Array) -> tuple[Array, Flags]:
+    """Shift, turn and growth that carry places to where they were found, whatever some of them say.
+
+    Parameters
+    ----------
+    places, moved : (N, 2)
+        (line, column) px.
+    middle : (2,)
+
+    Returns
+    -------
+    motion : (4,)
+        As `Followed.motion`.
+    agree : (N,) bool
+    """
+    x = places - middle
+    d = moved - places
+    rows = np.zeros((len(x), 2, 4))
+    rows[:, 0, 0] = rows[:, 1, 1] = 1.0
+    rows[:, 0, 2], rows[:, 1, 2] = -x[:, 1], x[:, 0]
+    rows[:, 0, 3], rows[:, 1, 3] = x[:, 0], x[:, 1]
+    motion = np.array([*np.median(d, axis=0), 0.0, 0.0])
+    limit = 8.0 * _DISAGREE
+    agree = np.ones(len(x), np.bool_)
+    while True:
+        agree = np.linalg.norm(d - rows @ motion, axis=1) < limit
+        if agree.sum() < 4 or limit <= _DISAGREE:
+            return motion, agree
+        motion = np.linalg.lstsq(rows[agree].reshape(-1, 4), d[agree].ravel(), rcond=None)[0]
+        limit *= 0.5
+
+
+def move(places: Array, motion: Array, middle: Array) -> Array:
+    """Where `motion` carries `places` (N, 2)."""
+    x = places - middle
+    turn, growth = motion[2], motion[3]
+    return np.asarray(places + motion[:2] + x @ np.array([[growth, turn], [-turn, growth]]))
+
+
+class _Follower:
+    """What is followed at the moment, and what was found."""
+
+    def __init__(self, reader: _Reader, plan: FollowPlan, count: int) -> None:
+        self.reader, self.plan = reader, plan
+        self.middle = 0.5 * (np.array(reader.shape) - 1.0)
+        self.size = (plan.window, plan.window)
+        self.table = kernel_table()
+        self.hubs: list[_Hub] = []
+        self.last: _Frame | None = None
+        self.moved, self.names = 0.0, 0
+        self.image: list[NDArray[np.intp]] = []
+        self.point: list[NDArray[np.intp]] = []
+        self.pixels: list[Array] = []
+        self.variance: list[Array] = []
+        self.before = np.full(count, -1, dtype=np.intp)
+        self.motion = np.full((count, 4), np.nan)
+
+    def begin(self, frame: _Frame) -> None:
+        """The first stretch."""
+        self.last = frame
+        self._renew(frame)
+
+    def restart(self, first: _Frame, second: _Frame) -> bool:
+        """Begin a new stretch with two frames, if they are alike; nothing changes if not."""
+        kept = self.hubs, self.last, self.moved
+        self.hubs, self.last = [], first
+        self._renew(first)
+        if self.link(second):
+            for hub in kept[0]:
+                self._close(hub)
+            return True
+        self.hubs, self.last, self.moved = kept
+        return False
+
+    def end(self) -> None:
+        """Write what is still held."""
+        for hub in self.hubs:
+            self._close(hub)
+        self.hubs = []
+
+    def link(self, frame: _Frame) -> bool:
+        """Follow all windows into a frame; False, and nothing has changed, where it does not look alike."""
+        assert self.last is not None
+        motion = self._common_motion(frame)
+        if motion is None:
+            return False
+        parts = [self._found(hub, frame, motion) for hub in self.hubs]
+        fits = np.concatenate([part[1] for part in parts]) if parts else np.empty((0, kernels.COLUMNS))
+        kept = np.concatenate([part[2] for part in parts]) if parts else np.empty(0, np.bool_)
+        if kept.sum() < _LEAST:
+            return False
+        covariance = pair_covariances(fits, kept)
+        first = 0
+        for hub, (places, _, good) in zip(self.hubs, parts, strict=True):
+            size = 0.5 * np.trace(covariance[first : first + len(good)], axis1=1, axis2=2)[good]
+            first += len(good)
+            self._note(hub, frame.number, places[good], good, 0.5 * size)
+        self.before[frame.number], self.motion[frame.number] = self.last.number, motion
+        self.last = frame
+        for hub in [hub for hub in self.hubs if not len(hub.alive)]:
+            self._close(hub)
+        self.hubs = [hub for hub in self.hubs if len(hub.alive)]
+        self.moved += float(np.hypot(*motion[:2]))
+        if self.moved >= self.plan.renewal * self.reader.shape[0]:
+            self._renew(frame)
+        return True
+
+    def _common_motion(self, frame: _Frame) -> Array | None:
+        """How the frame moved as a whole since the last; None if that is not seen."""
+        assert self.last is not None
+        k = self.reader.factor
+        coarse = (self.reader.shape[0] // k, self.reader.shape[1] // k)
+        shift, peak = phase_shift(self.last.coarse, frame.coarse, coarse)
+        places = [hub.place for hub in self.hubs]
+        have = np.concatenate(places) if places else np.empty((0, 2))
+        if peak < _LEAST_PEAK or len(have) < _LEAST:
+            return None
+        seeds = have[np.linspace(0, len(have) - 1, min(_SEEDS, len(have))).astype(int)]
+        half = self.plan.window // 2
+        reach = int(np.ceil(1.5 * k + 1 + _TURN * max(self.reader.shape)))
+        corner = np.rint(seeds).astype(np.int64) - half
+        start = corner + half + k * shift
+        rim = half + reach + 3
+        inside = self._inside(start, rim) & self._inside(corner + half, half + 1)
+        if inside.sum() < _LEAST:
+            return None
+        moved, found = search_shift(
+            self.last.fine, frame.fine, corner[inside], start[inside], self.size, (reach, reach)
+        )
+        if found.sum() < _LEAST:
+            return None
+        origin, to = corner[inside][found] + half, (start[inside] + moved)[found]
+        motion, agree = fit_motion(origin.astype(np.float64), to, self.middle)
+        return motion if agree.sum() >= max(_LEAST, _AGREEMENT * len(agree)) else None
+
+    def _inside(self, places: Array, rim: float) -> Flags:
+        """Whether places (N, 2) lie `rim` px or more within the frame."""
+        return np.asarray(np.all((places >= rim) & (places < np.array(self.reader.shape) - rim), axis=1))
+
+    def _found(self, hub: _Hub, frame: _Frame, motion: Array) -> tuple[Array, Array, Flags]:
+        """Where the frame shows the windows of a hub, the fits, and which of them are good."""
+        places = move(hub.place, motion, self.middle)
+        fits = np.full((len(places), kernels.COLUMNS), np.nan)
+        half = self.plan.window // 2
+        life = np.abs(places - hub.centre[hub.alive]).max(axis=1) < self.plan.life * self.reader.shape[0]
+        rows = np.flatnonzero(self._inside(places, half + _RIM - 6) & life)
+        if len(rows):
+            out = np.empty((len(rows), kernels.COLUMNS))
+            still = np.zeros((len(rows), 2))
+            kernels.refine_windows(
+                hub.frame.fine, frame.fine, hub.frame.bad, frame.bad, hub.centre[hub.alive[rows]] - half,
+                places[rows], np.zeros((len(rows), 2, 2)), still, self.size, self.table, 1, _ITERATIONS,
+                _TOLERANCE, _REACH, out,
+            )  # fmt: skip
+            fits[rows] = out
+        good = (fits[:, 14] > 0.0) & (fits[:, 9] >= self.plan.min_score)
+        return places + np.nan_to_num(fits[:, :2]), fits, np.asarray(good)
+
+    def _note(self, hub: _Hub, number: int, places: Array, good: Flags, variance: Array) -> None:
+        """Keep what was found of a hub's windows; give up the others."""
+        hub.alive, hub.place = hub.alive[good], places
+        hub.seen.append((hub.alive, variance))
+        self._write(number, hub.first_name + hub.alive, places, variance)
+
+    def _write(self, number: int, names: NDArray[np.intp], places: Array, variance: Array) -> None:
+        self.image.append(np.full(len(names), number, dtype=np.intp))
+        self.point.append(names)
+        self.pixels.append(places)
+        self.variance.append(variance)
+
+    def _close(self, hub: _Hub) -> None:
+        """The hub's own sightings, with its share of the errors of its pairs."""
+        if not hub.seen:
+            return
+        rows = np.concatenate([rows for rows, _ in hub.seen])
+        size = np.concatenate([variance for _, variance in hub.seen])
+        # the first frames after it: later ones differ by their wavelength too
+        found, first = np.unique(rows, return_index=True)
+        self._write(hub.frame.number, hub.first_name + found, hub.centre[found].astype(float), size[first])
+
+    def _renew(self, frame: _Frame) -> None:
+        """New windows where there are none."""
+        self.moved = 0.0
+        places = [hub.place for hub in self.hubs]
+        have = np.concatenate(places) if places else np.empty((0, 2))
+        wanted = self.plan.points - len(have)
+        if wanted <= 0:
+            return
+        step = 2 * self.plan.window // 3
+        centres = grid_points(self.reader.shape, window=self.size, step=(step, step))
+        centres = centres[self._inside(centres, self.plan.window // 2 + _RIM)]
+        source = ArrayImage(frame.level, frame.bad if frame.bad.size else None)
+        strength = texture_strength(source, centres, self.size)
+        strength[~(strength > 0.0)] = np.nan
+        if len(have) and len(centres):
+            strength[cKDTree(have).query(centres)[0] < step] = np.nan
+        chosen = centres[spread_subset(centres, strength, wanted, (_CELLS, _CELLS))]
+        if len(chosen):
+            centre = np.rint(chosen).astype(np.int64)
+            self.hubs.append(_Hub(frame, centre, self.names, np.arange(len(centre)), centre.astype(float)))
+            self.names += len(centre)
+
+
+def follow_windows(
+    sources: Sequence[ImageSource | None],
+    plan: FollowPlan | None = None,
+    *,
+    progress: Callable[[int], None] | None = None,
+) -> Followed:
+    """Windows of a sequence's frames followed through the frames after them.
+
+    Parameters
+    ----------
+    sources : sequence of ImageSource or None
+        Frames in the order they were taken, all of one size; None where there is none.
+    plan : FollowPlan, optional
+    progress : callable, optional
+        Called with the number of frames done.
+
+    Returns
+    -------
+    Followed
+
+    Raises
+    ------
+    InputError
+        If frames differ in size.
+    """
+    plan = FollowPlan() if plan is None else plan
+    count = len(sources)
+    reader = _Reader(sources, plan)
+    follower = _Follower(reader, plan, count)
+    sharpness, contrast = np.full(count, np.nan), np.full(count, np.nan)
+    reason = [""] * count
+    waiting: _Frame | None = None
+    for number in range(count):
+        frame = reader.read(number)
+        if progress is not None:
+            progress(number + 1)
+        if frame is None:
+            reason[number] = "the image cannot be read"
+            continue
+        sharpness[number], contrast[number] = frame.sharpness, frame.contrast
+        if follower.last is None:
+            follower.begin(frame)
+        elif follower.link(frame):
+            waiting = None
+        else:
+            reason[number] = "looks like none of the frames before it"
+            # what was stepped over begins a new stretch where it is like this frame
+            if waiting is not None and follower.restart(waiting, frame):
+                reason[number] = reason[waiting.number] = ""
+                waiting = None
+            else:
+                waiting = frame
+    follower.end()
+    return _assembled(follower, sharpness, contrast, reason)
+
+
+def _assembled(follower: _Follower, sharpness: Array, contrast: Array, reason: list[str]) -> Followed:
+    """What was found, in pixels of the frames as they are."""
+    k = follower.plan.reduction
+    if not follower.image:
+        raise EstimationError(NOTHING)
+    image, point = np.concatenate(follower.image), np.concatenate(follower.point)
+    order = np.lexsort((image, point))
+    windows = np.bincount(image, minlength=len(sharpness))
+    for number in np.flatnonzero((windows == 0) & np.isfinite(sharpness)):
+        reason[number] = reason[number] or "looks like none of the frames after it"
+    return Followed(
+        image[order],
+        point[order],
+        frozen(np.concatenate(follower.pixels)[order] * k + 0.5 * (k - 1)),
+        frozen(np.sqrt(np.concatenate(follower.variance)[order]) * k),
+        follower.before,
+        frozen(follower.motion * np.array([k, k, 1.0, 1.0])),
+        windows,
+        frozen(sharpness),
+        frozen(contrast),
+        tuple(reason),
+    )

@@ -1,0 +1,197 @@
+"""Poses of all frames of small rendered flights: accuracy, honesty, marks, what goes wrong in flights."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
+from sightline.errors import EstimationError, InputError
+from sightline.geometry.rotations import NADIR_MOUNT
+from sightline.geometry.surface import Plane
+from sightline.imaging.source import ArrayImage
+from sightline.photogrammetry.frame_poses import RoughPoses
+from sightline.photogrammetry.pose_interpolation import between_anchors, by_displacement
+from sightline.photogrammetry.sightings import Images
+from sightline.simulate.sequence import SequenceScenario, sequence_case
+
+
+def problem_of(scenario: SequenceScenario) -> SequenceProblem:
+    options, (t, _, _) = scenario.options, scenario.poses
+    frames = np.array(scenario.frames)
+    count = len(frames)
+    sources = tuple(ArrayImage(scenario.image(k).mean(axis=0)) for k in scenario.frames)
+    known = RoughPoses(
+        np.full((count, 3), options.position_sigma), np.full((count, 3), options.attitude_sigma),
+        options.position_bias_sigma, options.attitude_bias_sigma,
+    )  # fmt: skip
+    images = Images(
+        np.zeros(count), np.arange(count), t[frames], scenario.told_positions[frames],
+        scenario.told_attitudes[frames],
+    )  # fmt: skip
+    return SequenceProblem(
+        tuple(f"{k:05d}" for k in frames), t[frames], sources, scenario.detector, NADIR_MOUNT, images, known,
+        Plane(0.0), float(scenario.ground.relief.heights.std()), options.readout_time, 0.8, ("",) * count,
+        mosaic_nm=scenario.filter.told_nm[0] if options.filter == "mosaic" else None,
+    )  # fmt: skip
+
+
+def ground_error_px(scenario: SequenceScenario, position: np.ndarray, attitude: Rotation) -> np.ndarray:
+    """(M, places, 2): where rays meet the mean ground, less where they do by the true poses."""
+    lines, columns = scenario.options.shape
+    places = np.stack(
+        np.meshgrid(np.linspace(20, lines - 21, 4), np.linspace(20, columns - 21, 4), indexing="ij"), axis=-1
+    )
+    rays = NADIR_MOUNT.apply(scenario.detector.directions(places.reshape(-1, 2)))
+    frames = list(scenario.frames)
+    _, true_position, true_attitude = scenario.poses
+
+    def met(place: np.ndarray, turn: Rotation) -> np.ndarray:
+        ray = turn.apply(rays)
+        return (place - ray * (place[2] / ray[:, 2])[:, None])[:, :2]
+
+    errors = [
+        met(position[n], attitude[n]) - met(true_position[k], true_attitude[k]) for n, k in enumerate(frames)
+    ]
+    return np.array(errors) / scenario.options.gsd
+
+
+def height_of(scenario: SequenceScenario, points: np.ndarray) -> np.ndarray:
+    """m, of the relief under points, to the nearest post."""
+    relief = scenario.ground.relief
+    columns = np.rint((points[:, 0] - relief.west) / relief.posting[0]).astype(int)
+    rows = np.rint((relief.north - points[:, 1]) / relief.posting[1]).astype(int)
+    last = np.array(relief.heights.shape) - 1
+    return relief.heights[np.clip(rows, 0, last[0]), np.clip(columns, 0, last[1])]
+
+
+def between(errors: np.ndarray, stride: int) -> float:
+    """px rms of what is left between every `stride`-th frame."""
+    left = []
+    for a in range(0, len(errors) - stride, stride):
+        w = np.arange(stride)[:, None, None] / stride
+        left.append(errors[a : a + stride] - (1.0 - w) * errors[a] - w * errors[a + stride])
+    return float(np.sqrt((np.concatenate(left) ** 2).sum(axis=-1).mean()))
+
+
+def errors_of(scenario: SequenceScenario, found: SequencePoses) -> np.ndarray:
+    frames = list(scenario.frames)
+    _, position, attitude = scenario.poses
+    turn = (attitude[frames].inv() * found.poses.world_from_body).as_rotvec()
+    return np.concatenate([found.poses.position - position[frames], turn], axis=1)
+
+
+@pytest.fixture(scope="module")
+def flight() -> SequenceScenario:
+    return sequence_case("small", 3)
+
+
+@pytest.fixture(scope="module")
+def solved(flight: SequenceScenario) -> SequencePoses:
+    return georeference_sequence(problem_of(flight))
+
+
+def test_every_frame_is_known_far_better_than_a_pixel_from_its_neighbours(flight, solved):
+    assert set(solved.source) == {"solved", "estimated"}
+    assert [solved.source[k] for k in solved.subset.frames] == ["solved"] * len(solved.subset)
+    error = ground_error_px(flight, solved.poses.position, solved.poses.world_from_body)
+    # some 50 windows a frame that err by 0.1 px with their drift: 0.1 sqrt(6 / 50) px, thrice that at most
+    assert between(error, 10) < 0.1
+
+
+def test_slerp_and_displacement_between_true_anchors_are_worse_in_that_order(flight, solved):
+    t, position, attitude = flight.poses
+    anchors = np.arange(0, 60, 10)
+    slerp = between_anchors(t, anchors, position[anchors], attitude[anchors])
+    carried = by_displacement(
+        t, anchors, position[anchors], attitude[anchors], solved.followed, flight.detector, NADIR_MOUNT,
+        flight.options.altitude,
+    )  # fmt: skip
+    by_slerp, by_motion = (between(ground_error_px(flight, *way), 10) for way in (slerp, carried))
+    ours = between(ground_error_px(flight, solved.poses.position, solved.poses.world_from_body), 10)
+    # 4.7 px of jitter over 20 frames of 99 % overlap, here over 10 frames: a fourth of it
+    assert by_slerp > 0.5
+    assert by_motion < 0.3 * by_slerp
+    assert ours < by_motion
+
+
+def test_covariances_hold_over_flights():
+    nees = []
+    for seed in range(40, 48):
+        scenario = sequence_case("small", seed, frames=30)
+        found = georeference_sequence(problem_of(scenario))
+        error = errors_of(scenario, found)[15]
+        nees.append(error @ np.linalg.solve(found.poses.covariance[15], error))
+    # chi-square of 6 x 8 degrees over 8: 6 +- 1.2; four sigmas
+    assert abs(np.mean(nees) - 6.0) < 4.0 * np.sqrt(12.0 / 8.0)
+
+
+def test_subset_follows_the_wanted_overlap_and_says_why(solved):
+    inner = solved.subset.overlap[1:-1]
+    assert np.abs(inner - 0.8).max() < 0.05
+    assert all("overlap" in reason for reason in solved.subset.reason[1:])
+
+
+def test_frames_without_evidence_are_interpolated_and_the_rest_is_delivered():
+    scenario = sequence_case("small", 5, blurred=(20,), missing=(33, 34))
+    problem = problem_of(scenario)
+    excluded = list(problem.excluded)
+    excluded[40] = "unreadable"
+    found = georeference_sequence(replace(problem, excluded=tuple(excluded)))
+    assert found.source[20] == found.source[40] == "interpolated"
+    assert found.reason[40] == "unreadable" and "looks like none" in found.reason[20]
+    assert found.source.count("interpolated") == 2
+    error = ground_error_px(scenario, found.poses.position, found.poses.world_from_body)
+    bridged = error[20] - 0.5 * (error[19] + error[21])
+    # the path's bend at one step: jitter of 3 Hz at 25 Hz, 0.1 deg of 250 px focal length, bends by 0.25 px
+    assert np.sqrt((bridged**2).sum(axis=-1).mean()) < 1.0
+    sigma = np.diagonal(found.poses.covariance, axis1=1, axis2=2)[:, 3:]
+    assert (sigma[20] > 0.5 * (sigma[19] + sigma[21])).all()
+
+
+def test_rolling_shutter_is_seen_through():
+    scenario = sequence_case("small", 6, readout_time=0.02)
+    problem = problem_of(scenario)
+    # a frame moves by 3.2 px in 40 ms: lines of one frame are up to 1.6 px off
+    wrong = georeference_sequence(replace(problem, readout_time=0.0))
+    right = georeference_sequence(problem)
+    assert between(ground_error_px(scenario, right.poses.position, right.poses.world_from_body), 10) < 0.1
+    assert right.poses.scale * np.median(right.tracks.sigma_px) < wrong.poses.scale * np.median(
+        wrong.tracks.sigma_px
+    )
+
+
+def test_two_lines_are_tied_where_they_overlap():
+    scenario = sequence_case("two-lines", 1, frames=60, overlap=0.97, filter="pan", readout_time=0.0)
+    found = georeference_sequence(problem_of(scenario))
+    assert set(found.stretch) == {0, 1}
+    # the datum is the tables': ground that is found too low is seen further out from both sides
+    points = found.poses.points[np.isfinite(found.poses.points[:, 0])]
+    sunk = float((points[:, 2] - height_of(scenario, points)).mean())
+    error = ground_error_px(scenario, found.poses.position - [0.0, 0.0, sunk], found.poses.world_from_body)
+    # both lines see the ground between them on their right, in low columns
+    shared = error.reshape(len(error), 4, 4, 2)[:, :, :2]
+    apart = shared[:60].mean(axis=(0, 1, 2)) - shared[60:].mean(axis=(0, 1, 2))
+    # tables alone leave the lines apart by noise of 1 m and 0.5 deg over sqrt(60) frames: 1 px and more
+    assert np.abs(apart).max() < 0.5
+
+
+def test_a_mosaic_filter_is_averaged_over_its_pattern():
+    scenario = sequence_case("mosaic", 2, shape=(320, 400), focal_length_px=500.0, frames=12, pattern=2)
+    found = georeference_sequence(problem_of(scenario))
+    error = ground_error_px(scenario, found.poses.position, found.poses.world_from_body)
+    assert between(error, 5) < 0.2
+
+
+def test_frames_that_are_nothing_alike_are_refused(flight):
+    problem = problem_of(sequence_case("small", 7, frames=4))
+    rng = np.random.default_rng(0)
+    noise = tuple(ArrayImage(rng.normal(100.0, 10.0, (160, 200))) for _ in range(4))
+    with pytest.raises(EstimationError, match="no two frames in a row look alike"):
+        georeference_sequence(replace(problem, sources=noise))
+    with pytest.raises(InputError, match="no frame of the sequence can be used"):
+        georeference_sequence(replace(problem, excluded=("too dark",) * 4))
