@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from sightline.applications.line_of_sight import recover_line_of_sight
     from sightline.applications.registration import Registration, register_bands
     from sightline.applications.results import LineOfSight
+    from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
     from sightline.applications.spin_attitude import SpinAttitude, SpinOptions, recover_spin_attitude
     from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem, orient
     from sightline.applications.strip import RecoverOptions
@@ -106,6 +107,7 @@ _MODULE_OF = {
     "ScanColumns": "sightline.tdi.setting",
     "ScanMirror": "sightline.geometry.pointing",
     "Score": "sightline.evaluation.score",
+    "SequencePoses": "sightline.applications.sequence_poses",
     "SequenceProblem": "sightline.applications.frame_sequence",
     "SightlineError": "sightline.errors",
     "SpanError": "sightline.errors",
@@ -127,6 +129,7 @@ _MODULE_OF = {
     "choose_tdi": "sightline.applications.tdi_choice",
     "executor_from_name": "sightline.execution",
     "frame_mosaic": "sightline.products.frame_mosaic",
+    "georeference_sequence": "sightline.applications.sequence_poses",
     "grid_points": "sightline.matching.select",
     "line_of_sight_case": "sightline.simulate.scenarios",
     "load_acquisition": "sightline.io.acquisition",
@@ -188,6 +191,7 @@ __all__ = [
     "ScanColumns",
     "ScanMirror",
     "Score",
+    "SequencePoses",
     "SequenceProblem",
     "SightlineError",
     "SpanError",
@@ -209,6 +213,7 @@ __all__ = [
     "choose_tdi",
     "executor_from_name",
     "frame_mosaic",
+    "georeference_sequence",
     "grid_points",
     "line_of_sight_case",
     "load_acquisition",

@@ -15,6 +15,7 @@ import typer
 from sightline.cli import (
     check,
     demo,
+    georeference,
     layout,
     orient,
     recover,
@@ -60,6 +61,7 @@ app.command("recover")(recover.recover)
 app.command("layout")(layout.layout)
 app.command("register")(register.register)
 app.command("orient")(orient.orient)
+app.command("georeference")(georeference.georeference)
 app.command("tdi")(tdi.tdi)
 app.command("score")(score.score)
 app.command("check")(check.check)

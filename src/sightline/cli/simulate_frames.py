@@ -134,7 +134,7 @@ def frames(
         print_json({"folder": out, "files": list(written), "wall_seconds": round(seconds, 3)})
     else:
         say(f"rendered {len(scenario.frames)} frames in {seconds:.1f} s: {out / 'sequence.toml'}")
-        say(f"next: sightline check {out / 'sequence.toml'}")
+        say(f"next: sightline georeference {out / 'sequence.toml'} --out DIR")
 
 
 def _parsed(name: str, value: Any) -> Any:

@@ -36,7 +36,7 @@ SCHEMAS: dict[str, type[BaseModel]] = {
 COMMANDS = {
     "acquisition": "recover",
     "instrument": "layout",
-    "sequence": "check",
+    "sequence": "georeference",
     "stereo": "orient",
     "tdi": "tdi",
 }

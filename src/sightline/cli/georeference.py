@@ -1,0 +1,84 @@
+"""``sightline georeference``: pose of every frame of a sequence, and what is made of it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.cli.options import Json, Out, Overwrite
+
+if TYPE_CHECKING:
+    from sightline.applications.sequence_poses import SequencePoses
+    from sightline.io.sequence import FrameSequence
+
+_LISTED = 3
+_SAID = {
+    "sigma_x": 1.0, "sigma_y": 1.0, "sigma_z": 1.0,
+    "sigma_roll": 180.0 / math.pi, "sigma_pitch": 180.0 / math.pi, "sigma_yaw": 180.0 / math.pi,
+}  # fmt: skip
+
+
+def georeference(
+    file: Annotated[Path, typer.Argument(metavar="SEQUENCE.toml", help="Frames and their rough poses.")],
+    out: Out,
+    stride: Annotated[
+        int | None,
+        typer.Option("--stride", min=1, help="Subset: every so many frames, in place of the overlap wanted."),
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Find the pose of every frame of a sequence, with covariance, from photogrammetry and its own images."""
+    import time
+
+    from sightline.applications.sequence_poses import georeference_sequence
+    from sightline.cli.output import check_output_folder, output_folder
+    from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.io.sequence import read_sequence
+    from sightline.io.sequence_results import write_sequence_result
+
+    check_output_folder(out, overwrite=overwrite)
+    begun = time.perf_counter()
+    with progress() as report:
+        report(f"reading {file}")
+        sequence = read_sequence(file)
+        report(f"poses of {len(sequence.problem)} frames")
+        found = georeference_sequence(sequence.problem, stride=stride)
+        with output_folder(out, overwrite=overwrite) as folder:
+            report("writing")
+            seconds = time.perf_counter() - begun
+            summary = write_sequence_result(folder, sequence, found, wall_seconds=seconds)
+    if as_json:
+        print_json(summary)
+        return
+    for warning in summary["warnings"]:
+        complain("warning", warning)
+    tell(sequence, found, summary)
+    say(f"{out / 'poses.csv'}, {out / 'report.html'}")
+
+
+def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any]) -> None:
+    """The poses in a few lines."""
+    from sightline.cli.terminal import say
+
+    counts = ", ".join(f"{count} {word}" for word, count in summary["sources"].items() if count)
+    say(f"{sequence.name}: {summary['frames']} frames: {counts}")
+    for entry in summary["not_estimated"][:_LISTED]:
+        say(f"not estimated: {entry['frame']}: {entry['reason']}")
+    if len(summary["not_estimated"]) > _LISTED:
+        say(f"not estimated: {len(summary['not_estimated']) - _LISTED} more, see frames_used.csv")
+    middle = {name: summary["sigmas"][name]["median"] * unit for name, unit in _SAID.items()}
+    say(
+        "usual sigma of a pose: x {sigma_x:.3g}, y {sigma_y:.3g}, z {sigma_z:.3g} m; roll {sigma_roll:.2g}, "
+        "pitch {sigma_pitch:.2g}, yaw {sigma_yaw:.2g} degrees".format(**middle)
+    )
+    seen = summary["sightings"]
+    say(
+        f"{seen['kept']} of {seen['tried']} sightings of {summary['points']} points kept, residual "
+        f"{seen['rms_px']:.3g} px rms; subset of {len(found.subset)} frames"
+    )
+    for note in summary["export_notes"]:
+        say(note)

@@ -1,0 +1,123 @@
+"""``sightline georeference``: the files, the words, and what a user may get wrong."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+
+from sightline.cli.main import run
+from sightline.io.colmap import read_colmap_model
+from sightline.io.opensfm import read_opensfm
+from sightline.io.poses import read_pose_covariance, read_pose_table, read_pose_truth
+
+FILES = (
+    "colmap covariance.npz frames_used.csv opk.csv poses.csv reconstruction.json report.html "
+    "summary.json ypr.csv"
+).split()
+LOST = 11
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory):
+    """Twenty-four frames, one of which cannot be read."""
+    out = tmp_path_factory.mktemp("georeference") / "flight"
+    words = ["--case", "small", "--frames", "24", "--truth-bands", "0", "--unreadable", str(LOST)]
+    assert run(["simulate", "frames", *words, "--seed", "3", "--out", str(out)]) == 0
+    return out
+
+
+@pytest.fixture(scope="module")
+def done(flight):
+    out = flight.parent / "located"
+    assert run(["georeference", str(flight / "sequence.toml"), "--out", str(out)]) == 0
+    return out
+
+
+def rows_of(path):
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_the_files_are_the_contract(done):
+    assert set(FILES) <= {entry.name for entry in done.iterdir()}
+    header = (done / "poses.csv").read_text().splitlines()[0]
+    assert header == (
+        "frame,t,x,y,z,qx,qy,qz,qw,sigma_x,sigma_y,sigma_z,sigma_roll,sigma_pitch,sigma_yaw,source"
+    )
+    table, covariance = read_pose_table(done / "poses.csv"), read_pose_covariance(done / "covariance.npz")
+    assert table.frames == covariance.frames
+    assert np.sqrt(np.einsum("mii->mi", covariance.covariance)) == pytest.approx(table.sigma, rel=1e-9)
+
+
+def test_every_frame_has_a_pose_that_its_sigma_covers(flight, done):
+    table, truth = read_pose_table(done / "poses.csv"), read_pose_truth(flight / "poses-truth.csv")
+    assert table.frames == truth.frames
+    off = np.concatenate(
+        [table.position - truth.position, (truth.world_from_body.inv() * table.world_from_body).as_rotvec()],
+        axis=1,
+    )
+    # the datum is one draw of six numbers for all frames: 4.5 sigma are passed once in 25 000 flights
+    assert (np.abs(off) < 4.5 * table.sigma).all()
+    assert table.source[LOST] == "interpolated" and set(table.source) == {
+        "solved", "estimated", "interpolated",
+    }  # fmt: skip
+    assert (table.sigma[LOST] >= table.sigma[[LOST - 1, LOST + 1]].min(axis=0)).all()
+
+
+def test_the_table_of_frames_says_why(done):
+    rows = rows_of(done / "frames_used.csv")
+    assert rows[LOST]["sightings"] == "0" and "cannot be read" in rows[LOST]["reason"]
+    chosen = [row for row in rows if row["subset"] == "1"]
+    assert all(row["reason"] for row in chosen)
+    assert all(not row["reason"] for row in rows if row["source"] == "estimated")
+    assert all(0.0 < float(row["residual_px"]) < 0.2 for row in rows if row["source"] != "interpolated")
+
+
+def test_the_summary_has_the_numbers_of_the_tables(done):
+    summary = json.loads((done / "summary.json").read_text())
+    table = read_pose_table(done / "poses.csv")
+    assert summary["frames"] == 24 and sum(summary["sources"].values()) == 24
+    assert summary["sources"]["interpolated"] == 1 == len(summary["not_estimated"])
+    assert summary["sigmas"]["sigma_x"]["median"] == pytest.approx(np.median(table.sigma[:, 0]))
+    assert set(summary["datum"]) == {"x", "y", "z", "roll", "pitch", "yaw"}
+    assert set(summary["inputs"]) >= {"sequence.toml", "frames", "positions.csv", "attitudes.csv"}
+
+
+def test_other_programs_get_the_same_poses(done):
+    table = read_pose_table(done / "poses.csv")
+    for model in (read_colmap_model(done / "colmap"), read_opensfm(done / "reconstruction.json")[0]):
+        order = np.argsort(model.names)  # names count the frames
+        assert len(model.names) == 24
+        assert model.position[order] == pytest.approx(table.position, abs=1e-6)
+        assert len(model.points) > 50
+
+
+def test_words_on_the_terminal(flight, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert run(["georeference", str(flight / "sequence.toml"), "--out", str(out), "--stride", "6"]) == 0
+    said = capsys.readouterr()
+    assert re.search(r"24 frames: \d+ solved, \d+ estimated, 1 interpolated", said.out)
+    assert "1 of 24 frames are interpolated" in said.err or "1 of 24 frames cannot be used" in said.err
+    assert str(out / "poses.csv") in said.out
+    chosen = [int(row["frame"]) for row in rows_of(out / "frames_used.csv") if row["subset"] == "1"]
+    assert set(np.diff(chosen)) <= {6, 7}  # one more where the frame that cannot be read lies between
+
+
+def test_a_result_is_not_overwritten_unasked(flight, done, capsys):
+    before = (done / "poses.csv").read_bytes()
+    assert run(["georeference", str(flight / "sequence.toml"), "--out", str(done)]) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert (done / "poses.csv").read_bytes() == before
+
+
+def test_a_wrong_file_is_one_clear_error(tmp_path, capsys):
+    path = tmp_path / "sequence.toml"
+    path.write_text('frames = "nowhere.csv"\n[camera]\nfocal_length_px = 100.0\n')
+    assert run(["georeference", str(path), "--out", str(tmp_path / "out")]) == 2
+    said = capsys.readouterr().err
+    assert "nowhere.csv" in said and "Traceback" not in said
+    assert not (tmp_path / "out").exists()
