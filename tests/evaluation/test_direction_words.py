@@ -7,7 +7,8 @@ import pytest
 
 from sightline.errors import InputError
 from sightline.evaluation.direction_words import angle_names, direction_words
-from sightline.evaluation.score_orientation import ARCSEC, score_orientation
+from sightline.evaluation.score_orientation import score_orientation
+from sightline.geometry.units import ARCSEC
 
 
 @pytest.mark.parametrize(

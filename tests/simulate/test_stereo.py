@@ -13,8 +13,9 @@ from sightline.applications.stereo_orientation import StereoProblem
 from sightline.errors import FormatError, GeometryError, InputError
 from sightline.geometry.earth import WGS84, to_geodetic
 from sightline.geometry.surface import Dem, Ellipsoid
+from sightline.geometry.units import ARCSEC
 from sightline.simulate.stereo import MISMATCH_PX, stereo_case
-from sightline.simulate.stereo_options import ARCSEC, CASE_OPTIONS
+from sightline.simulate.stereo_options import CASE_OPTIONS
 
 SMALL = {"shots": 6, "points": 40}
 CASE = "A_paper_T6_K64"

@@ -9,10 +9,11 @@ import pytest
 
 from sightline.cli import options as cli_options
 from sightline.cli.main import run
+from sightline.geometry.units import ARCSEC
 from sightline.io.dem import read_dem
 from sightline.simulate.stereo import stereo_case
 from sightline.simulate.stereo_files import write_stereo
-from sightline.simulate.stereo_options import ARCSEC, CASE_OPTIONS
+from sightline.simulate.stereo_options import CASE_OPTIONS
 
 SMALL = {"shots": 3, "points": 12}
 CASE = "A_paper_T6_K64"

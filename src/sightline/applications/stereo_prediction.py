@@ -30,6 +30,7 @@ from sightline.applications.stereo_settings import (
 from sightline.errors import EstimationError, GeometryError, InputError
 from sightline.execution import one_blas_thread
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
+from sightline.geometry.units import ARCSEC
 from sightline.photogrammetry.bundle import bound
 from sightline.photogrammetry.observability import Observability
 
@@ -40,7 +41,6 @@ FACTORS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
 #: Most shots and points that a table goes up to.
 MOST_SHOTS, MOST_POINTS = 256, 1200
 #: In a radian.
-ARCSECS = 648000.0 / np.pi
 #: What is offered to better a plan.
 DEM_SIGMA, CONTROL_POINTS, CONTROL_SIGMA = 10.0, 5, 1.0
 
@@ -428,7 +428,7 @@ def _other_changes(setting: Setting) -> Iterator[tuple[str, Callable[[], Setting
             lambda: with_noise(setting, position=0.5),
         )
     if setting.noise.attitude > 0.0:
-        half = 0.5 * setting.noise.attitude * ARCSECS
+        half = 0.5 * setting.noise.attitude / ARCSEC
         yield (
             f"half the attitude noise from shot to shot ({half:.3g} arcsec)",
             lambda: with_noise(setting, attitude=0.5),

@@ -12,6 +12,7 @@ import typer
 
 from sightline.cli.options import Json, Out, Overwrite
 from sightline.cli.terminal import Progress
+from sightline.geometry.units import ARCSEC
 
 if TYPE_CHECKING:
     from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
 
 
 _AXES = ("roll", "pitch", "yaw")
-_ARCSECS = 648_000.0 / math.pi
 #: What residuals are of the methods that adjust no points.
 _RESIDUALS = {"epipolar": "distance from epipolar lines", "plane": "miss on the plane (relief is in it)"}
 #: Sightings up to which it is reckoned what would improve the angles: eight bounds, each as long as a step.
@@ -232,7 +232,7 @@ def tell_bound(summary: dict[str, Any]) -> None:
     from sightline.cli.terminal import say
 
     for camera, sigma in summary["sigmas"].items():
-        values = {axis: f"{size * _ARCSECS:.3f}" for axis, size in sigma.items() if math.isfinite(size)}
+        values = {axis: f"{size / ARCSEC:.3f}" for axis, size in sigma.items() if math.isfinite(size)}
         say(f"camera {camera}: bound of 1 sigma: {_axes_said(values)}")
     for entry in summary["unobservable"]:
         say(f"not observable: {entry['words']}")
@@ -254,7 +254,7 @@ def tell(found: Oriented, summary: dict[str, Any]) -> None:
 
     for camera, angles in summary["angles"].items():
         values = {
-            axis: f"{angles[axis] * _ARCSECS:+.3f} ± {angles[f'sigma_{axis}'] * _ARCSECS:.3f}"
+            axis: f"{angles[axis] / ARCSEC:+.3f} ± {angles[f'sigma_{axis}'] / ARCSEC:.3f}"
             for axis in _AXES
             if math.isfinite(angles[f"sigma_{axis}"])
         }

@@ -11,14 +11,15 @@ import typer
 from sightline.cli.options import STEREO_CASES, Json, Out, Overwrite, Seed
 from sightline.cli.output import check_output_folder, output_folder
 from sightline.cli.terminal import print_json, say
+from sightline.geometry.units import ARCSEC
 
-_DEGREE, _ARCSEC = math.pi / 180.0, math.pi / 648000.0
+_DEGREE = math.pi / 180.0
 #: What an angle on the command line is multiplied by, by the name of the option.
 _UNITS = {
     **dict.fromkeys(
         ("inclination", "latitude", "longitude", "node_offset", "inclination_offset", "fov"), _DEGREE
     ),
-    **dict.fromkeys(("sigma_attitude", "error", "drift"), _ARCSEC),
+    **dict.fromkeys(("sigma_attitude", "error", "drift"), ARCSEC),
 }
 #: m; side of the ground under frames: those that look obliquely reach far beyond the scene.
 _FRAMED_GROUND = 60e3

@@ -5,7 +5,6 @@ Not here: reading the files (``io/stereo_score.py``).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,10 +14,9 @@ from numpy.typing import NDArray
 from sightline.errors import InputError
 from sightline.evaluation.direction_words import AXES
 from sightline.evaluation.score import Z95
+from sightline.geometry.units import ARCSEC
 
 Array = NDArray[np.float64]
-
-ARCSEC = math.pi / 648_000.0
 
 
 def score_orientation(

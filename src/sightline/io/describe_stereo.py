@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.stereo_orientation import StereoProblem
+from sightline.geometry.units import ARCSEC
 from sightline.io.stereo import Stereo
 from sightline.io.stereo_checks import boresights
 
@@ -18,7 +19,6 @@ Array = NDArray[np.float64]
 
 #: rad of convergence below which heights, and with them pitch, are told badly.
 NARROW = np.radians(5.0)
-_ARCSEC = np.pi / 648_000.0
 #: Share of the frame that points should span for yaw.
 SPAN = 0.5
 
@@ -45,7 +45,7 @@ def _understood(stereo: Stereo) -> list[str]:
         if stereo.pictures is None
         else f"{len(stereo.pictures.sources)} pictures, in which points are to be found",
         f"noise of positions {problem.noise.position:g} m, of attitudes {problem.noise.attitude:.3g} rad "
-        f"({problem.noise.attitude / _ARCSEC:.3g} arcsec), "
+        f"({problem.noise.attitude / ARCSEC:.3g} arcsec), "
         + (
             "attitudes measured by themselves"
             if problem.noise.aim_point is None

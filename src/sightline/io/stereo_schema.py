@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
 from sightline.errors import FormatError
+from sightline.geometry.units import ARCSEC
 from sightline.io.acquisition_schema import (
     Finite,
     Positive,
@@ -152,7 +153,7 @@ class StereoNoise(Section):
             raise ValueError(
                 f"{value:g} rad is {math.degrees(value):.3g} degrees and is not allowed: radians up to "
                 f"{LARGEST_ATTITUDE_SIGMA:g} are; {value:g} arcsec would be "
-                f"{value * math.pi / 648_000.0:.2g}, {value:g} degrees {math.radians(value):.2g}"
+                f"{value * ARCSEC:.2g}, {value:g} degrees {math.radians(value):.2g}"
             )
         return value
 

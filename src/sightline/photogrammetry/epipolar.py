@@ -37,7 +37,6 @@ _TURNS = np.array(
     ]
 )
 #: Products of two of (x, y, 1) that are kept, and where each stands in the 3 x 3 matrix of all.
-_PRODUCTS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
 _WHERE = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 

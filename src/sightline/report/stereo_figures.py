@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
 from sightline.evaluation.direction_words import AXES
-from sightline.evaluation.score_orientation import ARCSEC
+from sightline.geometry.units import ARCSEC
 from sightline.io.stereo import Stereo
 from sightline.io.stereo_strips import StripProblem
 from sightline.report.style import INK, MUTED, RULE, TEMPLATE, panels

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
 from sightline.applications.stereo_prediction import Improvement, SigmaTable
+from sightline.geometry.units import ARCSEC
 from sightline.report.style import AXES, AXIS_COLOURS, INK, MUTED, TEMPLATE
 
-ARCSEC = float(np.pi / 648000.0)
 _METHODS = {
     "ml-track": ("points tracked through all shots", "solid"),
     "ml-pair": ("points new in every shot", "dash"),

@@ -12,7 +12,7 @@ from typing import Any
 
 from sightline.applications.stereo_prediction import StereoPrediction
 from sightline.evaluation.direction_words import AXES
-from sightline.evaluation.score_orientation import ARCSEC
+from sightline.geometry.units import ARCSEC
 from sightline.report import stereo_figures, stereo_prediction_figures
 from sightline.report.page import Section, render, write_page
 from sightline.report.stereo_page import improvement_rows

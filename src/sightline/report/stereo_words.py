@@ -11,7 +11,7 @@ from typing import Any
 
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
 from sightline.evaluation.direction_words import AXES
-from sightline.evaluation.score_orientation import ARCSEC
+from sightline.geometry.units import ARCSEC
 from sightline.report.stereo_height_figure import PointHeights
 from sightline.report.words import digits
 

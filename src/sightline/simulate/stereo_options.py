@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from sightline.errors import InputError
+from sightline.geometry.units import ARCSEC
 
-ARCSEC = float(np.radians(1.0 / 3600.0))
 """rad"""
 
 RELIEFS = ("none", "smooth", "white", "spectrum", "dem")
