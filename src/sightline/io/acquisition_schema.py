@@ -31,16 +31,10 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
 
 
-class HeaderSection(Section):
-    """``[acquisition]``: what this data set is called and when t = 0 was."""
+class DatedSection(Section):
+    """What every data set may say of itself: when t = 0 was."""
 
-    name: str = Field(default="acquisition", description="Title of the report")
-    epoch: str | None = Field(
-        default=None, description="UTC instant of t = 0, ISO 8601; needed by CCSDS files and EXIF times"
-    )
-    control_points: str | None = Field(
-        default=None, description="CSV file x,y,z,sigma,image,line,column of ground control points"
-    )
+    epoch: str | None = Field(default=None, description="UTC instant of t = 0, ISO 8601")
 
     @field_validator("epoch", mode="before")
     @classmethod
@@ -60,6 +54,18 @@ class HeaderSection(Section):
                     f'{value!r} is not allowed: an ISO 8601 instant in UTC is, such as "2026-01-31T12:00:00Z"'
                 ) from None
         return value
+
+
+class HeaderSection(DatedSection):
+    """``[acquisition]``: what this data set is called and when t = 0 was."""
+
+    name: str = Field(default="acquisition", description="Title of the report")
+    epoch: str | None = Field(
+        default=None, description="UTC instant of t = 0, ISO 8601; needed by CCSDS files and EXIF times"
+    )
+    control_points: str | None = Field(
+        default=None, description="CSV file x,y,z,sigma,image,line,column of ground control points"
+    )
 
 
 class LevelFlight(Section):

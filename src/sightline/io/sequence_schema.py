@@ -8,21 +8,21 @@ Not here: reading the file (``config.py``), what is made of it (``sequence.py``)
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field, field_validator, model_validator
 
 from sightline.io.acquisition_schema import (
     ControlPointSection,
+    DatedSection,
     Finite,
     Positive,
-    Quaternion,
     Section,
     Sigma,
     SurfaceSection,
     WorldSection,
 )
-from sightline.io.stereo_schema import StereoHeader
+from sightline.io.camera_schema import FrameCameraSection, FrameShape
 
 #: m, rad; 1-sigma of positions and angles for which nothing is said: GPS of a camera, angles of a gimbal.
 POSITION_SIGMA, ATTITUDE_SIGMA = 5.0, 0.035
@@ -30,7 +30,7 @@ POSITION_SIGMA, ATTITUDE_SIGMA = 5.0, 0.035
 Wavelength = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 
 
-class SequenceHeader(StereoHeader):
+class SequenceHeader(DatedSection):
     """``[sequence]``: what this data set is called and when t = 0 was."""
 
     name: str = Field(default="frame sequence", description="Title of the report")
@@ -39,30 +39,14 @@ class SequenceHeader(StereoHeader):
     )
 
 
-class SequenceCamera(Section):
+class SequenceCamera(FrameCameraSection):
     """``[camera]``: of all frames; its lens, how it sits in the body, what each pixel sees."""
 
-    mount: Literal["nominal"] = Field(default="nominal", description="Lines forward, columns left")
-    body_from_camera: Quaternion | None = Field(
-        default=None, description="[x, y, z, w] in place of the nominal mount"
-    )
-    shape: tuple[Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]] | None = Field(
+    shape: FrameShape | None = Field(
         default=None, description="(lines, columns) of a frame; default that of most frames"
     )
     focal_length_px: Positive | None = Field(
         default=None, description="Focal length / pixel pitch; default what EXIF or XMP of photographs say"
-    )
-    focal_length_sigma_px: Sigma = Field(
-        default=0.0, description="How well it is known, to be refined; 0 = exactly"
-    )
-    focal_length: Literal["estimate"] | None = Field(
-        default=None, description='"estimate": refine it freely, starting from focal_length_px'
-    )
-    principal_point_px: tuple[Finite, Finite] | None = Field(
-        default=None, description="(line, column); default the centre of the frame"
-    )
-    distortion: Annotated[list[Finite], Field(max_length=5)] = Field(
-        default=[], description="k1, k2, p1, p2, k3 in normalised coordinates"
     )
     wavelength_nm: list[Wavelength] | str | None = Field(
         default=None, description="One per line, or an ENVI header that has them"
@@ -75,17 +59,6 @@ class SequenceCamera(Section):
         default=0.0, description="s from the exposure of line 0 to that of the last line (rolling shutter)"
     )
 
-    @field_validator("body_from_camera")
-    @classmethod
-    def _length_one(cls, value: Quaternion | None) -> Quaternion | None:
-        length = 1.0 if value is None else float(sum(q * q for q in value)) ** 0.5
-        if abs(length - 1.0) > 1e-3:
-            raise ValueError(
-                f"{list(value or ())} has length {length:.6g}; a unit quaternion [x, y, z, w], scalar last, "
-                "is expected"
-            )
-        return value
-
     @field_validator("mosaic_nm")
     @classmethod
     def _rows_alike(cls, value: list[list[float]] | None) -> list[list[float]] | None:
@@ -94,13 +67,7 @@ class SequenceCamera(Section):
         return value
 
     @model_validator(mode="after")
-    def _said_once(self) -> SequenceCamera:
-        if self.body_from_camera is not None and "mount" in self.model_fields_set:
-            raise ValueError("mount and body_from_camera are both given; keep one of them")
-        if self.focal_length == "estimate" and self.focal_length_sigma_px > 0.0:
-            raise ValueError(
-                'focal_length = "estimate" takes no focal_length_sigma_px; keep one of them: a sigma, or none'
-            )
+    def _filter_said_once(self) -> SequenceCamera:
         filters = [k for k in ("wavelength_nm", "mosaic_nm", "channel_nm") if getattr(self, k) is not None]
         if len(filters) > 1:
             raise ValueError(

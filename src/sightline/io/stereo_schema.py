@@ -9,24 +9,22 @@ Not here: reading the file (``config.py``), what is made of it (``stereo.py``).
 from __future__ import annotations
 
 import math
-from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
-from sightline.errors import FormatError
 from sightline.geometry.units import ARCSEC
 from sightline.io.acquisition_schema import (
+    DatedSection,
     Finite,
     Positive,
-    Quaternion,
     Section,
     Sigma,
     SurfaceSection,
     Vector,
     WorldSection,
 )
-from sightline.io.ccsds import parse_utc
+from sightline.io.camera_schema import FrameCameraSection, FrameShape
 
 #: rad; noise of attitudes beyond which nothing is linear, and which no sensor has: given in other units.
 LARGEST_ATTITUDE_SIGMA = 0.05
@@ -39,91 +37,24 @@ def _form(value: object) -> str:
     return _EACH if isinstance(value, list | tuple) else _ONE
 
 
-class StereoHeader(Section):
+class StereoHeader(DatedSection):
     """``[stereo]``: what this data set is called and when t = 0 was."""
 
     name: str = Field(default="stereo orientation", description="Title of the report")
     epoch: str | None = Field(default=None, description="UTC instant of t = 0, ISO 8601; needed for an AEM")
 
-    @field_validator("epoch", mode="before")
-    @classmethod
-    def _epoch_as_text(cls, value: object) -> object:
-        """TOML's own date-times are taken as well as quoted ones."""
-        return value.isoformat() if isinstance(value, datetime) else value
 
-    @field_validator("epoch")
-    @classmethod
-    def _epoch_is_an_instant(cls, value: str | None) -> str | None:
-        if value is not None:
-            try:
-                parse_utc(value, "epoch")
-            except FormatError:
-                raise ValueError(
-                    f'{value!r} is not allowed: an ISO 8601 instant in UTC is, such as "2026-01-31T12:00:00Z"'
-                ) from None
-        return value
-
-
-class StereoCamera(Section):
+class StereoCamera(FrameCameraSection):
     """``[camera]``, or one ``[[camera]]`` each: how it sits in the body, and its lens."""
 
     name: str | None = Field(default=None, description="Of [[camera]]: which one, as in cameras.csv")
-    mount: Literal["nominal"] = Field(default="nominal", description="Lines forward, columns left")
-    body_from_camera: Quaternion | None = Field(
-        default=None, description="[x, y, z, w] in place of the nominal mount"
-    )
-    shape: tuple[Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]] = Field(
-        description="(lines, columns) of a frame"
-    )
+    shape: FrameShape = Field(description="(lines, columns) of a frame")
     focal_length_px: Positive = Field(description="Focal length / pixel pitch")
-    focal_length_sigma_px: Sigma = Field(
-        default=0.0, description="How well it is known, to be refined; 0 = exactly"
-    )
-    focal_length: Literal["estimate"] | None = Field(
-        default=None, description='"estimate": refine it freely, starting from focal_length_px'
-    )
-    principal_point_px: tuple[Finite, Finite] | None = Field(
-        default=None, description="(line, column); default the centre of the frame"
-    )
-    distortion: Annotated[list[Finite], Field(max_length=5)] = Field(
-        default=[], description="k1, k2, p1, p2, k3 in normalised coordinates"
-    )
 
     @field_validator("name", mode="before")
     @classmethod
     def _a_number_is_a_name(cls, value: object) -> object:
         return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
-
-    @field_validator("shape", mode="before")
-    @classmethod
-    def _two_numbers(cls, value: object) -> object:
-        whole = isinstance(value, list | tuple) and all(
-            isinstance(v, int | float) and float(v).is_integer() for v in value
-        )
-        if not whole or len(value) != 2:  # type: ignore[arg-type]
-            raise ValueError(f"{value!r} is not allowed: two whole numbers [lines, columns] are")
-        return value
-
-    @field_validator("body_from_camera")
-    @classmethod
-    def _length_one(cls, value: Quaternion | None) -> Quaternion | None:
-        length = 1.0 if value is None else float(sum(q * q for q in value)) ** 0.5
-        if abs(length - 1.0) > 1e-3:
-            raise ValueError(
-                f"{list(value or ())} has length {length:.6g}; a unit quaternion [x, y, z, w], scalar last, "
-                "is expected"
-            )
-        return value
-
-    @model_validator(mode="after")
-    def _said_once(self) -> StereoCamera:
-        if self.body_from_camera is not None and "mount" in self.model_fields_set:
-            raise ValueError("mount and body_from_camera are both given; keep one of them")
-        if self.focal_length == "estimate" and self.focal_length_sigma_px > 0.0:
-            raise ValueError(
-                'focal_length = "estimate" takes no focal_length_sigma_px; keep one of them: a sigma, or none'
-            )
-        return self
 
 
 class StereoNoise(Section):

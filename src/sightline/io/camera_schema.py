@@ -1,0 +1,68 @@
+"""What STEREO.toml and SEQUENCE.toml may say of the camera of a frame, alike in both.
+
+Not here: the camera of an ACQUISITION.toml (``acquisition_schema.py``), whose lens may be estimated in parts.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BeforeValidator, Field, field_validator, model_validator
+
+from sightline.io.acquisition_schema import Finite, Quaternion, Section, Sigma
+
+
+def _two_whole_numbers(value: object) -> object:
+    whole = isinstance(value, list | tuple) and all(
+        isinstance(v, int | float) and float(v).is_integer() for v in value
+    )
+    if not whole or len(value) != 2:  # type: ignore[arg-type]
+        raise ValueError(f"{value!r} is not allowed: two whole numbers [lines, columns] are")
+    return value
+
+
+FrameShape = Annotated[
+    tuple[Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]], BeforeValidator(_two_whole_numbers)
+]
+
+
+class FrameCameraSection(Section):
+    """How a camera sits in the body, and its lens."""
+
+    mount: Literal["nominal"] = Field(default="nominal", description="Lines forward, columns left")
+    body_from_camera: Quaternion | None = Field(
+        default=None, description="[x, y, z, w] in place of the nominal mount"
+    )
+    focal_length_sigma_px: Sigma = Field(
+        default=0.0, description="How well it is known, to be refined; 0 = exactly"
+    )
+    focal_length: Literal["estimate"] | None = Field(
+        default=None, description='"estimate": refine it freely, starting from focal_length_px'
+    )
+    principal_point_px: tuple[Finite, Finite] | None = Field(
+        default=None, description="(line, column); default the centre of the frame"
+    )
+    distortion: Annotated[list[Finite], Field(max_length=5)] = Field(
+        default=[], description="k1, k2, p1, p2, k3 in normalised coordinates"
+    )
+
+    @field_validator("body_from_camera")
+    @classmethod
+    def _length_one(cls, value: Quaternion | None) -> Quaternion | None:
+        length = 1.0 if value is None else float(sum(q * q for q in value)) ** 0.5
+        if abs(length - 1.0) > 1e-3:
+            raise ValueError(
+                f"{list(value or ())} has length {length:.6g}; a unit quaternion [x, y, z, w], scalar last, "
+                "is expected"
+            )
+        return value
+
+    @model_validator(mode="after")
+    def _said_once(self) -> FrameCameraSection:
+        if self.body_from_camera is not None and "mount" in self.model_fields_set:
+            raise ValueError("mount and body_from_camera are both given; keep one of them")
+        if self.focal_length == "estimate" and self.focal_length_sigma_px > 0.0:
+            raise ValueError(
+                'focal_length = "estimate" takes no focal_length_sigma_px; keep one of them: a sigma, or none'
+            )
+        return self
