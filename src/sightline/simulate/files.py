@@ -9,7 +9,7 @@ Their contents are described in ``docs/formats.md``.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -60,7 +60,7 @@ def write_strip(
         written.append(path)
     relief = scenario.scene.relief
     if relief is not None and dem:
-        written.append(write_dem(folder / "dem.tif", relief))
+        written.append(write_dem(folder / "dem.tif", relief.heights, relief.transform))
     header = "t,roll,pitch,yaw"
     written.append(write_table(folder / "truth.csv", header, scenario.truth))
     written.append(_write_band_truth(folder / "truth-bands.csv", scenario))
@@ -152,22 +152,41 @@ def write_image(path: Path, shape: tuple[int, int], chunks: Iterator[tuple[int, 
     return path
 
 
-def write_dem(path: Path, relief: Relief) -> Path:
-    """Heights as a float64 GeoTIFF in local metres (x east, y north), without a coordinate system."""
+def write_dem(path: Path, heights: Array, transform: Sequence[float], crs: str | None = None) -> Path:
+    """Heights as a float64 GeoTIFF; without a coordinate system in local metres (x east, y north).
+
+    Parameters
+    ----------
+    path : Path
+    heights : (rows, columns)
+        m.
+    transform : (6,)
+        Coefficients a, b, c, d, e, f: x = a column + b row + c, y = d column + e row + f.
+    crs : str, optional
+        Such as "EPSG:4326": longitude, latitude.
+    """
     import rasterio
     from rasterio.transform import Affine
 
-    rows, columns = relief.heights.shape
+    rows, columns = heights.shape
     profile = {
         "driver": "GTiff",
         "dtype": "float64",
         "count": 1,
         "height": rows,
         "width": columns,
-        "transform": Affine(*relief.transform),
+        "crs": crs,
+        "transform": Affine(*transform),
     }
     with rasterio.open(path, "w", **profile) as target:
-        target.write(relief.heights, 1)
+        target.write(heights, 1)
+    return path
+
+
+def write_rows(path: Path, header: str, rows: Iterable[Iterable[object]]) -> Path:
+    """A CSV whose numbers read back to the same float64."""
+    text = (",".join(map(str, row)) for row in rows)
+    path.write_text("\n".join([header, *text]) + "\n")
     return path
 
 
@@ -219,7 +238,8 @@ def write_frames(scenario: FrameScenario, folder: Path, *, estimate_camera: bool
     for index, name in enumerate(names):
         written.append(write_image(folder / name, scenario.options.shape, scenario.chunks(index)))
     if scenario.scene.relief is not None:
-        written.append(write_dem(folder / "dem.tif", scenario.scene.relief))
+        relief = scenario.scene.relief
+        written.append(write_dem(folder / "dem.tif", relief.heights, relief.transform))
     written.append(write_table(folder / "truth.csv", "t,roll,pitch,yaw", scenario.truth))
     times = np.column_stack([scenario.nominal_times, scenario.times])
     written.append(write_table(folder / "truth-frames.csv", "time_written,time_true", times))

@@ -21,14 +21,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import warnings
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.geometry.rotations import to_quat_xyzw
-from sightline.simulate.files import write_dem
+from sightline.simulate.files import write_dem, write_rows
 from sightline.simulate.sequence import EPOCH, SequenceScenario
 from sightline.simulate.texture import Array
 
@@ -69,10 +68,12 @@ def write_sequence(
     images = [f"frames/{_frame_name(frame, image_format)}" for frame in scenario.frames]
     t = scenario.poses[0][list(scenario.frames)].tolist()
     rows = zip(scenario.frames, t, images, strict=True)
-    written.append(_write_rows(folder / "frames.csv", "frame,t,image", rows))
+    written.append(write_rows(folder / "frames.csv", "frame,t,image", rows))
     written += _write_told(scenario, folder)
     if dem:
-        written.append(write_dem(folder / "dem.tif", scenario.ground.relief))
+        written.append(
+            write_dem(folder / "dem.tif", scenario.ground.relief.heights, scenario.ground.relief.transform)
+        )
     written += _write_truth(scenario, folder)
     if truth_bands:
         written.append(_write_truth_bands(scenario, folder / "truth-bands.tif", truth_bands))
@@ -163,13 +164,6 @@ def _write_image(path: Path, image: NDArray[np.generic]) -> None:
             target.write(image)
 
 
-def _write_rows(path: Path, header: str, rows: Iterable[Iterable[object]]) -> Path:
-    """A CSV whose numbers read back to the same float64."""
-    text = (",".join(map(str, row)) for row in rows)
-    path.write_text("\n".join([header, *text]) + "\n")
-    return path
-
-
 def _write_told(scenario: SequenceScenario, folder: Path) -> list[Path]:
     """Positions and attitudes that are told, of the frames that are delivered."""
     options, frames = scenario.options, list(scenario.frames)
@@ -187,7 +181,7 @@ def _write_told(scenario: SequenceScenario, folder: Path) -> list[Path]:
         if sigma > 0.0:
             table = np.column_stack([t, values[frames], np.full((len(frames), 3), sigma)]).tolist()
             rows = ([frame, *row] for frame, row in zip(frames, table, strict=True))
-            written.append(_write_rows(folder / f"{name}.csv", f"frame,t,{header}", rows))
+            written.append(write_rows(folder / f"{name}.csv", f"frame,t,{header}", rows))
     return written
 
 
@@ -198,13 +192,13 @@ def _write_truth(scenario: SequenceScenario, folder: Path) -> list[Path]:
     rows = ([frame, *row] for frame, row in zip(frames, table, strict=True))
     place, turn = scenario.biases
     written = [
-        _write_rows(folder / "poses-truth.csv", f"frame,t,{_POSE}", rows),
-        _write_rows(
+        write_rows(folder / "poses-truth.csv", f"frame,t,{_POSE}", rows),
+        write_rows(
             folder / "truth-biases.csv",
             "quantity,x,y,z",
             [["position", *place.tolist()], ["attitude", *turn.tolist()]],
         ),
-        write_dem(folder / "truth-dem.tif", scenario.ground.relief),
+        write_dem(folder / "truth-dem.tif", scenario.ground.relief.heights, scenario.ground.relief.transform),
         _write_scene(scenario, folder / "truth-scene.json"),
     ]
     if scenario.options.readout_time:
@@ -222,7 +216,7 @@ def _write_lines(scenario: SequenceScenario, path: Path) -> Path:
         position, attitude = scenario.flight.at(scenario.flight.leg_of(frame), t)
         table = np.column_stack([lines, t, position, to_quat_xyzw(attitude)]).tolist()
         rows += [[frame, *row] for row in table]
-    return _write_rows(path, f"frame,line,t,{_POSE}", rows)
+    return write_rows(path, f"frame,line,t,{_POSE}", rows)
 
 
 def _write_scene(scenario: SequenceScenario, path: Path) -> Path:

@@ -5,12 +5,19 @@ Flights are drawn from their options in ``sequence.py``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sightline.errors import InputError
+from sightline.simulate.option_checks import (
+    check_finite,
+    check_least,
+    check_one_of,
+    check_positive,
+    check_within,
+)
 
 FILTERS = ("lvf", "stepwise", "mosaic", "rgb", "pan")
 SPECTRA = ("auto", "law", "rededge", "landsat")
@@ -137,32 +144,21 @@ class SequenceOptions:
     def __post_init__(self) -> None:
         """Refuse what cannot be flown."""
         for name, allowed in (("filter", FILTERS), ("spectra", SPECTRA), ("texture", TEXTURES)):
-            if getattr(self, name) not in allowed:
-                raise InputError(f"`{name}` must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
+            check_one_of(self, name, allowed)
         self._check_numbers()
         self._check_filter()
         self._check_frames()
 
     def _check_numbers(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, float) and not np.isfinite(value):
-                raise InputError(f"`{field.name}` must be finite, got {value}")
-        for name in ("focal_length_px", "altitude", "frame_rate", "relief_scale", "fwhm_nm", "snr"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"`{name}` must be positive, got {getattr(self, name)}")
-        for name in (
-            "jitter", "position_jitter", "position_sigma", "position_bias_sigma", "attitude_sigma",
-            "attitude_bias_sigma", "cross_lines", "contrast", "blur_px",
-        ):  # fmt: skip
-            if getattr(self, name) < 0:
-                raise InputError(f"`{name}` must be 0 or more, got {getattr(self, name)}")
+        check_finite(self)
+        check_positive(self, "focal_length_px", "altitude", "frame_rate", "relief_scale", "fwhm_nm", "snr")
+        check_least(self, 0, "jitter", "position_jitter", "position_sigma", "position_bias_sigma")
+        check_least(self, 0, "attitude_sigma", "attitude_bias_sigma", "cross_lines", "contrast", "blur_px")
         for name, low, high in (
             ("overlap", 0.0, 0.999), ("side_overlap", 0.0, 0.95), ("relief", 0.0, 0.2),
             ("mtf_nyquist", 1e-3, 0.9), ("bits", 4, 16), ("jitter", 0.0, 0.02),
         ):  # fmt: skip
-            if not low <= getattr(self, name) <= high:
-                raise InputError(f"`{name}` must be from {low:g} to {high:g}, got {getattr(self, name)}")
+            check_within(self, name, low, high)
         if not abs(self.readout_time) < 1.0 / self.frame_rate:
             raise InputError(
                 f"`readout_time` must be shorter than the {1.0 / self.frame_rate:g} s between frames, "

@@ -10,7 +10,6 @@ differ from zero ``truth-rates.csv`` and ``truth-focal.csv``. Their contents are
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +18,7 @@ from sightline.errors import InputError
 from sightline.geometry.surface import Dem
 from sightline.photogrammetry.point_priors import ControlPoints
 from sightline.photogrammetry.sightings import Images
+from sightline.simulate.files import write_dem, write_rows
 from sightline.simulate.stereo import EPOCH, StereoScenario
 from sightline.simulate.stereo_images import Sensor, write_stereo_images
 from sightline.simulate.texture import Array
@@ -56,7 +56,8 @@ def write_stereo(
     written = [_write_cameras(folder / "cameras.csv", scenario, scenario.images)]
     written += _write_frames(folder, scenario) if images else [_write_points(folder, scenario)]
     if scenario.height_prior is not None and isinstance(scenario.surface, Dem):
-        written.append(write_geographic_dem(folder / "dem.tif", scenario.surface))
+        dem = scenario.surface
+        written.append(write_dem(folder / "dem.tif", dem.heights, dem.transform, "EPSG:4326"))
     if control_points:
         known = scenario.control_points(control_points, control_sigma)
         written.append(_write_control(folder / "control_points.csv", known))
@@ -113,33 +114,6 @@ def _surface_lines(scenario: StereoScenario) -> list[str]:
     return ["", "[surface]", *lines] if lines else []
 
 
-def write_geographic_dem(path: Path, dem: Dem) -> Path:
-    """Heights above the ellipsoid as a float64 GeoTIFF in degrees of longitude and latitude."""
-    import rasterio
-    from rasterio.transform import Affine
-
-    rows, columns = dem.heights.shape
-    profile = {
-        "driver": "GTiff",
-        "dtype": "float64",
-        "count": 1,
-        "height": rows,
-        "width": columns,
-        "crs": "EPSG:4326",
-        "transform": Affine(*dem.transform),
-    }
-    with rasterio.open(path, "w", **profile) as target:
-        target.write(dem.heights, 1)
-    return path
-
-
-def _write_rows(path: Path, header: str, rows: Iterable[Iterable[object]]) -> Path:
-    """A CSV whose numbers read back to the same float64."""
-    text = (",".join(map(str, row)) for row in rows)
-    path.write_text("\n".join([header, *text]) + "\n")
-    return path
-
-
 def _write_cameras(path: Path, scenario: StereoScenario, images: Images) -> Path:
     """``cameras.csv``: one row per image, shot after shot of camera after camera."""
     numbers = np.column_stack([images.t, images.position, images.world_from_body.as_quat()]).tolist()
@@ -148,7 +122,7 @@ def _write_cameras(path: Path, scenario: StereoScenario, images: Images) -> Path
         [names[camera], shot, *values]
         for camera, shot, values in zip(images.camera, images.shot, numbers, strict=True)
     )
-    return _write_rows(path, "camera,shot,t,x,y,z,qx,qy,qz,qw", rows)
+    return write_rows(path, "camera,shot,t,x,y,z,qx,qy,qz,qw", rows)
 
 
 def _write_points(folder: Path, scenario: StereoScenario) -> Path:
@@ -158,12 +132,12 @@ def _write_points(folder: Path, scenario: StereoScenario) -> Path:
     if scenario.options.by_sighting:
         names = np.array(scenario.cameras)[camera]
         rows = zip(names, shot, tracks.point, *tracks.pixels.T.tolist(), strict=True)
-        return _write_rows(folder / "observations.csv", "camera,shot,point,line,column", rows)
+        return write_rows(folder / "observations.csv", "camera,shot,point,line,column", rows)
     # both cameras' sightings come by shot and point, and each has its partner
     first, second = (np.flatnonzero(camera == number) for number in (0, 1))
     pixels = np.hstack([tracks.pixels[first], tracks.pixels[second]])
     rows = zip(shot[first], tracks.point[first], *pixels.T.tolist(), strict=True)
-    return _write_rows(folder / "matches.csv", "shot,point,line_1,column_1,line_2,column_2", rows)
+    return write_rows(folder / "matches.csv", "shot,point,line_1,column_1,line_2,column_2", rows)
 
 
 def _write_frames(folder: Path, scenario: StereoScenario) -> list[Path]:
@@ -185,13 +159,13 @@ def _write_frames(folder: Path, scenario: StereoScenario) -> list[Path]:
 
 def _write_control(path: Path, known: ControlPoints) -> Path:
     rows = zip(*known.position.T.tolist(), known.sigma.tolist(), known.point, strict=True)
-    return _write_rows(path, "x,y,z,sigma,point", rows)
+    return write_rows(path, "x,y,z,sigma,point", rows)
 
 
 def _write_truth(folder: Path, scenario: StereoScenario, *, points: bool) -> list[Path]:
     def angles(name: str, values: Array) -> Path:
         rows = ([camera, *row] for camera, row in zip(scenario.cameras, values.tolist(), strict=True))
-        return _write_rows(folder / name, "camera,roll,pitch,yaw", rows)
+        return write_rows(folder / name, "camera,roll,pitch,yaw", rows)
 
     written = [
         angles("orientation-truth.csv", scenario.angles),
@@ -199,7 +173,7 @@ def _write_truth(folder: Path, scenario: StereoScenario, *, points: bool) -> lis
     ]
     if points:
         written += [
-            _write_rows(
+            write_rows(
                 folder / "truth-points.csv",
                 "point,x,y,z",
                 ([point, *place] for point, place in enumerate(scenario.points.tolist())),
@@ -211,7 +185,7 @@ def _write_truth(folder: Path, scenario: StereoScenario, *, points: bool) -> lis
     if scenario.options.focal_error:
         focal = [d.focal_length_px for d in scenario.detectors]
         rows = zip(scenario.cameras, focal, strict=True)
-        written.append(_write_rows(folder / "truth-focal.csv", "camera,focal_length_px", rows))
+        written.append(write_rows(folder / "truth-focal.csv", "camera,focal_length_px", rows))
     return written
 
 
@@ -222,4 +196,4 @@ def _write_mismatches(path: Path, scenario: StereoScenario) -> Path:
     names = np.array(scenario.cameras)[scenario.images.camera[image]]
     shot, point = scenario.images.shot[image], scenario.tracks.point[wrong]
     rows = zip(names, shot, point, *scenario.displacement[wrong].T.tolist(), strict=True)
-    return _write_rows(path, "camera,shot,point,line,column", rows)
+    return write_rows(path, "camera,shot,point,line,column", rows)

@@ -5,13 +5,20 @@ Passes are drawn from their options in ``stereo.py``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from sightline.errors import InputError
 from sightline.geometry.units import ARCSEC
+from sightline.simulate.option_checks import (
+    check_finite,
+    check_least,
+    check_one_of,
+    check_positive,
+    check_within,
+)
 
 """rad"""
 
@@ -152,28 +159,17 @@ class StereoOptions:
             ("relief", RELIEFS), ("jitter", JITTERS), ("attitude_knowledge", KNOWLEDGE), ("earth", EARTHS),
             ("signs", SIGNS),
         ):  # fmt: skip
-            if getattr(self, name) not in allowed:
-                raise InputError(f"`{name}` must be one of {', '.join(allowed)}, got {getattr(self, name)!r}")
+            check_one_of(self, name, allowed)
         self._check_numbers()
         self._check_sharing()
 
     def _check_numbers(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if isinstance(value, float) and not np.isfinite(value):
-                raise InputError(f"`{field.name}` must be finite, got {value}")
-        for name in ("fov", "scene_size", "sigma_px", "jitter_frequency"):
-            if not getattr(self, name) > 0.0:
-                raise InputError(f"`{name}` must be positive, got {getattr(self, name)}")
-        for name in (
-            "relief_range", "ground_size", "dem_sigma", "sigma_position", "sigma_attitude", "noise_scale",
-            "lines",
-        ):  # fmt: skip
-            if getattr(self, name) < 0:
-                raise InputError(f"`{name}` must be 0 or more, got {getattr(self, name)}")
-        for name, least in (("points", 1), ("shots", 1), ("columns", 16)):
-            if getattr(self, name) < least:
-                raise InputError(f"`{name}` must be {least} or more, got {getattr(self, name)}")
+        check_finite(self)
+        check_positive(self, "fov", "scene_size", "sigma_px", "jitter_frequency")
+        check_least(self, 0, "relief_range", "ground_size", "dem_sigma", "sigma_position", "sigma_attitude")
+        check_least(self, 0, "noise_scale", "lines")
+        check_least(self, 1, "points", "shots")
+        check_least(self, 16, "columns")
         if 0 < self.lines < 16:
             raise InputError(f"`lines` must be 16 or more, or 0 for as many as columns, got {self.lines}")
         if not self.fov < np.radians(120.0):
@@ -186,9 +182,8 @@ class StereoOptions:
             raise InputError(f"`focal_error` must be between -0.5 and 0.5, got {self.focal_error}")
 
     def _check_sharing(self) -> None:
-        for name, most in (("mismatch_share", 0.9), ("missing_images", 0.9)):
-            if not 0.0 <= getattr(self, name) <= most:
-                raise InputError(f"`{name}` must be from 0 to {most}, got {getattr(self, name)}")
+        check_within(self, "mismatch_share", 0.0, 0.9)
+        check_within(self, "missing_images", 0.0, 0.9)
         if not 0.0 < self.match_share <= 1.0:
             raise InputError(f"`match_share` must be above 0 and up to 1, got {self.match_share}")
         fewest, most_shots = self.track_shots
