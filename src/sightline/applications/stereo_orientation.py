@@ -414,12 +414,18 @@ def _stretches(found: Adjustment, cameras: int) -> tuple[Array | None, Array | N
     return frozen(value), frozen(sigma)
 
 
-#: Sigma of a focal length that is sought freely from which on it counts as not observable (relative).
-_LOOSE_FOCAL = 0.02
+#: Relative sigma from which on a focal length that is sought freely counts as not observable; share of the
+#: sigma known beforehand from which on the data told nothing.
+_LOOSE_FOCAL, _UNTOLD_SHARE = 0.02, 0.5
 #: Departure of chi-square per degree of freedom from 1 that is spoken of, in its own sigmas, and at least.
 CHI_SIGMAS, CHI_SHARE = 3.0, 0.1
 #: The same of the size of the poses' own errors.
 _POSE_SIGMAS, _POSE_SHARE = 4.0, 0.15
+
+
+def focal_length_seen(sigma: float, before: float) -> bool:
+    """Whether data told a focal length, by its relative sigma after and before (inf: sought freely)."""
+    return bool(sigma <= (_UNTOLD_SHARE * before if np.isfinite(before) else _LOOSE_FOCAL))
 
 
 def _adjustment_warnings(
@@ -454,7 +460,7 @@ def _adjustment_warnings(
     if stretch_sigma is not None:
         for camera, sigma in enumerate(stretch_sigma):
             prior = (focal_sigma or ())[camera]
-            if prior > 0.0 and sigma > (0.5 * prior if np.isfinite(prior) else _LOOSE_FOCAL):
+            if prior > 0.0 and not focal_length_seen(sigma, prior):
                 said.append(
                     f"the focal length of camera {camera + 1} is not observable: its sigma is "
                     f"{100 * sigma:.2g} % after the adjustment; keep it fixed, or give control points spread "

@@ -17,12 +17,12 @@ from sightline.io.results import write_json
 from sightline.io.stereo import Stereo
 from sightline.io.stereo_plan import PlannedPass
 from sightline.io.stereo_results import (
-    ORIENTATION,
     baseline_turn,
     improvement_entry,
     principal_sigmas,
     unobservable,
     write_covariance,
+    write_orientation,
 )
 from sightline.io.tables import write_columns
 
@@ -51,13 +51,8 @@ def write_prediction(
     dict
         The summary, as in ``summary.json``.
     """
-    names = np.array(predicted.cameras, dtype=str)
     unknown = np.full(predicted.sigmas.shape, np.nan)
-    write_columns(
-        folder / "orientation.csv",
-        dict(zip(ORIENTATION, [names, *unknown.T, *predicted.sigmas.T], strict=True)),
-        dict.fromkeys(ORIENTATION, "%.17g"),
-    )
+    write_orientation(folder / "orientation.csv", predicted.cameras, unknown, predicted.sigmas)
     write_covariance(folder / "covariance.csv", predicted.cameras, predicted.covariance)
     if predicted.tables:
         _write_tables(folder / "tables.csv", predicted)

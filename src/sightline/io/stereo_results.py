@@ -59,7 +59,7 @@ def write_stereo_result(
     dict
         The summary, as in ``summary.json``.
     """
-    write_orientation(folder / "orientation.csv", result)
+    write_orientation(folder / "orientation.csv", result.cameras, result.angles, result.sigma)
     write_covariance(folder / "covariance.csv", result.cameras, result.covariance)
     write_matches_used(folder / "matches_used.csv", stereo, result)
     write_points(folder / "points.csv", stereo.problem, result)
@@ -69,10 +69,9 @@ def write_stereo_result(
     return summary
 
 
-def write_orientation(path: Path, result: StereoOrientation) -> None:
+def write_orientation(path: Path, cameras: tuple[str, ...], angles: Array, sigma: Array) -> None:
     """``orientation.csv``: a row per camera, rad; nan and inf where an angle is not observable."""
-    sigma = result.sigma
-    values = [np.array(result.cameras, dtype=str), *result.angles.T, *sigma.T]
+    values = [np.array(cameras, dtype=str), *angles.T, *sigma.T]
     write_columns(path, dict(zip(ORIENTATION, values, strict=True)), dict.fromkeys(ORIENTATION, "%.17g"))
 
 

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
+from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem, focal_length_seen
 from sightline.evaluation.direction_words import AXES
 from sightline.geometry.units import ARCSEC
 from sightline.report.stereo_height_figure import PointHeights
@@ -19,9 +19,6 @@ from sightline.report.words import digits
 SHORT_WINDOW = 60.0
 #: arcsec from which on a sigma is said in degrees.
 IN_DEGREES = 1000.0
-#: Relative sigma from which on a focal length that is sought freely counts as not observable; share of the
-#: sigma known beforehand from which on the data told nothing.
-LOOSE_FOCAL, UNTOLD_SHARE = 0.02, 0.5
 #: Share of the variance of heights that must be alike in all points to be called common to them.
 SHARED = 0.75
 
@@ -74,8 +71,7 @@ def focal_rows(problem: StereoProblem, result: StereoOrientation) -> list[list[s
         told, value, sigma = problem.detectors[c].focal_length_px, result.stretch[c], result.stretch_sigma[c]
         if before == 0.0:
             continue
-        loosest = UNTOLD_SHARE * before if math.isfinite(before) else LOOSE_FOCAL
-        if not sigma <= loosest:
+        if not focal_length_seen(sigma, before):
             rows.append([camera, *["not observable"] * 3])
             continue
         length = with_sigma(told * (1.0 + value), told * sigma).lstrip("+")
