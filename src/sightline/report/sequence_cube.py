@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 OVERVIEW, DETAIL, MAP_CELLS = 260_000, (200, 330), 60_000
 #: Pairs of bands that are drawn at most.
 PAIRS = 3000
+#: Rows over columns from which on pictures are laid on their side.
+TALL = 1.6
 #: Share of a detail that may have no value.
 _GAP = 0.02
 
@@ -108,37 +110,50 @@ def sliders(cube: CubeView) -> list[Slider]:
     """The whole ground reduced, and a detail pixel by pixel."""
     rows, columns = cube.after.shape[:2]
     every = max(int(np.ceil(np.sqrt(rows * columns / OVERVIEW))), 1)
-    size = f"{digits(columns * cube.pixel_size, 3)} m x {digits(rows * cube.pixel_size, 3)} m"
-    reduced = f"every {every}th pixel" if every > 1 else "every pixel"
+    size = f"{digits(columns * cube.pixel_size, 3)} m × {digits(rows * cube.pixel_size, 3)} m"
+    reduced = f", means of {every} × {every} pixels" if every > 1 else ""
     names = ", ".join(
         f"{nm:.0f} nm in {hue}" for nm, hue in zip(cube.rgb_nm, ("red", "green", "blue"), strict=True)
     )
-    out = [_slider("overview", f"The whole ground ({size}, {reduced}): {names}.", cube, (0, 0), None, every)]
-    place = _busiest(cube)
+    turned = ", turned so that its first row is at the left" if _turned(cube) else ""
+    pictures = [_reduced(picture, every) for picture in (cube.before, cube.after) if picture is not None]
+    if turned:
+        pictures = [np.rot90(picture) for picture in pictures]
+    out = [_slider("overview", f"The whole ground ({size}{reduced}){turned}: {names}.", pictures)]
     if every > 1 or rows > DETAIL[0] or columns > DETAIL[1]:
+        first = _busiest(cube)
+        part = tuple(slice(f, f + n) for f, n in zip(first, DETAIL, strict=True))
+        last = [min(p.stop, n) - 1 for p, n in zip(part, (rows, columns), strict=True)]
         caption = (
-            f"A detail pixel by pixel, rows {place[0]} to {min(place[0] + DETAIL[0], rows) - 1}, columns "
-            f"{place[1]} to {min(place[1] + DETAIL[1], columns) - 1}: coloured rims are misfit of bands, "
-            "colours of whole areas are those of the ground."
+            f"A detail pixel by pixel, rows {first[0]} to {last[0]}, columns {first[1]} to {last[1]}: coloured "
+            "rims are misfit of bands, colours of whole areas are those of the ground."
         )
-        out.append(_slider("detail", caption, cube, place, DETAIL, 1))
+        crops = [picture[part] for picture in (cube.before, cube.after) if picture is not None]
+        out.append(_slider("detail", caption, crops))
     return out
 
 
-def _slider(
-    name: str, caption: str, cube: CubeView, first: tuple[int, int], size: tuple[int, int] | None, every: int
-) -> Slider:
-    """Crops of both pictures with one stretch of their tones."""
-    last = cube.after.shape[:2] if size is None else (first[0] + size[0], first[1] + size[1])
-    part = (slice(first[0], last[0], every), slice(first[1], last[1], every))
-    shown = [picture[part] for picture in (cube.before, cube.after) if picture is not None]
-    rows = shown[0].shape[0]
-    both = np.concatenate(shown)
+def _turned(cube: CubeView) -> bool:
+    """Whether the ground is so tall that it is laid on its side."""
+    return cube.after.shape[0] > TALL * cube.after.shape[1]
+
+
+def _reduced(picture: Array, every: int) -> Array:
+    """Means of blocks, NaN where any pixel has no value."""
+    if every == 1:
+        return picture
+    rows, columns = (max(n // every, 1) for n in picture.shape[:2])
+    part = picture[: rows * every, : columns * every]
+    return np.asarray(part.reshape(rows, -1, columns, part.shape[1] // columns, 3).mean(axis=(1, 3)))
+
+
+def _slider(name: str, caption: str, pictures: list[Array]) -> Slider:
+    """Pictures with one stretch of their tones: (before and) after."""
+    rows, columns = pictures[0].shape[:2]
+    both = np.concatenate(pictures)
     drawn = colours([both[..., band] for band in range(3)])
-    pictures = [data_png(drawn[k * rows : (k + 1) * rows]) for k in range(len(shown))]
-    return Slider(
-        name, caption, pictures[0] if len(shown) == 2 else None, pictures[-1], drawn.shape[1], rows
-    )
+    coded = [data_png(drawn[k * rows : (k + 1) * rows]) for k in range(len(pictures))]
+    return Slider(name, caption, coded[0] if len(coded) == 2 else None, coded[-1], columns, rows)
 
 
 def _busiest(cube: CubeView) -> tuple[int, int]:
@@ -167,21 +182,24 @@ def error_map_figure(cube: CubeView) -> go.Figure | None:
     every = max(int(np.ceil(np.sqrt(cube.error_px.size / MAP_CELLS))), 1)
     shown = _block_rms(cube.error_px, every)
     size = np.array(cube.after.shape[:2]) * cube.pixel_size
-    y, x = ((np.arange(n) + 0.5) / n * whole for n, whole in zip(shown.shape, size, strict=True))
+    down, along = ((np.arange(n) + 0.5) / n * whole for n, whole in zip(shown.shape, size, strict=True))
+    names = ("from the first column (m)", "from the first row (m)")
+    x, y, tall = along, down, float(size[0] / size[1])
+    if _turned(cube):
+        x, y, shown, names, tall = down, along, shown.T, names[::-1], 1.0 / tall
     figure = go.Figure()
-    figure.update_layout(
-        template=TEMPLATE, height=int(np.clip(140 + 1000 * size[0] / size[1], 320, 720)), margin_t=30
-    )
+    height = int(np.clip(110 + 900 * tall, 240, 720))
+    figure.update_layout(template=TEMPLATE, height=height, margin_t=30)
     figure.add_heatmap(
         x=small(x), y=small(y), z=small(shown), colorscale="Cividis", zmin=0.0,
         zmax=float(np.nanpercentile(shown, 99.0)),
         colorbar={"title": {"text": "px rms", "side": "right"}, "thickness": 12, "outlinewidth": 0},
         hovertemplate="%{x:.4g} m, %{y:.4g} m: %{z:.3f} px<extra></extra>",
     )  # fmt: skip
-    figure.update_xaxes(title_text="across the cube, from its first column (m)", constrain="domain")
-    figure.update_yaxes(
-        title_text="from its first row (m)", autorange="reversed", scaleanchor="x", constrain="domain"
-    )
+    figure.update_xaxes(title_text=names[0], constrain="domain")
+    # as in the picture: rows run down, or the first column is at the bottom where it is turned
+    direction = True if _turned(cube) else "reversed"
+    figure.update_yaxes(title_text=names[1], autorange=direction, scaleanchor="x", constrain="domain")
     return figure
 
 
@@ -227,14 +245,14 @@ def pair_figure(cube: CubeView) -> go.Figure | None:
 def coverage_figure(cube: CubeView) -> go.Figure:
     """Share of the ground with a value, band by band."""
     figure = panels(1, 320, top=30)
-    figure.add_bar(
-        x=cube.wavelength_nm, y=100.0 * cube.coverage, marker_color=AFTER, showlegend=False,
+    figure.add_scatter(
+        x=cube.wavelength_nm, y=100.0 * cube.coverage, mode="lines+markers", showlegend=False,
+        line={"color": AFTER, "width": 1}, marker={"size": 6},
         hovertemplate="%{x:.1f} nm: %{y:.2f} %<extra></extra>",
     )  # fmt: skip
     low = float(np.floor(100.0 * cube.coverage.min() - 0.5))
     low = low if low > 80.0 else 0.0
-    note = "" if low == 0.0 else f", from {low:.0f} % on"
-    figure.update_yaxes(title_text=f"ground with a value (%{note})", range=[low, 100.0])
+    figure.update_yaxes(title_text="ground with a value (%)", range=[low, 100.0 + 0.03 * (100.0 - low)])
     figure.update_xaxes(title_text="wavelength (nm)")
     return figure
 
@@ -244,7 +262,7 @@ def cube_sentences(cube: CubeView) -> list[str]:
     rows, columns = cube.after.shape[:2]
     out = [
         f"The cube has {len(cube.wavelength_nm)} bands from {cube.wavelength_nm.min():.0f} to "
-        f"{cube.wavelength_nm.max():.0f} nm of {rows:,} x {columns:,} pixels of "
+        f"{cube.wavelength_nm.max():.0f} nm of {rows:,} × {columns:,} pixels of "
         f"{digits(cube.pixel_size, 3)} m; a band has a value on {100.0 * cube.coverage.min():.1f} to "
         f"{100.0 * cube.coverage.max():.1f} % of the ground it could see."
     ]

@@ -91,7 +91,8 @@ def _graph(figure: go.Figure, view: SequenceView, shared: Shared) -> None:
     slim = bool(span.max() > 5.0 * span.min())
     unit, scale = ("km", 1e-3) if span.max() > 2e4 else ("m", 1.0)
     # arcs are bent as they look, not as they lie
-    size = np.array([500.0, 430.0]) / (np.maximum(span, 0.05 * span.max()) if slim else np.full(2, span.max()))
+    shown = np.maximum(1.5 * span, 0.1 * span.max()) if slim else np.full(2, span.max())
+    size = np.array([450.0, 430.0]) / shown
     first, second = np.nonzero(np.triu(shared.points, 1))
     number = shared.points[first, second]
     order = np.argsort(-number)[:EDGES]
@@ -125,7 +126,7 @@ def _graph(figure: go.Figure, view: SequenceView, shared: Shared) -> None:
     if slim:
         figure.layout.annotations[0].text += " (axes of different scale)"
         middle = 0.5 * (place[:, int(np.argmin(span))].min() + place[:, int(np.argmin(span))].max())
-        half = max(0.75 * float(span.min()), 0.05 * float(span.max()))
+        half = 0.5 * float(shown[int(np.argmin(span))])
         narrow = figure.update_xaxes if np.argmin(span) == 0 else figure.update_yaxes
         narrow(range=[scale * (middle - half), scale * (middle + half)], row=1, col=1)
 

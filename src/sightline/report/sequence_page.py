@@ -92,7 +92,7 @@ def about(problem: SequenceProblem, summary: Mapping[str, Any], view: SequenceVi
     """One line under the title."""
     lines, columns = problem.detector.shape
     parts = [
-        f"Poses of {len(problem):,} frames of {lines} x {columns} px by Sightline {summary['version']}",
+        f"Poses of {len(problem):,} frames of {lines} × {columns} px by Sightline {summary['version']}",
         *([f"t = 0 is {problem.epoch}"] if problem.epoch else []),
     ]
     if view.origin is not None:
@@ -129,18 +129,18 @@ def sections(problem: SequenceProblem, found: SequencePoses, view: SequenceView)
         Section(
             "residuals",
             "Reprojection error along the sequence",
-            "How far points seen in a frame lie from where the solution puts them. Rises above the dotted "
-            "line are frames that blur, that show moving things, or whose path within the frame is not as "
-            "modelled; far below it the stated sigmas are wide, because the drift of windows is in them.",
+            "How far points seen in a frame lie from where the solution puts them. Frames that stand out above "
+            "the dotted line blur, show moving things, or moved while they were read out otherwise than "
+            "modelled.",
             sequence_figures.residual_figure(view, problem.epoch),
         ),
         Section(
             "parameters",
             "Six parameters against time",
-            "Line: what was found, less an even path (positions: quadratic in time; angles: an even turn) of "
-            "each stretch, so that jitter can be seen. Dots: what the tables told of the same; their distance "
-            "from the line is the tables' noise and constant error. The band holds the absolute value 95 "
-            "times in 100: it moves as a whole.",
+            "Lines: what was found, less an even path of each stretch (positions: even acceleration; angles: an "
+            "even turn), so that jitter can be seen. Left: with what the tables told of the same, whose distance "
+            "from the line is their noise and constant error, and the band that holds the absolute value 95 "
+            "times in 100; it moves mostly as a whole. Right: the lines by themselves, at a scale of their own.",
             sequence_figures.departure_figure(view, problem.epoch),
         ),
         Section(

@@ -23,11 +23,13 @@ Index = NDArray[np.intp]
 #: Radius in sigmas of the ellipse that holds two numbers 95 times in 100.
 SIGMA_95 = 2.4477
 #: Ellipses, and points of the path, that are drawn at most.
-ELLIPSES, PATH_POINTS = 24, 1500
+ELLIPSES, PATH_POINTS = 20, 1500
 #: px: size of the panels, and the half axis that a typical ellipse needs to be seen.
 PANEL, SEEN_PX = (500, 430), 7.0
 #: How much longer than wide a path is before the two directions are drawn at different scales.
 SLIM = 5.0
+#: Pauses up to which each has a rule.
+_RULES = 30
 #: Size of a panel over what is in it.
 _ROOM = 1.08
 _ELLIPSE = "#7b4ea3"
@@ -130,11 +132,11 @@ def _title(name: str, panel: Drawn) -> str:
         if times > 1.05:
             larger = int(np.argmax(px))
             names = [axis.split(" (")[0] for axis in panel.axes]
-            said.append(f"{names[larger]} drawn about {_round(times)} x as large as {names[1 - larger]}")
+            said.append(f"{names[larger]} drawn about {_round(times)} × as large as {names[1 - larger]}")
     if not np.isfinite(panel.covariance).all(axis=(1, 2)).any():
         said.append("no ellipses: positions are not tied")
     elif panel.enlarged > 1.0:
-        said.append(f"ellipses {panel.enlarged:g} x too large")
+        said.append(f"ellipses {panel.enlarged:g} × too large")
     return f"{name}: {', '.join(said)}" if said else f"{name}, true to scale, ellipses too"
 
 
@@ -150,7 +152,7 @@ def _panel(figure: go.Figure, view: SequenceView, panel: Drawn, col: int) -> Non
     if len(told):
         figure.add_scatter(
             x=panel.told[told, 0], y=panel.told[told, 1], row=1, col=col, mode="markers", showlegend=first,
-            marker={"size": 4, "color": TOLD, "opacity": 0.6}, name="told by the tables",
+            marker={"size": 4.5, "color": TOLD, "opacity": 0.8}, name="told by the tables",
             legendgroup="told", hoverinfo="skip",
         )  # fmt: skip
     _ellipses(figure, view, panel, col)
@@ -177,6 +179,9 @@ def _panel(figure: go.Figure, view: SequenceView, panel: Drawn, col: int) -> Non
             marker={"size": 9, "color": INK, "symbol": "triangle-up-open", "line": {"width": 1.6}},
             name="control points", legendgroup="control",
         )  # fmt: skip
+    for k in np.flatnonzero(np.diff(view.stretch)) if col == 2 and view.stretch[-1] <= _RULES else ():
+        place = float(panel.place[k : k + 2, 0].mean())
+        figure.add_vline(x=place, line={"color": "#b8c0c8", "width": 1, "dash": "dot"}, row=1, col=2)
     low, high = panel.limits(panel.enlarged)
     rim = 0.5 * (_ROOM - 1.0) * (high - low)
     ranges = [[low[k] - rim[k], high[k] + rim[k]] for k in (0, 1)]
@@ -198,13 +203,27 @@ def _broken(values: Array, rows: Index) -> Array:
     return np.where(rows >= 0, values[rows], np.nan)
 
 
+def _readable(view: SequenceView, panel: Drawn, known: Index) -> int:
+    """How many ellipses lie beside each other along the path without hiding it."""
+    scale = panel.px_per_unit(panel.enlarged)
+    covariance = panel.covariance[known] * panel.enlarged**2
+    step = np.diff(panel.place, axis=0) * (np.diff(view.stretch) == 0)[:, None]
+    length = float(np.linalg.norm(step * scale, axis=1).sum())
+    # the half axis that lies along the path on the whole
+    along = np.linalg.norm(step, axis=0)
+    along = along / max(float(np.linalg.norm(along)), 1e-12)
+    half = SIGMA_95 * np.sqrt(np.einsum("i,kij,j->k", along, covariance, along))
+    size = 2.0 * float(np.median(half)) * float(scale @ along)
+    return int(np.clip(1.5 * length / max(size, 1e-9), 5, ELLIPSES))
+
+
 def _ellipses(figure: go.Figure, view: SequenceView, panel: Drawn, col: int) -> None:
     """95 % ellipses of some frames, all as one broken line."""
     known = np.flatnonzero(np.isfinite(panel.covariance).all(axis=(1, 2)))
-    rows = thinned(known, ELLIPSES)
-    if not len(rows):
+    if not len(known):
         return
     times = panel.enlarged
+    rows = thinned(known, _readable(view, panel, known))
     turn = np.linspace(0.0, 2.0 * np.pi, 49)
     circle = np.stack([np.cos(turn), np.sin(turn)])
     values, vectors = np.linalg.eigh(panel.covariance[rows])
@@ -215,6 +234,6 @@ def _ellipses(figure: go.Figure, view: SequenceView, panel: Drawn, col: int) -> 
     x, y = (small(ring[:, axis].ravel() - middle[axis]) + middle[axis] for axis in (0, 1))
     figure.add_scatter(
         x=x, y=y, row=1, col=col, mode="lines", line={"color": _ELLIPSE, "width": 1}, opacity=0.75,
-        name=f"95 % ellipses of the absolute position (of {len(rows)} frames)", legendgroup="ellipses",
+        name="95 % ellipses of the absolute position of some frames", legendgroup="ellipses",
         showlegend=col == 1, hoverinfo="skip",
     )  # fmt: skip

@@ -57,7 +57,8 @@ class SequenceView:
     ground_sigma_px : (M, 2)
         px, 1-sigma of where the middle of the frame meets the ground: worst direction, best direction.
     rms_px, noise_px : (M,)
-        px per coordinate: of the residuals of good sightings, and as their sigmas say; NaN without any.
+        px per coordinate: of the residuals of good sightings, and as the matcher states their noise, without
+        the drift of windows; NaN without any.
     sightings, rejected : (M,) int
         Good ones, and those left out.
     kind : (M,) int
@@ -245,9 +246,12 @@ def _residuals(found: SequencePoses, count: int) -> tuple[Array, Array, NDArray[
     tracks, rejected = found.tracks, np.asarray(found.poses.rejected)
     image = tracks.image[~rejected]
     number = np.bincount(image, minlength=count)
+    sigma = np.array(tracks.sigma_px)
+    # windows followed come first; the noise of the solution has their drift in it
+    sigma[: len(found.followed.sigma_px)] = found.followed.sigma_px
     sums = [
         np.bincount(image, square[~rejected], minlength=count)
-        for square in (0.5 * (found.poses.residual_px**2).sum(axis=1), tracks.sigma_px**2)
+        for square in (0.5 * (found.poses.residual_px**2).sum(axis=1), sigma**2)
     ]
     rms, noise = (np.sqrt(np.where(number, total, np.nan) / np.maximum(number, 1)) for total in sums)
     out = np.bincount(tracks.image[rejected], minlength=count)

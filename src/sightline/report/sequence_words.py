@@ -27,6 +27,10 @@ UNTOLD = 0.9
 #: Rows of a table at most, and rows from which on it is folded up.
 MOST_ROWS, FOLDED = 1000, 12
 
+#: What a constant error is called, by its sigma over that known beforehand.
+BIAS_VERDICTS = (
+    (UNTOLD, "not observable: known no better than beforehand"), (0.5, "hardly observable"), (0.0, "observable"),
+)  # fmt: skip
 BIAS_HEADS = ["constant error of the tables", "found", "1 sigma", "known beforehand (1 sigma)", "verdict"]
 BOW_HEADS = [
     "stretch", "frames", "length (m)", "duration (s)", "roll (deg)", "pitch (deg)", "yaw (deg)", "verdict",
@@ -97,14 +101,21 @@ def _fit(found: SequencePoses, view: SequenceView) -> str:
         return ""
     good = ~rejected
     rms = float(np.sqrt(0.5 * (found.poses.residual_px[good] ** 2).sum(axis=1).mean()))
-    noise = float(np.sqrt((found.tracks.sigma_px[good] ** 2).mean()))
+    own = float(np.sqrt((found.followed.sigma_px**2).mean()))
+    whole = float(np.sqrt((found.tracks.sigma_px[good] ** 2).mean()))
     points = int(np.isfinite(found.poses.points).all(axis=1).sum())
-    return (
+    gross = f"{int(rejected.sum()):,} ({digits(100.0 * float(rejected.mean()), 2)} %)" if rejected.any() else "none"
+    text = (
         f"{several(int(good.sum()), 'sighting')} of {several(points, 'point')} are left with "
-        f"{digits(rms, 2)} px rms per coordinate (their stated sigmas: {digits(noise, 2)} px, in which drift of "
-        f"a window that its own points take up is counted); {digits(100.0 * float(rejected.mean()), 2)} % "
-        "were rejected as gross errors."
+        f"{digits(rms, 2)} px rms per coordinate; the matcher states a noise of {digits(own, 2)} px. "
+        f"{_capital(gross)} of the sightings were rejected as gross errors."
     )
+    if whole > 1.2 * own:
+        text += (
+            f" Windows drift slowly as their wavelength changes: the sigmas hold {digits(whole, 2)} px for "
+            "that, which residuals do not show because the places of the points follow it."
+        )
+    return text
 
 
 def bias_rows(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]:
@@ -119,14 +130,15 @@ def bias_rows(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]
             continue
         factor, unit = (1.0, "m") if k < 3 else (float(np.degrees(1.0)), "deg")
         value, sigma = factor * found.poses.bias[k], factor * sigmas[k]
-        told = sigma < UNTOLD * factor * before
+        share = sigma / (factor * before)
+        verdict = next(words for least, words in BIAS_VERDICTS if share >= least)
         rows.append(
             [
                 name,
-                f"{with_sigma(value, sigma).split(' ')[0]} {unit}" if told else "–",
+                f"{with_sigma(value, sigma)} {unit}" if share < UNTOLD else "–",
                 f"{digits(sigma, 2)} {unit}",
                 f"{digits(factor * before, 2)} {unit}",
-                "found" if told else "not observable: known no better than beforehand",
+                verdict,
             ]
         )
     return rows
@@ -137,11 +149,14 @@ def _biases(problem: SequenceProblem, found: SequencePoses) -> str:
     rows = bias_rows(problem, found)
     if not rows:
         return ""
-    told = [f"{name} {value.split(' ')[0]} ± {sigma}" for name, value, sigma, _, ok in rows if ok == "found"]
-    other = [name for name, _, _, _, ok in rows if ok != "found"]
+    told = [f"{name} {value}" for name, value, _, _, verdict in rows if verdict == "observable"]
+    hardly = [f"{name} {value}" for name, value, _, _, verdict in rows if verdict == "hardly observable"]
+    other = [name for name, value, _, _, _ in rows if value == "–"]
     parts = []
     if told:
         parts.append(f"Constant errors found of the tables (table less truth): {'; '.join(told)}.")
+    if hardly:
+        parts.append(f"Hardly observable: {'; '.join(hardly)}.")
     if other:
         parts.append(
             f"Nothing tells the constant error of {_listed(other)} better than it was known beforehand: control "
@@ -197,7 +212,13 @@ def _bow(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> 
         for axis, b in zip(PARAMETERS[3:], worst, strict=True)
         if np.isfinite(b)
     ]
-    text = f"{which} may be bent from its first frame to its last by (1 sigma, rms along it): " + "; ".join(parts)
+    text = (
+        f"The bow is observable: {which.lower()} may be bent from its first frame to its last by (1 sigma, rms "
+        f"along it, the worst one's): {'; '.join(parts)}"
+        if len(groups) > 1
+        else f"The bow is observable: the strip may be bent from its first frame to its last by (1 sigma, rms "
+        f"along it): {'; '.join(parts)}"
+    )
     if not parts:
         text = f"Nothing tells how {which.lower()} is bent from its first frame to its last"
     if hidden:
@@ -288,6 +309,10 @@ def stage_rows(found: SequencePoses) -> list[list[str]]:
     return [
         [name, f"{s:.2f}", f"{100.0 * s / max(whole, 1e-9):.0f}", f"{1e3 * s / count:.1f}"] for name, s in every
     ]
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _number(value: float, form: str) -> str:
