@@ -125,8 +125,8 @@ def sliders(cube: CubeView) -> list[Slider]:
         part = tuple(slice(f, f + n) for f, n in zip(first, DETAIL, strict=True))
         last = [min(p.stop, n) - 1 for p, n in zip(part, (rows, columns), strict=True)]
         caption = (
-            f"A detail pixel by pixel, rows {first[0]} to {last[0]}, columns {first[1]} to {last[1]}: coloured "
-            "rims are misfit of bands, colours of whole areas are those of the ground."
+            f"A detail pixel by pixel, rows {first[0]} to {last[0]}, columns {first[1]} to {last[1]}: "
+            "coloured rims are misfit of bands, colours of whole areas are those of the ground."
         )
         crops = [picture[part] for picture in (cube.before, cube.after) if picture is not None]
         out.append(_slider("detail", caption, crops))

@@ -16,9 +16,10 @@ from plotly.subplots import make_subplots
 
 from sightline.report.reduce import envelope_rows
 from sightline.report.sequence_view import PARAMETERS, SequenceView
-from sightline.report.style import AXIS_COLOURS, INK, MUTED, TEMPLATE, faint, panels
+from sightline.report.style import AXIS_COLOURS, INK, MUTED, TEMPLATE, faint, panels, rules
 
 Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
 Index = NDArray[np.intp]
 
 #: Colour and name of how a pose came about, in the order of `sequence_view.KINDS`.
@@ -31,8 +32,8 @@ SIGMA_95 = 1.96
 CURVE_POINTS, CLOUD_POINTS = 1600, 800
 #: A first panel's title and the legend above it.
 _TOP = 76
-#: Length of a pause as it is drawn, over what was flown; ticks along time; pauses up to which each has a rule.
-_GAP, _TICKS, _RULES = 0.03, 8, 30
+#: Length of a pause as drawn over what was flown; ticks along time; pauses up to which each has a rule.
+_GAP, _TICKS, MOST_RULES = 0.03, 8, 30
 #: Largest over smallest value that a logarithmic axis shows at least.
 _LEAST_RANGE = 4.0
 _IDLE = {"size": 8, "color": KIND_COLOURS[2], "symbol": "x"}
@@ -50,7 +51,7 @@ def thinned(rows: Index, most: int = CLOUD_POINTS) -> Index:
     return np.asarray(rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(np.intp))])
 
 
-def small(values: Array) -> NDArray[np.float32]:
+def small(values: Array) -> Array32:
     """Numbers of a curve in half the room."""
     return np.asarray(values, dtype=np.float32)
 
@@ -68,7 +69,7 @@ def line_rows(view: SequenceView, values: Array, points: int = CURVE_POINTS) -> 
     return np.concatenate(parts[:-1])
 
 
-def at(values: Array, rows: Index) -> NDArray[np.float32]:
+def at(values: Array, rows: Index) -> Array32:
     """Values of rows, NaN for rows of -1 and where they are not finite."""
     out = np.where(rows >= 0, values[rows], np.nan)
     return small(np.where(np.isfinite(out), out, np.nan))
@@ -135,8 +136,8 @@ def _draw_axis(figure: go.Figure, axis: TimeAxis, rows: int, columns: int = 1) -
     )  # fmt: skip
     for column in range(1, columns + 1):
         figure.update_xaxes(title_text=axis.title, showticklabels=True, row=rows, col=column)
-    for place in axis.breaks if len(axis.breaks) <= _RULES else ():
-        figure.add_vline(x=place, line={"color": "#b8c0c8", "width": 1, "dash": "dot"})
+    if len(axis.breaks) <= MOST_RULES:
+        rules(figure, axis.breaks)
 
 
 def _line(
@@ -231,9 +232,7 @@ def departure_figure(view: SequenceView, epoch: str | None) -> go.Figure:
         _band(figure, at(axis.x, rows), at(values, rows), at(view.sigma[:, k], rows), k + 1, colour)
         for column in (1, 2):
             shown = first and column == 1
-            _line(
-                figure, view, axis, values, k + 1, "found", colour, unit, showlegend=shown, col=column
-            )
+            _line(figure, view, axis, values, k + 1, "found", colour, unit, showlegend=shown, col=column)
             _dots(
                 figure, view, axis, every[view.kind == 2], values, k + 1, KIND_NAMES[2], showlegend=shown,
                 unit=unit, marker=_IDLE, col=column,
@@ -248,18 +247,20 @@ def departure_figure(view: SequenceView, epoch: str | None) -> go.Figure:
 
 
 def _band(
-    figure: go.Figure, x: NDArray[np.float32], y: NDArray[np.float32], sigma: NDArray[np.float32],
+    figure: go.Figure, x: Array32, y: Array32, sigma: Array32,
     row: int, colour: str,
 ) -> None:  # fmt: skip
     """95 % of a curve, one polygon per unbroken piece."""
     good = np.isfinite(x) & np.isfinite(y) & np.isfinite(sigma)
     ends = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
-    outline_x, outline_y = [], []
+    outline_x: list[Array32] = []
+    outline_y: list[Array32] = []
+    gap = np.full(1, np.nan, dtype=np.float32)
     for start, stop in zip(ends[::2], ends[1::2], strict=True):
         piece = slice(start, stop)
         half = SIGMA_95 * sigma[piece]
-        outline_x += [x[piece], x[piece][::-1], [np.float32(np.nan)]]
-        outline_y += [y[piece] + half, (y[piece] - half)[::-1], [np.float32(np.nan)]]
+        outline_x += [x[piece], x[piece][::-1], gap]
+        outline_y += [y[piece] + half, (y[piece] - half)[::-1], gap]
     if outline_x:
         figure.add_scatter(
             x=np.concatenate(outline_x), y=np.concatenate(outline_y), row=row, col=1, mode="lines",
@@ -281,7 +282,11 @@ def sigma_figure(view: SequenceView, epoch: str | None) -> go.Figure:
     worst, best = view.ground_sigma_px.T
     drawn: list[list[Array]] = [[], [], [worst, best]]
     for k, name in enumerate(PARAMETERS):
-        row, unit, group = 1 + k // 3, "m" if k < 3 else "deg", f"{PARAMETERS[k % 3]}, {PARAMETERS[k % 3 + 3]}"
+        row, unit, group = (
+            1 + k // 3,
+            "m" if k < 3 else "deg",
+            f"{PARAMETERS[k % 3]}, {PARAMETERS[k % 3 + 3]}",
+        )
         colour = AXIS_COLOURS[k % 3]
         options = {"group": group, "showlegend": False}
         _line(figure, view, axis, view.sigma[:, k], row, name, colour, unit, **options)

@@ -129,34 +129,36 @@ def sections(problem: SequenceProblem, found: SequencePoses, view: SequenceView)
         Section(
             "residuals",
             "Reprojection error along the sequence",
-            "How far points seen in a frame lie from where the solution puts them. Frames that stand out above "
-            "the dotted line blur, show moving things, or moved while they were read out otherwise than "
-            "modelled.",
+            "How far points seen in a frame lie from where the solution puts them. Frames that stand out "
+            "above the dotted line blur, show moving things, or moved while they were read out otherwise "
+            "than modelled.",
             sequence_figures.residual_figure(view, problem.epoch),
         ),
         Section(
             "parameters",
             "Six parameters against time",
-            "Lines: what was found, less an even path of each stretch (positions: even acceleration; angles: an "
-            "even turn), so that jitter can be seen. Left: with what the tables told of the same, whose distance "
-            "from the line is their noise and constant error, and the band that holds the absolute value 95 "
-            "times in 100; it moves mostly as a whole. Right: the lines by themselves, at a scale of their own.",
+            "Lines: what was found, less an even path of each stretch (positions: even acceleration; "
+            "angles: an even turn), so that jitter can be seen. Left: with what the tables told of the "
+            "same, whose distance from the line is their noise and constant error, and the band that holds"
+            " the absolute value 95 times in 100; it moves mostly as a whole. Right: the lines by "
+            "themselves, at a scale of their own.",
             sequence_figures.departure_figure(view, problem.epoch),
         ),
         Section(
             "sigma",
             "1-sigma of the six parameters against time",
-            "Of absolute poses. A level floor is what all frames have wrong together (the datum); peaks are "
-            "frames without evidence of their own, ends of stretches are known less. On the ground, errors of "
-            "place and of tilt partly make up for each other.",
+            "Of absolute poses. A level floor is what all frames have wrong together (the datum); peaks "
+            "are frames without evidence of their own, ends of stretches are known less. On the ground, "
+            "errors of place and of tilt partly make up for each other.",
             sequence_figures.sigma_figure(view, problem.epoch),
         ),
         Section(
             "overlap",
             "Which frames see the same points",
-            f"{each} Arcs join groups of one stretch, straight lines groups of different stretches; the wider, "
-            "the more points both see. In the matrix, blocks beside the diagonal are what stretches share; a "
-            "gap in the diagonal is a place where nothing was followed from one frame to the next.",
+            f"{each} Arcs join groups of one stretch, straight lines groups of different stretches; the "
+            "wider, the more points both see. In the matrix, blocks beside the diagonal are what stretches"
+            " share; a gap in the diagonal is a place where nothing was followed from one frame to the "
+            "next.",
             overlap_figure(view, shared),
         ),
     ]

@@ -13,9 +13,9 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from sightline.report.sequence_figures import KIND_COLOURS, KIND_NAMES, TOLD, small, thinned
+from sightline.report.sequence_figures import KIND_COLOURS, KIND_NAMES, MOST_RULES, TOLD, small, thinned
 from sightline.report.sequence_view import SequenceView
-from sightline.report.style import INK, TEMPLATE
+from sightline.report.style import INK, TEMPLATE, rules
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -28,8 +28,6 @@ ELLIPSES, PATH_POINTS = 20, 1500
 PANEL, SEEN_PX = (500, 430), 7.0
 #: How much longer than wide a path is before the two directions are drawn at different scales.
 SLIM = 5.0
-#: Pauses up to which each has a rule.
-_RULES = 30
 #: Size of a panel over what is in it.
 _ROOM = 1.08
 _ELLIPSE = "#7b4ea3"
@@ -49,7 +47,8 @@ class Drawn:
     def limits(self, grown: float = 0.0) -> Array:
         """(2, 2) least and most of each axis, with ellipses `grown` times as large as they are."""
         told = self.told[np.isfinite(self.told).all(axis=1)]
-        half = np.nan_to_num(SIGMA_95 * grown * np.sqrt(np.einsum("kii->ki", self.covariance)), posinf=0.0)
+        known = np.asarray(np.isfinite(self.covariance).all(axis=(1, 2)))[:, None]
+        half = SIGMA_95 * grown * np.sqrt(np.where(known, np.einsum("kii->ki", self.covariance), 0.0))
         every = np.concatenate([self.place - half, self.place + half, told, self.control])
         low, high = every.min(axis=0), every.max(axis=0)
         return np.stack([low, np.maximum(high, low + 1e-9)])
@@ -109,6 +108,9 @@ def trajectory_figure(view: SequenceView, control: Array) -> go.Figure:
     figure.update_annotations(font_size=12)
     for col, panel in enumerate(drawn, 1):
         _panel(figure, view, panel, col)
+    ends = np.flatnonzero(np.diff(view.stretch))
+    if len(ends) <= MOST_RULES:
+        rules(figure, [float(profile.place[k : k + 2, 0].mean()) for k in ends], [2])
     return figure
 
 
@@ -179,9 +181,6 @@ def _panel(figure: go.Figure, view: SequenceView, panel: Drawn, col: int) -> Non
             marker={"size": 9, "color": INK, "symbol": "triangle-up-open", "line": {"width": 1.6}},
             name="control points", legendgroup="control",
         )  # fmt: skip
-    for k in np.flatnonzero(np.diff(view.stretch)) if col == 2 and view.stretch[-1] <= _RULES else ():
-        place = float(panel.place[k : k + 2, 0].mean())
-        figure.add_vline(x=place, line={"color": "#b8c0c8", "width": 1, "dash": "dot"}, row=1, col=2)
     low, high = panel.limits(panel.enlarged)
     rim = 0.5 * (_ROOM - 1.0) * (high - low)
     ranges = [[low[k] - rim[k], high[k] + rim[k]] for k in (0, 1)]

@@ -108,27 +108,23 @@ def sequence_view(problem: SequenceProblem, found: SequencePoses) -> SequenceVie
     """What a page shows of a solved sequence."""
     poses = found.poses
     level, middle, origin = _level(problem, poses.position)
-    to_level = np.zeros((6, 6))
-    to_level[:3, :3], to_level[3:, 3:] = level, np.degrees(np.eye(3))
     place = (poses.position - middle) @ level.T
     stretch = stretches(problem.t)
     step = np.linalg.norm(np.diff(place, axis=0), axis=1) * (np.diff(stretch) == 0)
-    has_place = np.isfinite(problem.known.position).any(axis=1)[:, None]
+    has_place = _any_known(problem.known.position)
     told = np.where(has_place, (problem.images.position - middle) @ level.T, np.nan)
     known = np.concatenate([_turned_sigma(problem.known.position, level), problem.known.attitude], axis=1)
     departure = _departures(problem, found, place, stretch)
     depth = _depths(problem, found)
     gsd = depth / problem.detector.focal_length_px
     rms, noise, rejected = _residuals(found, len(problem))
-    with np.errstate(invalid="ignore"):
-        covariance = to_level @ poses.covariance @ to_level.T
     return SequenceView(
         t=np.asarray(problem.t),
         place=place,
         told=told,
         origin=origin,
         along=np.concatenate([[0.0], np.cumsum(step)]),
-        covariance=covariance,
+        covariance=_levelled(poses.covariance, level),
         departure=departure,
         told_departure=departure + _told_less_found(problem, found, told - place),
         told_sigma=known * np.repeat([1.0, np.degrees(1.0)], 3),
@@ -153,23 +149,40 @@ def control_places(problem: SequenceProblem, found: SequencePoses) -> Array:
     return np.asarray((problem.control.position - middle) @ level.T)
 
 
-def _level(
-    problem: SequenceProblem, position: Array
-) -> tuple[Array, Array, tuple[float, float] | None]:
+def _level(problem: SequenceProblem, position: Array) -> tuple[Array, Array, tuple[float, float] | None]:
     """local_from_world (3, 3), its origin (3,) m, and where that is, degrees."""
     if problem.radii is None:
         return np.eye(3), np.zeros(3), None
     middle = position.mean(axis=0)
     longitude, latitude, _ = to_geodetic(middle[None], problem.radii)[0]
-    axes = local_axes(longitude, latitude).as_matrix()[0].T
+    axes = local_axes(longitude, latitude).as_matrix().reshape(3, 3).T
     return axes, middle, (float(np.degrees(longitude)), float(np.degrees(latitude)))
+
+
+def _any_known(sigma: Array) -> Flags:
+    """Which rows (M, 1) of a table have any finite sigma."""
+    return np.asarray(np.isfinite(sigma).any(axis=1))[:, None]
+
+
+def _levelled(covariance: Array, level: Array) -> Array:
+    """Covariance (M, 6, 6) along level axes and in degrees; what is not known stays so."""
+    to_level = np.zeros((6, 6))
+    to_level[:3, :3], to_level[3:, 3:] = level, np.degrees(np.eye(3))
+    out = to_level @ np.where(np.isfinite(covariance), covariance, 0.0) @ to_level.T
+    unknown = ~np.isfinite(np.einsum("kii->ki", covariance)) @ (np.abs(to_level) > 1e-12).T
+    out[unknown[:, :, None] | unknown[:, None, :]] = np.nan
+    frame, axis = np.nonzero(unknown)
+    out[frame, axis, axis] = np.inf
+    return np.asarray(out)
 
 
 def _turned_sigma(sigma: Array, axes: Array) -> Array:
     """Sigmas (M, 3) along other axes; inf where any is."""
-    known = np.isfinite(sigma).all(axis=1)[:, None]
+    if np.array_equal(axes, np.eye(3)):
+        return sigma
+    known = np.asarray(np.isfinite(sigma).all(axis=1))[:, None]
     turned = np.sqrt(np.where(known, sigma, 0.0) ** 2 @ (axes**2).T)
-    return np.where(known, turned, sigma if np.array_equal(axes, np.eye(3)) else np.inf)
+    return np.where(known, turned, np.inf)
 
 
 def _departures(
@@ -196,7 +209,7 @@ def _departures(
 def _told_less_found(problem: SequenceProblem, found: SequencePoses, moved: Array) -> Array:
     """(M, 6) m, deg; NaN where a table has no such frame."""
     turn = (found.poses.world_from_body.inv() * problem.images.world_from_body).as_rotvec(degrees=True)
-    told = np.isfinite(problem.known.attitude).any(axis=1)[:, None]
+    told = _any_known(problem.known.attitude)
     return np.concatenate([moved, np.where(told, turn, np.nan)], axis=1)
 
 
@@ -227,7 +240,7 @@ def _ground_sigma(problem: SequenceProblem, found: SequencePoses, depth: Array, 
     body, axis = _axes_of_sight(problem, found)
     turned = found.poses.world_from_body.as_matrix()
     # a turn w about body axes moves the far end of the line of sight by depth * R (w x b)
-    lever = -depth[:, None, None] * turned @ np.cross(np.eye(3), body).T
+    lever = depth[:, None, None] * turned @ np.cross(np.eye(3), body).T
     moved = np.concatenate([np.broadcast_to(np.eye(3), lever.shape), lever], axis=2)
     up = level[2]
     # what moves up or down slides along the line of sight back to its height

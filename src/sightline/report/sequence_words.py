@@ -29,8 +29,10 @@ MOST_ROWS, FOLDED = 1000, 12
 
 #: What a constant error is called, by its sigma over that known beforehand.
 BIAS_VERDICTS = (
-    (UNTOLD, "not observable: known no better than beforehand"), (0.5, "hardly observable"), (0.0, "observable"),
-)  # fmt: skip
+    (UNTOLD, "not observable: known no better than beforehand"),
+    (0.5, "hardly observable"),
+    (0.0, "observable"),
+)
 BIAS_HEADS = ["constant error of the tables", "found", "1 sigma", "known beforehand (1 sigma)", "verdict"]
 BOW_HEADS = [
     "stretch", "frames", "length (m)", "duration (s)", "roll (deg)", "pitch (deg)", "yaw (deg)", "verdict",
@@ -85,8 +87,8 @@ def _how_well(view: SequenceView) -> str:
     if np.isfinite(ground):
         text += (
             f" The middle of a frame meets the ground within {digits(ground, 2)} px "
-            f"({digits(ground * view.typical(view.gsd), 2)} m) of where it is said to: less than these sigmas "
-            "add up to where errors of place and of tilt make up for each other."
+            f"({digits(ground * view.typical(view.gsd), 2)} m) of where it is said to, errors of place and "
+            "of tilt that make up for each other left out."
         )
     return text + (
         " These are sigmas of absolute poses: what all frames have wrong together is in them, and neighbours "
@@ -104,7 +106,11 @@ def _fit(found: SequencePoses, view: SequenceView) -> str:
     own = float(np.sqrt((found.followed.sigma_px**2).mean()))
     whole = float(np.sqrt((found.tracks.sigma_px[good] ** 2).mean()))
     points = int(np.isfinite(found.poses.points).all(axis=1).sum())
-    gross = f"{int(rejected.sum()):,} ({digits(100.0 * float(rejected.mean()), 2)} %)" if rejected.any() else "none"
+    gross = (
+        f"{int(rejected.sum()):,} ({digits(100.0 * float(rejected.mean()), 2)} %)"
+        if rejected.any()
+        else "none"
+    )
     text = (
         f"{several(int(good.sum()), 'sighting')} of {several(points, 'point')} are left with "
         f"{digits(rms, 2)} px rms per coordinate; the matcher states a noise of {digits(own, 2)} px. "
@@ -159,8 +165,8 @@ def _biases(problem: SequenceProblem, found: SequencePoses) -> str:
         parts.append(f"Hardly observable: {'; '.join(hardly)}.")
     if other:
         parts.append(
-            f"Nothing tells the constant error of {_listed(other)} better than it was known beforehand: control "
-            "points would."
+            f"Nothing tells the constant error of {_listed(other)} better than it was known beforehand: "
+            "control points would."
         )
     return " ".join(parts)
 
@@ -204,26 +210,25 @@ def _bow(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> 
     if not groups:
         return ""
     bows = np.array([found.poses.bow[n] for n, _ in groups])
-    worst = np.degrees(bows.max(axis=0))
-    hidden = [n + 1 for n, rows in groups if "not observable" in bow_verdict(problem, found.poses.bow[n], rows)]
-    which = "The strip" if len(groups) == 1 else "Each stretch"
-    parts = [
-        f"{axis} {digits(float(b), 2)} deg"
-        for axis, b in zip(PARAMETERS[3:], worst, strict=True)
-        if np.isfinite(b)
+    hidden = [
+        str(n + 1) for n, rows in groups if "not observable" in bow_verdict(problem, found.poses.bow[n], rows)
     ]
-    text = (
-        f"The bow is observable: {which.lower()} may be bent from its first frame to its last by (1 sigma, rms "
-        f"along it, the worst one's): {'; '.join(parts)}"
-        if len(groups) > 1
-        else f"The bow is observable: the strip may be bent from its first frame to its last by (1 sigma, rms "
-        f"along it): {'; '.join(parts)}"
+    except_in = f", but not in stretch {_listed(hidden)}" if hidden else ""
+    worst = np.degrees(np.where(bows < LOOSE_BOW, bows, 0.0).max(axis=0))
+    parts = [
+        f"{axis} {digits(float(b), 2)} deg" for axis, b in zip(PARAMETERS[3:], worst, strict=True) if b > 0.0
+    ]
+    if not parts or len(hidden) == len(groups):
+        seen = f" ({'; '.join(parts)} apart)" if parts else ""
+        return (
+            f"The bow is not observable in stretch {_listed(hidden)}: nothing tells how its angles err from "
+            f"its first frame to its last{seen}."
+        )
+    whose = "" if len(groups) == 1 else " of the worst stretch"
+    return (
+        f"The bow is observable{except_in}: 1 sigma of an even trend of the angles' errors from the first "
+        f"frame to the last{whose}, rms along it, is {'; '.join(parts)}."
     )
-    if not parts:
-        text = f"Nothing tells how {which.lower()} is bent from its first frame to its last"
-    if hidden:
-        text += f". The bow is not observable in stretch {_listed([str(n) for n in hidden])}"
-    return text + "."
 
 
 def _ties(found: SequencePoses) -> str:
@@ -307,7 +312,8 @@ def stage_rows(found: SequencePoses) -> list[list[str]]:
     count = len(found.source)
     every = [*found.seconds.items(), ("all", whole)] if found.seconds else []
     return [
-        [name, f"{s:.2f}", f"{100.0 * s / max(whole, 1e-9):.0f}", f"{1e3 * s / count:.1f}"] for name, s in every
+        [name, f"{s:.2f}", f"{100.0 * s / max(whole, 1e-9):.0f}", f"{1e3 * s / count:.1f}"]
+        for name, s in every
     ]
 
 
