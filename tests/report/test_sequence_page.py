@@ -232,7 +232,7 @@ def test_bow_that_nothing_tells_and_poses_that_nothing_ties_are_called_so():
     view = sequence_view(problem, found)
     text = " ".join(sequence_words.sentences(problem, found, view))
     assert "east not known" in text and "nothing ties east, north and up" in text
-    assert "no table told positions" in text and "The bow is not observable in stretch 1" in text
+    assert "no table told positions" in text and "The bow is not observable about pitch in stretch 1" in text
     assert sequence_words.bow_rows(problem, found, view)[0][-1] == "not observable about pitch"
     assert "positions are not tied" in trajectory_figure(view, np.zeros((0, 3))).layout.annotations[0].text
     texts = [note.text for note in sigma_figure(view, None).layout.annotations]

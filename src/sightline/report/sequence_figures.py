@@ -51,6 +51,11 @@ def thinned(rows: Index, most: int = CLOUD_POINTS) -> Index:
     return np.asarray(rows[np.unique(np.linspace(0, len(rows) - 1, most).astype(np.intp))])
 
 
+def dot_size(marked: NDArray[np.bool_]) -> float:
+    """px of marks that are so many that large ones would hide the curve."""
+    return 6.0 if marked.sum() <= 60 else 3.0
+
+
 def small(values: Array) -> Array32:
     """Numbers of a curve in half the room."""
     return np.asarray(values, dtype=np.float32)
@@ -192,7 +197,7 @@ def residual_figure(view: SequenceView, epoch: str | None) -> go.Figure:
         _line(figure, view, axis, values, row, "all frames", KIND_COLOURS[1], unit, showlegend=first)
         _dots(
             figure, view, axis, every[view.in_subset], values, row, KIND_NAMES[0], showlegend=first,
-            unit=unit, marker={"size": 6, "color": KIND_COLOURS[0]},
+            unit=unit, marker={"size": dot_size(view.in_subset), "color": KIND_COLOURS[0]},
         )  # fmt: skip
         _dots(
             figure, view, axis, every[view.kind == 2], np.nan_to_num(values), row, KIND_NAMES[2],
@@ -237,7 +242,9 @@ def departure_figure(view: SequenceView, epoch: str | None) -> go.Figure:
                 figure, view, axis, every[view.kind == 2], values, k + 1, KIND_NAMES[2], showlegend=shown,
                 unit=unit, marker=_IDLE, col=column,
             )  # fmt: skip
-        figure.update_yaxes(title_text=unit, row=k + 1, zeroline=True, zerolinecolor="#d8dee4")
+        figure.update_yaxes(
+            title_text=unit, row=k + 1, zeroline=True, zerolinecolor="#d8dee4", exponentformat="power"
+        )
     figure.add_scatter(
         x=[None], y=[None], mode="lines", line={"color": faint(AXIS_COLOURS[0], 0.35), "width": 10},
         name="95 % interval of the absolute value",

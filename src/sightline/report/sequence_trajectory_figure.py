@@ -13,7 +13,15 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 from plotly.subplots import make_subplots
 
-from sightline.report.sequence_figures import KIND_COLOURS, KIND_NAMES, MOST_RULES, TOLD, small, thinned
+from sightline.report.sequence_figures import (
+    KIND_COLOURS,
+    KIND_NAMES,
+    MOST_RULES,
+    TOLD,
+    dot_size,
+    small,
+    thinned,
+)
 from sightline.report.sequence_view import SequenceView
 from sightline.report.style import INK, TEMPLATE, rules
 
@@ -104,7 +112,7 @@ def trajectory_figure(view: SequenceView, control: Array) -> go.Figure:
     drawn = (plan, profile)
     titles = [title for title in map(_title, ("Plan", "Profile"), drawn)]
     figure = make_subplots(1, 2, subplot_titles=titles, horizontal_spacing=0.1)
-    figure.update_layout(template=TEMPLATE, height=600, margin_t=96, legend_y=1.1)
+    figure.update_layout(template=TEMPLATE, height=620, margin_t=116, legend_y=1.1)
     figure.update_annotations(font_size=12)
     for col, panel in enumerate(drawn, 1):
         _panel(figure, view, panel, col)
@@ -139,7 +147,7 @@ def _title(name: str, panel: Drawn) -> str:
         said.append("no ellipses: positions are not tied")
     elif panel.enlarged > 1.0:
         said.append(f"ellipses {panel.enlarged:g} × too large")
-    return f"{name}: {', '.join(said)}" if said else f"{name}, true to scale, ellipses too"
+    return f"{name}: {',<br>'.join(said)}" if said else f"{name}, true to scale, ellipses too"
 
 
 def _round(value: float) -> str:
@@ -165,7 +173,10 @@ def _panel(figure: go.Figure, view: SequenceView, panel: Drawn, col: int) -> Non
         showlegend=first, hoverinfo="skip",
     )  # fmt: skip
     x, y = panel.axes
-    for which, kind, symbol, size in ((view.in_subset, 0, "circle", 6), (view.kind == 2, 2, "x", 9)):
+    for which, kind, symbol, size in (
+        (view.in_subset, 0, "circle", dot_size(view.in_subset)),
+        (view.kind == 2, 2, "x", 9.0),
+    ):
         rows = thinned(np.flatnonzero(which))
         if len(rows):
             figure.add_scatter(

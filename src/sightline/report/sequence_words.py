@@ -33,7 +33,7 @@ BIAS_VERDICTS = (
     (0.5, "hardly observable"),
     (0.0, "observable"),
 )
-BIAS_HEADS = ["constant error of the tables", "found", "1 sigma", "known beforehand (1 sigma)", "verdict"]
+BIAS_HEADS = ["constant error of the tables", "found", "1 sigma", "1 sigma beforehand", "verdict"]
 BOW_HEADS = [
     "stretch", "frames", "length (m)", "duration (s)", "roll (deg)", "pitch (deg)", "yaw (deg)", "verdict",
 ]  # fmt: skip
@@ -65,8 +65,12 @@ def _what(found: SequencePoses, view: SequenceView) -> str:
     text = (
         f"{several(len(view.t), 'frame')} over {digits(float(np.ptp(view.t)), 3)} s and {length} of path in "
         f"{'one stretch' if pauses == 1 else f'{pauses} stretches'} of flight: {count[0]:,} solved (the "
-        f"subset), {count[1]:,} estimated from what they share with others, {count[2]:,} interpolated "
-        "because their images tell nothing of them."
+        f"subset), {count[1]:,} estimated from what they share with others, "
+        + (
+            f"{count[2]:,} interpolated because their images tell nothing of them."
+            if count[2]
+            else "none interpolated."
+        )
     )
     return text + " Every frame has a pose and a covariance." * bool(_all_known(view))
 
@@ -210,25 +214,31 @@ def _bow(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> 
     if not groups:
         return ""
     bows = np.array([found.poses.bow[n] for n, _ in groups])
+    verdicts = {n + 1: bow_verdict(problem, found.poses.bow[n], rows) for n, rows in groups}
     hidden = [
-        str(n + 1) for n, rows in groups if "not observable" in bow_verdict(problem, found.poses.bow[n], rows)
+        f"{verdict.partition(' about ')[2]} in stretch {n}"
+        for n, verdict in verdicts.items()
+        if "not observable" in verdict
     ]
-    except_in = f", but not in stretch {_listed(hidden)}" if hidden else ""
+    shown = hidden if len(hidden) <= FOLDED else [*hidden[:FOLDED], "others"]
     worst = np.degrees(np.where(bows < LOOSE_BOW, bows, 0.0).max(axis=0))
     parts = [
         f"{axis} {digits(float(b), 2)} deg" for axis, b in zip(PARAMETERS[3:], worst, strict=True) if b > 0.0
     ]
-    if not parts or len(hidden) == len(groups):
-        seen = f" ({'; '.join(parts)} apart)" if parts else ""
-        return (
-            f"The bow is not observable in stretch {_listed(hidden)}: nothing tells how its angles err from "
-            f"its first frame to its last{seen}."
+    said = []
+    if hidden:
+        said.append(
+            f"The bow is not observable about {_listed(shown)}: nothing tells how these angles err from the "
+            "first frame to the last."
         )
-    whose = "" if len(groups) == 1 else " of the worst stretch"
-    return (
-        f"The bow is observable{except_in}: 1 sigma of an even trend of the angles' errors from the first "
-        f"frame to the last{whose}, rms along it, is {'; '.join(parts)}."
-    )
+    if parts:
+        whose = "" if len(groups) == 1 else " of the worst stretch"
+        which = "What is observable of the bow" if hidden else "The bow is observable"
+        said.append(
+            f"{which}: 1 sigma of an even trend of the angles' errors from the first frame to the "
+            f"last{whose}, rms along it, is {'; '.join(parts)}."
+        )
+    return " ".join(said)
 
 
 def _ties(found: SequencePoses) -> str:
