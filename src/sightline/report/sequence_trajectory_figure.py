@@ -112,7 +112,7 @@ def trajectory_figure(view: SequenceView, control: Array) -> go.Figure:
     drawn = (plan, profile)
     titles = [title for title in map(_title, ("Plan", "Profile"), drawn)]
     figure = make_subplots(1, 2, subplot_titles=titles, horizontal_spacing=0.1)
-    figure.update_layout(template=TEMPLATE, height=620, margin_t=116, legend_y=1.1)
+    figure.update_layout(template=TEMPLATE, height=630, margin_t=126, legend_y=1.12)
     figure.update_annotations(font_size=12)
     for col, panel in enumerate(drawn, 1):
         _panel(figure, view, panel, col)
@@ -142,7 +142,7 @@ def _title(name: str, panel: Drawn) -> str:
         if times > 1.05:
             larger = int(np.argmax(px))
             names = [axis.split(" (")[0] for axis in panel.axes]
-            said.append(f"{names[larger]} drawn about {_round(times)} × as large as {names[1 - larger]}")
+            said.append(f"{names[larger]} drawn about {_round(times)} ×<br>as large as {names[1 - larger]}")
     if not np.isfinite(panel.covariance).all(axis=(1, 2)).any():
         said.append("no ellipses: positions are not tied")
     elif panel.enlarged > 1.0:

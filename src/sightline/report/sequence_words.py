@@ -122,7 +122,7 @@ def _fit(found: SequencePoses, view: SequenceView) -> str:
     )
     if whole > 1.2 * own:
         text += (
-            f" Windows drift slowly as their wavelength changes: the sigmas hold {digits(whole, 2)} px for "
+            f" Windows drift slowly while they are followed: the sigmas hold {digits(whole, 2)} px for "
             "that, which residuals do not show because the places of the points follow it."
         )
     return text
