@@ -1,0 +1,281 @@
+"""A cube on the page of its sequence: three bands in colour before and after, how well bands fit, coverage.
+
+Not here: how a cube is made.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+
+from sightline.errors import InputError
+from sightline.geometry.checks import ReadOnlyArrays
+from sightline.report.composite import colours, data_png
+from sightline.report.sequence_figures import small
+from sightline.report.style import AFTER, BEFORE, TEMPLATE, panels
+from sightline.report.words import digits
+
+Array = NDArray[np.float64]
+
+#: Pixels of the overview at most, sides (rows, columns) of the detail at most, cells of a map at most.
+OVERVIEW, DETAIL, MAP_CELLS = 260_000, (200, 330), 60_000
+#: Pairs of bands that are drawn at most.
+PAIRS = 3000
+#: Rows over columns from which on pictures are laid on their side.
+TALL = 1.6
+#: Share of a detail that may have no value.
+_GAP = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class CubeView(ReadOnlyArrays):
+    """What a page shows of a cube of B bands.
+
+    Attributes
+    ----------
+    wavelength_nm : (B,)
+    coverage : (B,)
+        Share of the ground that each band could see for which it has a value.
+    after : (rows, columns, 3)
+        Bands shown in red, green, blue by the poses found; NaN where there is no value.
+    rgb_nm : (3,)
+        Their wavelengths.
+    pixel_size : float
+        m
+    before : (rows, columns, 3) or None
+        The same by the told poses.
+    error_px : (r, c) or None
+        Band-to-band error over the same ground, px, rms over the pairs compared; NaN where not known.
+    pair_nm : (P,)
+        Distance in wavelength of pairs of bands compared.
+    pair_rms_px : (P,)
+        px rms of each pair, by the poses found.
+    pair_before_px : (P,) or None
+        By the told poses.
+    pair_noise_px : (P,) or None
+        What the comparison itself errs by, as far as it is known.
+    notes : tuple of str
+        What else to say.
+    """
+
+    wavelength_nm: Array
+    coverage: Array
+    after: Array
+    rgb_nm: Array
+    pixel_size: float
+    before: Array | None = None
+    error_px: Array | None = None
+    pair_nm: Array = field(default_factory=lambda: np.zeros(0))
+    pair_rms_px: Array = field(default_factory=lambda: np.zeros(0))
+    pair_before_px: Array | None = None
+    pair_noise_px: Array | None = None
+    notes: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check shapes."""
+        if len(self.wavelength_nm) != len(self.coverage) or len(self.pair_nm) != len(self.pair_rms_px):
+            raise InputError("wavelength_nm and coverage, pair_nm and pair_rms_px need as many rows each")
+        if self.after.ndim != 3 or self.after.shape[2] != 3 or len(self.rgb_nm) != 3:
+            raise InputError(f"`after` must be (rows, columns, 3) of 3 wavelengths, got {self.after.shape}")
+        if self.before is not None and self.before.shape != self.after.shape:
+            raise InputError(f"`before` must be of the shape of `after`, got {self.before.shape}")
+
+
+@dataclass(frozen=True)
+class Slider:
+    """Two pictures of the same ground, one drawn over the other as far as a handle says.
+
+    Attributes
+    ----------
+    name, caption : str
+    before : str or None
+        ``data:`` address of a PNG; None where there is only one picture.
+    after : str
+    width, height : int
+        px of each.
+    """
+
+    name: str
+    caption: str
+    before: str | None
+    after: str
+    width: int
+    height: int
+
+
+def sliders(cube: CubeView) -> list[Slider]:
+    """The whole ground reduced, and a detail pixel by pixel."""
+    rows, columns = cube.after.shape[:2]
+    every = max(int(np.ceil(np.sqrt(rows * columns / OVERVIEW))), 1)
+    size = f"{digits(columns * cube.pixel_size, 3)} m × {digits(rows * cube.pixel_size, 3)} m"
+    reduced = f", means of {every} × {every} pixels" if every > 1 else ""
+    names = ", ".join(
+        f"{nm:.0f} nm in {hue}" for nm, hue in zip(cube.rgb_nm, ("red", "green", "blue"), strict=True)
+    )
+    turned = ", turned so that its first row is at the left" if _turned(cube) else ""
+    pictures = [_reduced(picture, every) for picture in (cube.before, cube.after) if picture is not None]
+    if turned:
+        pictures = [np.rot90(picture) for picture in pictures]
+    out = [_slider("overview", f"The whole ground ({size}{reduced}){turned}: {names}.", pictures)]
+    if every > 1 or rows > DETAIL[0] or columns > DETAIL[1]:
+        first = _busiest(cube)
+        part = tuple(slice(f, f + n) for f, n in zip(first, DETAIL, strict=True))
+        last = [min(p.stop, n) - 1 for p, n in zip(part, (rows, columns), strict=True)]
+        caption = (
+            f"A detail pixel by pixel, rows {first[0]} to {last[0]}, columns {first[1]} to {last[1]}: "
+            "coloured rims are misfit of bands, colours of whole areas are those of the ground."
+        )
+        crops = [picture[part] for picture in (cube.before, cube.after) if picture is not None]
+        out.append(_slider("detail", caption, crops))
+    return out
+
+
+def _turned(cube: CubeView) -> bool:
+    """Whether the ground is so tall that it is laid on its side."""
+    return cube.after.shape[0] > TALL * cube.after.shape[1]
+
+
+def _reduced(picture: Array, every: int) -> Array:
+    """Means of blocks, NaN where any pixel has no value."""
+    if every == 1:
+        return picture
+    rows, columns = (max(n // every, 1) for n in picture.shape[:2])
+    part = picture[: rows * every, : columns * every]
+    return np.asarray(part.reshape(rows, -1, columns, part.shape[1] // columns, 3).mean(axis=(1, 3)))
+
+
+def _slider(name: str, caption: str, pictures: list[Array]) -> Slider:
+    """Pictures with one stretch of their tones: (before and) after."""
+    rows, columns = pictures[0].shape[:2]
+    both = np.concatenate(pictures)
+    drawn = colours([both[..., band] for band in range(3)])
+    coded = [data_png(drawn[k * rows : (k + 1) * rows]) for k in range(len(pictures))]
+    return Slider(name, caption, coded[0] if len(coded) == 2 else None, coded[-1], columns, rows)
+
+
+def _busiest(cube: CubeView) -> tuple[int, int]:
+    """First row and column of the full detail with the strongest edges."""
+    grey = cube.after.mean(axis=2)
+    if cube.before is not None:
+        grey = grey + 0.0 * cube.before.mean(axis=2)
+    size = (min(DETAIL[0], grey.shape[0]), min(DETAIL[1], grey.shape[1]))
+    best, chosen = -1.0, (0, 0)
+    for row in np.unique(np.linspace(0, grey.shape[0] - size[0], 9).astype(int)):
+        for column in np.unique(np.linspace(0, grey.shape[1] - size[1], 9).astype(int)):
+            tile = grey[row : row + size[0] : 2, column : column + size[1] : 2]
+            full = float(np.isfinite(tile).mean())
+            edges = np.abs(np.diff(tile, axis=0))
+            strength = float(np.nanmean(edges)) if np.isfinite(edges).any() else 0.0
+            worth = strength * (1.0 if full >= 1.0 - _GAP else 0.1 * full)
+            if worth > best:
+                best, chosen = worth, (int(row), int(column))
+    return chosen
+
+
+def error_map_figure(cube: CubeView) -> go.Figure | None:
+    """Band-to-band error over the ground; None where none is known."""
+    if cube.error_px is None or not np.isfinite(cube.error_px).any():
+        return None
+    every = max(int(np.ceil(np.sqrt(cube.error_px.size / MAP_CELLS))), 1)
+    shown = _block_rms(cube.error_px, every)
+    size = np.array(cube.after.shape[:2]) * cube.pixel_size
+    down, along = ((np.arange(n) + 0.5) / n * whole for n, whole in zip(shown.shape, size, strict=True))
+    names = ("from the first column (m)", "from the first row (m)")
+    x, y, tall = along, down, float(size[0] / size[1])
+    if _turned(cube):
+        x, y, shown, names, tall = down, along, shown.T, names[::-1], 1.0 / tall
+    figure = go.Figure()
+    height = int(np.clip(110 + 900 * tall, 240, 720))
+    figure.update_layout(template=TEMPLATE, height=height, margin_t=30)
+    figure.add_heatmap(
+        x=small(x), y=small(y), z=small(shown), colorscale="Cividis", zmin=0.0,
+        zmax=float(np.nanpercentile(shown, 99.0)),
+        colorbar={"title": {"text": "px rms", "side": "right"}, "thickness": 12, "outlinewidth": 0},
+        hovertemplate="%{x:.4g} m, %{y:.4g} m: %{z:.3f} px<extra></extra>",
+    )  # fmt: skip
+    figure.update_xaxes(title_text=names[0], constrain="domain")
+    # as in the picture: rows run down, or the first column is at the bottom where it is turned
+    direction = True if _turned(cube) else "reversed"
+    figure.update_yaxes(title_text=names[1], autorange=direction, scaleanchor="x", constrain="domain")
+    return figure
+
+
+def _block_rms(values: Array, every: int) -> Array:
+    """rms of finite values in blocks."""
+    rows, columns = (max(n // every, 1) for n in values.shape)
+    part = values[: rows * every, : columns * every].reshape(rows, -1, columns, min(every, values.shape[1]))
+    known = np.isfinite(part)
+    total, count = np.where(known, part, 0.0) ** 2, known.sum(axis=(1, 3))
+    return np.asarray(np.sqrt(np.where(count, total.sum(axis=(1, 3)), np.nan) / np.maximum(count, 1)))
+
+
+def pair_figure(cube: CubeView) -> go.Figure | None:
+    """Band-to-band rms against how far apart wavelengths are; None without pairs."""
+    if not len(cube.pair_nm):
+        return None
+    figure = panels(1, 380, top=48)
+    rows = np.unique(np.linspace(0, len(cube.pair_nm) - 1, min(len(cube.pair_nm), PAIRS)).astype(np.intp))
+    clouds = (
+        (cube.pair_before_px, "by the told poses", BEFORE),
+        (cube.pair_rms_px, "by the poses found", AFTER),
+        (cube.pair_noise_px, "noise of the comparison itself", "#d69e2e"),
+    )
+    for values, name, colour in clouds:
+        if values is not None:
+            figure.add_scatter(
+                x=small(cube.pair_nm[rows]), y=small(values[rows]), mode="markers", name=name,
+                marker={"size": 5, "color": colour, "opacity": 0.7},
+                hovertemplate=f"{name}<br>%{{x:.0f}} nm apart: %{{y:.3f}} px rms<extra></extra>",
+            )  # fmt: skip
+    figure.update_xaxes(title_text="distance of the two bands (nm)", rangemode="tozero")
+    if cube.pair_before_px is None:
+        figure.update_yaxes(title_text="error between the bands (px rms)", rangemode="tozero")
+    else:
+        ticks = [m * 10.0**k for k in range(-4, 5) for m in (1, 2, 5)]
+        figure.update_yaxes(
+            title_text="error between the bands (px rms, logarithmic)", type="log", tickvals=ticks,
+            ticktext=[f"{tick:g}" for tick in ticks],
+        )  # fmt: skip
+    return figure
+
+
+def coverage_figure(cube: CubeView) -> go.Figure:
+    """Share of the ground with a value, band by band."""
+    figure = panels(1, 320, top=30)
+    figure.add_scatter(
+        x=cube.wavelength_nm, y=100.0 * cube.coverage, mode="lines+markers", showlegend=False,
+        line={"color": AFTER, "width": 1}, marker={"size": 6},
+        hovertemplate="%{x:.1f} nm: %{y:.2f} %<extra></extra>",
+    )  # fmt: skip
+    low = float(np.floor(100.0 * cube.coverage.min() - 0.5))
+    low = low if low > 80.0 else 0.0
+    figure.update_yaxes(title_text="ground with a value (%)", range=[low, 100.0 + 0.03 * (100.0 - low)])
+    figure.update_xaxes(title_text="wavelength (nm)")
+    return figure
+
+
+def cube_sentences(cube: CubeView) -> list[str]:
+    """The cube in plain words."""
+    rows, columns = cube.after.shape[:2]
+    out = [
+        f"The cube has {len(cube.wavelength_nm)} bands from {cube.wavelength_nm.min():.0f} to "
+        f"{cube.wavelength_nm.max():.0f} nm of {rows:,} × {columns:,} pixels of "
+        f"{digits(cube.pixel_size, 3)} m; a band has a value on {100.0 * cube.coverage.min():.1f} to "
+        f"{100.0 * cube.coverage.max():.1f} % of the ground it could see."
+    ]
+    if len(cube.pair_rms_px):
+        rms = float(np.sqrt(np.mean(cube.pair_rms_px**2)))
+        far = cube.pair_nm >= np.quantile(cube.pair_nm, 0.75)
+        said = (
+            f"Bands lie within {digits(rms, 2)} px rms of each other over {len(cube.pair_rms_px):,} pairs; "
+            f"the quarter of the pairs farthest apart (from {cube.pair_nm[far].min():.0f} nm on) within "
+            f"{digits(float(np.sqrt(np.mean(cube.pair_rms_px[far] ** 2))), 2)} px"
+        )
+        if cube.pair_before_px is not None:
+            before = float(np.sqrt(np.mean(cube.pair_before_px**2)))
+            said += f"; by the told poses it would be {digits(before, 2)} px"
+        out.append(said + ".")
+    return [*out, *cube.notes]

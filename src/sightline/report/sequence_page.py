@@ -1,0 +1,191 @@
+"""The report of a georeferenced frame sequence: one HTML page that asks no network for anything.
+
+Not here: its figures and words (the other ``sequence_*`` files).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import plotly.graph_objects as go
+
+from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.sequence_poses import SequencePoses
+from sightline.report import sequence_cube, sequence_figures
+from sightline.report import sequence_words as words
+from sightline.report.page import Section, render, write_page
+from sightline.report.sequence_cube import CubeView
+from sightline.report.sequence_overlap_figure import FEW_FRAMES, overlap_figure, shared_points
+from sightline.report.sequence_trajectory_figure import trajectory_figure
+from sightline.report.sequence_view import SequenceView, control_places, sequence_view
+
+
+def write_sequence_report(
+    path: Path,
+    problem: SequenceProblem,
+    found: SequencePoses,
+    summary: Mapping[str, Any],
+    *,
+    cube: CubeView | None = None,
+) -> None:
+    """Write ``report.html``, complete or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Of the page.
+    problem : SequenceProblem
+    found : SequencePoses
+    summary : mapping
+        `name`, `version`, and where they are known `wall_seconds`, `peak_memory_bytes`, `inputs` (file to
+        SHA-256), `files` (names written beside the page), `warnings` (those of `found` otherwise).
+    cube : CubeView, optional
+        The cube that was made with these poses.
+    """
+    write_page(path, sequence_html(problem, found, summary, cube=cube))
+
+
+def sequence_html(
+    problem: SequenceProblem,
+    found: SequencePoses,
+    summary: Mapping[str, Any],
+    *,
+    cube: CubeView | None = None,
+) -> str:
+    """The page as text; parameters as of `write_sequence_report`."""
+    view = sequence_view(problem, found)
+    idle = words.idle_rows(problem, found, view)
+    subset = words.subset_rows(problem, found)
+    return render(
+        "sequence.html.j2",
+        name=summary["name"],
+        about=about(problem, summary, view),
+        sentences=words.sentences(problem, found, view) + _cube_words(cube),
+        warnings=list(summary.get("warnings", found.warnings)),
+        bias_heads=words.BIAS_HEADS,
+        biases=words.bias_rows(problem, found),
+        bow_heads=words.BOW_HEADS,
+        bows=words.bow_rows(problem, found, view),
+        idle_heads=words.IDLE_HEADS,
+        idle=idle,
+        subset_heads=words.SUBSET_HEADS,
+        subset=subset,
+        subset_size=len(found.subset),
+        folded=words.FOLDED,
+        sections=sections(problem, found, view),
+        sliders=[] if cube is None else sequence_cube.sliders(cube),
+        cube_sections=[] if cube is None else cube_sections(cube),
+        stage_heads=words.STAGE_HEADS,
+        stages=words.stage_rows(found),
+        inputs=dict(summary.get("inputs", {})),
+        files=list(summary.get("files", [])),
+    )
+
+
+def _cube_words(cube: CubeView | None) -> list[str]:
+    return [] if cube is None else sequence_cube.cube_sentences(cube)
+
+
+def about(problem: SequenceProblem, summary: Mapping[str, Any], view: SequenceView) -> str:
+    """One line under the title."""
+    lines, columns = problem.detector.shape
+    parts = [
+        f"Poses of {len(problem):,} frames of {lines} × {columns} px by Sightline {summary['version']}",
+        *([f"t = 0 is {problem.epoch}"] if problem.epoch else []),
+    ]
+    if view.origin is not None:
+        east, north = view.origin
+        parts.append(
+            f"about {abs(north):.4f}° {'N' if north >= 0.0 else 'S'}, {abs(east):.4f}° "
+            f"{'E' if east >= 0.0 else 'W'}"
+        )
+    if summary.get("wall_seconds"):
+        parts.append(f"{summary['wall_seconds']:.0f} s")
+    if summary.get("peak_memory_bytes"):
+        parts.append(f"{summary['peak_memory_bytes'] / 2**30:.2f} GiB")
+    return "; ".join(parts)
+
+
+def sections(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> list[Section]:
+    """All figures of the poses in the order of the page."""
+    shared = shared_points(view, found)
+    each = (
+        "Each dot is a frame."
+        if len(view.t) <= FEW_FRAMES
+        else f"Each dot is a group of about {len(view.t) / max(len(shared.frames), 1):.0f} frames around one "
+        "of the subset."
+    )
+    return [
+        Section(
+            "trajectory",
+            "Trajectory in plan and in profile",
+            "Where the camera was. Ellipses hold the true, absolute position of their frame 95 times in 100; "
+            "they are mostly what all frames have wrong together, so that the path is known far better in "
+            "itself. Scales and enlargements are in the titles of the panels.",
+            trajectory_figure(view, control_places(problem, found)),
+        ),
+        Section(
+            "residuals",
+            "Reprojection error along the sequence",
+            "How far points seen in a frame lie from where the solution puts them. Frames that stand out "
+            "above the dotted line blur, show moving things, or moved while they were read out otherwise "
+            "than modelled.",
+            sequence_figures.residual_figure(view, problem.epoch),
+        ),
+        Section(
+            "parameters",
+            "Six parameters against time",
+            "Lines: what was found, less an even path of each stretch (positions: even acceleration; "
+            "angles: an even turn), so that jitter can be seen. Left: with what the tables told of the "
+            "same, whose distance from the line is their noise and constant error, and the band that holds"
+            " the absolute value 95 times in 100; it moves mostly as a whole. Right: the lines by "
+            "themselves, at a scale of their own.",
+            sequence_figures.departure_figure(view, problem.epoch),
+        ),
+        Section(
+            "sigma",
+            "1-sigma of the six parameters against time",
+            "Of absolute poses. A level floor is what all frames have wrong together (the datum); peaks "
+            "are frames without evidence of their own, ends of stretches are known less. On the ground, "
+            "errors of place and of tilt partly make up for each other.",
+            sequence_figures.sigma_figure(view, problem.epoch),
+        ),
+        Section(
+            "overlap",
+            "Which frames see the same points",
+            f"{each} Arcs join groups of one stretch, straight lines groups of different stretches; the "
+            "wider, the more points both see. In the matrix, blocks beside the diagonal are what stretches"
+            " share; a gap in the diagonal is a place where nothing was followed from one frame to the "
+            "next.",
+            overlap_figure(view, shared),
+        ),
+    ]
+
+
+def cube_sections(cube: CubeView) -> list[Section]:
+    """Figures of a cube."""
+    drawn: list[tuple[str, str, str, go.Figure | None]] = [
+        (
+            "band-error",
+            "Band-to-band error over the ground",
+            "How far bands lie from each other, rms over the pairs compared in each place. Patches along the "
+            "path are errors of poses, patches that follow hills errors of the surface; white: not known.",
+            sequence_cube.error_map_figure(cube),
+        ),
+        (
+            "band-pairs",
+            "Band-to-band error against the distance of the wavelengths",
+            "Each dot is a pair of bands. Bands far apart in wavelength were taken by other frames and look "
+            "less alike: where dots rise with distance, compare them with the noise of the comparison.",
+            sequence_cube.pair_figure(cube),
+        ),
+        (
+            "coverage",
+            "Coverage of each band",
+            "Share of the ground that a band could see, given the flight lines, for which it has a value.",
+            sequence_cube.coverage_figure(cube),
+        ),
+    ]
+    return [Section(name, title, said, figure) for name, title, said, figure in drawn if figure is not None]

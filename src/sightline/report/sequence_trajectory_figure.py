@@ -1,0 +1,249 @@
+"""The trajectory of a sequence in plan and in profile, with the ellipses of some of its frames.
+
+Not here: its numbers (``sequence_view.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import plotly.graph_objects as go
+from numpy.typing import NDArray
+from plotly.subplots import make_subplots
+
+from sightline.report.sequence_figures import (
+    KIND_COLOURS,
+    KIND_NAMES,
+    MOST_RULES,
+    TOLD,
+    dot_size,
+    small,
+    thinned,
+)
+from sightline.report.sequence_view import SequenceView
+from sightline.report.style import INK, TEMPLATE, rules
+
+Array = NDArray[np.float64]
+Index = NDArray[np.intp]
+
+#: Radius in sigmas of the ellipse that holds two numbers 95 times in 100.
+SIGMA_95 = 2.4477
+#: Ellipses, and points of the path, that are drawn at most.
+ELLIPSES, PATH_POINTS = 20, 1500
+#: px: size of the panels, and the half axis that a typical ellipse needs to be seen.
+PANEL, SEEN_PX = (500, 430), 7.0
+#: How much longer than wide a path is before the two directions are drawn at different scales.
+SLIM = 5.0
+#: Size of a panel over what is in it.
+_ROOM = 1.08
+_ELLIPSE = "#7b4ea3"
+
+
+@dataclass(frozen=True, eq=False)
+class Drawn:
+    """A panel: places (M, 2), told (M, 2), control (n, 2), covariances (M, 2, 2), names of its axes."""
+
+    place: Array
+    told: Array
+    control: Array
+    covariance: Array
+    axes: tuple[str, str]
+    equal: bool
+
+    def limits(self, grown: float = 0.0) -> Array:
+        """(2, 2) least and most of each axis, with ellipses `grown` times as large as they are."""
+        told = self.told[np.isfinite(self.told).all(axis=1)]
+        known = np.asarray(np.isfinite(self.covariance).all(axis=(1, 2)))[:, None]
+        half = SIGMA_95 * grown * np.sqrt(np.where(known, np.einsum("kii->ki", self.covariance), 0.0))
+        every = np.concatenate([self.place - half, self.place + half, told, self.control])
+        low, high = every.min(axis=0), every.max(axis=0)
+        return np.stack([low, np.maximum(high, low + 1e-9)])
+
+    @property
+    def true_to_scale(self) -> bool:
+        """Whether both axes have one scale."""
+        span = np.ptp(self.limits(), axis=0)
+        return self.equal and bool(span.max() < SLIM * span.min())
+
+    def px_per_unit(self, grown: float = 0.0) -> Array:
+        """(2,) px of each axis for a unit."""
+        span = np.ptp(self.limits(grown), axis=0) * _ROOM
+        size = np.array(PANEL) / span
+        return np.full(2, size.min()) if self.true_to_scale else np.asarray(size)
+
+    @cached_property
+    def enlarged(self) -> float:
+        """How many times as large ellipses are drawn: 1, 2, 5, 10 ..., so that a typical one can be seen."""
+        known = np.isfinite(self.covariance).all(axis=(1, 2))
+        if not known.any():
+            return 1.0
+        half = SIGMA_95 * np.sqrt(np.einsum("kii->ki", self.covariance[known]))
+        typical = float(np.median((half * self.px_per_unit()).max(axis=1)))
+        steps = [m * 10.0**k for k in range(7) for m in (1.0, 2.0, 5.0)]
+        return next((s for s in steps if s * typical >= SEEN_PX), 1.0) if typical > 0.0 else 1.0
+
+
+def trajectory_figure(view: SequenceView, control: Array) -> go.Figure:
+    """Plan and profile side by side.
+
+    Parameters
+    ----------
+    view : SequenceView
+    control : (n, 3)
+        m, points of control in the axes of the view's places.
+    """
+    unit, scale = ("km", 1e-3) if max(np.ptp(view.place, axis=0)) > 2e4 else ("m", 1.0)
+    heading = _heading(view)
+    plan = Drawn(
+        view.place[:, :2] * scale, view.told[:, :2] * scale, control[:, :2] * scale,
+        view.covariance[:, :2, :2] * scale**2, (f"east ({unit})", f"north ({unit})"), True,
+    )  # fmt: skip
+    turned = np.stack([heading, np.broadcast_to([0.0, 0.0, 1.0], heading.shape)], axis=1)
+    with np.errstate(invalid="ignore"):
+        covariance = turned @ view.covariance[:, :3, :3] @ turned.transpose(0, 2, 1)
+    forward = view.along + ((view.told - view.place) * heading).sum(axis=1)
+    profile = Drawn(
+        np.stack([view.along, view.place[:, 2]], axis=1) * scale,
+        np.stack([forward, view.told[:, 2]], axis=1) * scale, np.zeros((0, 2)), covariance * scale**2,
+        (f"distance flown ({unit})", f"height ({unit})" if view.origin is None else f"up ({unit})"), False,
+    )  # fmt: skip
+    drawn = (plan, profile)
+    titles = [title for title in map(_title, ("Plan", "Profile"), drawn)]
+    figure = make_subplots(1, 2, subplot_titles=titles, horizontal_spacing=0.1)
+    figure.update_layout(template=TEMPLATE, height=630, margin_t=126, legend_y=1.12)
+    figure.update_annotations(font_size=12)
+    for col, panel in enumerate(drawn, 1):
+        _panel(figure, view, panel, col)
+    ends = np.flatnonzero(np.diff(view.stretch))
+    if len(ends) <= MOST_RULES:
+        rules(figure, [float(profile.place[k : k + 2, 0].mean()) for k in ends], [2])
+    return figure
+
+
+def _heading(view: SequenceView) -> Array:
+    """(M, 3) level unit vectors along the path."""
+    out = np.zeros((len(view.t), 3))
+    for rows in view.of_stretches():
+        if len(rows) > 1:
+            out[rows, :2] = np.gradient(view.place[rows, :2], axis=0)
+    size = np.linalg.norm(out, axis=1)
+    out[size == 0.0] = [0.0, 1.0, 0.0]
+    return np.asarray(out / np.where(size > 0.0, size, 1.0)[:, None])
+
+
+def _title(name: str, panel: Drawn) -> str:
+    """What a panel shows, and what in it is larger than it is."""
+    said = []
+    if not panel.true_to_scale:
+        px = panel.px_per_unit(panel.enlarged)
+        times = max(px) / min(px)
+        if times > 1.05:
+            larger = int(np.argmax(px))
+            names = [axis.split(" (")[0] for axis in panel.axes]
+            said.append(f"{names[larger]} drawn about {_round(times)} ×<br>as large as {names[1 - larger]}")
+    if not np.isfinite(panel.covariance).all(axis=(1, 2)).any():
+        said.append("no ellipses: positions are not tied")
+    elif panel.enlarged > 1.0:
+        said.append(f"ellipses {panel.enlarged:g} × too large")
+    return f"{name}: {',<br>'.join(said)}" if said else f"{name}, true to scale, ellipses too"
+
+
+def _round(value: float) -> str:
+    """Two figures."""
+    return f"{float(f'{value:.2g}'):g}"
+
+
+def _panel(figure: go.Figure, view: SequenceView, panel: Drawn, col: int) -> None:
+    """Path, told places, marks, ellipses and control of one panel."""
+    first = col == 1
+    told = thinned(np.flatnonzero(np.isfinite(panel.told).all(axis=1)))
+    if len(told):
+        figure.add_scatter(
+            x=panel.told[told, 0], y=panel.told[told, 1], row=1, col=col, mode="markers", showlegend=first,
+            marker={"size": 4.5, "color": TOLD, "opacity": 0.8}, name="told by the tables",
+            legendgroup="told", hoverinfo="skip",
+        )  # fmt: skip
+    _ellipses(figure, view, panel, col)
+    path = _path(view)
+    figure.add_scatter(
+        x=_broken(panel.place[:, 0], path), y=_broken(panel.place[:, 1], path), row=1, col=col, mode="lines",
+        line={"color": KIND_COLOURS[1], "width": 1.8}, name="path found", legendgroup="path",
+        showlegend=first, hoverinfo="skip",
+    )  # fmt: skip
+    x, y = panel.axes
+    for which, kind, symbol, size in (
+        (view.in_subset, 0, "circle", dot_size(view.in_subset)),
+        (view.kind == 2, 2, "x", 9.0),
+    ):
+        rows = thinned(np.flatnonzero(which))
+        if len(rows):
+            figure.add_scatter(
+                x=panel.place[rows, 0], y=panel.place[rows, 1], row=1, col=col, mode="markers",
+                marker={"size": size, "color": KIND_COLOURS[kind], "symbol": symbol}, customdata=rows,
+                name=KIND_NAMES[kind], legendgroup=KIND_NAMES[kind], showlegend=first,
+                hovertemplate=f"{KIND_NAMES[kind]}<br>frame no. %{{customdata}}<br>{x}: %{{x:.6g}}<br>"
+                f"{y}: %{{y:.6g}}<extra></extra>",
+            )  # fmt: skip
+    if len(panel.control):
+        figure.add_scatter(
+            x=panel.control[:, 0], y=panel.control[:, 1], row=1, col=col, mode="markers", showlegend=first,
+            marker={"size": 9, "color": INK, "symbol": "triangle-up-open", "line": {"width": 1.6}},
+            name="control points", legendgroup="control",
+        )  # fmt: skip
+    low, high = panel.limits(panel.enlarged)
+    rim = 0.5 * (_ROOM - 1.0) * (high - low)
+    ranges = [[low[k] - rim[k], high[k] + rim[k]] for k in (0, 1)]
+    options = {"scaleanchor": "x", "constrain": "domain"} if panel.true_to_scale else {}
+    figure.update_xaxes(title_text=x, range=ranges[0], row=1, col=col, constrain="domain")
+    figure.update_yaxes(title_text=y, range=ranges[1], row=1, col=col, tickformat=".6~g", **options)
+
+
+def _path(view: SequenceView) -> Index:
+    """Frames of the line, -1 between stretches."""
+    groups = view.of_stretches()
+    share = max(PATH_POINTS // len(groups), 8)
+    parts = [part for rows in groups for part in (thinned(rows, share), np.array([-1]))]
+    return np.concatenate(parts[:-1])
+
+
+def _broken(values: Array, rows: Index) -> Array:
+    """Values of rows, NaN for rows of -1."""
+    return np.where(rows >= 0, values[rows], np.nan)
+
+
+def _readable(view: SequenceView, panel: Drawn, known: Index) -> int:
+    """How many ellipses lie beside each other along the path without hiding it."""
+    scale = panel.px_per_unit(panel.enlarged)
+    covariance = panel.covariance[known] * panel.enlarged**2
+    step = np.diff(panel.place, axis=0) * (np.diff(view.stretch) == 0)[:, None]
+    length = float(np.linalg.norm(step * scale, axis=1).sum())
+    # the half axis that lies along the path on the whole
+    along = np.linalg.norm(step, axis=0)
+    along = along / max(float(np.linalg.norm(along)), 1e-12)
+    half = SIGMA_95 * np.sqrt(np.einsum("i,kij,j->k", along, covariance, along))
+    size = 2.0 * float(np.median(half)) * float(scale @ along)
+    return int(np.clip(1.5 * length / max(size, 1e-9), 5, ELLIPSES))
+
+
+def _ellipses(figure: go.Figure, view: SequenceView, panel: Drawn, col: int) -> None:
+    """95 % ellipses of some frames, all as one broken line."""
+    known = np.flatnonzero(np.isfinite(panel.covariance).all(axis=(1, 2)))
+    if not len(known):
+        return
+    times = panel.enlarged
+    rows = thinned(known, _readable(view, panel, known))
+    turn = np.linspace(0.0, 2.0 * np.pi, 49)
+    circle = np.stack([np.cos(turn), np.sin(turn)])
+    values, vectors = np.linalg.eigh(panel.covariance[rows])
+    ring = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :] @ circle
+    ring = panel.place[rows][:, :, None] + SIGMA_95 * times * ring
+    ring = np.concatenate([ring, np.full((len(rows), 2, 1), np.nan)], axis=2)
+    middle = panel.place.mean(axis=0)  # single precision is enough about the middle
+    x, y = (small(ring[:, axis].ravel() - middle[axis]) + middle[axis] for axis in (0, 1))
+    figure.add_scatter(
+        x=x, y=y, row=1, col=col, mode="lines", line={"color": _ELLIPSE, "width": 1}, opacity=0.75,
+        name="95 % ellipses of the absolute position of some frames", legendgroup="ellipses",
+        showlegend=col == 1, hoverinfo="skip",
+    )  # fmt: skip
