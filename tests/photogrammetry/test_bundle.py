@@ -97,13 +97,14 @@ def random_equations(rng, sightings, unknowns):
     count, width = len(sightings), unknowns.width
     rows = rng.standard_normal((count, 2, width + 3))
     of_images = np.zeros((len(sightings.camera), width, width))
-    of_points = np.tile(1e-3 * np.eye(3), (sightings.points, 1, 1))
+    known = np.tile(1e-3 * np.eye(3), (sightings.points, 1, 1))
+    of_points = known.copy()
     weight = rng.random(count)
     for i in range(count):
         x, p = rows[i, :, :width], rows[i, :, width:]
         of_images[sightings.image[i]] += weight[i] * x.T @ x
         of_points[sightings.point[i]] += weight[i] * p.T @ p
-    return Curvature(rows, weight, sightings.image, sightings.point, of_images, of_points)
+    return Curvature(rows, weight, sightings.image, sightings.point, of_images, of_points, known)
 
 
 def test_tied_shots_and_the_covariance_of_every_image_equal_the_dense_inverse():

@@ -39,6 +39,7 @@ def georeference(
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.io.sequence import read_sequence
     from sightline.io.sequence_results import write_sequence_result
+    from sightline.report.sequence_page import write_sequence_report
 
     check_output_folder(out, overwrite=overwrite)
     begun = time.perf_counter()
@@ -51,6 +52,7 @@ def georeference(
             report("writing")
             seconds = time.perf_counter() - begun
             summary = write_sequence_result(folder, sequence, found, wall_seconds=seconds)
+            write_sequence_report(folder / "report.html", sequence.problem, found, summary)
     if as_json:
         print_json(summary)
         return

@@ -210,7 +210,7 @@ def eliminate_points(
     image: Index,
     shot: Index,
     slot: Index,
-    inverse: Array,
+    known: Array,
     width: int,
     out: Array,
 ) -> None:
@@ -223,33 +223,56 @@ def eliminate_points(
     first : (n + 1,)
         Where the sightings of each point begin.
     image : (N,); shot, slot : (M,)
-    inverse : (n, 3, 3)
-        V^-1 of each point.
+    known : (n, m, 3)
+        Rows of what is known of each point beforehand; together of rank 3.
     out : (K, 1 + span, n D, n D)
         out[k, s]: rows of shot k, columns of shot k - s.
+
+    Notes
+    -----
+    By an orthogonal basis Q of the points' columns, orthogonalised twice: E V^-1 E^T = (Q^T A)^T (Q^T A).
+    Short tracks tell a point's depth some hundred times worse than its direction, and what is left for the
+    poses as a whole is smaller again: inverting V, whose condition is the square of that, would drown it.
     """
-    couplings = np.empty((0, width, 3))
-    weighted = np.empty((width, 3))
+    extra = known.shape[1]
+    most = 0
+    for n in range(len(first) - 1):
+        most = max(most, first[n + 1] - first[n])
+    basis = np.empty((2 * most + extra, 3))
+    taken = np.empty((most, 3, width))
     for n in range(len(first) - 1):
         count = first[n + 1] - first[n]
-        if len(couplings) < count:
-            couplings = np.empty((count, width, 3))
+        size = 2 * count + extra
         for i in range(count):
-            row = rows[first[n] + i]
-            for a in range(width):
+            root = np.sqrt(weight[first[n] + i])
+            for c in range(2):
                 for b in range(3):
-                    couplings[i, a, b] = weight[first[n] + i] * (
-                        row[0, a] * row[0, width + b] + row[1, a] * row[1, width + b]
-                    )
+                    basis[2 * i + c, b] = root * rows[first[n] + i, c, width + b]
+        for i in range(extra):
+            for b in range(3):
+                basis[2 * count + i, b] = known[n, i, b]
+        for b in range(3):
+            for _ in range(2):
+                for a in range(b):
+                    along = 0.0
+                    for i in range(size):
+                        along += basis[i, a] * basis[i, b]
+                    for i in range(size):
+                        basis[i, b] -= along * basis[i, a]
+            length = 0.0
+            for i in range(size):
+                length += basis[i, b] ** 2
+            length = np.sqrt(length)
+            for i in range(size):
+                basis[i, b] /= length
+        for i in range(count):
+            row, root = rows[first[n] + i], np.sqrt(weight[first[n] + i])
+            for b in range(3):
+                for a in range(width):
+                    taken[i, b, a] = root * (basis[2 * i, b] * row[0, a] + basis[2 * i + 1, b] * row[1, a])
         for i in range(count):
             mi = image[first[n] + i]
             ki, oi = shot[mi], width * slot[mi]
-            for a in range(width):
-                for b in range(3):
-                    weighted[a, b] = (
-                        couplings[i, a, 0] * inverse[n, 0, b] + couplings[i, a, 1] * inverse[n, 1, b]
-                        + couplings[i, a, 2] * inverse[n, 2, b]
-                    )  # fmt: skip
             for j in range(count):
                 mj = image[first[n] + j]
                 step = ki - shot[mj]
@@ -259,6 +282,6 @@ def eliminate_points(
                 for a in range(width):
                     for b in range(width):
                         out[ki, step, oi + a, oj + b] -= (
-                            weighted[a, 0] * couplings[j, b, 0] + weighted[a, 1] * couplings[j, b, 1]
-                            + weighted[a, 2] * couplings[j, b, 2]
+                            taken[i, 0, a] * taken[j, 0, b] + taken[i, 1, a] * taken[j, 1, b]
+                            + taken[i, 2, a] * taken[j, 2, b]
                         )  # fmt: skip

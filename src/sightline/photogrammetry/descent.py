@@ -119,9 +119,10 @@ class Block:
         rows = np.empty((len(s), 2, width + 3))
         arguments = (*self._arguments(state), weight, r, of_images, of_points, rows)
         curvatures(*arguments)
-        if self.priors is not None:
-            of_points += self.priors.at(state.points + self.origin)[1]
-        return Curvature(rows, weight, s.image, s.point, of_images, of_points), r
+        known = None if self.priors is None else self.priors.at(state.points + self.origin)[1]
+        if known is not None:
+            of_points += known
+        return Curvature(rows, weight, s.image, s.point, of_images, of_points, known), r
 
 
 def turns(angles: Array) -> tuple[Array, Array]:
@@ -278,8 +279,10 @@ def descend(
         if int(_gross(rough, usable, limit).sum()) > _FEW * int(usable.sum()):
             state, now = _redescend(block, state, usable, limit)
             softened, fit = True, None
+    tried: set[bytes] = set()
     for _ in range(ROUNDS):
         fit = _settle(block, state, now, usable, known=fit)
+        tried.add(now.tobytes())
         state, gross = fit.state, _gross(fit, usable, limit)
         good = together(block, usable & ~gross)
         if not robust or bool((good == now).all()):
@@ -287,13 +290,15 @@ def descend(
         if int(gross.sum()) <= _FEW * int(usable.sum()):
             worst = _worst(gross, fit.statistic, block.sightings.point)
             now = together(block, usable & ~worst)
+            # sightings at the margin come and go: either way they change little
+            if now.tobytes() in tried:
+                return fit
             continue
         if softened:
             now = good
         else:
             state, now = _redescend(block, state, usable, limit)
         softened, fit = True, None
-    # sightings at the margin come and go: either way they change little
     return _settle(block, state, now, usable)
 
 

@@ -46,6 +46,8 @@ class Curvature:
     image, point : (N,) int
     of_images : (M, D, D)
     of_points : (n, 3, 3)
+    known_points : (n, 3, 3) or None
+        The share of `of_points` that is known beforehand.
     """
 
     rows: Array
@@ -54,6 +56,7 @@ class Curvature:
     point: Index
     of_images: Array
     of_points: Array
+    known_points: Array | None = None
 
 
 def reduce_block(curvature: Curvature, unknowns: PoseUnknowns) -> PosesFirst | PointsFirst:
@@ -213,7 +216,7 @@ class PointsFirst:
         )
         eliminate_points(
             curvature.rows[order], curvature.weight[order], first, curvature.image[order], unknowns.shot,
-            unknowns.slot, self._inverse, width, blocks,
+            unknowns.slot, _known_rows(curvature), width, blocks,
         )  # fmt: skip
         own, tied = 6 * slots, unknowns.precision
         reach = span if tied is None else max(span, tied.shape[1] - 1)
@@ -302,6 +305,17 @@ class PointsFirst:
     def point_covariance(self, covariance: Array) -> None:
         """Not kept in this order: triangulate the points with the poses found."""
         return None
+
+
+def _known_rows(curvature: Curvature) -> Array:
+    """Rows (n, m, 3) whose squares are what is known of points beforehand."""
+    count = len(curvature.of_points)
+    loose = np.broadcast_to(np.sqrt(LOOSE) * np.eye(3), (count, 3, 3))
+    if curvature.known_points is None:
+        return np.ascontiguousarray(loose)
+    size, axes = np.linalg.eigh(curvature.known_points)
+    rows = np.sqrt(np.maximum(size, 0.0))[:, :, None] * np.swapaxes(axes, 1, 2)
+    return np.concatenate([rows, loose], axis=1)
 
 
 def invert_points(of_points: Array) -> Array:
