@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.sequence_blocks import BLOCK_FRAMES, PartSolution, solve_in_blocks
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, read_only
 from sightline.matching.follow import Followed, FollowPlan, follow_windows
@@ -121,8 +123,7 @@ def georeference_sequence(
     if photogrammetry:
         problem = _with_model(problem, followed, subset)
         clock.note("730/740 photogrammetry")
-    tracks = Tracks(followed.image, followed.point, followed.pixels, followed.sigma_px)
-    poses, tracks = _all_poses(problem, followed, tracks, cross, clock)
+    poses, tracks = _all_poses(problem, followed, cross, clock)
     source, reason = _sources(problem, followed, subset, poses)
     return SequencePoses(
         poses, source, reason, subset, followed, tracks, _linked(followed), clock.seconds,
@@ -208,14 +209,15 @@ def _distances(problem: SequenceProblem) -> Array:
 
 
 def _all_poses(
-    problem: SequenceProblem, followed: Followed, tracks: Tracks, cross: bool, clock: _Clock
+    problem: SequenceProblem, followed: Followed, cross: bool, clock: _Clock
 ) -> tuple[FramePoses, Tracks]:
     """All frames solved together (760), once more with what stretches share and with the path in frames."""
     block = _Block(problem, followed)
-    poses = block.solve(tracks, None)
-    for _ in range(_NOISE_ROUNDS):
-        tracks = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
-        poses = block.solve(tracks, poses)
+    if len(problem) >= 2 * BLOCK_FRAMES:
+        poses, tracks = solve_in_blocks(problem, followed, block.part)
+    else:
+        solved = block.part(problem, followed)
+        poses, tracks = solved.poses, solved.tracks
     clock.note("760 all poses")
     group = _linked(followed)
     if cross and len(np.unique(group[group >= 0])) > 1:
@@ -228,10 +230,9 @@ def _all_poses(
             first = int(tracks.point.max()) + 1
             moved = Tracks(shared.image, shared.point + first, shared.pixels, shared.sigma_px)
             tracks = joined([tracks, moved])
-            poses = block.solve(tracks, poses)
-    for _ in range(_SHUTTER_ROUNDS - _NOISE_ROUNDS if problem.readout_time != 0.0 else 0):
-        poses = block.solve(tracks, poses)
-    clock.note("760 all poses")
+            for _ in range(_SHUTTER_ROUNDS - _NOISE_ROUNDS if problem.readout_time != 0.0 else 1):
+                poses = block.solve(tracks, poses)
+            clock.note("760 all poses")
     return poses, block.with_control(tracks)
 
 
@@ -264,8 +265,30 @@ class _Block:
             )
         return None if heights is None and control is None else PointPriors(heights, control)
 
+    def part(self, problem: SequenceProblem, followed: Followed) -> PartSolution:
+        """Frames in a row solved, with the noise of their sightings and with the path within frames."""
+        own = copy(self)
+        own.problem, own.followed = problem, followed
+        tracks = Tracks(followed.image, followed.point, followed.pixels, followed.sigma_px)
+        poses = own.solve(tracks, None)
+        for _ in range(_NOISE_ROUNDS):
+            tracks = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
+            poses = own.solve(tracks, poses)
+        for _ in range(_SHUTTER_ROUNDS - _NOISE_ROUNDS if problem.readout_time != 0.0 else 0):
+            poses = own.solve(tracks, poses)
+        sightings, priors, _ = own.equations(tracks, poses)
+        return PartSolution(tracks, sightings, priors, poses)
+
     def solve(self, tracks: Tracks, before: FramePoses | None) -> FramePoses:
         """Poses of all frames; `before` tells where points are, and how frames moved while read out."""
+        p = self.problem
+        sightings, priors, points = self.equations(tracks, before)
+        return adjust_frames(p.images, sightings, p.known, priors=priors, points=points, start=before)
+
+    def equations(
+        self, tracks: Tracks, before: FramePoses | None
+    ) -> tuple[Sightings, PointPriors | None, Array]:
+        """Sightings, what is known of points, and where they are (n, 3) m."""
         p = self.problem
         priors = self._priors(tracks)
         tracks = self.with_control(tracks)
@@ -283,7 +306,7 @@ class _Block:
             if shutter:
                 delay = p.readout_time * tracks.pixels[:, 0] / (p.detector.shape[0] - 1.0)
                 sightings = sight_lines(sightings, p.images, _estimated(p.images, before), delay)
-        return adjust_frames(p.images, sightings, p.known, priors=priors, points=points, start=before)
+        return sightings, priors, points
 
     def cross_plan(self, poses: FramePoses) -> CrossPlan:
         """How far to look for what stretches share."""
