@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.stages import Stages
 from sightline.geometry.checks import Array, frozen
 from sightline.matching.follow import Followed
 from sightline.photogrammetry.cross_links import images_of
@@ -27,11 +28,13 @@ from sightline.photogrammetry.frame_blocks import (
     join_blocks,
 )
 from sightline.photogrammetry.frame_poses import FramePoses, RoughPoses
-from sightline.photogrammetry.point_priors import ControlPoints, PointPriors
+from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.sightings import Index, Sightings, Tracks, as_index
 
 #: Frames of a block; a flight of fewer than twice as many is solved at once.
 BLOCK_FRAMES = 500
+#: Sightings of its own that a block needs.
+_LEAST_SIGHTINGS = 1000
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,6 +69,18 @@ class _Part:
     control_names: Index
 
 
+@dataclass(frozen=True, eq=False)
+class _Result:
+    """Of a part's solution what the whole needs."""
+
+    position: Array
+    world_from_body: Rotation
+    bias: Array
+    roughness: Array
+    scale: float
+    block: SolvedBlock
+
+
 class _Spans:
     """Frames over which points are followed."""
 
@@ -84,6 +99,20 @@ class _Spans:
         """Frames from the first to the last sighting of a point, at most."""
         return int((self.last - self.first).max())
 
+    def merged(self, ranges: list[BlockRange]) -> list[BlockRange]:
+        """The same blocks, where hardly anything is followed made one with the next."""
+        out: list[BlockRange] = []
+        first = 0
+        for place in ranges:
+            low, high = np.searchsorted(self.first, [first, place.last])
+            if int(self._ends[high] - self._ends[low]) >= _LEAST_SIGHTINGS:
+                out.append(BlockRange(first, place.last, place.end))
+                first = place.last
+        if first < ranges[-1].last:
+            first = out.pop().first if out else 0
+            out.append(BlockRange(first, ranges[-1].last, ranges[-1].end))
+        return out
+
     def rows(self, place: BlockRange) -> slice:
         """Sightings of all points that may be seen in frames of a block."""
         low, high = np.searchsorted(self.first, [place.first - self.reach, place.end])
@@ -94,7 +123,10 @@ def solve_in_blocks(
     problem: SequenceProblem,
     followed: Followed,
     solve: Callable[[SequenceProblem, Followed], PartSolution],
+    heights: HeightPrior | None,
+    *,
     length: int = BLOCK_FRAMES,
+    stages: Stages | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[FramePoses, Tracks]:
     """Poses of all frames, and tracks with the sigmas found in their blocks; points of control last.
@@ -106,39 +138,47 @@ def solve_in_blocks(
         Points numbered as they were first seen, sightings in their order.
     solve : callable
         Solves a part.
+    heights : HeightPrior or None
+        As of all parts.
     length : int
         Frames of a block.
+    stages : Stages, optional
+        Where solved blocks are kept until the whole is.
     progress : callable, optional
         Called with the number of blocks done and of all, the steps of the whole counted as one.
     """
     spans = _Spans(followed)
-    ranges = block_ranges(len(problem), spans.reach, length)
-    control = 0 if problem.control_tracks is None else len(problem.control_tracks)
+    ranges = spans.merged(block_ranges(len(problem), spans.reach, length))
+    stages = stages or Stages()
+    stages.depend(length)
     sigma = np.zeros(len(followed.image))
     with tempfile.TemporaryDirectory(prefix="sightline-") as folder:
-        gathered = _Gathered(problem, BlockStore(Path(folder), None))
+        gathered = _Gathered(len(problem), BlockStore(Path(folder), heights))
         for number, place in enumerate(ranges):
-            part = _part(problem, followed, spans, place)
-            solved = solve(part.problem, part.followed)
-            gathered.add(place, part, solved, spans)
-            first = spans.first[followed.point[part.rows]]
-            own = (first >= place.first) & (first < place.last)
-            sigma[part.rows[own]] = solved.tracks.sigma_px[own]
+
+            def solved(place: BlockRange = place) -> _Result:
+                part = _part(problem, followed, spans, place)
+                return _own(place, part, solve(part.problem, part.followed), spans)
+
+            result = stages.stage(f"block-{number}", _Result, solved)
+            gathered.add(place, result)
+            tracked = result.block.rows < len(sigma)
+            sigma[result.block.rows[tracked]] = result.block.sightings.sigma_px[tracked]
             if progress is not None:
                 progress(number + 1, len(ranges) + 1)
         poses = join_blocks(problem.images, problem.known, gathered.store, gathered.poses())
+    for number in range(len(ranges)):
+        stages.drop(f"block-{number}")
     tracks = Tracks(followed.image, followed.point, followed.pixels, sigma)
     if progress is not None:
         progress(len(ranges) + 1, len(ranges) + 1)
-    assert len(poses.residual_px) == len(tracks) + control
     return poses, tracks
 
 
 class _Gathered:
     """What blocks found, put together."""
 
-    def __init__(self, problem: SequenceProblem, store: BlockStore) -> None:
-        count = len(problem)
+    def __init__(self, count: int, store: BlockStore) -> None:
         self.store = store
         self._position = np.zeros((count, 3))
         self._quaternion = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
@@ -147,22 +187,18 @@ class _Gathered:
         self._roughness: list[Array] = []
         self._scale: list[float] = []
 
-    def add(self, place: BlockRange, part: _Part, solved: PartSolution, spans: _Spans) -> None:
+    def add(self, place: BlockRange, result: _Result) -> None:
         """Keep a block's own points, and its frames but for the first it shares with the one before."""
-        poses = solved.poses
         early = (place.end - place.last) // 2 if place.first else 0
         frames = slice(place.first + early, place.end)
-        self._position[frames] = poses.position[early:]
-        self._quaternion[frames] = poses.world_from_body[early:].as_quat()
-        self._bias.append(poses.bias)
-        self._roughness.append(poses.roughness)
-        self._scale.append(poses.scale)
-        if solved.priors is not None:
-            self.store.heights = solved.priors.heights
-        block = _own(place, part, solved, spans)
-        image = block.sightings.image + place.first
-        self._seen += np.bincount(image[block.used], minlength=len(self._seen))
-        self.store.add(place, block)
+        self._position[frames] = result.position[early:]
+        self._quaternion[frames] = result.world_from_body[early:].as_quat()
+        self._bias.append(result.bias)
+        self._roughness.append(result.roughness)
+        self._scale.append(result.scale)
+        image = result.block.sightings.image + place.first
+        self._seen += np.bincount(image[result.block.used], minlength=len(self._seen))
+        self.store.add(place, result.block)
 
     def poses(self) -> BlockPoses:
         """Where the whole starts from."""
@@ -204,7 +240,7 @@ def _part(problem: SequenceProblem, followed: Followed, spans: _Spans, place: Bl
         frames=problem.frames[chosen],
         t=problem.t[chosen],
         sources=problem.sources[chosen],
-        images=images_of(problem.images, frames),
+        images=images_of(problem.images, frames.tolist()),
         known=RoughPoses(
             known.position[chosen], known.attitude[chosen], known.position_bias, known.attitude_bias
         ),
@@ -243,7 +279,7 @@ def _control_in(
     return own, seen, rows, names
 
 
-def _own(place: BlockRange, part: _Part, solved: PartSolution, spans: _Spans) -> SolvedBlock:
+def _own(place: BlockRange, part: _Part, solved: PartSolution, spans: _Spans) -> _Result:
     """What of a part's solution is its block's own: points first seen in its frames, control seen there."""
     s, own = solved.sightings, place.last - place.first
     followed = len(part.rows)
@@ -263,15 +299,16 @@ def _own(place: BlockRange, part: _Part, solved: PartSolution, spans: _Spans) ->
             control.position[at],
             control.sigma[at],
         )
-    used = ~solved.poses.rejected[kept]
-    return SolvedBlock(
+    poses = solved.poses
+    block = SolvedBlock(
         sightings,
-        used,
-        solved.poses.points[point],
+        ~poses.rejected[kept],
+        poses.points[point],
         as_index(rows[kept], "rows"),
         as_index(names[point], "names"),
         control,
     )
+    return _Result(poses.position, poses.world_from_body, poses.bias, poses.roughness, poses.scale, block)
 
 
 def _some(s: Sightings, kept: NDArray[np.bool_], point: NDArray[np.intp]) -> Sightings:

@@ -9,7 +9,7 @@ sides (``match_frames.py``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -172,6 +172,7 @@ def link_stretches(
     surface: Surface,
     group: NDArray[np.intp],
     plan: CrossPlan,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Tracks | None:
     """Points that frames of different stretches have in common; None if there are none.
 
@@ -187,10 +188,15 @@ def link_stretches(
     group : (M,) int
         Stretch of each; -1 leaves it out.
     plan : CrossPlan
+    progress : callable, optional
+        Called with the number of pairs compared and of all.
     """
     found: list[Tracks] = []
     names = 0
-    for i, j, lines in cross_pairs(images, detector, mount, surface, group, plan.partners):
+    pairs = cross_pairs(images, detector, mount, surface, group, plan.partners)
+    for number, (i, j, lines) in enumerate(pairs):
+        if progress is not None:
+            progress(number, len(pairs))
         cameras = frame_cameras(images_of(images, [i, j]), [detector], [mount])
         two = _match_pair((sources[i], sources[j]), cameras, surface, lines, plan)
         if two is None:

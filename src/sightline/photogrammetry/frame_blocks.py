@@ -14,6 +14,7 @@ import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -147,8 +148,8 @@ class BlockStore:
 
     def add(self, place: BlockRange, block: SolvedBlock) -> None:
         """Keep a block, the next in order."""
-        arrays = {f.name: getattr(block.sightings, f.name) for f in fields(Sightings)}
-        own = {"used": block.used, "rows": block.rows, "names": block.names}
+        arrays: dict[str, Any] = {f.name: getattr(block.sightings, f.name) for f in fields(Sightings)}
+        own: dict[str, Any] = {"used": block.used, "rows": block.rows, "names": block.names}
         number = len(self.ranges)
         np.savez(self.folder / f"block-{number}.npz", **arrays, **own)
         self.ranges.append(place)
@@ -219,7 +220,7 @@ class _Whole:
         count = int(self.stretch[-1]) + 1
         out = np.zeros((len(self.images), 6, 3 * count))
         for number in range(count):
-            rows = np.flatnonzero(self.stretch == number)
+            rows = np.flatnonzero(np.asarray(self.stretch == number))
             place = self.images.t[rows] - self.images.t[rows].mean()
             size = float(np.sqrt((place**2).mean()))
             for axis in range(3 if size > 0.0 else 0):
@@ -234,8 +235,8 @@ class _Whole:
         heights = self.store.heights
         priors = PointPriors.of(heights, content.control)
         block = Block(from_poses(content.sightings, self.moved[frames]), unknowns, priors)
-        found = np.isfinite(content.points).all(axis=1)
-        points = np.where(found[:, None], content.points, block.origin) - block.origin
+        found = np.isfinite(content.points).all(axis=1, keepdims=True)
+        points = np.where(found, content.points, block.origin) - block.origin
         state = State(self.common, held_at(unknowns, self.common), points)
         weight = content.used.astype(np.float64)
         curvature, _ = block.curvature(state, weight)
