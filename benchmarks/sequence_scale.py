@@ -1,4 +1,4 @@
-"""Time and memory of a frame sequence against its length: 1,000, 3,000 and 10,000 rendered frames of 160 x 200.
+"""Time and memory of a frame sequence against its length: 1,000, 3,000, 10,000 rendered frames of 160 x 200.
 
 Frames are rendered into one file and read one at a time; what is measured is a process of its own that reads
 them. ``python benchmarks/sequence_scale.py [FRAMES ...] [--whole]``; "--whole" solves all frames at once, for
@@ -59,7 +59,8 @@ def render(folder: Path, frames: int) -> None:
             file.write(scenario.image(number)[0].tobytes())
     options, (t, position, attitude) = scenario.options, scenario.poses
     np.savez(
-        folder / "known.npz", t=t, position=scenario.told_positions, attitude=scenario.told_attitudes.as_quat(),
+        folder / "known.npz", t=t, position=scenario.told_positions,
+        attitude=scenario.told_attitudes.as_quat(),
         true_position=position, true_attitude=attitude.as_quat(), shape=options.shape,
         camera=[options.focal_length_px, *options.centre_px], nm=scenario.detector.wavelength_nm,
         sigma=[options.position_sigma, options.attitude_sigma],

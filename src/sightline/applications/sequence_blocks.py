@@ -82,9 +82,9 @@ class _Result:
 
 
 class _Spans:
-    """Frames over which points are followed."""
+    """Frames over which points are followed, and points of control seen."""
 
-    def __init__(self, followed: Followed) -> None:
+    def __init__(self, followed: Followed, control: Tracks | None) -> None:
         self.points = int(followed.point[-1]) + 1
         self._ends = np.searchsorted(followed.point, np.arange(self.points + 1))
         seen = np.diff(self._ends) > 0
@@ -93,11 +93,19 @@ class _Spans:
         self.last = np.where(seen, followed.image[lasts], 0)
         # points are numbered as they were first seen
         self.first = np.maximum.accumulate(self.first)
+        #: Frames from the first to the last sighting of a point, at most.
+        self.reach = int((self.last - self.first).max())
+        self._control = np.zeros(0, dtype=np.intp)
+        if control is not None and len(control):
+            count = int(control.point.max()) + 1
+            self._control, last = np.full(count, np.iinfo(np.intp).max), np.zeros(count, dtype=np.intp)
+            np.minimum.at(self._control, control.point, control.image)
+            np.maximum.at(last, control.point, control.image)
+            self.reach = max(self.reach, int((last - self._control).max()))
 
-    @property
-    def reach(self) -> int:
-        """Frames from the first to the last sighting of a point, at most."""
-        return int((self.last - self.first).max())
+    def begin(self, names: NDArray[np.intp]) -> NDArray[np.intp]:
+        """First frame of points, those of control numbered after the others."""
+        return np.concatenate([self.first, self._control])[names]
 
     def merged(self, ranges: list[BlockRange]) -> list[BlockRange]:
         """The same blocks, where hardly anything is followed made one with the next."""
@@ -147,8 +155,11 @@ def solve_in_blocks(
     progress : callable, optional
         Called with the number of blocks done and of all, the steps of the whole counted as one.
     """
-    spans = _Spans(followed)
+    spans = _Spans(followed, problem.control_tracks)
     ranges = spans.merged(block_ranges(len(problem), spans.reach, length))
+    if len(ranges) == 1:
+        solved = solve(problem, followed)
+        return solved.poses, solved.tracks
     stages = stages or Stages()
     stages.depend(length)
     sigma = np.zeros(len(followed.image))
@@ -156,11 +167,11 @@ def solve_in_blocks(
         gathered = _Gathered(len(problem), BlockStore(Path(folder), heights))
         for number, place in enumerate(ranges):
 
-            def solved(place: BlockRange = place) -> _Result:
+            def own(place: BlockRange = place) -> _Result:
                 part = _part(problem, followed, spans, place)
                 return _own(place, part, solve(part.problem, part.followed), spans)
 
-            result = stages.stage(f"block-{number}", _Result, solved)
+            result = stages.stage(f"block-{number}", _Result, own)
             gathered.add(place, result)
             tracked = result.block.rows < len(sigma)
             sigma[result.block.rows[tracked]] = result.block.sightings.sigma_px[tracked]
@@ -280,15 +291,12 @@ def _control_in(
 
 
 def _own(place: BlockRange, part: _Part, solved: PartSolution, spans: _Spans) -> _Result:
-    """What of a part's solution is its block's own: points first seen in its frames, control seen there."""
-    s, own = solved.sightings, place.last - place.first
-    followed = len(part.rows)
-    first = spans.first[part.names[s.point[:followed]]]
-    kept = np.concatenate([(first >= place.first) & (first < place.last), s.image[followed:] < own])
-    rows, names = (
-        np.concatenate([part.rows, part.control_rows]),
-        np.concatenate([part.names, part.control_names]),
-    )
+    """What of a part's solution is its block's own: points first seen in its frames."""
+    s = solved.sightings
+    rows = np.concatenate([part.rows, part.control_rows])
+    names = np.concatenate([part.names, part.control_names])
+    first = spans.begin(names[s.point])
+    kept = (first >= place.first) & (first < place.last)
     point, number = np.unique(s.point[kept], return_inverse=True)
     sightings = _some(s, kept, number)
     control = None if solved.priors is None else solved.priors.control

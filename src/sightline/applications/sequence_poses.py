@@ -311,11 +311,11 @@ def _adjusted(block: _Block, run: _Run) -> _Adjusted:
         def report(done: int, total: int) -> None:
             run.progress(SOLVED_ALL, done, total)
 
-        return _Adjusted(
-            *solve_in_blocks(
-                block.problem, block.followed, block.part, heights, stages=run.stages, progress=report
-            )
-        )
+        poses, tracks = solve_in_blocks(
+            block.problem, block.followed, block.part, heights,
+            length=BLOCK_FRAMES, stages=run.stages, progress=report,
+        )  # fmt: skip
+        return _Adjusted(poses, tracks)
     rounds = block.rounds()
 
     def count(done: int) -> None:

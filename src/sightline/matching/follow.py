@@ -60,6 +60,8 @@ _ITERATIONS, _TOLERANCE = 12, 0.01
 #: Frames after which the state is kept.
 _KEPT = 500
 _NONE = np.empty((0, 0), np.bool_)
+#: What is noted of each sighting.
+_SIGHTED = ("image", "point", "pixels", "variance")
 NOTHING = (
     "no two frames in a row look alike; check that the frames are in the order of their times, that they "
     "overlap and that they show more than water or cloud"
@@ -432,7 +434,7 @@ class _Follower:
     def go_on(self, states: Sequence[FollowState]) -> None:
         """Stand where the last of some states in a row was."""
         for held in states:
-            for name in ("image", "point", "pixels", "variance"):
+            for name in _SIGHTED:
                 getattr(self, name).append(getattr(held, name))
         state = states[-1]
         self.moved, self.names = state.moved, state.names
@@ -661,21 +663,35 @@ def _stacked(parts: Sequence[NDArray[Any]], empty: tuple[int, ...], kind: type) 
     return np.concatenate(parts) if len(parts) else np.empty(empty, kind)
 
 
+def _taken(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """Arrays one after the other, taken from the list, so that they are held once."""
+    whole = np.concatenate(parts)
+    parts.clear()
+    return whole
+
+
+def _sorted(values: NDArray[Any], order: NDArray[np.intp]) -> NDArray[Any]:
+    """Read-only rows in an order."""
+    out = values[order]
+    out.setflags(write=False)
+    return out
+
+
 def _assembled(follower: _Follower, sharpness: Array, contrast: Array, reason: list[str]) -> Followed:
     """What was found, in pixels of the frames as they are."""
     k = follower.plan.reduction
     if not follower.image:
         raise EstimationError(NOTHING)
-    image, point = np.concatenate(follower.image), np.concatenate(follower.point)
+    image, point, pixels, variance = (_taken(getattr(follower, name)) for name in _SIGHTED)
     order = np.lexsort((image, point))
     windows = np.bincount(image, minlength=len(sharpness))
     for number in np.flatnonzero((windows == 0) & np.isfinite(sharpness)):
         reason[number] = reason[number] or "looks like none of the frames after it"
     return Followed(
-        image[order],
-        point[order],
-        frozen(np.concatenate(follower.pixels)[order] * k + 0.5 * (k - 1)),
-        frozen(np.sqrt(np.concatenate(follower.variance)[order]) * k),
+        _sorted(image, order),
+        _sorted(point, order),
+        _sorted(pixels * k + 0.5 * (k - 1), order),
+        _sorted(np.sqrt(variance) * k, order),
         follower.before,
         frozen(follower.motion * np.array([k, k, 1.0, 1.0])),
         windows,

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from sightline.geometry.camera import FrameCamera
@@ -99,12 +100,15 @@ def cross_pairs(
     chosen = _spaced(images, detector, mount, surface, group)
     ground = {k: cameras[k].locate(probes, surface) for k in chosen}
     centre = {k: np.nanmean(g, axis=0) for k, g in ground.items()}
+    # a frame that looks beside the surface shares nothing that is known
+    chosen = [k for k in chosen if np.isfinite(centre[k]).all()]
+    tree = cKDTree(np.array([centre[k] for k in chosen]).reshape(-1, 3))
     out = []
     for i in chosen:
         best: dict[int, list[tuple[float, int, NDArray[np.bool_]]]] = {}
         extent = np.nanmax(np.linalg.norm(ground[i] - centre[i], axis=1))
-        for j in chosen:
-            if group[j] <= group[i] or np.linalg.norm(centre[j] - centre[i]) > 2.0 * extent:
+        for j in (chosen[row] for row in sorted(tree.query_ball_point(centre[i], 2.0 * extent))):
+            if group[j] <= group[i]:
                 continue
             found = _alike(cameras[j], probes, ground[i], nm, lines)
             if found is not None:
