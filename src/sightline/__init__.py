@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from sightline.applications.registration import Registration, register_bands
     from sightline.applications.results import LineOfSight
     from sightline.applications.spin_attitude import SpinAttitude, SpinOptions, recover_spin_attitude
+    from sightline.applications.stages import Stages
     from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem, orient
     from sightline.applications.strip import RecoverOptions
     from sightline.applications.tdi_choice import TdiProblem, TdiResult, choose_tdi
@@ -112,6 +113,7 @@ _MODULE_OF = {
     "Spin": "sightline.geometry.spin",
     "SpinAttitude": "sightline.applications.spin_attitude",
     "SpinOptions": "sightline.applications.spin_attitude",
+    "Stages": "sightline.applications.stages",
     "StereoOrientation": "sightline.applications.stereo_orientation",
     "StereoProblem": "sightline.applications.stereo_orientation",
     "Surface": "sightline.geometry.surface",
@@ -194,6 +196,7 @@ __all__ = [
     "Spin",
     "SpinAttitude",
     "SpinOptions",
+    "Stages",
     "StereoOrientation",
     "StereoProblem",
     "Surface",

@@ -155,7 +155,8 @@ def test_a_killed_process_leaves_what_another_goes_on_from(problem, uninterrupte
 
 
 def test_frames_written_anew_are_followed_anew(problem, uninterrupted, tmp_path):
-    georeference_sequence(problem, stages=Stages(tmp_path))
+    with pytest.raises(Stopped):
+        georeference_sequence(problem, progress=stop_at(SOLVED_ALL, 1), stages=Stages(tmp_path))
     told: list[str] = []
     stages = Stages(tmp_path, told.append)
     noisy = ArrayImage(np.roll(problem.sources[7].array, 1, axis=0))

@@ -79,6 +79,15 @@ def test_damaged_and_foreign_files_are_passed_over_with_a_warning(tmp_path, dama
     assert "one.stage.npz is passed over" in told[0] and "done again" in told[0]
 
 
+def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
+    (tmp_path / "kept").write_text("a file")
+    told: list[str] = []
+    stages = Stages(tmp_path / "kept", told.append)
+    for name in ("one", "two"):
+        assert same(stages.stage(name, Result, result), result())
+    assert len(told) == 1 and "stages are not kept" in told[0]
+
+
 def test_files_of_the_problem_count_by_name_size_and_time(tmp_path):
     file = tmp_path / "frame.tif"
     file.write_text("a")

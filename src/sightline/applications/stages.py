@@ -142,13 +142,19 @@ class Stages:
 
     def _write(self, name: str, packed: Packed) -> None:
         path = self._path(name)
-        path.parent.mkdir(parents=True, exist_ok=True)
         temporary = path.with_name(path.name + ".tmp")
-        with temporary.open("wb") as file:
-            np.savez(file, allow_pickle=False, **{_KEY: np.array(self._fingerprint(name))}, **packed)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(temporary, path)
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with temporary.open("wb") as file:
+                np.savez(file, allow_pickle=False, **{_KEY: np.array(self._fingerprint(name))}, **packed)
+                file.flush()
+                os.fsync(file.fileno())
+            os.replace(temporary, path)
+        except OSError as error:
+            # the run itself is none the worse for it
+            if self._warn is not None:
+                self._warn(f"stages are not kept: {path} cannot be written ({error.strerror})")
+            self._folder = None
 
 
 def pack(value: object) -> Packed:

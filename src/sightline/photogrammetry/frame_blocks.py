@@ -312,8 +312,9 @@ class _Whole:
 def _part(unknowns: PoseUnknowns, place: BlockRange) -> PoseUnknowns:
     """Unknowns of a block's frames; what ties a frame to later ones is in the block whose own it is."""
     frames = slice(place.first, place.end)
-    assert unknowns.precision is not None and unknowns.pull is not None
-    precision, pull = np.array(unknowns.precision[frames]), np.array(unknowns.pull[frames])
+    tied, pulled = unknowns.precision, unknowns.pull
+    assert tied is not None and pulled is not None  # frames are tied to their neighbours
+    precision, pull = np.array(tied[frames]), np.array(pulled[frames])
     own = place.last - place.first
     pull[own:] = 0.0
     for step in range(precision.shape[1]):
