@@ -313,7 +313,9 @@ def _part(unknowns: PoseUnknowns, place: BlockRange) -> PoseUnknowns:
     """Unknowns of a block's frames; what ties a frame to later ones is in the block whose own it is."""
     frames = slice(place.first, place.end)
     tied, pulled = unknowns.precision, unknowns.pull
-    assert tied is not None and pulled is not None  # frames are tied to their neighbours
+    # frames are tied to their neighbours
+    assert tied is not None
+    assert pulled is not None
     precision, pull = np.array(tied[frames]), np.array(pulled[frames])
     own = place.last - place.first
     pull[own:] = 0.0
