@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import sys
+import time
 import warnings
 from pathlib import Path
 
@@ -189,8 +191,26 @@ def test_json_has_no_numbers_that_json_does_not_know(capsys):
 def test_progress_is_silent_where_nobody_watches(capsys):
     with progress() as report:
         report("matching")
+        report("matching", 1, 3)
     said = capsys.readouterr()
     assert said.out == said.err == ""
+
+
+def test_progress_with_a_total_shows_the_time_left(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    shown = Terminal()
+    monkeypatch.setattr(sys, "stderr", shown)
+    monkeypatch.setenv("TERM", "xterm")
+    with progress() as report:
+        report("reading")
+        for done in range(1, 5):
+            report("following", done, 8)
+            # the bar is drawn ten times a second
+            time.sleep(0.12)
+    assert "following" in shown.getvalue() and " left" in shown.getvalue()
 
 
 def test_a_simulated_strip_can_be_checked(tmp_path, capsys):

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from sightline.applications.results import LineOfSight
     from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
     from sightline.applications.spin_attitude import SpinAttitude, SpinOptions, recover_spin_attitude
+    from sightline.applications.stages import Stages
     from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem, orient
     from sightline.applications.strip import RecoverOptions
     from sightline.applications.tdi_choice import TdiProblem, TdiResult, choose_tdi
@@ -114,6 +115,7 @@ _MODULE_OF = {
     "Spin": "sightline.geometry.spin",
     "SpinAttitude": "sightline.applications.spin_attitude",
     "SpinOptions": "sightline.applications.spin_attitude",
+    "Stages": "sightline.applications.stages",
     "StereoOrientation": "sightline.applications.stereo_orientation",
     "StereoProblem": "sightline.applications.stereo_orientation",
     "Surface": "sightline.geometry.surface",
@@ -198,6 +200,7 @@ __all__ = [
     "Spin",
     "SpinAttitude",
     "SpinOptions",
+    "Stages",
     "StereoOrientation",
     "StereoProblem",
     "Surface",

@@ -10,7 +10,8 @@ Not here: files (``io/sequence.py``), the cube (``products/``).
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,20 +19,27 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.sequence_blocks import BLOCK_FRAMES, PartSolution, solve_in_blocks
+from sightline.applications.stages import Stages
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, read_only
-from sightline.matching.follow import Followed, FollowPlan, follow_windows
+from sightline.matching.follow import Followed, FollowPlan, FollowState, follow_windows
 from sightline.photogrammetry.cross_links import CrossPlan, joined, link_stretches
 from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.pose_interpolation import by_displacement
-from sightline.photogrammetry.reconstruct import filter_pairs, reconstruct
+from sightline.photogrammetry.reconstruct import Reconstruction, filter_pairs, reconstruct
 from sightline.photogrammetry.rolling_shutter import sight_lines
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, as_index, sight_frames
 from sightline.photogrammetry.track_noise import with_drift
 
 SOLVED, ESTIMATED, INTERPOLATED = "solved", "estimated", "interpolated"
+#: Stages, in their order: `SequencePoses.seconds`, progress.
+FOLLOWED, CHOSEN, MODELLED = "750 displacement and yaw", "720 subset", "730/740 photogrammetry"
+SOLVED_ALL, COMPARED = "760 all poses", "730 stretches compared"
+#: Called with a stage, how much of it is done, how much it is.
+Progress = Callable[[str, int, int], None]
 #: Good sightings from which on a frame's own image tells its pose.
 _ENOUGH = 6
 #: Rounds in which the noise of the sightings is taken from the residuals of the solution before.
@@ -81,7 +89,8 @@ def georeference_sequence(
     stride: int | None = None,
     cross: bool = True,
     photogrammetry: bool | None = None,
-    progress: Callable[[str, int], None] | None = None,
+    progress: Progress | None = None,
+    stages: Stages | None = None,
 ) -> SequencePoses:
     """Pose and covariance of every frame of a sequence.
 
@@ -97,7 +106,9 @@ def georeference_sequence(
     photogrammetry : bool, optional
         Begin with a model of the subset by pycolmap (extra ``sfm``); where no attitude is told, otherwise.
     progress : callable, optional
-        Called with the stage's name and the number of frames done.
+        Called with a stage's name, how much of it is done, and how much it is.
+    stages : Stages, optional
+        Finished stages that a run which was stopped has left, and where those of this run are kept.
 
     Returns
     -------
@@ -108,35 +119,45 @@ def georeference_sequence(
     EstimationError
         If no two frames are alike.
     """
-    clock = _Clock()
-    followed = follow_sequence(problem, plan, progress)
-    clock.note("750 displacement and yaw")
-    subset = choose_subset(
-        followed, problem.images.position, _distances(problem), problem.detector.shape,
-        overlap=problem.overlap, stride=stride,
+    run = _Run(progress or _nothing, stages or Stages())
+    run.stages.depend(problem)
+    followed = _followed(problem, plan, run)
+    run.note(FOLLOWED)
+    run.stages.depend(stride)
+    subset = run.stages.stage(
+        "subset", Subset,
+        lambda: choose_subset(
+            followed, problem.images.position, _distances(problem), problem.detector.shape,
+            overlap=problem.overlap, stride=stride,
+        ),
     )  # fmt: skip
-    clock.note("720 subset")
+    run.note(CHOSEN)
     if photogrammetry is None:
         photogrammetry = not np.isfinite(problem.known.attitude).any()
+    run.stages.depend([photogrammetry, cross])
     if photogrammetry:
-        problem = _with_model(problem, followed, subset)
-        clock.note("730/740 photogrammetry")
-    tracks = Tracks(followed.image, followed.point, followed.pixels, followed.sigma_px)
-    poses, tracks = _all_poses(problem, followed, tracks, cross, clock)
+        problem = _with_model(problem, followed, subset, run)
+        run.note(MODELLED)
+    poses, tracks = _all_poses(problem, followed, cross, run)
     source, reason = _sources(problem, followed, subset, poses)
     return SequencePoses(
-        poses, source, reason, subset, followed, tracks, _linked(followed), clock.seconds,
+        poses, source, reason, subset, followed, tracks, _linked(followed), run.seconds,
         tuple(_warnings(problem, poses, source)),
     )  # fmt: skip
 
 
-def _with_model(problem: SequenceProblem, followed: Followed, subset: Subset) -> SequenceProblem:
+def _with_model(problem: SequenceProblem, followed: Followed, subset: Subset, run: _Run) -> SequenceProblem:
     """The problem with attitudes to start from where none are told, from a model of the subset."""
     loose = problem.known.position.max(axis=1)
-    model = reconstruct(
-        problem.sources, subset.frames, filter_pairs(subset.frames, followed, problem.detector),
-        problem.detector, problem.mount, problem.images.position, loose, problem.radii,
+    run.progress(MODELLED, 0, 1)
+    model = run.stages.stage(
+        "photogrammetry", Reconstruction,
+        lambda: reconstruct(
+            problem.sources, subset.frames, filter_pairs(subset.frames, followed, problem.detector),
+            problem.detector, problem.mount, problem.images.position, loose, problem.radii,
+        ),
     )  # fmt: skip
+    run.progress(MODELLED, 1, 1)
     distance = float(np.median([np.linalg.norm(model.points - p, axis=1).min() for p in model.position]))
     place, attitude = by_displacement(
         problem.t, model.frames, model.position, model.world_from_body, followed, problem.detector,
@@ -154,10 +175,11 @@ def _with_model(problem: SequenceProblem, followed: Followed, subset: Subset) ->
     return replace(problem, images=images)
 
 
-class _Clock:
-    """CPU seconds since the last note."""
+class _Run:
+    """Progress, stages kept, and CPU seconds since the last note."""
 
-    def __init__(self) -> None:
+    def __init__(self, progress: Progress, stages: Stages) -> None:
+        self.progress, self.stages = progress, stages
         self.seconds: dict[str, float] = {}
         self._last = time.process_time()
 
@@ -168,10 +190,58 @@ class _Clock:
         self._last = now
 
 
+def _nothing(stage: str, done: int, total: int) -> None:
+    """Progress that nobody looks at."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Adjusted:
+    """What an adjustment of all frames gave."""
+
+    poses: FramePoses
+    tracks: Tracks
+
+
+@dataclass(frozen=True, eq=False)
+class _Shared:
+    """What stretches have in common."""
+
+    tracks: Tracks | None
+
+
+def _followed(problem: SequenceProblem, plan: FollowPlan | None, run: _Run) -> Followed:
+    """Windows followed, from where an earlier run stood."""
+    run.stages.depend(plan)
+    states: list[FollowState] = []
+
+    def name() -> str:
+        return f"follow-{len(states)}"
+
+    def unreachable() -> FollowState:
+        raise AssertionError("a stage that is there is not computed")
+
+    if not run.stages.has("follow"):
+        while run.stages.has(name()):
+            states.append(run.stages.stage(name(), FollowState, unreachable))
+    before = tuple(states)
+
+    def keep(state: FollowState) -> None:
+        states.append(run.stages.stage(name(), FollowState, lambda: state))
+
+    followed = run.stages.stage(
+        "follow", Followed, lambda: follow_sequence(problem, plan, run.progress, keep, before)
+    )
+    for number in range(len(states)):
+        run.stages.drop(f"follow-{number}")
+    return followed
+
+
 def follow_sequence(
     problem: SequenceProblem,
     plan: FollowPlan | None = None,
-    progress: Callable[[str, int], None] | None = None,
+    progress: Progress | None = None,
+    keep: Callable[[FollowState], None] | None = None,
+    states: Sequence[FollowState] = (),
 ) -> Followed:
     """Windows of all usable frames followed (750).
 
@@ -181,7 +251,9 @@ def follow_sequence(
     plan : FollowPlan, optional
         Its reduction is the period of the problem's mosaic filter where it has one.
     progress : callable, optional
-        Called with "750 displacement and yaw" and the number of frames done.
+        Called with "750 displacement and yaw", the number of frames done, and of all.
+    keep, states
+        As of `follow_windows`.
     """
     plan = FollowPlan() if plan is None else plan
     if problem.mosaic_nm is not None:
@@ -192,9 +264,9 @@ def follow_sequence(
 
     def report(done: int) -> None:
         if progress is not None:
-            progress("750 displacement and yaw", done)
+            progress(FOLLOWED, done, len(sources))
 
-    return follow_windows(sources, plan, progress=report)
+    return follow_windows(sources, plan, progress=report, keep=keep, states=states)
 
 
 def _distances(problem: SequenceProblem) -> Array:
@@ -208,31 +280,64 @@ def _distances(problem: SequenceProblem) -> Array:
 
 
 def _all_poses(
-    problem: SequenceProblem, followed: Followed, tracks: Tracks, cross: bool, clock: _Clock
+    problem: SequenceProblem, followed: Followed, cross: bool, run: _Run
 ) -> tuple[FramePoses, Tracks]:
-    """All frames solved together (760), once more with what stretches share and with the path in frames."""
+    """All frames solved together (760), once more with what stretches share."""
     block = _Block(problem, followed)
-    poses = block.solve(tracks, None)
-    for _ in range(_NOISE_ROUNDS):
-        tracks = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
-        poses = block.solve(tracks, poses)
-    clock.note("760 all poses")
+    found = run.stages.stage("poses", _Adjusted, lambda: _adjusted(block, run))
+    run.note(SOLVED_ALL)
     group = _linked(followed)
     if cross and len(np.unique(group[group >= 0])) > 1:
-        shared = link_stretches(
-            problem.sources, _estimated(problem.images, poses), problem.detector, problem.mount,
-            problem.surface, group, block.cross_plan(poses),
-        )  # fmt: skip
-        clock.note("730 stretches compared")
+        shared = run.stages.stage("cross", _Shared, lambda: _compared(block, found.poses, group, run)).tracks
+        run.note(COMPARED)
         if shared is not None:
-            first = int(tracks.point.max()) + 1
+            first = int(found.tracks.point.max()) + 1
             moved = Tracks(shared.image, shared.point + first, shared.pixels, shared.sigma_px)
-            tracks = joined([tracks, moved])
-            poses = block.solve(tracks, poses)
-    for _ in range(_SHUTTER_ROUNDS - _NOISE_ROUNDS if problem.readout_time != 0.0 else 0):
-        poses = block.solve(tracks, poses)
-    clock.note("760 all poses")
-    return poses, block.with_control(tracks)
+            before, tracks = found.poses, joined([found.tracks, moved])
+            run.progress(SOLVED_ALL, 0, 1)
+            found = run.stages.stage(
+                "poses-linked", _Adjusted, lambda: _Adjusted(block.solve(tracks, before), tracks)
+            )
+            run.progress(SOLVED_ALL, 1, 1)
+            run.note(SOLVED_ALL)
+    return found.poses, block.with_control(found.tracks)
+
+
+def _adjusted(block: _Block, run: _Run) -> _Adjusted:
+    """Frames of each stretch solved, a long flight in blocks."""
+    if len(block.problem) >= 2 * BLOCK_FRAMES:
+        heights = block.heights()
+
+        def report(done: int, total: int) -> None:
+            run.progress(SOLVED_ALL, done, total)
+
+        poses, tracks = solve_in_blocks(
+            block.problem, block.followed, block.part, heights,
+            length=BLOCK_FRAMES, stages=run.stages, progress=report,
+        )  # fmt: skip
+        return _Adjusted(poses, tracks)
+    rounds = block.rounds()
+
+    def count(done: int) -> None:
+        run.progress(SOLVED_ALL, done, rounds)
+
+    solved = block.part(block.problem, block.followed, count)
+    return _Adjusted(solved.poses, solved.tracks)
+
+
+def _compared(block: _Block, poses: FramePoses, group: NDArray[np.intp], run: _Run) -> _Shared:
+    """Stretches compared with each other."""
+    p = block.problem
+
+    def report(done: int, total: int) -> None:
+        run.progress(COMPARED, done, total)
+
+    return _Shared(
+        link_stretches(
+            p.sources, _estimated(p.images, poses), p.detector, p.mount, p.surface, group,
+            block.cross_plan(poses), report,
+        )
+    )  # fmt: skip
 
 
 class _Block:
@@ -253,10 +358,7 @@ class _Block:
     def _priors(self, tracks: Tracks) -> PointPriors | None:
         """What is known of the points: a surface, points of control."""
         p = self.problem
-        heights = control = None
-        if p.height_sigma > 0.0:
-            # a surface is wrong over a whole frame alike: all points in it together tell its height once
-            heights = HeightPrior(p.surface, p.height_sigma * np.sqrt(self.per_frame), p.radii)
+        heights, control = self.heights(), None
         if p.control is not None and p.control_tracks is not None:
             first = int(tracks.point.max()) + 1
             control = ControlPoints(
@@ -264,8 +366,48 @@ class _Block:
             )
         return None if heights is None and control is None else PointPriors(heights, control)
 
+    def heights(self) -> HeightPrior | None:
+        """What is known of the heights of all points."""
+        p = self.problem
+        if not p.height_sigma > 0.0:
+            return None
+        # a surface is wrong over a whole frame alike: all points in it together tell its height once
+        return HeightPrior(p.surface, p.height_sigma * np.sqrt(self.per_frame), p.radii)
+
+    def rounds(self) -> int:
+        """How many times a part is solved."""
+        return 1 + (_SHUTTER_ROUNDS if self.problem.readout_time != 0.0 else _NOISE_ROUNDS)
+
+    def part(
+        self, problem: SequenceProblem, followed: Followed, progress: Callable[[int], None] | None = None
+    ) -> PartSolution:
+        """Frames in a row solved, with the noise of their sightings and with the path within frames."""
+        own = copy(self)
+        own.problem, own.followed = problem, followed
+        tracks = Tracks(followed.image, followed.point, followed.pixels, followed.sigma_px)
+        poses = own.solve(tracks, None)
+        for number in range(1, self.rounds()):
+            if progress is not None:
+                progress(number)
+            if number <= _NOISE_ROUNDS:
+                good = ~poses.rejected[: len(tracks)]
+                tracks = with_drift(tracks, poses.residual_px[: len(tracks)], good)
+            poses = own.solve(tracks, poses)
+        if progress is not None:
+            progress(self.rounds())
+        sightings, priors, _ = own.equations(tracks, poses)
+        return PartSolution(tracks, sightings, priors, poses)
+
     def solve(self, tracks: Tracks, before: FramePoses | None) -> FramePoses:
         """Poses of all frames; `before` tells where points are, and how frames moved while read out."""
+        p = self.problem
+        sightings, priors, points = self.equations(tracks, before)
+        return adjust_frames(p.images, sightings, p.known, priors=priors, points=points, start=before)
+
+    def equations(
+        self, tracks: Tracks, before: FramePoses | None
+    ) -> tuple[Sightings, PointPriors | None, Array]:
+        """Sightings, what is known of points, and where they are (n, 3) m."""
         p = self.problem
         priors = self._priors(tracks)
         tracks = self.with_control(tracks)
@@ -283,7 +425,7 @@ class _Block:
             if shutter:
                 delay = p.readout_time * tracks.pixels[:, 0] / (p.detector.shape[0] - 1.0)
                 sightings = sight_lines(sightings, p.images, _estimated(p.images, before), delay)
-        return adjust_frames(p.images, sightings, p.known, priors=priors, points=points, start=before)
+        return sightings, priors, points
 
     def cross_plan(self, poses: FramePoses) -> CrossPlan:
         """How far to look for what stretches share."""

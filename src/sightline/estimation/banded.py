@@ -154,29 +154,51 @@ class BandedFactor:
         """
         if width < 0:
             raise InputError(f"`width` must be 0 or more, got {width}")
-        n, b = self.n, self.subdiagonals
-        keep = max(b, min(width, n - 1))  # size of the dense window of the inverse
-        block = int(np.clip(b, 24, 96))
-        result = np.zeros((width + 1, n))
-        copied = min(width, keep)
-        window = np.zeros((keep, keep))  # Z_RR; rows past the end of the matrix stay zero
-        for stop in range(n, 0, -block):
-            start = max(0, stop - block)
-            size = stop - start
-            below_start, below = _dense_columns(self._lower[:, start:stop], keep)
-            inverse = solve_triangular(
-                below_start, np.eye(size), lower=True, overwrite_b=True, check_finite=False
-            )
-            z = np.empty((size + keep, size), order="F")
-            np.matmul(window, below @ -inverse, out=z[size:])
-            corner = inverse.T @ (inverse - below.T @ z[size:])
-            z[:size] = 0.5 * (corner + corner.T)
-            _skewed(z, copied + 1)
-            result[: copied + 1, start:stop] = _skewed(z, copied + 1)
-            window = _shifted(window, z, size)
-        for d in range(1, copied + 1):
+        n = self.n
+        keep = max(self.subdiagonals, min(width, n - 1))
+        # rows past the end of the matrix stay zero
+        result, _ = inverse_columns(self._lower, width, np.zeros((keep, keep)))
+        for d in range(1, min(width, keep) + 1):
             result[d, n - d :] = 0.0
         return result
+
+
+def inverse_columns(lower: Array, width: int, window: Array) -> tuple[Array, Array]:
+    """Band of the inverse for some columns of a factor, from what is known of it after them.
+
+    Parameters
+    ----------
+    lower : (b + 1, n)
+        Columns of the factor, rows below the last of them too.
+    width : int
+        Of the band wanted.
+    window : (w, w)
+        The inverse at the w unknowns after these, w at least b; zero beyond the end of the matrix.
+
+    Returns
+    -------
+    band : (width + 1, n)
+    window : (w, w)
+        The inverse at the first w unknowns from these columns on.
+    """
+    n, keep = lower.shape[1], len(window)
+    block = int(np.clip(lower.shape[0] - 1, 24, 96))
+    result = np.zeros((width + 1, n))
+    copied = min(width, keep)
+    for stop in range(n, 0, -block):
+        start = max(0, stop - block)
+        size = stop - start
+        below_start, below = _dense_columns(lower[:, start:stop], keep)
+        inverse = solve_triangular(
+            below_start, np.eye(size), lower=True, overwrite_b=True, check_finite=False
+        )
+        z = np.empty((size + keep, size), order="F")
+        np.matmul(window, below @ -inverse, out=z[size:])
+        corner = inverse.T @ (inverse - below.T @ z[size:])
+        z[:size] = 0.5 * (corner + corner.T)
+        result[: copied + 1, start:stop] = _skewed(z, copied + 1)
+        window = _shifted(window, z, size)
+    return result, window
 
 
 class BorderedFactor:

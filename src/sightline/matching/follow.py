@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +31,7 @@ from sightline.matching.correlate import pair_covariances, search_shift
 from sightline.matching.select import grid_points, spread_subset, texture_strength
 from sightline.matching.whitening import gradient_filter
 
-__all__ = ["FollowPlan", "Followed", "follow_windows"]
+__all__ = ["FollowPlan", "FollowState", "Followed", "follow_windows"]
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -56,7 +57,11 @@ _CELLS = 8
 _RIM = 20
 #: Steps and px that end the fit of a window.
 _ITERATIONS, _TOLERANCE = 12, 0.01
+#: Frames after which the state is kept.
+_KEPT = 500
 _NONE = np.empty((0, 0), np.bool_)
+#: What is noted of each sighting.
+_SIGHTED = ("image", "point", "pixels", "variance")
 NOTHING = (
     "no two frames in a row look alike; check that the frames are in the order of their times, that they "
     "overlap and that they show more than water or cloud"
@@ -138,6 +143,61 @@ class Followed(ReadOnlyArrays):
     before: NDArray[np.intp]
     motion: Array
     windows: NDArray[np.intp]
+    sharpness: Array
+    contrast: Array
+    reason: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class FollowState(ReadOnlyArrays):
+    """Where following stands between two frames: what it goes on from.
+
+    Attributes
+    ----------
+    number : int
+        Frames done.
+    last, waiting : int
+        The frame that the next is linked to, and one stepped over; -1: none.
+    moved : float
+        px since the last hub.
+    names : int
+        Points so far.
+    hub_frame, hub_name, hub_windows, hub_alive, hub_seen : (H,) int
+        Of each hub: its frame, the number of its first point, and rows of its windows, of those still
+        followed and of their sightings in the arrays below.
+    centre : (W, 2) int
+    alive : (A,) int
+    place : (A, 2)
+    seen : (S,) int
+    seen_variance : (S,)
+    image, point, pixels, variance : (N,), (N,), (N, 2), (N,)
+        Sightings since the state before.
+    before, motion, sharpness, contrast : (M,), (M, 4), (M,), (M,)
+    reason : tuple of str
+        As of `Followed`.
+    """
+
+    number: int
+    last: int
+    waiting: int
+    moved: float
+    names: int
+    hub_frame: NDArray[np.intp]
+    hub_name: NDArray[np.intp]
+    hub_windows: NDArray[np.intp]
+    hub_alive: NDArray[np.intp]
+    hub_seen: NDArray[np.intp]
+    centre: NDArray[np.int64]
+    alive: NDArray[np.intp]
+    place: Array
+    seen: NDArray[np.intp]
+    seen_variance: Array
+    image: NDArray[np.intp]
+    point: NDArray[np.intp]
+    pixels: Array
+    variance: Array
+    before: NDArray[np.intp]
+    motion: Array
     sharpness: Array
     contrast: Array
     reason: tuple[str, ...]
@@ -344,6 +404,52 @@ class _Follower:
         self.hubs, self.last, self.moved = kept
         return False
 
+    def state(self, number: int, waiting: int, since: int) -> dict[str, Any]:
+        """Fields of `FollowState` that are known here; sightings from the list's item `since` on."""
+        seen = [pair for hub in self.hubs for pair in hub.seen]
+        return {
+            "number": number,
+            "last": -1 if self.last is None else self.last.number,
+            "waiting": waiting,
+            "moved": self.moved,
+            "names": self.names,
+            "hub_frame": np.array([hub.frame.number for hub in self.hubs], dtype=np.intp),
+            "hub_name": np.array([hub.first_name for hub in self.hubs], dtype=np.intp),
+            "hub_windows": np.array([len(hub.centre) for hub in self.hubs], dtype=np.intp),
+            "hub_alive": np.array([len(hub.alive) for hub in self.hubs], dtype=np.intp),
+            "hub_seen": np.array([sum(len(r) for r, _ in hub.seen) for hub in self.hubs], dtype=np.intp),
+            "centre": _stacked([hub.centre for hub in self.hubs], (0, 2), np.int64),
+            "alive": _stacked([hub.alive for hub in self.hubs], (0,), np.intp),
+            "place": _stacked([hub.place for hub in self.hubs], (0, 2), np.float64),
+            "seen": _stacked([rows for rows, _ in seen], (0,), np.intp),
+            "seen_variance": _stacked([variance for _, variance in seen], (0,), np.float64),
+            "image": _stacked(self.image[since:], (0,), np.intp),
+            "point": _stacked(self.point[since:], (0,), np.intp),
+            "pixels": _stacked(self.pixels[since:], (0, 2), np.float64),
+            "variance": _stacked(self.variance[since:], (0,), np.float64),
+            "before": self.before.copy(),
+            "motion": self.motion.copy(),
+        }
+
+    def go_on(self, states: Sequence[FollowState]) -> None:
+        """Stand where the last of some states in a row was."""
+        for held in states:
+            for name in _SIGHTED:
+                getattr(self, name).append(getattr(held, name))
+        state = states[-1]
+        self.moved, self.names = state.moved, state.names
+        self.before, self.motion = np.array(state.before), np.array(state.motion)
+        self.last = self.reader.read(state.last) if state.last >= 0 else None
+        ends = [np.cumsum(n)[:-1] for n in (state.hub_windows, state.hub_alive, state.hub_seen)]
+        centre = np.split(state.centre, ends[0])
+        alive, place = np.split(state.alive, ends[1]), np.split(state.place, ends[1])
+        seen, variance = np.split(state.seen, ends[2]), np.split(state.seen_variance, ends[2])
+        for k, number in enumerate(state.hub_frame):
+            frame = self.reader.read(int(number))
+            assert frame is not None  # it was read before the state was kept
+            pairs = [(seen[k], variance[k])] if len(seen[k]) else []
+            self.hubs.append(_Hub(frame, centre[k], int(state.hub_name[k]), alive[k], place[k], pairs))
+
     def end(self) -> None:
         """Write what is still held."""
         for hub in self.hubs:
@@ -478,6 +584,8 @@ def follow_windows(
     plan: FollowPlan | None = None,
     *,
     progress: Callable[[int], None] | None = None,
+    keep: Callable[[FollowState], None] | None = None,
+    states: Sequence[FollowState] = (),
 ) -> Followed:
     """Windows of a sequence's frames followed through the frames after them.
 
@@ -488,10 +596,15 @@ def follow_windows(
     plan : FollowPlan, optional
     progress : callable, optional
         Called with the number of frames done.
+    keep : callable, optional
+        Called every few hundred frames with where following stands.
+    states : sequence of FollowState
+        All that were kept of these frames by an earlier call, from the first on: where to go on from.
 
     Returns
     -------
     Followed
+        The same, bit for bit, wherever it went on from.
 
     Raises
     ------
@@ -505,7 +618,23 @@ def follow_windows(
     sharpness, contrast = np.full(count, np.nan), np.full(count, np.nan)
     reason = [""] * count
     waiting: _Frame | None = None
-    for number in range(count):
+    begin = 0
+    if states:
+        follower.go_on(states)
+        state = states[-1]
+        begin, sharpness, contrast = state.number, np.array(state.sharpness), np.array(state.contrast)
+        reason = list(state.reason)
+        waiting = reader.read(state.waiting) if state.waiting >= 0 else None
+    kept = len(follower.image)
+    for number in range(begin, count):
+        if keep is not None and number > begin and number % _KEPT == 0:
+            fields = follower.state(number, -1 if waiting is None else waiting.number, kept)
+            kept = len(follower.image)
+            keep(
+                FollowState(
+                    **fields, sharpness=sharpness.copy(), contrast=contrast.copy(), reason=tuple(reason)
+                )
+            )
         frame = reader.read(number)
         if progress is not None:
             progress(number + 1)
@@ -529,21 +658,40 @@ def follow_windows(
     return _assembled(follower, sharpness, contrast, reason)
 
 
+def _stacked(parts: Sequence[NDArray[Any]], empty: tuple[int, ...], kind: type) -> NDArray[Any]:
+    """Arrays one after the other; an array of shape `empty` where there is none."""
+    return np.concatenate(parts) if len(parts) else np.empty(empty, kind)
+
+
+def _taken(parts: list[NDArray[Any]]) -> NDArray[Any]:
+    """Arrays one after the other, taken from the list, so that they are held once."""
+    whole = np.concatenate(parts)
+    parts.clear()
+    return whole
+
+
+def _sorted(values: NDArray[Any], order: NDArray[np.intp]) -> NDArray[Any]:
+    """Read-only rows in an order."""
+    out = values[order]
+    out.setflags(write=False)
+    return out
+
+
 def _assembled(follower: _Follower, sharpness: Array, contrast: Array, reason: list[str]) -> Followed:
     """What was found, in pixels of the frames as they are."""
     k = follower.plan.reduction
     if not follower.image:
         raise EstimationError(NOTHING)
-    image, point = np.concatenate(follower.image), np.concatenate(follower.point)
+    image, point, pixels, variance = (_taken(getattr(follower, name)) for name in _SIGHTED)
     order = np.lexsort((image, point))
     windows = np.bincount(image, minlength=len(sharpness))
     for number in np.flatnonzero((windows == 0) & np.isfinite(sharpness)):
         reason[number] = reason[number] or "looks like none of the frames after it"
     return Followed(
-        image[order],
-        point[order],
-        frozen(np.concatenate(follower.pixels)[order] * k + 0.5 * (k - 1)),
-        frozen(np.sqrt(np.concatenate(follower.variance)[order]) * k),
+        _sorted(image, order),
+        _sorted(point, order),
+        _sorted(pixels * k + 0.5 * (k - 1), order),
+        _sorted(np.sqrt(variance) * k, order),
         follower.before,
         frozen(follower.motion * np.array([k, k, 1.0, 1.0])),
         windows,

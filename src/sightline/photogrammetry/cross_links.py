@@ -9,11 +9,12 @@ sides (``match_frames.py``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from sightline.geometry.camera import FrameCamera
@@ -99,12 +100,15 @@ def cross_pairs(
     chosen = _spaced(images, detector, mount, surface, group)
     ground = {k: cameras[k].locate(probes, surface) for k in chosen}
     centre = {k: np.nanmean(g, axis=0) for k, g in ground.items()}
+    # a frame that looks beside the surface shares nothing that is known
+    chosen = [k for k in chosen if np.isfinite(centre[k]).all()]
+    tree = cKDTree(np.array([centre[k] for k in chosen]).reshape(-1, 3))
     out = []
     for i in chosen:
         best: dict[int, list[tuple[float, int, NDArray[np.bool_]]]] = {}
         extent = np.nanmax(np.linalg.norm(ground[i] - centre[i], axis=1))
-        for j in chosen:
-            if group[j] <= group[i] or np.linalg.norm(centre[j] - centre[i]) > 2.0 * extent:
+        for j in (chosen[row] for row in sorted(tree.query_ball_point(centre[i], 2.0 * extent))):
+            if group[j] <= group[i]:
                 continue
             found = _alike(cameras[j], probes, ground[i], nm, lines)
             if found is not None:
@@ -172,6 +176,7 @@ def link_stretches(
     surface: Surface,
     group: NDArray[np.intp],
     plan: CrossPlan,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Tracks | None:
     """Points that frames of different stretches have in common; None if there are none.
 
@@ -187,10 +192,15 @@ def link_stretches(
     group : (M,) int
         Stretch of each; -1 leaves it out.
     plan : CrossPlan
+    progress : callable, optional
+        Called with the number of pairs compared and of all.
     """
     found: list[Tracks] = []
     names = 0
-    for i, j, lines in cross_pairs(images, detector, mount, surface, group, plan.partners):
+    pairs = cross_pairs(images, detector, mount, surface, group, plan.partners)
+    for number, (i, j, lines) in enumerate(pairs):
+        if progress is not None:
+            progress(number, len(pairs))
         cameras = frame_cameras(images_of(images, [i, j]), [detector], [mount])
         two = _match_pair((sources[i], sources[j]), cameras, surface, lines, plan)
         if two is None:

@@ -327,9 +327,11 @@ def _settle(
     """
     taken, fresh, last = 0 if known is None else known.steps, 0, np.inf
     equations = None if known is None or not known.equations.reduced.reusable else known.equations
+    earlier = equations is not None
     for steps in range(taken + 1, taken + STEPS + 1):
         if equations is None:
             equations, fresh, last = _equations(block, state, weight), fresh + 1, np.inf
+            earlier = False
         reduced, directions = equations.reduced, equations.known
         pull = _pull(block, state, weight, reduced)
         step, decrease = _step(pull, reduced, directions)
@@ -343,6 +345,10 @@ def _settle(
             equations = None  # those of an earlier state lead no further
             continue
         if not settled and decrease >= enough * pull.cost:
+            if earlier and not _lowers(block, state, weight, pull, step, decrease):
+                equations = None
+                continue
+            earlier = True
             state, whole = _descended(block, state, weight, pull, step, decrease, equations)
             last = decrease
             if not (whole and reduced.reusable):
@@ -354,6 +360,12 @@ def _settle(
         scale = np.sqrt(_scale(statistic[usable & checked]))
         return Fit(state, weight, equations, steps, statistic, checked, float(scale))
     raise EstimationError(DIVERGED)
+
+
+def _lowers(block: Block, state: State, weight: Array, pull: _Pull, step: State, decrease: float) -> bool:
+    """Whether a whole step lowers the cost, as far as rounding lets it be told."""
+    little = decrease < _ROUNDING * max(pull.cost, 1.0)
+    return little or block.cost(_moved(state, step), weight) <= pull.cost
 
 
 def _worst(gross: BoolArray, statistic: Array, point: NDArray[np.intp]) -> BoolArray:

@@ -174,7 +174,7 @@ def _bends(t: Array, roughness: Array, stretch: NDArray[np.intp]) -> tuple[Array
     return row[kept], kept + 2, strength[kept]
 
 
-def _moved(images: Images, moved: Array) -> Images:
+def moved_images(images: Images, moved: Array) -> Images:
     """Images turned and moved by (M, 6)."""
     turned = images.world_from_body * Rotation.from_rotvec(moved[:, :3])
     return replace(images, position=images.position + moved[:, 3:], world_from_body=turned)
@@ -231,7 +231,7 @@ def frame_unknowns(
     precision = path_precision(images.t, small, stretch, rank)
     # it is the path itself that is smooth, not what tables have wrong of it
     row, at, strength = _bends(images.t, small, stretch)
-    planned = path_turns(_moved(images, moved), stretch) / _UNITS
+    planned = path_turns(moved_images(images, moved), stretch) / _UNITS
     bend = np.einsum("nk,nka->na", row, planned[at[:, None] + np.arange(-2, 1)])
     pull = np.zeros((count, 6))
     for k in range(3):
@@ -324,15 +324,15 @@ def adjust_frames(
     FramePoses
     """
     rank = solving_order(images, sightings)
-    moved = np.zeros((len(images), 6)) if start is None else _departures(images, start)
+    moved = np.zeros((len(images), 6)) if start is None else departures_of(images, start)
     rough = np.full(6, _LOOSE_ROUGHNESS) * _UNITS**2 if start is None else start.roughness
     common = None if start is None else -start.bias
     unknowns = frame_unknowns(images, known, rough, rank, moved)
-    block = Block(_from_poses(sightings, moved), unknowns, priors)
+    block = Block(from_poses(sightings, moved), unknowns, priors)
     state, usable = first_state(block, seen_twice(sightings, priors), None)
     if common is not None:
-        common = common[_bias_rows(known)]
-        state = replace(state, common=common, own=_held(unknowns, common))
+        common = common[bias_rows(known)]
+        state = replace(state, common=common, own=held_at(unknowns, common))
     if points is not None:
         given = np.asarray(np.isfinite(points).all(axis=1))
         state.points[given] = points[given] - block.origin
@@ -342,30 +342,30 @@ def adjust_frames(
         step = block.unknowns.departures(fit.state.own, fit.state.common)
         turned = Rotation.from_rotvec(moved[:, :3]) * Rotation.from_rotvec(step[:, :3])
         moved = np.concatenate([turned.as_rotvec(), moved[:, 3:] + step[:, 3:]], axis=1)
-        path = path_turns(_moved(images, moved), stretches(images.t))
+        path = path_turns(moved_images(images, moved), stretches(images.t))
         seen = _count(sightings, fit.weight, images)
-        rough = _roughness(images.t, path, seen) if roughness is None else np.asarray(roughness)
+        rough = path_roughness(images.t, path, seen) if roughness is None else np.asarray(roughness)
         unknowns = frame_unknowns(images, known, rough, rank, moved)
-        before, block = block, Block(_from_poses(block.sightings, step), unknowns, priors)
-        held = _held(unknowns, fit.state.common)
+        before, block = block, Block(from_poses(block.sightings, step), unknowns, priors)
+        held = held_at(unknowns, fit.state.common)
         state = State(fit.state.common, held, fit.state.points + before.origin - block.origin)
         fit = descend(block, state, usable, robust=robust, weight=fit.weight)
-    return _poses(_moved(images, moved), block, fit, rough, known)
+    return _poses(moved_images(images, moved), block, fit, rough, known)
 
 
-def _departures(images: Images, poses: FramePoses) -> Array:
+def departures_of(images: Images, poses: FramePoses) -> Array:
     """(M, 6) rad and m, by which poses depart from those of images."""
     turn = (images.world_from_body.inv() * poses.world_from_body).as_rotvec()
     return np.concatenate([turn, poses.position - images.position], axis=1)
 
 
-def _bias_rows(known: RoughPoses) -> NDArray[np.intp]:
+def bias_rows(known: RoughPoses) -> NDArray[np.intp]:
     """Places of the biases sought in `FramePoses.bias`, in the order of the globals."""
     places = [k for k, on in ((3, known.attitude_bias > 0.0), (0, known.position_bias > 0.0)) if on]
     return np.concatenate([np.arange(p, p + 3) for p in places]) if places else np.zeros(0, dtype=np.intp)
 
 
-def _from_poses(sightings: Sightings, step: Array) -> Sightings:
+def from_poses(sightings: Sightings, step: Array) -> Sightings:
     """The same sightings, their poses turned and moved by `step` (M, 6) of their images."""
     of_pose = np.zeros(len(sightings.position), dtype=np.intp)
     of_pose[sightings.pose] = sightings.image
@@ -377,7 +377,7 @@ def _from_poses(sightings: Sightings, step: Array) -> Sightings:
     )
 
 
-def _held(unknowns: PoseUnknowns, common: Array) -> Array:
+def held_at(unknowns: PoseUnknowns, common: Array) -> Array:
     """Own unknowns (K, 6) that keep poses where they are when the biases are `common`."""
     return np.asarray(-(unknowns.by_global @ common) / np.diag(unknowns.by_shot[0]))
 
@@ -387,7 +387,7 @@ def _count(sightings: Sightings, weight: Array, images: Images) -> Array:
     return np.asarray(np.bincount(sightings.image, weight, minlength=len(images)), dtype=np.float64)
 
 
-def _roughness(t: Array, path: Array, seen: Array) -> Array:
+def path_roughness(t: Array, path: Array, seen: Array) -> Array:
     """Roughness (6,) of a path by its bends where three frames in a row are well seen (all, if none are)."""
     row, at, strength = _bends(t, np.ones(6), stretches(t))
     bend = np.einsum("nk,nka->na", row, path[at[:, None] + np.arange(-2, 1)]) ** 2 * strength
@@ -405,7 +405,7 @@ def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: Roug
     order = [3, 4, 5, 0, 1, 2]
     covariance = reduced.departure_covariance(common)[:, order][:, :, order]
     bias, bias_covariance = np.zeros(6), np.zeros((6, 6))
-    rows = _bias_rows(known)
+    rows = bias_rows(known)
     bias[rows] = -state.common
     bias_covariance[np.ix_(rows, rows)] = common
     used = seen_twice(sightings, block.priors, fit.weight > 0.0)

@@ -11,6 +11,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -75,15 +76,13 @@ def filter_pairs(frames: Index, followed: Followed, detector: AreaDetector) -> l
     """
     nm = detector.wavelength_nm
     per_line = 0.0 if nm is None else float(np.ptp(nm)) / max(detector.shape[0] - 1, 1)
+    steps = [_between(followed, *pair) for pair in pairwise(frames.tolist())]
     out = []
     for n, first in enumerate(frames[:-1]):
         motion: Array | None = np.zeros(4)
         for m in range(n + 1, len(frames)):
-            for k in range(int(frames[m - 1]) + 1, int(frames[m]) + 1):
-                if motion is not None and np.isfinite(followed.motion[k]).all():
-                    motion = chained(motion, followed.motion[k])
-                elif followed.windows[k]:
-                    motion = None  # another stretch
+            step = steps[m - 1]
+            motion = None if motion is None or step is None else chained(motion, step)
             if motion is None:
                 out.append((int(first), int(frames[m])))
                 continue
@@ -92,6 +91,17 @@ def filter_pairs(frames: Index, followed: Followed, detector: AreaDetector) -> l
             if m == n + 1 or alike:
                 out.append((int(first), int(frames[m])))
     return out
+
+
+def _between(followed: Followed, first: int, last: int) -> Array | None:
+    """How frames moved from one to another after it; None where a stretch begins between them."""
+    motion = np.zeros(4)
+    for k in range(first + 1, last + 1):
+        if np.isfinite(followed.motion[k]).all():
+            motion = chained(motion, followed.motion[k])
+        elif followed.windows[k]:
+            return None
+    return motion
 
 
 def reconstruct(

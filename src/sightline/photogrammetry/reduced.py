@@ -197,16 +197,17 @@ class PosesFirst:
         return given + back @ covariance @ np.swapaxes(back, 1, 2)
 
 
-class PointsFirst:
-    """Points eliminated first; a banded system of the shots, bordered by the globals, is left."""
-
-    reusable = True
+class PointsEliminated:
+    """What is left of a block for shots and globals once its points are eliminated."""
 
     def __init__(self, curvature: Curvature, unknowns: PoseUnknowns) -> None:
-        self._unknowns = unknowns
-        width, slots, shots = unknowns.width, unknowns.slots, unknowns.shots
-        self._curvature = curvature
+        self._unknowns, self._curvature = unknowns, curvature
         self._inverse = invert_points(curvature.of_points)
+
+    def assembled(self) -> tuple[Array, Array, Array]:
+        """Normal equations: band (6 n (1 + reach), 6 n K), lower; border (K, 6 n, G); corner (G, G)."""
+        unknowns, curvature = self._unknowns, self._curvature
+        width, slots, shots = unknowns.width, unknowns.slots, unknowns.shots
         span = _span(curvature, unknowns)
         blocks = np.zeros((shots, span + 1, slots * width, slots * width))
         blocks[:, 0] = _in_shots(curvature.of_images, unknowns)
@@ -242,15 +243,9 @@ class PointsFirst:
                     np.swapaxes(unknowns.by_shot[there], 1, 2) @ np.swapaxes(block, 1, 2) @ shared
                 )
                 corner = corner + add.T
-        try:
-            self._factor = BandedFactor(band)
-        except EstimationError:
-            raise EstimationError(UNSOLVABLE) from None
-        self._border = border.reshape(shots * own, -1)
-        self._bridge = self._factor.solve(self._border)
-        self.information = corner - self._border.T @ self._bridge
+        return band, border, corner
 
-    def _eliminated(self, shots: Array, points: Array, common: Array) -> tuple[Array, Array]:
+    def eliminate(self, shots: Array, points: Array, common: Array) -> tuple[Array, Array]:
         """Right-hand sides of shots (K, 6 n) and globals (G,) once points are eliminated."""
         held = np.einsum("nab,nb->na", self._inverse, points)
         taken = gather(self._unknowns, self._along(held))
@@ -266,16 +261,8 @@ class PointsFirst:
             out[:, a] = np.bincount(c.image, pulled[:, a], minlength=len(out))
         return out
 
-    def condense(self, shots: Array, points: Array, common: Array) -> Array:
-        """Right-hand side (G,) left for the globals."""
-        own, right = self._eliminated(shots, points, common)
-        return np.asarray(right - self._bridge.T @ own.ravel())
-
-    def solve(self, shots: Array, points: Array, common: Array, step: Array) -> tuple[Array, Array]:
-        """Steps (K, 6 n) and (n, 3) for right-hand sides, the globals having taken `step` (G,)."""
-        own, _ = self._eliminated(shots, points, common)
-        solved = self._factor.solve(own.ravel())
-        own_step = (solved - self._bridge @ step).reshape(shots.shape)
+    def points(self, points: Array, own_step: Array, step: Array) -> Array:
+        """Steps (n, 3) of points for their right-hand sides, shots and globals having taken theirs."""
         c, width = self._curvature, self._unknowns.width
         departures = self._unknowns.departures(own_step, step)
         seen = np.einsum("nka,na->nk", c.rows[:, :, :width], departures[c.image]) * c.weight[:, None]
@@ -283,7 +270,37 @@ class PointsFirst:
         right = np.array(points)
         for a in range(3):
             right[:, a] -= np.bincount(c.point, pulled[:, a], minlength=len(right))
-        return own_step, np.einsum("nab,nb->na", self._inverse, right)
+        return np.asarray(np.einsum("nab,nb->na", self._inverse, right))
+
+
+class PointsFirst:
+    """Points eliminated first; a banded system of the shots, bordered by the globals, is left."""
+
+    reusable = True
+
+    def __init__(self, curvature: Curvature, unknowns: PoseUnknowns) -> None:
+        self._unknowns = unknowns
+        self._left = PointsEliminated(curvature, unknowns)
+        band, border, corner = self._left.assembled()
+        try:
+            self._factor = BandedFactor(band)
+        except EstimationError:
+            raise EstimationError(UNSOLVABLE) from None
+        self._border = border.reshape(self._factor.n, -1)
+        self._bridge = self._factor.solve(self._border)
+        self.information = corner - self._border.T @ self._bridge
+
+    def condense(self, shots: Array, points: Array, common: Array) -> Array:
+        """Right-hand side (G,) left for the globals."""
+        own, right = self._left.eliminate(shots, points, common)
+        return np.asarray(right - self._bridge.T @ own.ravel())
+
+    def solve(self, shots: Array, points: Array, common: Array, step: Array) -> tuple[Array, Array]:
+        """Steps (K, 6 n) and (n, 3) for right-hand sides, the globals having taken `step` (G,)."""
+        own, _ = self._left.eliminate(shots, points, common)
+        solved = self._factor.solve(own.ravel())
+        own_step = (solved - self._bridge @ step).reshape(shots.shape)
+        return own_step, self._left.points(points, own_step, step)
 
     def departure_covariance(self, covariance: Array) -> Array:
         """Covariance (M, D, D) of the departure of each image, `covariance` (G, G) that of the globals."""

@@ -31,8 +31,11 @@ _STEP = 0.5
 
 def as_index(values: object, name: str, count: int | None = None, least: int = 0) -> Index:
     """Whole numbers (N,) from `least`, below `count` where given, as a read-only array."""
-    array = np.array(values, dtype=np.float64)
-    whole = array.astype(np.intp)
+    if isinstance(values, np.ndarray) and values.dtype == np.intp and not values.flags.writeable:
+        array = whole = values
+    else:
+        array = np.array(values, dtype=np.float64)
+        whole = array.astype(np.intp)
     if array.ndim != 1 or not (array == whole).all():
         raise InputError(f"`{name}` must be whole numbers of shape (N,), got {array.dtype} of {array.shape}")
     if len(whole) and (whole.min() < least or (count is not None and whole.max() >= count)):

@@ -1,0 +1,121 @@
+"""Finished stages: found again as they were, passed over where they are damaged or of other inputs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sightline.applications.stages import Stages, pack, unpack
+
+
+@dataclass(frozen=True, eq=False)
+class Inner:
+    value: np.ndarray
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    numbers: np.ndarray
+    turn: Rotation
+    words: tuple[str, ...]
+    inner: Inner | None
+    count: int
+    nothing: Inner | None = None
+
+
+def result() -> Result:
+    rng = np.random.default_rng(1)
+    turn = Rotation.from_rotvec(rng.normal(size=(4, 3)))
+    return Result(rng.normal(size=(3, 2)), turn, ("", "blurred"), Inner(np.array([True, False]), "x"), 7)
+
+
+def same(a: Result, b: Result) -> bool:
+    return (
+        np.array_equal(a.numbers, b.numbers)
+        and np.array_equal(a.turn.as_quat(), b.turn.as_quat())
+        and (a.words, a.count, a.nothing) == (b.words, b.count, b.nothing)
+        and np.array_equal(a.inner.value, b.inner.value)
+    )
+
+
+def test_a_result_is_the_same_when_it_is_found(tmp_path):
+    first, second, nowhere = Stages(tmp_path / "kept"), Stages(tmp_path / "kept"), Stages()
+    for stages in (first, second, nowhere):
+        stages.depend([1, "a"])
+    made = [stages.stage("one", Result, result) for stages in (first, second, nowhere)]
+    assert (first.computed, first.found) == (["one"], []) and (second.computed, second.found) == ([], ["one"])
+    assert same(made[0], made[1]) and same(made[0], made[2])
+    assert not made[1].numbers.flags.writeable
+    second.remove()
+    assert not (tmp_path / "kept").exists()
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "text", "empty", "other"])
+def test_damaged_and_foreign_files_are_passed_over_with_a_warning(tmp_path, damage):
+    Stages(tmp_path).stage("one", Result, result)
+    path = tmp_path / "one.stage.npz"
+    data = bytearray(path.read_bytes())
+    if damage == "cut":
+        path.write_bytes(data[: len(data) // 2])
+    elif damage == "flipped":
+        # a bit within the numbers, which the sum of the archive's member tells
+        at = data.index(result().numbers.tobytes()[:16])
+        data[at] ^= 1
+        path.write_bytes(data)
+    elif damage == "text":
+        path.write_text("not an archive")
+    elif damage == "empty":
+        path.write_bytes(b"")
+    else:
+        np.savez(path, fingerprint=np.array("0"), numbers=np.zeros(3))
+    told: list[str] = []
+    stages = Stages(tmp_path, told.append)
+    assert same(stages.stage("one", Result, result), result())
+    assert stages.computed == ["one"] and len(told) == 1
+    assert "one.stage.npz is passed over" in told[0] and "done again" in told[0]
+
+
+def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
+    (tmp_path / "kept").write_text("a file")
+    told: list[str] = []
+    stages = Stages(tmp_path / "kept", told.append)
+    for name in ("one", "two"):
+        assert same(stages.stage(name, Result, result), result())
+    assert len(told) == 1 and "stages are not kept" in told[0]
+
+
+def test_files_of_the_problem_count_by_name_size_and_time(tmp_path):
+    file = tmp_path / "frame.tif"
+    file.write_text("a")
+
+    def run(*inputs: object) -> list[str]:
+        stages = Stages(tmp_path / "kept")
+        stages.depend([file, Inner(np.zeros(3), "x"), *inputs])
+        stages.stage("one", Inner, lambda: Inner(np.ones(2), "y"))
+        return stages.computed
+
+    assert run() == ["one"] and run() == []
+    file.write_text("bb")
+    assert run() == ["one"] and run() == []
+    assert run(0.1) == ["one"] and run(0.2) == ["one"]
+
+
+def test_a_stage_within_a_stage_does_not_change_those_after_it(tmp_path):
+    def outer(stages: Stages) -> Inner:
+        stages.depend("within")
+        return stages.stage("inner", Inner, lambda: Inner(np.ones(1), "x"))
+
+    for expected in (["inner", "outer", "last"], []):
+        stages = Stages(tmp_path)
+        stages.stage("outer", Inner, lambda stages=stages: outer(stages))
+        stages.stage("last", Inner, lambda: Inner(np.ones(1), "x"))
+        assert stages.computed == expected
+
+
+def test_packed_arrays_of_another_kind_are_refused():
+    with pytest.raises(KeyError):
+        unpack(Result, pack(Inner(np.zeros(1), "x")))
