@@ -10,92 +10,44 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Protocol
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sightline.applications.cube_ground import Ground, choose_ground, given_heights, ground_hits
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import INTERPOLATED, SequencePoses
-from sightline.errors import EstimationError, InputError
-from sightline.geometry.checks import ReadOnlyArrays, read_only
-from sightline.geometry.earth import WGS84
-from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface
+from sightline.errors import InputError
+from sightline.geometry.checks import ReadOnlyArrays
 from sightline.imaging.source import ImageSource
 from sightline.photogrammetry.rolling_shutter import line_poses
 from sightline.photogrammetry.sightings import Images
 from sightline.products.cube_bands import BandLayout, frame_bands, line_bands
 from sightline.products.cube_fit import PairFit, error_map, fit_pairs
 from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
+from sightline.products.cube_store import CubeStore, MemoryStore
+from sightline.products.cube_tally import CubePicture, CubeTally, picture_bands
 from sightline.products.frame_cube import (
     CubeMaker,
-    FilledTile,
     FrameViews,
-    Heights,
     grid_of,
     line_gain,
     outlines,
-    seam_sums,
     tiles_of,
 )
-from sightline.products.ground_model import GroundModel, fit_ground
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
 SURFACES = ("auto", "model", "given")
-#: What it costs to use a frame whose image tells nothing of its pose, or one out of focus: any other is better.
+#: What it costs to use a frame whose image tells nothing of its pose, or one out of focus.
 _GUESSED, _BLURRED = 1e4, 1e2
 #: Sharpness over that of most frames below which a frame is out of focus.
 _SHARP = 0.6
-#: Wavelengths (nm) of red, green and blue of the picture, and its largest side (px).
-_RGB_NM, _PICTURE_PX = (650.0, 550.0, 470.0), 1200
-#: The given surface is kept where points miss it by no more than this times what they miss their own by.
-_AS_GOOD = 1.2
-
-
-class CubeStore(Protocol):
-    """Where a cube is written, tile by tile."""
-
-    def begin(self, grid: CubeGrid, layout: BandLayout) -> None:
-        """Make room for all bands."""
-        ...
-
-    def write(self, row: int, column: int, values: Array32) -> None:
-        """Pixels (B, rows, columns) of a tile that begins at (row, column)."""
-        ...
-
-    def source(self, band: int) -> ImageSource:
-        """A band as it was written."""
-        ...
-
-
-@dataclass(eq=False)
-class MemoryStore:
-    """A cube held in memory.
-
-    Attributes
-    ----------
-    values : (B, rows, columns) float32
-    """
-
-    values: Array32 = field(default_factory=lambda: np.empty((0, 0, 0), np.float32))
-
-    def begin(self, grid: CubeGrid, layout: BandLayout) -> None:
-        """Make room for all bands."""
-        self.values = np.full((len(layout), *grid.shape), np.nan, dtype=np.float32)
-
-    def write(self, row: int, column: int, values: Array32) -> None:
-        """Pixels (B, rows, columns) of a tile that begins at (row, column)."""
-        self.values[:, row : row + values.shape[1], column : column + values.shape[2]] = values
-
-    def source(self, band: int) -> ImageSource:
-        """A band as it was written."""
-        from sightline.imaging.source import ArrayImage
-
-        return ArrayImage(self.values[band])
+#: Share of the ground passed over from which on gaps are not worth a warning.
+_GAPS = 0.99
 
 
 @dataclass(frozen=True)
@@ -111,6 +63,9 @@ class CubePlan:
         each enough lines for the steps flown.
     surface : str
         "model" (heights of the points found), "given" (what the problem says), "auto".
+    fill_nm : float or None
+        How far beyond a band's own wavelengths lines of a filter may stand in where a step between frames was
+        too long; None: less than half the band's width.
     flatten : bool
         Make the lines of a filter alike before they are resampled.
     picture : bool
@@ -122,6 +77,7 @@ class CubePlan:
     gsd: float | None = None
     bands: int | tuple[float, ...] | None = None
     surface: str = "auto"
+    fill_nm: float | None = None
     flatten: bool = True
     picture: bool = True
     fit: bool = True
@@ -151,13 +107,16 @@ class CubeSummary(ReadOnlyArrays):
     height_sigma : float
         m; what points miss the surface by, robust rms.
     coverage : (B,)
-        Share of the ground that the lines of every band passed over that has a value.
+        Share of the ground that every band could see that has a value: of places which, in one frame or
+        another, lay on lines of every band.
+    passed : (B,)
+        The same of all ground that the lines of every band passed over, in gaps between frames too.
     beyond : (B,)
         Share of the values that come from lines next to the band's own.
     whole : (B,)
         Share of the map that has a value.
     area : float
-        m^2 of the ground that the lines of every band passed over.
+        m^2 of the ground that every band could see.
     seams : (B,)
         Share of neighbouring pixels that come from two frames.
     seam_jump : (B,)
@@ -189,6 +148,7 @@ class CubeSummary(ReadOnlyArrays):
     surface: str
     height_sigma: float
     coverage: Array
+    passed: Array
     beyond: Array
     whole: Array
     area: float
@@ -268,7 +228,7 @@ def assemble_cube(
     gain = line_gain(channels, problem.detector.shape[0]) if by_line else None
     note("lines made alike")
     maker = CubeMaker(grid, layout, views, outline, ground.heights, channels, gain)
-    tally = _Tally(layout, grid, picture_bands(layout) if plan.picture else ())
+    tally = CubeTally(layout, grid, picture_bands(layout) if plan.picture else ())
     store.begin(grid, layout)
     tiles = tiles_of(grid, layout)
     for done, tile in enumerate(tiles, start=1):
@@ -296,22 +256,18 @@ def frame_views(problem: SequenceProblem, found: SequencePoses | None = None) ->
     images = problem.images
     penalty = np.where(problem.usable, 0.0, np.inf)
     if found is not None:
-        images = replace(
-            images, position=found.poses.position, world_from_body=found.poses.world_from_body
-        )
+        images = replace(images, position=found.poses.position, world_from_body=found.poses.world_from_body)
         penalty += _GUESSED * (np.array(found.source) == INTERPOLATED)
         sharpness = found.followed.sharpness
         usual = np.nanmedian(sharpness) if np.isfinite(sharpness).any() else np.nan
         penalty += _BLURRED * (sharpness < _SHARP * usual)
     position, turned = _instants(images, problem.readout_time)
-    camera = np.stack(
-        [(turn * problem.mount).inv().as_matrix() for turn in turned], axis=1
-    )
+    camera = np.stack([(turn * problem.mount).inv().as_matrix() for turn in turned], axis=1)
     return FrameViews(problem.detector, np.stack(position, axis=1), camera, penalty)
 
 
 def _instants(images: Images, readout_time: float) -> tuple[list[Array], list[Rotation]]:
-    """Poses of all frames when their first, middle and last lines are exposed; one where all lines are at once."""
+    """Poses of all frames when their first, middle and last lines are exposed; once where all are at once."""
     position, turned = [images.position], [images.world_from_body]
     if readout_time != 0.0:
         image = np.arange(len(images))
@@ -328,99 +284,6 @@ def map_of(problem: SequenceProblem) -> MapSystem:
         return MapSystem()
     middle = np.median(problem.images.position, axis=0)
     return MapSystem(map_system(middle, problem.radii), problem.radii)
-
-
-@dataclass(frozen=True, eq=False)
-class Ground:
-    """Heights that are used.
-
-    Attributes
-    ----------
-    heights : callable
-        m (...) at map places x, y (...).
-    words : str
-        Which, and why.
-    sigma : float
-        m; what points miss it by, robust rms.
-    model : GroundModel or None
-        Where they are those of the points found.
-    """
-
-    heights: Heights
-    words: str
-    sigma: float
-    model: GroundModel | None = None
-
-
-def choose_ground(problem: SequenceProblem, found: SequencePoses, system: MapSystem, surface: str) -> Ground:
-    """Heights of the points found, or of the surface given, whichever points tell to be better."""
-    given = _given_heights(problem.surface, system)
-    points = system.places(found.poses.points)
-    sigma = _height_sigmas(found, problem)
-    flat = points[np.isfinite(points).all(axis=1)]
-    off = flat[:, 2] - given(flat[:, 0], flat[:, 1])
-    known = off[np.isfinite(off)]
-    missed = 1.4826 * float(np.median(np.abs(known))) if len(known) else np.inf
-    if surface == "given":
-        return Ground(given, "the surface given, as asked for", missed)
-    try:
-        model = fit_ground(points, sigma)
-    except EstimationError as error:
-        if surface == "model":
-            raise
-        return Ground(given, f"the surface given: {error}", missed)
-    words = f"{int(model.used.sum())} points found, which a surface through the others meets to {model.sigma:.3g} m"
-    if surface == "auto" and missed <= _AS_GOOD * model.sigma:
-        return Ground(given, f"the surface given, which points meet to {missed:.3g} m", missed)
-    if surface == "auto":
-        words += f" and the surface given to {missed:.3g} m"
-    return Ground(model.at, f"heights of the {words}", model.sigma, model)
-
-
-def _height_sigmas(found: SequencePoses, problem: SequenceProblem) -> Array:
-    """m (n,), up to a common factor: how well the directions it was seen from tell each point's height."""
-    tracks = found.tracks
-    count = len(found.poses.points)
-    good = ~found.poses.rejected[: len(tracks)] & (tracks.point < count)
-    point, line = tracks.point[good], tracks.pixels[good] / problem.detector.focal_length_px
-    weight = tracks.sigma_px[good] ** -2.0
-    total = np.bincount(point, weight, minlength=count)
-    spread = np.zeros(count)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        for axis in range(2):
-            mean = np.bincount(point, weight * line[:, axis], minlength=count) / total
-            spread += np.bincount(point, weight * (line[:, axis] - mean[point]) ** 2, minlength=count)
-        return np.asarray(1.0 / np.sqrt(spread))
-
-
-def _given_heights(surface: Surface, system: MapSystem) -> Heights:
-    """Heights (...) of a surface at map places."""
-
-    def heights(x: Array, y: Array) -> Array:
-        if isinstance(surface, Plane | Ellipsoid):
-            return np.full(np.shape(x), surface.height)
-        places = np.stack([np.ravel(x), np.ravel(y), np.zeros(np.size(x))], axis=1)
-        if isinstance(surface, Dem):
-            return surface.height_at(read_only(system.world(places))).reshape(np.shape(x))
-        raise InputError(f"a cube needs ground to lie on, not {type(surface).__name__}")
-
-    return heights
-
-
-def ground_hits(
-    problem: SequenceProblem, system: MapSystem, ground: Ground
-) -> Callable[[Array, Array], Array]:
-    """Map places (N, 3) that rays (N, 3), (N, 3) meet; about, as outlines need it."""
-    level = problem.surface
-    if ground.model is not None:
-        level_height = float(np.median(ground.model.heights))
-        radii = problem.radii
-        level = Plane(level_height) if radii is None else Ellipsoid(*radii, level_height)
-
-    def hits(origins: Array, rays: Array) -> Array:
-        return system.places(level.intersect(read_only(origins), read_only(rays)))
-
-    return hits
 
 
 def pixel_size(problem: SequenceProblem, views: FrameViews, outline: Array) -> float:
@@ -446,7 +309,7 @@ def choose_bands(problem: SequenceProblem, plan: CubePlan, outline: Array, gsd: 
         middle = np.nanmean(outline, axis=1)
         step = np.linalg.norm(np.diff(middle, axis=0), axis=1) / gsd
         usual = float(np.nanmedian(step)) if np.isfinite(step).any() else 1.0
-        return line_bands(detector.wavelength_nm, plan.bands, max(usual, 0.1))
+        return line_bands(detector.wavelength_nm, plan.bands, max(usual, 0.1), plan.fill_nm)
     layout = frame_bands(detector.shape, problem.mosaic_nm, problem.channel_nm)
     if plan.bands is None:
         return layout
@@ -470,99 +333,22 @@ def images_of(problem: SequenceProblem) -> list[Sequence[ImageSource]]:
     return [problem.sources]
 
 
-def picture_bands(layout: BandLayout) -> tuple[int, int, int]:
-    """Bands for red, green and blue: those wavelengths where they are seen, else three spread over the range."""
-    nm = layout.wavelength_nm
-    if np.isnan(nm).any() or len(nm) < 3:
-        return (len(nm) - 1, (len(nm) - 1) // 2, 0)
-    low, high = float(nm.min()), float(nm.max())
-    seen = low - 30.0 <= _RGB_NM[2] and _RGB_NM[0] <= high + 30.0
-    wanted = _RGB_NM if seen else (high, 0.5 * (low + high), low)
-    red, green, blue = (int(np.argmin(np.abs(nm - w))) for w in wanted)
-    return red, green, blue
-
-
-class _Tally:
-    """What is counted while tiles are filled, and the picture."""
-
-    def __init__(self, layout: BandLayout, grid: CubeGrid, rgb: Sequence[int]) -> None:
-        self.layout, self.grid, self.rgb = layout, grid, tuple(rgb)
-        first, last = layout.lines_of()
-        self._lines = float(last.min()), float(first.max())
-        count = len(layout)
-        self.passed = 0
-        self.covered, self.values, self.beyond = (np.zeros(count) for _ in range(3))
-        self.seams = np.zeros((count, 4))
-        self.total = np.zeros(count)
-        self.used: set[int] = set()
-        self.picture = _Picture(grid, len(self.rgb))
-
-    def add(self, filled: FilledTile) -> None:
-        """Count a tile."""
-        low, high = filled.swept[..., 0], filled.swept[..., 1]
-        passed = (low <= self._lines[0] + 0.5) & (high >= self._lines[1] - 0.5)
-        there = np.isfinite(filled.values)
-        group = self.layout.group
-        self.passed += int(passed.sum())
-        self.covered += (there & passed).sum(axis=(1, 2))
-        self.values += there.sum(axis=(1, 2))
-        self.beyond += [(filled.beyond[g] & t).sum() for g, t in zip(group, there, strict=True)]
-        self.total += np.where(there, filled.values, np.float32(0.0)).sum(axis=(1, 2), dtype=np.float64)
-        self.seams += seam_sums(filled, self.layout)
-        self.used |= set(np.unique(filled.view).tolist()) - {-1}
-        self.picture.add(filled, self.rgb)
-
-
-class _Picture:
-    """Three bands, reduced."""
-
-    def __init__(self, grid: CubeGrid, bands: int) -> None:
-        self.factor = max(1, -(-max(grid.shape) // _PICTURE_PX))
-        rows, columns = (-(-n // self.factor) for n in grid.shape) if bands else (0, 0)
-        self._sum = np.zeros((bands, rows, columns))
-        self._count = np.zeros((bands, rows, columns))
-
-    def add(self, filled: FilledTile, bands: Sequence[int]) -> None:
-        """Lay in a tile."""
-        tile = filled.tile
-        rows = (tile.row + np.arange(tile.rows)) // self.factor
-        columns = (tile.column + np.arange(tile.columns)) // self.factor
-        for n, band in enumerate(bands):
-            pixels = filled.values[band]
-            there = np.isfinite(pixels)
-            np.add.at(self._sum[n], np.ix_(rows, columns), np.where(there, pixels, 0.0))
-            np.add.at(self._count[n], np.ix_(rows, columns), there)
-
-    def image(self, limits: Array | None = None) -> tuple[NDArray[np.uint8], Array]:
-        """(h, w, 3) uint8 stretched between `limits` (3, 2), black where there is nothing, and the limits."""
-        with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.where(self._count > 0, self._sum / self._count, np.nan)
-        if limits is None:
-            known = [band[np.isfinite(band)] for band in mean]
-            limits = np.array([np.quantile(v, (0.01, 0.99)) if v.size else (0.0, 1.0) for v in known])
-            limits = limits.reshape(-1, 2)
-        low, high = limits[:, 0, None, None], limits[:, 1, None, None]
-        scaled = np.clip((mean - low) / np.maximum(high - low, 1e-12), 0.0, 1.0)
-        out = np.rint(1.0 + 254.0 * scaled)
-        return np.moveaxis(np.where(np.isfinite(out), out, 0.0), 0, 2).astype(np.uint8), limits
-
-
 def _before(
     problem: SequenceProblem,
     plan: CubePlan,
-    tally: _Tally,
+    tally: CubeTally,
     grid: CubeGrid,
     layout: BandLayout,
     system: MapSystem,
     channels: Sequence[Sequence[ImageSource]],
     gain: Array | None,
-) -> _Picture:
+) -> CubePicture:
     """The picture that the rough poses and the surface given make."""
-    picture = _Picture(grid, len(tally.rgb))
+    picture = CubePicture(grid, len(tally.rgb))
     if not plan.picture:
         return picture
     views = frame_views(problem)
-    given = Ground(_given_heights(problem.surface, system), "", 0.0)
+    given = Ground(given_heights(problem.surface, system), "", 0.0)
     outline = outlines(views, ground_hits(problem, system, given))
     three = layout.of(tally.rgb)
     maker = CubeMaker(grid, three, views, outline, given.heights, channels, gain)
@@ -578,19 +364,21 @@ def _summary(
     layout: BandLayout,
     grid: CubeGrid,
     ground: Ground,
-    tally: _Tally,
-    before: _Picture,
+    tally: CubeTally,
+    before: CubePicture,
     fits: Sequence[PairFit],
     unread: tuple[str, ...],
     seconds: dict[str, float],
 ) -> CubeSummary:
+    window = tally.picture.window()
     after, limits = tally.picture.image()
     pairs = tally.seams[:, [0, 2]]
     with np.errstate(invalid="ignore", divide="ignore"):
         mean = tally.total / tally.values
         inside, across = (tally.seams[:, k + 1] / tally.seams[:, k] for k in (0, 2))
         jump = np.sqrt(np.maximum(across - inside, 0.0)) / np.abs(mean)
-        coverage = tally.covered / max(tally.passed, 1)
+        coverage = tally.of_seen / max(tally.seen, 1)
+        passed = tally.of_passed / max(tally.passed, 1)
         beyond = tally.beyond / tally.values
         seams = pairs[:, 1] / pairs.sum(axis=1)
     return CubeSummary(
@@ -600,9 +388,10 @@ def _summary(
         surface=ground.words,
         height_sigma=ground.sigma,
         coverage=coverage,
+        passed=passed,
         beyond=beyond,
         whole=tally.values / (grid.shape[0] * grid.shape[1]),
-        area=tally.passed * grid.gsd**2,
+        area=tally.seen * grid.gsd**2,
         seams=seams,
         seam_jump=jump,
         pairs=np.array([fit.bands for fit in fits], dtype=np.intp).reshape(-1, 2),
@@ -611,17 +400,17 @@ def _summary(
         pair_windows=np.array([fit.windows for fit in fits], dtype=np.intp),
         error_map=error_map(fits, grid.shape),
         rgb=np.array(tally.rgb, dtype=np.intp),
-        after=after,
-        before=before.image(limits if len(limits) else None)[0],
+        after=after[window],
+        before=before.image(limits if len(limits) else None)[0][window],
         frames_used=len(tally.used),
         unread=unread,
         seconds=seconds,
-        warnings=tuple(_warnings(layout, coverage, fits, unread, tally)),
+        warnings=tuple(_warnings(layout, passed, fits, unread, tally)),
     )
 
 
 def _warnings(
-    layout: BandLayout, coverage: Array, fits: Sequence[PairFit], unread: tuple[str, ...], tally: _Tally
+    layout: BandLayout, passed: Array, fits: Sequence[PairFit], unread: tuple[str, ...], tally: CubeTally
 ) -> list[str]:
     """What a user should know."""
     out = []
@@ -629,11 +418,12 @@ def _warnings(
         out.append(f"{len(unread)} frames could not be read for the cube; the first, {unread[0]}")
     if tally.passed == 0:
         out.append("no ground was passed over by the lines of every band: the flight is too short for that")
-    elif coverage.min() < 0.95:
-        worst = int(np.argmin(coverage))
+    elif passed.min() < _GAPS:
+        worst = int(np.argmin(passed))
         out.append(
-            f"band {layout.names[worst]} misses {100 * (1 - coverage[worst]):.1f} % of the ground that every "
-            "band passed over: steps between frames were longer than its lines; ask for fewer bands"
+            f"band {layout.names[worst]} misses {100 * (1 - passed[worst]):.1f} % of the ground that every "
+            "band passed over: steps between frames were longer than its lines; ask for fewer bands or a "
+            "larger fill_nm"
         )
     blind = sum(not np.isfinite(fit.rms_px) for fit in fits)
     if blind:

@@ -79,9 +79,7 @@ class CubeFolder:
         If a format is unknown, or Zarr is asked for without the extra ``cube``.
     """
 
-    def __init__(
-        self, folder: Path, formats: Sequence[str] = ("tif",), *, one_file: bool = False
-    ) -> None:
+    def __init__(self, folder: Path, formats: Sequence[str] = ("tif",), *, one_file: bool = False) -> None:
         """Check that everything asked for can be written, before work starts."""
         wrong = [name for name in formats if name not in FORMATS]
         if wrong or not formats:
@@ -176,7 +174,7 @@ class CubeFolder:
                         source = self.source(band)
                         for first, last in self._blocks(TILE):
                             pixels = source.read((first, last), (0, grid.shape[1]))
-                            window = Window(0, first, grid.shape[1], last - first)  # type: ignore[call-arg]
+                            window = Window(0, first, grid.shape[1], last - first)
                             target.write(pixels, number, window=window)
                 optimise(draft, path, np.dtype(np.float32))
         finally:
@@ -194,12 +192,14 @@ class CubeFolder:
         sources = [self.source(band) for band in range(len(layout))]
         for first, last in self._blocks(_CHUNK):
             for k in range(0, len(sources), chunks[0]):
-                some = [source.read((first, last), (0, grid.shape[1])) for source in sources[k : k + chunks[0]]]
+                some = [
+                    source.read((first, last), (0, grid.shape[1])) for source in sources[k : k + chunks[0]]
+                ]
                 cube[k : k + len(some), first:last, :] = np.stack(some)
-        places = grid.centres(np.arange(grid.shape[0]), np.zeros(grid.shape[0]))[:, 1]
-        easts = grid.centres(np.zeros(grid.shape[1]), np.arange(grid.shape[1]))[:, 0]
+        north = grid.centres(np.arange(float(grid.shape[0])), np.zeros(1))[:, 1]
+        east = grid.centres(np.zeros(1), np.arange(float(grid.shape[1])))[:, 0]
         for name, values, along, unit in (
-            ("wavelength", layout.wavelength_nm, "band", "nm"), ("y", places, "y", "m"), ("x", easts, "x", "m"),
+            ("wavelength", layout.wavelength_nm, "band", "nm"), ("y", north, "y", "m"), ("x", east, "x", "m"),
         ):  # fmt: skip
             array = group.create_array(
                 name, data=np.asarray(values, dtype=np.float64), dimension_names=(along,)

@@ -109,7 +109,10 @@ class BandLayout(ReadOnlyArrays):
 
 
 def line_bands(
-    wavelength_nm: Array, bands: int | Sequence[float] | None = None, step: float | None = None
+    wavelength_nm: Array,
+    bands: int | Sequence[float] | None = None,
+    step: float | None = None,
+    fill_nm: float | None = None,
 ) -> BandLayout:
     """Bands of a filter that varies from line to line.
 
@@ -121,11 +124,14 @@ def line_bands(
         else as many as leave each enough lines for the steps flown.
     step : float, optional
         px; lines from frame to frame.
+    fill_nm : float, optional
+        How far beyond its own wavelengths lines may stand in where a step was too long, each counted less
+        good the further it is; default less than half the band's width: never those of the next step of a
+        filter that has steps.
 
     Notes
     -----
-    A band owns the lines whose wavelength is nearer than half its width; lines up to a whole width away
-    stand in where a step was too long, each counted less good the further it is.
+    A band owns the lines whose wavelength is nearer than half its width.
     """
     lines = np.asarray(wavelength_nm, dtype=np.float64)
     distinct = np.unique(lines)
@@ -137,7 +143,8 @@ def line_bands(
         reach[np.argsort(centres)] = np.minimum(reach[np.argsort(centres)], 0.5 * near)
     entries: list[_Entry] = []
     for band, (centre, half) in enumerate(zip(centres, reach, strict=True)):
-        entries += _entries(band, lines, float(centre), float(half))
+        limit = 2.0 * half * (1.0 - 1e-9) if fill_nm is None else half + fill_nm
+        entries += _entries(band, lines, float(centre), float(half), float(limit))
     return _layout(centres, entries, len(lines))
 
 
@@ -174,7 +181,7 @@ def _given(centres: Array, low: float, high: float, width: float) -> Array:
     return centres
 
 
-def _entries(band: int, lines: Array, centre: float, half: float) -> list[_Entry]:
+def _entries(band: int, lines: Array, centre: float, half: float, limit: float) -> list[_Entry]:
     """Entries of the lines that show a band, run by run."""
     off = np.abs(lines - centre)
     slack = 1e-9 * max(abs(centre), 1.0)
@@ -186,9 +193,9 @@ def _entries(band: int, lines: Array, centre: float, half: float) -> list[_Entry
         best = _best_line(run, lines, centre)
         reach = max(0.5 * len(run), 0.5)
         first, last = int(run[0]), int(run[-1])
-        while first > 0 and off[first - 1] < 2.0 * half - slack and off[first - 1] > off[first] - slack:
+        while first > 0 and off[first - 1] <= limit and off[first - 1] > off[first] - slack:
             first -= 1
-        while last < len(lines) - 1 and off[last + 1] < 2.0 * half - slack and off[last + 1] > off[last] - slack:
+        while last < len(lines) - 1 and off[last + 1] <= limit and off[last + 1] > off[last] - slack:
             last += 1
         lines_of = range(first, last + 1)
         out += [(line, band, best, reach, not run[0] <= line <= run[-1]) for line in lines_of]
@@ -196,7 +203,7 @@ def _entries(band: int, lines: Array, centre: float, half: float) -> list[_Entry
 
 
 def _best_line(run: Index, lines: Array, centre: float) -> float:
-    """Where along a run of lines a wavelength is met: between two of them, or in the middle of those alike."""
+    """Where along a run of lines a wavelength is met: between two lines, or in the middle of those alike."""
     nm = lines[run]
     order = np.argsort(nm)
     if len(run) > 1 and nm[order[0]] < centre < nm[order[-1]] and (np.diff(nm[order]) > 0.0).all():

@@ -1,4 +1,4 @@
-"""The grid of a map: rows from north to south, columns from west to east, and where its places lie in the world.
+"""The grid of a map: rows from north to south, columns from west to east; where they lie in the world.
 
 Not here: what lies on it (``frame_cube.py``), files (``io/cube_files.py``).
 """

@@ -20,36 +20,40 @@ Array32 = NDArray[np.float32]
 
 #: Fractions of a pixel in the table of weights; between two of them weights are linear (error < 2e-5).
 PHASES = 256
-#: Places (px) that the first and the last row of the table are for, counted from tap 0.
-_FIRST, _LAST = -0.5, TAPS - 0.5
+#: Noise over signal that weights are made for, and how much of the noise's power they may let through.
+_NOISE, _MOST_NOISE = (1e-13, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2), 2.0
 #: Steps that find the line of a rolling shutter; each leaves a hundredth of the error before and less.
 _LINE_STEPS = 4
 
 
 @cache
 def place_weights() -> Array32:
-    """Weights of 16 taps for places from half a pixel before the first to half a pixel past the last.
+    """Weights of 16 taps for places from the first of them to the last.
 
-    Row p is the place ``p / PHASES - 0.5``. In the middle they are those of ``products/resample.py``; towards
-    the ends, for places near the border of an image, they are true to the same frequencies as well as taps
-    on one side can be.
+    Row p is the place ``p / PHASES``. In the middle they are those of ``products/resample.py``; towards
+    the ends, for places near the border of an image, they are as true as taps on one side can be without
+    doubling the noise.
     """
     nodes, share = np.polynomial.legendre.leggauss(200)
     f = 0.5 * BAND * (nodes + 1.0)
     power = share / (f + 1.0 / 200.0) ** 2
     power /= power.sum()
     taps = np.arange(TAPS, dtype=np.float64)
-    places = np.arange(int((_LAST - _FIRST) * PHASES) + 1) / PHASES + _FIRST
+    places = np.arange((TAPS - 1) * PHASES + 1) / PHASES
 
     def correlation(lag: Array) -> Array:
         return np.asarray(np.cos(2.0 * np.pi * lag[..., None] * f) @ power)
 
-    # a little noise (1e-6 of the power) keeps weights of one-sided places from growing without bound
-    normal = correlation(taps[:, None] - taps[None, :]) + 1e-6 * np.eye(TAPS)
-    right = np.concatenate(
-        [correlation(taps[:, None] - part[None, :]) for part in np.array_split(places, 16)], axis=1
-    )
-    table = weights_of_sum_one(normal, right).astype(np.float32)
+    right = correlation(taps[:, None] - places[None, :])
+    normal = correlation(taps[:, None] - taps[None, :])
+    best = np.zeros((len(places), TAPS))
+    open_ = np.ones(len(places), dtype=np.bool_)
+    for noise in _NOISE:
+        # the least noise that keeps weights from amplifying it: in the middle next to none is needed
+        weights = weights_of_sum_one(normal + noise * np.eye(TAPS), right)
+        best[open_] = weights[open_]
+        open_ &= (best**2).sum(axis=1) > _MOST_NOISE
+    table = best.astype(np.float32)
     table.setflags(write=False)
     return table
 
@@ -101,22 +105,30 @@ def seen_at(point, matrices, positions, lens, coefficients, reach, lines):  # ty
     return line, column
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def inside(line, column, shape, period):  # type: ignore[no-untyped-def]
+    """Whether pixels of every band lie on all sides of a place, so that none is made up beyond the frame."""
+    low, left = period[0] - 1.0, period[1] - 1.0
+    return low <= line <= shape[0] - period[0] and left <= column <= shape[1] - period[1]
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def choose_views(  # type: ignore[no-untyped-def]
-    world, box, matrices, positions, lens, coefficients, reach, shape, offset, entry_group, centre, half,
+    world, box, matrices, positions, lens, coefficients, reach, shape, period, offset, entry_group, centre, half,
     spare, penalty, frame, cost, view, beyond, swept,
 ):  # fmt: skip
     """Take a frame where it shows places of a tile better than those before it did.
 
     `world` (rows, columns, 3); `box` first and one past the last row and column to look at; `cost`, `view`
-    and `beyond` (groups, rows, columns) are written; `swept` (rows, columns, 2) first and last line that saw each place.
+    and `beyond` (groups, rows, columns) are written; `swept` (rows, columns, 2) first and last line that saw
+    each place.
     """
     lines, columns = shape
     middle = 0.5 * (columns - 1.0)
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
             line, column = seen_at(world[i, j], matrices, positions, lens, coefficients, reach, lines)
-            if not (-0.5 <= line < lines - 0.5 and -0.5 <= column < columns - 0.5):
+            if not inside(line, column, shape, period):
                 continue
             swept[i, j, 0] = min(swept[i, j, 0], line)
             swept[i, j, 1] = max(swept[i, j, 1], line)
@@ -134,7 +146,20 @@ def choose_views(  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def needed_box(  # type: ignore[no-untyped-def]
-    world, box, matrices, positions, lens, coefficients, reach, shape, offset, entry_group, frame, view, out
+    world,
+    box,
+    matrices,
+    positions,
+    lens,
+    coefficients,
+    reach,
+    shape,
+    period,
+    offset,
+    entry_group,
+    frame,
+    view,
+    out,
 ):
     """First and last line and column of a frame among the places of which it is the view, into `out` (4,).
 
@@ -145,7 +170,7 @@ def needed_box(  # type: ignore[no-untyped-def]
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
             line, column = seen_at(world[i, j], matrices, positions, lens, coefficients, reach, lines)
-            if not (-0.5 <= line < lines - 0.5 and -0.5 <= column < columns - 0.5):
+            if not inside(line, column, shape, period):
                 continue
             at = int(np.floor(line + 0.5))
             for e in range(offset[at], offset[at + 1]):
@@ -163,8 +188,8 @@ def _value(image, bad, line, column, table):  # type: ignore[no-untyped-def]
     """The image at a place; and how much pixels that cannot be used weigh in it."""
     r0 = min(max(int(np.floor(line)) - (TAPS // 2 - 1), 0), image.shape[0] - TAPS)
     c0 = min(max(int(np.floor(column)) - (TAPS // 2 - 1), 0), image.shape[1] - TAPS)
-    p = min(max((line - r0 + 0.5) * PHASES, 0.0), table.shape[0] - 1.001)
-    q = min(max((column - c0 + 0.5) * PHASES, 0.0), table.shape[0] - 1.001)
+    p = min(max((line - r0) * PHASES, 0.0), table.shape[0] - 1.001)
+    q = min(max((column - c0) * PHASES, 0.0), table.shape[0] - 1.001)
     ip, iq = int(p), int(q)
     sp, sq = np.float32(p - ip), np.float32(q - iq)
     wq = np.empty(TAPS, np.float32)
@@ -187,8 +212,8 @@ def _value(image, bad, line, column, table):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fill_bands(  # type: ignore[no-untyped-def]
-    world, box, matrices, positions, lens, coefficients, reach, shape, offset, entry_group, frame, view,
-    image, bad, corner, first, bands, phase, period, level, table, share, out,
+    world, box, matrices, positions, lens, coefficients, reach, shape, period, offset, entry_group, frame, view,
+    image, bad, corner, first, bands, phase, level, table, share, out,
 ):  # fmt: skip
     """Values of `bands` at the places of a tile of which a frame is the view, into `out` (B, rows, columns).
 
@@ -199,7 +224,7 @@ def fill_bands(  # type: ignore[no-untyped-def]
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
             line, column = seen_at(world[i, j], matrices, positions, lens, coefficients, reach, lines)
-            if not (-0.5 <= line < lines - 0.5 and -0.5 <= column < columns - 0.5):
+            if not inside(line, column, shape, period):
                 continue
             at = int(np.floor(line + 0.5))
             for e in range(offset[at], offset[at + 1]):

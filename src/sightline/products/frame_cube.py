@@ -24,7 +24,6 @@ from sightline.products.cube_bands import BandLayout
 from sightline.products.cube_grid import CubeGrid
 from sightline.products.cube_kernels import (
     choose_views,
-    count_seams,
     fill_bands,
     needed_box,
     place_weights,
@@ -143,12 +142,8 @@ def outlines(views: FrameViews, ground: Callable[[Array, Array], Array]) -> Arra
         Map places (N, 2 or 3) that rays (N, 3), (N, 3) meet.
     """
     lines, columns = views.detector.shape
-    at = np.stack(
-        np.meshgrid(
-            np.linspace(-0.5, lines - 0.5, _OUTLINE), np.linspace(-0.5, columns - 0.5, _OUTLINE), indexing="ij"
-        ),
-        axis=-1,
-    ).reshape(-1, 2)
+    down, right = np.linspace(-0.5, lines - 0.5, _OUTLINE), np.linspace(-0.5, columns - 0.5, _OUTLINE)
+    at = np.stack(np.meshgrid(down, right, indexing="ij"), axis=-1).reshape(-1, 2)
     rays = views.detector.directions(at)
     out = np.full((len(views), len(at), 2), np.nan)
     for frame in range(len(views)):
@@ -287,7 +282,8 @@ class CubeMaker:
         swept[..., 0], swept[..., 1] = np.inf, -np.inf
         for frame, box in frames:
             choose_views(
-                world, box, *self.views.of(frame), self.views.detector.shape, bands.offset, bands.entry_group,
+                world, box, *self.views.of(frame), self.views.detector.shape, bands.period, bands.offset,
+                bands.entry_group,
                 bands.centre, bands.half, bands.spare, float(self._penalty[frame]), frame, cost, view, beyond,
                 swept,
             )  # fmt: skip
@@ -297,7 +293,17 @@ class CubeMaker:
     def _fill_from(self, frame: int, box: NDArray[np.int64], world: Array, out: FilledTile) -> bool:
         """Values of the places of which a frame is the view; whether it could be read."""
         bands, shape = self.layout, self.views.detector.shape
-        seen = (world, box, *self.views.of(frame), shape, bands.offset, bands.entry_group, frame, out.view)
+        seen = (
+            world,
+            box,
+            *self.views.of(frame),
+            shape,
+            bands.period,
+            bands.offset,
+            bands.entry_group,
+            frame,
+            out.view,
+        )
         around = np.zeros(4)
         if not needed_box(*seen, around):
             return True
@@ -313,8 +319,7 @@ class CubeMaker:
                 return False
             first, rows, phase = self._bands[channel]
             fill_bands(
-                *seen, image, bad, low.astype(np.float64), first, rows, phase, np.array(bands.period),
-                self._level, self._table, _MASK_SHARE, out.values,
+                *seen, image, bad, low.astype(np.float64), first, rows, phase, self._level, self._table, _MASK_SHARE, out.values,
             )  # fmt: skip
         return True
 
@@ -337,11 +342,12 @@ class CubeMaker:
 def line_gain(channels: Sequence[Sequence[ImageSource | None]], lines: int) -> Array:
     """Mean brightness (channels, lines) of each line over many frames; 1 where nothing is known.
 
-    Lines of a filter differ by their wavelengths, the detector and vignetting, not by the ground, which all of
-    them see in turn.
+    Lines of a filter differ by their wavelengths, the detector and vignetting, not by the ground, which all
+    of them see in turn.
     """
     usable = [k for k, source in enumerate(channels[0]) if source is not None]
-    some = [usable[k] for k in np.unique(np.linspace(0, len(usable) - 1, _GAIN_FRAMES).astype(int))]
+    spread = np.linspace(0, len(usable) - 1, min(_GAIN_FRAMES, len(usable))).astype(int)
+    some = [usable[k] for k in spread]
     out = np.ones((len(channels), lines))
     for channel, images in enumerate(channels):
         means = [mean for frame in some if (mean := _line_means(images[frame])) is not None]
@@ -364,11 +370,3 @@ def _line_means(source: ImageSource | None) -> Array | None:
     count = usable.sum(axis=1)
     total = np.where(usable, pixels, np.float32(0.0)).sum(axis=1, dtype=np.float64)
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
-
-
-def seam_sums(filled: FilledTile, layout: BandLayout) -> Array:
-    """Of each band (B, 4): neighbours from one frame, their squared differences, from two frames, theirs."""
-    out = np.zeros((len(layout), 4))
-    for band, group in enumerate(layout.group):
-        count_seams(filled.view[group], filled.values[band], out[band])
-    return out

@@ -23,8 +23,6 @@ from sightline.geometry.checks import ReadOnlyArrays, frozen
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
-#: Nodes per typical distance between neighbouring points.
-_NODES_PER_SPACING = 1.0
 #: Nodes per side of a block that is kept, and solved beside it.
 _BLOCK, _MARGIN = 96, 24
 #: Weights of curvature that are tried, times the typical one.
@@ -34,8 +32,8 @@ _HUBER, _WRONG = 1.5, 4.5
 _ROUNDS = 4
 #: Fewest points that make a surface.
 _FEWEST = 12
-#: Share of the points left out in turn, and most points looked at, to choose the smoothness.
-_FOLDS, _MOST_TRIED = 5, 4000
+#: One point in so many is left out, and most points looked at, to choose the smoothness.
+_LEFT_OUT, _MOST_TRIED = 4, 2000
 #: Neighbours that tell whether a point stands out.
 _NEIGHBOURS = 10
 
@@ -112,7 +110,7 @@ def fit_ground(
     extent : (west, south, east, north), optional
         m; beyond the points the surface goes on evenly. Default theirs.
     posting : float, optional
-        m between nodes; default half the typical distance of neighbouring points.
+        m between nodes; default the typical distance of neighbouring points.
 
     Raises
     ------
@@ -130,7 +128,7 @@ def fit_ground(
     weight = np.ones(len(places)) if sigma is None else sigma[known] ** -2.0
     weight = np.minimum(weight / np.median(weight), 10.0)
     usual = ~_standing_out(places)
-    step = posting or _spacing(places[:, :2]) / _NODES_PER_SPACING
+    step = posting or _spacing(places[:, :2])
     west, south, east, north = extent or _box(places)
     shape = (int(np.ceil((north - south) / step)) + 2, int(np.ceil((east - west) / step)) + 2)
     frame = (west, south, step, (max(shape[0], 3), max(shape[1], 3)))
@@ -149,28 +147,28 @@ def _box(places: Array) -> tuple[float, float, float, float]:
 def _spacing(flat: Array) -> float:
     """m; side of the square that each point has to itself, in the median over places."""
     near = min(_NEIGHBOURS, len(flat) - 1)
-    distance = cKDTree(flat).query(flat, near + 1)[0][:, -1]
-    return float(max(np.median(distance) * np.sqrt(np.pi / near), 1e-6))
+    distance = np.asarray(cKDTree(flat).query(flat, near + 1)[0])
+    return float(max(np.median(distance[:, -1]) * np.sqrt(np.pi / near), 1e-6))
 
 
 def _standing_out(places: Array) -> Flags:
     """Points (n,) that leave the plane through their neighbours far more than points do."""
     near = min(_NEIGHBOURS, len(places) - 1)
-    around = cKDTree(places[:, :2]).query(places[:, :2], near + 1)[1][:, 1:]
-    off = places[around] - places[:, None, :]
+    around = np.asarray(cKDTree(places[:, :2]).query(places[:, :2], near + 1)[1])
+    off = places[around[:, 1:]] - places[:, None, :]
     middle = np.median(off[:, :, 2], axis=1)
     spread = np.median(np.abs(off[:, :, 2] - middle[:, None]), axis=1)
     scale = np.maximum(1.4826 * spread, 1.4826 * np.median(np.abs(middle)))
     return np.asarray(np.abs(middle) > 2.0 * _WRONG * np.maximum(scale, 1e-9))
 
 
-def _curvature(rows: int, columns: int) -> sparse.csr_matrix:
+def _curvature(rows: int, columns: int) -> sparse.csr_array:
     """Second differences along both axes and across them (twice the weight), of a grid of nodes."""
 
-    def second(n: int) -> sparse.csr_matrix:
+    def second(n: int) -> sparse.csr_array:
         return sparse.diags_array([1.0, -2.0, 1.0], offsets=[0, 1, 2], shape=(n - 2, n)).tocsr()
 
-    def first(n: int) -> sparse.csr_matrix:
+    def first(n: int) -> sparse.csr_array:
         return sparse.diags_array([-1.0, 1.0], offsets=[0, 1], shape=(n - 1, n)).tocsr()
 
     parts = [
@@ -182,7 +180,11 @@ def _curvature(rows: int, columns: int) -> sparse.csr_matrix:
 
 
 def _solve(
-    places: Array, weight: Array, frame: tuple[float, float, float, tuple[int, int]], stiffness: float
+    places: Array,
+    weight: Array,
+    frame: tuple[float, float, float, tuple[int, int]],
+    stiffness: float,
+    rounds: int = _ROUNDS,
 ) -> tuple[Array, Array]:
     """Heights (rows, columns) of the nodes and residuals (n,) m, with points that disagree counting less."""
     west, south, step, shape = frame
@@ -190,15 +192,16 @@ def _solve(
     nodes = _corners(row, column, shape[1])
     lines = np.repeat(np.arange(len(places)), 4)
     size = (len(places), shape[0] * shape[1])
-    design = sparse.csr_matrix((share.ravel(), (lines, nodes.ravel())), shape=size)
+    design = sparse.csr_array((share.ravel(), (lines, nodes.ravel())), shape=size)
     bend = _curvature(*shape)
     # next to nothing holds nodes that neither points nor curvature do: a tilt where all points are in a line
     prior = stiffness * (bend.T @ bend) + 1e-9 * sparse.eye_array(size[1])
     level = float(np.average(places[:, 2], weights=np.maximum(weight, 1e-12)))
     target, robust = places[:, 2] - level, weight
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         normal = (design.T @ sparse.diags_array(robust) @ design + prior).tocsc()
-        heights = splu(normal, permc_spec="MMD_AT_PLUS_A").solve(design.T @ (robust * target))
+        right = np.asarray(design.T @ (robust * target))
+        heights = splu(normal, permc_spec="MMD_AT_PLUS_A").solve(right)
         residual = target - design @ heights
         size_of = np.sqrt(np.maximum(weight, 1e-12)) * np.abs(residual)
         scale = max(1.4826 * float(np.median(size_of[weight > 0.0])), 1e-12)
@@ -223,7 +226,12 @@ def _solve_blocks(
             near = ((at >= first) & (at <= last - 1)).all(axis=1) & (weight > 0.0)
             if near.sum() < _FEWEST:
                 continue
-            part = (west + step * first[1], south + step * first[0], step, tuple(int(n) for n in last - first))
+            part = (
+                west + step * first[1],
+                south + step * first[0],
+                step,
+                tuple(int(n) for n in last - first),
+            )
             solved, residual = _solve(places[near], weight[near], part, stiffness)  # type: ignore[arg-type]
             end = np.minimum([row + _BLOCK, column + _BLOCK], shape)
             heights[row : end[0], column : end[1]] = solved[
@@ -257,26 +265,22 @@ def _stiffness(places: Array, weight: Array, step: float) -> tuple[float, float]
     west, south, east, north = _box(some)
     shape = (max(int(np.ceil((north - south) / step)) + 2, 3), max(int(np.ceil((east - west) / step)) + 2, 3))
     frame = (west, south, step, shape)
-    fold = np.random.default_rng(0).permutation(len(some)) % _FOLDS
-    missed = [_left_out(some, heavy, frame, fold, float(stiffness)) for stiffness in _TRIED]
+    out = np.random.default_rng(0).permutation(len(some)) % _LEFT_OUT == 0
+    missed = [_missed(some, heavy, frame, out, float(stiffness)) for stiffness in _TRIED]
     best = int(np.argmin(missed))
     return float(_TRIED[best]), missed[best]
 
 
-def _left_out(
+def _missed(
     places: Array,
     weight: Array,
     frame: tuple[float, float, float, tuple[int, int]],
-    fold: NDArray[np.intp],
+    out: Flags,
     stiffness: float,
 ) -> float:
-    """m; robust rms of what points are missed by that a surface does not know."""
+    """m; robust rms of what points `out` are missed by that a surface through the others does not know."""
     west, south, step, shape = frame
-    missed = np.empty(len(places))
-    for number in range(_FOLDS):
-        out = fold == number
-        heights, _ = _solve(places[~out], weight[~out], frame, stiffness)
-        row, column, share = _cells(places[out, 0], places[out, 1], west, south, step, shape)
-        found = (heights.ravel()[_corners(row, column, shape[1])] * share).sum(axis=1)
-        missed[out] = places[out, 2] - found
-    return 1.4826 * float(np.median(np.abs(missed)))
+    heights, _ = _solve(places[~out], weight[~out], frame, stiffness, rounds=2)
+    row, column, share = _cells(places[out, 0], places[out, 1], west, south, step, shape)
+    found = (heights.ravel()[_corners(row, column, shape[1])] * share).sum(axis=1)
+    return 1.4826 * float(np.median(np.abs(places[out, 2] - found)))
