@@ -107,8 +107,8 @@ def test_pixels_of_a_line_filter_are_what_their_band_sees_at_their_place(lvf):
     scenario, problem = lvf
     summary, values = made(problem, true_poses(scenario))
     assert summary.wavelength_nm == pytest.approx(np.unique(scenario.filter.told_nm))
-    # lines of a band differ by 35 nm from its first to its last (true wavelengths run on under told steps), so
-    # brightness departs by some noise; shifted by half a pixel the ground itself departs five times more
+    # lines of a band differ by 35 nm from its first to its last (true wavelengths run on under told steps):
+    # its brightness departs by some noise; shifted by half a pixel the ground itself departs five times more
     noise, contrast = error_of_noise(scenario, summary, values)
     assert contrast < 0.1
     moved, _ = error_of_noise(scenario, summary, np.roll(values, 1, axis=1))
@@ -151,7 +151,7 @@ def test_a_rolling_shutter_is_followed():
 
 def test_a_map_on_the_earth_is_projected(lvf):
     scenario, problem = lvf
-    origin = from_geodetic(np.radians([[11.3, 47.2, 0.0]]) + [[0.0, 0.0, 500.0]])[0]
+    origin = from_geodetic(np.array([[np.radians(11.3), np.radians(47.2), 500.0]]))[0]
     turn = local_axes(np.radians(11.3), np.radians(47.2))
     flat = replace(problem, surface=Plane(0.0))
     found = true_poses(scenario)
@@ -229,7 +229,7 @@ def test_frames_that_cannot_be_used_are_replaced_by_their_neighbours(lvf):
     sources = list(problem.sources)
     sources[7] = Broken()
     found = true_poses(scenario)
-    summary, values = made(replace(problem, sources=tuple(sources)), found)
+    summary, _ = made(replace(problem, sources=tuple(sources)), found)
     assert summary.unread == ("7: frame 7 is truncated",) and "could not be read" in summary.warnings[0]
     # frames 7 and the excluded 8 leave a gap of three steps, 14 px, which bands of 8 lines cannot close
     excluded = tuple("blurred" if k == 8 else "" for k in range(len(problem)))

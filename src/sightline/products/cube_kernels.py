@@ -114,8 +114,8 @@ def inside(line, column, shape, period):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def choose_views(  # type: ignore[no-untyped-def]
-    world, box, matrices, positions, lens, coefficients, reach, shape, period, offset, entry_group, centre, half,
-    spare, penalty, frame, cost, view, beyond, swept,
+    world, box, matrices, positions, lens, coefficients, reach, shape, period, offset, entry_group, centre,
+    half, spare, penalty, frame, cost, view, beyond, swept,
 ):  # fmt: skip
     """Take a frame where it shows places of a tile better than those before it did.
 
@@ -165,7 +165,7 @@ def needed_box(  # type: ignore[no-untyped-def]
 
     Returns how many there are.
     """
-    lines, columns = shape
+    lines = shape[0]
     count = 0
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
@@ -212,15 +212,15 @@ def _value(image, bad, line, column, table):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fill_bands(  # type: ignore[no-untyped-def]
-    world, box, matrices, positions, lens, coefficients, reach, shape, period, offset, entry_group, frame, view,
-    image, bad, corner, first, bands, phase, level, table, share, out,
+    world, box, matrices, positions, lens, coefficients, reach, shape, period, offset, entry_group, frame,
+    view, image, bad, corner, first, bands, phase, level, table, share, out,
 ):  # fmt: skip
     """Values of `bands` at the places of a tile of which a frame is the view, into `out` (B, rows, columns).
 
     `image` is the part of the frame from `corner` on, which begins at a whole period of the filter; `bands`
     and their `phase` go group by group, group g from ``first[g]`` on; values are multiplied by `level` (B,).
     """
-    lines, columns = shape
+    lines = shape[0]
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
             line, column = seen_at(world[i, j], matrices, positions, lens, coefficients, reach, lines)

@@ -264,14 +264,14 @@ class CubeMaker:
         """All bands of a tile; None where no frame shows it."""
         while frames := self.frames_of(tile):
             world = self.world(tile)
-            out = self._choose(tile, world, frames)
+            out = self.choose(tile, world, frames)
             chosen = set(np.unique(out.view).tolist())
             if all(self._fill_from(frame, box, world, out) for frame, box in frames if frame in chosen):
                 return out
             # a frame turned out unreadable: others take its place
         return None
 
-    def _choose(self, tile: Tile, world: Array, frames: list[tuple[int, NDArray[np.int64]]]) -> FilledTile:
+    def choose(self, tile: Tile, world: Array, frames: list[tuple[int, NDArray[np.int64]]]) -> FilledTile:
         """Which frame shows each place best; no values yet."""
         flat, bands = world.shape[:2], self.layout
         shape = (bands.groups, *flat)
@@ -319,7 +319,8 @@ class CubeMaker:
                 return False
             first, rows, phase = self._bands[channel]
             fill_bands(
-                *seen, image, bad, low.astype(np.float64), first, rows, phase, self._level, self._table, _MASK_SHARE, out.values,
+                *seen, image, bad, low.astype(np.float64), first, rows, phase, self._level, self._table,
+                _MASK_SHARE, out.values,
             )  # fmt: skip
         return True
 
