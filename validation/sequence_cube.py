@@ -9,6 +9,7 @@ number of frames.
 from __future__ import annotations
 
 import pickle
+import re
 import subprocess
 import sys
 import tempfile
@@ -35,7 +36,6 @@ from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Dem
 from sightline.io.cube_files import CubeFolder
 from sightline.io.images import open_image
-from sightline.io.results import peak_memory
 from sightline.products.frame_cube import CubeMaker, FrameViews, outlines, tiles_of
 from sightline.simulate.sequence import SequenceScenario, sequence_case
 
@@ -159,7 +159,9 @@ def measure(path: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         store = CubeFolder(Path(folder))
         summary = assemble_cube(problem, found, CubePlan(bands=20, picture=False, fit=False), store)
-    memory = (peak_memory() or 0) / 2**20
+    # of this process alone: what getrusage tells counts the parent that it was forked from
+    told = re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text(encoding="utf-8"))
+    memory = int(told[1]) / 1024 if told else np.nan
     print(
         f"  {len(problem):5d} frames: {summary.seconds['tiles']:6.1f} CPU s, peak {memory:.0f} MiB",
         flush=True,
@@ -175,8 +177,8 @@ def growth() -> None:
         found = georeference_sequence(problem)
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            for k, source in enumerate(problem.sources):
-                np.save(folder / f"{k}.npy", source.read((0, source.shape[0]), (0, source.shape[1])))
+            for k in range(frames):
+                np.save(folder / f"{k}.npy", scenario.image(k)[0])
             files = tuple(open_image(folder / f"{k}.npy") for k in range(frames))
             (folder / "problem.pickle").write_bytes(pickle.dumps((replace(problem, sources=files), found)))
             subprocess.run(
