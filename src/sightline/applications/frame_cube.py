@@ -22,6 +22,7 @@ from sightline.applications.sequence_poses import INTERPOLATED, SequencePoses
 from sightline.errors import InputError
 from sightline.geometry.checks import ReadOnlyArrays
 from sightline.imaging.source import ImageSource
+from sightline.photogrammetry.frame_poses import stretches
 from sightline.photogrammetry.rolling_shutter import line_poses
 from sightline.photogrammetry.sightings import Images
 from sightline.products.cube_bands import BandLayout, frame_bands, line_bands
@@ -263,7 +264,7 @@ def frame_views(problem: SequenceProblem, found: SequencePoses | None = None) ->
         penalty += _BLURRED * (sharpness < _SHARP * usual)
     position, turned = _instants(images, problem.readout_time)
     camera = np.stack([(turn * problem.mount).inv().as_matrix() for turn in turned], axis=1)
-    return FrameViews(problem.detector, np.stack(position, axis=1), camera, penalty)
+    return FrameViews(problem.detector, np.stack(position, axis=1), camera, stretches(images.t), penalty)
 
 
 def _instants(images: Images, readout_time: float) -> tuple[list[Array], list[Rotation]]:

@@ -94,14 +94,6 @@ class BandLayout(ReadOnlyArrays):
             spare=self.spare[entries],
         )
 
-    def lines_of(self) -> tuple[Array, Array]:
-        """First and last own line (groups,) of each group."""
-        line = np.repeat(np.arange(len(self.offset) - 1), np.diff(self.offset))
-        first, last = np.full(self.groups, np.inf), np.full(self.groups, -np.inf)
-        np.minimum.at(first, self.entry_group[~self.spare], line[~self.spare])
-        np.maximum.at(last, self.entry_group[~self.spare], line[~self.spare])
-        return first, last
-
     @property
     def groups(self) -> int:
         """Number of groups."""
@@ -197,8 +189,8 @@ def _entries(band: int, lines: Array, centre: float, half: float, limit: float) 
             first -= 1
         while last < len(lines) - 1 and off[last + 1] <= limit and off[last + 1] > off[last] - slack:
             last += 1
-        lines_of = range(first, last + 1)
-        out += [(line, band, best, reach, not run[0] <= line <= run[-1]) for line in lines_of]
+        every = range(first, last + 1)
+        out += [(line, band, best, reach, not run[0] <= line <= run[-1]) for line in every]
     return out
 
 

@@ -23,7 +23,9 @@ PHASES = 256
 #: Noise over signal that weights are made for, and how much of the noise's power they may let through.
 _NOISE, _MOST_NOISE = (1e-13, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2), 2.0
 #: Steps that find the line of a rolling shutter; each leaves a hundredth of the error before and less.
-_LINE_STEPS = 4
+_LINE_STEPS = 6
+#: Change of that line (px) that ends them: what is left is a hundredth of it.
+_LINE_ENOUGH = 0.02
 
 
 @cache
@@ -59,15 +61,16 @@ def place_weights() -> Array32:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def seen_at(point, matrices, positions, lens, coefficients, reach, lines):  # type: ignore[no-untyped-def]
+def seen_at(point, matrices, positions, lens, coefficients, reach, lines, guess):  # type: ignore[no-untyped-def]
     """(line, column) at which a frame sees a world point (3,); NaN behind it or beyond the lens.
+
+    The line of a rolling shutter is looked for from `guess` on, that of a place beside it.
 
     `matrices` (K, 3, 3) camera_from_world and `positions` (K, 3), K = 1, or 3 for the first, middle and last
     line; `lens` focal length, principal line, principal column.
     """
     rolling = matrices.shape[0] == 3
-    line = 0.5 * (lines - 1.0)
-    column = np.nan
+    line, column = guess, np.nan
     for _ in range(_LINE_STEPS if rolling else 1):
         a, b, c = 1.0, 0.0, 0.0
         if rolling:
@@ -101,7 +104,10 @@ def seen_at(point, matrices, positions, lens, coefficients, reach, lines):  # ty
         if x * x + y * y > reach * reach:
             return np.nan, np.nan
         x, y = brown(x, y, coefficients)
+        before = line
         line, column = lens[1] + lens[0] * y, lens[2] + lens[0] * x
+        if abs(line - before) < _LINE_ENOUGH:
+            break
     return line, column
 
 
@@ -115,23 +121,25 @@ def inside(line, column, shape, period):  # type: ignore[no-untyped-def]
 @njit(cache=True, nogil=True, error_model="numpy")
 def choose_views(  # type: ignore[no-untyped-def]
     world, box, matrices, positions, lens, coefficients, reach, shape, period, offset, entry_group, centre,
-    half, spare, penalty, frame, cost, view, beyond, swept,
+    half, spare, penalty, frame, cost, view, beyond, last, passed,
 ):  # fmt: skip
     """Take a frame where it shows places of a tile better than those before it did.
 
     `world` (rows, columns, 3); `box` first and one past the last row and column to look at; `cost`, `view`
-    and `beyond` (groups, rows, columns) are written; `swept` (rows, columns, 2) first and last line that saw
-    each place.
+    and `beyond` (groups, rows, columns) are written; `last` (rows, columns) the line that saw each place in
+    the frame before (NaN: none) and `passed` (groups, rows, columns) whether lines of the group have passed
+    over it since, in this frame or on the way to it.
     """
     lines, columns = shape
     middle = 0.5 * (columns - 1.0)
+    guess = 0.5 * (lines - 1.0)
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
-            line, column = seen_at(world[i, j], matrices, positions, lens, coefficients, reach, lines)
+            line, column = seen_at(world[i, j], matrices, positions, lens, coefficients, reach, lines, guess)
             if not inside(line, column, shape, period):
+                last[i, j] = np.nan
                 continue
-            swept[i, j, 0] = min(swept[i, j, 0], line)
-            swept[i, j, 1] = max(swept[i, j, 1], line)
+            guess = line
             aside = (column - middle) / (0.5 * columns)
             at = int(np.floor(line + 0.5))
             for e in range(offset[at], offset[at + 1]):
@@ -142,45 +150,46 @@ def choose_views(  # type: ignore[no-untyped-def]
                     cost[g, i, j] = value
                     view[g, i, j] = frame
                     beyond[g, i, j] = spare[e]
+            other = at if np.isnan(last[i, j]) else int(np.floor(last[i, j] + 0.5))
+            for e in range(offset[min(at, other)], offset[max(at, other) + 1]):
+                if not spare[e]:
+                    passed[entry_group[e], i, j] = True
+            last[i, j] = line
+
+
+@njit(cache=True, nogil=True)
+def sort_by_frame(view, first, places):  # type: ignore[no-untyped-def]
+    """Places of a tile frame by frame: `view` (groups * pixels,), -1 where there is none.
+
+    Flat indices of frame k into ``places[first[k] : first[k + 1]]``; `first` (frames + 1,) is written.
+    """
+    first[:] = 0
+    for n in range(view.shape[0]):
+        if view[n] >= 0:
+            first[view[n] + 1] += 1
+    for k in range(first.shape[0] - 1):
+        first[k + 1] += first[k]
+    place = first[:-1].copy()
+    for n in range(view.shape[0]):
+        if view[n] >= 0:
+            places[place[view[n]]] = n
+            place[view[n]] += 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def needed_box(  # type: ignore[no-untyped-def]
-    world,
-    box,
-    matrices,
-    positions,
-    lens,
-    coefficients,
-    reach,
-    shape,
-    period,
-    offset,
-    entry_group,
-    frame,
-    view,
-    out,
+def see_places(  # type: ignore[no-untyped-def]
+    world, places, matrices, positions, lens, coefficients, reach, shape, pixels
 ):
-    """First and last line and column of a frame among the places of which it is the view, into `out` (4,).
-
-    Returns how many there are.
-    """
+    """(line, column) at which a frame sees places, flat indices over groups and `world` (n, 3)."""
     lines = shape[0]
-    count = 0
-    for i in range(box[0], box[1]):
-        for j in range(box[2], box[3]):
-            line, column = seen_at(world[i, j], matrices, positions, lens, coefficients, reach, lines)
-            if not inside(line, column, shape, period):
-                continue
-            at = int(np.floor(line + 0.5))
-            for e in range(offset[at], offset[at + 1]):
-                if view[entry_group[e], i, j] == frame:
-                    if count == 0:
-                        out[0], out[1], out[2], out[3] = line, line, column, column
-                    out[0], out[1] = min(out[0], line), max(out[1], line)
-                    out[2], out[3] = min(out[2], column), max(out[3], column)
-                    count += 1
-    return count
+    guess = 0.5 * (lines - 1.0)
+    count = world.shape[0]
+    for n in range(places.shape[0]):
+        line, column = seen_at(
+            world[places[n] % count], matrices, positions, lens, coefficients, reach, lines, guess
+        )
+        guess = line
+        pixels[n, 0], pixels[n, 1] = line, column
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -212,36 +221,27 @@ def _value(image, bad, line, column, table):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def fill_bands(  # type: ignore[no-untyped-def]
-    world, box, matrices, positions, lens, coefficients, reach, shape, period, offset, entry_group, frame,
-    view, image, bad, corner, first, bands, phase, level, table, share, out,
-):  # fmt: skip
-    """Values of `bands` at the places of a tile of which a frame is the view, into `out` (B, rows, columns).
+    places, pixels, image, bad, corner, period, first, bands, phase, level, table, share, out
+):
+    """Values of `bands` at `places` of a tile, which a frame sees at `pixels`, into `out` (B, places).
 
     `image` is the part of the frame from `corner` on, which begins at a whole period of the filter; `bands`
     and their `phase` go group by group, group g from ``first[g]`` on; values are multiplied by `level` (B,).
     """
-    lines = shape[0]
-    for i in range(box[0], box[1]):
-        for j in range(box[2], box[3]):
-            line, column = seen_at(world[i, j], matrices, positions, lens, coefficients, reach, lines)
-            if not inside(line, column, shape, period):
-                continue
-            at = int(np.floor(line + 0.5))
-            for e in range(offset[at], offset[at + 1]):
-                g = entry_group[e]
-                if view[g, i, j] != frame:
-                    continue
-                for n in range(first[g], first[g + 1]):
-                    cells = image[phase[n, 0] :: period[0], phase[n, 1] :: period[1]]
-                    spoiled = bad[phase[n, 0] :: period[0], phase[n, 1] :: period[1]]
-                    value, weight = _value(
-                        cells,
-                        spoiled,
-                        (line - corner[0] - phase[n, 0]) / period[0],
-                        (column - corner[1] - phase[n, 1]) / period[1],
-                        table,
-                    )
-                    out[bands[n], i, j] = level[bands[n]] * value if weight <= share else np.nan
+    count = out.shape[1]
+    for k in range(places.shape[0]):
+        g, at = places[k] // count, places[k] % count
+        for n in range(first[g], first[g + 1]):
+            cells = image[phase[n, 0] :: period[0], phase[n, 1] :: period[1]]
+            spoiled = bad[phase[n, 0] :: period[0], phase[n, 1] :: period[1]]
+            value, weight = _value(
+                cells,
+                spoiled,
+                (pixels[k, 0] - corner[0] - phase[n, 0]) / period[0],
+                (pixels[k, 1] - corner[1] - phase[n, 1]) / period[1],
+                table,
+            )
+            out[bands[n], at] = level[bands[n]] * value if weight <= share else np.nan
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -38,8 +38,6 @@ class CubeTally:
 
     def __init__(self, layout: BandLayout, grid: CubeGrid, rgb: Sequence[int]) -> None:
         self.layout, self.grid, self.rgb = layout, grid, tuple(rgb)
-        first, last = layout.lines_of()
-        self._lines = float(last.min()), float(first.max())
         count = len(layout)
         self.seen = self.passed = 0
         self.of_seen, self.of_passed, self.values, self.beyond = (np.zeros(count) for _ in range(4))
@@ -50,8 +48,7 @@ class CubeTally:
 
     def add(self, filled: FilledTile) -> None:
         """Count a tile."""
-        low, high = filled.swept[..., 0], filled.swept[..., 1]
-        passed = (low <= self._lines[0] + 0.5) & (high >= self._lines[1] - 0.5)
+        passed = filled.passed.all(axis=0)
         there = np.isfinite(filled.values)
         group = self.layout.group
         seen = ((filled.view >= 0) & ~filled.beyond).all(axis=0)

@@ -25,8 +25,9 @@ from sightline.products.cube_grid import CubeGrid
 from sightline.products.cube_kernels import (
     choose_views,
     fill_bands,
-    needed_box,
     place_weights,
+    see_places,
+    sort_by_frame,
 )
 from sightline.products.resample import TAPS
 
@@ -38,8 +39,8 @@ Heights = Callable[[Array, Array], Array]
 
 #: MiB that a tile may take in all bands, and its least and largest side (px).
 _TILE_MIB, _TILE_SIDES = 48, (64, 512)
-#: Bytes per pixel and group (cost, view) and per pixel and band (value).
-_GROUP_BYTES, _BAND_BYTES = 8, 4
+#: Bytes per pixel and group (cost, view, two flags, order) and per pixel and band (value).
+_GROUP_BYTES, _BAND_BYTES = 14, 4
 #: Magnitude of weights on pixels that cannot be used from which a result has no value.
 _MASK_SHARE = 0.02
 #: Places per side of a frame that tell which part of the map it shows.
@@ -60,6 +61,8 @@ class FrameViews(ReadOnlyArrays):
     position : (M, K, 3)
         m, world axes; K = 1, or 3 for the first, middle and last line of a rolling shutter.
     camera_from_world : (M, K, 3, 3)
+    stretch : (M,) int
+        Frames of one flew on without a pause.
     penalty : (M,)
         What a view costs beyond its geometry (1: as the end of a band's lines); inf: not to be used.
     """
@@ -67,6 +70,7 @@ class FrameViews(ReadOnlyArrays):
     detector: AreaDetector
     position: Array
     camera_from_world: Array
+    stretch: NDArray[np.intp]
     penalty: Array
 
     def __len__(self) -> int:
@@ -106,8 +110,8 @@ class FilledTile:
         NaN where there is none.
     view : (groups, rows, columns) int32
         Frame of each value; -1: none.
-    swept : (rows, columns, 2) float32
-        First and last line of a frame that saw each place; first > last: none.
+    passed : (groups, rows, columns) bool
+        Passed over by lines of the band, in a frame or between two of one stretch.
     beyond : (groups, rows, columns) bool
         Seen by lines next to the band's own.
     """
@@ -115,7 +119,7 @@ class FilledTile:
     tile: Tile
     values: Array32
     view: NDArray[np.int32]
-    swept: Array32
+    passed: Flags
     beyond: Flags
 
 
@@ -265,8 +269,7 @@ class CubeMaker:
         while frames := self.frames_of(tile):
             world = self.world(tile)
             out = self.choose(tile, world, frames)
-            chosen = set(np.unique(out.view).tolist())
-            if all(self._fill_from(frame, box, world, out) for frame, box in frames if frame in chosen):
+            if self._fill(world.reshape(-1, 3), out):
                 return out
             # a frame turned out unreadable: others take its place
         return None
@@ -277,39 +280,42 @@ class CubeMaker:
         shape = (bands.groups, *flat)
         cost = np.full(shape, np.inf, dtype=np.float32)
         view = np.full(shape, -1, dtype=np.int32)
-        beyond = np.zeros(shape, dtype=np.bool_)
-        swept = np.empty((*flat, 2), dtype=np.float32)
-        swept[..., 0], swept[..., 1] = np.inf, -np.inf
+        beyond, passed = np.zeros(shape, dtype=np.bool_), np.zeros(shape, dtype=np.bool_)
+        last, stretch = np.full(flat, np.nan), -1
         for frame, box in frames:
+            if self.views.stretch[frame] != stretch:
+                stretch = int(self.views.stretch[frame])
+                last[:] = np.nan
+            # places that this frame cannot show are left until they are seen anew
+            last[: box[0]], last[box[1] :], last[:, : box[2]], last[:, box[3] :] = (np.nan,) * 4
             choose_views(
                 world, box, *self.views.of(frame), self.views.detector.shape, bands.period, bands.offset,
-                bands.entry_group,
-                bands.centre, bands.half, bands.spare, float(self._penalty[frame]), frame, cost, view, beyond,
-                swept,
+                bands.entry_group, bands.centre, bands.half, bands.spare, float(self._penalty[frame]), frame,
+                cost, view, beyond, last, passed,
             )  # fmt: skip
         values = np.full((len(bands), *flat), np.nan, dtype=np.float32)
-        return FilledTile(tile, values, view, swept, beyond)
+        return FilledTile(tile, values, view, passed, beyond)
 
-    def _fill_from(self, frame: int, box: NDArray[np.int64], world: Array, out: FilledTile) -> bool:
+    def _fill(self, world: Array, out: FilledTile) -> bool:
+        """Values of all places, frame after frame; whether all of them could be read."""
+        first = np.empty(len(self.views) + 1, dtype=np.int64)
+        places = np.empty(out.view.size, dtype=np.int32)
+        sort_by_frame(out.view.ravel(), first, places)
+        values = out.values.reshape(len(self.layout), -1)
+        for frame in np.flatnonzero(np.diff(first)):
+            own = places[first[frame] : first[frame + 1]]
+            if not self._fill_from(int(frame), own, world, values):
+                return False
+        return True
+
+    def _fill_from(self, frame: int, places: NDArray[np.int32], world: Array, values: Array32) -> bool:
         """Values of the places of which a frame is the view; whether it could be read."""
-        bands, shape = self.layout, self.views.detector.shape
-        seen = (
-            world,
-            box,
-            *self.views.of(frame),
-            shape,
-            bands.period,
-            bands.offset,
-            bands.entry_group,
-            frame,
-            out.view,
-        )
-        around = np.zeros(4)
-        if not needed_box(*seen, around):
-            return True
-        low = np.maximum(np.floor(around[[0, 2]]).astype(int) - _REACH * np.array(bands.period), 0)
-        low -= low % bands.period
-        high = np.minimum(np.ceil(around[[1, 3]]).astype(int) + _REACH * np.array(bands.period) + 1, shape)
+        shape, period = np.array(self.views.detector.shape), np.array(self.layout.period)
+        pixels = np.empty((len(places), 2))
+        see_places(world, places, *self.views.of(frame), self.views.detector.shape, pixels)
+        low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - _REACH * period, 0)
+        low -= low % period
+        high = np.minimum(np.ceil(pixels.max(axis=0)).astype(int) + _REACH * period + 1, shape)
         for channel, sources in enumerate(self._channels):
             try:
                 image, bad = self._read(sources[frame], channel, low, high)
@@ -319,8 +325,8 @@ class CubeMaker:
                 return False
             first, rows, phase = self._bands[channel]
             fill_bands(
-                *seen, image, bad, low.astype(np.float64), first, rows, phase, self._level, self._table,
-                _MASK_SHARE, out.values,
+                places, pixels, image, bad, low.astype(np.float64), period, first, rows, phase, self._level,
+                self._table, _MASK_SHARE, values,
             )  # fmt: skip
         return True
 
