@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sightline.applications.focal_plane import FocalPlane, LayoutChoice, choose_layout
     from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
+    from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube
     from sightline.applications.frame_passes import FrameOptions
     from sightline.applications.frame_sequence import SequenceProblem
     from sightline.applications.line_of_sight import recover_line_of_sight
@@ -75,6 +76,8 @@ _MODULE_OF = {
     "Camera": "sightline.geometry.camera",
     "ChipKnowledge": "sightline.motion.band",
     "ChoiceRules": "sightline.tdi.setting",
+    "CubePlan": "sightline.applications.frame_cube",
+    "CubeSummary": "sightline.applications.frame_cube",
     "Dem": "sightline.geometry.surface",
     "Ellipsoid": "sightline.geometry.surface",
     "EstimationError": "sightline.errors",
@@ -127,6 +130,7 @@ _MODULE_OF = {
     "TdiTable": "sightline.tdi.table",
     "Trajectory": "sightline.geometry.trajectory",
     "UnobservableBandWarning": "sightline.errors",
+    "assemble_cube": "sightline.applications.frame_cube",
     "choose_layout": "sightline.applications.focal_plane",
     "choose_tdi": "sightline.applications.tdi_choice",
     "executor_from_name": "sightline.execution",
@@ -160,6 +164,8 @@ __all__ = [
     "Camera",
     "ChipKnowledge",
     "ChoiceRules",
+    "CubePlan",
+    "CubeSummary",
     "Dem",
     "Ellipsoid",
     "EstimationError",
@@ -212,6 +218,7 @@ __all__ = [
     "TdiTable",
     "Trajectory",
     "UnobservableBandWarning",
+    "assemble_cube",
     "choose_layout",
     "choose_tdi",
     "executor_from_name",

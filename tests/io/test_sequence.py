@@ -404,6 +404,13 @@ def gone(made):
 
 CONTROL = "x,y,z,sigma,image,line,column\n"
 BAD = {
+    "size of pixels of the cube": (toml("[surface]", "[cube]\ngsd = 0.0\n[surface]"), "cube.gsd = 0.0"),
+    "bands of the cube": (toml("[surface]", "[cube]\nbands = [500.0, 500.0]\n[surface]"), "each once"),
+    "no bands of the cube": (toml("[surface]", "[cube]\nbands = 0\n[surface]"), "cube.bands"),
+    "ground of the cube": (toml("[surface]", '[cube]\nsurface = "dem"\n[surface]'), "cube.surface"),
+    "formats of the cube": (toml("[surface]", '[cube]\nformats = ["nc"]\n[surface]'), "cube.formats"),
+    "no format of the cube": (toml("[surface]", "[cube]\nformats = []\n[surface]"), "one or more of"),
+    "unknown key of the cube": (toml("[surface]", "[cube]\nband = 3\n[surface]"), "cube.band"),
     "no frames": (toml('frames = "frames.csv"\n', ""), "'frames' is missing"),
     "unknown key": (top("framez = 3"), "framez"),
     "unknown key of a table": (camera("focal = 3.0"), "camera.focal"),

@@ -295,7 +295,7 @@ def find_lines(
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _brown(x: float, y: float, k: Array) -> tuple[float, float]:
+def brown(x: float, y: float, k: Array) -> tuple[float, float]:
     """Distorted tangents (D. C. Brown): k = k1, k2, p1, p2, k3."""
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k[0] + r2 * (k[1] + r2 * k[4]))
@@ -311,7 +311,7 @@ def distort(tangents: Array, coefficients: Array, reach: float) -> None:
     for n in range(len(tangents)):
         x, y = tangents[n, 0], tangents[n, 1]
         if x * x + y * y <= reach * reach:
-            tangents[n, 0], tangents[n, 1] = _brown(x, y, coefficients)
+            tangents[n, 0], tangents[n, 1] = brown(x, y, coefficients)
         else:
             tangents[n] = np.nan
 
@@ -325,7 +325,7 @@ def undistort(tangents: Array, coefficients: Array, tolerance: float, reach: flo
         x, y = tx, ty
         found = False
         for _ in range(50):
-            px, py = _brown(x, y, coefficients)
+            px, py = brown(x, y, coefficients)
             r2 = x * x + y * y
             radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
             slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3))

@@ -249,12 +249,12 @@ class AreaDetector(ReadOnlyArrays):
             object.__setattr__(self, "wavelength_nm", wavelength)
 
     @cached_property
-    def _coefficients(self) -> Array:
+    def coefficients(self) -> Array:
         """The five distortion coefficients, zeros where not given."""
         return frozen(self.distortion + (0.0,) * (5 - len(self.distortion)))
 
     @cached_property
-    def _reach(self) -> float:
+    def reach(self) -> float:
         """Largest tangent radius for which distortion is a one-to-one map that the frame can use.
 
         Beyond the radius where a distorted radius stops to grow, a far point would fold back into the frame.
@@ -264,7 +264,7 @@ class AreaDetector(ReadOnlyArrays):
             max(line, self.shape[0] - 1 - line) + FRAME_MARGIN_PX,
             max(column, self.shape[1] - 1 - column) + FRAME_MARGIN_PX,
         )
-        k1, k2, _, _, k3 = self._coefficients
+        k1, k2, _, _, k3 = self.coefficients
         radius = np.linspace(0.0, 4.0 * corner / self.focal_length_px, 4001)
         square = radius**2
         slope = 1.0 + square * (3 * k1 + square * (5 * k2 + square * 7 * k3))
@@ -278,7 +278,7 @@ class AreaDetector(ReadOnlyArrays):
         tangents[:, 0] = (given[:, 1] - self.principal_point_px[1]) / self.focal_length_px
         tangents[:, 1] = (given[:, 0] - self.principal_point_px[0]) / self.focal_length_px
         if self.distortion:
-            undistort(tangents, self._coefficients, 1e-11 / self.focal_length_px, self._reach)
+            undistort(tangents, self.coefficients, 1e-11 / self.focal_length_px, self.reach)
         return _unit(tangents[:, 0], tangents[:, 1])
 
     def pixels(self, directions: ArrayLike) -> Array:
@@ -291,7 +291,7 @@ class AreaDetector(ReadOnlyArrays):
             tangents = np.ascontiguousarray(given[:, :2] / given[:, 2:])
         tangents[~(given[:, 2] > 0)] = np.nan
         if self.distortion:
-            distort(tangents, self._coefficients, self._reach)
+            distort(tangents, self.coefficients, self.reach)
         out = np.empty_like(tangents)
         out[:, 0] = self.principal_point_px[0] + self.focal_length_px * tangents[:, 1]
         out[:, 1] = self.principal_point_px[1] + self.focal_length_px * tangents[:, 0]

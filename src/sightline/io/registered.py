@@ -225,7 +225,7 @@ def write_registered(
             for target in targets:
                 target.close()
             for draft, path, dtype in zip(drafts, paths, dtypes, strict=True):
-                _optimise(draft, path, dtype)
+                optimise(draft, path, dtype)
         finally:
             for draft in drafts:
                 draft.unlink(missing_ok=True)
@@ -273,7 +273,7 @@ def as_type(pixels: Pixels, dtype: np.dtype[Any]) -> NDArray[Any]:
     return whole.astype(dtype)
 
 
-def _optimise(draft: Path, path: Path, dtype: np.dtype[Any]) -> None:
+def optimise(draft: Path, path: Path, dtype: np.dtype[Any]) -> None:
     """A tiled file as cloud-optimised GeoTIFF with overviews, complete or not at all."""
     import rasterio.shutil
 

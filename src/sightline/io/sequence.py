@@ -30,7 +30,7 @@ from sightline.io.ground import surface_of
 from sightline.io.sequence_control import control_of
 from sightline.io.sequence_frames import FrameList, excluded, probe_frames, read_frames, shape_of
 from sightline.io.sequence_poses import is_local, radii_of, starting_poses
-from sightline.io.sequence_schema import SequenceCamera, SequenceFile
+from sightline.io.sequence_schema import CubeSection, SequenceCamera, SequenceFile
 from sightline.photogrammetry.sightings import Images
 
 Array = NDArray[np.float64]
@@ -55,6 +55,8 @@ class FrameSequence:
     problem : SequenceProblem
     world : WorldSection
         Axes of the tables of the file, and of ``poses.csv``.
+    cube : CubeSection
+        Which maps are wanted.
     files : tuple of Path
         Image of each frame.
     inputs : tuple of Path
@@ -65,6 +67,7 @@ class FrameSequence:
     name: str
     problem: SequenceProblem
     world: WorldSection
+    cube: CubeSection
     files: tuple[Path, ...] = field(repr=False)
     inputs: tuple[Path, ...] = field(repr=False)
 
@@ -142,7 +145,9 @@ def read_sequence(path: Path) -> FrameSequence:
         epoch=frames.epoch,
         warnings=(*frames.warnings, *lens_words, *start.warnings, *ground_words, *_lost(frames, reasons)),
     )
-    return FrameSequence(path, file.sequence.name, problem, file.world, frames.files, tuple(files.used))
+    return FrameSequence(
+        path, file.sequence.name, problem, file.world, file.cube, frames.files, tuple(files.used)
+    )
 
 
 def _lost(frames: FrameList, reasons: Sequence[str]) -> tuple[str, ...]:

@@ -8,7 +8,7 @@ Not here: reading the file (``config.py``), what is made of it (``sequence.py``)
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
@@ -98,6 +98,50 @@ class SubsetSection(Section):
     )
 
 
+class CubeSection(Section):
+    """``[cube]``: maps of every band; ``make = false``: none."""
+
+    make: bool = Field(default=True, description="Make the maps")
+    gsd: Positive | None = Field(
+        default=None, description="m, side of a pixel; default that of the frames on the ground"
+    )
+    bands: Annotated[int, Field(ge=1)] | list[Wavelength] | None = Field(
+        default=None,
+        description="How many, or their wavelengths (nm); default each step of a filter that has steps, else "
+        "as many as leave each enough lines for the steps flown",
+    )
+    surface: Literal["auto", "model", "given"] = Field(
+        default="auto",
+        description="Heights: of the points found (model), of [surface] (given), or whichever is better",
+    )
+    fill_nm: Sigma | None = Field(
+        default=None,
+        description="How far beyond a band's own wavelengths lines may stand in where a step between frames "
+        "was too long; default less than half the band's width",
+    )
+    flatten: bool = Field(
+        default=True, description="Make the lines of a filter alike before they are resampled"
+    )
+    formats: list[Literal["tif", "zarr", "envi"]] = Field(
+        default=["tif"], description='Files; "zarr" needs the extra cube'
+    )
+    one_file: bool = Field(default=False, description="One GeoTIFF of all bands in place of one for each")
+
+    @field_validator("bands")
+    @classmethod
+    def _bands_differ(cls, value: int | list[float] | None) -> int | list[float] | None:
+        if isinstance(value, list) and len(set(value)) < max(len(value), 1):
+            raise ValueError("wavelengths (nm) are expected, one or more, each once; or how many bands")
+        return value
+
+    @field_validator("formats")
+    @classmethod
+    def _some_format(cls, value: list[str]) -> list[str]:
+        if not value or len(set(value)) < len(value):
+            raise ValueError('one or more of "tif", "zarr", "envi" are expected, each once')
+        return value
+
+
 class SequenceFile(Section):
     """A SEQUENCE.toml: overlapping frames of one camera, and what is known of their poses."""
 
@@ -134,6 +178,7 @@ class SequenceFile(Section):
     camera: SequenceCamera = SequenceCamera()
     subset: SubsetSection = SubsetSection()
     surface: SurfaceSection = SurfaceSection()
+    cube: CubeSection = CubeSection()
     world: WorldSection = WorldSection()
     control_point: list[ControlPointSection] = Field(default=[], description="Control points one by one")
 

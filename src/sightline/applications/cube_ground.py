@@ -1,0 +1,122 @@
+"""The ground under a cube: heights of the points that were found, or the surface that was given.
+
+Not here: the surface through points (``products/ground_model.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.sequence_poses import SequencePoses
+from sightline.errors import EstimationError, InputError
+from sightline.geometry.checks import read_only
+from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface
+from sightline.products.cube_grid import MapSystem
+from sightline.products.frame_cube import Heights
+from sightline.products.ground_model import GroundModel, fit_ground
+
+Array = NDArray[np.float64]
+
+#: The given surface is kept where points miss it by no more than this times what they miss their own by.
+_AS_GOOD = 1.2
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """Heights that are used.
+
+    Attributes
+    ----------
+    heights : callable
+        m (...) at map places x, y (...).
+    words : str
+        Which, and why.
+    sigma : float
+        m; what points miss it by, robust rms.
+    model : GroundModel or None
+        Where they are those of the points found.
+    """
+
+    heights: Heights
+    words: str
+    sigma: float
+    model: GroundModel | None = None
+
+
+def choose_ground(problem: SequenceProblem, found: SequencePoses, system: MapSystem, surface: str) -> Ground:
+    """Heights of the points found, or of the surface given, whichever points tell to be better."""
+    given = given_heights(problem.surface, system)
+    points = system.places(found.poses.points)
+    sigma = _height_sigmas(found, problem)
+    flat = points[np.isfinite(points).all(axis=1)]
+    off = flat[:, 2] - given(flat[:, 0], flat[:, 1])
+    known = off[np.isfinite(off)]
+    missed = 1.4826 * float(np.median(np.abs(known))) if len(known) else np.inf
+    if surface == "given":
+        return Ground(given, "the surface given, as asked for", missed)
+    try:
+        model = fit_ground(points, sigma)
+    except EstimationError as error:
+        if surface == "model":
+            raise
+        return Ground(given, f"the surface given: {error}", missed)
+    words = (
+        f"{int(model.used.sum())} points found, which a surface through the others meets to "
+        f"{model.sigma:.3g} m"
+    )
+    if surface == "auto" and missed <= _AS_GOOD * model.sigma:
+        return Ground(given, f"the surface given, which points meet to {missed:.3g} m", missed)
+    if surface == "auto":
+        words += f" and the surface given to {missed:.3g} m"
+    return Ground(model.at, f"heights of the {words}", model.sigma, model)
+
+
+def _height_sigmas(found: SequencePoses, problem: SequenceProblem) -> Array:
+    """m (n,), up to a common factor: how well the directions it was seen from tell each point's height."""
+    tracks = found.tracks
+    count = len(found.poses.points)
+    good = ~found.poses.rejected[: len(tracks)] & (tracks.point < count)
+    point, line = tracks.point[good], tracks.pixels[good] / problem.detector.focal_length_px
+    weight = tracks.sigma_px[good] ** -2.0
+    total = np.bincount(point, weight, minlength=count)
+    spread = np.zeros(count)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        for axis in range(2):
+            mean = np.bincount(point, weight * line[:, axis], minlength=count) / total
+            spread += np.bincount(point, weight * (line[:, axis] - mean[point]) ** 2, minlength=count)
+        return np.asarray(1.0 / np.sqrt(spread))
+
+
+def given_heights(surface: Surface, system: MapSystem) -> Heights:
+    """Heights (...) of a surface at map places."""
+
+    def heights(x: Array, y: Array) -> Array:
+        if isinstance(surface, Plane | Ellipsoid):
+            return np.full(np.shape(x), surface.height)
+        places = np.stack([np.ravel(x), np.ravel(y), np.zeros(np.size(x))], axis=1)
+        if isinstance(surface, Dem):
+            return surface.height_at(read_only(system.world(places))).reshape(np.shape(x))
+        raise InputError(f"a cube needs ground to lie on, not {type(surface).__name__}")
+
+    return heights
+
+
+def ground_hits(
+    problem: SequenceProblem, system: MapSystem, ground: Ground
+) -> Callable[[Array, Array], Array]:
+    """Map places (N, 3) that rays (N, 3), (N, 3) meet; about, as outlines need it."""
+    level = problem.surface
+    if ground.model is not None:
+        level_height = float(np.median(ground.model.heights))
+        radii = problem.radii
+        level = Plane(level_height) if radii is None else Ellipsoid(*radii, level_height)
+
+    def hits(origins: Array, rays: Array) -> Array:
+        return system.places(level.intersect(read_only(origins), read_only(rays)))
+
+    return hits

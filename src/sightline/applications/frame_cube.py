@@ -1,0 +1,432 @@
+"""System S4: the cube of a frame sequence, from its poses and the ground.
+
+Every band becomes an orthomosaic, and all of them lie on one map: each pixel from the frame in which its band
+saw it best. How well bands then lie on each other is matched anew.
+
+Not here: resampling (``products/frame_cube.py``), files (``io/cube_files.py``).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sightline.applications.cube_ground import Ground, choose_ground, given_heights, ground_hits
+from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.sequence_poses import INTERPOLATED, SequencePoses
+from sightline.errors import InputError
+from sightline.geometry.checks import ReadOnlyArrays
+from sightline.imaging.source import ImageSource
+from sightline.photogrammetry.frame_poses import stretches
+from sightline.photogrammetry.rolling_shutter import line_poses
+from sightline.photogrammetry.sightings import Images
+from sightline.products.cube_bands import BandLayout, frame_bands, line_bands
+from sightline.products.cube_fit import PairFit, error_map, fit_pairs
+from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
+from sightline.products.cube_store import CubeStore, MemoryStore
+from sightline.products.cube_tally import CubePicture, CubeTally, picture_bands
+from sightline.products.frame_cube import (
+    CubeMaker,
+    FrameViews,
+    grid_of,
+    line_gain,
+    outlines,
+    tiles_of,
+)
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
+SURFACES = ("auto", "model", "given")
+#: What it costs to use a frame whose image tells nothing of its pose, or one out of focus.
+_GUESSED, _BLURRED = 1e4, 1e2
+#: Sharpness over that of most frames below which a frame is out of focus.
+_SHARP = 0.6
+#: Share of the ground passed over from which on gaps are not worth a warning.
+_GAPS = 0.99
+
+
+@dataclass(frozen=True)
+class CubePlan:
+    """What cube to make.
+
+    Attributes
+    ----------
+    gsd : float or None
+        m, side of a pixel; None: as large as pixels of the frames are on the ground.
+    bands : int, tuple of float or None
+        How many, or their wavelengths (nm); None: each step of a filter that has steps, else as many as leave
+        each enough lines for the steps flown.
+    surface : str
+        "model" (heights of the points found), "given" (what the problem says), "auto".
+    fill_nm : float or None
+        How far beyond a band's own wavelengths lines of a filter may stand in where a step between frames was
+        too long; None: less than half the band's width.
+    flatten : bool
+        Make the lines of a filter alike before they are resampled.
+    picture : bool
+        Make the pictures before and after.
+    fit : bool
+        Match bands against each other.
+    """
+
+    gsd: float | None = None
+    bands: int | tuple[float, ...] | None = None
+    surface: str = "auto"
+    fill_nm: float | None = None
+    flatten: bool = True
+    picture: bool = True
+    fit: bool = True
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if self.surface not in SURFACES:
+            raise InputError(f"`surface` must be one of {', '.join(SURFACES)}, got {self.surface!r}")
+        if self.gsd is not None and not (np.isfinite(self.gsd) and self.gsd > 0.0):
+            raise InputError(f"`gsd` must be a positive number of metres, got {self.gsd}")
+
+
+@dataclass(frozen=True, eq=False)
+class CubeSummary(ReadOnlyArrays):
+    """What a cube is like.
+
+    Attributes
+    ----------
+    names : tuple of str
+        B, of the bands.
+    wavelength_nm : (B,)
+        NaN: all light.
+    grid : CubeGrid
+        Of the map.
+    surface : str
+        Which heights were used, and why.
+    height_sigma : float
+        m; what points miss the surface by, robust rms.
+    coverage : (B,)
+        Share of the ground that every band could see that has a value: of places which, in one frame or
+        another, lay on lines of every band.
+    passed : (B,)
+        The same of all ground that the lines of every band passed over, in gaps between frames too.
+    beyond : (B,)
+        Share of the values that come from lines next to the band's own.
+    whole : (B,)
+        Share of the map that has a value.
+    area : float
+        m^2 of the ground that every band could see.
+    seams : (B,)
+        Share of neighbouring pixels that come from two frames.
+    seam_jump : (B,)
+        What values jump by there beyond what they differ by elsewhere, rms, over the mean of the band.
+    pairs : (P, 2) int
+        Bands that were matched with each other.
+    pair_rms_px : (P,)
+        px rms per axis of where they lie on each other; NaN: too little in common.
+    pair_noise_px : (P,)
+        px; what the matches' own sigma makes of it.
+    pair_windows : (P,) int
+    error_map : (h, w)
+        px, rms over the pairs; NaN: nothing matched.
+    rgb : (3,) int
+        Bands of the pictures.
+    after, before : (h, w, 3) uint8
+        Made of them by the poses found, and by the rough ones; of no size where none were asked for.
+    frames_used : int
+    unread : tuple of str
+        Frames that could not be read, and why.
+    seconds : dict of str to float
+        CPU time of each stage.
+    warnings : tuple of str
+    """
+
+    names: tuple[str, ...]
+    wavelength_nm: Array
+    grid: CubeGrid
+    surface: str
+    height_sigma: float
+    coverage: Array
+    passed: Array
+    beyond: Array
+    whole: Array
+    area: float
+    seams: Array
+    seam_jump: Array
+    pairs: NDArray[np.intp]
+    pair_rms_px: Array
+    pair_noise_px: Array
+    pair_windows: NDArray[np.intp]
+    error_map: Array
+    rgb: NDArray[np.intp]
+    after: NDArray[np.uint8]
+    before: NDArray[np.uint8]
+    frames_used: int
+    unread: tuple[str, ...]
+    seconds: dict[str, float]
+    warnings: tuple[str, ...]
+
+    @property
+    def gsd(self) -> float:
+        """m, side of a pixel."""
+        return self.grid.gsd
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """West, south, east, north of the map, m."""
+        return self.grid.extent
+
+
+def assemble_cube(
+    problem: SequenceProblem,
+    found: SequencePoses,
+    plan: CubePlan | None = None,
+    store: CubeStore | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> CubeSummary:
+    """Orthomosaics of all bands on one map.
+
+    Parameters
+    ----------
+    problem : SequenceProblem
+    found : SequencePoses
+    plan : CubePlan, optional
+    store : CubeStore, optional
+        Takes the pixels; by default they are held in memory and lost.
+    progress : callable, optional
+        Called with the stage, tiles done and tiles in all.
+
+    Returns
+    -------
+    CubeSummary
+
+    Raises
+    ------
+    InputError
+        If no frame can be used, or the plan asks for wavelengths that no line sees.
+    """
+    plan = CubePlan() if plan is None else plan
+    store = MemoryStore() if store is None else store
+    clock, last = dict[str, float](), time.process_time()
+
+    def note(stage: str) -> None:
+        nonlocal last
+        now = time.process_time()
+        clock[stage], last = clock.get(stage, 0.0) + now - last, now
+
+    views = frame_views(problem, found)
+    system = map_of(problem)
+    ground = choose_ground(problem, found, system, plan.surface)
+    note("ground")
+    outline = outlines(views, ground_hits(problem, system, ground))
+    gsd = plan.gsd or pixel_size(problem, views, outline)
+    layout = choose_bands(problem, plan, outline, gsd)
+    grid = grid_of(outline[np.isfinite(views.penalty)].reshape(-1, 2), system, gsd)
+    channels = images_of(problem)
+    by_line = problem.detector.wavelength_nm is not None and plan.flatten
+    gain = line_gain(channels, problem.detector.shape[0]) if by_line else None
+    note("lines made alike")
+    maker = CubeMaker(grid, layout, views, outline, ground.heights, channels, gain)
+    tally = CubeTally(layout, grid, picture_bands(layout) if plan.picture else ())
+    store.begin(grid, layout)
+    tiles = tiles_of(grid, layout)
+    for done, tile in enumerate(tiles, start=1):
+        filled = maker.fill(tile)
+        if filled is None:
+            store.write(
+                tile.row, tile.column, np.full((len(layout), tile.rows, tile.columns), np.nan, np.float32)
+            )
+        else:
+            store.write(tile.row, tile.column, filled.values)
+            tally.add(filled)
+        if progress is not None:
+            progress("cube", done, len(tiles))
+    note("tiles")
+    before = _before(problem, plan, tally, grid, layout, system, channels, gain)
+    note("picture by the rough poses")
+    fits = fit_pairs([store.source(b) for b in range(len(layout))], layout.wavelength_nm) if plan.fit else []
+    note("bands matched")
+    unread = tuple(f"{problem.frames[k]}: {why}" for k, why in sorted(maker.unread.items()))
+    return _summary(problem, layout, grid, ground, tally, before, fits, unread, clock)
+
+
+def frame_views(problem: SequenceProblem, found: SequencePoses | None = None) -> FrameViews:
+    """How the frames see the world by the poses found; by the rough ones without `found`."""
+    images = problem.images
+    penalty = np.where(problem.usable, 0.0, np.inf)
+    if found is not None:
+        images = replace(images, position=found.poses.position, world_from_body=found.poses.world_from_body)
+        penalty += _GUESSED * (np.array(found.source) == INTERPOLATED)
+        sharpness = found.followed.sharpness
+        usual = np.nanmedian(sharpness) if np.isfinite(sharpness).any() else np.nan
+        penalty += _BLURRED * (sharpness < _SHARP * usual)
+    position, turned = _instants(images, problem.readout_time)
+    camera = np.stack([(turn * problem.mount).inv().as_matrix() for turn in turned], axis=1)
+    return FrameViews(problem.detector, np.stack(position, axis=1), camera, stretches(images.t), penalty)
+
+
+def _instants(images: Images, readout_time: float) -> tuple[list[Array], list[Rotation]]:
+    """Poses of all frames when their first, middle and last lines are exposed; once where all are at once."""
+    position, turned = [images.position], [images.world_from_body]
+    if readout_time != 0.0:
+        image = np.arange(len(images))
+        for share in (0.5, 1.0):
+            moved, turn = line_poses(images, image, np.full(len(images), share * readout_time))
+            position.append(images.position + moved)
+            turned.append(images.world_from_body * turn)
+    return position, turned
+
+
+def map_of(problem: SequenceProblem) -> MapSystem:
+    """Axes of the map: those of a flat world, or a map projection about the flight."""
+    if problem.radii is None:
+        return MapSystem()
+    middle = np.median(problem.images.position, axis=0)
+    return MapSystem(map_system(middle, problem.radii), problem.radii)
+
+
+def pixel_size(problem: SequenceProblem, views: FrameViews, outline: Array) -> float:
+    """m; median side of a pixel of the frames on the ground, of a whole pattern of a mosaic filter."""
+    usable = np.isfinite(views.penalty) & np.isfinite(outline).all(axis=(1, 2))
+    side = int(np.sqrt(outline.shape[1]))
+    net = outline[usable].reshape(-1, side, side, 2)
+    if not len(net):
+        raise InputError("no frame that can be used looks at the ground: there is nothing to map")
+    lines, columns = problem.detector.shape
+    down = np.linalg.norm(np.diff(net, axis=1), axis=3) * (side - 1) / lines
+    right = np.linalg.norm(np.diff(net, axis=2), axis=3) * (side - 1) / columns
+    period = 1 if problem.mosaic_nm is None else max(problem.mosaic_nm.shape)
+    size = period * float(np.sqrt(np.median(down) * np.median(right)))
+    # three figures are enough, and make a map that is easy to name
+    return float(f"{size:.3g}")
+
+
+def choose_bands(problem: SequenceProblem, plan: CubePlan, outline: Array, gsd: float) -> BandLayout:
+    """Bands of the cube, by what the camera is and what was asked for."""
+    detector = problem.detector
+    if detector.wavelength_nm is not None:
+        middle = np.nanmean(outline, axis=1)
+        step = np.linalg.norm(np.diff(middle, axis=0), axis=1) / gsd
+        usual = float(np.nanmedian(step)) if np.isfinite(step).any() else 1.0
+        return line_bands(detector.wavelength_nm, plan.bands, max(usual, 0.1), plan.fill_nm)
+    layout = frame_bands(detector.shape, problem.mosaic_nm, problem.channel_nm)
+    if plan.bands is None:
+        return layout
+    wanted = plan.bands if not isinstance(plan.bands, int) else ()
+    there = [int(np.argmin(np.abs(layout.wavelength_nm - nm))) for nm in wanted]
+    near = [abs(layout.wavelength_nm[k] - nm) <= 1.0 for k, nm in zip(there, wanted, strict=True)]
+    if isinstance(plan.bands, int) and plan.bands == len(layout):
+        return layout
+    if not there or not all(near):
+        raise InputError(
+            f"`bands` must be among the {len(layout)} wavelengths that the camera has "
+            f"({', '.join(layout.names)}), got {plan.bands}"
+        )
+    return layout.of(there)
+
+
+def images_of(problem: SequenceProblem) -> list[Sequence[ImageSource]]:
+    """Images of each channel, one per frame."""
+    if problem.channels and problem.channel_nm:
+        return [[images[k] for images in problem.channels] for k in range(len(problem.channel_nm))]
+    return [problem.sources]
+
+
+def _before(
+    problem: SequenceProblem,
+    plan: CubePlan,
+    tally: CubeTally,
+    grid: CubeGrid,
+    layout: BandLayout,
+    system: MapSystem,
+    channels: Sequence[Sequence[ImageSource]],
+    gain: Array | None,
+) -> CubePicture:
+    """The picture that the rough poses and the surface given make."""
+    picture = CubePicture(grid, len(tally.rgb))
+    if not plan.picture:
+        return picture
+    views = frame_views(problem)
+    given = Ground(given_heights(problem.surface, system), "", 0.0)
+    outline = outlines(views, ground_hits(problem, system, given))
+    three = layout.of(tally.rgb)
+    maker = CubeMaker(grid, three, views, outline, given.heights, channels, gain)
+    for tile in tiles_of(grid, three):
+        filled = maker.fill(tile)
+        if filled is not None:
+            picture.add(filled, range(len(three)))
+    return picture
+
+
+def _summary(
+    problem: SequenceProblem,
+    layout: BandLayout,
+    grid: CubeGrid,
+    ground: Ground,
+    tally: CubeTally,
+    before: CubePicture,
+    fits: Sequence[PairFit],
+    unread: tuple[str, ...],
+    seconds: dict[str, float],
+) -> CubeSummary:
+    window = tally.picture.window()
+    after, limits = tally.picture.image()
+    pairs = tally.seams[:, [0, 2]]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = tally.total / tally.values
+        inside, across = (tally.seams[:, k + 1] / tally.seams[:, k] for k in (0, 2))
+        jump = np.sqrt(np.maximum(across - inside, 0.0)) / np.abs(mean)
+        coverage = tally.of_seen / max(tally.seen, 1)
+        passed = tally.of_passed / max(tally.passed, 1)
+        beyond = tally.beyond / tally.values
+        seams = pairs[:, 1] / pairs.sum(axis=1)
+    return CubeSummary(
+        names=layout.names,
+        wavelength_nm=layout.wavelength_nm,
+        grid=grid,
+        surface=ground.words,
+        height_sigma=ground.sigma,
+        coverage=coverage,
+        passed=passed,
+        beyond=beyond,
+        whole=tally.values / (grid.shape[0] * grid.shape[1]),
+        area=tally.seen * grid.gsd**2,
+        seams=seams,
+        seam_jump=jump,
+        pairs=np.array([fit.bands for fit in fits], dtype=np.intp).reshape(-1, 2),
+        pair_rms_px=np.array([fit.rms_px for fit in fits]),
+        pair_noise_px=np.array([fit.noise_px for fit in fits]),
+        pair_windows=np.array([fit.windows for fit in fits], dtype=np.intp),
+        error_map=error_map(fits, grid.shape),
+        rgb=np.array(tally.rgb, dtype=np.intp),
+        after=after[window],
+        before=before.image(limits if len(limits) else None)[0][window],
+        frames_used=len(tally.used),
+        unread=unread,
+        seconds=seconds,
+        warnings=tuple(_warnings(layout, passed, fits, unread, tally)),
+    )
+
+
+def _warnings(
+    layout: BandLayout, passed: Array, fits: Sequence[PairFit], unread: tuple[str, ...], tally: CubeTally
+) -> list[str]:
+    """What a user should know."""
+    out = []
+    if unread:
+        out.append(f"{len(unread)} frames could not be read for the cube; the first, {unread[0]}")
+    if tally.passed == 0:
+        out.append("no ground was passed over by the lines of every band: the flight is too short for that")
+    elif passed.min() < _GAPS:
+        worst = int(np.argmin(passed))
+        out.append(
+            f"band {layout.names[worst]} misses {100 * (1 - passed[worst]):.1f} % of the ground that every "
+            "band passed over: steps between frames were longer than its lines; ask for fewer bands or a "
+            "larger fill_nm"
+        )
+    blind = sum(not np.isfinite(fit.rms_px) for fit in fits)
+    if blind:
+        out.append(f"{blind} of {len(fits)} pairs of bands have too little in common to be matched")
+    return out

@@ -1,0 +1,266 @@
+"""Compiled loops of the cube: where a ground point lies in a frame, which frame sees it best, its value.
+
+Not here: which frames, bands and tiles (``frame_cube.py``).
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from sightline.geometry.camera_kernels import brown
+from sightline.imaging.resample import weights_of_sum_one
+from sightline.products.resample import BAND, TAPS
+
+Array = NDArray[np.float64]
+Array32 = NDArray[np.float32]
+
+#: Fractions of a pixel in the table of weights; between two of them weights are linear (error < 2e-5).
+PHASES = 256
+#: Noise over signal that weights are made for, and how much of the noise's power they may let through.
+_NOISE, _MOST_NOISE = (1e-13, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2), 2.0
+#: Steps that find the line of a rolling shutter; each leaves a hundredth of the error before and less.
+_LINE_STEPS = 6
+#: Change of that line (px) that ends them: what is left is a hundredth of it.
+_LINE_ENOUGH = 0.02
+
+
+@cache
+def place_weights() -> Array32:
+    """Weights of 16 taps for places from the first of them to the last.
+
+    Row p is the place ``p / PHASES``. In the middle they are those of ``products/resample.py``; towards
+    the ends, for places near the border of an image, they are as true as taps on one side can be without
+    doubling the noise.
+    """
+    nodes, share = np.polynomial.legendre.leggauss(200)
+    f = 0.5 * BAND * (nodes + 1.0)
+    power = share / (f + 1.0 / 200.0) ** 2
+    power /= power.sum()
+    taps = np.arange(TAPS, dtype=np.float64)
+    places = np.arange((TAPS - 1) * PHASES + 1) / PHASES
+
+    def correlation(lag: Array) -> Array:
+        return np.asarray(np.cos(2.0 * np.pi * lag[..., None] * f) @ power)
+
+    right = correlation(taps[:, None] - places[None, :])
+    normal = correlation(taps[:, None] - taps[None, :])
+    best = np.zeros((len(places), TAPS))
+    open_ = np.ones(len(places), dtype=np.bool_)
+    for noise in _NOISE:
+        # the least noise that keeps weights from amplifying it: in the middle next to none is needed
+        weights = weights_of_sum_one(normal + noise * np.eye(TAPS), right)
+        best[open_] = weights[open_]
+        open_ &= (best**2).sum(axis=1) > _MOST_NOISE
+    table = best.astype(np.float32)
+    table.setflags(write=False)
+    return table
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def seen_at(point, matrices, positions, lens, coefficients, reach, lines, guess):  # type: ignore[no-untyped-def]
+    """(line, column) at which a frame sees a world point (3,); NaN behind it or beyond the lens.
+
+    The line of a rolling shutter is looked for from `guess` on, that of a place beside it.
+
+    `matrices` (K, 3, 3) camera_from_world and `positions` (K, 3), K = 1, or 3 for the first, middle and last
+    line; `lens` focal length, principal line, principal column.
+    """
+    rolling = matrices.shape[0] == 3
+    line, column = guess, np.nan
+    for _ in range(_LINE_STEPS if rolling else 1):
+        a, b, c = 1.0, 0.0, 0.0
+        if rolling:
+            s = min(max(line / (lines - 1.0), -0.5), 1.5)
+            a, b, c = (1.0 - s) * (1.0 - 2.0 * s), 4.0 * s * (1.0 - s), s * (2.0 * s - 1.0)
+        px = point[0] - a * positions[0, 0]
+        py = point[1] - a * positions[0, 1]
+        pz = point[2] - a * positions[0, 2]
+        m = matrices[0]
+        qx = a * (m[0, 0] * px + m[0, 1] * py + m[0, 2] * pz)
+        qy = a * (m[1, 0] * px + m[1, 1] * py + m[1, 2] * pz)
+        qz = a * (m[2, 0] * px + m[2, 1] * py + m[2, 2] * pz)
+        if rolling:
+            # the interpolated matrix about the interpolated place
+            px -= b * positions[1, 0] + c * positions[2, 0]
+            py -= b * positions[1, 1] + c * positions[2, 1]
+            pz -= b * positions[1, 2] + c * positions[2, 2]
+            n, o = matrices[1], matrices[2]
+            qx = (a * m[0, 0] + b * n[0, 0] + c * o[0, 0]) * px
+            qx += (a * m[0, 1] + b * n[0, 1] + c * o[0, 1]) * py
+            qx += (a * m[0, 2] + b * n[0, 2] + c * o[0, 2]) * pz
+            qy = (a * m[1, 0] + b * n[1, 0] + c * o[1, 0]) * px
+            qy += (a * m[1, 1] + b * n[1, 1] + c * o[1, 1]) * py
+            qy += (a * m[1, 2] + b * n[1, 2] + c * o[1, 2]) * pz
+            qz = (a * m[2, 0] + b * n[2, 0] + c * o[2, 0]) * px
+            qz += (a * m[2, 1] + b * n[2, 1] + c * o[2, 1]) * py
+            qz += (a * m[2, 2] + b * n[2, 2] + c * o[2, 2]) * pz
+        if qz <= 0.0:
+            return np.nan, np.nan
+        x, y = qx / qz, qy / qz
+        if x * x + y * y > reach * reach:
+            return np.nan, np.nan
+        x, y = brown(x, y, coefficients)
+        before = line
+        line, column = lens[1] + lens[0] * y, lens[2] + lens[0] * x
+        if abs(line - before) < _LINE_ENOUGH:
+            break
+    return line, column
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def inside(line, column, shape, period):  # type: ignore[no-untyped-def]
+    """Whether pixels of every band lie on all sides of a place, so that none is made up beyond the frame."""
+    low, left = period[0] - 1.0, period[1] - 1.0
+    return low <= line <= shape[0] - period[0] and left <= column <= shape[1] - period[1]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def choose_views(  # type: ignore[no-untyped-def]
+    world, box, matrices, positions, lens, coefficients, reach, shape, period, offset, entry_group, centre,
+    half, spare, penalty, frame, cost, view, beyond, last, passed,
+):  # fmt: skip
+    """Take a frame where it shows places of a tile better than those before it did.
+
+    `world` (rows, columns, 3); `box` first and one past the last row and column to look at; `cost`, `view`
+    and `beyond` (groups, rows, columns) are written; `last` (rows, columns) the line that saw each place in
+    the frame before (NaN: none) and `passed` (groups, rows, columns) whether lines of the group have passed
+    over it since, in this frame or on the way to it.
+    """
+    lines, columns = shape
+    middle = 0.5 * (columns - 1.0)
+    guess = 0.5 * (lines - 1.0)
+    for i in range(box[0], box[1]):
+        for j in range(box[2], box[3]):
+            line, column = seen_at(world[i, j], matrices, positions, lens, coefficients, reach, lines, guess)
+            if not inside(line, column, shape, period):
+                last[i, j] = np.nan
+                continue
+            guess = line
+            aside = (column - middle) / (0.5 * columns)
+            at = int(np.floor(line + 0.5))
+            for e in range(offset[at], offset[at + 1]):
+                off = (line - centre[e]) / half[e]
+                value = off * off + aside * aside + penalty
+                g = entry_group[e]
+                if value < cost[g, i, j]:
+                    cost[g, i, j] = value
+                    view[g, i, j] = frame
+                    beyond[g, i, j] = spare[e]
+            other = at if np.isnan(last[i, j]) else int(np.floor(last[i, j] + 0.5))
+            for e in range(offset[min(at, other)], offset[max(at, other) + 1]):
+                if not spare[e]:
+                    passed[entry_group[e], i, j] = True
+            last[i, j] = line
+
+
+@njit(cache=True, nogil=True)
+def sort_by_frame(view, first, places):  # type: ignore[no-untyped-def]
+    """Places of a tile frame by frame: `view` (groups * pixels,), -1 where there is none.
+
+    Flat indices of frame k into ``places[first[k] : first[k + 1]]``; `first` (frames + 1,) is written.
+    """
+    first[:] = 0
+    for n in range(view.shape[0]):
+        if view[n] >= 0:
+            first[view[n] + 1] += 1
+    for k in range(first.shape[0] - 1):
+        first[k + 1] += first[k]
+    place = first[:-1].copy()
+    for n in range(view.shape[0]):
+        if view[n] >= 0:
+            places[place[view[n]]] = n
+            place[view[n]] += 1
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def see_places(  # type: ignore[no-untyped-def]
+    world, places, matrices, positions, lens, coefficients, reach, shape, pixels
+):
+    """(line, column) at which a frame sees places, flat indices over groups and `world` (n, 3)."""
+    lines = shape[0]
+    guess = 0.5 * (lines - 1.0)
+    count = world.shape[0]
+    for n in range(places.shape[0]):
+        line, column = seen_at(
+            world[places[n] % count], matrices, positions, lens, coefficients, reach, lines, guess
+        )
+        guess = line
+        pixels[n, 0], pixels[n, 1] = line, column
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _value(image, bad, line, column, table):  # type: ignore[no-untyped-def]
+    """The image at a place; and how much pixels that cannot be used weigh in it."""
+    r0 = min(max(int(np.floor(line)) - (TAPS // 2 - 1), 0), image.shape[0] - TAPS)
+    c0 = min(max(int(np.floor(column)) - (TAPS // 2 - 1), 0), image.shape[1] - TAPS)
+    p = min(max((line - r0) * PHASES, 0.0), table.shape[0] - 1.001)
+    q = min(max((column - c0) * PHASES, 0.0), table.shape[0] - 1.001)
+    ip, iq = int(p), int(q)
+    sp, sq = np.float32(p - ip), np.float32(q - iq)
+    wq = np.empty(TAPS, np.float32)
+    for m in range(TAPS):
+        wq[m] = table[iq, m] + sq * (table[iq + 1, m] - table[iq, m])
+    total = np.float32(0.0)
+    weight = np.float32(0.0)
+    for k in range(TAPS):
+        wp = table[ip, k] + sp * (table[ip + 1, k] - table[ip, k])
+        part = np.float32(0.0)
+        for m in range(TAPS):
+            part += wq[m] * image[r0 + k, c0 + m]
+        total += wp * part
+        if bad.shape[0]:
+            for m in range(TAPS):
+                if bad[r0 + k, c0 + m]:
+                    weight += abs(wp * wq[m])
+    return total, weight
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def fill_bands(  # type: ignore[no-untyped-def]
+    places, pixels, image, bad, corner, period, first, bands, phase, level, table, share, out
+):
+    """Values of `bands` at `places` of a tile, which a frame sees at `pixels`, into `out` (B, places).
+
+    `image` is the part of the frame from `corner` on, which begins at a whole period of the filter; `bands`
+    and their `phase` go group by group, group g from ``first[g]`` on; values are multiplied by `level` (B,).
+    """
+    count = out.shape[1]
+    for k in range(places.shape[0]):
+        g, at = places[k] // count, places[k] % count
+        for n in range(first[g], first[g + 1]):
+            cells = image[phase[n, 0] :: period[0], phase[n, 1] :: period[1]]
+            spoiled = bad[phase[n, 0] :: period[0], phase[n, 1] :: period[1]]
+            value, weight = _value(
+                cells,
+                spoiled,
+                (pixels[k, 0] - corner[0] - phase[n, 0]) / period[0],
+                (pixels[k, 1] - corner[1] - phase[n, 1]) / period[1],
+                table,
+            )
+            out[bands[n], at] = level[bands[n]] * value if weight <= share else np.nan
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def count_seams(view, values, sums):  # type: ignore[no-untyped-def]
+    """Pairs of neighbours of one band with values, and their squared differences, into `sums` (4,).
+
+    `view` (rows, columns) the frame of each place; sums: pairs of one frame, their squared differences, pairs
+    of two frames, theirs.
+    """
+    rows, columns = view.shape
+    for i in range(rows):
+        for j in range(columns):
+            if not np.isfinite(values[i, j]):
+                continue
+            for step in range(2):
+                k, m = i + (1 - step), j + step
+                if k >= rows or m >= columns or not np.isfinite(values[k, m]):
+                    continue
+                two = 2 if view[i, j] != view[k, m] else 0
+                difference = values[i, j] - values[k, m]
+                sums[two] += 1.0
+                sums[two + 1] += difference * difference

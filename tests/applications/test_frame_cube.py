@@ -1,0 +1,285 @@
+"""Cubes of small rendered flights: each pixel against the truth of its band at its place; what goes wrong."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube
+from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.sequence_poses import SequencePoses
+from sightline.errors import FormatError, InputError
+from sightline.geometry.earth import WGS84, from_geodetic, local_axes
+from sightline.geometry.rotations import NADIR_MOUNT
+from sightline.geometry.surface import Dem, Ellipsoid, Plane
+from sightline.imaging.source import ArrayImage
+from sightline.matching.follow import Followed
+from sightline.photogrammetry.frame_poses import FramePoses, RoughPoses
+from sightline.photogrammetry.frame_subset import Subset
+from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.products.cube_store import MemoryStore
+from sightline.simulate.sequence import SequenceScenario, sequence_case
+
+SMALL = {"frames": 20, "shape": (96, 112), "focal_length_px": 150.0, "overlap": 0.95, "spectra": "law"}
+QUICK = CubePlan(picture=False, fit=False)
+
+
+def flight(**overrides: object) -> SequenceScenario:
+    return sequence_case("small", 3, **{**SMALL, **overrides})
+
+
+def problem_of(scenario: SequenceScenario) -> SequenceProblem:
+    """The flight with what is rough about it, over its true ground."""
+    (t, _, _), count = scenario.poses, len(scenario.poses[0])
+    pictures = [scenario.image(k) for k in range(count)]
+    relief, options = scenario.ground.relief, scenario.options
+    colour = options.filter == "rgb"
+    return SequenceProblem(
+        tuple(map(str, range(count))), t, tuple(ArrayImage(p.mean(axis=0)) for p in pictures),
+        scenario.detector, NADIR_MOUNT,
+        Images(np.zeros(count), np.arange(count), t, scenario.told_positions, scenario.told_attitudes),
+        RoughPoses(np.ones((count, 3)), np.ones((count, 3))), Dem(relief.heights, relief.transform), 0.0,
+        options.readout_time, 0.8, ("",) * count,
+        mosaic_nm=scenario.filter.told_nm[0] if options.filter == "mosaic" else None,
+        channel_nm=tuple(scenario.filter.told_nm[:, 0, 0]) if colour else (),
+        channels=tuple(tuple(ArrayImage(c) for c in p) for p in pictures) if colour else (),
+    )  # fmt: skip
+
+
+def true_poses(scenario: SequenceScenario, points: np.ndarray | None = None) -> SequencePoses:
+    """What is found when everything is: true poses, and points on the ground each seen in two frames."""
+    t, position, attitude = scenario.poses
+    count = len(t)
+    points = np.full((1, 3), np.nan) if points is None else points
+    n = len(points)
+    tracks = Tracks(
+        np.repeat([0, 5], n),
+        np.tile(np.arange(n), 2),
+        np.repeat([[60.0, 50.0], [30.0, 50.0]], n, axis=0),
+        0.1,
+    )
+    none = np.zeros(count, dtype=np.intp)
+    poses = FramePoses(
+        position, attitude, np.zeros((count, 6, 6)), np.zeros(6), np.zeros((6, 6)), points,
+        np.zeros((2 * n, 2)), np.zeros(2 * n, np.bool_), none + 9, np.ones(6), 1.0, np.zeros((1, 3)),
+    )  # fmt: skip
+    followed = Followed(
+        tracks.image, tracks.point, tracks.pixels, tracks.sigma_px, none, np.zeros((count, 4)), none,
+        np.ones(count), np.ones(count), ("",) * count,
+    )  # fmt: skip
+    subset = Subset(np.arange(2), np.zeros(2), np.zeros(2), ("", ""))
+    return SequencePoses(poses, ("solved",) * count, ("",) * count, subset, followed, tracks, none)
+
+
+def made(
+    problem: SequenceProblem, found: SequencePoses, plan: CubePlan = QUICK
+) -> tuple[CubeSummary, np.ndarray]:
+    store = MemoryStore()
+    return assemble_cube(problem, found, plan, store), store.values
+
+
+def error_of_noise(
+    scenario: SequenceScenario, summary: CubeSummary, values: np.ndarray
+) -> tuple[float, float]:
+    """Rms error of all bands in the middle of the map over the noise of a pixel, and over the contrast."""
+    grid = summary.grid
+    rows, columns = np.arange(0, grid.shape[0], 3.0), np.arange(0, grid.shape[1], 3.0)
+    places = grid.centres(rows[:, None], columns[None, :])
+    truth = scenario.band_signal(places[..., 0], places[..., 1], summary.wavelength_nm)
+    seen = np.moveaxis(values[:, ::3, ::3], 0, 2)
+    there = np.isfinite(seen)
+    difference = (seen - truth)[there]
+    radiometry = scenario.radiometry
+    noise = radiometry.mean_dn / radiometry.snr
+    return float(np.sqrt((difference**2).mean())) / noise, float(difference.std() / truth[there].std())
+
+
+@pytest.fixture(scope="module")
+def lvf() -> tuple[SequenceScenario, SequenceProblem]:
+    scenario = flight(bands=12)
+    return scenario, problem_of(scenario)
+
+
+def test_pixels_of_a_line_filter_are_what_their_band_sees_at_their_place(lvf):
+    scenario, problem = lvf
+    summary, values = made(problem, true_poses(scenario))
+    assert summary.wavelength_nm == pytest.approx(np.unique(scenario.filter.told_nm))
+    # lines of a band differ by 35 nm from its first to its last (true wavelengths run on under told steps):
+    # its brightness departs by some noise; shifted by half a pixel the ground itself departs five times more
+    noise, contrast = error_of_noise(scenario, summary, values)
+    assert contrast < 0.1
+    moved, _ = error_of_noise(scenario, summary, np.roll(values, 1, axis=1))
+    assert moved > 1.5 * noise
+    assert summary.coverage.min() == 1.0
+    # steps of 4.8 px, jitter and bands of 8 lines leave few gaps
+    assert summary.passed.min() > 0.9
+
+
+def test_noise_is_all_that_is_wrong_where_filters_have_steps():
+    scenario = flight(filter="stepwise", bands=6)
+    summary, values = made(problem_of(scenario), true_poses(scenario))
+    noise, contrast = error_of_noise(scenario, summary, values)
+    # the kernel keeps 0.8 of the noise; shot noise of bright ground is more than that of the mean; strips of
+    # neighbouring wavelengths reach into the kernel
+    assert noise < 2.0 and contrast < 0.12
+
+
+@pytest.mark.parametrize("kind", ["mosaic", "rgb", "pan"])
+def test_filters_that_show_all_bands_at_once(kind):
+    scenario = flight(filter=kind, pattern=2)
+    summary, values = made(problem_of(scenario), true_poses(scenario))
+    bands = {"mosaic": 4, "rgb": 3, "pan": 1}[kind]
+    assert values.shape[0] == len(summary.names) == bands
+    gsd = scenario.options.gsd * (2 if kind == "mosaic" else 1)
+    assert summary.gsd == pytest.approx(gsd, rel=0.1)
+    _, contrast = error_of_noise(scenario, summary, values)
+    # cells of a mosaic alias what is finer than they are
+    assert contrast < (0.25 if kind == "mosaic" else 0.08)
+    assert summary.coverage.min() == 1.0
+
+
+def test_a_rolling_shutter_is_followed():
+    scenario = flight(filter="pan", readout_time=0.03, jitter=0.012)
+    problem, found = problem_of(scenario), true_poses(scenario)
+    _, rolling = error_of_noise(scenario, *made(problem, found))
+    _, still = error_of_noise(scenario, *made(replace(problem, readout_time=0.0), found))
+    assert rolling < 0.1 and still > 2.0 * rolling
+
+
+def test_a_map_on_the_earth_is_projected(lvf):
+    scenario, problem = lvf
+    origin = from_geodetic(np.array([[np.radians(11.3), np.radians(47.2), 500.0]]))[0]
+    turn = local_axes(np.radians(11.3), np.radians(47.2))
+    flat = replace(problem, surface=Plane(0.0))
+    found = true_poses(scenario)
+    moved = replace(
+        found.poses,
+        position=origin + turn.apply(np.array(found.poses.position)),
+        world_from_body=turn * found.poses.world_from_body,
+    )
+    images = replace(problem.images, position=moved.position, world_from_body=moved.world_from_body)
+    earth = replace(
+        problem, surface=Ellipsoid(*WGS84, 500.0), images=images, radii=WGS84, sources=problem.sources
+    )
+    local, here = made(flat, found, replace(QUICK, surface="given"))
+    world, there = made(earth, replace(found, poses=moved), replace(QUICK, surface="given", gsd=local.gsd))
+    assert world.grid.system.crs == "EPSG:32632"
+    # the same ground, turned by the convergence of meridians (1.7 degrees): the same values at its places
+    places = np.stack(np.meshgrid(np.linspace(-3.0, 3.0, 9), np.linspace(8.0, 14.0, 9)), axis=-1).reshape(
+        -1, 2
+    )
+    level = np.column_stack([places, np.zeros(len(places))])
+    at_local = local.grid.pixels(level).round().astype(int)
+    exact = local.grid.centres(at_local[:, 0].astype(float), at_local[:, 1].astype(float))
+    world_points = origin + turn.apply(np.column_stack([exact, np.zeros(len(exact))]))
+    at_world = world.grid.pixels(world.grid.system.places(world_points)).round().astype(int)
+    a, b = here[:, at_local[:, 0], at_local[:, 1]], there[:, at_world[:, 0], at_world[:, 1]]
+    good = np.isfinite(a) & np.isfinite(b)
+    assert good.mean() > 0.5
+    assert np.corrcoef(a[good], b[good])[0, 1] > 0.97
+
+
+def _departure(one: CubeSummary, a: np.ndarray, two: CubeSummary, b: np.ndarray) -> float:
+    """Rms difference of two cubes over the ground between the points."""
+    places = np.stack(np.meshgrid(np.arange(-5.0, 5.0, 0.4), np.arange(2.0, 14.0, 0.4)), axis=-1).reshape(
+        -1, 2
+    )
+    rows = [g.pixels(places).round().astype(int) for g in (one.grid, two.grid)]
+    # corners of both maps are at whole pixels
+    first, second = (v[:, r[:, 0], r[:, 1]] for v, r in zip((a, b), rows, strict=True))
+    return float(np.sqrt(np.nanmean((first - second) ** 2)))
+
+
+def test_points_found_make_the_ground_where_the_surface_given_is_worse(lvf):
+    scenario, problem = lvf
+    dem, rng = problem.surface, np.random.default_rng(1)
+    low, high = [-7.0, -2.0], [7.0, 18.0]
+    flat = rng.uniform(low, high, (400, 2))
+    points = np.column_stack([flat, dem.height_at(np.column_stack([flat, np.zeros(400)]))])
+    points[::50, 2] += 5.0
+    found = true_poses(scenario, points)
+    rough = replace(problem, surface=Plane(0.0), height_sigma=1.0)
+    kept, exact = made(problem, found)
+    assert kept.surface.startswith("the surface given, which points meet")
+    summary, by_points = made(rough, found, replace(QUICK, gsd=kept.gsd))
+    assert "points found" in summary.surface
+    given, by_plane = made(rough, found, replace(QUICK, surface="given", gsd=kept.gsd))
+    assert given.surface.startswith("the surface given") and given.height_sigma > 5 * summary.height_sigma
+    # maps of other heights begin elsewhere: compared over what they share
+    assert _departure(kept, exact, summary, by_points) < 0.4 * _departure(kept, exact, given, by_plane)
+    with pytest.raises(Exception, match="points do not make a surface"):
+        made(rough, true_poses(scenario), replace(QUICK, surface="model"))
+
+
+def test_frames_that_cannot_be_used_are_replaced_by_their_neighbours(lvf):
+    scenario, problem = lvf
+
+    class Broken:
+        shape = scenario.options.shape
+
+        def read(self, lines, columns):
+            raise FormatError("frame 7 is truncated")
+
+        def mask(self, lines, columns):
+            return None
+
+    sources = list(problem.sources)
+    sources[7] = Broken()
+    found = true_poses(scenario)
+    summary, _ = made(replace(problem, sources=tuple(sources)), found)
+    assert summary.unread == ("7: frame 7 is truncated",) and "could not be read" in summary.warnings[0]
+    # frames 7 and the excluded 8 leave a gap of three steps, 14 px, which bands of 8 lines cannot close
+    excluded = tuple("blurred" if k == 8 else "" for k in range(len(problem)))
+    worse, _ = made(replace(problem, sources=tuple(sources), excluded=excluded), found)
+    assert worse.frames_used == summary.frames_used - 1 < len(problem)
+    assert worse.passed.min() < 0.95 and any("fewer bands" in w for w in worse.warnings)
+    # lines next to the band's own close gaps when they may
+    filled, _ = made(
+        replace(problem, sources=tuple(sources), excluded=excluded), found, replace(QUICK, fill_nm=60.0)
+    )
+    assert filled.passed.min() > worse.passed.min() + 0.02 and filled.beyond.max() > 0.0
+    interpolated = replace(found, source=tuple("interpolated" if k == 9 else "solved" for k in range(20)))
+    assert made(problem, interpolated)[0].frames_used == 20
+    # a frame whose image tells nothing of its pose stays in use only where no other saw the band
+
+
+def test_fits_pictures_and_seams(lvf):
+    scenario, problem = lvf
+    summary, _ = made(problem, true_poses(scenario), CubePlan(bands=4, gsd=0.2))
+    assert summary.pairs.shape[1] == 2 and len(summary.pair_rms_px) == len(summary.pairs) >= 6
+    # pixels of the map are 0.4 of those of the frames: windows this small match to some tenths of them
+    known = np.isfinite(summary.pair_rms_px)
+    assert known.sum() >= 3
+    assert np.nanmax(summary.pair_rms_px) * summary.gsd / scenario.options.gsd < 0.3
+    assert summary.error_map.ndim == 2 and np.nanmax(summary.error_map) < 1.0
+    assert summary.after.shape == summary.before.shape and summary.after.shape[2] == 3
+    assert 0.0 < summary.seams.mean() < 0.5
+    west, south, east, north = summary.extent
+    assert east - west == pytest.approx(summary.gsd * summary.grid.shape[1]) and north > south
+
+
+def test_what_cannot_be_made_is_refused(lvf):
+    scenario, problem = lvf
+    found = true_poses(scenario)
+    for plan, words in (
+        (replace(QUICK, bands=13), "from 1 to the 12 wavelengths"),
+        (replace(QUICK, bands=(450.0, 1200.0)), "must be wavelengths from"),
+        (replace(QUICK, bands=(500.0, 500.0)), "twice"),
+    ):
+        with pytest.raises(InputError, match=words):
+            assemble_cube(problem, found, plan)
+    with pytest.raises(InputError, match="must be one of auto, model, given"):
+        CubePlan(surface="dem")
+    with pytest.raises(InputError, match="positive number of metres"):
+        CubePlan(gsd=-1.0)
+    with pytest.raises(InputError, match="nothing to map"):
+        assemble_cube(replace(problem, excluded=("dark",) * len(problem)), found, QUICK)
+    up = replace(found.poses, world_from_body=found.poses.world_from_body * Rotation.from_euler("x", np.pi))
+    with pytest.raises(InputError, match="nothing to map"):
+        assemble_cube(problem, replace(found, poses=up), QUICK)
+    mosaic = flight(filter="mosaic", pattern=2, frames=2)
+    with pytest.raises(InputError, match="among the 4 wavelengths"):
+        assemble_cube(problem_of(mosaic), true_poses(mosaic), replace(QUICK, bands=(470.0,)))

@@ -1,0 +1,177 @@
+"""Parts of the cube alone: weights at the border of frames, bands, the ground through points, maps."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sightline.errors import EstimationError, InputError
+from sightline.geometry.earth import WGS84, from_geodetic
+from sightline.imaging.source import ArrayImage
+from sightline.products.cube_bands import frame_bands, line_bands
+from sightline.products.cube_fit import error_map, fit_pairs, pairs_of
+from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
+from sightline.products.cube_kernels import PHASES, place_weights
+from sightline.products.frame_cube import line_gain
+from sightline.products.ground_model import fit_ground
+from sightline.products.resample import BEFORE, TAPS, delay_weights
+
+
+@pytest.mark.parametrize(
+    ("place", "worst"), [(7.5, 1e-3), (7.25, 1e-3), (3.5, 3e-3), (1.5, 0.02), (0.5, 0.1), (0.0, 1e-6)]
+)
+def test_weights_keep_a_wave_up_to_the_border_of_the_frame(place, worst):
+    table = place_weights()
+    row = table[round(place * PHASES)]
+    assert row.sum() == pytest.approx(1.0, abs=1e-6) and (row**2).sum() <= 2.0
+    for frequency in (0.0, 0.05, 0.15, 0.25, 0.3):
+        wave = np.exp(2j * np.pi * frequency * np.arange(TAPS))
+        assert abs(row @ wave - np.exp(2j * np.pi * frequency * place)) < worst
+
+
+def test_weights_in_the_middle_are_those_of_all_products():
+    fraction = np.array([0.0, 0.25, 0.5])
+    rows = np.round((BEFORE + fraction) * PHASES).astype(int)
+    assert place_weights()[rows] == pytest.approx(delay_weights(fraction), abs=2e-3)
+
+
+def own_lines(layout):
+    """First and last own line of each group."""
+    line = np.repeat(np.arange(len(layout.offset) - 1.0), np.diff(layout.offset))
+    rows = [line[(layout.entry_group == g) & ~layout.spare] for g in range(layout.groups)]
+    return np.array([r.min() for r in rows]), np.array([r.max() for r in rows])
+
+
+def test_bands_of_a_filter_with_steps_are_its_steps():
+    nm = np.repeat([500.0, 600.0, 700.0], [4, 6, 5])
+    layout = line_bands(nm)
+    assert layout.wavelength_nm.tolist() == [500.0, 600.0, 700.0]
+    assert np.diff(layout.offset).tolist() == [1] * 15
+    assert layout.entry_group.tolist() == [0] * 4 + [1] * 6 + [2] * 5
+    assert layout.centre[[0, 4, 10]].tolist() == [1.5, 6.5, 12.0]
+    assert not layout.spare.any()
+    first, last = own_lines(layout)
+    assert first.tolist() == [0.0, 4.0, 10.0] and last.tolist() == [3.0, 9.0, 14.0]
+    # lines of the next step stand in only when they are asked to
+    assert line_bands(nm, fill_nm=100.0).spare.any()
+
+
+def test_bands_of_a_continuous_filter_have_lines_for_the_steps_flown():
+    nm = np.linspace(900.0, 450.0, 480)
+    layout = line_bands(nm, step=5.0)
+    first, last = own_lines(layout)
+    assert len(layout) == 64 and (last - first + 1 >= 7.0).all()
+    assert np.diff(layout.wavelength_nm).min() > 0.0
+    three = line_bands(nm, [500.0, 655.5, 800.0], step=5.0)
+    assert three.centre[three.entry_group == 1][0] == pytest.approx(
+        np.interp(655.5, nm[::-1], 479.0 - np.arange(480))
+    )
+    assert (np.bincount(three.entry_group, ~three.spare) <= 9).all()
+    assert len(line_bands(nm, 10)) == 10
+    one = layout.of([3, 60])
+    assert one.names == (layout.names[3], layout.names[60]) and set(one.entry_group) == {0, 1}
+
+
+def test_bands_of_whole_frames():
+    mosaic = frame_bands((20, 20), np.array([[700.0, 500.0], [600.0, 400.0]]))
+    assert mosaic.wavelength_nm.tolist() == [400.0, 500.0, 600.0, 700.0]
+    assert mosaic.phase.tolist() == [[1, 1], [0, 1], [1, 0], [0, 0]] and mosaic.groups == 1
+    colour = frame_bands((20, 20), None, (620.0, 540.0, 460.0))
+    assert colour.channel.tolist() == [2, 1, 0]
+    assert frame_bands((20, 20)).names == ("all light",)
+
+
+def test_a_surface_through_points_is_better_than_they_are():
+    rng = np.random.default_rng(0)
+    flat = rng.uniform(0.0, 30.0, (700, 2))
+
+    def true(x, y):
+        return 3.0 + 0.1 * x + np.sin(x / 6.0) * np.cos(y / 8.0)
+
+    points = np.column_stack([flat, true(*flat.T) + 0.1 * rng.standard_normal(len(flat))])
+    points[::40, 2] += 3.0
+    model = fit_ground(points, np.full(len(points), 0.1))
+    x, y = np.meshgrid(np.linspace(2.0, 28.0, 60), np.linspace(2.0, 28.0, 60))
+    # a dozen points to a period of 6 postings: a third of the noise of a point is left, and what the grid
+    # cannot follow; 18 false points would add 0.1 m rms
+    assert np.sqrt(np.mean((model.at(x, y) - true(x, y)) ** 2)) < 0.06
+    # what points are missed by: their own noise and the surface's
+    assert 0.08 < model.sigma < 0.14
+    assert not model.used[::40].any() and model.used.sum() > 650
+
+
+def test_a_surface_in_blocks_has_no_steps():
+    flat = np.random.default_rng(1).uniform(0.0, 1.0, (1200, 2)) * [300.0, 8.0]
+    model = fit_ground(np.column_stack([flat, np.sin(flat[:, 0] / 9.0)]), posting=1.0)
+    assert model.heights.shape[1] > 200
+    x = np.linspace(3.0, 297.0, 3000)
+    assert np.abs(model.at(x, np.full(3000, 4.0)) - np.sin(x / 9.0)).max() < 0.05
+
+
+def test_too_few_points_are_no_surface():
+    with pytest.raises(EstimationError, match="5 points do not make a surface"):
+        fit_ground(np.vstack([np.random.default_rng(0).uniform(size=(5, 3)), np.full((9, 3), np.nan)]))
+
+
+@pytest.mark.parametrize(
+    ("lon", "lat", "system"),
+    [
+        (11.3, 47.2, "EPSG:32632"),
+        (-70.0, -33.0, "EPSG:32719"),
+        (0.0, 88.0, "EPSG:5041"),
+        (9.0, -85.0, "EPSG:5042"),
+    ],
+)
+def test_maps_of_the_earth(lon, lat, system):
+    point = from_geodetic(np.append(np.radians([lon, lat]), 100.0)[None])
+    assert map_system(point[0], WGS84) == system
+    axes = MapSystem(system)
+    there = axes.places(point)
+    assert axes.world(there) == pytest.approx(point, abs=1e-6)
+    assert there[0, 2] == pytest.approx(100.0, abs=1e-6)
+
+
+def test_maps_of_another_body_lie_about_the_flight():
+    radii = (3396190.0, 3376200.0)
+    point = from_geodetic(np.array([[2.4, 0.3, -2000.0]]), radii)
+    axes = MapSystem(map_system(point[0], radii), radii)
+    places = axes.places(point)
+    assert places[0] == pytest.approx([0.0, 0.0, -2000.0], abs=0.1)
+    assert axes.world(places) == pytest.approx(point, abs=1e-5)
+
+
+def test_pixels_of_a_map_and_back():
+    grid = CubeGrid(MapSystem(), 100.0, 50.0, 0.5, (20, 30))
+    assert grid.extent == (100.0, 40.0, 115.0, 50.0)
+    places = grid.centres(np.array([0.0, 3.5]), np.array([0.0, 7.0]))
+    assert places.tolist() == [[100.25, 49.75], [103.75, 48.0]]
+    assert grid.pixels(places).tolist() == [[0.0, 0.0], [3.5, 7.0]]
+    with pytest.raises(InputError, match="both positive"):
+        CubeGrid(MapSystem(), 0.0, 0.0, 1.0, (0, 4))
+
+
+def test_pairs_near_and_far_and_where_they_disagree():
+    assert pairs_of(np.array([500.0, 450.0])) == [(1, 0)]
+    pairs = pairs_of(np.arange(60.0))
+    assert (0, 1) in pairs and (0, 59) in pairs and len(pairs) < 25
+    rng = np.random.default_rng(2)
+    # smooth enough that a shift of half a pixel can be matched
+    spectrum = np.fft.rfft2(rng.standard_normal((180, 260)))
+    fy, fx = np.fft.fftfreq(180)[:, None], np.fft.rfftfreq(260)[None]
+    spectrum *= np.exp(-((fx**2 + fy**2) / 0.15**2))
+    a = np.fft.irfft2(spectrum, (180, 260))
+    b = np.fft.irfft2(spectrum * np.exp(-2j * np.pi * fx * 0.4), (180, 260))
+    fits = fit_pairs([ArrayImage(100.0 + 9.0 * a), ArrayImage(100.0 + 9.0 * b)], np.array([500.0, 510.0]))
+    # 0.4 px along one of two axes
+    assert fits[0].rms_px == pytest.approx(0.4 / np.sqrt(2.0), abs=0.03)
+    chart = error_map(fits, (180, 260))
+    assert np.nanmedian(chart) == pytest.approx(0.4 / np.sqrt(2.0), abs=0.03)
+
+
+def test_lines_are_as_bright_as_their_filter_makes_them():
+    rng = np.random.default_rng(3)
+    level = np.linspace(1.0, 3.0, 24)
+    frames = [ArrayImage(level[:, None] * (1.0 + 0.1 * rng.standard_normal((24, 40)))) for _ in range(30)]
+    # 1200 pixels of 10 % contrast each
+    assert line_gain([[None, *frames]], 24)[0] == pytest.approx(level, rel=0.012)
+    assert line_gain([[None, None]], 24).tolist() == [[1.0] * 24]
