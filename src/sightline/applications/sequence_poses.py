@@ -298,6 +298,18 @@ class _Block:
         return CrossPlan(float(np.nanquantile(above, 0.99)), min(loose, 0.05))
 
 
+def poses_of_windows(problem: SequenceProblem, followed: Followed) -> tuple[FramePoses, Tracks]:
+    """Poses of all frames from windows that were followed (760), and their sightings; no image is read.
+
+    Parameters
+    ----------
+    problem : SequenceProblem
+    followed : Followed
+    """
+    tracks = Tracks(followed.image, followed.point, followed.pixels, followed.sigma_px)
+    return _all_poses(problem, followed, tracks, False, _Clock())
+
+
 def first_line_pixels(
     tracks: Tracks, followed: Followed, t: Array, readout_time: float, shape: tuple[int, int]
 ) -> Array:
