@@ -68,7 +68,7 @@ class Hills:
 
 
 def matrices(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """world_from_body (M, 3, 3) of a body that flies north: x forward, y right, z down; world east, north, up."""
+    """world_from_body (M, 3, 3) of a body flying north: x forward, y right, z down; world east, north, up."""
     cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (np.cos, np.sin))
     forward = np.stack([cp * sy, cp * cy, sp], axis=-1)
     right = np.stack([sr * sp * sy + cr * cy, sr * sp * cy - cr * sy, -sr * cp], axis=-1)
@@ -110,7 +110,7 @@ def on_ground(pixels: np.ndarray, position: np.ndarray, matrix: np.ndarray, hill
 def windows(
     rng: np.random.Generator, position: np.ndarray, matrix: np.ndarray, hills: Hills
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sightings (image, point, pixels) of windows that are followed from a hub till they leave or live out."""
+    """Sightings (image, point, pixels) of windows followed from a hub till they leave or live out."""
     rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
     points, hub, walk = np.empty((0, 3)), np.empty((0, 2)), np.empty((0, 2))
     name, count = np.empty(0, dtype=int), 0
@@ -191,7 +191,8 @@ def main(flights: int) -> None:
         sure = share[:, k].std() / np.sqrt(flights)
         rms = np.sqrt((np.array(scaled)[:, :, k] ** 2).mean())
         middle = inside[:, FRAMES // 2, k].mean()
-        print(f"  {name:6s} {100 * share[:, k].mean():6.1f} +- {100 * sure:.1f}   {100 * middle:6.1f}   {rms:.2f}")
+        mean = share[:, k].mean()
+        print(f"  {name:6s} {100 * mean:6.1f} +- {100 * sure:.1f}   {100 * middle:6.1f}   {rms:.2f}")
     print(f"  mean of squared error over covariance, 6 wanted: {np.mean(nees):.2f}")
 
 

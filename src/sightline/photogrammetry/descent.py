@@ -334,7 +334,7 @@ def _settle(
         if late and decrease > NEAR and not directions.hidden.any():
             break  # with a hidden direction no number depends on how near the end of the valley is
         settled = late or decrease < CONVERGED or (decrease < 1e-6 and decrease > 0.5 * last)
-        # no step lowers the cost by more than it is: where equations of an earlier state promise that, they fail
+        # no step lowers the cost by more than it is; equations of an earlier state may promise it
         earlier = fresh == 0 or np.isfinite(last)
         if not settled and (decrease > 0.1 * last or (earlier and decrease > pull.cost)):
             equations = None  # those of an earlier state lead no further

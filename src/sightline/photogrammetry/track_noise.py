@@ -55,8 +55,8 @@ class TrackNoise:
 
         Notes
         -----
-        The slope of n sightings of variance s^2 has the variance 12 s^2 / n^3; that of a random walk of g per
-        frame 6 g / (5 n), that of a ramp its own. They are alike for s^2 = g n^2 / 10 and s^2 = ramp n^3 / 12.
+        The slope of n sightings of variance s^2 has the variance 12 s^2 / n^3; that of a random walk of g
+        per frame 6 g / (5 n), that of a ramp its own: alike for s^2 = g n^2 / 10 and s^2 = ramp n^3 / 12.
         """
         return np.asarray(self.own + self.walk * frames**2 / 10.0 + self.ramp * frames**3 / 12.0)
 
@@ -136,7 +136,7 @@ def alike_neighbours(tracks: Tracks, residual_px: Array, used: NDArray[np.bool_]
         if len(rows) < 2 * _NEIGHBOURS:
             continue
         d = moved[rows]
-        near = cKDTree(place[rows]).query(place[rows], _NEIGHBOURS + 1)[1][:, 1:]
+        near = np.asarray(cKDTree(place[rows]).query(place[rows], _NEIGHBOURS + 1)[1])[:, 1:]
         products += (d[:, None] * d[near]).sum(axis=0)
         squares += float((d**2).sum())
         count += len(rows)
