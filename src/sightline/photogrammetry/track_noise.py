@@ -131,7 +131,7 @@ def alike_neighbours(tracks: Tracks, residual_px: Array, used: NDArray[np.bool_]
     moved, frame, place = r[same] - r[same - lag], image[same], tracks.pixels[order][same]
     products = np.zeros(_NEIGHBOURS)
     squares, count = 0.0, 0
-    for number in np.unique(frame)[::lag]:
+    for number in np.unique(frame)[:: max(lag // 2, 1)]:
         rows = np.flatnonzero(frame == number)
         if len(rows) < 2 * _NEIGHBOURS:
             continue
