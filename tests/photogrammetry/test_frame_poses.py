@@ -10,7 +10,13 @@ from sightline.errors import InputError
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
-from sightline.photogrammetry.frame_poses import FramePoses, RoughPoses, adjust_frames, path_precision
+from sightline.photogrammetry.frame_poses import (
+    FramePoses,
+    RoughPoses,
+    adjust_frames,
+    path_precision,
+    path_roughness,
+)
 from sightline.photogrammetry.point_priors import HeightPrior, PointPriors
 from sightline.photogrammetry.sightings import Images, Tracks, sight_frames
 
@@ -186,3 +192,27 @@ def test_tables_without_biases_hold_the_flight_alone():
     assert (found.bias == 0.0).all()
     error = flight.errors(found)[15]
     assert error @ np.linalg.solve(found.covariance[15], error) < 22.5  # chi-square of 6 at 1e-3
+
+
+def test_roughness_of_white_acceleration_is_its_density():
+    rng = np.random.default_rng(6)
+    h, count, density = 0.04, 2000, 2.0
+    root = np.linalg.cholesky(density * np.array([[h, h**2 / 2.0], [h**2 / 2.0, h**3 / 3.0]]))
+    pushed = rng.standard_normal((count, 6, 2)) @ root.T
+    speed = np.cumsum(pushed[..., 0], axis=0)
+    path = np.cumsum(pushed[..., 1], axis=0) + h * np.concatenate(
+        [np.zeros((1, 6)), np.cumsum(speed, 0)[:-1]]
+    )
+    found = path_roughness(h * np.arange(count), path, np.full(count, 10.0))
+    # bends over the longest steps are few, some 8 end to end: the largest of all is too large by chance
+    assert (found > 0.9 * density).all() and np.median(found) < 2.5 * density
+
+
+def test_a_path_that_sways_for_seconds_is_rougher_than_its_neighbours_bend():
+    t = np.arange(400) * 0.04
+    path = np.repeat((0.2 * np.sin(2.0 * np.pi * 0.2 * t))[:, None], 6, axis=1)
+    found = path_roughness(t, path, np.full(400, 10.0))
+    bend = np.diff(path[:, 0], 2) / 0.04
+    by_neighbours = (bend**2).mean() * 3.0 / 0.08
+    # the acceleration goes together for a quarter of the period, 31 frames
+    assert (found > 10.0 * by_neighbours).all()

@@ -440,6 +440,17 @@ class _Block:
         return CrossPlan(float(np.nanquantile(above, 0.99)), min(loose, 0.05))
 
 
+def poses_of_windows(problem: SequenceProblem, followed: Followed) -> tuple[FramePoses, Tracks]:
+    """Poses of all frames from windows that were followed (760), and their sightings; no image is read.
+
+    Parameters
+    ----------
+    problem : SequenceProblem
+    followed : Followed
+    """
+    return _all_poses(problem, followed, False, _Run(_nothing, Stages()))
+
+
 def first_line_pixels(
     tracks: Tracks, followed: Followed, t: Array, readout_time: float, shape: tuple[int, int]
 ) -> Array:

@@ -39,7 +39,7 @@ _POINTS, _LEAST_WINDOWS, _CELLS, _AGREEMENT = 60, 5, 6, 0.6
 #: px; longest search, and how far windows may lie from each other, relief apart.
 _LONGEST_SEARCH, _DISAGREE = 30, 2.0
 #: Lowest correlation; px: what other wavelengths and another view move a window by.
-_MIN_SCORE, _FLOOR = 0.55, 0.15
+_MIN_SCORE, _FLOOR = 0.55, 0.05
 
 
 @dataclass(frozen=True)

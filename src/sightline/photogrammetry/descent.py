@@ -327,11 +327,9 @@ def _settle(
     """
     taken, fresh, last = 0 if known is None else known.steps, 0, np.inf
     equations = None if known is None or not known.equations.reduced.reusable else known.equations
-    earlier = equations is not None
     for steps in range(taken + 1, taken + STEPS + 1):
         if equations is None:
             equations, fresh, last = _equations(block, state, weight), fresh + 1, np.inf
-            earlier = False
         reduced, directions = equations.reduced, equations.known
         pull = _pull(block, state, weight, reduced)
         step, decrease = _step(pull, reduced, directions)
@@ -341,14 +339,15 @@ def _settle(
         if late and decrease > NEAR and not directions.hidden.any():
             break  # with a hidden direction no number depends on how near the end of the valley is
         settled = late or decrease < CONVERGED or (decrease < 1e-6 and decrease > 0.5 * last)
-        if not settled and decrease > 0.1 * last:
+        # no step lowers the cost by more than it is; equations of an earlier state may promise it
+        earlier = fresh == 0 or np.isfinite(last)
+        if not settled and (decrease > 0.1 * last or (earlier and decrease > pull.cost)):
             equations = None  # those of an earlier state lead no further
             continue
         if not settled and decrease >= enough * pull.cost:
             if earlier and not _lowers(block, state, weight, pull, step, decrease):
                 equations = None
                 continue
-            earlier = True
             state, whole = _descended(block, state, weight, pull, step, decrease, equations)
             last = decrease
             if not (whole and reduced.reusable):

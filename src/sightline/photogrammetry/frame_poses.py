@@ -34,6 +34,8 @@ _LOOSE_ROUGHNESS = 1e8
 _PAUSE = 10.0
 #: Rounds in which the roughness of the path is measured anew.
 _ROUNDS = 2
+#: Bends end to end that tell how rough a path is over a step.
+_LEAST_BENDS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -388,12 +390,37 @@ def _count(sightings: Sightings, weight: Array, images: Images) -> Array:
 
 
 def path_roughness(t: Array, path: Array, seen: Array) -> Array:
-    """Roughness (6,) of a path by its bends where three frames in a row are well seen (all, if none are)."""
-    row, at, strength = _bends(t, np.ones(6), stretches(t))
-    bend = np.einsum("nk,nka->na", row, path[at[:, None] + np.arange(-2, 1)]) ** 2 * strength
-    good = (seen[at[:, None] + np.arange(-2, 1)] >= 4).all(axis=1)
-    used = bend[good] if good.any() else bend
-    return np.maximum(used.mean(axis=0) if len(used) else 0.0, 1e-12 * _UNITS**2)
+    """Roughness (6,) of a path, by its bends over steps from one frame to a good part of the flight.
+
+    Parameters
+    ----------
+    t : (M,)
+        s, increasing.
+    path : (M, 6)
+    seen : (M,)
+        Sightings of each frame: bends between well seen frames count (all, if there are none).
+
+    Notes
+    -----
+    The bend over two steps of h has the variance 2 h / 3 times the roughness where acceleration is white. A
+    flight's is not: it sways for seconds. By bends of neighbours alone the path would be taken to be far
+    straighter than it is; the largest roughness of all steps holds for each.
+    """
+    stretch, good = stretches(t), seen >= 4.0
+    out = np.zeros(6)
+    step = 1
+    while step == 1 or _LEAST_BENDS * 2 * step <= len(t):
+        first, middle, last = (slice(k * step, len(t) - (2 - k) * step) for k in range(3))
+        h1, h2 = t[middle] - t[first], t[last] - t[middle]
+        bend = (path[last] - path[middle]) / h2[:, None] - (path[middle] - path[first]) / h1[:, None]
+        size = bend**2 * (3.0 / (h1 + h2))[:, None]
+        tied = stretch[first] == stretch[last]
+        clear = tied & good[first] & good[middle] & good[last]
+        used = size[clear] if clear.any() else size[tied]
+        if len(used):
+            out = np.maximum(out, used.mean(axis=0))
+        step *= 2
+    return np.maximum(out, 1e-12 * _UNITS**2)
 
 
 def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: RoughPoses) -> FramePoses:

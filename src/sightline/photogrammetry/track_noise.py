@@ -1,28 +1,68 @@
-"""How sightings of followed windows err: each by itself, and all of a track by a slow drift.
+"""How sightings of followed windows err: each by itself, and all of a track together, ever more with time.
 
 A window changes while it is followed, with its wavelength and with the angle it is seen under; what that
-moves it by is much the same in the next frame. Sightings that err alike count for fewer than they are.
+moves it by is much the same in the next frame, and in the one after it more of the same. Sightings that err
+alike count for fewer than they are; so do windows that lie so near each other that they share pixels.
 
 Not here: following (``matching/follow.py``).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import nnls
+from scipy.spatial import cKDTree
 
 from sightline.geometry.checks import Array
 from sightline.photogrammetry.sightings import Tracks
 
 #: Fewest pairs of sightings that tell of a lag.
 _PAIRS = 100
-#: Share of a usual track up to which lags are looked at: longer drifts the point's place takes up.
-_SHORT = 0.3
+#: Share of a usual track up to which lags are looked at: few tracks are longer.
+_LONGEST = 0.9
+#: Windows around one that may err like it.
+_NEIGHBOURS = 8
 
 
-def drift_of_tracks(tracks: Tracks, residual_px: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
-    """Variance of each sighting by itself (px^2), and its growth from frame to frame (px^2 per frame).
+@dataclass(frozen=True)
+class TrackNoise:
+    """Variances of the sightings of a track, of one coordinate.
+
+    Attributes
+    ----------
+    own : float
+        px^2, of each sighting by itself.
+    walk : float
+        px^2 per frame: growth of the variance of a drift whose steps are independent.
+    ramp : float
+        px^2 per squared frame: variance of the rate of an even drift.
+    """
+
+    own: float
+    walk: float
+    ramp: float
+
+    def equivalent(self, frames: Array) -> Array:
+        """Variance (px^2) of sightings that err independently and tell as much of the motion.
+
+        Parameters
+        ----------
+        frames : (N,)
+            From the first to the last sighting of a track, both counted.
+
+        Notes
+        -----
+        The slope of n sightings of variance s^2 has the variance 12 s^2 / n^3; that of a random walk of g
+        per frame 6 g / (5 n), that of a ramp its own: alike for s^2 = g n^2 / 10 and s^2 = ramp n^3 / 12.
+        """
+        return np.asarray(self.own + self.walk * frames**2 / 10.0 + self.ramp * frames**3 / 12.0)
+
+
+def noise_of_tracks(tracks: Tracks, residual_px: Array, used: NDArray[np.bool_]) -> TrackNoise | None:
+    """Noise of tracks from the residuals of a solution near by; None where too few tell of it.
 
     Parameters
     ----------
@@ -33,35 +73,95 @@ def drift_of_tracks(tracks: Tracks, residual_px: Array, used: NDArray[np.bool_])
 
     Notes
     -----
-    Mean squares of differences of residuals of a track, n frames apart, are twice the one and n times the
-    other. What the adjustment takes up of a drift over the whole track leaves short lags nearly alone.
+    The mean square of differences of residuals of a track, n frames apart, is 2 own + n walk + n^2 ramp.
+    Only residuals across the motion of each track are looked at: along it the height of the point takes up
+    what drifts evenly.
     """
     order = np.lexsort((tracks.image, tracks.point))
     order = order[used[order]]
-    image, point, r = tracks.image[order], tracks.point[order], residual_px[order]
-    longest = max(int(_SHORT * np.median(_spans(tracks)[order])), 2) if len(order) else 0
+    image, point = tracks.image[order], tracks.point[order]
+    if not len(order):
+        return None
+    r = _across(tracks.pixels[order], residual_px[order], point)
+    longest = max(int(_LONGEST * np.median(_spans(image, point))), 2)
     lags, squares, weights = [], [], []
     for lag in range(1, longest + 1):
         same = (point[lag:] == point[:-lag]) & (image[lag:] - image[:-lag] == lag)
         if same.sum() >= _PAIRS:
             lags.append(float(lag))
-            squares.append(0.5 * float(((r[lag:] - r[:-lag])[same] ** 2).sum(axis=1).mean()))
+            squares.append(float(((r[lag:] - r[:-lag])[same] ** 2).mean()))
             weights.append(np.sqrt(float(same.sum())))
-    if len(lags) < 2:
-        return 0.0, 0.0
-    rows = np.column_stack([np.full(len(lags), 2.0), lags])
-    scale = (np.array(weights) / np.maximum(squares, 1e-12))[:, None]
-    own, growth = nnls(rows * scale, np.array(squares) * scale[:, 0])[0]
-    return float(own), float(growth)
+    if len(lags) < 3:
+        return None
+    n = np.array(lags)
+    scale = np.array(weights) / np.maximum(squares, 1e-12)
+    rows = np.column_stack([np.full(len(n), 2.0), n, n**2])
+    return TrackNoise(*(float(v) for v in nnls(rows * scale[:, None], np.array(squares) * scale)[0]))
 
 
-def _spans(tracks: Tracks) -> NDArray[np.intp]:
+def alike_neighbours(tracks: Tracks, residual_px: Array, used: NDArray[np.bool_]) -> float:
+    """How many times fewer independent windows there are than windows, because neighbours drift alike.
+
+    Parameters
+    ----------
+    tracks : Tracks
+    residual_px : (N, 2)
+        Of a solution near by.
+    used : (N,) bool
+        Good sightings.
+
+    Returns
+    -------
+    float
+        1 and the sum of the correlations with the nearest windows of the same frame; 1 at least.
+
+    Notes
+    -----
+    Drifts over half a track are compared.
+    """
+    order = np.lexsort((tracks.image, tracks.point))
+    order = order[used[order]]
+    image, point = tracks.image[order], tracks.point[order]
+    if not len(order):
+        return 1.0
+    r = _across(tracks.pixels[order], residual_px[order], point)
+    lag = max(int(0.5 * np.median(_spans(image, point))), 1)
+    # a sighting and that of the same point so many frames before it
+    same = np.flatnonzero((point[lag:] == point[:-lag]) & (image[lag:] - image[:-lag] == lag)) + lag
+    moved, frame, place = r[same] - r[same - lag], image[same], tracks.pixels[order][same]
+    products = np.zeros(_NEIGHBOURS)
+    squares, count = 0.0, 0
+    for number in np.unique(frame)[:: max(lag // 2, 1)]:
+        rows = np.flatnonzero(frame == number)
+        if len(rows) < 2 * _NEIGHBOURS:
+            continue
+        d = moved[rows]
+        near = np.asarray(cKDTree(place[rows]).query(place[rows], _NEIGHBOURS + 1)[1])[:, 1:]
+        products += (d[:, None] * d[near]).sum(axis=0)
+        squares += float((d**2).sum())
+        count += len(rows)
+    if count < _PAIRS or squares == 0.0:
+        return 1.0
+    return max(1.0 + float(products.sum()) / squares, 1.0)
+
+
+def _across(pixels: Array, residual: Array, point: NDArray[np.intp]) -> Array:
+    """Residuals (N,) across the line from the first to the last sighting of each track; rows by point."""
+    first = np.flatnonzero(np.concatenate([[True], np.diff(point) > 0]))
+    count = np.diff(np.append(first, len(point)))
+    along = pixels[first + count - 1] - pixels[first]
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    along = np.repeat(along, count, axis=0)
+    return np.asarray(residual[:, 1] * along[:, 0] - residual[:, 0] * along[:, 1])
+
+
+def _spans(image: NDArray[np.intp], point: NDArray[np.intp]) -> NDArray[np.intp]:
     """Frames (N,) from the first to the last sighting of each sighting's point, both counted."""
-    count = int(tracks.point.max()) + 1
+    count = int(point.max()) + 1
     first, last = np.full(count, np.iinfo(np.intp).max), np.zeros(count, dtype=np.intp)
-    np.minimum.at(first, tracks.point, tracks.image)
-    np.maximum.at(last, tracks.point, tracks.image)
-    return np.asarray((last - first + 1)[tracks.point])
+    np.minimum.at(first, point, image)
+    np.maximum.at(last, point, image)
+    return np.asarray((last - first + 1)[point])
 
 
 def with_drift(tracks: Tracks, residual_px: Array, used: NDArray[np.bool_]) -> Tracks:
@@ -74,16 +174,12 @@ def with_drift(tracks: Tracks, residual_px: Array, used: NDArray[np.bool_]) -> T
     residual_px : (N, 2)
         Of a solution near by.
     used : (N,) bool
-
-    Notes
-    -----
-    The slope of n sightings of variance s^2 has the variance 12 s^2 / n^3; that of a random walk of g per
-    frame 6 g / (5 n). Both are alike for s^2 = g n^2 / 10.
     """
-    own, growth = drift_of_tracks(tracks, residual_px, used)
-    if own + growth == 0.0:
+    noise = noise_of_tracks(tracks, residual_px, used)
+    if noise is None or noise.own + noise.walk + noise.ramp == 0.0:
         return tracks
     # what a match says of itself holds where there is no drift; some windows are better than others
     relative = tracks.sigma_px**2 / np.median(tracks.sigma_px**2)
-    variance = relative * (own + growth * _spans(tracks) ** 2 / 10.0)
+    relative *= alike_neighbours(tracks, residual_px, used)
+    variance = relative * noise.equivalent(_spans(tracks.image, tracks.point).astype(np.float64))
     return Tracks(tracks.image, tracks.point, tracks.pixels, np.sqrt(variance))

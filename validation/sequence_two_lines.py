@@ -1,0 +1,105 @@
+"""Two flight lines beside each other, with a rolling shutter: are they tied, straight, and their sigmas true.
+
+Rendered flights of the case "two-lines" (a filter of varying wavelength, 20 ms of readout, 40 % side overlap)
+from rough tables. Ground errors are where rays meet the mean ground, less where they do by the true poses,
+px. Lines see the ground between them from both sides, so that a height of the whole that is off (the datum)
+would look like lines apart: what points lie too high on the whole is taken off first. The bow of a line is
+the trend of its angles' errors from end to end. ``sequence_two_lines.py 3 200``: three flights of 200 frames
+a line.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from sequence_poses import problem_of
+
+from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
+from sightline.geometry.rotations import NADIR_MOUNT
+from sightline.matching.follow import FollowPlan
+from sightline.simulate.sequence import SequenceScenario, sequence_case
+
+STRIDE, SIDE = 20, 5
+
+
+def ground_px(scenario: SequenceScenario, position: np.ndarray, attitude: Rotation) -> np.ndarray:
+    """Ground errors (M, lines, columns, 2) of places of every frame, px."""
+    lines, columns = scenario.options.shape
+    grid = np.meshgrid(np.linspace(20, lines - 21, SIDE), np.linspace(20, columns - 21, SIDE), indexing="ij")
+    rays = NADIR_MOUNT.apply(scenario.detector.directions(np.stack(grid, axis=-1).reshape(-1, 2)))
+    _, true_position, true_attitude = scenario.poses
+
+    def met(place: np.ndarray, turn: Rotation) -> np.ndarray:
+        ray = turn.apply(rays)
+        return (place - ray * (place[2] / ray[:, 2])[:, None])[:, :2]
+
+    pairs = zip(position, attitude, true_position, true_attitude, strict=True)
+    error = np.array([met(*pose[:2]) - met(*pose[2:]) for pose in pairs])
+    return error.reshape(len(error), SIDE, SIDE, 2) / scenario.options.gsd
+
+
+def between_px(error: np.ndarray) -> float:
+    """px rms of the ground error of one line that is left between every `STRIDE`-th frame."""
+    left = []
+    for a in range(0, len(error) - STRIDE, STRIDE):
+        w = np.arange(STRIDE)[:, None, None, None] / STRIDE
+        left.append(error[a : a + STRIDE] - (1.0 - w) * error[a] - w * error[a + STRIDE])
+    return float(np.sqrt((np.concatenate(left) ** 2).sum(axis=-1).mean()))
+
+
+def too_high(scenario: SequenceScenario, points: np.ndarray) -> float:
+    """m that points lie above the true relief on the whole."""
+    relief = scenario.ground.relief
+    known = points[np.isfinite(points[:, 0])]
+    columns = np.rint((known[:, 0] - relief.west) / relief.posting[0]).astype(int)
+    rows = np.rint((relief.north - known[:, 1]) / relief.posting[1]).astype(int)
+    last = np.array(relief.heights.shape) - 1
+    return float(
+        (known[:, 2] - relief.heights[np.clip(rows, 0, last[0]), np.clip(columns, 0, last[1])]).mean()
+    )
+
+
+def bows(scenario: SequenceScenario, found: SequencePoses) -> np.ndarray:
+    """Bow (2, 3) of both lines over its own sigma."""
+    _, _, attitude = scenario.poses
+    error = (attitude.inv() * found.poses.world_from_body).as_rotvec()
+    frames = scenario.options.frames
+    place = np.arange(frames) - 0.5 * (frames - 1)
+    trend = [place @ error[k * frames : (k + 1) * frames] / np.sqrt(frames * (place @ place)) for k in (0, 1)]
+    return np.abs(trend) / found.poses.bow
+
+
+def main(flights: int, frames: int) -> None:
+    """Print the table."""
+    print(f"two lines of {frames} frames, rolling shutter of 20 ms")
+    print("  seed  between anchors px  lines apart px  bow over sigma: roll pitch yaw  squared error  CPU s")
+    for seed in range(300, 300 + flights):
+        overlap = 1.0 - 2.0 / frames  # as much ground, however many frames
+        scenario = sequence_case("two-lines", seed, frames=frames, overlap=overlap)
+        began = time.process_time()
+        found = georeference_sequence(problem_of(scenario), plan=FollowPlan(points=200))
+        seconds = time.process_time() - began
+        poses = found.poses
+        raw = ground_px(scenario, poses.position, poses.world_from_body)
+        between = np.sqrt(0.5 * (between_px(raw[:frames]) ** 2 + between_px(raw[frames:]) ** 2))
+        down = np.array([0.0, 0.0, too_high(scenario, poses.points)])
+        # both lines see the ground between them on their right, in low columns
+        shared = ground_px(scenario, poses.position - down, poses.world_from_body)[:, :, : SIDE // 2]
+        apart = shared[:frames].mean(axis=(0, 1, 2)) - shared[frames:].mean(axis=(0, 1, 2))
+        bow = bows(scenario, found).max(axis=0)
+        _, position, attitude = scenario.poses
+        turn = (attitude.inv() * poses.world_from_body).as_rotvec()
+        error = np.concatenate([poses.position - position, turn], axis=1)
+        squared = np.einsum("ki,ki->k", error, np.linalg.solve(poses.covariance, error[..., None])[..., 0])
+        print(
+            f"  {seed:4d}  {between:18.3f}  {np.hypot(*apart):14.3f}"
+            f"  {bow[0]:20.2f} {bow[1]:5.2f} {bow[2]:3.2f}  {squared.mean():13.1f}  {seconds:5.0f}",
+            flush=True,
+        )
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 5, int(sys.argv[2]) if len(sys.argv) > 2 else 100)
