@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from sequence_poses import problem_of
 
-from sightline.applications.cube_ground import choose_ground, ground_hits
+from sightline.applications.cube_ground import choose_ground, frame_outlines
 from sightline.applications.frame_cube import (
     CubePlan,
     CubeSummary,
@@ -36,7 +36,7 @@ from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Dem
 from sightline.io.cube_files import CubeFolder
 from sightline.io.images import open_image
-from sightline.products.frame_cube import CubeMaker, FrameViews, outlines, tiles_of
+from sightline.products.frame_cube import CubeMaker, FrameViews, tiles_of
 from sightline.simulate.sequence import SequenceScenario, sequence_case
 
 PLACES = 4000
@@ -48,9 +48,9 @@ def true_offsets(
     """px (groups, places, 2): where what a band shows at places of the map truly lies, less the place."""
     views, system = frame_views(problem, found), map_of(problem)
     ground = choose_ground(problem, found, system, "auto")
-    outline = outlines(views, ground_hits(problem, system, ground))
+    outline, reach = frame_outlines(problem, system, ground, views)
     layout = choose_bands(problem, CubePlan(), outline, summary.gsd)
-    maker = CubeMaker(summary.grid, layout, views, outline, ground.heights, images_of(problem))
+    maker = CubeMaker(summary.grid, layout, views, reach, ground.heights, images_of(problem))
     rng = np.random.default_rng(1)
     rows, columns = (rng.integers(0, n, PLACES) for n in summary.grid.shape)
     out = np.full((layout.groups, PLACES, 2), np.nan)

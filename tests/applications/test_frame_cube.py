@@ -8,70 +8,17 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from cube_flights import flight, problem_of, true_poses
 from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.errors import FormatError, InputError
 from sightline.geometry.earth import WGS84, from_geodetic, local_axes
-from sightline.geometry.rotations import NADIR_MOUNT
-from sightline.geometry.surface import Dem, Ellipsoid, Plane
-from sightline.imaging.source import ArrayImage
-from sightline.matching.follow import Followed
-from sightline.photogrammetry.frame_poses import FramePoses, RoughPoses
-from sightline.photogrammetry.frame_subset import Subset
-from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.products.cube_store import MemoryStore
-from sightline.simulate.sequence import SequenceScenario, sequence_case
+from sightline.simulate.sequence import SequenceScenario
 
-SMALL = {"frames": 20, "shape": (96, 112), "focal_length_px": 150.0, "overlap": 0.95, "spectra": "law"}
 QUICK = CubePlan(picture=False, fit=False)
-
-
-def flight(**overrides: object) -> SequenceScenario:
-    return sequence_case("small", 3, **{**SMALL, **overrides})
-
-
-def problem_of(scenario: SequenceScenario) -> SequenceProblem:
-    """The flight with what is rough about it, over its true ground."""
-    (t, _, _), count = scenario.poses, len(scenario.poses[0])
-    pictures = [scenario.image(k) for k in range(count)]
-    relief, options = scenario.ground.relief, scenario.options
-    colour = options.filter == "rgb"
-    return SequenceProblem(
-        tuple(map(str, range(count))), t, tuple(ArrayImage(p.mean(axis=0)) for p in pictures),
-        scenario.detector, NADIR_MOUNT,
-        Images(np.zeros(count), np.arange(count), t, scenario.told_positions, scenario.told_attitudes),
-        RoughPoses(np.ones((count, 3)), np.ones((count, 3))), Dem(relief.heights, relief.transform), 0.0,
-        options.readout_time, 0.8, ("",) * count,
-        mosaic_nm=scenario.filter.told_nm[0] if options.filter == "mosaic" else None,
-        channel_nm=tuple(scenario.filter.told_nm[:, 0, 0]) if colour else (),
-        channels=tuple(tuple(ArrayImage(c) for c in p) for p in pictures) if colour else (),
-    )  # fmt: skip
-
-
-def true_poses(scenario: SequenceScenario, points: np.ndarray | None = None) -> SequencePoses:
-    """What is found when everything is: true poses, and points on the ground each seen in two frames."""
-    t, position, attitude = scenario.poses
-    count = len(t)
-    points = np.full((1, 3), np.nan) if points is None else points
-    n = len(points)
-    tracks = Tracks(
-        np.repeat([0, 5], n),
-        np.tile(np.arange(n), 2),
-        np.repeat([[60.0, 50.0], [30.0, 50.0]], n, axis=0),
-        0.1,
-    )
-    none = np.zeros(count, dtype=np.intp)
-    poses = FramePoses(
-        position, attitude, np.zeros((count, 6, 6)), np.zeros(6), np.zeros((6, 6)), points,
-        np.zeros((2 * n, 2)), np.zeros(2 * n, np.bool_), none + 9, np.ones(6), 1.0, np.zeros((1, 3)),
-    )  # fmt: skip
-    followed = Followed(
-        tracks.image, tracks.point, tracks.pixels, tracks.sigma_px, none, np.zeros((count, 4)), none,
-        np.ones(count), np.ones(count), ("",) * count,
-    )  # fmt: skip
-    subset = Subset(np.arange(2), np.zeros(2), np.zeros(2), ("", ""))
-    return SequencePoses(poses, ("solved",) * count, ("",) * count, subset, followed, tracks, none)
 
 
 def made(

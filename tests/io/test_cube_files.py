@@ -9,13 +9,17 @@ import numpy as np
 import pytest
 import rasterio
 
+from cube_flights import flight, true_poses
 from sightline.errors import InputError
 from sightline.io.cube_files import CubeFolder
-from sightline.io.cube_summary import cube_plan
+from sightline.io.cube_summary import cube_plan, cube_summary, write_cube
 from sightline.io.envi import read_envi_wavelengths
+from sightline.io.json_text import json_text
+from sightline.io.sequence import read_sequence
 from sightline.io.sequence_schema import CubeSection
 from sightline.products.cube_bands import BandLayout, frame_bands, line_bands
 from sightline.products.cube_grid import CubeGrid, MapSystem
+from sightline.simulate.sequence_files import write_sequence
 
 SHAPE = (70, 90)
 
@@ -106,3 +110,26 @@ def test_a_section_becomes_a_plan():
     plan = cube_plan(CubeSection(gsd=0.2, bands=[500.0, 600.0], surface="given", fill_nm=4.0, flatten=False))
     assert (plan.gsd, plan.bands, plan.surface, plan.fill_nm) == (0.2, (500.0, 600.0), "given", 4.0)
     assert not plan.flatten
+
+
+def test_the_cube_of_a_sequence_file(tmp_path):
+    scenario = flight(frames=12)
+    write_sequence(scenario, tmp_path, dem=True, truth_bands=0)
+    toml = tmp_path / "sequence.toml"
+    toml.write_text(toml.read_text() + '\n[cube]\nbands = [500.0, 700.0]\nformats = ["tif", "envi"]\n')
+    sequence, out = read_sequence(toml), tmp_path / "out"
+    out.mkdir()
+    summary, files = write_cube(out, sequence, true_poses(scenario))
+    assert files == ("bands/0-500.0nm.tif", "bands/1-700.0nm.tif", "cube.dat", "cube.hdr")
+    assert all((out / name).is_file() for name in files)
+    assert sorted(p.name for p in out.iterdir()) == ["bands", "cube.dat", "cube.hdr"]
+    told = cube_summary(summary, files)
+    assert [band["wavelength_nm"] for band in told["bands"]] == [500.0, 700.0]
+    assert told["crs"] is None and "the surface given" in told["surface"]
+    assert '"pairs"' in json_text(told)
+    # an error leaves nothing behind
+    (out / "cube.dat").unlink()
+    toml.write_text(toml.read_text().replace("700.0]", "1700.0]"))
+    with pytest.raises(InputError, match="must be wavelengths from"):
+        write_cube(out, read_sequence(toml), true_poses(scenario))
+    assert sorted(p.name for p in out.iterdir()) == ["bands", "cube.hdr"]

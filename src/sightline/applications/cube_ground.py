@@ -5,7 +5,6 @@ Not here: the surface through points (``products/ground_model.py``).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +16,7 @@ from sightline.errors import EstimationError, InputError
 from sightline.geometry.checks import read_only
 from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface
 from sightline.products.cube_grid import MapSystem
-from sightline.products.frame_cube import Heights
+from sightline.products.frame_cube import FrameViews, Heights, outlines
 from sightline.products.ground_model import GroundModel, fit_ground
 
 Array = NDArray[np.float64]
@@ -106,17 +105,34 @@ def given_heights(surface: Surface, system: MapSystem) -> Heights:
     return heights
 
 
-def ground_hits(
-    problem: SequenceProblem, system: MapSystem, ground: Ground
-) -> Callable[[Array, Array], Array]:
-    """Map places (N, 3) that rays (N, 3), (N, 3) meet; about, as outlines need it."""
-    level = problem.surface
+def frame_outlines(
+    problem: SequenceProblem, system: MapSystem, ground: Ground, views: FrameViews
+) -> tuple[Array, Array]:
+    """Map places (M, n, 2) around each frame where its lines of sight meet the ground on the whole; and a few
+    times as many, on the lowest and on the highest ground too.
+    """
+    middle, low, high = _levels(problem, ground)
+
+    def on(surface: Surface) -> Array:
+        return outlines(views, lambda p, d: system.places(surface.intersect(read_only(p), read_only(d))))
+
+    parts = [on(_level(problem, h)) for h in ((middle,) if low == high else (middle, low, high))]
+    return parts[0], np.concatenate(parts, axis=1)
+
+
+def _levels(problem: SequenceProblem, ground: Ground) -> tuple[float, float, float]:
+    """m: usual, lowest and highest ground."""
+    surface = problem.surface
     if ground.model is not None:
-        level_height = float(np.median(ground.model.heights))
-        radii = problem.radii
-        level = Plane(level_height) if radii is None else Ellipsoid(*radii, level_height)
+        heights = ground.model.heights
+        return float(np.median(heights)), float(heights.min()), float(heights.max())
+    if isinstance(surface, Plane | Ellipsoid):
+        return (surface.height,) * 3
+    if isinstance(surface, Dem):
+        return float(np.nanmedian(surface.ellipsoidal)) + surface.offset, *surface.height_range
+    raise InputError(f"a cube needs ground to lie on, not {type(surface).__name__}")
 
-    def hits(origins: Array, rays: Array) -> Array:
-        return system.places(level.intersect(read_only(origins), read_only(rays)))
 
-    return hits
+def _level(problem: SequenceProblem, height: float) -> Surface:
+    """Level ground."""
+    return Plane(height) if problem.radii is None else Ellipsoid(*problem.radii, height)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.cube_ground import Ground, choose_ground, given_heights, ground_hits
+from sightline.applications.cube_ground import Ground, choose_ground, frame_outlines, given_heights
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import INTERPOLATED, SequencePoses
 from sightline.errors import InputError
@@ -35,7 +35,6 @@ from sightline.products.frame_cube import (
     FrameViews,
     grid_of,
     line_gain,
-    outlines,
     tiles_of,
 )
 
@@ -220,7 +219,7 @@ def assemble_cube(
     system = map_of(problem)
     ground = choose_ground(problem, found, system, plan.surface)
     note("ground")
-    outline = outlines(views, ground_hits(problem, system, ground))
+    outline, reach = frame_outlines(problem, system, ground, views)
     gsd = plan.gsd or pixel_size(problem, views, outline)
     layout = choose_bands(problem, plan, outline, gsd)
     grid = grid_of(outline[np.isfinite(views.penalty)].reshape(-1, 2), system, gsd)
@@ -228,7 +227,7 @@ def assemble_cube(
     by_line = problem.detector.wavelength_nm is not None and plan.flatten
     gain = line_gain(channels, problem.detector.shape[0]) if by_line else None
     note("lines made alike")
-    maker = CubeMaker(grid, layout, views, outline, ground.heights, channels, gain)
+    maker = CubeMaker(grid, layout, views, reach, ground.heights, channels, gain)
     tally = CubeTally(layout, grid, picture_bands(layout) if plan.picture else ())
     store.begin(grid, layout)
     tiles = tiles_of(grid, layout)
@@ -350,9 +349,9 @@ def _before(
         return picture
     views = frame_views(problem)
     given = Ground(given_heights(problem.surface, system), "", 0.0)
-    outline = outlines(views, ground_hits(problem, system, given))
+    _, reach = frame_outlines(problem, system, given, views)
     three = layout.of(tally.rgb)
-    maker = CubeMaker(grid, three, views, outline, given.heights, channels, gain)
+    maker = CubeMaker(grid, three, views, reach, given.heights, channels, gain)
     for tile in tiles_of(grid, three):
         filled = maker.fill(tile)
         if filled is not None:

@@ -1,15 +1,18 @@
-"""``[cube]`` as a plan, and what ``summary.json`` says of a cube; described in ``docs/formats.md``.
+"""The cube that a ``[cube]`` asks for, and what ``summary.json`` says of it; see ``docs/formats.md``.
 
 Not here: the pixels (``cube_files.py``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any
 
-from sightline.applications.frame_cube import CubePlan, CubeSummary
-from sightline.io.cube_files import crs_wkt
+from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube
+from sightline.applications.sequence_poses import SequencePoses
+from sightline.io.cube_files import CubeFolder, crs_wkt
+from sightline.io.sequence import FrameSequence
 from sightline.io.sequence_schema import CubeSection
 
 
@@ -17,6 +20,41 @@ def cube_plan(section: CubeSection) -> CubePlan:
     """The plan that a ``[cube]`` asks for."""
     bands = tuple(section.bands) if isinstance(section.bands, list) else section.bands
     return CubePlan(section.gsd, bands, section.surface, section.fill_nm, section.flatten)
+
+
+def write_cube(
+    folder: Path,
+    sequence: FrameSequence,
+    found: SequencePoses,
+    *,
+    progress: Callable[[str, int, int], None] | None = None,
+    tell: Callable[[str], None] = lambda text: None,
+) -> tuple[CubeSummary, tuple[str, ...]]:
+    """Make the cube of a sequence and write its files.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    sequence : FrameSequence
+    found : SequencePoses
+    progress : callable, optional
+        Called with the stage, tiles done and tiles in all.
+    tell : callable
+        Told in words what is being written.
+
+    Returns
+    -------
+    summary : CubeSummary
+    files : tuple of str
+        Below `folder`. After an error none is left half-written.
+    """
+    store = CubeFolder(folder, sequence.cube.formats, one_file=sequence.cube.one_file)
+    try:
+        summary = assemble_cube(sequence.problem, found, cube_plan(sequence.cube), store, progress)
+        return summary, store.finish(tell)
+    finally:
+        store.discard()
 
 
 def cube_summary(cube: CubeSummary, files: Sequence[str] = ()) -> dict[str, Any]:

@@ -181,7 +181,7 @@ class CubeMaker:
     layout : BandLayout
     views : FrameViews
     outline : (M, n, 2)
-        Map places around each frame, as `outlines` gives them.
+        Map places around each frame, as `outlines` gives them, on low and on high ground.
     heights : callable
         Of the ground, by map places.
     channels : sequence of sequences of ImageSource
