@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.cli.options import Json, Out, Overwrite
+from sightline.cli.terminal import Progress
 
 if TYPE_CHECKING:
     from sightline.applications.sequence_poses import SequencePoses
@@ -28,31 +29,34 @@ def georeference(
         int | None,
         typer.Option("--stride", min=1, help="Subset: every so many frames, in place of the overlap wanted."),
     ] = None,
+    poses_only: Annotated[
+        bool, typer.Option("--poses-only", help="Make no maps of the bands, whatever [cube] says.")
+    ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Find the pose of every frame of a sequence, with covariance, from photogrammetry and its own images."""
+    """Find the pose of every frame of a sequence, with covariance, and lay all bands on a map.
+
+    A run that was stopped goes on where it stood when the same command is given again.
+    """
     import time
 
     from sightline.applications.sequence_poses import georeference_sequence
-    from sightline.cli.output import check_output_folder, output_folder
+    from sightline.applications.stages import Stages
+    from sightline.cli.output import STAGES, check_output_folder, output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.io.sequence import read_sequence
-    from sightline.io.sequence_results import write_sequence_result
-    from sightline.report.sequence_page import write_sequence_report
 
     check_output_folder(out, overwrite=overwrite)
     begun = time.perf_counter()
+    stages = Stages(out / STAGES, lambda text: complain("warning", text))
     with progress() as report:
         report(f"reading {file}")
         sequence = read_sequence(file)
-        report(f"poses of {len(sequence.problem)} frames")
-        found = georeference_sequence(sequence.problem, stride=stride)
+        found = georeference_sequence(sequence.problem, stride=stride, progress=report, stages=stages)
         with output_folder(out, overwrite=overwrite) as folder:
-            report("writing")
-            seconds = time.perf_counter() - begun
-            summary = write_sequence_result(folder, sequence, found, wall_seconds=seconds)
-            write_sequence_report(folder / "report.html", sequence.problem, found, summary)
+            summary = write_georeferenced(folder, sequence, found, report, begun, cube=not poses_only)
+    stages.remove()
     if as_json:
         print_json(summary)
         return
@@ -60,6 +64,29 @@ def georeference(
         complain("warning", warning)
     tell(sequence, found, summary)
     say(f"{out / 'poses.csv'}, {out / 'report.html'}")
+
+
+def write_georeferenced(
+    folder: Path, sequence: FrameSequence, found: SequencePoses, report: Progress, begun: float, *, cube: bool
+) -> dict[str, Any]:
+    """Every file of the result; gives the summary."""
+    import time
+
+    from sightline.io.cube_summary import cube_summary, write_cube
+    from sightline.io.sequence_results import write_sequence_result
+    from sightline.report.sequence_cube import cube_view
+    from sightline.report.sequence_page import write_sequence_report
+
+    more: dict[str, Any] = {"cube": None}
+    view = None
+    if cube and sequence.cube.make:
+        made, files = write_cube(folder, sequence, found, progress=report, tell=report)
+        more, view = {"cube": cube_summary(made, files)}, cube_view(made)
+    report("writing")
+    seconds = time.perf_counter() - begun
+    summary = write_sequence_result(folder, sequence, found, wall_seconds=seconds, **more)
+    write_sequence_report(folder / "report.html", sequence.problem, found, summary, cube=view)
+    return summary
 
 
 def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any]) -> None:
@@ -82,5 +109,26 @@ def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any])
         f"{seen['kept']} of {seen['tried']} sightings of {summary['points']} points kept, residual "
         f"{seen['rms_px']:.3g} px rms; subset of {len(found.subset)} frames"
     )
+    if summary["cube"] is not None:
+        tell_cube(summary["cube"])
     for note in summary["export_notes"]:
         say(note)
+
+
+def tell_cube(cube: dict[str, Any]) -> None:
+    """The maps in a few lines."""
+    from sightline.cli.terminal import say
+
+    rows, columns = cube["shape"]
+    bands = cube["bands"]
+    covered = min(band["coverage"] for band in bands)
+    said = f"{len(bands)} bands of {rows} x {columns} pixels of {cube['gsd']:.3g} m, {100.0 * covered:.1f} %"
+    say(f"{said} or more of what every band could see")
+    misfit = [pair["rms_px"] for pair in cube["pairs"] if math.isfinite(pair["rms_px"])]
+    if misfit:
+        say(
+            f"bands lie on each other to {min(misfit):.2g} to {max(misfit):.2g} px rms ({len(misfit)} pairs "
+            "matched)"
+        )
+    for warning in cube["warnings"]:
+        say(warning)

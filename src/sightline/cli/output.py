@@ -14,6 +14,8 @@ from pathlib import Path
 from sightline.errors import InputError
 
 PARTIAL = ".partial"
+#: Finished stages of a long run, kept until it has ended well.
+STAGES = ".stages"
 
 
 @contextmanager
@@ -58,7 +60,7 @@ def check_output_folder(folder: Path, *, overwrite: bool = False) -> None:
     if folder.exists() and not folder.is_dir():
         raise InputError(f"the output folder is a file: {folder}; give a folder with --out")
     if folder.is_dir() and not overwrite:
-        held = sorted(entry.name for entry in folder.iterdir() if entry.name != PARTIAL)
+        held = sorted(entry.name for entry in folder.iterdir() if entry.name not in (PARTIAL, STAGES))
         if held:
             shown = ", ".join(held[:3]) + (", ..." if len(held) > 3 else "")
             raise InputError(

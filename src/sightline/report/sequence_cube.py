@@ -11,6 +11,7 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
+from sightline.applications.frame_cube import CubeSummary
 from sightline.errors import InputError
 from sightline.geometry.checks import ReadOnlyArrays
 from sightline.report.composite import colours, data_png
@@ -82,6 +83,32 @@ class CubeView(ReadOnlyArrays):
             raise InputError(f"`after` must be (rows, columns, 3) of 3 wavelengths, got {self.after.shape}")
         if self.before is not None and self.before.shape != self.after.shape:
             raise InputError(f"`before` must be of the shape of `after`, got {self.before.shape}")
+
+
+def cube_view(cube: CubeSummary) -> CubeView | None:
+    """What a page shows of a cube; None where its bands have no wavelengths to tell them by."""
+    if not np.isfinite(cube.wavelength_nm).all() or not cube.after.size:
+        return None
+    known = np.isfinite(cube.pair_rms_px)
+    first, second = cube.wavelength_nm[cube.pairs[known].T.reshape(2, -1)]
+    return CubeView(
+        cube.wavelength_nm,
+        cube.coverage,
+        _picture(cube.after),
+        cube.wavelength_nm[cube.rgb],
+        cube.grid.gsd * cube.grid.shape[1] / cube.after.shape[1],
+        before=_picture(cube.before) if cube.before.size else None,
+        error_px=cube.error_map,
+        pair_nm=np.abs(first - second),
+        pair_rms_px=cube.pair_rms_px[known],
+        pair_noise_px=cube.pair_noise_px[known],
+        notes=(cube.surface, *cube.warnings),
+    )
+
+
+def _picture(coded: NDArray[np.uint8]) -> Array:
+    """Tones (h, w, 3); NaN where there is no value."""
+    return np.where((coded == 0).all(axis=2, keepdims=True), np.nan, coded.astype(np.float64))
 
 
 @dataclass(frozen=True)
