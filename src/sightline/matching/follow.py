@@ -431,6 +431,13 @@ class _Follower:
             "motion": self.motion.copy(),
         }
 
+    def merge(self, since: int) -> None:
+        """Hold sightings from the lists' item `since` on in one array each: small ones take much memory."""
+        for name in _SIGHTED:
+            parts = getattr(self, name)
+            if len(parts) > since:
+                parts[since:] = [np.concatenate(parts[since:])]
+
     def go_on(self, states: Sequence[FollowState]) -> None:
         """Stand where the last of some states in a row was."""
         for held in states:
@@ -627,14 +634,13 @@ def follow_windows(
         waiting = reader.read(state.waiting) if state.waiting >= 0 else None
     kept = len(follower.image)
     for number in range(begin, count):
-        if keep is not None and number > begin and number % _KEPT == 0:
-            fields = follower.state(number, -1 if waiting is None else waiting.number, kept)
+        if number > begin and number % _KEPT == 0:
+            follower.merge(kept)
+            if keep is not None:
+                fields = follower.state(number, -1 if waiting is None else waiting.number, kept)
+                told = sharpness.copy(), contrast.copy(), tuple(reason)
+                keep(FollowState(**fields, sharpness=told[0], contrast=told[1], reason=told[2]))
             kept = len(follower.image)
-            keep(
-                FollowState(
-                    **fields, sharpness=sharpness.copy(), contrast=contrast.copy(), reason=tuple(reason)
-                )
-            )
         frame = reader.read(number)
         if progress is not None:
             progress(number + 1)
