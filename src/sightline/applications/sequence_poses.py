@@ -24,10 +24,9 @@ from sightline.matching.follow import Followed, FollowPlan, follow_windows
 from sightline.photogrammetry.cross_links import CrossPlan, joined, link_stretches
 from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
-from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors, level_axes
+from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.pose_interpolation import by_displacement
 from sightline.photogrammetry.reconstruct import filter_pairs, reconstruct
-from sightline.photogrammetry.relief import points_alike
 from sightline.photogrammetry.rolling_shutter import sight_lines
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, as_index, sight_frames
 from sightline.photogrammetry.track_noise import with_drift
@@ -241,7 +240,7 @@ class _Block:
 
     def __init__(self, problem: SequenceProblem, followed: Followed) -> None:
         self.problem, self.followed = problem, followed
-        self.alike = _alike_heights(problem, followed)
+        self.per_frame = float(max(np.median(followed.windows[followed.windows > 0]), 1.0))
 
     def with_control(self, tracks: Tracks) -> Tracks:
         """The same tracks and those of points of control, which are numbered after the others."""
@@ -257,7 +256,7 @@ class _Block:
         heights = control = None
         if p.height_sigma > 0.0:
             # a surface is wrong over a whole frame alike: all points in it together tell its height once
-            heights = HeightPrior(p.surface, p.height_sigma * np.sqrt(self.alike), p.radii)
+            heights = HeightPrior(p.surface, p.height_sigma * np.sqrt(self.per_frame), p.radii)
         if p.control is not None and p.control_tracks is not None:
             first = int(tracks.point.max()) + 1
             control = ControlPoints(
@@ -309,23 +308,6 @@ def poses_of_windows(problem: SequenceProblem, followed: Followed) -> tuple[Fram
     """
     tracks = Tracks(followed.image, followed.point, followed.pixels, followed.sigma_px)
     return _all_poses(problem, followed, tracks, False, _Clock())
-
-
-def _alike_heights(problem: SequenceProblem, followed: Followed) -> float:
-    """How many points share one error of the surface, which goes together over the area of a frame."""
-    first = np.unique(followed.point, return_index=True)[1]
-    image = followed.image[first]
-    rays = problem.images.world_from_body[image].apply(
-        problem.mount.apply(problem.detector.directions(followed.pixels[first]))
-    )
-    met = problem.surface.intersect(read_only(problem.images.position[image]), read_only(rays))
-    met = met[np.isfinite(met).all(axis=1)]
-    if len(met) < 2:
-        return 1.0
-    _, east, north = level_axes(met.mean(axis=0, keepdims=True), problem.radii)
-    side = float(np.nanmedian(_distances(problem))) / problem.detector.focal_length_px
-    area = float(np.prod(problem.detector.shape)) * side**2
-    return points_alike((met - met.mean(axis=0)) @ np.concatenate([east, north]).T, area)
 
 
 def first_line_pixels(
