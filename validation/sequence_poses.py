@@ -36,9 +36,10 @@ def problem_of(scenario: SequenceScenario) -> SequenceProblem:
     )  # fmt: skip
     images = Images(np.zeros(count), np.arange(count), t, scenario.told_positions, scenario.told_attitudes)
     sources = tuple(ArrayImage(scenario.image(k)[0]) for k in range(count))
+    heights = scenario.ground.relief.heights
     return SequenceProblem(
-        tuple(map(str, range(count))), t, sources, scenario.detector, NADIR_MOUNT, images, known, Plane(0.0),
-        float(scenario.ground.relief.heights.std()), options.readout_time, 0.8, ("",) * count,
+        tuple(map(str, range(count))), t, sources, scenario.detector, NADIR_MOUNT, images, known,
+        Plane(float(heights.mean())), float(heights.std()), options.readout_time, 0.8, ("",) * count,
     )  # fmt: skip
 
 
