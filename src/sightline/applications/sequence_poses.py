@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, read_only
-from sightline.matching.follow import Followed, FollowPlan, follow_windows
+from sightline.matching.follow import Followed, FollowPlan
 from sightline.photogrammetry.cross_links import CrossPlan, joined, link_stretches
 from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
@@ -30,6 +30,7 @@ from sightline.photogrammetry.reconstruct import filter_pairs, reconstruct
 from sightline.photogrammetry.rolling_shutter import sight_lines
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, as_index, sight_frames
 from sightline.photogrammetry.track_noise import with_drift
+from sightline.photogrammetry.wide_links import followed_or_linked
 
 SOLVED, ESTIMATED, INTERPOLATED = "solved", "estimated", "interpolated"
 #: Good sightings from which on a frame's own image tells its pose.
@@ -194,7 +195,9 @@ def follow_sequence(
         if progress is not None:
             progress("750 displacement and yaw", done)
 
-    return follow_windows(sources, plan, progress=report)
+    return followed_or_linked(
+        sources, plan, problem.images.position, problem.known.position, progress=report
+    )
 
 
 def _distances(problem: SequenceProblem) -> Array:
