@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.sequence_start import approached, begun
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, read_only
 from sightline.matching.follow import Followed, FollowPlan
@@ -119,6 +120,7 @@ def georeference_sequence(
     clock.note("720 subset")
     if photogrammetry is None:
         photogrammetry = not np.isfinite(problem.known.attitude).any()
+    problem = begun(problem, followed)
     if photogrammetry:
         problem = _with_model(problem, followed, subset)
         clock.note("730/740 photogrammetry")
@@ -215,7 +217,10 @@ def _all_poses(
 ) -> tuple[FramePoses, Tracks]:
     """All frames solved together (760), once more with what stretches share and with the path in frames."""
     block = _Block(problem, followed)
-    poses = block.solve(tracks, None)
+    rough = None
+    if followed.wide:
+        tracks, rough = approached(block.solve, tracks, max(problem.detector.shape))
+    poses = block.solve(tracks, rough)
     for _ in range(_NOISE_ROUNDS):
         tracks = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
         poses = block.solve(tracks, poses)
