@@ -32,6 +32,8 @@ _UNITS = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1])
 _LOOSE_ROUGHNESS = 1e8
 #: Times the usual step between frames from which on it is a pause.
 _PAUSE = 10.0
+#: Bends that do not overlap from which on they tell how rough a path is over several frames.
+_FEW_BENDS = 3
 #: Rounds in which the roughness of the path is measured anew.
 _ROUNDS = 2
 
@@ -388,12 +390,40 @@ def _count(sightings: Sightings, weight: Array, images: Images) -> Array:
 
 
 def _roughness(t: Array, path: Array, seen: Array) -> Array:
-    """Roughness (6,) of a path by its bends where three frames in a row are well seen (all, if none are)."""
-    row, at, strength = _bends(t, np.ones(6), stretches(t))
-    bend = np.einsum("nk,nka->na", row, path[at[:, None] + np.arange(-2, 1)]) ** 2 * strength
-    good = (seen[at[:, None] + np.arange(-2, 1)] >= 4).all(axis=1)
-    used = bend[good] if good.any() else bend
-    return np.maximum(used.mean(axis=0) if len(used) else 0.0, 1e-12 * _UNITS**2)
+    """Roughness (6,) of a path by its bends where frames are well seen (all, if none are).
+
+    Motion that is slower than the frames bends a path little from frame to frame and more over several: the
+    largest counts, or what is told of a gap between seen frames would be too good. Over gaps longer than the
+    steps that were seen, bends may go on in one sense.
+    """
+    stretch, good = stretches(t), seen >= 4
+    gap = _longest_gap(good)
+    largest = np.full(6, 1e-12) * _UNITS**2
+    for only in (good, np.ones(len(t), dtype=np.bool_)):
+        step, longest = 1, 0
+        while 2 * step < len(t):
+            first = np.arange(len(t) - 2 * step)
+            rows = first[:, None] + step * np.arange(3)
+            rows = rows[only[rows].all(axis=1) & (stretch[rows[:, 0]] == stretch[rows[:, 2]])]
+            # so many bends that do not overlap
+            count = len(rows) / (2 * step)
+            if step == 1 or count > _FEW_BENDS:
+                if not len(rows):
+                    break
+                h = np.diff(t[rows], axis=1)
+                slope = np.diff(path[rows], axis=1) / h[..., None]
+                size = 3.0 * ((slope[:, 1] - slope[:, 0]) ** 2 / h.sum(axis=1)[:, None]).mean(axis=0)
+                largest, longest = np.maximum(largest, size), step
+            step *= 2
+        if longest:
+            break
+    return largest * max(gap / max(longest, 1), 1.0)
+
+
+def _longest_gap(good: NDArray[np.bool_]) -> int:
+    """Most frames in a row that are not good; 0 where none are."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~good, [False]]).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max(initial=0)) if good.any() else 0
 
 
 def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: RoughPoses) -> FramePoses:

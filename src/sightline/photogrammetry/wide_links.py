@@ -48,8 +48,9 @@ _FLOOR, _LOOSE = 0.1, 0.7
 _NEIGHBOURS, _FEW = 4, 24
 #: px; step over which the local geometry between two frames is taken.
 _STEP = 8.0
-#: Share of the frames that must have been followed from another for features not to be tried.
-_FOLLOWED = 0.5
+#: Share of the frames that must have been followed from another for features not to be tried; and frames from
+#: which on a sequence that was followed in parts is not looked at again.
+_FOLLOWED, _MANY = 0.8, 300
 
 
 @dataclass(frozen=True)
@@ -454,7 +455,8 @@ def followed_or_linked(
     except EstimationError as error:
         failed = error
     links = 0 if followed is None else int((followed.before >= 0).sum())
-    if followed is not None and links >= _FOLLOWED * (len(frames) - 1):
+    enough = _FOLLOWED * (len(frames) - 1)
+    if followed is not None and (links >= enough or len(frames) > _MANY):
         return followed
     try:
         wide = link_widely(sources, wide_pairs(frames, position, sigma), progress=progress)
@@ -462,4 +464,6 @@ def followed_or_linked(
         if followed is not None:
             return followed
         raise (failed if isinstance(error, EstimationError) and failed is not None else error) from None
-    return wide if followed is None or int((wide.before >= 0).sum()) > links else followed
+    # what features link beyond may be but a frame that is hardly seen
+    more = int((wide.before >= 0).sum()) - links
+    return wide if followed is None or more > (1.0 - _FOLLOWED) * len(frames) else followed
