@@ -72,7 +72,9 @@ class Solved:
         p, known = self.problem, self.problem.known
         out = np.isin(np.arange(len(p)), without)[:, None]
         less = replace(
-            known, position=np.where(out, np.inf, known.position), attitude=np.where(out, np.inf, known.attitude)
+            known,
+            position=np.where(out, np.inf, known.position),
+            attitude=np.where(out, np.inf, known.attitude),
         )
         sightings = sight_frames(self.images, [p.detector], [p.mount], tracks)
         points = self.found.poses.points[: int(tracks.point.max()) + 1]
@@ -102,13 +104,15 @@ def solve(name: str, toml: str) -> Solved:
     print(f"\n{name}: {len(problem)} frames, CPU s:", {k: round(v, 1) for k, v in found.seconds.items()})
     for line in found.warnings:
         print("  !", line)
-    r = poses.residual_px[good]
+    size, stated = (np.sqrt((x**2).mean()) for x in (poses.residual_px[good], tracks.sigma_px))
     print(
-        f"  {len(good)} sightings of {len(np.unique(tracks.point))} points, {poses.rejected.mean():.1%} left out; "
-        f"residuals {np.sqrt((r**2).mean()):.3f} px rms, stated {np.sqrt((tracks.sigma_px**2).mean()):.3f} px"
+        f"  {len(good)} sightings of {len(np.unique(tracks.point))} points, {poses.rejected.mean():.1%} "
+        f"left out; residuals {size:.3f} px rms, stated {stated:.3f} px"
     )
     above = heights.above(poses.points[np.isfinite(poses.points).all(axis=1)])[0]
-    print("  ground above the surface, m: quantiles 5, 50, 95 %", np.quantile(above, [0.05, 0.5, 0.95]).round(1))
+    print(
+        "  ground above the surface, m: quantiles 5, 50, 95 %", np.quantile(above, [0.05, 0.5, 0.95]).round(1)
+    )
     return Solved(problem, found, images, tracks, PointPriors(heights, None))
 
 
@@ -154,14 +158,16 @@ def report(solved: Solved, less: FramePoses, whole: FramePoses, frames: Array, w
     size = np.sqrt(np.einsum("kii->ki", less.covariance))
     print(f"  {words}: x y z (m), roll pitch yaw (deg)")
     for k in frames:
+        px = image_px(solved, less, whole, int(k))
         print(
-            f"    {solved.problem.frames[k]}: differs by {_row(d[k] * unit)}; sigma of that {_row(sigma[k] * unit)}; "
-            f"sigma of the pose {_row(size[k] * unit)}; {image_px(solved, less, whole, int(k)):.2f} px"
+            f"    {solved.problem.frames[k]}: differs by {_row(d[k] * unit)}; "
+            f"sigma of that {_row(sigma[k] * unit)}; of the pose {_row(size[k] * unit)}; {px:.2f} px"
         )
     within = np.abs(d[frames]) <= 2.0 * sigma[frames]
     rms = np.sqrt((d[frames] ** 2).mean(axis=0)) * unit
     px = np.sqrt(np.mean([image_px(solved, less, whole, int(k)) ** 2 for k in frames]))
-    print(f"    rms {_row(rms)}, {px:.2f} px; within 2 sigma: {within.sum()} of {within.size} = {within.mean():.1%}")
+    share = f"{within.sum()} of {within.size} = {within.mean():.1%}"
+    print(f"    rms {_row(rms)}, {px:.2f} px; within 2 sigma: {share}")
 
 
 def _row(values: Array) -> str:

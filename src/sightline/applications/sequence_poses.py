@@ -17,9 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sightline.applications.control_check import screened
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_start import approached, begun
-from sightline.errors import InputError
+from sightline.applications.sequence_words import words_of_parts
+from sightline.errors import EstimationError, InputError
 from sightline.geometry.checks import Array, read_only
 from sightline.matching.follow import Followed, FollowPlan
 from sightline.photogrammetry.cross_links import CrossPlan, joined, link_stretches
@@ -125,12 +127,27 @@ def georeference_sequence(
         problem = _with_model(problem, followed, subset)
         clock.note("730/740 photogrammetry")
     tracks = Tracks(followed.image, followed.point, followed.pixels, followed.sigma_px)
-    poses, tracks = _all_poses(problem, followed, tracks, cross, clock)
+    poses, tracks, words = _all_poses(problem, followed, tracks, cross, clock)
+    problem, poses = screened(problem, tracks, poses, _without_control(followed, tracks))
     source, reason = _sources(problem, followed, subset, poses)
     return SequencePoses(
         poses, source, reason, subset, followed, tracks, _linked(followed), clock.seconds,
-        tuple(_warnings(problem, poses, source)),
+        (*_warnings(problem, poses, source), *words, *words_of_parts(problem, tracks, poses)),
     )  # fmt: skip
+
+
+def _without_control(
+    followed: Followed, tracks: Tracks
+) -> Callable[[SequenceProblem, FramePoses], FramePoses]:
+    """Solves a problem again with fewer control points, which are seen last in `tracks`."""
+
+    def solve(problem: SequenceProblem, before: FramePoses) -> FramePoses:
+        own = problem.control_tracks
+        rows = slice(0, len(tracks) - (0 if own is None else len(own)))
+        plain = Tracks(tracks.image[rows], tracks.point[rows], tracks.pixels[rows], tracks.sigma_px[rows])
+        return _Block(problem, followed).solve(plain, before)
+
+    return solve
 
 
 def _with_model(problem: SequenceProblem, followed: Followed, subset: Subset) -> SequenceProblem:
@@ -197,9 +214,7 @@ def follow_sequence(
         if progress is not None:
             progress("750 displacement and yaw", done)
 
-    return followed_or_linked(
-        sources, plan, problem.images.position, problem.known.position, progress=report
-    )
+    return followed_or_linked(sources, plan, problem.images.position, problem.known.position, progress=report)
 
 
 def _distances(problem: SequenceProblem) -> Array:
@@ -214,16 +229,22 @@ def _distances(problem: SequenceProblem) -> Array:
 
 def _all_poses(
     problem: SequenceProblem, followed: Followed, tracks: Tracks, cross: bool, clock: _Clock
-) -> tuple[FramePoses, Tracks]:
+) -> tuple[FramePoses, Tracks, list[str]]:
     """All frames solved together (760), once more with what stretches share and with the path in frames."""
     block = _Block(problem, followed)
-    rough = None
+    words: list[str] = []
     if followed.wide:
-        tracks, rough = approached(block.solve, tracks, max(problem.detector.shape))
-    poses = block.solve(tracks, rough)
-    for _ in range(_NOISE_ROUNDS):
-        tracks = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
-        poses = block.solve(tracks, poses)
+        tracks, poses, words = approached(block.solve, tracks, max(problem.detector.shape))
+    else:
+        poses = block.solve(tracks, None)
+    for _ in range(0 if words else _NOISE_ROUNDS):
+        finer = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
+        try:
+            poses, tracks = block.solve(finer, poses), finer
+        except EstimationError:
+            if not followed.wide:
+                raise
+            words = ["the frames' geometry is weak: sightings count as good as their matches say of them"]
     clock.note("760 all poses")
     group = _linked(followed)
     if cross and len(np.unique(group[group >= 0])) > 1:
@@ -240,7 +261,7 @@ def _all_poses(
     for _ in range(_SHUTTER_ROUNDS - _NOISE_ROUNDS if problem.readout_time != 0.0 else 0):
         poses = block.solve(tracks, poses)
     clock.note("760 all poses")
-    return poses, block.with_control(tracks)
+    return poses, block.with_control(tracks), words
 
 
 class _Block:

@@ -10,8 +10,10 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sightline.applications.frame_sequence import SequenceProblem
+from sightline.errors import EstimationError
 from sightline.matching.follow import Followed
 from sightline.photogrammetry.frame_poses import FramePoses
 from sightline.photogrammetry.sightings import Tracks
@@ -39,13 +41,13 @@ def begun(problem: SequenceProblem, followed: Followed) -> SequenceProblem:
     images, camera = problem.images, (problem.detector, problem.mount)
     if told.any():
         quarters = quarter_turns(images, problem.known, *camera, problem.surface, followed)
-        images = turned(images, 0.5 * np.pi * quarters, *camera)
+        images = turned(images, np.asarray(0.5 * np.pi * quarters, dtype=np.float64), *camera)
         for number in (1, 2, 3):
             rows = np.flatnonzero(quarters == number)
             if len(rows):
                 words.append(
-                    f"{len(rows)} of {len(problem)} frames (the first: {problem.frames[rows[0]]}) are turned by "
-                    f"{90 * number} degrees against the angles told of them: taken as turned; "
+                    f"{len(rows)} of {len(problem)} frames (the first: {problem.frames[rows[0]]}) are turned "
+                    f"by {90 * number} degrees against the angles told of them: taken as turned; "
                     + ("check [camera] mount" if len(rows) == len(problem) else "were they written anew?")
                 )
         if followed.wide and not told.all():
@@ -55,13 +57,10 @@ def begun(problem: SequenceProblem, followed: Followed) -> SequenceProblem:
 
 def approached(
     solve: Callable[[Tracks, FramePoses | None], FramePoses], tracks: Tracks, side_px: int
-) -> tuple[Tracks, FramePoses | None]:
-    """Poses near the solution, and the tracks without what is far from it.
+) -> tuple[Tracks, FramePoses, list[str]]:
+    """Poses of few frames far apart, the tracks as they counted, and words where they did not count in full.
 
-    Sightings count for little at first, for more as poses come nearer.
-
-    Few frames far apart are held by tables alone until their points are; sightings that count in full from
-    the start would be told from gross errors by poses that are themselves tens of pixels off.
+    Sightings count for little at first, for more as poses come nearer; what is far from them is left out.
 
     Parameters
     ----------
@@ -70,11 +69,37 @@ def approached(
     tracks : Tracks
     side_px : int
         Longer side of a frame.
+
+    Raises
+    ------
+    EstimationError
+        If the sightings do not go with the rough poses at all.
+
+    Notes
+    -----
+    Such frames are held by tables alone until their points are: sightings that count in full from the start
+    would be told from gross errors by poses that are themselves tens of pixels off. Where the last rounds do
+    not settle, the frames' geometry being too weak, the round before them stands, with its larger sigmas.
     """
-    poses, loose = None, _FAR_OFF * side_px
-    while loose > 2.0 * float(np.median(tracks.sigma_px)):
-        poses = solve(replace(tracks, sigma_px=np.hypot(tracks.sigma_px, loose)), poses)
-        near = np.flatnonzero(~poses.rejected[: len(tracks)])
-        tracks = Tracks(*(getattr(tracks, n)[near] for n in ("image", "point", "pixels", "sigma_px")))
+    poses, loose, counted = None, _FAR_OFF * side_px, tracks
+    while True:
+        last = loose <= 2.0 * float(np.median(tracks.sigma_px))
+        weighed = tracks if last else replace(tracks, sigma_px=np.hypot(tracks.sigma_px, loose))
+        try:
+            found = solve(weighed, poses)
+        except EstimationError:
+            if poses is None:
+                raise
+            size = float(np.median(counted.sigma_px))
+            words = f"the frames' geometry is weak: sightings count as good to {size:.2g} px, not better"
+            return counted, poses, [words]
+        poses, counted = found, weighed
+        if last:
+            return counted, poses, []
+        near = np.flatnonzero(~found.rejected[: len(tracks)])
+        tracks, counted = _some(tracks, near), _some(weighed, near)
         loose /= _FINER
-    return tracks, poses
+
+
+def _some(tracks: Tracks, rows: NDArray[np.intp]) -> Tracks:
+    return Tracks(*(getattr(tracks, n)[rows] for n in ("image", "point", "pixels", "sigma_px")))

@@ -340,20 +340,22 @@ def _settle(
         if not settled and decrease > 0.1 * last:
             equations = None  # those of an earlier state lead no further
             continue
-        if not settled and decrease >= enough * pull.cost:
+        going = not settled and decrease >= enough * pull.cost
+        if going or settled:
             try:
                 state, whole = _descended(block, state, weight, pull, step, decrease, equations)
             except EstimationError:
-                if not stale:
+                if stale:
+                    equations = None  # those of other weights know nothing of points that count again
+                    continue
+                if decrease > NEAR:
                     raise
-                equations = None  # those of other weights know nothing of points that count again
-                continue
+                going = False  # what is left to gain is less than the equations bend
+        if going:
             last = decrease
             if not (whole and reduced.reusable):
                 equations = None
             continue
-        if settled:
-            state, _ = _descended(block, state, weight, pull, step, decrease, equations)
         statistic, checked = _statistic(replace(equations.curvature, weight=weight), pull.residuals)
         scale = np.sqrt(_scale(statistic[usable & checked]))
         return Fit(state, weight, equations, steps, statistic, checked, float(scale))

@@ -53,7 +53,7 @@ def quarter_turns(
         How frames moved.
     """
     count = len(images)
-    told = np.isfinite(known.attitude).all(axis=1)
+    told = np.asarray(np.isfinite(known.attitude).all(axis=1))
     cameras = frame_cameras(images, [detector], [mount])
     middle = 0.5 * (np.array(detector.shape) - 1.0)
     places = middle + np.array([[0.0, 0.0], [_STEP, 0.0]])
@@ -121,7 +121,7 @@ def carried_attitudes(
     images, known, detector, mount, followed
         As of `quarter_turns`.
     """
-    has = np.isfinite(known.attitude).all(axis=1)
+    has = np.array(np.isfinite(known.attitude).all(axis=1))
     attitude = list(images.world_from_body)
     links = [(int(followed.before[k]), int(k)) for k in np.flatnonzero(followed.before >= 0)]
     while True:

@@ -50,7 +50,9 @@ _NEIGHBOURS, _FEW = 4, 24
 _STEP = 8.0
 #: Share of the frames that must have been followed from another for features not to be tried; and frames from
 #: which on a sequence that was followed in parts is not looked at again.
-_FOLLOWED, _MANY = 0.8, 300
+_FOLLOWED, _MANY = 0.65, 300
+#: Share of the frames that features must link beyond those followed.
+_MORE = 0.1
 
 
 @dataclass(frozen=True)
@@ -75,8 +77,8 @@ class WidePlan:
         """Check."""
         if self.points < _LEAST_WINDOWS or self.window < 9 or self.window % 2 == 0:
             raise InputError(
-                f"points must be {_LEAST_WINDOWS} or more, window odd and 9 px or more; got {self.points} and "
-                f"{self.window}"
+                f"points must be {_LEAST_WINDOWS} or more, window odd and 9 px or more; got {self.points} "
+                f"and {self.window}"
             )
         if not 0.0 < self.min_score < 1.0:
             raise InputError(f"min_score must be between 0 and 1, got {self.min_score}")
@@ -101,9 +103,7 @@ def wide_pairs(frames: Index, position: Array, sigma: Array) -> list[tuple[int, 
     """
     if len(frames) <= _FEW:
         return [(int(i), int(j)) for n, i in enumerate(frames) for j in frames[n + 1 :]]
-    pairs = {
-        (int(i), int(j)) for n, i in enumerate(frames) for j in frames[n + 1 : n + 1 + _NEIGHBOURS]
-    }
+    pairs = {(int(i), int(j)) for n, i in enumerate(frames) for j in frames[n + 1 : n + 1 + _NEIGHBOURS]}
     told = frames[np.isfinite(sigma[frames]).all(axis=1)]
     if len(told) > 2 * _NEIGHBOURS:
         from scipy.spatial import cKDTree
@@ -466,4 +466,4 @@ def followed_or_linked(
         raise (failed if isinstance(error, EstimationError) and failed is not None else error) from None
     # what features link beyond may be but a frame that is hardly seen
     more = int((wide.before >= 0).sum()) - links
-    return wide if followed is None or more > (1.0 - _FOLLOWED) * len(frames) else followed
+    return wide if followed is None or more > max(1.0, _MORE * len(frames)) else followed
