@@ -22,20 +22,21 @@ _MISS, _SUSPECT = 4.0, 2.0
 _WRONG = 3
 
 
-def misses(problem: SequenceProblem, tracks: Tracks, poses: FramePoses) -> Array:
+def misses(control: ControlPoints, own: Tracks, tracks: Tracks, poses: FramePoses) -> Array:
     """Sigmas (G,) by which each control point in use lies from where the frames see it.
 
     Its largest coordinate; inf where its sightings do not go with the frames at all.
 
     Parameters
     ----------
-    problem : SequenceProblem
+    control : ControlPoints
+        Those in use.
+    own : Tracks
+        Sightings of all control points.
     tracks : Tracks
-        Sightings of control points last.
+        All sightings, those last.
     poses : FramePoses
     """
-    control, own = problem.control, problem.control_tracks
-    assert control is not None and own is not None
     first = int(tracks.point[len(tracks) - len(own)] - own.point[0])
     place = poses.points[first + control.point]
     miss = np.abs(place - control.position).max(axis=1) / control.sigma
@@ -66,50 +67,47 @@ def screened(
         Control points that are wrong are plain points in it; that is among its warnings.
     poses : FramePoses
     """
-    if problem.control is None or problem.control_tracks is None or not len(problem.control.point):
+    control, own = problem.control, problem.control_tracks
+    if control is None or own is None or not len(control.point):
         return problem, poses
-    kept, best, miss = problem, poses, misses(problem, tracks, poses)
-    for _ in range(len(problem.control.point) // _WRONG):
+    first = misses(control, own, tracks, poses)
+    kept, best, miss, words = control, poses, first, list[str]()
+    for _ in range(len(control.point) // _WRONG):
         if miss.max() <= _MISS:
             break
         tried = []
-        for row in np.flatnonzero(miss > _SUSPECT):
-            less = _without(kept, int(row))
-            found = solve(less, best)
-            tried.append((float(misses(less, tracks, found).max(initial=0.0)), less, found))
-        _, kept, best = min(tried, key=lambda each: each[0])
-        miss = misses(kept, tracks, best)
+        for row in np.flatnonzero(miss > _SUSPECT).tolist():
+            less = _without(kept, row)
+            found = solve(replace(problem, control=less), best)
+            tried.append((float(misses(less, own, tracks, found).max(initial=0.0)), row, less, found))
+        _, row, less, best = min(tried, key=lambda each: each[0])
+        words.append(
+            f"control point {_named(kept, row)} does not go with the others and the frames: its coordinates "
+            "are not used; check them, and where it was seen"
+        )
+        kept, miss = less, misses(less, own, tracks, best)
     if miss.max(initial=0.0) > _MISS:
         # they contradict each other, and nothing tells which are right
-        return replace(problem, warnings=(*problem.warnings, *_contradicting(problem, tracks, poses))), poses
-    return kept, best
+        kept, best, words = control, poses, _contradicting(control, first)
+    return replace(problem, control=kept, warnings=(*problem.warnings, *words)), best
 
 
-def _without(problem: SequenceProblem, row: int) -> SequenceProblem:
-    """The problem without what is known of one control point; its sightings stay."""
-    control = problem.control
-    assert control is not None
+def _without(control: ControlPoints, row: int) -> ControlPoints:
+    """The others; sightings stay, as of a plain point."""
     rest = np.arange(len(control.point)) != row
-    words = (
-        f"control point {int(control.point[row]) + 1} at {_place(control, row)} does not go with the others "
-        "and the frames: its coordinates are not used; check them, and where it was seen"
-    )
-    less = ControlPoints(control.point[rest], control.position[rest], control.sigma[rest])
-    return replace(problem, control=less, warnings=(*problem.warnings, words))
+    return ControlPoints(control.point[rest], control.position[rest], control.sigma[rest])
 
 
-def _contradicting(problem: SequenceProblem, tracks: Tracks, poses: FramePoses) -> list[str]:
+def _contradicting(control: ControlPoints, miss: Array) -> list[str]:
     """A warning for each control point that misses."""
-    control = problem.control
-    assert control is not None
-    miss = misses(problem, tracks, poses)
     return [
-        f"control point {int(control.point[row]) + 1} at {_place(control, int(row))} lies "
+        f"control point {_named(control, int(row))} lies "
         + (f"{miss[row]:.1f} of its sigmas from" if np.isfinite(miss[row]) else "nowhere near")
         + " where the frames see it, and nothing tells which control points are right; check them all"
         for row in np.flatnonzero(miss > _MISS)
     ]
 
 
-def _place(control: ControlPoints, row: int) -> str:
-    return "(" + ", ".join(f"{v:.7g}" for v in control.position[row]) + ") m"
+def _named(control: ControlPoints, row: int) -> str:
+    place = ", ".join(f"{v:.7g}" for v in control.position[row])
+    return f"{int(control.point[row]) + 1} at ({place}) m"
