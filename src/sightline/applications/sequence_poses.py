@@ -18,12 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sightline.applications.control_check import screened
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_blocks import BLOCK_FRAMES, PartSolution, solve_in_blocks
+from sightline.applications.sequence_start import approached, begun
+from sightline.applications.sequence_words import words_of_parts
 from sightline.applications.stages import Stages
-from sightline.errors import InputError
+from sightline.errors import EstimationError, InputError
 from sightline.geometry.checks import Array, read_only
-from sightline.matching.follow import Followed, FollowPlan, FollowState, follow_windows
+from sightline.matching.follow import Followed, FollowPlan, FollowState
 from sightline.photogrammetry.cross_links import CrossPlan, joined, link_stretches
 from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
@@ -33,6 +36,7 @@ from sightline.photogrammetry.reconstruct import Reconstruction, filter_pairs, r
 from sightline.photogrammetry.rolling_shutter import sight_lines
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, as_index, sight_frames
 from sightline.photogrammetry.track_noise import with_drift
+from sightline.photogrammetry.wide_links import followed_or_linked
 
 SOLVED, ESTIMATED, INTERPOLATED = "solved", "estimated", "interpolated"
 #: Stages, in their order: `SequencePoses.seconds`, progress.
@@ -135,15 +139,31 @@ def georeference_sequence(
     if photogrammetry is None:
         photogrammetry = not np.isfinite(problem.known.attitude).any()
     run.stages.depend([photogrammetry, cross])
+    problem = begun(problem, followed)
     if photogrammetry:
         problem = _with_model(problem, followed, subset, run)
         run.note(MODELLED)
-    poses, tracks = _all_poses(problem, followed, cross, run)
+    found, tracks = _all_poses(problem, followed, cross, run)
+    problem, poses = screened(problem, tracks, found.poses, _without_control(followed, tracks))
     source, reason = _sources(problem, followed, subset, poses)
     return SequencePoses(
         poses, source, reason, subset, followed, tracks, _linked(followed), run.seconds,
-        tuple(_warnings(problem, poses, source)),
+        (*_warnings(problem, poses, source), *found.words, *words_of_parts(problem, tracks, poses)),
     )  # fmt: skip
+
+
+def _without_control(
+    followed: Followed, tracks: Tracks
+) -> Callable[[SequenceProblem, FramePoses], FramePoses]:
+    """Solves a problem again with fewer control points, which are seen last in `tracks`."""
+
+    def solve(problem: SequenceProblem, before: FramePoses) -> FramePoses:
+        own = problem.control_tracks
+        rows = slice(0, len(tracks) - (0 if own is None else len(own)))
+        plain = Tracks(tracks.image[rows], tracks.point[rows], tracks.pixels[rows], tracks.sigma_px[rows])
+        return _Block(problem, followed).solve(plain, before)
+
+    return solve
 
 
 def _with_model(problem: SequenceProblem, followed: Followed, subset: Subset, run: _Run) -> SequenceProblem:
@@ -200,6 +220,7 @@ class _Adjusted:
 
     poses: FramePoses
     tracks: Tracks
+    words: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +287,10 @@ def follow_sequence(
         if progress is not None:
             progress(FOLLOWED, done, len(sources))
 
-    return follow_windows(sources, plan, progress=report, keep=keep, states=states)
+    return followed_or_linked(
+        sources, plan, problem.images.position, problem.known.position,
+        progress=report, keep=keep, states=states,
+    )  # fmt: skip
 
 
 def _distances(problem: SequenceProblem) -> Array:
@@ -281,8 +305,8 @@ def _distances(problem: SequenceProblem) -> Array:
 
 def _all_poses(
     problem: SequenceProblem, followed: Followed, cross: bool, run: _Run
-) -> tuple[FramePoses, Tracks]:
-    """All frames solved together (760), once more with what stretches share."""
+) -> tuple[_Adjusted, Tracks]:
+    """All frames solved together (760), once more with what stretches share; all sightings."""
     block = _Block(problem, followed)
     found = run.stages.stage("poses", _Adjusted, lambda: _adjusted(block, run))
     run.note(SOLVED_ALL)
@@ -293,18 +317,20 @@ def _all_poses(
         if shared is not None:
             first = int(found.tracks.point.max()) + 1
             moved = Tracks(shared.image, shared.point + first, shared.pixels, shared.sigma_px)
-            before, tracks = found.poses, joined([found.tracks, moved])
+            before, words, tracks = found.poses, found.words, joined([found.tracks, moved])
             run.progress(SOLVED_ALL, 0, 1)
             found = run.stages.stage(
-                "poses-linked", _Adjusted, lambda: _Adjusted(block.solve(tracks, before), tracks)
+                "poses-linked", _Adjusted, lambda: _Adjusted(block.solve(tracks, before), tracks, words)
             )
             run.progress(SOLVED_ALL, 1, 1)
             run.note(SOLVED_ALL)
-    return found.poses, block.with_control(found.tracks)
+    return found, block.with_control(found.tracks)
 
 
 def _adjusted(block: _Block, run: _Run) -> _Adjusted:
     """Frames of each stretch solved, a long flight in blocks."""
+    if block.followed.wide:
+        return block.approached()
     if len(block.problem) >= 2 * BLOCK_FRAMES:
         heights = block.heights()
 
@@ -398,6 +424,18 @@ class _Block:
         sightings, priors, _ = own.equations(tracks, poses)
         return PartSolution(tracks, sightings, priors, poses)
 
+    def approached(self) -> _Adjusted:
+        """Few frames far apart solved, in rounds in which sightings count for more and more."""
+        tracks = Tracks(*(getattr(self.followed, n) for n in ("image", "point", "pixels", "sigma_px")))
+        tracks, poses, words = approached(self.solve, tracks, max(self.problem.detector.shape))
+        for _ in range(0 if words else _NOISE_ROUNDS):
+            finer = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
+            try:
+                poses, tracks = self.solve(finer, poses), finer
+            except EstimationError:
+                words = ["the frames' geometry is weak: sightings count as good as their matches say of them"]
+        return _Adjusted(poses, tracks, tuple(words))
+
     def solve(self, tracks: Tracks, before: FramePoses | None) -> FramePoses:
         """Poses of all frames; `before` tells where points are, and how frames moved while read out."""
         p = self.problem
@@ -448,7 +486,8 @@ def poses_of_windows(problem: SequenceProblem, followed: Followed) -> tuple[Fram
     problem : SequenceProblem
     followed : Followed
     """
-    return _all_poses(problem, followed, False, _Run(_nothing, Stages()))
+    found, tracks = _all_poses(problem, followed, False, _Run(_nothing, Stages()))
+    return found.poses, tracks
 
 
 def first_line_pixels(

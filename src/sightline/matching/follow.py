@@ -134,6 +134,8 @@ class Followed(ReadOnlyArrays):
         Of brightness in detail, standard deviation over mean.
     reason : tuple of str
         Why a frame has no link; "" where it has one, or was linked to later.
+    wide : bool
+        Found by features, as frames overlap too little to be followed (``photogrammetry/wide_links.py``).
     """
 
     image: NDArray[np.intp]
@@ -146,6 +148,7 @@ class Followed(ReadOnlyArrays):
     sharpness: Array
     contrast: Array
     reason: tuple[str, ...]
+    wide: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,6 +49,8 @@ _MEDIAN_2 = 1.3863
 LEAST = 6
 #: How often a step is tried with its globals held more, and then halved.
 _TRIALS = 9
+#: Steps after which a step that raised the cost must have lowered it.
+_WATCHED = 5
 #: Share of the cost that a step must promise for the cost to be looked at, rounding being larger than less.
 _ROUNDING = 1e-9
 #: Share of the cost below which the promise of a step shows that gross errors can be judged.
@@ -344,17 +346,25 @@ def _settle(
         if not settled and (decrease > 0.1 * last or (earlier and decrease > pull.cost)):
             equations = None  # those of an earlier state lead no further
             continue
-        if not settled and decrease >= enough * pull.cost:
-            if earlier and not _lowers(block, state, weight, pull, step, decrease):
-                equations = None
-                continue
-            state, whole = _descended(block, state, weight, pull, step, decrease, equations)
+        going = not settled and decrease >= enough * pull.cost
+        if going and earlier and not _lowers(block, state, weight, pull, step, decrease):
+            equations = None
+            continue
+        if going or settled:
+            try:
+                state, whole = _descended(block, state, weight, pull, step, decrease, equations)
+            except EstimationError:
+                if earlier:
+                    equations = None  # those of other weights know nothing of points that count again
+                    continue
+                if decrease > NEAR:
+                    raise
+                going = False  # what is left to gain is less than the equations bend
+        if going:
             last = decrease
             if not (whole and reduced.reusable):
                 equations = None
             continue
-        if settled:
-            state, _ = _descended(block, state, weight, pull, step, decrease, equations)
         statistic, checked = _statistic(replace(equations.curvature, weight=weight), pull.residuals)
         scale = np.sqrt(_scale(statistic[usable & checked]))
         return Fit(state, weight, equations, steps, statistic, checked, float(scale))
@@ -432,12 +442,35 @@ def _descended(
         tried = _followed(block, tried, weight, reduced)
         if block.cost(tried, weight) <= pull.cost:
             return tried, False
+        if not len(seen):
+            beyond = _beyond(block, state, weight, pull.cost, step)
+            if beyond is not None:
+                return beyond, False
+            break
     for _ in range(_TRIALS):
         step = State(0.5 * step.common, 0.5 * step.own, 0.5 * step.points)
         tried = _moved(state, step)
         if block.cost(tried, weight) <= pull.cost:
             return tried, False
     raise EstimationError(DIVERGED)
+
+
+def _beyond(block: Block, state: State, weight: Array, cost: float, step: State) -> State | None:
+    """State of lower cost some steps after one that raised it; None if there is none.
+
+    A flight of few frames that tables hold loosely may dome and tilt along a curved valley: a step along its
+    tangent leaves it, and fresh equations lead back into it further down.
+    """
+    tried = _moved(state, step)
+    for _ in range(_WATCHED):
+        if not np.isfinite(block.cost(tried, weight)):
+            return None
+        equations = _equations(block, tried, weight)
+        pull = _pull(block, tried, weight, equations.reduced)
+        if pull.cost < cost:
+            return tried
+        tried = _moved(tried, _step(pull, equations.reduced, equations.known)[0])
+    return None
 
 
 def _followed(block: Block, state: State, weight: Array, reduced: Reduction) -> State:

@@ -404,11 +404,12 @@ def path_roughness(t: Array, path: Array, seen: Array) -> Array:
     -----
     The bend over two steps of h has the variance 2 h / 3 times the roughness where acceleration is white. A
     flight's is not: it sways for seconds. By bends of neighbours alone the path would be taken to be far
-    straighter than it is; the largest roughness of all steps holds for each.
+    straighter than it is; the largest roughness of all steps holds for each. Over gaps longer than the
+    steps that were seen, bends may go on in one sense.
     """
     stretch, good = stretches(t), seen >= 4.0
     out = np.zeros(6)
-    step = 1
+    step = longest = 1
     while step == 1 or _LEAST_BENDS * 2 * step <= len(t):
         first, middle, last = (slice(k * step, len(t) - (2 - k) * step) for k in range(3))
         h1, h2 = t[middle] - t[first], t[last] - t[middle]
@@ -418,9 +419,15 @@ def path_roughness(t: Array, path: Array, seen: Array) -> Array:
         clear = tied & good[first] & good[middle] & good[last]
         used = size[clear] if clear.any() else size[tied]
         if len(used):
-            out = np.maximum(out, used.mean(axis=0))
+            out, longest = np.maximum(out, used.mean(axis=0)), step
         step *= 2
-    return np.maximum(out, 1e-12 * _UNITS**2)
+    return np.maximum(out, 1e-12 * _UNITS**2) * max(_longest_gap(good) / longest, 1.0)
+
+
+def _longest_gap(good: NDArray[np.bool_]) -> int:
+    """Most frames in a row that are not good; 0 where none are."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~good, [False]]).astype(np.int8)))
+    return int((edges[1::2] - edges[::2]).max(initial=0)) if good.any() else 0
 
 
 def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: RoughPoses) -> FramePoses:
