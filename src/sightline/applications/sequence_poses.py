@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.sequence_warnings import bow_warnings
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, read_only
 from sightline.matching.follow import Followed, FollowPlan, follow_windows
@@ -26,7 +27,13 @@ from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.pose_interpolation import by_displacement
-from sightline.photogrammetry.reconstruct import filter_pairs, reconstruct
+from sightline.photogrammetry.reconstruct import (
+    RefinedModel,
+    filter_pairs,
+    looking_down,
+    reconstruct,
+    refined,
+)
 from sightline.photogrammetry.rolling_shutter import sight_lines
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, as_index, sight_frames
 from sightline.photogrammetry.track_noise import with_drift
@@ -61,6 +68,8 @@ class SequencePoses:
     seconds : dict of str to float
         CPU time of each stage.
     warnings : tuple of str
+    model : RefinedModel or None
+        Of the subset by photogrammetry, where it was made.
     """
 
     poses: FramePoses
@@ -72,6 +81,7 @@ class SequencePoses:
     stretch: NDArray[np.intp]
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    model: RefinedModel | None = None
 
 
 def georeference_sequence(
@@ -118,40 +128,56 @@ def georeference_sequence(
     clock.note("720 subset")
     if photogrammetry is None:
         photogrammetry = not np.isfinite(problem.known.attitude).any()
+    model, start = None, None
     if photogrammetry:
-        problem = _with_model(problem, followed, subset)
+        problem, model, start = _with_model(problem, followed, subset)
         clock.note("730/740 photogrammetry")
     tracks = Tracks(followed.image, followed.point, followed.pixels, followed.sigma_px)
-    poses, tracks = _all_poses(problem, followed, tracks, cross, clock)
+    poses, tracks = _all_poses(problem, followed, tracks, cross, clock, start)
     source, reason = _sources(problem, followed, subset, poses)
     return SequencePoses(
         poses, source, reason, subset, followed, tracks, _linked(followed), clock.seconds,
-        tuple(_warnings(problem, poses, source)),
+        tuple(_warnings(problem, poses, source)), model,
     )  # fmt: skip
 
 
-def _with_model(problem: SequenceProblem, followed: Followed, subset: Subset) -> SequenceProblem:
-    """The problem with attitudes to start from where none are told, from a model of the subset."""
-    loose = problem.known.position.max(axis=1)
+def _with_model(
+    problem: SequenceProblem, followed: Followed, subset: Subset
+) -> tuple[SequenceProblem, RefinedModel, Images]:
+    """The problem with attitudes where none are told, the model they are of, poses of all frames by it."""
+    p, images = problem, problem.images
     model = reconstruct(
-        problem.sources, subset.frames, filter_pairs(subset.frames, followed, problem.detector),
-        problem.detector, problem.mount, problem.images.position, loose, problem.radii,
+        p.sources, subset.frames,
+        filter_pairs(subset.frames, followed, p.detector, images.position, _reach(problem)),
+        p.detector, p.mount, images.position, p.known.position, p.radii,
     )  # fmt: skip
-    distance = float(np.median([np.linalg.norm(model.points - p, axis=1).min() for p in model.position]))
+    heights = HeightPrior(p.surface, p.height_sigma, p.radii) if p.height_sigma > 0.0 else None
+    better = refined(model, images, p.known, p.detector, p.mount, heights)
+    known = p.known if heights is not None else looking_down(p.known)
+    distance = float(np.median([np.linalg.norm(model.points - x, axis=1).min() for x in model.position]))
     place, attitude = by_displacement(
-        problem.t, model.frames, model.position, model.world_from_body, followed, problem.detector,
-        problem.mount, distance,
+        p.t, model.frames, better.poses.position, better.poses.world_from_body, followed, p.detector, p.mount,
+        distance,
     )  # fmt: skip
-    rough = problem.images.world_from_body
-    told = [bool(np.isfinite(sigma).all()) for sigma in problem.known.attitude]
-    turned = [(rough if own else attitude)[k] for k, own in enumerate(told)]
-    known = np.isfinite(loose)[:, None]
+    start = replace(images, position=place, world_from_body=attitude)
+    own = np.isfinite(p.known.attitude).all(axis=1)[:, None]
+    quat = np.where(own, images.world_from_body.as_quat(), attitude.as_quat())
+    told = np.isfinite(p.known.position).all(axis=1)[:, None]
     images = replace(
-        problem.images,
-        position=np.where(known, problem.images.position, place),
-        world_from_body=Rotation.concatenate(turned),
+        images,
+        position=np.where(told, images.position, place),
+        world_from_body=Rotation.from_quat(quat),
     )
-    return replace(problem, images=images)
+    return replace(p, images=images, known=known), better, start
+
+
+def _reach(problem: SequenceProblem) -> Array:
+    """m (M,): the ground that a frame shows lies within this of its place; inf where no place is told."""
+    lines, columns = problem.detector.shape
+    corner = problem.detector.directions(np.array([[0.0, 0.0], [lines - 1.0, columns - 1.0]]))
+    slant = float(np.max(np.linalg.norm(corner[:, :2], axis=1) / corner[:, 2]))
+    loose = problem.known.position.max(axis=1)
+    return np.asarray(_distances(problem) * slant + 3.0 * loose)
 
 
 class _Clock:
@@ -208,11 +234,16 @@ def _distances(problem: SequenceProblem) -> Array:
 
 
 def _all_poses(
-    problem: SequenceProblem, followed: Followed, tracks: Tracks, cross: bool, clock: _Clock
+    problem: SequenceProblem,
+    followed: Followed,
+    tracks: Tracks,
+    cross: bool,
+    clock: _Clock,
+    start: Images | None = None,
 ) -> tuple[FramePoses, Tracks]:
     """All frames solved together (760), once more with what stretches share and with the path in frames."""
     block = _Block(problem, followed)
-    poses = block.solve(tracks, None)
+    poses = block.solve(tracks, None, start)
     for _ in range(_NOISE_ROUNDS):
         tracks = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
         poses = block.solve(tracks, poses)
@@ -264,8 +295,11 @@ class _Block:
             )
         return None if heights is None and control is None else PointPriors(heights, control)
 
-    def solve(self, tracks: Tracks, before: FramePoses | None) -> FramePoses:
-        """Poses of all frames; `before` tells where points are, and how frames moved while read out."""
+    def solve(self, tracks: Tracks, before: FramePoses | None, start: Images | None = None) -> FramePoses:
+        """Poses of all frames; `before` tells where points are, and how frames moved while read out.
+
+        Where there is none, `start` tells where frames are.
+        """
         p = self.problem
         priors = self._priors(tracks)
         tracks = self.with_control(tracks)
@@ -274,7 +308,8 @@ class _Block:
             still = first_line_pixels(tracks, self.followed, p.t, p.readout_time, p.detector.shape)
             tracks = Tracks(tracks.image, tracks.point, still, tracks.sigma_px)
         sightings = sight_frames(p.images, [p.detector], [p.mount], tracks)
-        points = _on_surface(sightings, p)
+        near = sightings if start is None else sight_frames(start, [p.detector], [p.mount], tracks)
+        points = _on_surface(near, p)
         if before is not None:
             known = len(before.points)
             points[:known] = np.where(np.isfinite(before.points), before.points, points[:known])[
@@ -283,7 +318,9 @@ class _Block:
             if shutter:
                 delay = p.readout_time * tracks.pixels[:, 0] / (p.detector.shape[0] - 1.0)
                 sightings = sight_lines(sightings, p.images, _estimated(p.images, before), delay)
-        return adjust_frames(p.images, sightings, p.known, priors=priors, points=points, start=before)
+        return adjust_frames(
+            p.images, sightings, p.known, priors=priors, points=points, start=before or start
+        )
 
     def cross_plan(self, poses: FramePoses) -> CrossPlan:
         """How far to look for what stretches share."""
@@ -381,4 +418,4 @@ def _warnings(problem: SequenceProblem, poses: FramePoses, source: tuple[str, ..
     idle = source.count(INTERPOLATED)
     if idle:
         out.append(f"{idle} of {len(source)} frames are interpolated: their images tell nothing of them")
-    return out
+    return out + bow_warnings(problem, poses)
