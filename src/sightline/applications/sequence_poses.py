@@ -30,6 +30,7 @@ from sightline.photogrammetry.pose_interpolation import by_displacement
 from sightline.photogrammetry.reconstruct import (
     RefinedModel,
     filter_pairs,
+    held,
     looking_down,
     reconstruct,
     refined,
@@ -160,9 +161,9 @@ def _with_model(
         distance,
     )  # fmt: skip
     start = replace(images, position=place, world_from_body=attitude)
-    own = np.isfinite(p.known.attitude).all(axis=1)[:, None]
+    own = np.isfinite(p.known.attitude.sum(axis=1))[:, None]
     quat = np.where(own, images.world_from_body.as_quat(), attitude.as_quat())
-    told = np.isfinite(p.known.position).all(axis=1)[:, None]
+    told = np.isfinite(p.known.position.sum(axis=1))[:, None]
     images = replace(
         images,
         position=np.where(told, images.position, place),
@@ -243,7 +244,8 @@ def _all_poses(
 ) -> tuple[FramePoses, Tracks]:
     """All frames solved together (760), once more with what stretches share and with the path in frames."""
     block = _Block(problem, followed)
-    poses = block.solve(tracks, None, start)
+    first = block if start is None else _Block(replace(problem, known=held(problem.known)), followed)
+    poses = first.solve(tracks, None, start)
     for _ in range(_NOISE_ROUNDS):
         tracks = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
         poses = block.solve(tracks, poses)

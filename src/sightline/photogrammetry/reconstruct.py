@@ -42,6 +42,8 @@ _SIGMA_PX = 0.5
 _ADJUSTED = 250
 #: rad; cameras of which no attitude is told look down on the whole within this.
 _DOWN = 0.2
+#: rad; attitudes of a model, of each frame and of all: what a first solution is held by.
+_HELD, _HELD_ALL = 0.01, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -341,6 +343,19 @@ def looking_down(known: RoughPoses) -> RoughPoses:
     return RoughPoses(known.position, np.full_like(known.attitude, _DOWN), known.position_bias, _DOWN)
 
 
+def held(known: RoughPoses) -> RoughPoses:
+    """What is known, and attitudes of a model where none are told: for a first solution only.
+
+    A strip that may hardly be known to turn about itself would be turned by half a radian in its first step,
+    and not come back.
+    """
+    none = ~np.isfinite(known.attitude)
+    if not none.any():
+        return known
+    attitude = np.where(none, _HELD, known.attitude)
+    return RoughPoses(known.position, attitude, known.position_bias, max(known.attitude_bias, _HELD_ALL))
+
+
 def refined(
     model: Reconstruction,
     images: Images,
@@ -374,9 +389,9 @@ def refined(
         If the model and the tables contradict each other.
     """
     rows = model.frames
-    count = np.zeros(len(rows)), np.arange(len(rows)), images.t[rows]
+    count = as_index(np.zeros(len(rows)), "camera"), as_index(np.arange(len(rows)), "shot"), images.t[rows]
     near = Images(*count, model.position, model.world_from_body)
-    place, turn = (np.isfinite(sigma[rows]).all(axis=1) for sigma in (known.position, known.attitude))
+    place, turn = (np.isfinite(sigma[rows].sum(axis=1)) for sigma in (known.position, known.attitude))
     told = Images(
         *count,
         np.where(place[:, None], images.position[rows], model.position),
@@ -394,9 +409,9 @@ def refined(
         each = heights.sigma * np.sqrt(len(tracks) / len(rows))
         priors = PointPriors(HeightPrior(heights.surface, each, heights.radii), None)
     # their noise is not known beforehand: residuals of a first solution tell it, and how it drifts
-    for _ in range(2):
+    for known_now in (held(rough), rough):
         sightings = sight_frames(told, [detector], [mount], tracks)
-        poses = adjust_frames(told, sightings, rough, priors=priors, points=points, start=near)
+        poses = adjust_frames(told, sightings, known_now, priors=priors, points=points, start=near)
         tracks = with_drift(tracks, poses.residual_px, ~poses.rejected)
         near = Images(*count, poses.position, poses.world_from_body)
     return RefinedModel(rows, poses)
