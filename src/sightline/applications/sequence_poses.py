@@ -244,8 +244,8 @@ def _all_poses(
 ) -> tuple[FramePoses, Tracks]:
     """All frames solved together (760), once more with what stretches share and with the path in frames."""
     block = _Block(problem, followed)
-    first = block if start is None else _Block(replace(problem, known=held(problem.known)), followed)
-    poses = first.solve(tracks, None, start)
+    careful = block if start is None else _Block(replace(problem, known=held(problem.known)), followed)
+    poses = careful.solve(tracks, None, start)
     for _ in range(_NOISE_ROUNDS):
         tracks = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
         poses = block.solve(tracks, poses)

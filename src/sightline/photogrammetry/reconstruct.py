@@ -173,7 +173,7 @@ def reconstruct(
             "photogrammetry on a subset needs pycolmap, which is not installed; install the extra `sfm`: "
             "pip install 'sightline[sfm]'"
         ) from None
-    told = np.isfinite(sigma).all(axis=1)
+    told = np.isfinite(sigma.sum(axis=1))
     if told[frames].sum() < 3:
         raise InputError("a model is brought to the world by three positions or more; give a positions table")
     with tempfile.TemporaryDirectory() as folder:
