@@ -10,13 +10,13 @@ children, less what a flight of a few frames takes (imports, compiled code); mem
 
 Ways. `ours`: rough tables as told by the simulation (positions 1 m, attitudes 0.5 deg, both with a bias).
 `ours, fine attitudes`: 0.05 deg. `ours, no attitudes`: begins with a model of the subset by pycolmap (extra
-`sfm`). `ours, weak positions`: no attitudes either, positions 5 m, heights of the ground not told: the strip's bow
-is hardly known, and the result must say so. Interpolations (`slerp`, `spline`, `displacement`) begin with *true* poses of one frame in
-20. `resection`: a model of the subset by pycolmap, then SIFT of every frame left, matched to the model's
-points in the two nearest frames of the subset, and OpenCV's solvePnPRansac and refinement; measured on some
-frames, the rest extrapolated. `photogrammetry`: pycolmap on the first frames only, sequential pairs, a
-growing number of them; the whole is extrapolated by the power of the last two (too low, if anything: mapping
-grows faster than that).
+`sfm`). `ours, weak positions`: no attitudes either, positions 5 m, heights of the ground not told: the
+strip's bow is hardly known, and the result must say so. Interpolations (`slerp`, `spline`, `displacement`)
+begin with *true* poses of one frame in 20. `resection`: a model of the subset by pycolmap, then SIFT of every
+frame left, matched to the model's points in the two nearest frames of the subset, and OpenCV's solvePnPRansac
+and refinement; measured on some frames, the rest extrapolated. `photogrammetry`: pycolmap on the first frames
+only, pairs in sequence, a growing number of them; the whole is extrapolated by the power of the last two (too
+low, if anything: mapping grows faster than that).
 
 Errors are those left after a similarity has aligned positions with the truth; positions along, across and up,
 in ground pixels; angles pitch, roll, yaw. The bow is the even trend of pitch over the strip, rms, and what

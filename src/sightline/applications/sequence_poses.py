@@ -23,7 +23,7 @@ from sightline.errors import InputError
 from sightline.geometry.checks import Array, read_only
 from sightline.matching.follow import Followed, FollowPlan, follow_windows
 from sightline.photogrammetry.cross_links import CrossPlan, joined, link_stretches
-from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
+from sightline.photogrammetry.frame_poses import FramePoses, RoughPoses, adjust_frames
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.pose_interpolation import by_displacement
@@ -142,10 +142,18 @@ def georeference_sequence(
     )  # fmt: skip
 
 
+@dataclass(frozen=True, eq=False)
+class _Start:
+    """Poses near the solution, and what a first solution takes to be known."""
+
+    images: Images
+    known: RoughPoses
+
+
 def _with_model(
     problem: SequenceProblem, followed: Followed, subset: Subset
-) -> tuple[SequenceProblem, RefinedModel, Images]:
-    """The problem with attitudes where none are told, the model they are of, poses of all frames by it."""
+) -> tuple[SequenceProblem, RefinedModel, _Start]:
+    """The problem with attitudes where none are told, the model they are of, and where to start."""
     p, images = problem, problem.images
     model = reconstruct(
         p.sources, subset.frames,
@@ -169,7 +177,7 @@ def _with_model(
         position=np.where(told, images.position, place),
         world_from_body=Rotation.from_quat(quat),
     )
-    return replace(p, images=images, known=known), better, start
+    return replace(p, images=images, known=known), better, _Start(start, held(p.known))
 
 
 def _reach(problem: SequenceProblem) -> Array:
@@ -240,12 +248,14 @@ def _all_poses(
     tracks: Tracks,
     cross: bool,
     clock: _Clock,
-    start: Images | None = None,
+    start: _Start | None = None,
 ) -> tuple[FramePoses, Tracks]:
     """All frames solved together (760), once more with what stretches share and with the path in frames."""
     block = _Block(problem, followed)
-    careful = block if start is None else _Block(replace(problem, known=held(problem.known)), followed)
-    poses = careful.solve(tracks, None, start)
+    if start is None:
+        poses = block.solve(tracks, None)
+    else:
+        poses = _Block(replace(problem, known=start.known), followed).solve(tracks, None, start.images)
     for _ in range(_NOISE_ROUNDS):
         tracks = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
         poses = block.solve(tracks, poses)

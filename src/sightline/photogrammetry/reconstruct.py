@@ -401,7 +401,7 @@ def refined(
     )
     rough = RoughPoses(known.position[rows], known.attitude[rows], known.position_bias, known.attitude_bias)
     tracks, points = _seen_most(model)
-    priors = None
+    priors, first = None, held(rough)
     if heights is None:
         rough = looking_down(rough)
     else:
@@ -409,11 +409,12 @@ def refined(
         each = heights.sigma * np.sqrt(len(tracks) / len(rows))
         priors = PointPriors(HeightPrior(heights.surface, each, heights.radii), None)
     # their noise is not known beforehand: residuals of a first solution tell it, and how it drifts
-    for known_now in (held(rough), rough):
+    for known_now in (first, rough):
         sightings = sight_frames(told, [detector], [mount], tracks)
         poses = adjust_frames(told, sightings, known_now, priors=priors, points=points, start=near)
         tracks = with_drift(tracks, poses.residual_px, ~poses.rejected)
         near = Images(*count, poses.position, poses.world_from_body)
+        points = np.where(np.isfinite(poses.points), poses.points, points)
     return RefinedModel(rows, poses)
 
 
