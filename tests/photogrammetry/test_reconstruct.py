@@ -180,7 +180,8 @@ def test_a_flight_begins_with_a_model_of_its_subset(flight, blind):
         assert (np.abs((error * far[:, None]).mean(axis=0)) < 4.0 * poses.bow[0]).all()
 
 
-def test_without_pycolmap_one_clear_error_and_flights_with_attitudes_run(flight, monkeypatch):
+def test_without_pycolmap_one_clear_error_and_flights_with_attitudes_run(monkeypatch):
+    flight = sequence_case("small", 4, frames=6)
     monkeypatch.setitem(sys.modules, "pycolmap", None)
     with pytest.raises(InputError, match=r"pip install 'sightline\[sfm\]'"):
         georeference_sequence(problem_of(flight, blind=True))
