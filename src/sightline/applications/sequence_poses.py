@@ -22,6 +22,7 @@ from sightline.applications.control_check import screened
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_blocks import BLOCK_FRAMES, PartSolution, solve_in_blocks
 from sightline.applications.sequence_start import approached, begun
+from sightline.applications.sequence_warnings import bow_warnings
 from sightline.applications.sequence_words import words_of_parts
 from sightline.applications.stages import Stages
 from sightline.errors import EstimationError, InputError
@@ -32,7 +33,14 @@ from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.pose_interpolation import by_displacement
-from sightline.photogrammetry.reconstruct import Reconstruction, filter_pairs, reconstruct
+from sightline.photogrammetry.reconstruct import (
+    Reconstruction,
+    RefinedModel,
+    filter_pairs,
+    looking_down,
+    reconstruct,
+    refined,
+)
 from sightline.photogrammetry.rolling_shutter import sight_lines
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, as_index, sight_frames
 from sightline.photogrammetry.track_noise import with_drift
@@ -73,6 +81,8 @@ class SequencePoses:
     seconds : dict of str to float
         CPU time of each stage.
     warnings : tuple of str
+    model : RefinedModel or None
+        Of the subset by photogrammetry, where it was made.
     """
 
     poses: FramePoses
@@ -84,6 +94,7 @@ class SequencePoses:
     stretch: NDArray[np.intp]
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    model: RefinedModel | None = None
 
 
 def georeference_sequence(
@@ -140,8 +151,9 @@ def georeference_sequence(
         photogrammetry = not np.isfinite(problem.known.attitude).any()
     run.stages.depend([photogrammetry, cross])
     problem = begun(problem, followed)
+    model = None
     if photogrammetry:
-        problem = _with_model(problem, followed, subset, run)
+        problem, model = _with_model(problem, followed, subset, run)
         run.note(MODELLED)
     found, tracks = _all_poses(problem, followed, cross, run)
     problem, poses = screened(problem, tracks, found.poses, _without_control(followed, tracks))
@@ -149,6 +161,7 @@ def georeference_sequence(
     return SequencePoses(
         poses, source, reason, subset, followed, tracks, _linked(followed), run.seconds,
         (*_warnings(problem, poses, source), *found.words, *words_of_parts(problem, tracks, poses)),
+        model,
     )  # fmt: skip
 
 
@@ -166,33 +179,47 @@ def _without_control(
     return solve
 
 
-def _with_model(problem: SequenceProblem, followed: Followed, subset: Subset, run: _Run) -> SequenceProblem:
-    """The problem with attitudes to start from where none are told, from a model of the subset."""
-    loose = problem.known.position.max(axis=1)
+def _with_model(
+    problem: SequenceProblem, followed: Followed, subset: Subset, run: _Run
+) -> tuple[SequenceProblem, RefinedModel]:
+    """The problem with attitudes where none are told, and the model of the subset they are of."""
+    p, images = problem, problem.images
     run.progress(MODELLED, 0, 1)
     model = run.stages.stage(
         "photogrammetry", Reconstruction,
         lambda: reconstruct(
-            problem.sources, subset.frames, filter_pairs(subset.frames, followed, problem.detector),
-            problem.detector, problem.mount, problem.images.position, loose, problem.radii,
+            p.sources, subset.frames,
+            filter_pairs(subset.frames, followed, p.detector, images.position, _reach(problem)),
+            p.detector, p.mount, images.position, p.known.position, p.radii,
         ),
     )  # fmt: skip
     run.progress(MODELLED, 1, 1)
-    distance = float(np.median([np.linalg.norm(model.points - p, axis=1).min() for p in model.position]))
+    heights = HeightPrior(p.surface, p.height_sigma, p.radii) if p.height_sigma > 0.0 else None
+    better = refined(model, images, p.known, p.detector, p.mount, heights)
+    known = p.known if heights is not None else looking_down(p.known)
+    distance = float(np.median([np.linalg.norm(model.points - x, axis=1).min() for x in model.position]))
     place, attitude = by_displacement(
-        problem.t, model.frames, model.position, model.world_from_body, followed, problem.detector,
-        problem.mount, distance,
+        p.t, model.frames, better.poses.position, better.poses.world_from_body, followed, p.detector, p.mount,
+        distance,
     )  # fmt: skip
-    rough = problem.images.world_from_body
-    told = [bool(np.isfinite(sigma).all()) for sigma in problem.known.attitude]
-    turned = [(rough if own else attitude)[k] for k, own in enumerate(told)]
-    known = np.isfinite(loose)[:, None]
+    own = np.isfinite(p.known.attitude.sum(axis=1))[:, None]
+    quat = np.where(own, images.world_from_body.as_quat(), attitude.as_quat())
+    told = np.isfinite(p.known.position.sum(axis=1))[:, None]
     images = replace(
-        problem.images,
-        position=np.where(known, problem.images.position, place),
-        world_from_body=Rotation.concatenate(turned),
+        images,
+        position=np.where(told, images.position, place),
+        world_from_body=Rotation.from_quat(quat),
     )
-    return replace(problem, images=images)
+    return replace(p, images=images, known=known), better
+
+
+def _reach(problem: SequenceProblem) -> Array:
+    """m (M,): the ground that a frame shows lies within this of its place; inf where no place is told."""
+    lines, columns = problem.detector.shape
+    corner = problem.detector.directions(np.array([[0.0, 0.0], [lines - 1.0, columns - 1.0]]))
+    slant = float(np.max(np.linalg.norm(corner[:, :2], axis=1) / corner[:, 2]))
+    loose = problem.known.position.max(axis=1)
+    return np.asarray(_distances(problem) * slant + 3.0 * loose)
 
 
 class _Run:
@@ -573,4 +600,4 @@ def _warnings(problem: SequenceProblem, poses: FramePoses, source: tuple[str, ..
     idle = source.count(INTERPOLATED)
     if idle:
         out.append(f"{idle} of {len(source)} frames are interpolated: their images tell nothing of them")
-    return out
+    return out + bow_warnings(problem, poses)

@@ -39,6 +39,8 @@ Flags = NDArray[np.bool_]
 
 #: Lines that whole frames are compared at.
 _COARSE_LINES = 128
+#: px, least reduction of the contrast that fine contrast is compared with.
+_BLUNT = 4
 #: Standard deviations of the phase correlation that its peak must stand out by: noise reaches 4 of them.
 _LEAST_PEAK = 6.0
 #: Windows that tell how a frame moved as a whole, at most; and how many must agree, as number and as share.
@@ -289,11 +291,9 @@ class _Reader:
         level = np.ascontiguousarray((level - np.float32(mean)) / np.float32(max(abs(mean), 1e-6)))
         fine = np.empty_like(level)
         kernels.filter_image(level, self.taps, fine)
-        k = self._factor
-        lines, columns = (size // k for size in self.shape)
-        small = level[: lines * k, : columns * k].reshape(lines, k, columns, k).mean(axis=(1, 3))
-        coarse = np.zeros_like(small)
-        coarse[1:, 1:] = small[1:, 1:] - 0.5 * (small[:-1, 1:] + small[1:, :-1])
+        coarse = _detail(level, self._factor)
+        # blur must leave what fine contrast is compared with
+        blunt = coarse if self._factor >= _BLUNT else _detail(level, _BLUNT)
         bad = _NONE
         if found[1] is not None:
             from scipy import ndimage
@@ -302,8 +302,18 @@ class _Reader:
         contrast = float(fine[_RIM:-_RIM, _RIM:-_RIM].std())
         return _Frame(
             number, level, fine, bad, np.asarray(np.fft.rfft2(coarse * self._taper), dtype=np.complex64),
-            contrast / max(float(coarse[1:, 1:].std()), 1e-9), contrast,
+            contrast / max(float(blunt[1:, 1:].std()), 1e-9), contrast,
         )  # fmt: skip
+
+
+def _detail(level: Array32, factor: int) -> Array32:
+    """Differences of an image reduced by a factor from its neighbours above and to the left; 0 at the rim."""
+    lines, columns = (size // factor for size in level.shape)
+    small = level[: lines * factor, : columns * factor]
+    small = small.reshape(lines, factor, columns, factor).mean(axis=(1, 3))
+    out = np.zeros_like(small)
+    out[1:, 1:] = small[1:, 1:] - 0.5 * (small[:-1, 1:] + small[1:, :-1])
+    return out
 
 
 def phase_shift(

@@ -296,7 +296,7 @@ def adjust_frames(
     *,
     priors: PointPriors | None = None,
     points: Array | None = None,
-    start: FramePoses | None = None,
+    start: FramePoses | Images | None = None,
     roughness: Array | None = None,
     robust: bool = True,
 ) -> FramePoses:
@@ -314,8 +314,8 @@ def adjust_frames(
         Known heights, control points.
     points : (n, 3), optional
         m; where to start from. Where the rays of the rough poses meet, otherwise.
-    start : FramePoses, optional
-        A solution near by.
+    start : FramePoses or Images, optional
+        A solution near by, or poses near one.
     roughness : (6,), optional
         Of the path; measured on the solution otherwise.
     robust : bool
@@ -327,8 +327,9 @@ def adjust_frames(
     """
     rank = solving_order(images, sightings)
     moved = np.zeros((len(images), 6)) if start is None else departures_of(images, start)
-    rough = np.full(6, _LOOSE_ROUGHNESS) * _UNITS**2 if start is None else start.roughness
-    common = None if start is None else -start.bias
+    solved = start if isinstance(start, FramePoses) else None
+    rough = np.full(6, _LOOSE_ROUGHNESS) * _UNITS**2 if solved is None else solved.roughness
+    common = None if solved is None else -solved.bias
     unknowns = frame_unknowns(images, known, rough, rank, moved)
     block = Block(from_poses(sightings, moved), unknowns, priors)
     state, usable = first_state(block, seen_twice(sightings, priors), None)
@@ -340,7 +341,7 @@ def adjust_frames(
         state.points[given] = points[given] - block.origin
         usable = usable | (given[sightings.point] & seen_twice(sightings, priors))
     fit = descend(block, state, usable, robust=robust)
-    for _ in range((_ROUNDS if start is None else 1) if len(images) > 2 else 0):
+    for _ in range((_ROUNDS if solved is None else 1) if len(images) > 2 else 0):
         step = block.unknowns.departures(fit.state.own, fit.state.common)
         turned = Rotation.from_rotvec(moved[:, :3]) * Rotation.from_rotvec(step[:, :3])
         moved = np.concatenate([turned.as_rotvec(), moved[:, 3:] + step[:, 3:]], axis=1)
@@ -355,7 +356,7 @@ def adjust_frames(
     return _poses(moved_images(images, moved), block, fit, rough, known)
 
 
-def departures_of(images: Images, poses: FramePoses) -> Array:
+def departures_of(images: Images, poses: FramePoses | Images) -> Array:
     """(M, 6) rad and m, by which poses depart from those of images."""
     turn = (images.world_from_body.inv() * poses.world_from_body).as_rotvec()
     return np.concatenate([turn, poses.position - images.position], axis=1)

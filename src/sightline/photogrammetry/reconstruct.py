@@ -1,7 +1,8 @@
 """Photogrammetry on a subset of frames by pycolmap (extra ``sfm``), for flights whose attitudes nobody told.
 
 Features, matches of chosen pairs, mapping with positions as priors; the model is brought to the world by the
-positions told. It is where the adjustment of all frames starts, not its result.
+positions told, and adjusted once more with all that tables say, which gives it a covariance. It is where the
+adjustment of all frames starts, not its result.
 
 Not here: which frames (``frame_subset.py``), the adjustment (``frame_poses.py``).
 """
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import EstimationError, InputError
@@ -23,9 +25,11 @@ from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
 from sightline.imaging.source import ImageSource, read_padded
 from sightline.matching.follow import Followed
+from sightline.photogrammetry.frame_poses import FramePoses, RoughPoses, adjust_frames
 from sightline.photogrammetry.frame_subset import chained
-from sightline.photogrammetry.point_priors import level_axes
-from sightline.photogrammetry.sightings import Index, as_index
+from sightline.photogrammetry.point_priors import HeightPrior, PointPriors, level_axes
+from sightline.photogrammetry.sightings import Images, Index, Tracks, as_index, sight_frames
+from sightline.photogrammetry.track_noise import with_drift
 
 #: nm; ground is not compared in wavelengths further apart, neighbours excepted.
 _ALIKE_NM = 200.0
@@ -33,6 +37,14 @@ _ALIKE_NM = 200.0
 _FAR = 0.6
 #: Features per frame; more cost time and tell no more.
 _FEATURES = 2000
+#: px; noise of a feature before residuals tell it.
+_SIGMA_PX = 0.5
+#: Sightings per frame that the model is adjusted with: the points seen most often.
+_ADJUSTED = 250
+#: rad; cameras of which no attitude is told look down on the whole within this.
+_DOWN = 0.2
+#: rad; attitudes of a model, of each frame and of all: what a first solution is held by.
+_HELD, _HELD_ALL = 0.01, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,15 +61,24 @@ class Reconstruction(ReadOnlyArrays):
         K.
     points : (n, 3)
         m
+    tracks : Tracks
+        Where they were seen: `image` counts `frames`, `point` counts `points`.
     """
 
     frames: Index
     position: Array
     world_from_body: Rotation
     points: Array
+    tracks: Tracks
 
 
-def filter_pairs(frames: Index, followed: Followed, detector: AreaDetector) -> list[tuple[int, int]]:
+def filter_pairs(
+    frames: Index,
+    followed: Followed,
+    detector: AreaDetector,
+    position: Array | None = None,
+    reach: Array | None = None,
+) -> list[tuple[int, int]]:
     """Pairs of frames that overlap and show it in like wavelengths.
 
     Parameters
@@ -67,24 +88,31 @@ def filter_pairs(frames: Index, followed: Followed, detector: AreaDetector) -> l
     followed : Followed
         How all frames moved.
     detector : AreaDetector
+    position : (M, 3), optional
+        m, as well as it is known.
+    reach : (M,), optional
+        m; the ground that a frame shows lies within this of its place, errors of the place included. inf
+        where nothing is told.
 
     Returns
     -------
     list of (int, int)
-        Neighbours always; others by how far lines of one ground are apart. Frames of different stretches are
-        all paired: nothing is known of them yet.
+        Neighbours always; others by how far lines of one ground are apart. Nothing is known of how frames of
+        different stretches moved: they are paired where they may show the same ground.
     """
     nm = detector.wavelength_nm
     per_line = 0.0 if nm is None else float(np.ptp(nm)) / max(detector.shape[0] - 1, 1)
     steps = [_between(followed, *pair) for pair in pairwise(frames.tolist())]
     out = []
     for n, first in enumerate(frames[:-1]):
+        apart = _may_meet(int(first), frames, position, reach)
         motion: Array | None = np.zeros(4)
         for m in range(n + 1, len(frames)):
             step = steps[m - 1]
             motion = None if motion is None or step is None else chained(motion, step)
             if motion is None:
-                out.append((int(first), int(frames[m])))
+                if apart[m]:
+                    out.append((int(first), int(frames[m])))
                 continue
             lines = abs(float(motion[0]))
             alike = lines * per_line <= _ALIKE_NM and lines <= _FAR * detector.shape[0]
@@ -102,6 +130,14 @@ def _between(followed: Followed, first: int, last: int) -> Array | None:
         elif followed.windows[k]:
             return None
     return motion
+
+
+def _may_meet(first: int, frames: Index, position: Array | None, reach: Array | None) -> NDArray[np.bool_]:
+    """Which frames (K,) of the subset may show ground that `first` shows, by where they were taken."""
+    if position is None or reach is None:
+        return np.ones(len(frames), dtype=np.bool_)
+    far = np.linalg.norm(position[frames] - position[first], axis=1)
+    return np.asarray(far <= reach[frames] + reach[first])
 
 
 def reconstruct(
@@ -128,8 +164,8 @@ def reconstruct(
         Of all frames. Tangential distortion is left out: the adjustment knows it.
     position : (M, 3)
         m, as told.
-    sigma : (M,)
-        m, of each; inf where none was told.
+    sigma : (M, 3)
+        m, of each axis; inf where none was told.
     radii : (float, float), optional
         Of the ellipsoid whose normals are the verticals; z is up otherwise.
 
@@ -147,7 +183,8 @@ def reconstruct(
             "photogrammetry on a subset needs pycolmap, which is not installed; install the extra `sfm`: "
             "pip install 'sightline[sfm]'"
         ) from None
-    if np.isfinite(sigma[frames]).sum() < 3:
+    told = np.isfinite(sigma.sum(axis=1))
+    if told[frames].sum() < 3:
         raise InputError("a model is brought to the world by three positions or more; give a positions table")
     with tempfile.TemporaryDirectory() as folder:
         model = _mapped(pycolmap, Path(folder), sources, frames, pairs, detector, position, sigma)
@@ -157,7 +194,7 @@ def reconstruct(
             "raise `overlap`, or give attitudes"
         )
     up = level_axes(position[frames], radii)[0].mean(axis=0)
-    return _in_world(model, detector, mount, position, sigma, -up / np.linalg.norm(up))
+    return _in_world(model, detector, mount, position, told, -up / np.linalg.norm(up))
 
 
 def _mapped(
@@ -172,8 +209,9 @@ def _mapped(
 ) -> Any:
     """The largest model, or None."""
     names = {int(k): f"{k:06d}.png" for k in frames}
+    gain = _line_gain(sources, frames, detector)
     for k, name in names.items():
-        pixels = read_padded(sources[k], (0, detector.shape[0]), (0, detector.shape[1]))[0]
+        pixels = read_padded(sources[k], (0, detector.shape[0]), (0, detector.shape[1]))[0] / gain
         low, high = np.quantile(pixels[::4, ::4], [0.005, 0.995])
         bytes_ = np.clip(255.0 * (pixels - low) / max(float(high - low), 1e-9), 0.0, 255.0).astype(np.uint8)
         pycolmap.Bitmap.from_array(bytes_).write(str(folder / name))
@@ -204,6 +242,7 @@ def _mapped(
     matching = pycolmap.FeatureMatchingOptions()
     matching.num_threads = 1
     pycolmap.match_image_pairs(database, matching, pairing, device=pycolmap.Device.cpu)
+    _write_priors(pycolmap, database, names, position, sigma)
     options = pycolmap.IncrementalPipelineOptions()
     options.ba_refine_focal_length = options.ba_refine_principal_point = options.ba_refine_extra_params = (
         False
@@ -213,31 +252,195 @@ def _mapped(
     options.num_threads = 1
     options.random_seed = 0
     options.extract_colors = False
+    options.use_prior_position = True
     models = pycolmap.incremental_mapping(database, folder, folder, options)
     return max(models.values(), key=lambda m: m.num_reg_images(), default=None)
 
 
+def _line_gain(sources: Sequence[ImageSource], frames: Index, detector: AreaDetector) -> NDArray[np.float32]:
+    """(lines, 1): brightness of each line over that of all.
+
+    A filter whose brightness changes along the lines draws every blob towards the brighter side, by more
+    where it changes faster: errors that go with the line.
+    """
+    whole = (0, detector.shape[0]), (0, detector.shape[1])
+    lines = [read_padded(sources[k], *whole)[0].mean(axis=1) for k in frames]
+    gain = np.mean([line / max(float(line.mean()), 1e-6) for line in lines], axis=0)
+    return np.asarray(np.maximum(gain, 0.05), dtype=np.float32)[:, None]
+
+
+def _write_priors(
+    pycolmap: Any, database: Path, names: dict[int, str], position: Array, sigma: Array
+) -> None:
+    """Positions told, about their middle: what mapping holds places to."""
+    told = [k for k in names if np.isfinite(sigma[k]).all()]
+    middle = position[told].mean(axis=0)
+    with pycolmap.Database.open(str(database)) as store:
+        for k in told:
+            prior = pycolmap.PosePrior(
+                corr_data_id=store.read_image_with_name(names[k]).data_id,
+                position=position[k] - middle,
+                position_covariance=np.diag(sigma[k] ** 2),
+                coordinate_system=pycolmap.PosePriorCoordinateSystem.CARTESIAN,
+            )
+            store.write_pose_prior(prior)
+
+
 def _in_world(
-    model: Any, detector: AreaDetector, mount: Rotation, position: Array, sigma: Array, down: Array
+    model: Any, detector: AreaDetector, mount: Rotation, position: Array, told: NDArray[np.bool_], down: Array
 ) -> Reconstruction:
     """A model brought to the world by the positions told: scale, turn and move that fit them best."""
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda i: i.name)
     frames = np.array([int(image.name[:6]) for image in images])
     centre = np.array([image.projection_center() for image in images])
     camera = Rotation.from_matrix([image.cam_from_world().rotation.matrix().T for image in images])
-    told = np.isfinite(sigma[frames])
-    scale, turn, moved = similarity(centre[told], position[frames][told], camera[told], down)
+    known = told[frames]
+    if known.sum() < 3:
+        raise EstimationError(
+            f"the model holds {len(frames)} frames, and positions of {known.sum()} are told"
+        )
+    scale, turn, moved = similarity(centre[known], position[frames][known], camera[known], down)
     # columns, lines, depth in our camera's axes
     middle = np.array([detector.principal_point_px])
     steps = detector.directions(middle + np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]]))
     axes = np.column_stack([steps[1] - steps[0], steps[2] - steps[0], steps[0]])
     ours = Rotation.from_matrix(axes / np.linalg.norm(axes, axis=0))
     points = np.array([p.xyz for p in model.points3D.values()]).reshape(-1, 3)
+    tracks = _tracks(model, images)
     return Reconstruction(
         as_index(frames, "frames"),
         frozen(scale * turn.apply(centre) + moved),
         turn * camera * ours.inv() * mount.inv(),
         frozen(scale * turn.apply(points) + moved),
+        tracks,
+    )
+
+
+def _tracks(model: Any, images: Sequence[Any]) -> Tracks:
+    """Where the points of a model were seen; `images` in the order of its frames."""
+    row = {point: n for n, point in enumerate(model.points3D)}
+    image, point, pixels = [], [], []
+    for n, seen in enumerate(images):
+        for spot in seen.get_observation_points2D():
+            image.append(n)
+            point.append(row[spot.point3D_id])
+            pixels.append((spot.xy[1] - 0.5, spot.xy[0] - 0.5))
+    return Tracks(np.array(image), np.array(point), np.array(pixels), np.array(_SIGMA_PX))
+
+
+@dataclass(frozen=True, eq=False)
+class RefinedModel(ReadOnlyArrays):
+    """Poses of the frames of a model, adjusted.
+
+    Attributes
+    ----------
+    frames : (K,) int
+    poses : FramePoses
+        K, with covariance; `bow` says by how much each stretch may be bent.
+    """
+
+    frames: Index
+    poses: FramePoses
+
+
+def looking_down(known: RoughPoses) -> RoughPoses:
+    """What is known where no attitude is told and no height: that cameras look down on the whole.
+
+    A single flight line may be turned about itself otherwise, with all ground under it.
+    """
+    if np.isfinite(known.attitude).any():
+        return known
+    return RoughPoses(known.position, np.full_like(known.attitude, _DOWN), known.position_bias, _DOWN)
+
+
+def held(known: RoughPoses) -> RoughPoses:
+    """What is known, and attitudes of a model where none are told: for a first solution only.
+
+    A strip that may hardly be known to turn about itself would be turned by half a radian in its first step,
+    and not come back.
+    """
+    none = ~np.isfinite(known.attitude)
+    if not none.any():
+        return known
+    attitude = np.where(none, _HELD, known.attitude)
+    return RoughPoses(known.position, attitude, known.position_bias, max(known.attitude_bias, _HELD_ALL))
+
+
+def refined(
+    model: Reconstruction,
+    images: Images,
+    known: RoughPoses,
+    detector: AreaDetector,
+    mount: Rotation,
+    heights: HeightPrior | None = None,
+) -> RefinedModel:
+    """A model adjusted with all that tables say of its frames: places, attitudes, their constant errors.
+
+    Parameters
+    ----------
+    model : Reconstruction
+    images : Images
+        M frames as the tables have them.
+    known : RoughPoses
+        How rough they are.
+    detector, mount
+        Of all frames.
+    heights : HeightPrior, optional
+        What is known of the height of the ground in each frame, once; without it and without attitudes,
+        cameras look down on the whole (`looking_down`).
+
+    Returns
+    -------
+    RefinedModel
+
+    Raises
+    ------
+    EstimationError
+        If the model and the tables contradict each other.
+    """
+    rows = model.frames
+    count = as_index(np.zeros(len(rows)), "camera"), as_index(np.arange(len(rows)), "shot"), images.t[rows]
+    near = Images(*count, model.position, model.world_from_body)
+    place, turn = (np.isfinite(sigma[rows].sum(axis=1)) for sigma in (known.position, known.attitude))
+    told = Images(
+        *count,
+        np.where(place[:, None], images.position[rows], model.position),
+        Rotation.from_quat(
+            np.where(turn[:, None], images.world_from_body[rows].as_quat(), model.world_from_body.as_quat())
+        ),
+    )
+    rough = RoughPoses(known.position[rows], known.attitude[rows], known.position_bias, known.attitude_bias)
+    tracks, points = _seen_most(model)
+    priors, first = None, held(rough)
+    if heights is None:
+        rough = looking_down(rough)
+    else:
+        # a surface is wrong over a whole frame alike: all points in it together tell its height once
+        each = heights.sigma * np.sqrt(len(tracks) / len(rows))
+        priors = PointPriors(HeightPrior(heights.surface, each, heights.radii), None)
+    # their noise is not known beforehand: residuals of a first solution tell it, and how it drifts
+    for known_now in (first, rough):
+        sightings = sight_frames(told, [detector], [mount], tracks)
+        poses = adjust_frames(told, sightings, known_now, priors=priors, points=points, start=near)
+        tracks = with_drift(tracks, poses.residual_px, ~poses.rejected)
+        near = Images(*count, poses.position, poses.world_from_body)
+        points = np.where(np.isfinite(poses.points), poses.points, points)
+    return RefinedModel(rows, poses)
+
+
+def _seen_most(model: Reconstruction) -> tuple[Tracks, Array]:
+    """The sightings of the points seen most often, and these points."""
+    tracks = model.tracks
+    seen = np.bincount(tracks.point, minlength=len(model.points))
+    order = np.argsort(-seen, kind="stable")
+    enough = int(np.searchsorted(np.cumsum(seen[order]), _ADJUSTED * len(model.frames))) + 1
+    kept = np.sort(order[:enough])
+    name = np.full(len(seen), -1)
+    name[kept] = np.arange(len(kept))
+    rows = np.flatnonzero(name[tracks.point] >= 0)
+    return (
+        Tracks(tracks.image[rows], name[tracks.point[rows]], tracks.pixels[rows], tracks.sigma_px[rows]),
+        model.points[kept],
     )
 
 
