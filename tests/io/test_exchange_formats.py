@@ -89,7 +89,7 @@ def same(a, b, *, sightings=True, tolerance=1e-12):
     assert one.shape == two.shape
     assert one.focal_length_px == pytest.approx(two.focal_length_px, abs=1e-10)
     np.testing.assert_allclose(one.principal_point_px, two.principal_point_px, atol=1e-10)
-    np.testing.assert_allclose(one._coefficients, two._coefficients, atol=1e-15)
+    np.testing.assert_allclose(one.coefficients, two.coefficients, atol=1e-15)
     if sightings:
         np.testing.assert_array_equal(a.image, b.image)
         np.testing.assert_array_equal(a.point, b.point)
