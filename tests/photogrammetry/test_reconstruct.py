@@ -86,7 +86,7 @@ def test_a_model_is_brought_to_the_world(single_line):
         raise AssertionError("cameras look down")
     turn, scale, moved = Rotation.from_rotvec([0.4, -1.0, 2.0]), 7.0, np.array([5.0, -3.0, 2.0])
     model = turn.inv().apply((wanted - moved) / scale)
-    found = similarity(model, wanted, turn.inv() * camera, np.array([0.0, 0.0, -1.0]))
+    found = similarity(model, wanted, turn.inv() * camera, np.array([0.0, 0.0, -1.0]), 0.1)
     assert found[0] == pytest.approx(scale)
     # a line leaves the turn about it to what cameras see, which here is down exactly
     assert (found[1].inv() * turn).magnitude() < 1e-9

@@ -67,6 +67,8 @@ class SequenceProblem(ReadOnlyArrays):
         Of the ellipsoid whose normals are the verticals; None where the world is flat, z up.
     epoch : str or None
         UTC, ISO 8601: the instant t = 0.
+    start : Images or None
+        Poses nearer to the truth than `images`, of a model: where the adjustment starts; else from `images`.
     warnings : tuple of str
         What was noticed while reading.
     """
@@ -91,6 +93,7 @@ class SequenceProblem(ReadOnlyArrays):
     control_tracks: Tracks | None = None
     radii: tuple[float, float] | None = None
     epoch: str | None = None
+    start: Images | None = None
     warnings: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:

@@ -259,6 +259,7 @@ def _part(problem: SequenceProblem, followed: Followed, spans: _Spans, place: Bl
         channels=problem.channels[chosen] if problem.channels else (),
         control=control,
         control_tracks=tracks,
+        start=None if problem.start is None else images_of(problem.start, frames.tolist()),
     )
     return _Part(
         small,

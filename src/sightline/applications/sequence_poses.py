@@ -210,7 +210,8 @@ def _with_model(
         position=np.where(told, images.position, place),
         world_from_body=Rotation.from_quat(quat),
     )
-    return replace(p, images=images, known=known), better
+    start = replace(images, position=place, world_from_body=attitude)
+    return replace(p, images=images, known=known, start=start), better
 
 
 def _reach(problem: SequenceProblem) -> Array:
@@ -467,7 +468,8 @@ class _Block:
         """Poses of all frames; `before` tells where points are, and how frames moved while read out."""
         p = self.problem
         sightings, priors, points = self.equations(tracks, before)
-        return adjust_frames(p.images, sightings, p.known, priors=priors, points=points, start=before)
+        start = p.start if before is None else before
+        return adjust_frames(p.images, sightings, p.known, priors=priors, points=points, start=start)
 
     def equations(
         self, tracks: Tracks, before: FramePoses | None
@@ -481,7 +483,8 @@ class _Block:
             still = first_line_pixels(tracks, self.followed, p.t, p.readout_time, p.detector.shape)
             tracks = Tracks(tracks.image, tracks.point, still, tracks.sigma_px)
         sightings = sight_frames(p.images, [p.detector], [p.mount], tracks)
-        points = _on_surface(sightings, p)
+        near = sightings if p.start is None else sight_frames(p.start, [p.detector], [p.mount], tracks)
+        points = _on_surface(near, p)
         if before is not None:
             known = len(before.points)
             points[:known] = np.where(np.isfinite(before.points), before.points, points[:known])[

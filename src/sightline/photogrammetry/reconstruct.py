@@ -194,7 +194,7 @@ def reconstruct(
             "raise `overlap`, or give attitudes"
         )
     up = level_axes(position[frames], radii)[0].mean(axis=0)
-    return _in_world(model, detector, mount, position, told, -up / np.linalg.norm(up))
+    return _in_world(model, detector, mount, position, sigma, -up / np.linalg.norm(up))
 
 
 def _mapped(
@@ -287,19 +287,21 @@ def _write_priors(
 
 
 def _in_world(
-    model: Any, detector: AreaDetector, mount: Rotation, position: Array, told: NDArray[np.bool_], down: Array
+    model: Any, detector: AreaDetector, mount: Rotation, position: Array, sigma: Array, down: Array
 ) -> Reconstruction:
     """A model brought to the world by the positions told: scale, turn and move that fit them best."""
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda i: i.name)
     frames = np.array([int(image.name[:6]) for image in images])
     centre = np.array([image.projection_center() for image in images])
     camera = Rotation.from_matrix([image.cam_from_world().rotation.matrix().T for image in images])
+    told = np.isfinite(sigma.sum(axis=1))
     known = told[frames]
     if known.sum() < 3:
         raise EstimationError(
             f"the model holds {len(frames)} frames, and positions of {known.sum()} are told"
         )
-    scale, turn, moved = similarity(centre[known], position[frames][known], camera[known], down)
+    loose = float(np.median(sigma[frames][known]))
+    scale, turn, moved = similarity(centre[known], position[frames][known], camera[known], down, loose)
     # columns, lines, depth in our camera's axes
     middle = np.array([detector.principal_point_px])
     steps = detector.directions(middle + np.array([[0.0, 0.0], [0.0, 1.0], [1.0, 0.0]]))
@@ -444,16 +446,19 @@ def _seen_most(model: Reconstruction) -> tuple[Tracks, Array]:
     )
 
 
-def similarity(places: Array, wanted: Array, camera: Rotation, down: Array) -> tuple[float, Rotation, Array]:
+def similarity(
+    places: Array, wanted: Array, camera: Rotation, down: Array, sigma: float
+) -> tuple[float, Rotation, Array]:
     """Scale, turn and move from a model to the world, by places (N, 3) in both.
 
-    A single flight line leaves the turn about it open; cameras that look `down` on the whole close it.
+    A single flight line leaves the turn about it open; cameras that look `down` on the whole, to some
+    degrees, close it. `sigma` (m) is that of the places wanted.
     """
     a, b = places - places.mean(axis=0), wanted - wanted.mean(axis=0)
     size = float(np.sqrt((b**2).sum() / max((a**2).sum(), 1e-30)))
     view = camera.apply([0.0, 0.0, 1.0])
-    # what cameras see is given a share of the flight's length: enough to decide, too little to bend
-    lever = 0.05 * np.sqrt((b**2).sum() / len(b))
+    # all views together tell the turn to _DOWN, each place its own to sigma / distance
+    lever = max(sigma, 1e-6 * size) / (_DOWN * np.sqrt(len(b)))
     from_, to = np.vstack([size * a, lever * view]), np.vstack([b, np.tile(lever * down, (len(b), 1))])
     turn, _ = Rotation.align_vectors(to, from_)
     return size, turn, wanted.mean(axis=0) - size * turn.apply(places.mean(axis=0))
