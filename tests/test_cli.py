@@ -82,7 +82,7 @@ def test_a_defect_of_ours_asks_for_a_report(failing_with, capsys):
 def test_an_interruption_is_no_error_of_anybody(failing_with, capsys):
     failing_with(KeyboardInterrupt())
     assert command.run(["version"]) == 130
-    assert "nothing was written" in capsys.readouterr().err
+    assert "no result was written" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

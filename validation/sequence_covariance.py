@@ -223,8 +223,10 @@ def table(title: str, of_seed: Callable[[int], tuple[np.ndarray, float]], flight
 
 def main(flights: int, images: int) -> None:
     """Print both tables."""
-    table(f"flights of points, {FRAMES} frames", of_points, flights)
-    table('rendered flights, case "small"', rendered, images)
+    if flights:
+        table(f"flights of points, {FRAMES} frames", of_points, flights)
+    if images:
+        table('rendered flights, case "small"', rendered, images)
 
 
 if __name__ == "__main__":

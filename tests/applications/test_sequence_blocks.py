@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from sightline.applications import sequence_blocks, sequence_poses
+from sightline.applications import sequence_blocks, sequence_poses, sequence_solver
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import FOLLOWED, SOLVED_ALL, SequencePoses, georeference_sequence
 from sightline.applications.stages import Stages
@@ -59,7 +59,7 @@ def short_blocks() -> pytest.MonkeyPatch:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sequence_poses, "BLOCK_FRAMES", BLOCK)
         # blocks of 27 frames are too short to measure the drift of windows, which those of 500 can
-        patch.setattr(sequence_poses, "_NOISE_ROUNDS", 0)
+        patch.setattr(sequence_solver, "_NOISE_ROUNDS", 0)
         patch.setattr(sequence_blocks, "_LEAST_SIGHTINGS", 100)
         patch.setattr(follow, "_KEPT", KEPT)
         yield patch

@@ -321,7 +321,7 @@ def test_the_cube_is_shown_as_it_is(cube):
     assert (overview.width, overview.height) == (350, 300) and overview.before is not None
     assert (detail.width, detail.height) == (330, 200) and detail.after != detail.before
     text = " ".join(sequence_cube.cube_sentences(cube))
-    assert "20 bands from 450 to 900 nm of 600 × 700 pixels" in text and "99.0 to 100.0 %" in text
+    assert "20 bands from 450 to 900 nm of 600 rows × 700 columns" in text and "99.0 to 100.0 %" in text
     assert "within 0.2 px rms" in text and "by the told poses it would be 3 px" in text
     sections = sequence_page.cube_sections(cube)
     assert [s.name for s in sections] == ["band-error", "band-pairs", "coverage"]

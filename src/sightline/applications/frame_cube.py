@@ -108,7 +108,7 @@ class CubeSummary(ReadOnlyArrays):
         m; what points miss the surface by, robust rms.
     coverage : (B,)
         Share of the ground that every band could see that has a value: of places which, in one frame or
-        another, lay on lines of every band.
+        another, lay on lines of every band; NaN where there is none.
     passed : (B,)
         The same of all ground that the lines of every band passed over, in gaps between frames too.
     beyond : (B,)
@@ -377,8 +377,8 @@ def _summary(
         mean = tally.total / tally.values
         inside, across = (tally.seams[:, k + 1] / tally.seams[:, k] for k in (0, 2))
         jump = np.sqrt(np.maximum(across - inside, 0.0)) / np.abs(mean)
-        coverage = tally.of_seen / max(tally.seen, 1)
-        passed = tally.of_passed / max(tally.passed, 1)
+        coverage = tally.of_seen / (tally.seen or np.nan)
+        passed = tally.of_passed / (tally.passed or np.nan)
         beyond = tally.beyond / tally.values
         seams = pairs[:, 1] / pairs.sum(axis=1)
     return CubeSummary(

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from copy import copy
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -20,18 +19,24 @@ from scipy.spatial.transform import Rotation
 
 from sightline.applications.control_check import screened
 from sightline.applications.frame_sequence import SequenceProblem
-from sightline.applications.sequence_blocks import BLOCK_FRAMES, PartSolution, solve_in_blocks
-from sightline.applications.sequence_start import approached, begun
+from sightline.applications.sequence_blocks import BLOCK_FRAMES, solve_in_blocks
+from sightline.applications.sequence_solver import (
+    Adjusted,
+    SequenceSolver,
+    estimated_images,
+    ground_distances,
+)
+from sightline.applications.sequence_start import begun
 from sightline.applications.sequence_warnings import bow_warnings
 from sightline.applications.sequence_words import words_of_parts
 from sightline.applications.stages import Stages
-from sightline.errors import EstimationError, InputError
-from sightline.geometry.checks import Array, read_only
+from sightline.errors import InputError
+from sightline.geometry.checks import Array
 from sightline.matching.follow import Followed, FollowPlan, FollowState
-from sightline.photogrammetry.cross_links import CrossPlan, joined, link_stretches
-from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
+from sightline.photogrammetry.cross_links import joined, link_stretches
+from sightline.photogrammetry.frame_poses import FramePoses
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
-from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
+from sightline.photogrammetry.point_priors import HeightPrior
 from sightline.photogrammetry.pose_interpolation import by_displacement
 from sightline.photogrammetry.reconstruct import (
     Reconstruction,
@@ -41,23 +46,17 @@ from sightline.photogrammetry.reconstruct import (
     reconstruct,
     refined,
 )
-from sightline.photogrammetry.rolling_shutter import sight_lines
-from sightline.photogrammetry.sightings import Images, Sightings, Tracks, as_index, sight_frames
-from sightline.photogrammetry.track_noise import with_drift
+from sightline.photogrammetry.sightings import Tracks
 from sightline.photogrammetry.wide_links import followed_or_linked
 
 SOLVED, ESTIMATED, INTERPOLATED = "solved", "estimated", "interpolated"
 #: Stages, in their order: `SequencePoses.seconds`, progress.
-FOLLOWED, CHOSEN, MODELLED = "750 displacement and yaw", "720 subset", "730/740 photogrammetry"
-SOLVED_ALL, COMPARED = "760 all poses", "730 stretches compared"
+FOLLOWED, CHOSEN, MODELLED = "frames followed", "subset chosen", "subset modelled"
+SOLVED_ALL, COMPARED = "all poses", "stretches compared"
 #: Called with a stage, how much of it is done, how much it is.
 Progress = Callable[[str, int, int], None]
 #: Good sightings from which on a frame's own image tells its pose.
 _ENOUGH = 6
-#: Rounds in which the noise of the sightings is taken from the residuals of the solution before.
-_NOISE_ROUNDS = 1
-#: Rounds in which the path within frames is taken from the solution before.
-_SHUTTER_ROUNDS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,7 +141,7 @@ def georeference_sequence(
     subset = run.stages.stage(
         "subset", Subset,
         lambda: choose_subset(
-            followed, problem.images.position, _distances(problem), problem.detector.shape,
+            followed, problem.images.position, ground_distances(problem), problem.detector.shape,
             overlap=problem.overlap, stride=stride,
         ),
     )  # fmt: skip
@@ -174,7 +173,7 @@ def _without_control(
         own = problem.control_tracks
         rows = slice(0, len(tracks) - (0 if own is None else len(own)))
         plain = Tracks(tracks.image[rows], tracks.point[rows], tracks.pixels[rows], tracks.sigma_px[rows])
-        return _Block(problem, followed).solve(plain, before)
+        return SequenceSolver(problem, followed).solve(plain, before)
 
     return solve
 
@@ -220,7 +219,7 @@ def _reach(problem: SequenceProblem) -> Array:
     corner = problem.detector.directions(np.array([[0.0, 0.0], [lines - 1.0, columns - 1.0]]))
     slant = float(np.max(np.linalg.norm(corner[:, :2], axis=1) / corner[:, 2]))
     loose = problem.known.position.max(axis=1)
-    return np.asarray(_distances(problem) * slant + 3.0 * loose)
+    return np.asarray(ground_distances(problem) * slant + 3.0 * loose)
 
 
 class _Run:
@@ -240,15 +239,6 @@ class _Run:
 
 def _nothing(stage: str, done: int, total: int) -> None:
     """Progress that nobody looks at."""
-
-
-@dataclass(frozen=True, eq=False)
-class _Adjusted:
-    """What an adjustment of all frames gave."""
-
-    poses: FramePoses
-    tracks: Tracks
-    words: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -321,22 +311,12 @@ def follow_sequence(
     )  # fmt: skip
 
 
-def _distances(problem: SequenceProblem) -> Array:
-    """m (M,) from each frame to the ground in its middle, by the rough poses."""
-    middle = 0.5 * (np.array([problem.detector.shape]) - 1.0)
-    axis = problem.images.world_from_body.apply(problem.mount.apply(problem.detector.directions(middle))[0])
-    ground = problem.surface.intersect(read_only(problem.images.position), read_only(axis))
-    far = np.linalg.norm(ground - problem.images.position, axis=1)
-    known = np.isfinite(far)
-    return np.where(known, far, np.median(far[known]) if known.any() else np.nan)
-
-
 def _all_poses(
     problem: SequenceProblem, followed: Followed, cross: bool, run: _Run
-) -> tuple[_Adjusted, Tracks]:
+) -> tuple[Adjusted, Tracks]:
     """All frames solved together (760), once more with what stretches share; all sightings."""
-    block = _Block(problem, followed)
-    found = run.stages.stage("poses", _Adjusted, lambda: _adjusted(block, run))
+    block = SequenceSolver(problem, followed)
+    found = run.stages.stage("poses", Adjusted, lambda: _adjusted(block, run))
     run.note(SOLVED_ALL)
     group = _linked(followed)
     if cross and len(np.unique(group[group >= 0])) > 1:
@@ -348,14 +328,14 @@ def _all_poses(
             before, words, tracks = found.poses, found.words, joined([found.tracks, moved])
             run.progress(SOLVED_ALL, 0, 1)
             found = run.stages.stage(
-                "poses-linked", _Adjusted, lambda: _Adjusted(block.solve(tracks, before), tracks, words)
+                "poses-linked", Adjusted, lambda: Adjusted(block.solve(tracks, before), tracks, words)
             )
             run.progress(SOLVED_ALL, 1, 1)
             run.note(SOLVED_ALL)
     return found, block.with_control(found.tracks)
 
 
-def _adjusted(block: _Block, run: _Run) -> _Adjusted:
+def _adjusted(block: SequenceSolver, run: _Run) -> Adjusted:
     """Frames of each stretch solved, a long flight in blocks."""
     if block.followed.wide:
         return block.approached()
@@ -369,17 +349,17 @@ def _adjusted(block: _Block, run: _Run) -> _Adjusted:
             block.problem, block.followed, block.part, heights,
             length=BLOCK_FRAMES, stages=run.stages, progress=report,
         )  # fmt: skip
-        return _Adjusted(poses, tracks)
+        return Adjusted(poses, tracks)
     rounds = block.rounds()
 
     def count(done: int) -> None:
         run.progress(SOLVED_ALL, done, rounds)
 
     solved = block.part(block.problem, block.followed, count)
-    return _Adjusted(solved.poses, solved.tracks)
+    return Adjusted(solved.poses, solved.tracks)
 
 
-def _compared(block: _Block, poses: FramePoses, group: NDArray[np.intp], run: _Run) -> _Shared:
+def _compared(block: SequenceSolver, poses: FramePoses, group: NDArray[np.intp], run: _Run) -> _Shared:
     """Stretches compared with each other."""
     p = block.problem
 
@@ -388,124 +368,10 @@ def _compared(block: _Block, poses: FramePoses, group: NDArray[np.intp], run: _R
 
     return _Shared(
         link_stretches(
-            p.sources, _estimated(p.images, poses), p.detector, p.mount, p.surface, group,
+            p.sources, estimated_images(p.images, poses), p.detector, p.mount, p.surface, group,
             block.cross_plan(poses), report,
         )
     )  # fmt: skip
-
-
-class _Block:
-    """The sightings of a problem, solved again and again."""
-
-    def __init__(self, problem: SequenceProblem, followed: Followed) -> None:
-        self.problem, self.followed = problem, followed
-        self.per_frame = float(max(np.median(followed.windows[followed.windows > 0]), 1.0))
-
-    def with_control(self, tracks: Tracks) -> Tracks:
-        """The same tracks and those of points of control, which are numbered after the others."""
-        own = self.problem.control_tracks
-        if own is None or self.problem.control is None:
-            return tracks
-        first = int(tracks.point.max()) + 1
-        return joined([tracks, Tracks(own.image, own.point + first, own.pixels, own.sigma_px)])
-
-    def _priors(self, tracks: Tracks) -> PointPriors | None:
-        """What is known of the points: a surface, points of control."""
-        p = self.problem
-        heights, control = self.heights(), None
-        if p.control is not None and p.control_tracks is not None:
-            first = int(tracks.point.max()) + 1
-            control = ControlPoints(
-                as_index(p.control.point + first, "point"), p.control.position, p.control.sigma
-            )
-        return None if heights is None and control is None else PointPriors(heights, control)
-
-    def heights(self) -> HeightPrior | None:
-        """What is known of the heights of all points."""
-        p = self.problem
-        if not p.height_sigma > 0.0:
-            return None
-        # a surface is wrong over a whole frame alike: all points in it together tell its height once
-        return HeightPrior(p.surface, p.height_sigma * np.sqrt(self.per_frame), p.radii)
-
-    def rounds(self) -> int:
-        """How many times a part is solved."""
-        return 1 + (_SHUTTER_ROUNDS if self.problem.readout_time != 0.0 else _NOISE_ROUNDS)
-
-    def part(
-        self, problem: SequenceProblem, followed: Followed, progress: Callable[[int], None] | None = None
-    ) -> PartSolution:
-        """Frames in a row solved, with the noise of their sightings and with the path within frames."""
-        own = copy(self)
-        own.problem, own.followed = problem, followed
-        tracks = Tracks(followed.image, followed.point, followed.pixels, followed.sigma_px)
-        poses = own.solve(tracks, None)
-        for number in range(1, self.rounds()):
-            if progress is not None:
-                progress(number)
-            if number <= _NOISE_ROUNDS:
-                good = ~poses.rejected[: len(tracks)]
-                tracks = with_drift(tracks, poses.residual_px[: len(tracks)], good)
-            poses = own.solve(tracks, poses)
-        if progress is not None:
-            progress(self.rounds())
-        sightings, priors, _ = own.equations(tracks, poses)
-        return PartSolution(tracks, sightings, priors, poses)
-
-    def approached(self) -> _Adjusted:
-        """Few frames far apart solved, in rounds in which sightings count for more and more."""
-        tracks = Tracks(*(getattr(self.followed, n) for n in ("image", "point", "pixels", "sigma_px")))
-        tracks, poses, words = approached(self.solve, tracks, max(self.problem.detector.shape))
-        for _ in range(0 if words else _NOISE_ROUNDS):
-            finer = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
-            try:
-                poses, tracks = self.solve(finer, poses), finer
-            except EstimationError:
-                words = ["the frames' geometry is weak: sightings count as good as their matches say of them"]
-        return _Adjusted(poses, tracks, tuple(words))
-
-    def solve(self, tracks: Tracks, before: FramePoses | None) -> FramePoses:
-        """Poses of all frames; `before` tells where points are, and how frames moved while read out."""
-        p = self.problem
-        sightings, priors, points = self.equations(tracks, before)
-        start = p.start if before is None else before
-        return adjust_frames(p.images, sightings, p.known, priors=priors, points=points, start=start)
-
-    def equations(
-        self, tracks: Tracks, before: FramePoses | None
-    ) -> tuple[Sightings, PointPriors | None, Array]:
-        """Sightings, what is known of points, and where they are (n, 3) m."""
-        p = self.problem
-        priors = self._priors(tracks)
-        tracks = self.with_control(tracks)
-        shutter = p.readout_time != 0.0
-        if shutter and before is None:
-            still = first_line_pixels(tracks, self.followed, p.t, p.readout_time, p.detector.shape)
-            tracks = Tracks(tracks.image, tracks.point, still, tracks.sigma_px)
-        sightings = sight_frames(p.images, [p.detector], [p.mount], tracks)
-        near = sightings if p.start is None else sight_frames(p.start, [p.detector], [p.mount], tracks)
-        points = _on_surface(near, p)
-        if before is not None:
-            known = len(before.points)
-            points[:known] = np.where(np.isfinite(before.points), before.points, points[:known])[
-                : len(points)
-            ]
-            if shutter:
-                delay = p.readout_time * tracks.pixels[:, 0] / (p.detector.shape[0] - 1.0)
-                sightings = sight_lines(sightings, p.images, _estimated(p.images, before), delay)
-        return sightings, priors, points
-
-    def cross_plan(self, poses: FramePoses) -> CrossPlan:
-        """How far to look for what stretches share."""
-        sigma = np.sqrt(np.einsum("kii->ki", poses.covariance))
-        found = np.isfinite(poses.points).all(axis=1)
-        heights = poses.points[found]
-        prior = HeightPrior(self.problem.surface, 1.0, self.problem.radii)
-        above = np.abs(prior.above(heights)[0])
-        far = float(np.median(_distances(self.problem)))
-        # biases of the tables are the same for all stretches, up to where the flight turns
-        loose = float(np.median(np.hypot(sigma[:, 3:].max(axis=1), sigma[:, :3].max(axis=1) / far)))
-        return CrossPlan(float(np.nanquantile(above, 0.99)), min(loose, 0.05))
 
 
 def poses_of_windows(problem: SequenceProblem, followed: Followed) -> tuple[FramePoses, Tracks]:
@@ -518,52 +384,6 @@ def poses_of_windows(problem: SequenceProblem, followed: Followed) -> tuple[Fram
     """
     found, tracks = _all_poses(problem, followed, False, _Run(_nothing, Stages()))
     return found.poses, tracks
-
-
-def first_line_pixels(
-    tracks: Tracks, followed: Followed, t: Array, readout_time: float, shape: tuple[int, int]
-) -> Array:
-    """Pixels (N, 2) where points would be if all lines were exposed with the first, by how frames move.
-
-    Relief apart, whose share of the motion within a frame is not known yet.
-    """
-    rate = np.zeros((len(t), 4))
-    weight = np.zeros(len(t))
-    for k in np.flatnonzero(followed.before >= 0):
-        each = followed.motion[k] / (t[k] - t[followed.before[k]])
-        for frame in (int(k), int(followed.before[k])):
-            rate[frame] += each
-            weight[frame] += 1.0
-    rate /= np.maximum(weight, 1.0)[:, None]
-    delay = readout_time * tracks.pixels[:, 0] / (shape[0] - 1.0)
-    moved = rate[tracks.image] * delay[:, None]
-    x = tracks.pixels - 0.5 * (np.array(shape) - 1.0)
-    turn, growth = moved[:, 2], moved[:, 3]
-    shift = moved[:, :2] + np.stack(
-        [growth * x[:, 0] - turn * x[:, 1], turn * x[:, 0] + growth * x[:, 1]], axis=1
-    )
-    return np.asarray(tracks.pixels - shift)
-
-
-def _on_surface(sightings: Sightings, problem: SequenceProblem) -> Array:
-    """Points (n, 3) m: where rough rays meet the surface, mean over sightings; NaN where they do not."""
-    rays = np.column_stack([sightings.tangents, np.ones(len(sightings))])
-    turned = np.einsum("nij,nj->ni", sightings.world_from_body[sightings.pose], problem.mount.apply(rays))
-    turned /= np.linalg.norm(turned, axis=1, keepdims=True)
-    met = problem.surface.intersect(read_only(sightings.position[sightings.pose]), read_only(turned))
-    good = np.isfinite(met).all(axis=1)
-    count = np.bincount(sightings.point, good, minlength=sightings.points)
-    sums = [
-        np.bincount(sightings.point, np.where(good, met[:, axis], 0.0), minlength=sightings.points)
-        for axis in range(3)
-    ]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        return np.stack(sums, axis=1) / count[:, None]
-
-
-def _estimated(images: Images, poses: FramePoses) -> Images:
-    """Images with the poses found."""
-    return replace(images, position=poses.position, world_from_body=poses.world_from_body)
 
 
 def _linked(followed: Followed) -> NDArray[np.intp]:
@@ -602,5 +422,8 @@ def _warnings(problem: SequenceProblem, poses: FramePoses, source: tuple[str, ..
     out = list(problem.warnings)
     idle = source.count(INTERPOLATED)
     if idle:
-        out.append(f"{idle} of {len(source)} frames are interpolated: their images tell nothing of them")
+        are = "frame is" if idle == 1 else "frames are"
+        out.append(
+            f"{idle} of {len(source)} {are} interpolated: their images are missing or tell nothing of them"
+        )
     return out + bow_warnings(problem, poses)

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -22,6 +25,15 @@ _SAID = {
 }  # fmt: skip
 
 
+class Method(StrEnum):
+    """How frames between those of the subset get their poses."""
+
+    ALL_FRAMES = "all-frames"
+    DISPLACEMENT = "displacement"
+    SLERP = "slerp"
+    SPLINE = "spline"
+
+
 def georeference(
     file: Annotated[Path, typer.Argument(metavar="SEQUENCE.toml", help="Frames and their rough poses.")],
     out: Out,
@@ -29,8 +41,15 @@ def georeference(
         int | None,
         typer.Option("--stride", min=1, help="Subset: every so many frames, in place of the overlap wanted."),
     ] = None,
+    method: Annotated[
+        Method,
+        typer.Option(
+            help="all-frames: every frame adjusted by its own image; for comparison, from the subset alone: "
+            "displacement (S4's displacement and yaw), slerp, spline."
+        ),
+    ] = Method.ALL_FRAMES,
     poses_only: Annotated[
-        bool, typer.Option("--poses-only", help="Make no maps of the bands, whatever [cube] says.")
+        bool, typer.Option("--poses-only", help="Make no maps of the bands, whatever the file asks for.")
     ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -41,6 +60,7 @@ def georeference(
     """
     import time
 
+    from sightline.applications.sequence_between import interpolate_between
     from sightline.applications.sequence_poses import georeference_sequence
     from sightline.applications.stages import Stages
     from sightline.cli.output import STAGES, check_output_folder, output_folder
@@ -50,12 +70,17 @@ def georeference(
     check_output_folder(out, overwrite=overwrite)
     begun = time.perf_counter()
     stages = Stages(out / STAGES, lambda text: complain("warning", text))
-    with progress() as report:
+    with stages_kept(out / STAGES), progress() as report:
         report(f"reading {file}")
         sequence = read_sequence(file)
         found = georeference_sequence(sequence.problem, stride=stride, progress=report, stages=stages)
+        if method is not Method.ALL_FRAMES:
+            report(f"frames between the subset's by {method.value}")
+            found = interpolate_between(sequence.problem, found, method.value)
         with output_folder(out, overwrite=overwrite) as folder:
-            summary = write_georeferenced(folder, sequence, found, report, begun, cube=not poses_only)
+            summary = write_georeferenced(
+                folder, sequence, found, report, begun, method=method, cube=not poses_only
+            )
     stages.remove()
     if as_json:
         print_json(summary)
@@ -66,8 +91,28 @@ def georeference(
     say(f"{out / 'poses.csv'}, {out / 'report.html'}")
 
 
+@contextmanager
+def stages_kept(folder: Path) -> Iterator[None]:
+    """On an interruption, say where the finished stages are."""
+    from sightline.cli.terminal import complain
+
+    try:
+        yield
+    except KeyboardInterrupt:
+        if folder.is_dir():
+            complain("note", f"finished stages are kept in {folder}; the same command goes on from them")
+        raise
+
+
 def write_georeferenced(
-    folder: Path, sequence: FrameSequence, found: SequencePoses, report: Progress, begun: float, *, cube: bool
+    folder: Path,
+    sequence: FrameSequence,
+    found: SequencePoses,
+    report: Progress,
+    begun: float,
+    *,
+    method: Method,
+    cube: bool,
 ) -> dict[str, Any]:
     """Every file of the result; gives the summary."""
     import time
@@ -77,11 +122,11 @@ def write_georeferenced(
     from sightline.report.sequence_cube import cube_view
     from sightline.report.sequence_page import write_sequence_report
 
-    more: dict[str, Any] = {"cube": None}
+    more: dict[str, Any] = {"method": method.value, "cube": None}
     view = None
     if cube and sequence.cube.make:
         made, files = write_cube(folder, sequence, found, progress=report, tell=report)
-        more, view = {"cube": cube_summary(made, files)}, cube_view(made)
+        more["cube"], view = cube_summary(made, files), cube_view(made)
     report("writing")
     seconds = time.perf_counter() - begun
     summary = write_sequence_result(folder, sequence, found, wall_seconds=seconds, **more)
@@ -122,13 +167,26 @@ def tell_cube(cube: dict[str, Any]) -> None:
     rows, columns = cube["shape"]
     bands = cube["bands"]
     covered = min(band["coverage"] for band in bands)
-    said = f"{len(bands)} bands of {rows} x {columns} pixels of {cube['gsd']:.3g} m, {100.0 * covered:.1f} %"
-    say(f"{said} or more of what every band could see")
+    said = f"{len(bands)} bands of {rows} rows x {columns} columns of {cube['gsd']:.3g} m"
+    share = f"at least {100.0 * covered:.1f} % of the ground that every band could see has a value"
+    say(f"{said}; {share}" if math.isfinite(covered) else said)
     misfit = [pair["rms_px"] for pair in cube["pairs"] if math.isfinite(pair["rms_px"])]
     if misfit:
         say(
-            f"bands lie on each other to {min(misfit):.2g} to {max(misfit):.2g} px rms ({len(misfit)} pairs "
-            "matched)"
+            f"bands lie on each other to {min(misfit):.2g} to {max(misfit):.2g} px rms in those "
+            f"{len(misfit)} of {len(cube['pairs'])} pairs that look alike enough to be compared, up to "
+            f"{_farthest(cube):.0f} nm apart"
         )
     for warning in cube["warnings"]:
         say(warning)
+
+
+def _farthest(cube: dict[str, Any]) -> float:
+    """nm between the bands farthest apart that could be compared; 0 where they have no wavelengths."""
+    nm = [band["wavelength_nm"] for band in cube["bands"]]
+    apart = [
+        abs(nm[pair["bands"][0]] - nm[pair["bands"][1]])
+        for pair in cube["pairs"]
+        if math.isfinite(pair["rms_px"])
+    ]
+    return max((d for d in apart if math.isfinite(d)), default=0.0)

@@ -96,7 +96,7 @@ def run(words: list[str], *, debug: bool = False) -> int:
         _say_usage(error)
         return WRONG_INPUT
     except (typer.Abort, KeyboardInterrupt):
-        complain("error", "interrupted; nothing was written")
+        complain("error", "interrupted; no result was written")
         return INTERRUPTED
     except Exception as error:
         if debug:

@@ -35,7 +35,7 @@ Overwrite = Annotated[
     bool,
     typer.Option(
         "--overwrite",
-        help="Replace files of the same names in DIR; `recover` removes all of an earlier result.",
+        help="Replace files of the same names in DIR (of `recover`: all of an earlier result).",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON on stdout.")]

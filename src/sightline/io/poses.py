@@ -201,9 +201,15 @@ def in_table_axes(
     world_from_body: Rotation,
     covariance: Array,
 ) -> tuple[Array, Rotation, Array]:
-    """Poses and their covariance (M, 6, 6) from the axes of computation to those of ``poses.csv``."""
+    """Poses and their covariance (M, 6, 6) from the axes of computation to those of ``poses.csv``.
+
+    A covariance that is not known (inf on its diagonal, NaN beside it) stays as it is.
+    """
     origin, axes = pose_axes(world, radii)
     turn = np.eye(6)
     turn[:3, :3] = axes.as_matrix().T
     moved = np.asarray(axes.inv().apply(position - origin))
-    return moved, axes.inv() * world_from_body, np.einsum("ij,mjk,lk->mil", turn, covariance, turn)
+    known = np.isfinite(covariance).all(axis=(1, 2))
+    turned = np.array(covariance)
+    turned[known] = np.einsum("ij,mjk,lk->mil", turn, covariance[known], turn)
+    return moved, axes.inv() * world_from_body, turned

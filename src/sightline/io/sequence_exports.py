@@ -213,7 +213,9 @@ def _write_places(
         return
     geodetic = to_geodetic(poses.position, radii)
     axes = local_axes(geodetic[:, 0], geodetic[:, 1]).as_matrix()
-    variance = np.einsum("mji,mjk,mki->mi", axes, poses.covariance[:, :3, :3], axes)
+    known = np.isfinite(poses.covariance).all(axis=(1, 2))
+    variance = np.full((len(problem), 3), np.inf)
+    variance[known] = np.einsum("mji,mjk,mki->mi", axes[known], poses.covariance[known, :3, :3], axes[known])
     horizontal = np.sqrt(variance[:, :2].mean(axis=1))
     lonlat = np.column_stack([np.degrees(geodetic[:, :2]), geodetic[:, 2]])
     write_geo(folder / "geo.txt", names, lonlat, np.column_stack([horizontal, np.sqrt(variance[:, 2])]))

@@ -34,9 +34,9 @@ from sightline.photogrammetry.triangulate import triangulate
 
 #: Steps end when the next would lower the cost by less (chi-square units): a millionth of a sigma.
 CONVERGED = 1e-10
-#: The same where steps have become many: a tenth of a sigma, in the weakest direction, along which a curved
-#: valley is followed slowly.
-NEAR = 1e-2
+#: The same where steps have become many: a third of a sigma in one direction, along which a curved valley is
+#: followed slowly, such as the depth of one point that is hardly told and ill seen.
+NEAR = 0.1
 #: Largest number of steps for one set of weights, and of those with fresh normal equations; of such sets.
 STEPS, FRESH, ROUNDS = 100, 50, 12
 #: Chance that one good sighting or more of a whole block is called a gross error.

@@ -55,6 +55,25 @@ def relief_spread(place: Array, height: Array, influence: Array) -> Array:
     return np.asarray(variance * (influence.T @ np.exp(-apart / (2.0 * length**2)) @ influence))
 
 
+def points_alike(place: Array, area: float) -> float:
+    """How many points have one error of height between them, as to their mean.
+
+    Parameters
+    ----------
+    place : (n, 2)
+        m, on the ground.
+    area : float
+        m^2 over which heights go together: the integral of their correlation, exp(-d^2 / (2 l^2)).
+    """
+    count = len(place)
+    place = place[:: -(-count // _SAMPLE)]
+    if len(place) < 2:
+        return 1.0
+    apart = ((place[:, None] - place) ** 2).sum(axis=-1)
+    others = np.exp(-apart * (np.pi / area)).sum() - len(place)
+    return float(1.0 + (count - 1) * others / (len(place) * (len(place) - 1)))
+
+
 def correlation_length(place: Array, height: Array) -> float:
     """Length l (m) over which heights (n,) at places (n, 2) go together as exp(-d^2 / (2 l^2)); may be 0."""
     step = -(-len(place) // _SAMPLE)

@@ -60,6 +60,10 @@ class CubeView(ReadOnlyArrays):
         What the comparison itself errs by, as far as it is known.
     notes : tuple of str
         What else to say.
+    map_shape : (int, int) or None
+        Rows and columns of the maps, of which `after` is a picture; None: those of `after`.
+    gsd : float
+        m, side of a pixel of the maps; 0: that of `after`.
     """
 
     wavelength_nm: Array
@@ -74,6 +78,8 @@ class CubeView(ReadOnlyArrays):
     pair_before_px: Array | None = None
     pair_noise_px: Array | None = None
     notes: tuple[str, ...] = ()
+    map_shape: tuple[int, int] | None = None
+    gsd: float = 0.0
 
     def __post_init__(self) -> None:
         """Check shapes."""
@@ -102,8 +108,15 @@ def cube_view(cube: CubeSummary) -> CubeView | None:
         pair_nm=np.abs(first - second),
         pair_rms_px=cube.pair_rms_px[known],
         pair_noise_px=cube.pair_noise_px[known],
-        notes=(cube.surface, *cube.warnings),
+        notes=tuple(_sentence(text) for text in (f"heights: {cube.surface}", *cube.warnings)),
+        map_shape=cube.grid.shape,
+        gsd=cube.grid.gsd,
     )
+
+
+def _sentence(text: str) -> str:
+    """A note as a sentence."""
+    return text[:1].upper() + text[1:].rstrip(".") + "."
 
 
 def _picture(coded: NDArray[np.uint8]) -> Array:
@@ -277,7 +290,7 @@ def coverage_figure(cube: CubeView) -> go.Figure:
         line={"color": AFTER, "width": 1}, marker={"size": 6},
         hovertemplate="%{x:.1f} nm: %{y:.2f} %<extra></extra>",
     )  # fmt: skip
-    low = float(np.floor(100.0 * cube.coverage.min() - 0.5))
+    low = float(np.floor(100.0 * np.nanmin(cube.coverage, initial=1.0) - 0.5))
     low = low if low > 80.0 else 0.0
     figure.update_yaxes(title_text="ground with a value (%)", range=[low, 100.0 + 0.03 * (100.0 - low)])
     figure.update_xaxes(title_text="wavelength (nm)")
@@ -286,18 +299,25 @@ def coverage_figure(cube: CubeView) -> go.Figure:
 
 def cube_sentences(cube: CubeView) -> list[str]:
     """The cube in plain words."""
-    rows, columns = cube.after.shape[:2]
-    out = [
+    rows, columns = cube.map_shape or cube.after.shape[:2]
+    size = (
         f"The cube has {len(cube.wavelength_nm)} bands from {cube.wavelength_nm.min():.0f} to "
-        f"{cube.wavelength_nm.max():.0f} nm of {rows:,} × {columns:,} pixels of "
-        f"{digits(cube.pixel_size, 3)} m; a band has a value on {100.0 * cube.coverage.min():.1f} to "
-        f"{100.0 * cube.coverage.max():.1f} % of the ground it could see."
-    ]
+        f"{cube.wavelength_nm.max():.0f} nm of {rows:,} rows × {columns:,} columns, "
+        f"{digits(cube.gsd or cube.pixel_size, 3)} m a pixel"
+    )
+    if np.isfinite(cube.coverage).all():
+        out = [
+            f"{size}; a band has a value on {100.0 * cube.coverage.min():.1f} to "
+            f"{100.0 * cube.coverage.max():.1f} % of the ground that every band could see."
+        ]
+    else:
+        out = [f"{size}."]
     if len(cube.pair_rms_px):
         rms = float(np.sqrt(np.mean(cube.pair_rms_px**2)))
         far = cube.pair_nm >= np.quantile(cube.pair_nm, 0.75)
         said = (
-            f"Bands lie within {digits(rms, 2)} px rms of each other over {len(cube.pair_rms_px):,} pairs; "
+            f"Bands lie within {digits(rms, 2)} px rms of each other over the {len(cube.pair_rms_px):,} pairs "
+            f"that look alike enough to be compared, up to {cube.pair_nm.max():.0f} nm apart; "
             f"the quarter of the pairs farthest apart (from {cube.pair_nm[far].min():.0f} nm on) within "
             f"{digits(float(np.sqrt(np.mean(cube.pair_rms_px[far] ** 2))), 2)} px"
         )

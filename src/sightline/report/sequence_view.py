@@ -260,8 +260,11 @@ def _residuals(found: SequencePoses, count: int) -> tuple[Array, Array, NDArray[
     image = tracks.image[~rejected]
     number = np.bincount(image, minlength=count)
     sigma = np.array(tracks.sigma_px)
-    # windows followed come first; the noise of the solution has their drift in it
-    sigma[: len(found.followed.sigma_px)] = found.followed.sigma_px
+    own = found.followed
+    first = slice(0, len(own.sigma_px))
+    # windows followed come first where all of them count; the noise of the solution has their drift in it
+    if np.array_equal(tracks.image[first], own.image) and np.array_equal(tracks.point[first], own.point):
+        sigma[first] = own.sigma_px
     sums = [
         np.bincount(image, square[~rejected], minlength=count)
         for square in (0.5 * (found.poses.residual_px**2).sum(axis=1), sigma**2)

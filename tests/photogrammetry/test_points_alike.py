@@ -1,0 +1,27 @@
+"""How many points share one error of a surface: against means of drawn surfaces."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sightline.photogrammetry.relief import points_alike
+
+
+@pytest.mark.parametrize("length", [30.0, 300.0])
+def test_the_mean_of_a_drawn_surface_varies_by_that_many(length):
+    rng = np.random.default_rng(0)
+    area, count, draws = 900.0, 200, 1500
+    place = np.column_stack([rng.uniform(0.0, length, count), rng.uniform(0.0, 30.0, count)])
+    # heights as sums of waves: exp(-d^2 / (2 l^2)) has waves of normal numbers over l, 2 pi l^2 = area
+    wave = rng.standard_normal((draws, 30, 2)) * np.sqrt(2.0 * np.pi / area)
+    phase = rng.uniform(0.0, 2.0 * np.pi, (draws, 30, 1))
+    height = np.sqrt(2.0 / 30) * np.cos(wave @ place.T + phase).sum(axis=1)
+    # a variance from 1500 draws, to 3.7 per cent
+    assert points_alike(place, area) == pytest.approx(count * (height.mean(axis=1) ** 2).mean(), rel=0.13)
+
+
+def test_points_far_apart_stand_alone():
+    assert points_alike(np.array([[0.0, 0.0], [1e6, 0.0], [0.0, 1e6]]), 900.0) == pytest.approx(1.0)
+    assert points_alike(np.zeros((1, 2)), 900.0) == 1.0
+    assert points_alike(np.zeros((5000, 2)), 900.0) == pytest.approx(5000.0)
