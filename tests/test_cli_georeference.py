@@ -124,3 +124,44 @@ def test_a_wrong_file_is_one_clear_error(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "nowhere.csv" in said and "Traceback" not in said
     assert not (tmp_path / "out").exists()
+
+
+def test_a_run_that_was_stopped_goes_on_with_resume(flight, done, tmp_path, capsys, monkeypatch):
+    from sightline.applications import sequence_solver
+
+    file, out = str(flight / "sequence.toml"), tmp_path / "out"
+
+    def stopped(*_, **__):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(sequence_solver, "adjust_frames", stopped)
+        assert run(["georeference", file, "--out", str(out)]) == 130
+    said = capsys.readouterr().err
+    assert "--resume" in said and "no result was written" in said
+    assert [entry.name for entry in out.iterdir()] == [".partial"]
+    assert run(["georeference", file, "--out", str(out)]) == 2
+    assert "--resume to go on" in capsys.readouterr().err
+
+    def again(*_, **__):
+        raise AssertionError("windows have been followed before")
+
+    monkeypatch.setattr("sightline.applications.sequence_poses.follow_sequence", again)
+    assert run(["georeference", file, "--out", str(out), "--resume"]) == 0
+    assert (out / "poses.csv").read_bytes() == (done / "poses.csv").read_bytes()
+    assert not (out / ".partial").exists()
+
+
+@pytest.mark.parametrize("method", ["displacement", "slerp"])
+def test_the_ways_of_the_document_stand_beside(flight, tmp_path, method, capsys):
+    out = tmp_path / "out"
+    words = ["--method", method, "--poses-only"]
+    assert run(["georeference", str(flight / "sequence.toml"), "--out", str(out), *words]) == 0
+    assert "no covariance" in capsys.readouterr().err
+    table, truth = read_pose_table(out / "poses.csv"), read_pose_truth(flight / "poses-truth.csv")
+    solved = np.array([word == "solved" for word in table.source])
+    assert 2 <= solved.sum() < 24
+    assert np.isfinite(table.sigma[solved]).all() and np.isinf(table.sigma[~solved]).all()
+    off = (truth.world_from_body.inv() * table.world_from_body).as_rotvec()
+    # biases of a degree per axis are common to all; slerp leaves a third of a degree more
+    assert np.degrees(np.abs(off - off.mean(axis=0))).max() < 3.0

@@ -426,4 +426,11 @@ def _warnings(problem: SequenceProblem, poses: FramePoses, source: tuple[str, ..
         out.append(
             f"{idle} of {len(source)} {are} interpolated: their images are missing or tell nothing of them"
         )
+    if problem.focal_length_sigma_px > 0.0:
+        loose = problem.focal_length_sigma_px / problem.detector.focal_length_px
+        told = f"to {100.0 * loose:.2g} %" if np.isfinite(loose) else "hardly"
+        out.append(
+            f"the focal length is known {told} and not refined; what that moves poses by, heights above "
+            "ground first of all, is not in their sigmas"
+        )
     return out + bow_warnings(problem, poses)

@@ -51,26 +51,28 @@ def georeference(
     poses_only: Annotated[
         bool, typer.Option("--poses-only", help="Make no maps of the bands, whatever the file asks for.")
     ] = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on from the finished stages of a run that was stopped.")
+    ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
-    """Find the pose of every frame of a sequence, with covariance, and lay all bands on a map.
-
-    A run that was stopped goes on where it stood when the same command is given again.
-    """
+    """Find the pose of every frame of a sequence, with covariance, and lay all bands on a map."""
     import time
 
     from sightline.applications.sequence_between import interpolate_between
     from sightline.applications.sequence_poses import georeference_sequence
     from sightline.applications.stages import Stages
-    from sightline.cli.output import STAGES, check_output_folder, output_folder
+    from sightline.cli.output import check_output_folder, output_folder, remove_stages, stages_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.io.sequence import read_sequence
 
-    check_output_folder(out, overwrite=overwrite)
+    check_output_folder(out, overwrite=overwrite, resume=resume)
     begun = time.perf_counter()
-    stages = Stages(out / STAGES, lambda text: complain("warning", text))
-    with stages_kept(out / STAGES), progress() as report:
+    if not resume:
+        remove_stages(out)
+    stages = Stages(stages_folder(out), lambda text: complain("warning", text))
+    with stages_kept(stages_folder(out)), progress() as report:
         report(f"reading {file}")
         sequence = read_sequence(file)
         found = georeference_sequence(sequence.problem, stride=stride, progress=report, stages=stages)
@@ -81,7 +83,7 @@ def georeference(
             summary = write_georeferenced(
                 folder, sequence, found, report, begun, method=method, cube=not poses_only
             )
-    stages.remove()
+    remove_stages(out)
     if as_json:
         print_json(summary)
         return
@@ -100,7 +102,7 @@ def stages_kept(folder: Path) -> Iterator[None]:
         yield
     except KeyboardInterrupt:
         if folder.is_dir():
-            complain("note", f"finished stages are kept in {folder}; the same command goes on from them")
+            complain("note", f"finished stages are kept in {folder}; the same command with --resume goes on")
         raise
 
 
@@ -166,9 +168,9 @@ def tell_cube(cube: dict[str, Any]) -> None:
 
     rows, columns = cube["shape"]
     bands = cube["bands"]
-    covered = min(band["coverage"] for band in bands)
+    covered = min(band["passed"] for band in bands)
     said = f"{len(bands)} bands of {rows} rows x {columns} columns of {cube['gsd']:.3g} m"
-    share = f"at least {100.0 * covered:.1f} % of the ground that every band could see has a value"
+    share = f"a band covers at least {100.0 * covered:.1f} % of what lines of every band passed"
     say(f"{said}; {share}" if math.isfinite(covered) else said)
     misfit = [pair["rms_px"] for pair in cube["pairs"] if math.isfinite(pair["rms_px"])]
     if misfit:

@@ -14,8 +14,8 @@ from pathlib import Path
 from sightline.errors import InputError
 
 PARTIAL = ".partial"
-#: Finished stages of a long run, kept until it has ended well.
-STAGES = ".stages"
+#: In it: finished stages of a long run, kept until it has ended well.
+STAGES = "stages"
 
 
 @contextmanager
@@ -45,28 +45,47 @@ def output_folder(folder: Path, *, overwrite: bool = False) -> Iterator[Path]:
     try:
         yield staging
         for made in sorted(staging.iterdir()):
-            _replace(made, folder / made.name)
+            if made.name != STAGES:
+                _replace(made, folder / made.name)
     finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        _clear(staging)
         if not existed and not any(folder.iterdir()):
             folder.rmdir()
 
 
-def check_output_folder(folder: Path, *, overwrite: bool = False) -> None:
+def check_output_folder(folder: Path, *, overwrite: bool = False, resume: bool = True) -> None:
     """Refuse a folder that `output_folder` would refuse, without touching it.
 
-    For commands that work long before they write: a wrong ``--out`` is said at once.
+    For commands that work long before they write: a wrong ``--out`` is said at once. Finished stages of a run
+    that was stopped are refused too, unless they are to be gone on from (`resume`) or replaced.
     """
     if folder.exists() and not folder.is_dir():
         raise InputError(f"the output folder is a file: {folder}; give a folder with --out")
     if folder.is_dir() and not overwrite:
-        held = sorted(entry.name for entry in folder.iterdir() if entry.name not in (PARTIAL, STAGES))
+        held = sorted(entry.name for entry in folder.iterdir() if entry.name != PARTIAL)
         if held:
             shown = ", ".join(held[:3]) + (", ..." if len(held) > 3 else "")
             raise InputError(
                 f"the output folder is not empty: {folder} holds {shown}; an empty or new folder is allowed; "
                 "add --overwrite to replace files of the same names, or give another --out"
             )
+    if not (overwrite or resume) and stages_folder(folder).is_dir():
+        raise InputError(
+            f"the output folder {folder} holds finished stages of a run that was stopped; add --resume to go "
+            "on from them, --overwrite to begin anew, or give another --out"
+        )
+
+
+def stages_folder(folder: Path) -> Path:
+    """Where finished stages of a run into `folder` wait."""
+    return folder / PARTIAL / STAGES
+
+
+def remove_stages(folder: Path) -> None:
+    """Remove the finished stages of a run into `folder`, and `folder` if it holds nothing else."""
+    shutil.rmtree(folder / PARTIAL, ignore_errors=True)
+    if folder.is_dir() and not any(folder.iterdir()):
+        folder.rmdir()
 
 
 def remove_earlier(folder: Path, names: Iterable[str], keep: Iterable[Path]) -> None:
@@ -88,14 +107,28 @@ def remove_earlier(folder: Path, names: Iterable[str], keep: Iterable[Path]) -> 
             path.unlink()
 
 
+def _clear(staging: Path) -> None:
+    """Remove what a run has left there, but for finished stages."""
+    if not staging.is_dir():
+        return
+    for entry in staging.iterdir():
+        if entry.name == STAGES:
+            continue
+        if entry.is_dir() and not entry.is_symlink():
+            shutil.rmtree(entry, ignore_errors=True)
+        else:
+            entry.unlink(missing_ok=True)
+    if not any(staging.iterdir()):
+        staging.rmdir()
+
+
 def _prepare(folder: Path, overwrite: bool) -> Path:
     check_output_folder(folder, overwrite=overwrite)
     staging = folder / PARTIAL
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        if staging.exists():
-            shutil.rmtree(staging)
-        staging.mkdir()
+        _clear(staging)
+        staging.mkdir(exist_ok=True)
     except OSError as error:
         raise InputError(
             f"cannot write into the output folder: {folder} ({error.strerror}); give a folder you may write "

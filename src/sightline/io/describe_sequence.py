@@ -52,7 +52,11 @@ def _understood(sequence: FrameSequence) -> list[str]:
         f"{sequence.name}: {len(problem)} frames of {lines} lines x {columns} columns over "
         f"{np.ptp(problem.t):.6g} s, {int(problem.usable.sum())} of them usable",
         f"focal length {problem.detector.focal_length_px:.6g} px"
-        + (", to be refined" if problem.focal_length_sigma_px > 0.0 else ", kept"),
+        + (
+            ", taken as it is: georeference does not refine it"
+            if problem.focal_length_sigma_px > 0.0
+            else ", as told"
+        ),
         _filter_words(problem),
         f"by the rough poses a frame covers {length:.4g} m along its lines; a subset of "
         f"{problem.overlap:.0%} overlap "

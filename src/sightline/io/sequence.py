@@ -198,7 +198,7 @@ def _focal_length(
     for exif in frames.exif:
         if exif is not None and exif.focal_35mm is not None:
             focal = exif.focal_35mm / _FILM_DIAGONAL * float(np.hypot(*shape))
-            words = f"focal length by EXIF: {focal:.4g} px +- {100 * _FILM_SIGMA:.0f} %, to be refined"
+            words = f"focal length by EXIF: {focal:.4g} px +- {100 * _FILM_SIGMA:.0f} %, taken as it is"
             return focal, sigma or _FILM_SIGMA * focal, (words,)
     raise FormatError(
         f"{files.toml}: key 'camera.focal_length_px' is missing, and no photograph tells it; add it "

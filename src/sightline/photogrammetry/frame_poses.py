@@ -347,7 +347,11 @@ def adjust_frames(
         moved = np.concatenate([turned.as_rotvec(), moved[:, 3:] + step[:, 3:]], axis=1)
         path = path_turns(moved_images(images, moved), stretches(images.t))
         seen = _count(sightings, fit.weight, images)
-        rough = path_roughness(images.t, path, seen) if roughness is None else np.asarray(roughness)
+        if roughness is not None:
+            rough = np.asarray(roughness)
+        elif solved is None:
+            rough = path_roughness(images.t, path, seen)
+        # otherwise that of before: measured on a path that it has smoothed it would shrink every time
         unknowns = frame_unknowns(images, known, rough, rank, moved)
         before, block = block, Block(from_poses(block.sightings, step), unknowns, priors)
         held = held_at(unknowns, fit.state.common)
@@ -406,7 +410,8 @@ def path_roughness(t: Array, path: Array, seen: Array) -> Array:
     The bend over two steps of h has the variance 2 h / 3 times the roughness where acceleration is white. A
     flight's is not: it sways for seconds. By bends of neighbours alone the path would be taken to be far
     straighter than it is; the largest roughness of all steps holds for each. Over gaps longer than the
-    steps that were seen, bends may go on in one sense.
+    steps that were seen, bends may go on in one sense. That of turns is one for all axes: what smoothness
+    says must not depend on how the axes of the body lie.
     """
     stretch, good = stretches(t), seen >= 4.0
     out = np.zeros(6)
@@ -422,6 +427,7 @@ def path_roughness(t: Array, path: Array, seen: Array) -> Array:
         if len(used):
             out, longest = np.maximum(out, used.mean(axis=0)), step
         step *= 2
+    out[:3] = out[:3].max()
     return np.maximum(out, 1e-12 * _UNITS**2) * max(_longest_gap(good) / longest, 1.0)
 
 

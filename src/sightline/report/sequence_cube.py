@@ -39,7 +39,7 @@ class CubeView(ReadOnlyArrays):
     ----------
     wavelength_nm : (B,)
     coverage : (B,)
-        Share of the ground that each band could see for which it has a value.
+        Share of the ground that lines of every band passed over for which each has a value.
     after : (rows, columns, 3)
         Bands shown in red, green, blue by the poses found; NaN where there is no value.
     rgb_nm : (3,)
@@ -99,7 +99,7 @@ def cube_view(cube: CubeSummary) -> CubeView | None:
     first, second = cube.wavelength_nm[cube.pairs[known].T.reshape(2, -1)]
     return CubeView(
         cube.wavelength_nm,
-        cube.coverage,
+        cube.passed,
         _picture(cube.after),
         cube.wavelength_nm[cube.rgb],
         cube.grid.gsd * cube.grid.shape[1] / cube.after.shape[1],
@@ -308,7 +308,7 @@ def cube_sentences(cube: CubeView) -> list[str]:
     if np.isfinite(cube.coverage).all():
         out = [
             f"{size}; a band has a value on {100.0 * cube.coverage.min():.1f} to "
-            f"{100.0 * cube.coverage.max():.1f} % of the ground that every band could see."
+            f"{100.0 * cube.coverage.max():.1f} % of the ground that lines of every band passed over."
         ]
     else:
         out = [f"{size}."]
@@ -316,8 +316,8 @@ def cube_sentences(cube: CubeView) -> list[str]:
         rms = float(np.sqrt(np.mean(cube.pair_rms_px**2)))
         far = cube.pair_nm >= np.quantile(cube.pair_nm, 0.75)
         said = (
-            f"Bands lie within {digits(rms, 2)} px rms of each other over the {len(cube.pair_rms_px):,} pairs "
-            f"that look alike enough to be compared, up to {cube.pair_nm.max():.0f} nm apart; "
+            f"Bands lie within {digits(rms, 2)} px rms of each other over the {len(cube.pair_rms_px):,} "
+            f"pairs that look alike enough to be compared, up to {cube.pair_nm.max():.0f} nm apart; "
             f"the quarter of the pairs farthest apart (from {cube.pair_nm[far].min():.0f} nm on) within "
             f"{digits(float(np.sqrt(np.mean(cube.pair_rms_px[far] ** 2))), 2)} px"
         )
