@@ -140,8 +140,9 @@ def test_axes_of_the_world_give_the_same_geometry(tmp_path):
         local.images.position, place + level.apply([[0, 5.0 * k, 100] for k in range(6)])
     )
     assert local.radii is not None
-    # sigmas turn with the axes: their squares keep their sum
-    np.testing.assert_allclose((local.known.position**2).sum(axis=1), 1.0 + 1.5**2 + 2.0**2)
+    # sigmas stay along east, north, up of the origin
+    np.testing.assert_allclose(local.known.position, np.tile([1.0, 1.5, 2.0], (6, 1)))
+    np.testing.assert_allclose(local.known.axes, np.tile(level.as_matrix(), (6, 1, 1)))
 
     fixed = flight()
     fixed.toml = fixed.toml.replace('"local"', '"earth-fixed"').replace("height = 0.0", "height = 500.0")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -130,6 +132,40 @@ def test_what_nothing_tells_stays_as_it_was_however_sharp_the_images():
     found = Flight(2, step=0.01, sigma_px=1e-3, life=3).solve()
     assert np.sqrt(np.diag(found.bias_covariance)[:2]) == pytest.approx(1.0, rel=1e-3)
     assert np.isfinite(found.covariance).all()
+
+
+def test_sigmas_along_other_axes_say_the_same_in_a_turned_world():
+    flight = Flight(4, count=12)
+    known = RoughPoses(np.tile([0.05, 0.05, 5.0], (12, 1)), flight.known.attitude, 0.0, 0.01)
+    turn = Rotation.from_rotvec([0.4, -0.8, 0.3])
+    detector = AreaDetector("frame", SHAPE, FOCAL, ((SHAPE[0] - 1) / 2.0, (SHAPE[1] - 1) / 2.0))
+
+    def solved(images, known):
+        sightings = sight_frames(images, [detector], [NADIR_MOUNT], flight.tracks)
+        return adjust_frames(images, sightings, known, roughness=np.full(6, 1.0))
+
+    plain = solved(flight.images, known)
+    turned = solved(
+        replace(
+            flight.images, position=turn.apply(np.array(flight.images.position)),
+            world_from_body=turn * flight.images.world_from_body,
+        ),
+        replace(known, axes=np.tile(turn.as_matrix(), (12, 1, 1))),
+    )  # fmt: skip
+    back = turn.inv().apply(np.array(turned.position)) - plain.position
+    sigma = np.sqrt(np.einsum("kii->ki", plain.covariance))
+    # steps end a thousandth of a sigma from each other
+    assert (np.abs(back) < 0.01 * sigma[:, :3]).all()
+    whole = np.eye(6)
+    whole[:3, :3] = turn.inv().as_matrix()
+    again = np.sqrt(np.einsum("ij,kjl,il->ki", whole, turned.covariance, whole))
+    np.testing.assert_allclose(again, sigma, rtol=1e-3)
+    # level sigmas of a hundredth of the upright one are kept
+    assert sigma[:, :2].max() < 0.06 and sigma[:, 2].min() > 0.5
+    np.testing.assert_allclose(
+        replace(known, axes=np.tile(turn.as_matrix(), (12, 1, 1))).along_world()[0],
+        np.sqrt(np.diag(turn.as_matrix() @ np.diag([0.05**2, 0.05**2, 25.0]) @ turn.as_matrix().T)),
+    )
 
 
 def test_frames_that_nobody_sees_are_bridged_with_honest_sigmas():

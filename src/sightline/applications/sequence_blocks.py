@@ -27,7 +27,7 @@ from sightline.photogrammetry.frame_blocks import (
     block_ranges,
     join_blocks,
 )
-from sightline.photogrammetry.frame_poses import FramePoses, RoughPoses
+from sightline.photogrammetry.frame_poses import FramePoses
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.sightings import Index, Sightings, Tracks, as_index
 
@@ -245,16 +245,13 @@ def _part(problem: SequenceProblem, followed: Followed, spans: _Spans, place: Bl
         followed.reason[chosen],
     )
     control, tracks, control_rows, control_names = _control_in(problem, place)
-    known = problem.known
     small = replace(
         problem,
         frames=problem.frames[chosen],
         t=problem.t[chosen],
         sources=problem.sources[chosen],
         images=images_of(problem.images, frames.tolist()),
-        known=RoughPoses(
-            known.position[chosen], known.attitude[chosen], known.position_bias, known.attitude_bias
-        ),
+        known=problem.known.some(chosen),
         excluded=problem.excluded[chosen],
         channels=problem.channels[chosen] if problem.channels else (),
         control=control,

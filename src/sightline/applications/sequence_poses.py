@@ -189,7 +189,7 @@ def _with_model(
         lambda: reconstruct(
             p.sources, subset.frames,
             filter_pairs(subset.frames, followed, p.detector, images.position, _reach(problem)),
-            p.detector, p.mount, images.position, p.known.position, p.radii,
+            p.detector, p.mount, images.position, p.known.along_world(), p.radii,
         ),
     )  # fmt: skip
     run.progress(MODELLED, 1, 1)

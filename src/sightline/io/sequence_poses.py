@@ -64,12 +64,15 @@ class Told:
         s.
     values : (n, k)
     sigma : (n, 3)
+    axes : (n, 3, 3) or None
+        Axes of computation from those the sigmas are along; None: the same.
     """
 
     frame: Index
     t: Array
     values: Array
     sigma: Array
+    axes: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +132,13 @@ def starting_poses(
     order = np.arange(count)
     return StartingPoses(
         Images(np.zeros(count, dtype=np.intp), order, frames.t, position, attitude),
-        RoughPoses(position_sigma, attitude_sigma, file.position_bias_sigma, file.attitude_bias_sigma),
+        RoughPoses(
+            position_sigma,
+            attitude_sigma,
+            file.position_bias_sigma,
+            file.attitude_bias_sigma,
+            _axes_of(placed, count),
+        ),
         tuple(warnings),
     )
 
@@ -152,6 +161,16 @@ def _sigma_of(told: Told, count: int) -> Array:
     own = told.frame >= 0
     sigma[told.frame[own]] = told.sigma[own]
     return sigma
+
+
+def _axes_of(told: Told | None, count: int) -> Array | None:
+    """Axes (M, 3, 3) of the sigmas of all frames; of those without a row it does not matter."""
+    if told is None or told.axes is None:
+        return None
+    axes = np.tile(np.eye(3), (count, 1, 1))
+    own = told.frame >= 0
+    axes[told.frame[own]] = told.axes[own]
+    return axes
 
 
 def along(t: Array, told: Told) -> Array:
@@ -196,12 +215,16 @@ def _matched(path: Path, frames: FrameList, names: tuple[str, ...], t: Array | N
     return frame, np.where(np.isfinite(own), own, t)
 
 
-def _in_time(frame: Index, t: Array, values: Array, sigma: Array, kept: Bools) -> Told | None:
+def _in_time(
+    frame: Index, t: Array, values: Array, sigma: Array, kept: Bools, axes: Array | None = None
+) -> Told | None:
     """Kept rows in the order of their times; None where there are none."""
     rows = np.flatnonzero(kept & np.isfinite(t))
     rows = rows[np.argsort(t[rows], kind="stable")]
     rows = rows[np.append(True, np.diff(t[rows]) > 0.0)] if len(rows) else rows
-    return Told(frame[rows], t[rows], values[rows], sigma[rows]) if len(rows) else None
+    if not len(rows):
+        return None
+    return Told(frame[rows], t[rows], values[rows], sigma[rows], None if axes is None else axes[rows])
 
 
 def _positions(file: SequenceFile, files: InputFolder, frames: FrameList, warnings: list[str]) -> Told | None:
@@ -230,7 +253,7 @@ def _table_positions(file: SequenceFile, path: Path, frames: FrameList, warnings
         kept = _has_fix(values, names, str(path), warnings)
     sigma = _sigmas(path, table, with_sigma, len(t), file.position_sigma)
     position = points_to_world(values, file.world, file.surface.radii, path)
-    return _in_time(frame, t, position, _along_world(file, position, sigma), kept)
+    return _in_time(frame, t, position, sigma, kept, _sigma_axes(file, position))
 
 
 def _sigmas(
@@ -251,20 +274,20 @@ def _sigmas(
     return sigma
 
 
-def _along_world(file: SequenceFile, position: Array, sigma: Array) -> Array:
-    """1-sigma along the axes of computation, of sigmas along those of the table."""
+def _sigma_axes(file: SequenceFile, position: Array) -> Array | None:
+    """Axes of computation (n, 3, 3) from those of the sigmas of a table; None: the same."""
     if is_local(file) or file.world.frame == "earth-fixed":
-        return sigma
+        return None
     if file.world.frame == "local" and file.world.origin is not None:
         lon, lat = np.radians(file.world.origin[:2])
-        axes = np.broadcast_to(local_axes(lon, lat).as_matrix(), (len(sigma), 3, 3))
-    else:
-        lon, lat, _ = to_geodetic(position, radii_of(file) or WGS84).T
-        axes = local_axes(lon, lat).as_matrix()
-    known = np.isfinite(sigma).all(axis=1)
-    out = np.full_like(sigma, np.inf)
-    out[known] = np.sqrt(np.einsum("nij,nj->ni", axes[known] ** 2, sigma[known] ** 2))
-    return out
+        return np.tile(local_axes(lon, lat).as_matrix(), (len(position), 1, 1))
+    return _level_axes(file, position)
+
+
+def _level_axes(file: SequenceFile, position: Array) -> Array:
+    """East, north, up (n, 3, 3) of each position, in the axes of computation."""
+    lon, lat, _ = to_geodetic(position, radii_of(file) or WGS84).T
+    return np.asarray(local_axes(lon, lat).as_matrix())
 
 
 def _has_fix(lonlat: Array, names: Sequence[str], place: str, warnings: list[str]) -> Bools:
@@ -319,9 +342,7 @@ def _geo_positions(file: SequenceFile, path: Path, frames: FrameList, warnings: 
     kept = _has_fix(geo.lonlat, geo.names, str(path), warnings)
     position = _geodetic(file, _with_heights(file, geo.lonlat, str(path)))
     flat = np.where(np.isfinite(geo.sigma), geo.sigma, file.position_sigma)
-    lon, lat, _ = to_geodetic(position, radii_of(file) or WGS84).T
-    sigma = np.sqrt(np.einsum("nij,nj->ni", local_axes(lon, lat).as_matrix() ** 2, flat[:, [0, 0, 1]] ** 2))
-    return _in_time(frame, t, position, sigma, kept)
+    return _in_time(frame, t, position, flat[:, [0, 0, 1]], kept, _level_axes(file, position))
 
 
 def _exif_positions(file: SequenceFile, frames: FrameList, warnings: list[str]) -> Told | None:
@@ -353,9 +374,7 @@ def _exif_positions(file: SequenceFile, frames: FrameList, warnings: list[str]) 
     lonlat[~kept] = np.where(np.isfinite(lonlat[~kept]), lonlat[~kept], 0.0)
     lonlat = _with_heights(file, lonlat, str(frames.path))
     position = _geodetic(file, lonlat)
-    lon, lat = np.radians(lonlat[:, :2]).T
-    sigma = np.sqrt(np.einsum("nij,nj->ni", local_axes(lon, lat).as_matrix() ** 2, sigma**2))
-    return _in_time(np.arange(len(kept)), frames.t, position, sigma, kept)
+    return _in_time(np.arange(len(kept)), frames.t, position, sigma, kept, _level_axes(file, position))
 
 
 def place_of(exif: Exif | None, xmp: Xmp | None) -> tuple[tuple[float, float, float], bool]:

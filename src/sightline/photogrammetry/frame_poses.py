@@ -45,19 +45,22 @@ class RoughPoses(ReadOnlyArrays):
     Attributes
     ----------
     position : (M, 3)
-        m, 1-sigma per world axis of each position; inf where the table has none.
+        m, 1-sigma of each position along the axes of its table; inf where the table has none.
     attitude : (M, 3)
         rad, 1-sigma per body axis; inf where the table has none.
     position_bias : float
         m, 1-sigma per axis of a constant error of all positions; 0 where there is none.
     attitude_bias : float
         rad, 1-sigma per axis of a constant error of all attitudes, body axes; 0 where there is none.
+    axes : (M, 3, 3) or None
+        World axes from those that the sigmas of positions are along, such as east, north, up; None: the same.
     """
 
     position: Array
     attitude: Array
     position_bias: float = 0.0
     attitude_bias: float = 0.0
+    axes: Array | None = None
 
     def __post_init__(self) -> None:
         """Check and freeze."""
@@ -66,6 +69,36 @@ class RoughPoses(ReadOnlyArrays):
             if value.ndim != 2 or value.shape[1] != 3 or not (value > 0.0).all():
                 raise InputError(f"`{name}` must be positive sigmas of shape (M, 3), got {value.shape}")
             object.__setattr__(self, name, value)
+        if self.axes is not None:
+            axes = frozen(self.axes)
+            if axes.shape != (len(self.position), 3, 3):
+                raise InputError(f"`axes` must be of shape ({len(self.position)}, 3, 3), got {axes.shape}")
+            object.__setattr__(self, "axes", axes)
+
+    def some(self, rows: NDArray[np.intp] | slice) -> RoughPoses:
+        """What tables say of some of the frames."""
+        axes = None if self.axes is None else self.axes[rows]
+        return replace(self, position=self.position[rows], attitude=self.attitude[rows], axes=axes)
+
+    def along_world(self) -> Array:
+        """Sigmas (M, 3) of positions along world axes, m; their correlations are left out."""
+        if self.axes is None:
+            return self.position
+        known = np.isfinite(self.position).all(axis=1)
+        out = np.full_like(self.position, np.inf)
+        out[known] = np.sqrt(np.einsum("nij,nj->ni", self.axes[known] ** 2, self.position[known] ** 2))
+        return out
+
+    def precision(self) -> Array:
+        """1 / variance (M, 6, 6) of (attitude, position): rad^-2, body axes; m^-2, world axes."""
+        out = np.zeros((len(self.position), 6, 6))
+        axis = np.arange(3)
+        out[:, axis, axis] = self.attitude**-2.0
+        if self.axes is None:
+            out[:, 3 + axis, 3 + axis] = self.position**-2.0
+        else:
+            out[:, 3:, 3:] = np.einsum("nij,nj,nkj->nik", self.axes, self.position**-2.0, self.axes)
+        return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,10 +271,9 @@ def frame_unknowns(
     pull = np.zeros((count, 6))
     for k in range(3):
         pull[rank[at + k - 2]] += row[:, k, None] * strength * bend
-    sigma = np.concatenate([known.attitude, known.position], axis=1) / _UNITS
-    axis = np.arange(6)
-    precision[rank[:, None], 0, axis, axis] += sigma**-2.0
-    departed = sigma**-2.0 * (moved / _UNITS)
+    told = known.precision() * np.multiply.outer(_UNITS, _UNITS)
+    precision[rank, 0] += told
+    departed = np.einsum("mab,mb->ma", told, moved / _UNITS)
     pull[rank] += departed
     parts, names, information = [], [], []
     for first, bias, name in ((0, known.attitude_bias, "turn"), (3, known.position_bias, "move")):

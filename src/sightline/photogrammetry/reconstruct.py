@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -352,7 +352,7 @@ def looking_down(known: RoughPoses) -> RoughPoses:
     """
     if np.isfinite(known.attitude).any():
         return known
-    return RoughPoses(known.position, np.full_like(known.attitude, _DOWN), known.position_bias, _DOWN)
+    return replace(known, attitude=np.full_like(known.attitude, _DOWN), attitude_bias=_DOWN)
 
 
 def held(known: RoughPoses) -> RoughPoses:
@@ -365,7 +365,7 @@ def held(known: RoughPoses) -> RoughPoses:
     if not none.any():
         return known
     attitude = np.where(none, _HELD, known.attitude)
-    return RoughPoses(known.position, attitude, known.position_bias, max(known.attitude_bias, _HELD_ALL))
+    return replace(known, attitude=attitude, attitude_bias=max(known.attitude_bias, _HELD_ALL))
 
 
 def refined(
@@ -411,7 +411,7 @@ def refined(
             np.where(turn[:, None], images.world_from_body[rows].as_quat(), model.world_from_body.as_quat())
         ),
     )
-    rough = RoughPoses(known.position[rows], known.attitude[rows], known.position_bias, known.attitude_bias)
+    rough = known.some(rows)
     tracks, points = _seen_most(model)
     priors, first = None, held(rough)
     if heights is None:

@@ -113,7 +113,9 @@ def sequence_view(problem: SequenceProblem, found: SequencePoses) -> SequenceVie
     step = np.linalg.norm(np.diff(place, axis=0), axis=1) * (np.diff(stretch) == 0)
     has_place = _any_known(problem.known.position)
     told = np.where(has_place, (problem.images.position - middle) @ level.T, np.nan)
-    known = np.concatenate([_turned_sigma(problem.known.position, level), problem.known.attitude], axis=1)
+    known = np.concatenate(
+        [_turned_sigma(problem.known.along_world(), level), problem.known.attitude], axis=1
+    )
     departure = _departures(problem, found, place, stretch)
     depth = _depths(problem, found)
     gsd = depth / problem.detector.focal_length_px
