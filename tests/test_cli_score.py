@@ -68,7 +68,7 @@ def test_a_folder_that_recover_did_not_write_is_named(result, capsys, folder):
     place = result.parent / folder
     assert run(["score", str(place), str(result.parent / "truth.csv")]) == 2
     said = capsys.readouterr().err
-    assert f"{place}: DIR must be a folder that `recover` or `orient` wrote" in said
+    assert f"{place}: DIR must be a folder that `recover`, `orient` or `georeference` wrote" in said
     assert "(motion.csv, orientation.csv or poses.csv is missing)" in said
 
 

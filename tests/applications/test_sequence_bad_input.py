@@ -137,7 +137,7 @@ def test_two_flights_in_one_table_are_solved_apart_and_told(tmp_path):
     found = solved(tmp_path)
     assert found.stretch.tolist() == [0] * 12 + [1] * 12
     assert any("are these 2 flights?" in words for words in found.warnings)
-    told = [words for words in found.warnings if "2 parts that share no ground" in words]
+    told = [words for words in found.warnings if "2 parts between which no window could be followed" in words]
     assert len(told) == 1 and "0 to 11 (12), b0 to b11 (12)" in told[0]
     second = replace(found, poses=replace(found.poses, position=found.poses.position - [east, 0.0, 0.0]))
     for scenario, rows, result in ((flights[0], slice(0, 12), found), (flights[1], slice(12, 24), second)):

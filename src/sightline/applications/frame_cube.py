@@ -422,10 +422,13 @@ def _warnings(
         worst = int(np.argmin(passed))
         out.append(
             f"band {layout.names[worst]} misses {100 * (1 - passed[worst]):.1f} % of the ground that every "
-            "band passed over: steps between frames were longer than its lines; ask for fewer bands or a "
-            "larger fill_nm"
+            "band passed over: frames are missing, or steps between them were longer than its lines; for the "
+            "latter ask for fewer bands or a larger fill_nm"
         )
     blind = sum(not np.isfinite(fit.rms_px) for fit in fits)
     if blind:
-        out.append(f"{blind} of {len(fits)} pairs of bands have too little in common to be matched")
+        out.append(
+            f"{blind} of {len(fits)} pairs of bands look too unlike each other to be compared: how they fit "
+            "is known by the bands between them alone"
+        )
     return out

@@ -53,7 +53,7 @@ def words_of_parts(problem: SequenceProblem, tracks: Tracks, poses: FramePoses) 
     rows = [np.flatnonzero(part == number) for number in range(count)]
     named = ", ".join(f"{problem.frames[r[0]]} to {problem.frames[r[-1]]} ({len(r)})" for r in rows[:4])
     return [
-        f"the frames fall into {count} parts that share no ground: {named}{', ...' if count > 4 else ''}; "
-        "each rests on its own rows of the tables, the biases of which are taken as common: two flights need "
-        "a SEQUENCE.toml each"
+        f"the frames fall into {count} parts between which no window could be followed: "
+        f"{named}{', ...' if count > 4 else ''}; each rests on its own rows of the tables, whose "
+        "constant errors are taken as common: frames of another flight belong in a SEQUENCE.toml of their own"
     ]

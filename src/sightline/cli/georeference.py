@@ -39,7 +39,11 @@ def georeference(
     out: Out,
     stride: Annotated[
         int | None,
-        typer.Option("--stride", min=1, help="Subset: every so many frames, in place of the overlap wanted."),
+        typer.Option(
+            "--stride",
+            min=1,
+            help="Subset for photogrammetry and --method: every so many frames, whatever overlap is wanted.",
+        ),
     ] = None,
     method: Annotated[
         Method,

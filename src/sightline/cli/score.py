@@ -11,7 +11,10 @@ import typer
 def score(
     result: Annotated[
         Path,
-        typer.Argument(metavar="DIR", help="Folder that `recover` or `orient` wrote, or with a poses.csv."),
+        typer.Argument(
+            metavar="DIR",
+            help="Folder that `recover`, `orient` or `georeference` wrote, or with a poses.csv.",
+        ),
     ],
     truth: Annotated[
         Path,
@@ -51,7 +54,7 @@ def score_folder(result: Path, truth: Path) -> dict[str, Any]:
     kind = next((name for name in _RESULTS if (result / name).is_file()), None)
     if kind is None:
         raise FormatError(
-            f"{result}: DIR must be a folder that `recover` or `orient` wrote (motion.csv, "
+            f"{result}: DIR must be a folder that `recover`, `orient` or `georeference` wrote (motion.csv, "
             "orientation.csv or poses.csv is missing)"
         )
     if not truth.is_file():

@@ -11,12 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.frame_sequence import SequenceProblem
+from sightline.geometry.surface import Plane
 from sightline.io.sequence import FrameSequence
 
 Array = NDArray[np.float64]
 
 #: Share of a frame that successive frames have to share for displacements to be told.
 LEAST_OVERLAP = 0.5
+#: rad; sigma of attitudes beyond which they may have been given in degrees.
+LARGE_ATTITUDE_SIGMA = 0.2
 #: Frames that are named in a message.
 LISTED = 5
 
@@ -62,7 +65,8 @@ def _understood(sequence: FrameSequence) -> list[str]:
         f"{problem.overlap:.0%} overlap "
         f"has a frame every {(1.0 - problem.overlap) * length:.4g} m",
     ]
-    if len(steps):
+    told = np.isfinite(problem.known.position).any()
+    if len(steps) and told:
         said.append(f"frames are {float(np.median(steps)):.4g} m apart, by the rough positions")
     if problem.readout_time > 0.0:
         said.append(f"rolling shutter: {problem.readout_time:g} s from the first line to the last")
@@ -74,8 +78,11 @@ def _understood(sequence: FrameSequence) -> list[str]:
         if own.any():
             said.append(
                 f"{what} of {int(own.sum())} frames, sigma {float(np.median(sigma[own])):.3g} {unit}"
+                + (f" ({np.degrees(float(np.median(sigma[own]))):.3g} degrees)" if unit == "rad" else "")
                 + (f", with a constant error of {bias:.3g} {unit}" if bias else "")
             )
+            if unit == "rad" and float(np.median(sigma[own])) > LARGE_ATTITUDE_SIGMA:
+                said.append("note: so large a sigma of attitudes: is it in degrees? rad are expected")
     if problem.control is not None and problem.control_tracks is not None:
         said.append(f"{len(problem.control.point)} control points, seen {len(problem.control_tracks)} times")
     said += [f"note: {words}" for words in problem.warnings]
@@ -103,9 +110,15 @@ def _missing(problem: SequenceProblem) -> list[str]:
     if len(lost) > LISTED:
         said.append(f"and {len(lost) - LISTED} more frames that cannot be used")
     if not np.isfinite(problem.known.attitude).any():
-        said.append("attitudes: none; a bow of the strip is told by positions and control points alone")
+        said.append(
+            "attitudes: none; georeference will begin with a model by pycolmap (extra sfm), and a bow of the "
+            "strip is told by positions and control points alone"
+        )
     if problem.height_sigma <= 0.0:
-        said.append("[surface] height_sigma: heights of the ground are a start only")
+        said.append(
+            "[surface] height_sigma: heights of the ground are a start only"
+            + (f"; they are {problem.surface.height:g} m" if isinstance(problem.surface, Plane) else "")
+        )
     return said
 
 
@@ -118,7 +131,7 @@ def _observable(problem: SequenceProblem) -> list[str]:
             "place, size and direction of the whole: not observable without positions or control points"
         )
     steps, length = steps_of(problem)
-    if len(steps):
+    if len(steps) and np.isfinite(problem.known.position).any():
         overlap = 1.0 - float(np.median(steps)) / length
         said.append(f"successive frames share about {max(overlap, 0.0):.0%}, by the rough positions")
         if overlap < LEAST_OVERLAP:

@@ -192,9 +192,18 @@ def see_places(  # type: ignore[no-untyped-def]
         pixels[n, 0], pixels[n, 1] = line, column
 
 
+@njit(cache=True, nogil=True)
+def _one_sided(place, first):  # type: ignore[no-untyped-def]
+    """Whether taps from `first` on do not lie evenly about a place."""
+    return int(np.floor(place)) - (TAPS // 2 - 1) != first
+
+
 @njit(cache=True, nogil=True, fastmath=True)
 def _value(image, bad, line, column, table):  # type: ignore[no-untyped-def]
-    """The image at a place; and how much pixels that cannot be used weigh in it."""
+    """The image at a place; and how much pixels that cannot be used weigh in it.
+
+    Near a border, where the taps lie on one side, values beyond those of the pixels around are cut.
+    """
     r0 = min(max(int(np.floor(line)) - (TAPS // 2 - 1), 0), image.shape[0] - TAPS)
     c0 = min(max(int(np.floor(column)) - (TAPS // 2 - 1), 0), image.shape[1] - TAPS)
     p = min(max((line - r0) * PHASES, 0.0), table.shape[0] - 1.001)
@@ -216,6 +225,12 @@ def _value(image, bad, line, column, table):  # type: ignore[no-untyped-def]
             for m in range(TAPS):
                 if bad[r0 + k, c0 + m]:
                     weight += abs(wp * wq[m])
+    if _one_sided(line, r0) or _one_sided(column, c0):
+        low = high = image[r0, c0]
+        for k in range(TAPS):
+            for m in range(TAPS):
+                low, high = min(low, image[r0 + k, c0 + m]), max(high, image[r0 + k, c0 + m])
+        total = min(max(total, low), high)
     return total, weight
 
 
