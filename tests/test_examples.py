@@ -70,6 +70,22 @@ def test_the_stereo_python_of_the_readme_runs_as_stated(tmp_path):
     )
 
 
+@pytest.mark.slow
+def test_the_sequence_python_of_the_readme_runs_as_stated(tmp_path):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    python, text = (re.findall(rf"```{kind}\n(.*?)```", readme, re.DOTALL) for kind in ("python", "text"))
+    assert "simulate frames --case small --out flight --seed 1 " in readme
+    words = ["simulate", "frames", "--case", "small", "--out", str(tmp_path / "flight"), "--seed", "1"]
+    run(["-c", f"import sys; from sightline.cli.main import run; sys.exit(run({words!r}))"])
+    printed, stated = run(["-c", python[3]], tmp_path), text[3]
+    number = r"[+-]?\d+\.\d+"
+    assert re.sub(number, "#", printed) == re.sub(number, "#", stated)
+    # libraries of another version may change the last digit by one
+    assert [float(n) for n in re.findall(number, printed)] == pytest.approx(
+        [float(n) for n in re.findall(number, stated)], abs=0.11
+    )
+
+
 def test_the_noise_example_refuses_what_it_cannot_use(tmp_path):
     script = str(ROOT / "examples" / "tdi_noise.py")
     for arguments in (["out", "abc"], ["out", "-3"]):
