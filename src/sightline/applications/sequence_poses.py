@@ -27,8 +27,7 @@ from sightline.applications.sequence_solver import (
     ground_distances,
 )
 from sightline.applications.sequence_start import begun
-from sightline.applications.sequence_warnings import bow_warnings
-from sightline.applications.sequence_words import words_of_parts
+from sightline.applications.sequence_warnings import bow_warnings, part_warnings
 from sightline.applications.stages import Stages
 from sightline.errors import InputError
 from sightline.geometry.checks import Array
@@ -159,7 +158,7 @@ def georeference_sequence(
     source, reason = _sources(problem, followed, subset, poses)
     return SequencePoses(
         poses, source, reason, subset, followed, tracks, _linked(followed), run.seconds,
-        (*_warnings(problem, poses, source), *found.words, *words_of_parts(problem, tracks, poses)),
+        (*_warnings(problem, poses, source), *found.words, *part_warnings(problem, tracks, poses)),
         model,
     )  # fmt: skip
 
