@@ -80,7 +80,7 @@ TOLD: dict[str, dict[str, float]] = {
 BLIND = ("ours, no attitudes", "ours, weak positions", "resection", "photogrammetry")
 #: Frames whose resection is measured; frames of the growing photogrammetry, shares of the flight.
 RESECTED, GROWING = 40, (0.05, 0.1)
-#: Sheet, section 5: ground between anchors (px), pitch, roll, yaw (deg), bow (deg), CPU s.
+#: What is asked for: ground between anchors (px), pitch, roll, yaw (deg), bow (deg), CPU s.
 TARGETS = "1 px; 0.09 / 0.012 / 0.009 deg; bow 0.03 deg with attitudes of 0.05 deg; 60 CPU s; 100 % of frames"
 
 
