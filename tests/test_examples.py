@@ -30,7 +30,7 @@ def test_an_example_runs_and_prints(path):
 def test_the_python_of_the_readme_runs_and_prints_three_axes():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
-    assert len(blocks) == 3 and len([line for line in blocks[0].splitlines() if line.strip()]) <= 20
+    assert len(blocks) == 4 and len([line for line in blocks[0].splitlines() if line.strip()]) <= 20
     lines = run(["-c", blocks[0]]).splitlines()
     assert [line.split()[0] for line in lines] == ["roll", "pitch", "yaw"]
     shown = re.search(r"```text\n(roll .*?)```", readme, re.DOTALL)
