@@ -97,7 +97,7 @@ def solve(name: str, toml: str) -> Solved:
     turns = [images.world_from_body[k] if told[k] else poses.world_from_body[k] for k in range(len(problem))]
     images = replace(images, world_from_body=Rotation.concatenate(turns))
     good = np.flatnonzero(~poses.rejected)
-    tracks = some(found.tracks, good)
+    tracks = found.tracks[good]
     # as the application counts it: wrong over a whole frame alike
     per_frame = float(np.median(found.followed.windows))
     heights = HeightPrior(problem.surface, problem.height_sigma * np.sqrt(per_frame), problem.radii)
@@ -116,16 +116,11 @@ def solve(name: str, toml: str) -> Solved:
     return Solved(problem, found, images, tracks, PointPriors(heights, None))
 
 
-def some(tracks: Tracks, rows: Array) -> Tracks:
-    """Some of the sightings, points by their old numbers."""
-    return Tracks(*(getattr(tracks, n)[rows] for n in ("image", "point", "pixels", "sigma_px")))
-
-
 def fewer(tracks: Tracks, without: Array, *, looked_at: bool) -> Tracks:
     """Sightings of points that two other frames show; of frames left out too where they are looked at."""
     out = np.isin(tracks.image, without)
     resting = np.bincount(tracks.point, ~out, minlength=int(tracks.point.max()) + 1) >= 2
-    return some(tracks, np.flatnonzero(resting[tracks.point] & (looked_at | ~out)))
+    return tracks[resting[tracks.point] & (looked_at | ~out)]
 
 
 def difference(less: FramePoses, whole: FramePoses) -> tuple[Array, Array]:

@@ -10,8 +10,8 @@ from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
-from sightline.photogrammetry.cross_links import CrossPlan, cross_pairs, joined, link_stretches
-from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.photogrammetry.cross_links import CrossPlan, cross_pairs, link_stretches
+from sightline.photogrammetry.sightings import Images, Tracks, joined
 
 SHAPE, FOCAL, HEIGHT = (140, 180), 200.0, 50.0
 #: world_from_body (x forward, y right, z down) of level flight north, and south.

@@ -95,7 +95,7 @@ def screened(
 def _without(control: ControlPoints, row: int) -> ControlPoints:
     """The others; sightings stay, as of a plain point."""
     rest = np.arange(len(control.point)) != row
-    return ControlPoints(control.point[rest], control.position[rest], control.sigma[rest])
+    return control[rest]
 
 
 def _contradicting(control: ControlPoints, miss: Array) -> list[str]:

@@ -17,7 +17,6 @@ from sightline.applications.sequence_solver import SequenceSolver, ground_distan
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.checks import frozen
 from sightline.photogrammetry.pose_interpolation import WAYS, between_anchors, by_displacement
-from sightline.photogrammetry.sightings import Tracks
 
 __all__ = ["WAYS", "interpolate_between"]
 
@@ -48,8 +47,7 @@ def interpolate_between(problem: SequenceProblem, found: SequencePoses, way: str
     """
     if way not in WAYS:
         raise InputError(f"`way` must be one of {', '.join(WAYS)}, got {way!r}")
-    rows = np.flatnonzero(np.isin(found.tracks.image, found.subset.frames))
-    tracks = Tracks(*(getattr(found.tracks, n)[rows] for n in ("image", "point", "pixels", "sigma_px")))
+    tracks = found.tracks[np.isin(found.tracks.image, found.subset.frames)]
     # control points are plain ones here: they stand among the tracks
     plain = replace(problem, control=None, control_tracks=None)
     poses = SequenceSolver(plain, found.followed).solve(tracks, None)

@@ -18,7 +18,6 @@ from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.stages import Stages
 from sightline.geometry.checks import Array, frozen
 from sightline.matching.follow import Followed
-from sightline.photogrammetry.cross_links import images_of
 from sightline.photogrammetry.frame_blocks import (
     BlockPoses,
     BlockRange,
@@ -225,7 +224,6 @@ class _Gathered:
 
 def _part(problem: SequenceProblem, followed: Followed, spans: _Spans, place: BlockRange) -> _Part:
     """The frames of a block as a problem of their own."""
-    frames = np.arange(place.first, place.end)
     chosen = slice(place.first, place.end)
     near = spans.rows(place)
     inside = (followed.image[near] >= place.first) & (followed.image[near] < place.end)
@@ -250,13 +248,13 @@ def _part(problem: SequenceProblem, followed: Followed, spans: _Spans, place: Bl
         frames=problem.frames[chosen],
         t=problem.t[chosen],
         sources=problem.sources[chosen],
-        images=images_of(problem.images, frames.tolist()),
-        known=problem.known.some(chosen),
+        images=problem.images[chosen],
+        known=problem.known[chosen],
         excluded=problem.excluded[chosen],
         channels=problem.channels[chosen] if problem.channels else (),
         control=control,
         control_tracks=tracks,
-        start=None if problem.start is None else images_of(problem.start, frames.tolist()),
+        start=None if problem.start is None else problem.start[chosen],
     )
     return _Part(
         small,
@@ -280,12 +278,8 @@ def _control_in(
     if not len(rows):
         return None, None, none, none
     names, point = np.unique(tracks.point[rows], return_inverse=True)
-    at = np.flatnonzero(np.isin(control.point, names))
-    own = ControlPoints(
-        as_index(np.searchsorted(names, control.point[at]), "point"), control.position[at], control.sigma[at]
-    )
     seen = Tracks(tracks.image[rows] - place.first, point, tracks.pixels[rows], tracks.sigma_px[rows])
-    return own, seen, rows, names
+    return control.among(names), seen, rows, names
 
 
 def _own(place: BlockRange, part: _Part, solved: PartSolution, spans: _Spans) -> _Result:
@@ -298,13 +292,6 @@ def _own(place: BlockRange, part: _Part, solved: PartSolution, spans: _Spans) ->
     point, number = np.unique(s.point[kept], return_inverse=True)
     sightings = _some(s, kept, number)
     control = None if solved.priors is None else solved.priors.control
-    if control is not None:
-        at = np.flatnonzero(np.isin(control.point, point))
-        control = ControlPoints(
-            as_index(np.searchsorted(point, control.point[at]), "point"),
-            control.position[at],
-            control.sigma[at],
-        )
     poses = solved.poses
     block = SolvedBlock(
         sightings,
@@ -312,7 +299,7 @@ def _own(place: BlockRange, part: _Part, solved: PartSolution, spans: _Spans) ->
         poses.points[point],
         as_index(rows[kept], "rows"),
         as_index(names[point], "names"),
-        control,
+        None if control is None else control.among(point),
     )
     return _Result(poses.position, poses.world_from_body, poses.bias, poses.roughness, poses.scale, block)
 

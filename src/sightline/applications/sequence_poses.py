@@ -32,7 +32,7 @@ from sightline.applications.stages import Stages
 from sightline.errors import InputError
 from sightline.geometry.checks import Array
 from sightline.matching.follow import Followed, FollowPlan, FollowState
-from sightline.photogrammetry.cross_links import joined, link_stretches
+from sightline.photogrammetry.cross_links import link_stretches
 from sightline.photogrammetry.frame_poses import FramePoses
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
 from sightline.photogrammetry.point_priors import HeightPrior
@@ -45,7 +45,7 @@ from sightline.photogrammetry.reconstruct import (
     reconstruct,
     refined,
 )
-from sightline.photogrammetry.sightings import Tracks
+from sightline.photogrammetry.sightings import Tracks, appended
 from sightline.photogrammetry.wide_links import followed_or_linked
 
 SOLVED, ESTIMATED, INTERPOLATED = "solved", "estimated", "interpolated"
@@ -170,9 +170,8 @@ def _without_control(
 
     def solve(problem: SequenceProblem, before: FramePoses) -> FramePoses:
         own = problem.control_tracks
-        rows = slice(0, len(tracks) - (0 if own is None else len(own)))
-        plain = Tracks(tracks.image[rows], tracks.point[rows], tracks.pixels[rows], tracks.sigma_px[rows])
-        return SequenceSolver(problem, followed).solve(plain, before)
+        plain = np.arange(len(tracks) - (0 if own is None else len(own)))
+        return SequenceSolver(problem, followed).solve(tracks[plain], before)
 
     return solve
 
@@ -322,9 +321,7 @@ def _all_poses(
         shared = run.stages.stage("cross", _Shared, lambda: _compared(block, found.poses, group, run)).tracks
         run.note(COMPARED)
         if shared is not None:
-            first = int(found.tracks.point.max()) + 1
-            moved = Tracks(shared.image, shared.point + first, shared.pixels, shared.sigma_px)
-            before, words, tracks = found.poses, found.words, joined([found.tracks, moved])
+            before, words, tracks = found.poses, found.words, appended(found.tracks, shared)
             run.progress(SOLVED_ALL, 0, 1)
             found = run.stages.stage(
                 "poses-linked", Adjusted, lambda: Adjusted(block.solve(tracks, before), tracks, words)

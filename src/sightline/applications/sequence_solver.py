@@ -17,12 +17,19 @@ from sightline.applications.sequence_start import approached
 from sightline.errors import EstimationError
 from sightline.geometry.checks import Array, read_only
 from sightline.matching.follow import Followed
-from sightline.photogrammetry.cross_links import CrossPlan, joined
+from sightline.photogrammetry.cross_links import CrossPlan
 from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors, level_axes
 from sightline.photogrammetry.relief import points_alike
 from sightline.photogrammetry.rolling_shutter import sight_lines
-from sightline.photogrammetry.sightings import Images, Sightings, Tracks, as_index, sight_frames
+from sightline.photogrammetry.sightings import (
+    Images,
+    Sightings,
+    Tracks,
+    appended,
+    as_index,
+    sight_frames,
+)
 from sightline.photogrammetry.track_noise import with_drift
 
 #: Rounds in which the noise of the sightings is taken from the residuals of the solution before.
@@ -40,6 +47,11 @@ class Adjusted:
     words: tuple[str, ...] = ()
 
 
+def tracks_of(followed: Followed) -> Tracks:
+    """Windows that were followed, as sightings of points."""
+    return Tracks(followed.image, followed.point, followed.pixels, followed.sigma_px)
+
+
 class SequenceSolver:
     """The sightings of a problem, solved again and again."""
 
@@ -52,8 +64,7 @@ class SequenceSolver:
         own = self.problem.control_tracks
         if own is None or self.problem.control is None:
             return tracks
-        first = int(tracks.point.max()) + 1
-        return joined([tracks, Tracks(own.image, own.point + first, own.pixels, own.sigma_px)])
+        return appended(tracks, own)
 
     def _priors(self, tracks: Tracks) -> PointPriors | None:
         """What is known of the points: a surface, points of control."""
@@ -84,7 +95,7 @@ class SequenceSolver:
         """Frames in a row solved, with the noise of their sightings and with the path within frames."""
         own = copy(self)
         own.problem, own.followed = problem, followed
-        tracks = Tracks(followed.image, followed.point, followed.pixels, followed.sigma_px)
+        tracks = tracks_of(followed)
         poses = own.solve(tracks, None)
         for number in range(1, self.rounds()):
             if progress is not None:
@@ -100,7 +111,7 @@ class SequenceSolver:
 
     def approached(self) -> Adjusted:
         """Few frames far apart solved, in rounds in which sightings count for more and more."""
-        tracks = Tracks(*(getattr(self.followed, n) for n in ("image", "point", "pixels", "sigma_px")))
+        tracks = tracks_of(self.followed)
         tracks, poses, words = approached(self.solve, tracks, max(self.problem.detector.shape))
         for _ in range(0 if words else _NOISE_ROUNDS):
             finer = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
@@ -127,7 +138,7 @@ class SequenceSolver:
         shutter = p.readout_time != 0.0
         if shutter and before is None:
             still = first_line_pixels(tracks, self.followed, p.t, p.readout_time, p.detector.shape)
-            tracks = Tracks(tracks.image, tracks.point, still, tracks.sigma_px)
+            tracks = replace(tracks, pixels=still)
         sightings = sight_frames(p.images, [p.detector], [p.mount], tracks)
         near = sightings if p.start is None else sight_frames(p.start, [p.detector], [p.mount], tracks)
         points = _on_surface(near, p)

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.errors import EstimationError
@@ -97,9 +96,5 @@ def approached(
         if last:
             return counted, poses, []
         near = np.flatnonzero(~found.rejected[: len(tracks)])
-        tracks, counted = _some(tracks, near), _some(weighed, near)
+        tracks, counted = tracks[near], weighed[near]
         loose /= _FINER
-
-
-def _some(tracks: Tracks, rows: NDArray[np.intp]) -> Tracks:
-    return Tracks(*(getattr(tracks, n)[rows] for n in ("image", "point", "pixels", "sigma_px")))

@@ -26,7 +26,7 @@ from sightline.matching.match_images import match_images
 from sightline.matching.select import grid_points, spread_subset, texture_strength
 from sightline.matching.whitening import gradient_filter
 from sightline.photogrammetry.frame_cameras import frame_cameras
-from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.photogrammetry.sightings import Images, Tracks, joined
 
 #: nm; wavelengths that far apart are not compared.
 _ALIKE_NM = 90.0
@@ -201,7 +201,7 @@ def link_stretches(
     for number, (i, j, lines) in enumerate(pairs):
         if progress is not None:
             progress(number, len(pairs))
-        cameras = frame_cameras(images_of(images, [i, j]), [detector], [mount])
+        cameras = frame_cameras(images[np.array([i, j])], [detector], [mount])
         two = _match_pair((sources[i], sources[j]), cameras, surface, lines, plan)
         if two is None:
             continue
@@ -260,18 +260,3 @@ def _match_pair(
     covariance = found.covariance_px[kept][near]
     sigma = np.sqrt(0.25 * np.trace(covariance, axis1=1, axis2=2) + _FLOOR**2)
     return points[kept][near], found.b[kept][near], sigma
-
-
-def images_of(images: Images, rows: Sequence[int]) -> Images:
-    """Some of the images."""
-    at = np.asarray(rows, dtype=np.intp)
-    return Images(
-        images.camera[at], images.shot[at], images.t[at], images.position[at], images.world_from_body[at]
-    )
-
-
-def joined(tracks: Sequence[Tracks]) -> Tracks:
-    """Tracks one after the other, as they are numbered."""
-    return Tracks(
-        *(np.concatenate([getattr(t, n) for t in tracks]) for n in ("image", "point", "pixels", "sigma_px"))
-    )

@@ -75,7 +75,7 @@ class RoughPoses(ReadOnlyArrays):
                 raise InputError(f"`axes` must be of shape ({len(self.position)}, 3, 3), got {axes.shape}")
             object.__setattr__(self, "axes", axes)
 
-    def some(self, rows: NDArray[np.intp] | slice) -> RoughPoses:
+    def __getitem__(self, rows: NDArray[np.intp] | slice) -> RoughPoses:
         """What tables say of some of the frames."""
         axes = None if self.axes is None else self.axes[rows]
         return replace(self, position=self.position[rows], attitude=self.attitude[rows], axes=axes)

@@ -50,6 +50,15 @@ class ControlPoints(ReadOnlyArrays):
         if not (self.sigma > 0.0).all():
             raise InputError(f"`sigma` of control points must be positive, got {self.sigma.min():g} m")
 
+    def __getitem__(self, rows: NDArray[np.bool_] | Index) -> ControlPoints:
+        """Some of the points, by their old numbers."""
+        return ControlPoints(self.point[rows], self.position[rows], self.sigma[rows])
+
+    def among(self, points: Index) -> ControlPoints:
+        """Those of some of the block's points, given in rising order, numbered as they stand there."""
+        own = self[np.isin(self.point, points)]
+        return ControlPoints(as_index(np.searchsorted(points, own.point), "point"), own.position, own.sigma)
+
 
 @dataclass(frozen=True, eq=False)
 class HeightPrior:

@@ -411,7 +411,7 @@ def refined(
             np.where(turn[:, None], images.world_from_body[rows].as_quat(), model.world_from_body.as_quat())
         ),
     )
-    rough = known.some(rows)
+    rough = known[rows]
     tracks, points = _seen_most(model)
     priors, first = None, held(rough)
     if heights is None:

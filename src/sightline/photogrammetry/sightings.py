@@ -10,7 +10,7 @@ Not here: how points are found in images (``matching/``), what is solved from th
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +92,19 @@ class Tracks(ReadOnlyArrays):
         return Tracks(self.image[rows], self.point[rows], self.pixels[rows], self.sigma_px[rows])
 
 
+def joined(tracks: Sequence[Tracks]) -> Tracks:
+    """Tracks one after the other, as they are numbered."""
+    return Tracks(
+        *(np.concatenate([getattr(t, n) for t in tracks]) for n in ("image", "point", "pixels", "sigma_px"))
+    )
+
+
+def appended(tracks: Tracks, more: Tracks) -> Tracks:
+    """Tracks, and `more` after them, whose points are numbered after theirs."""
+    first = int(tracks.point.max()) + 1
+    return joined([tracks, replace(more, point=as_index(more.point + first, "point"))])
+
+
 @dataclass(frozen=True, eq=False)
 class Images(ReadOnlyArrays):
     """Planned poses of the frames of a block.
@@ -134,6 +147,16 @@ class Images(ReadOnlyArrays):
     def __len__(self) -> int:
         """Number of images."""
         return len(self.camera)
+
+    def __getitem__(self, rows: NDArray[np.bool_] | Index | slice) -> Images:
+        """Some of the images."""
+        return Images(
+            self.camera[rows],
+            self.shot[rows],
+            self.t[rows],
+            self.position[rows],
+            self.world_from_body[rows],
+        )
 
     @property
     def cameras(self) -> int:
