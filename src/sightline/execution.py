@@ -10,6 +10,7 @@ This file does not cut work into items: each caller knows its own.
 from __future__ import annotations
 
 import os
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -242,6 +243,26 @@ def one_blas_thread(function: Callable[Arguments, Result]) -> Callable[Arguments
             return function(*args, **kwargs)
 
     return limited
+
+
+class CpuClock:
+    """CPU seconds of this process by stage.
+
+    Attributes
+    ----------
+    seconds : dict of str to float
+        Of each stage noted so far.
+    """
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+        self._last = time.process_time()
+
+    def note(self, stage: str) -> None:
+        """Add the time since the last note to a stage."""
+        now = time.process_time()
+        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
+        self._last = now
 
 
 def available_processors() -> int:

@@ -14,7 +14,7 @@ from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.checks import read_only
-from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface
+from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface, level_surface
 from sightline.products.cube_grid import MapSystem
 from sightline.products.frame_cube import FrameViews, Heights, outlines
 from sightline.products.ground_model import GroundModel, fit_ground
@@ -116,7 +116,7 @@ def frame_outlines(
     def on(surface: Surface) -> Array:
         return outlines(views, lambda p, d: system.places(surface.intersect(read_only(p), read_only(d))))
 
-    parts = [on(_level(problem, h)) for h in ((middle,) if low == high else (middle, low, high))]
+    parts = [on(level_surface(problem.radii, h)) for h in ((middle,) if low == high else (middle, low, high))]
     return parts[0], np.concatenate(parts, axis=1)
 
 
@@ -131,8 +131,3 @@ def _levels(problem: SequenceProblem, ground: Ground) -> tuple[float, float, flo
     if isinstance(surface, Dem):
         return float(np.nanmedian(surface.ellipsoidal)) + surface.offset, *surface.height_range
     raise InputError(f"a cube needs ground to lie on, not {type(surface).__name__}")
-
-
-def _level(problem: SequenceProblem, height: float) -> Surface:
-    """Level ground."""
-    return Plane(height) if problem.radii is None else Ellipsoid(*problem.radii, height)

@@ -8,7 +8,6 @@ Not here: resampling (``products/frame_cube.py``), files (``io/cube_files.py``).
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -20,6 +19,7 @@ from sightline.applications.cube_ground import Ground, choose_ground, frame_outl
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import INTERPOLATED, SequencePoses
 from sightline.errors import InputError
+from sightline.execution import CpuClock
 from sightline.geometry.checks import ReadOnlyArrays
 from sightline.imaging.source import ImageSource
 from sightline.photogrammetry.frame_poses import stretches
@@ -208,17 +208,11 @@ def assemble_cube(
     """
     plan = CubePlan() if plan is None else plan
     store = MemoryStore() if store is None else store
-    clock, last = dict[str, float](), time.process_time()
-
-    def note(stage: str) -> None:
-        nonlocal last
-        now = time.process_time()
-        clock[stage], last = clock.get(stage, 0.0) + now - last, now
-
+    clock = CpuClock()
     views = frame_views(problem, found)
     system = map_of(problem)
     ground = choose_ground(problem, found, system, plan.surface)
-    note("ground")
+    clock.note("ground")
     outline, reach = frame_outlines(problem, system, ground, views)
     gsd = plan.gsd or pixel_size(problem, views, outline)
     layout = choose_bands(problem, plan, outline, gsd)
@@ -226,7 +220,7 @@ def assemble_cube(
     channels = images_of(problem)
     by_line = problem.detector.wavelength_nm is not None and plan.flatten
     gain = line_gain(channels, problem.detector.shape[0]) if by_line else None
-    note("lines made alike")
+    clock.note("lines made alike")
     maker = CubeMaker(grid, layout, views, reach, ground.heights, channels, gain)
     tally = CubeTally(layout, grid, picture_bands(layout) if plan.picture else ())
     store.begin(grid, layout)
@@ -242,13 +236,13 @@ def assemble_cube(
             tally.add(filled)
         if progress is not None:
             progress("cube", done, len(tiles))
-    note("tiles")
+    clock.note("tiles")
     before = _before(problem, plan, tally, grid, layout, system, channels, gain)
-    note("picture by the rough poses")
+    clock.note("picture by the rough poses")
     fits = fit_pairs([store.source(b) for b in range(len(layout))], layout.wavelength_nm) if plan.fit else []
-    note("bands matched")
+    clock.note("bands matched")
     unread = tuple(f"{problem.frames[k]}: {why}" for k, why in sorted(maker.unread.items()))
-    return _summary(problem, layout, grid, ground, tally, before, fits, unread, clock)
+    return _summary(problem, layout, grid, ground, tally, before, fits, unread, clock.seconds)
 
 
 def frame_views(problem: SequenceProblem, found: SequencePoses | None = None) -> FrameViews:

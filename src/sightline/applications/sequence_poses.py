@@ -9,7 +9,6 @@ Not here: files (``io/sequence.py``), the cube (``products/``).
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -30,6 +29,7 @@ from sightline.applications.sequence_start import begun
 from sightline.applications.sequence_warnings import bow_warnings, part_warnings
 from sightline.applications.stages import Stages
 from sightline.errors import InputError
+from sightline.execution import CpuClock
 from sightline.geometry.checks import Array
 from sightline.matching.follow import Followed, FollowPlan, FollowState
 from sightline.photogrammetry.cross_links import link_stretches
@@ -220,19 +220,12 @@ def _reach(problem: SequenceProblem) -> Array:
     return np.asarray(ground_distances(problem) * slant + 3.0 * loose)
 
 
-class _Run:
-    """Progress, stages kept, and CPU seconds since the last note."""
+class _Run(CpuClock):
+    """Progress, stages kept, and CPU seconds."""
 
     def __init__(self, progress: Progress, stages: Stages) -> None:
+        super().__init__()
         self.progress, self.stages = progress, stages
-        self.seconds: dict[str, float] = {}
-        self._last = time.process_time()
-
-    def note(self, stage: str) -> None:
-        """Add the time since the last note to a stage."""
-        now = time.process_time()
-        self.seconds[stage] = self.seconds.get(stage, 0.0) + now - self._last
-        self._last = now
 
 
 def _nothing(stage: str, done: int, total: int) -> None:

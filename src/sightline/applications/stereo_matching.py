@@ -12,7 +12,7 @@ import numpy as np
 
 from sightline.applications.stereo_orientation import StereoProblem
 from sightline.errors import EstimationError, InputError
-from sightline.geometry.surface import Ellipsoid, Plane, Surface
+from sightline.geometry.surface import Surface, level_surface
 from sightline.imaging.source import ImageSource
 from sightline.photogrammetry.frame_cameras import frame_cameras
 from sightline.photogrammetry.match_frames import TrackPlan, match_frames
@@ -75,7 +75,7 @@ def match_problem(
             "leave them out"
         )
     if surface is None:
-        surface = Plane() if problem.radii is None else Ellipsoid(*problem.radii)
+        surface = level_surface(problem.radii)
         if problem.heights is not None:
             surface = problem.heights.surface
     if plan is None:

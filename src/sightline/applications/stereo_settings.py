@@ -23,7 +23,7 @@ from sightline.geometry.checks import Array, ReadOnlyArrays, frozen, positive, r
 from sightline.geometry.earth import from_geodetic, to_geodetic
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.orbit_pair import OrbitPair
-from sightline.geometry.surface import Ellipsoid, Plane, Surface
+from sightline.geometry.surface import level_surface
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Images, Index, Sightings, Tracks, sight_frames
@@ -286,14 +286,9 @@ def setting_of_problem(problem: StereoProblem) -> Setting:
     )  # fmt: skip
 
 
-def _level(radii: tuple[float, float] | None, height: float = 0.0) -> Surface:
-    """Level ground at a height (m)."""
-    return Plane(height) if radii is None else Ellipsoid(*radii, height)
-
-
 def _laid_out(problem: StereoProblem) -> Setting:
     """Points laid out evenly over the first camera's middle frame, where another frame shows them too."""
-    images, surface = problem.images, _level(problem.radii)
+    images, surface = problem.images, level_surface(problem.radii)
     if problem.heights is not None:
         surface = problem.heights.surface
     own = np.flatnonzero(images.camera == images.camera.min())
@@ -460,7 +455,7 @@ def with_heights(setting: Setting, sigma: float) -> Setting:
         height = float(setting.places[:, 2].mean())
     else:
         height = float(to_geodetic(setting.places, setting.radii)[:, 2].mean())
-    surface = _level(setting.radii, height)
+    surface = level_surface(setting.radii, height)
     return replace(setting, heights=HeightPrior(surface, sigma, setting.radii))
 
 

@@ -121,6 +121,11 @@ class Ellipsoid:
         return replace(self, height=self.height + height)
 
 
+def level_surface(radii: tuple[float, float] | None, height: float = 0.0) -> Surface:
+    """Level ground at a height (m): above the ellipsoid of these radii (m), or of a flat world without."""
+    return Plane(height) if radii is None else Ellipsoid(*radii, height)
+
+
 @dataclass(frozen=True, eq=False)
 class Infinity:
     """No surface near: every ray ends so far away that the position of the camera does not matter.

@@ -32,7 +32,7 @@ from sightline.photogrammetry.frame_poses import (
     from_poses,
     held_at,
     moved_images,
-    stretches,
+    trend_forms,
 )
 from sightline.photogrammetry.observability import observability
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
@@ -207,25 +207,12 @@ class _Whole:
         turn = (images.world_from_body.inv() * start.world_from_body).as_rotvec()
         self.moved = np.concatenate([turn, start.position - images.position], axis=1)
         self.common = -start.bias[bias_rows(known)]
-        self.stretch = stretches(images.t)
         self.reach = max(r.end - r.last for r in store.ranges) if len(store) > 1 else len(images) - 1
         self.roughness = start.roughness
         self.unknowns = self._unknowns()
 
     def _unknowns(self) -> PoseUnknowns:
         return frame_unknowns(self.images, self.known, self.roughness, None, self.moved)
-
-    def trends(self) -> Array:
-        """(6 K, 3 S) of own and (G, 3 S) of global unknowns: even trend of each angle over each stretch."""
-        count = int(self.stretch[-1]) + 1
-        out = np.zeros((len(self.images), 6, 3 * count))
-        for number in range(count):
-            rows = np.flatnonzero(np.asarray(self.stretch == number))
-            place = self.images.t[rows] - self.images.t[rows].mean()
-            size = float(np.sqrt((place**2).mean()))
-            for axis in range(3 if size > 0.0 else 0):
-                out[rows, axis, 3 * number + axis] = place / (len(rows) * size)
-        return out
 
     def equations(self, number: int) -> _Equations:
         """Those of one block, the priors of its own frames among them."""
@@ -247,7 +234,7 @@ class _Whole:
         """Equations eliminated, and what they say of the globals."""
         b = 6 * (self.reach + 1) - 1
         globals_ = self.unknowns.globals
-        trend = self.trends()
+        trend = trend_forms(self.images.t)
         factor = BlockwiseFactor(self.store.folder, b, globals_ + 1 + trend.shape[2])
         own_trend, common_trend = _gathered(self.unknowns, trend)
         information = np.diag(self.unknowns.global_information)

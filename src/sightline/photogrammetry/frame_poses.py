@@ -500,21 +500,35 @@ def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: Roug
     )
 
 
+def trend_forms(t: Array) -> Array:
+    """Weights (M, 6, 3 S) of departures that give the even trend of each angle over each of S stretches.
+
+    Parameters
+    ----------
+    t : (M,)
+        s, increasing. The trend is its rms over the stretch, rad; 0 of a single frame.
+    """
+    stretch = stretches(t)
+    out = np.zeros((len(t), 6, int(stretch[-1]) + 1, 3))
+    for number in range(out.shape[2]):
+        rows = np.flatnonzero(stretch == number)
+        place = t[rows] - t[rows].mean()
+        size = float(np.sqrt((place**2).mean()))
+        if size > 0.0:
+            for axis in range(3):
+                out[rows, axis, number, axis] = place / (len(rows) * size)
+    return out.reshape(len(t), 6, -1)
+
+
 def _bow(images: Images, block: Block, reduced: PointsFirst) -> Array:
     """Sigma (S, 3) of the trend of the angles over each stretch, rms over it."""
-    stretch = stretches(images.t)
     known = observability(reduced.information, block.unknowns.names, np.inf)
     nothing = np.zeros((block.sightings.points, 3))
-    out = np.zeros((int(stretch[-1]) + 1, 3))
-    for number in range(len(out)):
-        rows = np.flatnonzero(stretch == number)
-        place = images.t[rows] - images.t[rows].mean()
-        size = float(np.sqrt((place**2).mean()))
-        for axis in range(3 if size > 0.0 else 0):
-            form = np.zeros((len(images), 6))
-            form[rows, axis] = place / (len(rows) * size)
-            own, common = gather(block.unknowns, form)
-            step = known.solve(reduced.condense(own, nothing, common))
-            taken = block.unknowns.departures(reduced.solve(own, nothing, common, step)[0], step)
-            out[number, axis] = np.sqrt((form * taken).sum())
-    return frozen(out)
+    forms = np.moveaxis(trend_forms(images.t), 2, 0)
+    out = np.zeros(len(forms))
+    for number, form in enumerate(forms):
+        own, common = gather(block.unknowns, np.ascontiguousarray(form))
+        step = known.solve(reduced.condense(own, nothing, common))
+        taken = block.unknowns.departures(reduced.solve(own, nothing, common, step)[0], step)
+        out[number] = np.sqrt((form * taken).sum())
+    return frozen(out.reshape(-1, 3))
