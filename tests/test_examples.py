@@ -55,34 +55,30 @@ def test_the_tdi_files_and_python_of_the_readme_run_as_stated(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_stereo_python_of_the_readme_runs_as_stated(tmp_path):
+@pytest.mark.parametrize(
+    ("number", "stated_as", "words"),
+    [
+        (2, "simulate stereo --out pass --seed 1 ", ["stereo", "--out", "pass"]),
+        (
+            3,
+            "simulate frames --case small --out flight --seed 1 ",
+            ["frames", "--case", "small", "--out", "flight"],
+        ),
+    ],
+    ids=["stereo", "sequence"],
+)
+def test_the_python_of_the_readme_on_what_is_simulated_runs_as_stated(tmp_path, number, stated_as, words):
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     python, text = (re.findall(rf"```{kind}\n(.*?)```", readme, re.DOTALL) for kind in ("python", "text"))
-    assert "simulate stereo --out pass --seed 1 " in readme
-    words = ["simulate", "stereo", "--out", str(tmp_path / "pass"), "--seed", "1"]
+    assert stated_as in readme
+    words = ["simulate", *words[:-1], str(tmp_path / words[-1]), "--seed", "1"]
     run(["-c", f"import sys; from sightline.cli.main import run; sys.exit(run({words!r}))"])
-    printed, stated = run(["-c", python[2]], tmp_path), text[2]
-    number = r"[+-]?\d+\.\d+"
-    assert re.sub(number, "#", printed) == re.sub(number, "#", stated)
+    printed, stated = run(["-c", python[number]], tmp_path), text[number]
+    digits = r"[+-]?\d+\.\d+"
+    assert re.sub(digits, "#", printed) == re.sub(digits, "#", stated)
     # libraries of another version may change the last digit by one
-    assert [float(n) for n in re.findall(number, printed)] == pytest.approx(
-        [float(n) for n in re.findall(number, stated)], abs=0.11
-    )
-
-
-@pytest.mark.slow
-def test_the_sequence_python_of_the_readme_runs_as_stated(tmp_path):
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    python, text = (re.findall(rf"```{kind}\n(.*?)```", readme, re.DOTALL) for kind in ("python", "text"))
-    assert "simulate frames --case small --out flight --seed 1 " in readme
-    words = ["simulate", "frames", "--case", "small", "--out", str(tmp_path / "flight"), "--seed", "1"]
-    run(["-c", f"import sys; from sightline.cli.main import run; sys.exit(run({words!r}))"])
-    printed, stated = run(["-c", python[3]], tmp_path), text[3]
-    number = r"[+-]?\d+\.\d+"
-    assert re.sub(number, "#", printed) == re.sub(number, "#", stated)
-    # libraries of another version may change the last digit by one
-    assert [float(n) for n in re.findall(number, printed)] == pytest.approx(
-        [float(n) for n in re.findall(number, stated)], abs=0.11
+    assert [float(n) for n in re.findall(digits, printed)] == pytest.approx(
+        [float(n) for n in re.findall(digits, stated)], abs=0.11
     )
 
 

@@ -9,34 +9,14 @@ import sys
 import time
 
 import numpy as np
+from sequence_poses import problem_of
 
 from sightline.applications import sequence_poses
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
-from sightline.geometry.rotations import NADIR_MOUNT
-from sightline.geometry.surface import Plane
-from sightline.imaging.source import ArrayImage
-from sightline.photogrammetry.frame_poses import RoughPoses
-from sightline.photogrammetry.sightings import Images
-from sightline.simulate.sequence import SequenceScenario, sequence_case
+from sightline.simulate.sequence import sequence_case
 
 NAMES = ("x", "y", "z", "roll", "pitch", "yaw")
-
-
-def problem_of(scenario: SequenceScenario) -> SequenceProblem:
-    """What a user would know of a flight."""
-    options, (t, _, _) = scenario.options, scenario.poses
-    count = len(t)
-    known = RoughPoses(
-        np.full((count, 3), options.position_sigma), np.full((count, 3), options.attitude_sigma),
-        options.position_bias_sigma, options.attitude_bias_sigma,
-    )  # fmt: skip
-    images = Images(np.zeros(count), np.arange(count), t, scenario.told_positions, scenario.told_attitudes)
-    sources = tuple(ArrayImage(scenario.image(k)[0]) for k in range(count))
-    return SequenceProblem(
-        tuple(map(str, range(count))), t, sources, scenario.detector, NADIR_MOUNT, images, known, Plane(0.0),
-        float(scenario.ground.relief.heights.std()), options.readout_time, 0.8, ("",) * count,
-    )  # fmt: skip
 
 
 def solved(problem: SequenceProblem, block: int) -> tuple[SequencePoses, float]:

@@ -23,7 +23,8 @@ from sightline.photogrammetry.pose_interpolation import between_anchors, by_disp
 from sightline.photogrammetry.sightings import Images
 from sightline.simulate.sequence import SequenceScenario, sequence_case
 
-STRIDE = 20
+#: Frames from anchor to anchor; places along each side of a frame that ground errors are taken at.
+STRIDE, SIDE = 20, 5
 
 
 def problem_of(scenario: SequenceScenario) -> SequenceProblem:
@@ -43,10 +44,10 @@ def problem_of(scenario: SequenceScenario) -> SequenceProblem:
     )  # fmt: skip
 
 
-def between_px(scenario: SequenceScenario, position: np.ndarray, attitude: Rotation) -> float:
-    """px rms of the ground error that is left between anchors."""
+def ground_px(scenario: SequenceScenario, position: np.ndarray, attitude: Rotation) -> np.ndarray:
+    """Ground errors (M, lines, columns, 2) of places of every frame, px."""
     lines, columns = scenario.options.shape
-    grid = np.meshgrid(np.linspace(20, lines - 21, 5), np.linspace(20, columns - 21, 5), indexing="ij")
+    grid = np.meshgrid(np.linspace(20, lines - 21, SIDE), np.linspace(20, columns - 21, SIDE), indexing="ij")
     rays = NADIR_MOUNT.apply(scenario.detector.directions(np.stack(grid, axis=-1).reshape(-1, 2)))
     _, true_position, true_attitude = scenario.poses
 
@@ -56,11 +57,16 @@ def between_px(scenario: SequenceScenario, position: np.ndarray, attitude: Rotat
 
     pairs = zip(position, attitude, true_position, true_attitude, strict=True)
     error = np.array([met(*pose[:2]) - met(*pose[2:]) for pose in pairs])
+    return error.reshape(len(error), SIDE, SIDE, 2) / scenario.options.gsd
+
+
+def between_px(error: np.ndarray) -> float:
+    """px rms of the ground error of one line that is left between every `STRIDE`-th frame."""
     left = []
     for a in range(0, len(error) - STRIDE, STRIDE):
-        w = np.arange(STRIDE)[:, None, None] / STRIDE
+        w = np.arange(STRIDE)[:, None, None, None] / STRIDE
         left.append(error[a : a + STRIDE] - (1.0 - w) * error[a] - w * error[a + STRIDE])
-    return float(np.sqrt((np.concatenate(left) ** 2).sum(axis=-1).mean()) / scenario.options.gsd)
+    return float(np.sqrt((np.concatenate(left) ** 2).sum(axis=-1).mean()))
 
 
 def main(case: str, seed: int) -> None:
@@ -81,7 +87,7 @@ def main(case: str, seed: int) -> None:
     for stage, took in found.seconds.items():
         print(f"  {stage:28s} {took:6.1f} s")
     for name, place, turn in rows:
-        print(f"  {name:28s} {between_px(scenario, place, turn):7.3f} px between anchors")
+        print(f"  {name:28s} {between_px(ground_px(scenario, place, turn)):7.3f} px between anchors")
     error = np.degrees((attitude.inv() * found.poses.world_from_body).as_rotvec())
     print("  angles about their mean, deg rms", error.std(axis=0).round(4))
     print("  1-sigma of the bow, deg", np.degrees(found.poses.bow).round(4).tolist())

@@ -14,40 +14,11 @@ import sys
 import time
 
 import numpy as np
-from scipy.spatial.transform import Rotation
-from sequence_poses import problem_of
+from sequence_poses import SIDE, between_px, ground_px, problem_of
 
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
-from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.matching.follow import FollowPlan
 from sightline.simulate.sequence import SequenceScenario, sequence_case
-
-STRIDE, SIDE = 20, 5
-
-
-def ground_px(scenario: SequenceScenario, position: np.ndarray, attitude: Rotation) -> np.ndarray:
-    """Ground errors (M, lines, columns, 2) of places of every frame, px."""
-    lines, columns = scenario.options.shape
-    grid = np.meshgrid(np.linspace(20, lines - 21, SIDE), np.linspace(20, columns - 21, SIDE), indexing="ij")
-    rays = NADIR_MOUNT.apply(scenario.detector.directions(np.stack(grid, axis=-1).reshape(-1, 2)))
-    _, true_position, true_attitude = scenario.poses
-
-    def met(place: np.ndarray, turn: Rotation) -> np.ndarray:
-        ray = turn.apply(rays)
-        return (place - ray * (place[2] / ray[:, 2])[:, None])[:, :2]
-
-    pairs = zip(position, attitude, true_position, true_attitude, strict=True)
-    error = np.array([met(*pose[:2]) - met(*pose[2:]) for pose in pairs])
-    return error.reshape(len(error), SIDE, SIDE, 2) / scenario.options.gsd
-
-
-def between_px(error: np.ndarray) -> float:
-    """px rms of the ground error of one line that is left between every `STRIDE`-th frame."""
-    left = []
-    for a in range(0, len(error) - STRIDE, STRIDE):
-        w = np.arange(STRIDE)[:, None, None, None] / STRIDE
-        left.append(error[a : a + STRIDE] - (1.0 - w) * error[a] - w * error[a + STRIDE])
-    return float(np.sqrt((np.concatenate(left) ** 2).sum(axis=-1).mean()))
 
 
 def too_high(scenario: SequenceScenario, points: np.ndarray) -> float:

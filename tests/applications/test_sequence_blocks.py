@@ -10,19 +10,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.sequence_flights import problem_of
 
 from sightline.applications import sequence_blocks, sequence_poses, sequence_solver
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import FOLLOWED, SOLVED_ALL, SequencePoses, georeference_sequence
 from sightline.applications.stages import Stages
 from sightline.geometry.rotations import NADIR_MOUNT
-from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.matching import follow
 from sightline.photogrammetry.frame_cameras import frame_cameras
-from sightline.photogrammetry.frame_poses import RoughPoses
 from sightline.photogrammetry.point_priors import ControlPoints
-from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.photogrammetry.sightings import Tracks
 from sightline.simulate.sequence import sequence_case
 
 FRAMES, BLOCK, KEPT = 80, 27, 30
@@ -32,26 +31,19 @@ FRAMES, BLOCK, KEPT = 80, 27, 30
 def problem() -> SequenceProblem:
     # 4 % a frame: windows are followed for 10 frames
     scenario = sequence_case("small", 4, frames=FRAMES, overlap=0.96, jitter=0.002)
-    options, (t, position, attitude) = scenario.options, scenario.poses
-    count = len(t)
-    known = RoughPoses(
-        np.full((count, 3), options.position_sigma), np.full((count, 3), options.attitude_sigma),
-        options.position_bias_sigma, options.attitude_bias_sigma,
-    )  # fmt: skip
-    images = Images(np.zeros(count), np.arange(count), t, scenario.told_positions, scenario.told_attitudes)
-    sources = tuple(ArrayImage(scenario.image(k)[0]) for k in range(count))
+    told = problem_of(scenario)
+    _, position, attitude = scenario.poses
     # a point on the ground under frame 50, seen in ten frames of two blocks
     place = np.array([position[50, 0], position[50, 1], 0.0])
     seen = np.arange(48, 58)
-    true = replace(images, position=position, world_from_body=attitude)
+    true = replace(told.images, position=position, world_from_body=attitude)
     cameras = frame_cameras(true, [scenario.detector], [NADIR_MOUNT])
     pixels = np.concatenate([cameras[k].project(place[None]) for k in seen])
-    return SequenceProblem(
-        tuple(map(str, range(count))), t, sources, scenario.detector, NADIR_MOUNT, images, known, Plane(0.0),
-        float(scenario.ground.relief.heights.std()), 0.0, 0.8, ("",) * count,
+    return replace(
+        told,
         control=ControlPoints(np.array([0]), place[None], np.array([1.0])),
         control_tracks=Tracks(seen, np.zeros(10, dtype=int), pixels, np.full(10, 0.5)),
-    )  # fmt: skip
+    )
 
 
 @pytest.fixture(scope="module")

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.photogrammetry.steady_flight import steady
+from tests.sequence_flights import problem_of as told_of
 
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
@@ -16,7 +18,6 @@ from sightline.applications.sequence_warnings import bow_warnings
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
-from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.photogrammetry.frame_poses import RoughPoses
 from sightline.photogrammetry.reconstruct import (
@@ -26,7 +27,6 @@ from sightline.photogrammetry.reconstruct import (
     reconstruct,
     similarity,
 )
-from sightline.photogrammetry.sightings import Images
 from sightline.simulate.sequence import SequenceScenario, sequence_case
 
 LEVEL = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -120,21 +120,16 @@ def test_a_strip_that_may_be_bent_is_named():
 
 
 def problem_of(scenario: SequenceScenario, *, blind: bool) -> SequenceProblem:
-    options, (t, _, _) = scenario.options, scenario.poses
-    count = len(t)
-    attitude = LEVEL * Rotation.identity(count) if blind else scenario.told_attitudes
-    known = RoughPoses(
-        np.full((count, 3), options.position_sigma),
-        np.full((count, 3), np.inf if blind else options.attitude_sigma),
-        options.position_bias_sigma,
-        0.0 if blind else options.attitude_bias_sigma,
+    """The flight; `blind`: no attitude told."""
+    problem = told_of(scenario)
+    if not blind:
+        return problem
+    known, images = problem.known, problem.images
+    return replace(
+        problem,
+        known=replace(known, attitude=np.full_like(known.attitude, np.inf), attitude_bias=0.0),
+        images=replace(images, world_from_body=LEVEL * Rotation.identity(len(images))),
     )
-    return SequenceProblem(
-        tuple(map(str, range(count))), t, tuple(ArrayImage(scenario.image(k)[0]) for k in range(count)),
-        scenario.detector, NADIR_MOUNT,
-        Images(np.zeros(count), np.arange(count), t, scenario.told_positions, attitude), known, Plane(0.0),
-        float(scenario.ground.relief.heights.std()), 0.0, 0.8, ("",) * count,
-    )  # fmt: skip
 
 
 def between_px(scenario: SequenceScenario, found: SequencePoses) -> float:
