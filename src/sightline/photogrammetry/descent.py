@@ -341,12 +341,11 @@ def _settle(
         if late and decrease > NEAR and not directions.hidden.any():
             break  # with a hidden direction no number depends on how near the end of the valley is
         settled = late or decrease < CONVERGED or (decrease < 1e-6 and decrease > 0.5 * last)
-        # no step lowers the cost by more than it is; equations of an earlier state may promise it
-        earlier = fresh == 0 or np.isfinite(last)
-        if not settled and (decrease > 0.1 * last or (earlier and decrease > pull.cost)):
+        going = not settled and decrease >= enough * pull.cost
+        if not settled and decrease > 0.1 * last:
             equations = None  # those of an earlier state lead no further
             continue
-        going = not settled and decrease >= enough * pull.cost
+        earlier = fresh == 0 or np.isfinite(last)
         if going and earlier and not _lowers(block, state, weight, pull, step, decrease):
             equations = None
             continue
@@ -372,7 +371,12 @@ def _settle(
 
 
 def _lowers(block: Block, state: State, weight: Array, pull: _Pull, step: State, decrease: float) -> bool:
-    """Whether a whole step lowers the cost, as far as rounding lets it be told."""
+    """Whether a whole step lowers the cost, as far as rounding lets it be told.
+
+    None lowers it by more than it is; equations of an earlier state may promise that.
+    """
+    if decrease > pull.cost:
+        return False
     little = decrease < _ROUNDING * max(pull.cost, 1.0)
     return little or block.cost(_moved(state, step), weight) <= pull.cost
 
