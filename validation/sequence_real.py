@@ -25,12 +25,13 @@ from scipy.spatial.transform import Rotation
 
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
+from sightline.applications.sequence_solver import SequenceSolver
 from sightline.applications.sequence_start import begun
 from sightline.geometry.checks import Array
 from sightline.io.sequence import load_sequence
 from sightline.photogrammetry.frame_cameras import frame_cameras
 from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
-from sightline.photogrammetry.point_priors import HeightPrior, PointPriors, level_axes
+from sightline.photogrammetry.point_priors import PointPriors, level_axes
 from sightline.photogrammetry.sightings import Images, Tracks, sight_frames
 
 DATA = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[1] / "../shared/data"))
@@ -98,9 +99,8 @@ def solve(name: str, toml: str) -> Solved:
     images = replace(images, world_from_body=Rotation.concatenate(turns))
     good = np.flatnonzero(~poses.rejected)
     tracks = found.tracks[good]
-    # as the application counts it: wrong over a whole frame alike
-    per_frame = float(np.median(found.followed.windows))
-    heights = HeightPrior(problem.surface, problem.height_sigma * np.sqrt(per_frame), problem.radii)
+    heights = SequenceSolver(problem, found.followed).heights()
+    assert heights is not None  # both files tell how rough the ground is
     print(f"\n{name}: {len(problem)} frames, CPU s:", {k: round(v, 1) for k, v in found.seconds.items()})
     for line in found.warnings:
         print("  !", line)
