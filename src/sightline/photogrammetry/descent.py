@@ -47,6 +47,8 @@ _FEW = 1e-3
 _MEDIAN_2 = 1.3863
 #: Fewest sightings that an adjustment is tried with: three points seen twice.
 LEAST = 6
+#: Promise of a step (chi-square units) below which only the curve of a valley can be in its way.
+_LAST = 1.0
 #: How often a step is tried with its globals held more, and then halved.
 _TRIALS = 9
 #: Steps after which a step that raised the cost must have lowered it.
@@ -289,18 +291,17 @@ def descend(
         good = together(block, usable & ~gross)
         if not robust or bool((good == now).all()):
             return fit
-        if int(gross.sum()) <= _FEW * int(usable.sum()):
-            worst = _worst(gross, fit.statistic, block.sightings.point)
+        few = int(gross.sum()) <= _FEW * int(usable.sum())
+        if few or softened:
+            worst = _worst(gross, fit.statistic, block.sightings.point) if few else gross
             now = together(block, usable & ~worst)
             # sightings at the margin come and go: either way they change little
             if now.tobytes() in tried:
                 return fit
-            continue
-        if softened:
-            now = good
         else:
             state, now = _redescend(block, state, usable, limit)
-        softened, fit = True, None
+        if not few:
+            softened, fit = True, None
     return _settle(block, state, now, usable)
 
 
@@ -443,13 +444,14 @@ def _descended(
         tried = _moved(state, step)
         if block.cost(tried, weight) <= pull.cost:
             return tried, trial == 0
-        tried = _followed(block, tried, weight, reduced)
-        if block.cost(tried, weight) <= pull.cost:
-            return tried, False
-        if not len(seen):
-            beyond = _beyond(block, state, weight, pull.cost, step)
+        followed = _followed(block, tried, weight, reduced)
+        if block.cost(followed, weight) <= pull.cost:
+            return followed, False
+        if trial == 0 and (decrease < _LAST or not len(seen)):
+            beyond = _beyond(block, tried, weight, pull.cost)
             if beyond is not None:
                 return beyond, False
+        if not len(seen):
             break
     for _ in range(_TRIALS):
         step = State(0.5 * step.common, 0.5 * step.own, 0.5 * step.points)
@@ -459,13 +461,12 @@ def _descended(
     raise EstimationError(DIVERGED)
 
 
-def _beyond(block: Block, state: State, weight: Array, cost: float, step: State) -> State | None:
-    """State of lower cost some steps after one that raised it; None if there is none.
+def _beyond(block: Block, tried: State, weight: Array, cost: float) -> State | None:
+    """State of lower cost some steps after one that raised it to `tried`; None if there is none.
 
-    A flight of few frames that tables hold loosely may dome and tilt along a curved valley: a step along its
-    tangent leaves it, and fresh equations lead back into it further down.
+    A flight that tables hold loosely may dome and tilt, or turn about its line, along a curved valley: a step
+    along its tangent leaves it, and fresh equations lead back into it further down.
     """
-    tried = _moved(state, step)
     for _ in range(_WATCHED):
         if not np.isfinite(block.cost(tried, weight)):
             return None
