@@ -247,7 +247,13 @@ class Fit:
 
 
 def descend(
-    block: Block, state: State, usable: BoolArray, *, robust: bool, weight: Array | None = None
+    block: Block,
+    state: State,
+    usable: BoolArray,
+    *,
+    robust: bool,
+    weight: Array | None = None,
+    converged: float = CONVERGED,
 ) -> Fit:
     """The least cost, gross errors found and left out.
 
@@ -262,6 +268,8 @@ def descend(
         Find gross errors.
     weight : (N,), optional
         What was found of them before: 0 where they are.
+    converged : float
+        Steps end when the next would lower the cost by less (chi-square units).
 
     Returns
     -------
@@ -278,14 +286,14 @@ def descend(
     softened, fit = weight is not None, None
     if robust and not softened:
         # many gross errors are told long before the fit that they spoil has settled
-        rough = _settle(block, state, now, usable, enough=_ROUGHLY)
+        rough = _settle(block, state, now, usable, converged, enough=_ROUGHLY)
         state, fit = rough.state, rough
         if int(_gross(rough, usable, limit).sum()) > _FEW * int(usable.sum()):
             state, now = _redescend(block, state, usable, limit)
             softened, fit = True, None
     tried: set[bytes] = set()
     for _ in range(ROUNDS):
-        fit = _settle(block, state, now, usable, known=fit)
+        fit = _settle(block, state, now, usable, converged, known=fit)
         tried.add(now.tobytes())
         state, gross = fit.state, _gross(fit, usable, limit)
         good = together(block, usable & ~gross)
@@ -302,7 +310,7 @@ def descend(
             state, now = _redescend(block, state, usable, limit)
         if not few:
             softened, fit = True, None
-    return _settle(block, state, now, usable)
+    return _settle(block, state, now, usable, converged)
 
 
 def together(block: Block, good: BoolArray) -> Array:
@@ -320,6 +328,7 @@ def _settle(
     state: State,
     weight: Array,
     usable: BoolArray,
+    converged: float,
     *,
     known: Fit | None = None,
     enough: float = 0.0,
@@ -341,7 +350,7 @@ def _settle(
         late = fresh > FRESH or steps == taken + STEPS
         if late and decrease > NEAR and not directions.hidden.any():
             break  # with a hidden direction no number depends on how near the end of the valley is
-        settled = late or decrease < CONVERGED or (decrease < 1e-6 and decrease > 0.5 * last)
+        settled = late or decrease < converged or (decrease < 1e-6 and decrease > 0.5 * last)
         going = not settled and decrease >= enough * pull.cost
         if not settled and decrease > 0.1 * last:
             equations = None  # those of an earlier state lead no further

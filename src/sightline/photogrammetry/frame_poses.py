@@ -34,6 +34,8 @@ _LOOSE_ROUGHNESS = 1e8
 _PAUSE = 10.0
 #: Rounds in which the roughness of the path is measured anew.
 _ROUNDS = 2
+#: Steps end when the next would lower the cost by less (chi-square units): a hundredth of a sigma.
+_CONVERGED = 1e-4
 #: Bends end to end that tell how rough a path is over a step.
 _LEAST_BENDS = 4
 
@@ -372,7 +374,7 @@ def adjust_frames(
         given = np.asarray(np.isfinite(points).all(axis=1))
         state.points[given] = points[given] - block.origin
         usable = usable | (given[sightings.point] & seen_twice(sightings, priors))
-    fit = descend(block, state, usable, robust=robust)
+    fit = descend(block, state, usable, robust=robust, converged=_CONVERGED)
     for _ in range((_ROUNDS if solved is None else 1) if len(images) > 2 else 0):
         step = block.unknowns.departures(fit.state.own, fit.state.common)
         turned = Rotation.from_rotvec(moved[:, :3]) * Rotation.from_rotvec(step[:, :3])
@@ -388,7 +390,7 @@ def adjust_frames(
         before, block = block, Block(from_poses(block.sightings, step), unknowns, priors)
         held = held_at(unknowns, fit.state.common)
         state = State(fit.state.common, held, fit.state.points + before.origin - block.origin)
-        fit = descend(block, state, usable, robust=robust, weight=fit.weight)
+        fit = descend(block, state, usable, robust=robust, weight=fit.weight, converged=_CONVERGED)
     return _poses(moved_images(images, moved), block, fit, rough, known)
 
 
