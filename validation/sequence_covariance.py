@@ -45,6 +45,43 @@ HILLS = 1.0
 INSIDE = 1.959964
 
 
+@dataclass(frozen=True)
+class Setting:
+    """What is flown over, and how well it is told.
+
+    Attributes
+    ----------
+    place, place_bias : float
+        m, noise and constant error of positions.
+    no_heights : bool
+        Heights of positions are not told: the estimate starts 5 m (1 sigma) off.
+    hills : float
+        m, rms of the hills.
+    climb : float
+        m, gained from the first frame to the last.
+    focal_sigma : float
+        Relative 1-sigma of the focal length told, by which it is drawn wrong; 0: it is told as it is.
+    free : bool
+        Nothing is said of how well the focal length is known.
+    """
+
+    place: float = PLACE
+    place_bias: float = PLACE_BIAS
+    no_heights: bool = False
+    hills: float = HILLS
+    climb: float = 0.0
+    focal_sigma: float = 0.0
+    free: bool = False
+
+    @property
+    def places(self) -> np.ndarray:
+        """m (3,), noise of positions."""
+        return np.array([self.place, self.place, np.inf if self.no_heights else self.place])
+
+
+USUAL = Setting()
+
+
 @dataclass(frozen=True, eq=False)
 class Flight:
     """One flight: truth and what is told of it."""
@@ -61,14 +98,15 @@ class Hills:
     Its correlated area, the integral of the correlation over the plane, is that of a frame.
     """
 
-    def __init__(self, rng: np.random.Generator) -> None:
+    def __init__(self, rng: np.random.Generator, rms: float) -> None:
+        self.rms = rms
         area = SHAPE[0] * SHAPE[1] * (ALTITUDE / FOCAL) ** 2
         self.wave = rng.standard_normal((40, 2)) * np.sqrt(2.0 * np.pi / area)
         self.phase = rng.uniform(0.0, 2.0 * np.pi, 40)
 
     def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
         angle = self.wave[:, 0] * x[..., None] + self.wave[:, 1] * y[..., None] + self.phase
-        return HILLS * np.sqrt(2.0 / 40) * np.sin(angle).sum(axis=-1)
+        return self.rms * np.sqrt(2.0 / 40) * np.sin(angle).sum(axis=-1)
 
 
 def matrices(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> np.ndarray:
@@ -79,7 +117,7 @@ def matrices(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> np.ndarray
     return np.stack([forward, right, np.cross(forward, right)], axis=-1)
 
 
-def path(rng: np.random.Generator, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def path(rng: np.random.Generator, t: np.ndarray, climb: float) -> tuple[np.ndarray, np.ndarray]:
     """Positions and matrices: even motion, and sinusoids of slow and fast jitter."""
 
     def swings(size: float, low: float, high: float) -> np.ndarray:
@@ -89,7 +127,8 @@ def path(rng: np.random.Generator, t: np.ndarray) -> tuple[np.ndarray, np.ndarra
     angle = swings(np.radians(1.0), 0.1, 0.8) + swings(np.radians(0.1), 2.7, 3.3)
     place = swings(0.2, 0.05, 0.4)
     speed = STEP * SHAPE[0] * ALTITUDE / FOCAL * RATE
-    position = np.stack([place[0], speed * t + place[1], ALTITUDE + place[2]], axis=1)
+    height = ALTITUDE + climb * (t / t[-1] - 0.5) + place[2]
+    position = np.stack([place[0], speed * t + place[1], height], axis=1)
     return position, matrices(*angle)
 
 
@@ -141,23 +180,29 @@ def windows(
     return image[order], point[order], pixels[order]
 
 
-def draw(seed: int) -> Flight:
+def draw(seed: int, setting: Setting = USUAL) -> Flight:
     """A flight."""
     rng = np.random.default_rng(seed)
     t = np.arange(FRAMES) / RATE
-    position, matrix = path(rng, t)
-    image, point, pixels = windows(rng, position, matrix, Hills(rng))
-    told = position + PLACE_BIAS * rng.standard_normal(3) + PLACE * rng.standard_normal((FRAMES, 3))
+    position, matrix = path(rng, t, setting.climb)
+    image, point, pixels = windows(rng, position, matrix, Hills(rng, setting.hills))
+    bias, noise = setting.place_bias * rng.standard_normal(3), rng.standard_normal((FRAMES, 3))
+    told = position + bias + setting.place * noise
+    if setting.no_heights:
+        told[:, 2] = position[:, 2] + 5.0 * noise[0, 2]
     turn = TURN_BIAS * rng.standard_normal(3) + TURN * rng.standard_normal((FRAMES, 3))
     attitude = Rotation.from_matrix(matrix) * Rotation.from_rotvec(turn)
-    known = RoughPoses(np.full((FRAMES, 3), PLACE), np.full((FRAMES, 3), TURN), PLACE_BIAS, TURN_BIAS)
+    place = np.tile(setting.places, (FRAMES, 1))
+    known = RoughPoses(place, np.full((FRAMES, 3), TURN), setting.place_bias, TURN_BIAS)
     middle = 0.5 * (np.array(SHAPE) - 1.0)
-    detector = AreaDetector("frame", SHAPE, FOCAL, (middle[0], middle[1]))
+    focal = FOCAL * (1.0 + setting.focal_sigma * rng.standard_normal())
+    detector = AreaDetector("frame", SHAPE, focal, (middle[0], middle[1]))
     blank = ArrayImage(np.zeros(SHAPE))
     problem = SequenceProblem(
         tuple(map(str, range(FRAMES))), t, (blank,) * FRAMES, detector, NADIR_MOUNT,
-        Images(np.zeros(FRAMES), np.arange(FRAMES), t, told, attitude), known, Plane(0.0), HILLS, 0.0, 0.8,
-        ("",) * FRAMES,
+        Images(np.zeros(FRAMES), np.arange(FRAMES), t, told, attitude), known, Plane(0.0),
+        setting.hills, 0.0, 0.8, ("",) * FRAMES,
+        focal_length_sigma_px=np.inf if setting.free else setting.focal_sigma * focal,
     )  # fmt: skip
     nothing = np.full(FRAMES, np.nan)
     followed = Followed(

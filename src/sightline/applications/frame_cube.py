@@ -247,9 +247,10 @@ def assemble_cube(
 
 def frame_views(problem: SequenceProblem, found: SequencePoses | None = None) -> FrameViews:
     """How the frames see the world by the poses found; by the rough ones without `found`."""
-    images = problem.images
+    images, detector = problem.images, problem.detector
     penalty = np.where(problem.usable, 0.0, np.inf)
     if found is not None:
+        detector = found.poses.detector(detector)
         images = replace(images, position=found.poses.position, world_from_body=found.poses.world_from_body)
         penalty += _GUESSED * (np.array(found.source) == INTERPOLATED)
         sharpness = found.followed.sharpness
@@ -257,7 +258,7 @@ def frame_views(problem: SequenceProblem, found: SequencePoses | None = None) ->
         penalty += _BLURRED * (sharpness < _SHARP * usual)
     position, turned = _instants(images, problem.readout_time)
     camera = np.stack([(turn * problem.mount).inv().as_matrix() for turn in turned], axis=1)
-    return FrameViews(problem.detector, np.stack(position, axis=1), camera, stretches(images.t), penalty)
+    return FrameViews(detector, np.stack(position, axis=1), camera, stretches(images.t), penalty)
 
 
 def _instants(images: Images, readout_time: float) -> tuple[list[Array], list[Rotation]]:

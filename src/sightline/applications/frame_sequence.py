@@ -5,7 +5,7 @@ Not here: reading a SEQUENCE.toml (``io/sequence.py``).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,7 +58,8 @@ class SequenceProblem(ReadOnlyArrays):
     channels : tuple of tuple of ImageSource
         Per frame, its channels in that order; empty where the image has one.
     focal_length_sigma_px : float
-        px; inf: estimate it freely, 0: keep it.
+        px, 1-sigma of the focal length of `detector`, which is then found with the poses; inf: nothing is
+        known of it, 0: it is kept.
     control : ControlPoints or None
         Known points; `point` counts them.
     control_tracks : Tracks or None
@@ -114,6 +115,12 @@ class SequenceProblem(ReadOnlyArrays):
     def __len__(self) -> int:
         """Number of frames."""
         return len(self.frames)
+
+    @property
+    def told(self) -> RoughPoses:
+        """What is known beforehand of the poses, and of the focal length."""
+        relative = self.focal_length_sigma_px / self.detector.focal_length_px
+        return replace(self.known, focal_length=relative)
 
     @property
     def usable(self) -> NDArray[np.bool_]:

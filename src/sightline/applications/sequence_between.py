@@ -60,7 +60,7 @@ def interpolate_between(problem: SequenceProblem, found: SequencePoses, way: str
     known = (problem.t, anchors, poses.position[anchors], poses.world_from_body[anchors])
     if way == "displacement":
         distance = float(np.median(ground_distances(problem)))
-        camera = (problem.detector, problem.mount, distance)
+        camera = (poses.detector(problem.detector), problem.mount, distance)
         position, attitude = by_displacement(*known, found.followed, *camera)
     else:
         position, attitude = between_anchors(*known, way)

@@ -26,7 +26,7 @@ from sightline.photogrammetry.frame_blocks import (
     block_ranges,
     join_blocks,
 )
-from sightline.photogrammetry.frame_poses import FramePoses
+from sightline.photogrammetry.frame_poses import FocalStretch, FramePoses
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.sightings import Index, Sightings, Tracks, as_index
 
@@ -78,6 +78,7 @@ class _Result:
     roughness: Array
     scale: float
     block: SolvedBlock
+    focal: FocalStretch | None = None
 
 
 class _Spans:
@@ -176,7 +177,7 @@ def solve_in_blocks(
             sigma[result.block.rows[tracked]] = result.block.sightings.sigma_px[tracked]
             if progress is not None:
                 progress(number + 1, len(ranges) + 1)
-        poses = join_blocks(problem.images, problem.known, gathered.store, gathered.poses())
+        poses = join_blocks(problem.images, problem.told, gathered.store, gathered.poses())
     for number in range(len(ranges)):
         stages.drop(f"block-{number}")
     tracks = Tracks(followed.image, followed.point, followed.pixels, sigma)
@@ -196,6 +197,7 @@ class _Gathered:
         self._bias: list[Array] = []
         self._roughness: list[Array] = []
         self._scale: list[float] = []
+        self._focal: list[FocalStretch] = []
 
     def add(self, place: BlockRange, result: _Result) -> None:
         """Keep a block's own points, and its frames but for the first it shares with the one before."""
@@ -206,6 +208,8 @@ class _Gathered:
         self._bias.append(result.bias)
         self._roughness.append(result.roughness)
         self._scale.append(result.scale)
+        if result.focal is not None:
+            self._focal.append(result.focal)
         image = result.block.sightings.image + place.first
         self._seen += np.bincount(image[result.block.used], minlength=len(self._seen))
         self.store.add(place, result.block)
@@ -219,7 +223,16 @@ class _Gathered:
             self._seen,
             np.mean(self._roughness, axis=0),
             float(np.median(self._scale)),
+            self._common_focal(),
         )
+
+    def _common_focal(self) -> FocalStretch | None:
+        """The focal length to start from: the mean of the blocks', those that know it better counting more."""
+        if not self._focal:
+            return None
+        weight = np.array([focal.sigma**-2.0 for focal in self._focal])
+        mean = float(weight @ [focal.stretch for focal in self._focal] / weight.sum())
+        return replace(self._focal[0], stretch=mean)
 
 
 def _part(problem: SequenceProblem, followed: Followed, spans: _Spans, place: BlockRange) -> _Part:
@@ -301,7 +314,9 @@ def _own(place: BlockRange, part: _Part, solved: PartSolution, spans: _Spans) ->
         as_index(names[point], "names"),
         None if control is None else control.among(point),
     )
-    return _Result(poses.position, poses.world_from_body, poses.bias, poses.roughness, poses.scale, block)
+    return _Result(
+        poses.position, poses.world_from_body, poses.bias, poses.roughness, poses.scale, block, poses.focal
+    )
 
 
 def _some(s: Sightings, kept: NDArray[np.bool_], point: NDArray[np.intp]) -> Sightings:

@@ -26,7 +26,7 @@ from sightline.applications.sequence_solver import (
     ground_distances,
 )
 from sightline.applications.sequence_start import begun
-from sightline.applications.sequence_warnings import bow_warnings, part_warnings
+from sightline.applications.sequence_warnings import bow_warnings, focal_warnings, part_warnings
 from sightline.applications.stages import Stages
 from sightline.errors import InputError
 from sightline.execution import CpuClock
@@ -357,8 +357,8 @@ def _compared(block: SequenceSolver, poses: FramePoses, group: NDArray[np.intp],
 
     return _Shared(
         link_stretches(
-            p.sources, estimated_images(p.images, poses), p.detector, p.mount, p.surface, group,
-            block.cross_plan(poses), report,
+            p.sources, estimated_images(p.images, poses), poses.detector(p.detector), p.mount, p.surface,
+            group, block.cross_plan(poses), report,
         )
     )  # fmt: skip
 
@@ -415,11 +415,4 @@ def _warnings(problem: SequenceProblem, poses: FramePoses, source: tuple[str, ..
         out.append(
             f"{idle} of {len(source)} {are} interpolated: their images are missing or tell nothing of them"
         )
-    if problem.focal_length_sigma_px > 0.0:
-        loose = problem.focal_length_sigma_px / problem.detector.focal_length_px
-        told = f"to {100.0 * loose:.2g} %" if np.isfinite(loose) else "hardly"
-        out.append(
-            f"the focal length is known {told} and not refined; what that moves poses by, heights above "
-            "ground first of all, is not in their sigmas"
-        )
-    return out + bow_warnings(problem, poses)
+    return [*out, *focal_warnings(problem, poses), *bow_warnings(problem, poses)]

@@ -29,6 +29,7 @@ from sightline.photogrammetry.sightings import (
     appended,
     as_index,
     sight_frames,
+    stretched_sightings,
 )
 from sightline.photogrammetry.track_noise import with_drift
 
@@ -126,22 +127,25 @@ class SequenceSolver:
         p = self.problem
         sightings, priors, points = self.equations(tracks, before)
         start = p.start if before is None else before
-        return adjust_frames(p.images, sightings, p.known, priors=priors, points=points, start=start)
+        return adjust_frames(p.images, sightings, p.told, priors=priors, points=points, start=start)
 
     def equations(
         self, tracks: Tracks, before: FramePoses | None
     ) -> tuple[Sightings, PointPriors | None, Array]:
         """Sightings, what is known of points, and where they are (n, 3) m."""
         p = self.problem
+        detector = p.detector if before is None else before.detector(p.detector)
         priors = self._priors(tracks)
         tracks = self.with_control(tracks)
         shutter = p.readout_time != 0.0
         if shutter and before is None:
             still = first_line_pixels(tracks, self.followed, p.t, p.readout_time, p.detector.shape)
             tracks = replace(tracks, pixels=still)
-        sightings = sight_frames(p.images, [p.detector], [p.mount], tracks)
-        near = sightings if p.start is None else sight_frames(p.start, [p.detector], [p.mount], tracks)
+        sightings = sight_frames(p.images, [detector], [p.mount], tracks)
+        near = sightings if p.start is None else sight_frames(p.start, [detector], [p.mount], tracks)
         points = _on_surface(near, p)
+        if before is not None and before.focal is not None:
+            sightings = stretched_sightings(sightings, before.focal.stretch)
         if before is not None:
             known = len(before.points)
             points[:known] = np.where(np.isfinite(before.points), before.points, points[:known])[

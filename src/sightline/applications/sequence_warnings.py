@@ -11,12 +11,64 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from sightline.applications.frame_sequence import SequenceProblem
-from sightline.photogrammetry.frame_poses import FramePoses, stretches
+from sightline.photogrammetry.frame_poses import FocalStretch, FramePoses, stretches
 from sightline.photogrammetry.sightings import Tracks
 
 #: px, 1-sigma at the ends of a stretch, from which on it is worth saying that the stretch may be bent.
 _BENT_PX = 1.0
 _AXES = ("roll", "pitch", "yaw")
+#: Share of the sigma beforehand from which on the images told nothing of the focal length, and hardly anything.
+UNTOLD, HARDLY = 0.9, 0.5
+#: Relative sigma of a focal length of which nothing was known, from which on it is hardly observable: heights
+#: above ground go with it.
+_LOOSE_FOCAL = 0.02
+#: Sigmas (of what was known beforehand) by which a focal length may be off: chance leads there once in 2,000.
+_FAR_FOCAL = 3.5
+
+
+def focal_verdict(focal: FocalStretch) -> str:
+    """Whether the images told a focal length: "observable", "hardly observable", "not observable".
+
+    Parameters
+    ----------
+    focal : FocalStretch
+    """
+    if not np.isfinite(focal.prior):
+        free = ("not observable", 10.0 * _LOOSE_FOCAL), ("hardly observable", _LOOSE_FOCAL)
+        return next((words for words, least in free if focal.sigma >= least), "observable")
+    share = focal.sigma / focal.prior
+    if share >= UNTOLD:
+        return "not observable"
+    return "hardly observable" if share >= HARDLY else "observable"
+
+
+def focal_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
+    """A warning where the focal length was sought and hardly found, and where it is far from the one told.
+
+    Parameters
+    ----------
+    problem : SequenceProblem
+    poses : FramePoses
+    """
+    focal = poses.focal
+    if focal is None:
+        return []
+    out, verdict = [], focal_verdict(focal)
+    known = f"{100.0 * focal.sigma:.2g} % (1-sigma)"
+    if verdict != "observable":
+        before = f", beforehand to {100.0 * focal.prior:.2g} %" if np.isfinite(focal.prior) else ""
+        out.append(
+            f"the focal length is {verdict}: known to {known}{before}; the sigmas of poses hold that, heights "
+            "above ground first of all. A surface whose height is known, precise positions on a path that "
+            "climbs, control points or relief tell it"
+        )
+    if np.isfinite(focal.prior) and abs(focal.stretch) > _FAR_FOCAL * focal.prior:
+        px = poses.detector(problem.detector).focal_length_px
+        out.append(
+            f"the focal length found, {px:.6g} px, is {abs(focal.stretch) / focal.prior:.1f} of its sigmas from "
+            "the one told: check focal_length_px and its sigma, heights of positions, [surface] height"
+        )
+    return out
 
 
 def bow_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
@@ -34,7 +86,7 @@ def bow_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
         One for each stretch that may be bent by a pixel and more (1-sigma) at its ends.
     """
     out = []
-    detector = problem.detector
+    detector = poses.detector(problem.detector)
     # a turn moves the ground by the focal length times it, about the line of sight by the place in the frame
     lever = np.array([detector.focal_length_px] * 2 + [0.5 * float(np.hypot(*detector.shape))])
     stretch = stretches(problem.t)

@@ -155,6 +155,8 @@ def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any])
         "usual sigma of a pose: x {sigma_x:.3g}, y {sigma_y:.3g}, z {sigma_z:.3g} m; roll {sigma_roll:.2g}, "
         "pitch {sigma_pitch:.2g}, yaw {sigma_yaw:.2g} degrees".format(**middle)
     )
+    if summary["focal_length"] is not None:
+        say(_focal_words(summary["focal_length"]))
     seen = summary["sightings"]
     say(
         f"{seen['kept']} of {seen['tried']} sightings of {summary['points']} points kept, residual "
@@ -164,6 +166,15 @@ def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any])
         tell_cube(summary["cube"])
     for note in summary["export_notes"]:
         say(note)
+
+
+def _focal_words(focal: dict[str, Any]) -> str:
+    """The focal length found and the one told."""
+    told = "nothing known of it" if focal["told_sigma_px"] is None else f"+- {focal['told_sigma_px']:.2g}"
+    return (
+        f"focal length {focal['focal_length_px']:.6g} px, sigma {focal['sigma_px']:.2g} px; told "
+        f"{focal['told_px']:.6g} px, {told}"
+    )
 
 
 def tell_cube(cube: dict[str, Any]) -> None:

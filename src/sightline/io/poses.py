@@ -18,6 +18,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,6 +136,21 @@ def _matrix(table: dict[str, list[str] | Array], names: Sequence[str]) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
+class FocalLength(ReadOnlyArrays):
+    """A focal length that was found with the poses.
+
+    Attributes
+    ----------
+    px : float
+    covariance : (7,)
+        With the six constant errors of the tables (px m, px rad), and its own variance (px^2).
+    """
+
+    px: float
+    covariance: Array
+
+
+@dataclass(frozen=True, eq=False)
 class PoseCovariance(ReadOnlyArrays):
     """``covariance.npz``.
 
@@ -146,23 +162,30 @@ class PoseCovariance(ReadOnlyArrays):
     datum : (6,)
         Constant errors found of the tables: of positions (m), of attitudes (rad).
     datum_covariance : (6, 6)
+    focal_length : FocalLength or None
+        Where it was found with the poses.
     """
 
     frames: tuple[str, ...]
     covariance: Array
     datum: Array
     datum_covariance: Array
+    focal_length: FocalLength | None = None
 
 
 def write_pose_covariance(path: Path, given: PoseCovariance) -> None:
     """``covariance.npz``, complete or not at all."""
     temporary = path.with_name(f".{path.name}.part.npz")
+    focal, more = given.focal_length, dict[str, Any]()
+    if focal is not None:
+        more = {"focal_length_px": focal.px, "focal_length_covariance": focal.covariance}
     np.savez_compressed(
         temporary,
         frame=np.array(given.frames, dtype=str),
         covariance=given.covariance,
         datum=given.datum,
         datum_covariance=given.datum_covariance,
+        **more,
     )
     os.replace(temporary, path)
 
@@ -175,12 +198,16 @@ def read_pose_covariance(path: Path) -> PoseCovariance:
             arrays = [
                 np.asarray(file[k], dtype=np.float64) for k in ("covariance", "datum", "datum_covariance")
             ]
+            focal = None
+            if "focal_length_px" in file:
+                row = np.asarray(file["focal_length_covariance"], dtype=np.float64)
+                focal = FocalLength(float(file["focal_length_px"]), frozen(row.reshape(7)))
     except (OSError, KeyError, ValueError) as error:
         raise FormatError(f"{path}: cannot be read as covariances of poses ({error})") from None
     shapes = [array.shape for array in arrays]
     if shapes != [(len(frames), 6, 6), (6,), (6, 6)]:
         raise FormatError(f"{path}: arrays of shapes {shapes} for {len(frames)} frames")
-    return PoseCovariance(frames, *(frozen(array) for array in arrays))
+    return PoseCovariance(frames, *(frozen(array) for array in arrays), focal)
 
 
 def pose_axes(world: WorldSection, radii: tuple[float, float] | None) -> tuple[Array, Rotation]:

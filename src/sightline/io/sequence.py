@@ -35,6 +35,11 @@ from sightline.photogrammetry.sightings import Images
 
 Array = NDArray[np.float64]
 
+#: What is said of a focal length that is known badly and kept all the same.
+_NOT_REFINED = (
+    "what that moves poses by, heights above ground first of all, is not in their sigmas; [camera] "
+    'focal_length_sigma_px, or focal_length = "estimate", has it found with the poses'
+)
 #: Relative 1-sigma of a focal length that EXIF tells for film of 36 mm.
 _FILM_SIGMA = 0.1
 #: mm; diagonal of such film.
@@ -198,8 +203,10 @@ def _focal_length(
     for exif in frames.exif:
         if exif is not None and exif.focal_35mm is not None:
             focal = exif.focal_35mm / _FILM_DIAGONAL * float(np.hypot(*shape))
-            words = f"focal length by EXIF: {focal:.4g} px +- {100 * _FILM_SIGMA:.0f} %, taken as it is"
-            return focal, sigma or _FILM_SIGMA * focal, (words,)
+            words = f"focal length by EXIF: {focal:.4g} px +- {100 * _FILM_SIGMA:.0f} %"
+            if sigma > 0.0:
+                return focal, sigma, (words,)
+            return focal, 0.0, (f"{words}, taken as it is: {_NOT_REFINED}",)
     raise FormatError(
         f"{files.toml}: key 'camera.focal_length_px' is missing, and no photograph tells it; add it "
         "(focal length / "

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.frame_sequence import SequenceProblem
+from sightline.geometry.checks import frozen
 from sightline.geometry.earth import from_geodetic, local_axes, to_geodetic
 from sightline.io.angle_tables import OPK, YPR, AngleTable, opk_of_camera, write_angles, ypr_of_body
 from sightline.io.colmap import write_colmap_model
@@ -26,6 +27,7 @@ from sightline.io.footprints import outlines, write_footprints
 from sightline.io.odm import write_geo
 from sightline.io.opensfm import write_opensfm
 from sightline.io.poses import (
+    FocalLength,
     FramePoseTable,
     PoseCovariance,
     in_table_axes,
@@ -104,9 +106,16 @@ def write_sequence_poses(
     write_poses(folder / "poses.csv", table)
     turn = np.eye(6)
     turn[:3, :3] = pose_axes(sequence.world, problem.radii)[1].as_matrix().T
+    focal = None
+    if poses.focal is not None:
+        told = problem.detector.focal_length_px
+        row = np.append(told * turn @ poses.focal.with_bias, (told * poses.focal.sigma) ** 2)
+        focal = FocalLength(poses.detector(problem.detector).focal_length_px, frozen(row))
     write_pose_covariance(
         folder / "covariance.npz",
-        PoseCovariance(problem.frames, covariance, turn @ poses.bias, turn @ poses.bias_covariance @ turn.T),
+        PoseCovariance(
+            problem.frames, covariance, turn @ poses.bias, turn @ poses.bias_covariance @ turn.T, focal
+        ),
     )
 
 
@@ -180,9 +189,10 @@ def reconstruction_of(
     """Poses, good sightings and their points in level axes."""
     position = level.points(np.array(poses.position))
     attitude = level.turned(poses.world_from_body) * problem.mount
+    detectors = (poses.detector(problem.detector),)
     camera = np.zeros(len(problem), dtype=np.intp)
     if tracks is None:
-        return Reconstruction(names, (problem.detector,), camera, position, attitude)
+        return Reconstruction(names, detectors, camera, position, attitude)
     known = np.flatnonzero(np.isfinite(poses.points).all(axis=1))
     good = np.flatnonzero(~poses.rejected & np.isin(tracks.point, known))
     point = tracks.point[good]
@@ -191,7 +201,7 @@ def reconstruction_of(
     rms = np.sqrt(square / np.maximum(np.bincount(number, minlength=len(kept)), 1))
     return Reconstruction(
         names,
-        (problem.detector,),
+        detectors,
         camera,
         position,
         attitude,
@@ -219,7 +229,8 @@ def _write_places(
     horizontal = np.sqrt(variance[:, :2].mean(axis=1))
     lonlat = np.column_stack([np.degrees(geodetic[:, :2]), geodetic[:, 2]])
     write_geo(folder / "geo.txt", names, lonlat, np.column_stack([horizontal, np.sqrt(variance[:, 2])]))
-    edges = outlines(problem.detector, problem.mount, poses.position, poses.world_from_body, problem.surface)
+    detector = poses.detector(problem.detector)
+    edges = outlines(detector, problem.mount, poses.position, poses.world_from_body, problem.surface)
     write_footprints(
         folder / "footprints.geojson",
         problem.frames,

@@ -133,6 +133,7 @@ def summarize_sequence(
             for name, s in zip(SIGMAS, sigma.T, strict=True)
         },
         "datum": _datum(sequence, found),
+        "focal_length": _focal_length(sequence, found),
         "bow": [dict(zip(DATUM[3:], map(float, bow), strict=True)) for bow in poses.bow],
         "sightings": _sightings(found),
         "points": int(np.isfinite(poses.points).all(axis=1).sum()),
@@ -153,6 +154,20 @@ def _datum(sequence: FrameSequence, found: SequencePoses) -> dict[str, dict[str,
     return {
         name: {"bias": float(b), "sigma": math.sqrt(v)} if v > 0.0 else None
         for name, b, v in zip(DATUM, bias, variance, strict=True)
+    }
+
+
+def _focal_length(sequence: FrameSequence, found: SequencePoses) -> dict[str, float | None] | None:
+    """px; what was found of the focal length, and what was told of it; None where it was kept."""
+    focal, told = found.poses.focal, sequence.problem.detector
+    if focal is None:
+        return None
+    px = found.poses.detector(told).focal_length_px
+    return {
+        "focal_length_px": px,
+        "sigma_px": told.focal_length_px * focal.sigma,
+        "told_px": told.focal_length_px,
+        "told_sigma_px": told.focal_length_px * focal.prior if math.isfinite(focal.prior) else None,
     }
 
 

@@ -1,7 +1,7 @@
 """Compiled sums over sightings: residuals, and the normal equations of poses and points.
 
 x of an image is (turn of the body, move, stretch of the focal length) as in ``pose_unknowns.py``. Whitened
-residual r = S (tangents - e^stretch q_xy / q_z), S = px_per_tangent / sigma_px,
+residual r = S (tangents - (1 + stretch) q_xy / q_z), S = px_per_tangent / sigma_px,
 q = C^T exp(-[w]x) R^T (X - position - move). Weights multiply what a sighting adds to the sums.
 
 Not here: what is solved from the sums (``reduce_poses.py``, ``reduce_points.py``).
@@ -40,7 +40,8 @@ def _sight(
     q0 = m[0, 0] * d0 + m[0, 1] * d1 + m[0, 2] * d2
     q1 = m[1, 0] * d0 + m[1, 1] * d1 + m[1, 2] * d2
     q2 = m[2, 0] * d0 + m[2, 1] * d1 + m[2, 2] * d2
-    stretched = np.exp(x[6]) if len(x) > 6 else 1.0
+    # not its logarithm: over flat ground seen from above, focal length and heights grow in one straight line
+    stretched = 1.0 + x[6] if len(x) > 6 else 1.0
     inverse = stretched / q2
     u, v = q0 * inverse, q1 * inverse
     a0, a1 = tangents[0] - u, tangents[1] - v
@@ -53,7 +54,7 @@ def _sight(
             by_x[k, i] = c0 * j[0, i] + c1 * j[1, i] + c2 * j[2, i]
             by_x[k, 3 + i] = -(g0 * m[0, i] + g1 * m[1, i] + g2 * m[2, i])
         if len(x) > 6:
-            by_x[k, 6] = scale[k, 0] * u + scale[k, 1] * v
+            by_x[k, 6] = (scale[k, 0] * u + scale[k, 1] * v) / stretched
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

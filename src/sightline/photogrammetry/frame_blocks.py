@@ -25,11 +25,13 @@ from sightline.estimation.banded_blocks import BlockwiseFactor
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.photogrammetry.descent import DIVERGED, Block, State
 from sightline.photogrammetry.frame_poses import (
+    FocalStretch,
     FramePoses,
     RoughPoses,
-    bias_rows,
+    common_errors,
     frame_unknowns,
     from_poses,
+    globals_of,
     held_at,
     moved_images,
     trend_forms,
@@ -103,6 +105,8 @@ class BlockPoses:
         Of the path within blocks, as of `FramePoses`.
     scale : float
         Robust size of residuals over the stated one.
+    focal : FocalStretch or None
+        As of `FramePoses`; only its value counts.
     """
 
     position: Array
@@ -111,6 +115,7 @@ class BlockPoses:
     sightings: NDArray[np.intp]
     roughness: Array
     scale: float
+    focal: FocalStretch | None = None
 
 
 def block_ranges(frames: int, reach: int, length: int) -> list[BlockRange]:
@@ -206,7 +211,7 @@ class _Whole:
         self.images, self.known, self.store = images, known, store
         turn = (images.world_from_body.inv() * start.world_from_body).as_rotvec()
         self.moved = np.concatenate([turn, start.position - images.position], axis=1)
-        self.common = -start.bias[bias_rows(known)]
+        self.common = globals_of(known, start.bias, start.focal)
         self.reach = max(r.end - r.last for r in store.ranges) if len(store) > 1 else len(images) - 1
         self.roughness = start.roughness
         self.unknowns = self._unknowns()
@@ -234,7 +239,7 @@ class _Whole:
         """Equations eliminated, and what they say of the globals."""
         b = 6 * (self.reach + 1) - 1
         globals_ = self.unknowns.globals
-        trend = trend_forms(self.images.t)
+        trend = trend_forms(self.images.t, self.unknowns.width)
         factor = BlockwiseFactor(self.store.folder, b, globals_ + 1 + trend.shape[2])
         own_trend, common_trend = _gathered(self.unknowns, trend)
         information = np.diag(self.unknowns.global_information)
@@ -274,14 +279,14 @@ class _Whole:
         self.common = self.common + step
         change = self.unknowns.departures(own, self.common)
         turned = Rotation.from_rotvec(self.moved[:, :3]) * Rotation.from_rotvec(change[:, :3])
-        self.moved = np.concatenate([turned.as_rotvec(), self.moved[:, 3:] + change[:, 3:]], axis=1)
+        self.moved = np.concatenate([turned.as_rotvec(), self.moved[:, 3:] + change[:, 3:6]], axis=1)
         self.unknowns = self._unknowns()
 
     def covariance(self, factor: BlockwiseFactor, of_globals: Array) -> Array:
-        """(M, 6, 6) of the departures (turn, move) of all frames."""
+        """(M, D, D) of the departures (turn, move, stretch where it is sought) of all frames."""
         u = self.unknowns
         combine = np.eye(len(factor.gram))[:, : u.globals]
-        out = np.zeros((len(self.images), 6, 6))
+        out = np.zeros((len(self.images), u.width, u.width))
         for number, bridge, inverse in factor.backward(combine, 5):
             place = self.store.ranges[number]
             frames, count = slice(place.first, place.last), place.last - place.first
@@ -325,7 +330,7 @@ def _part(unknowns: PoseUnknowns, place: BlockRange) -> PoseUnknowns:
 
 
 def _gathered(unknowns: PoseUnknowns, forms: Array) -> tuple[Array, Array]:
-    """Right-hand sides (K, 6, n) and (G, n) of forms (M, 6, n) of the departures."""
+    """Right-hand sides (K, 6, n) and (G, n) of forms (M, D, n) of the departures."""
     parts = [gather(unknowns, forms[:, :, k]) for k in range(forms.shape[2])]
     if not parts:
         return np.zeros((unknowns.shots, 6, 0)), np.zeros((unknowns.globals, 0))
@@ -384,9 +389,7 @@ def _poses(whole: _Whole, found: _Forward, of_globals: Array, start: BlockPoses)
     factor, trends = found.factor, found.trends
     order = [3, 4, 5, 0, 1, 2]
     covariance = whole.covariance(factor, of_globals)[:, order][:, :, order]
-    rows = bias_rows(whole.known)
-    bias, bias_covariance = np.zeros(6), np.zeros((6, 6))
-    bias[rows], bias_covariance[np.ix_(rows, rows)] = -whole.common, of_globals
+    bias, bias_covariance, focal = common_errors(whole.known, whole.common, of_globals)
     variance = np.diag(factor.gram)[len(trends) + 1 :] + np.einsum("gk,gh,hk->k", trends, of_globals, trends)
     points = np.full((whole.store.points, 3), np.nan)
     residual, rejected = np.zeros((whole.store.sightings, 2)), np.ones(whole.store.sightings, dtype=bool)
@@ -397,8 +400,8 @@ def _poses(whole: _Whole, found: _Forward, of_globals: Array, start: BlockPoses)
         final.position,
         final.world_from_body,
         frozen(covariance),
-        frozen(bias),
-        frozen(bias_covariance),
+        bias,
+        bias_covariance,
         frozen(points),
         frozen(residual),
         rejected,
@@ -406,6 +409,7 @@ def _poses(whole: _Whole, found: _Forward, of_globals: Array, start: BlockPoses)
         frozen(whole.roughness),
         start.scale,
         frozen(np.sqrt(variance).reshape(-1, 3)),
+        focal,
     )
 
 

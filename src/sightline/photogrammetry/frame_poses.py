@@ -17,12 +17,13 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import InputError
+from sightline.errors import EstimationError, InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
+from sightline.geometry.instrument import AreaDetector
 from sightline.photogrammetry.descent import Block, Fit, State, descend, first_state, seen_twice
 from sightline.photogrammetry.observability import observability
 from sightline.photogrammetry.point_priors import PointPriors
-from sightline.photogrammetry.pose_unknowns import PoseUnknowns
+from sightline.photogrammetry.pose_unknowns import STRETCH, PoseUnknowns
 from sightline.photogrammetry.reduced import PointsFirst, gather
 from sightline.photogrammetry.sightings import Images, Sightings, as_index
 
@@ -36,6 +37,9 @@ _PAUSE = 10.0
 _ROUNDS = 2
 #: Steps end when the next would lower the cost by less (chi-square units): a hundredth of a sigma.
 _CONVERGED = 1e-4
+#: Relative sigma of a focal length of which nothing is known: a weak hold, so that one that nothing tells
+#: (it goes with all heights then) comes out as not known rather than as no solution.
+_FREE_FOCAL = 1.0
 #: Bends end to end that tell how rough a path is over a step.
 _LEAST_BENDS = 4
 
@@ -56,6 +60,9 @@ class RoughPoses(ReadOnlyArrays):
         rad, 1-sigma per axis of a constant error of all attitudes, body axes; 0 where there is none.
     axes : (M, 3, 3) or None
         World axes from those that the sigmas of positions are along, such as east, north, up; None: the same.
+    focal_length : float
+        Relative 1-sigma of the one focal length of all frames, to be found with the poses; 0: it is kept,
+        inf: nothing is known of it but what the images tell.
     """
 
     position: Array
@@ -63,6 +70,7 @@ class RoughPoses(ReadOnlyArrays):
     position_bias: float = 0.0
     attitude_bias: float = 0.0
     axes: Array | None = None
+    focal_length: float = 0.0
 
     def __post_init__(self) -> None:
         """Check and freeze."""
@@ -71,6 +79,8 @@ class RoughPoses(ReadOnlyArrays):
             if value.ndim != 2 or value.shape[1] != 3 or not (value > 0.0).all():
                 raise InputError(f"`{name}` must be positive sigmas of shape (M, 3), got {value.shape}")
             object.__setattr__(self, name, value)
+        if not self.focal_length >= 0.0:
+            raise InputError(f"`focal_length` must be a relative sigma, 0 or more, got {self.focal_length}")
         if self.axes is not None:
             axes = frozen(self.axes)
             if axes.shape != (len(self.position), 3, 3):
@@ -104,6 +114,28 @@ class RoughPoses(ReadOnlyArrays):
 
 
 @dataclass(frozen=True, eq=False)
+class FocalStretch(ReadOnlyArrays):
+    """The focal length of all frames, found with their poses.
+
+    Attributes
+    ----------
+    stretch : float
+        Relative: the focal length found over the one told, less 1.
+    sigma : float
+        1-sigma of it.
+    prior : float
+        What its sigma was beforehand; inf where nothing was known.
+    with_bias : (6,)
+        Covariance of `stretch` with the biases of `FramePoses`, m and rad.
+    """
+
+    stretch: float
+    sigma: float
+    prior: float
+    with_bias: Array
+
+
+@dataclass(frozen=True, eq=False)
 class FramePoses(ReadOnlyArrays):
     """Adjusted poses of all frames.
 
@@ -133,6 +165,8 @@ class FramePoses(ReadOnlyArrays):
     bow : (S, 3)
         rad, 1-sigma of how each of S stretches is bent about body axes: of the even trend of the angles'
         errors from its first frame to its last, rms over it.
+    focal : FocalStretch or None
+        None where the focal length was kept. What is not known of it is in the covariances.
     """
 
     position: Array
@@ -147,6 +181,13 @@ class FramePoses(ReadOnlyArrays):
     roughness: Array
     scale: float
     bow: Array
+    focal: FocalStretch | None = None
+
+    def detector(self, told: AreaDetector) -> AreaDetector:
+        """The camera of the frames with the focal length found, from the one that was told."""
+        if self.focal is None:
+            return told
+        return replace(told, focal_length_px=told.focal_length_px * (1.0 + self.focal.stretch))
 
 
 def stretches(t: Array) -> NDArray[np.intp]:
@@ -252,7 +293,8 @@ def frame_unknowns(
     Returns
     -------
     PoseUnknowns
-        Globals: what biases of the tables make of the poses, ``turn_1`` ..., ``move_1`` ...
+        Globals: what biases of the tables make of the poses, ``turn_1`` ..., ``move_1`` ..., and last
+        ``stretch_1`` where the focal length is sought: its relative change.
 
     Notes
     -----
@@ -278,19 +320,26 @@ def frame_unknowns(
     departed = np.einsum("mab,mb->ma", told, moved / _UNITS)
     pull[rank] += departed
     parts, names, information = [], [], []
+    width = 7 if known.focal_length > 0.0 else 6
     for first, bias, name in ((0, known.attitude_bias, "turn"), (3, known.position_bias, "move")):
         if bias > 0.0:
-            part = np.zeros((count, 6, 3))
+            part = np.zeros((count, width, 3))
             part[:, first + np.arange(3), np.arange(3)] = 1.0
             parts.append(part)
             names += [f"{name}_{k + 1}" for k in range(3)]
             information += [bias**-2.0] * 3
-    by_global = np.concatenate([np.zeros((count, 6, 0)), *parts], axis=2)
+    if width > STRETCH:
+        part = np.zeros((count, width, 1))
+        part[:, STRETCH] = 1.0
+        parts.append(part)
+        names.append("stretch_1")
+        information.append(min(known.focal_length, _FREE_FOCAL) ** -2.0)
+    by_global = np.concatenate([np.zeros((count, width, 0)), *parts], axis=2)
     half = 0.5 * float(np.ptp(images.t))
     return PoseUnknowns(
         as_index(rank, "shot"),
         as_index(np.zeros(count), "slot"),
-        frozen(np.broadcast_to(np.diag(_UNITS), (count, 6, 6))),
+        frozen(np.broadcast_to(np.eye(width, 6) * _UNITS, (count, width, 6))),
         frozen(by_global),
         frozen(np.array(information)),
         tuple(names),
@@ -363,22 +412,23 @@ def adjust_frames(
     moved = np.zeros((len(images), 6)) if start is None else departures_of(images, start)
     solved = start if isinstance(start, FramePoses) else None
     rough = np.full(6, _LOOSE_ROUGHNESS) * _UNITS**2 if solved is None else solved.roughness
-    common = None if solved is None else -solved.bias
-    unknowns = frame_unknowns(images, known, rough, rank, moved)
+    common = None if solved is None else globals_of(known, solved.bias, solved.focal)
+    # from tables as rough as these are, a focal length that is free leads into false minima
+    first = known if solved is not None else replace(known, focal_length=0.0)
+    unknowns = frame_unknowns(images, first, rough, rank, moved)
     block = Block(from_poses(sightings, moved), unknowns, priors)
     state, usable = first_state(block, seen_twice(sightings, priors), None)
     if common is not None:
-        common = common[bias_rows(known)]
         state = replace(state, common=common, own=held_at(unknowns, common))
     if points is not None:
         given = np.asarray(np.isfinite(points).all(axis=1))
         state.points[given] = points[given] - block.origin
         usable = usable | (given[sightings.point] & seen_twice(sightings, priors))
     fit = descend(block, state, usable, robust=robust, converged=_CONVERGED)
-    for _ in range((_ROUNDS if solved is None else 1) if len(images) > 2 else 0):
+    for _ in range(_rounds(len(images), known, solved)):
         step = block.unknowns.departures(fit.state.own, fit.state.common)
         turned = Rotation.from_rotvec(moved[:, :3]) * Rotation.from_rotvec(step[:, :3])
-        moved = np.concatenate([turned.as_rotvec(), moved[:, 3:] + step[:, 3:]], axis=1)
+        moved = np.concatenate([turned.as_rotvec(), moved[:, 3:] + step[:, 3:6]], axis=1)
         path = path_turns(moved_images(images, moved), stretches(images.t))
         seen = _count(sightings, fit.weight, images)
         if roughness is not None:
@@ -388,10 +438,35 @@ def adjust_frames(
         # otherwise that of before: measured on a path that it has smoothed it would shrink every time
         unknowns = frame_unknowns(images, known, rough, rank, moved)
         before, block = block, Block(from_poses(block.sightings, step), unknowns, priors)
-        held = held_at(unknowns, fit.state.common)
-        state = State(fit.state.common, held, fit.state.points + before.origin - block.origin)
-        fit = descend(block, state, usable, robust=robust, weight=fit.weight, converged=_CONVERGED)
+        common = np.zeros(unknowns.globals)
+        common[: len(fit.state.common)] = fit.state.common
+        held = held_at(unknowns, common)
+        state = State(common, held, fit.state.points + before.origin - block.origin)
+        try:
+            fit = descend(block, state, usable, robust=robust, weight=fit.weight, converged=_CONVERGED)
+        except EstimationError as error:
+            raise _untold(error, known, first) from None
+        first = known
     return _poses(moved_images(images, moved), block, fit, rough, known)
+
+
+def _untold(error: EstimationError, known: RoughPoses, before: RoughPoses) -> EstimationError:
+    """What to say where no solution was found: that it is the focal length, if there was one without it."""
+    if known.focal_length == before.focal_length:
+        return error
+    size = "nothing known of it" if np.isinf(known.focal_length) else f"{100.0 * known.focal_length:.2g} %"
+    return EstimationError(
+        "the frames can be adjusted with the focal length that was told, but not with it as an unknown "
+        f"(1-sigma beforehand: {size}): they hardly tell it; give a smaller focal_length_sigma_px, or heights "
+        "of positions above a known surface, or control points"
+    )
+
+
+def _rounds(frames: int, known: RoughPoses, solved: FramePoses | None) -> int:
+    """How often poses are solved again: with the roughness found, with the focal length."""
+    if frames > 2:
+        return 1 if solved is not None else _ROUNDS
+    return 1 if solved is None and known.focal_length > 0.0 else 0
 
 
 def departures_of(images: Images, poses: FramePoses | Images) -> Array:
@@ -406,21 +481,51 @@ def bias_rows(known: RoughPoses) -> NDArray[np.intp]:
     return np.concatenate([np.arange(p, p + 3) for p in places]) if places else np.zeros(0, dtype=np.intp)
 
 
+def globals_of(known: RoughPoses, bias: Array, focal: FocalStretch | None) -> Array:
+    """Values (G,) of the globals for biases (6,) and a focal length found before; 0 where it was not."""
+    stretch = [] if not known.focal_length > 0.0 else [0.0 if focal is None else focal.stretch]
+    return np.concatenate([-bias[bias_rows(known)], stretch])
+
+
+def common_errors(
+    known: RoughPoses, common: Array, covariance: Array
+) -> tuple[Array, Array, FocalStretch | None]:
+    """Biases (6,) of the tables, their covariance (6, 6), and the focal length, from the globals.
+
+    Parameters
+    ----------
+    known : RoughPoses
+    common : (G,)
+    covariance : (G, G)
+    """
+    bias, bias_covariance, with_bias = np.zeros(6), np.zeros((6, 6)), np.zeros(6)
+    rows = bias_rows(known)
+    count = len(rows)
+    bias[rows] = -common[:count]
+    bias_covariance[np.ix_(rows, rows)] = covariance[:count, :count]
+    if not known.focal_length > 0.0:
+        return frozen(bias), frozen(bias_covariance), None
+    with_bias[rows] = -covariance[:count, count]
+    sigma = float(np.sqrt(covariance[count, count]))
+    focal = FocalStretch(float(common[count]), sigma, known.focal_length, frozen(with_bias))
+    return frozen(bias), frozen(bias_covariance), focal
+
+
 def from_poses(sightings: Sightings, step: Array) -> Sightings:
-    """The same sightings, their poses turned and moved by `step` (M, 6) of their images."""
+    """The same sightings, their poses turned and moved by `step` (M, 6 or 7) of their images."""
     of_pose = np.zeros(len(sightings.position), dtype=np.intp)
     of_pose[sightings.pose] = sightings.image
     turn = Rotation.from_rotvec(step[:, :3]).as_matrix()[of_pose]
     return replace(
         sightings,
-        position=frozen(sightings.position + step[of_pose, 3:]),
+        position=frozen(sightings.position + step[of_pose, 3:6]),
         world_from_body=frozen(sightings.world_from_body @ turn),
     )
 
 
 def held_at(unknowns: PoseUnknowns, common: Array) -> Array:
     """Own unknowns (K, 6) that keep poses where they are when the biases are `common`."""
-    return np.asarray(-(unknowns.by_global @ common) / np.diag(unknowns.by_shot[0]))
+    return np.asarray(-(unknowns.by_global[:, :6] @ common) / np.diag(unknowns.by_shot[0]))
 
 
 def _count(sightings: Sightings, weight: Array, images: Images) -> Array:
@@ -479,10 +584,7 @@ def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: Roug
     x = unknowns.departures(state.own, state.common)
     order = [3, 4, 5, 0, 1, 2]
     covariance = reduced.departure_covariance(common)[:, order][:, :, order]
-    bias, bias_covariance = np.zeros(6), np.zeros((6, 6))
-    rows = bias_rows(known)
-    bias[rows] = -state.common
-    bias_covariance[np.ix_(rows, rows)] = common
+    bias, bias_covariance, focal = common_errors(known, state.common, common)
     used = seen_twice(sightings, block.priors, fit.weight > 0.0)
     r = block.gradient(state, used.astype(np.float64))[3]
     kept = np.bincount(sightings.point, used, minlength=sightings.points) > 0
@@ -490,8 +592,8 @@ def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: Roug
         frozen(images.position + x[:, 3:6]),
         images.world_from_body * Rotation.from_rotvec(x[:, :3]),
         frozen(covariance),
-        frozen(bias),
-        frozen(bias_covariance),
+        bias,
+        bias_covariance,
         frozen(np.where(kept[:, None], state.points + block.origin, np.nan)),
         frozen(r * sightings.sigma_px[:, None]),
         ~used,
@@ -499,19 +601,22 @@ def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: Roug
         frozen(roughness),
         fit.scale,
         _bow(images, block, reduced),
+        focal,
     )
 
 
-def trend_forms(t: Array) -> Array:
-    """Weights (M, 6, 3 S) of departures that give the even trend of each angle over each of S stretches.
+def trend_forms(t: Array, width: int = 6) -> Array:
+    """Weights (M, D, 3 S) of departures that give the even trend of each angle over each of S stretches.
 
     Parameters
     ----------
     t : (M,)
         s, increasing. The trend is its rms over the stretch, rad; 0 of a single frame.
+    width : int
+        D, numbers of a departure; angles are the first three.
     """
     stretch = stretches(t)
-    out = np.zeros((len(t), 6, int(stretch[-1]) + 1, 3))
+    out = np.zeros((len(t), width, int(stretch[-1]) + 1, 3))
     for number in range(out.shape[2]):
         rows = np.flatnonzero(stretch == number)
         place = t[rows] - t[rows].mean()
@@ -519,14 +624,14 @@ def trend_forms(t: Array) -> Array:
         if size > 0.0:
             for axis in range(3):
                 out[rows, axis, number, axis] = place / (len(rows) * size)
-    return out.reshape(len(t), 6, -1)
+    return out.reshape(len(t), width, -1)
 
 
 def _bow(images: Images, block: Block, reduced: PointsFirst) -> Array:
     """Sigma (S, 3) of the trend of the angles over each stretch, rms over it."""
     known = observability(reduced.information, block.unknowns.names, np.inf)
     nothing = np.zeros((block.sightings.points, 3))
-    forms = np.moveaxis(trend_forms(images.t), 2, 0)
+    forms = np.moveaxis(trend_forms(images.t, block.unknowns.width), 2, 0)
     out = np.zeros(len(forms))
     for number, form in enumerate(forms):
         own, common = gather(block.unknowns, np.ascontiguousarray(form))

@@ -269,6 +269,29 @@ def sight_frames(
     )
 
 
+def stretched_sightings(sightings: Sightings, stretch: float) -> Sightings:
+    """Sightings of a camera whose focal length was refined, in tangents of the one that was told.
+
+    Parameters
+    ----------
+    sightings : Sightings
+        By the refined focal length, whose lens alone may have undone the distortion rightly.
+    stretch : float
+        The refined focal length over the one told, less 1.
+
+    Returns
+    -------
+    Sightings
+        What a stretch of exactly so much predicts, whatever the distortion: tangents times 1 and it.
+    """
+    factor = 1.0 + stretch
+    return replace(
+        sightings,
+        tangents=frozen(sightings.tangents * factor),
+        px_per_tangent=frozen(sightings.px_per_tangent / factor),
+    )
+
+
 def frames_of(sightings: Sightings) -> Images:
     """The planned poses of frames; InputError for images that are not taken at one instant each."""
     if len(sightings.position) != len(sightings.camera):

@@ -65,7 +65,7 @@ def sequence_html(
         sentences=words.sentences(problem, found, view) + _cube_words(cube),
         warnings=list(summary.get("warnings", found.warnings)),
         bias_heads=words.BIAS_HEADS,
-        biases=words.bias_rows(problem, found),
+        biases=words.bias_rows(problem, found) + words.focal_row(problem, found),
         bow_heads=words.BOW_HEADS,
         bows=words.bow_rows(problem, found, view),
         idle_heads=words.IDLE_HEADS,

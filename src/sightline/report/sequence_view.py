@@ -5,7 +5,7 @@ Not here: figures and words (the other ``sequence_*`` files).
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,6 +107,7 @@ class SequenceView:
 def sequence_view(problem: SequenceProblem, found: SequencePoses) -> SequenceView:
     """What a page shows of a solved sequence."""
     poses = found.poses
+    problem = replace(problem, detector=poses.detector(problem.detector))
     level, middle, origin = _level(problem, poses.position)
     place = (poses.position - middle) @ level.T
     stretch = stretches(problem.t)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses
+from sightline.applications.sequence_warnings import focal_verdict
 from sightline.report.sequence_view import PARAMETERS, UNITS, SequenceView
 from sightline.report.stereo_words import several, with_sigma
 from sightline.report.words import digits
@@ -49,6 +50,7 @@ def sentences(problem: SequenceProblem, found: SequencePoses, view: SequenceView
         _how_well(view),
         _fit(found, view),
         _biases(problem, found),
+        _focal(problem, found),
         _bow(problem, found, view),
         _ties(found),
         _unseen(problem, view),
@@ -173,6 +175,32 @@ def _biases(problem: SequenceProblem, found: SequencePoses) -> str:
             "control points would."
         )
     return " ".join(parts)
+
+
+def focal_row(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]:
+    """As of `bias_rows`: the focal length where it was sought, one row or none."""
+    focal = found.poses.focal
+    if focal is None:
+        return []
+    px = found.poses.detector(problem.detector).focal_length_px
+    sigma, before = (problem.detector.focal_length_px * size for size in (focal.sigma, focal.prior))
+    verdict = focal_verdict(focal)
+    told = f"{digits(before, 2)} px" if np.isfinite(before) else "not known"
+    return [["focal length", f"{with_sigma(px, sigma)} px", f"{digits(sigma, 2)} px", told, verdict]]
+
+
+def _focal(problem: SequenceProblem, found: SequencePoses) -> str:
+    """The focal length, where it was sought."""
+    rows = focal_row(problem, found)
+    if not rows:
+        return ""
+    _, value, _, before, verdict = rows[0]
+    told = f"{problem.detector.focal_length_px:.6g} px"
+    beforehand = f"told was {told}" + (f", known to {before}" if before != "not known" else "")
+    return (
+        f"The focal length was found with the poses: {value} ({verdict}); {beforehand}. What is not known of it "
+        "is in the sigmas of all poses."
+    )
 
 
 def bow_rows(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> list[list[str]]:
