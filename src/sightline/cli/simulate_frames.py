@@ -44,6 +44,10 @@ def frames(
     distortion: Annotated[
         Word, _option("--distortion", "k1,k2,p1,p2,k3 in normalised coordinates, as many as wanted.")
     ] = None,
+    focal_error: Annotated[
+        Number,
+        _option("--focal-error", "Relative error of the focal length told, with a sigma of that size."),
+    ] = None,
     altitude: Annotated[Number, _option("--altitude", "Metres above the mean ground.")] = None,
     frame_rate: Annotated[Number, _option("--frame-rate", "Frames per second.")] = None,
     overlap: Annotated[Number, _option("--overlap", "Of successive frames, 0-1.")] = None,

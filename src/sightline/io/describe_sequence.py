@@ -54,12 +54,7 @@ def _understood(sequence: FrameSequence) -> list[str]:
     said = [
         f"{sequence.name}: {len(problem)} frames of {lines} lines x {columns} columns over "
         f"{np.ptp(problem.t):.6g} s, {int(problem.usable.sum())} of them usable",
-        f"focal length {problem.detector.focal_length_px:.6g} px"
-        + (
-            ", taken as it is: georeference does not refine it"
-            if problem.focal_length_sigma_px > 0.0
-            else ", as told"
-        ),
+        _focal_words(problem),
         _filter_words(problem),
         f"by the rough poses a frame covers {length:.4g} m along its lines; a subset of "
         f"{problem.overlap:.0%} overlap "
@@ -87,6 +82,15 @@ def _understood(sequence: FrameSequence) -> list[str]:
         said.append(f"{len(problem.control.point)} control points, seen {len(problem.control_tracks)} times")
     said += [f"note: {words}" for words in problem.warnings]
     return said
+
+
+def _focal_words(problem: SequenceProblem) -> str:
+    """The focal length, and whether it is found with the poses."""
+    sigma, said = problem.focal_length_sigma_px, f"focal length {problem.detector.focal_length_px:.6g} px"
+    if not sigma > 0.0:
+        return f"{said}, kept as told"
+    known = f"+- {sigma:.3g} px" if np.isfinite(sigma) else "to start from"
+    return f"{said} {known}: it is found with the poses"
 
 
 def _filter_words(problem: SequenceProblem) -> str:
@@ -130,6 +134,8 @@ def _observable(problem: SequenceProblem) -> list[str]:
         said.append(
             "place, size and direction of the whole: not observable without positions or control points"
         )
+    if problem.focal_length_sigma_px > 0.0:
+        said.append(_focal_observable(problem))
     steps, length = steps_of(problem)
     if len(steps) and np.isfinite(problem.known.position).any():
         overlap = 1.0 - float(np.median(steps)) / length
@@ -139,6 +145,18 @@ def _observable(problem: SequenceProblem) -> list[str]:
                 "so little common ground tells poses badly; check positions, height, and focal length"
             )
     return said
+
+
+def _focal_observable(problem: SequenceProblem) -> str:
+    """What will tell the focal length: mostly the flying height above a ground that is known."""
+    known = problem.known
+    heights = np.isfinite(known.position[:, 2]).any() or problem.control is not None
+    if not (heights and (problem.height_sigma > 0.0 or problem.control is not None)):
+        return (
+            "focal length: hardly observable: heights of positions and of the ground ([surface] height_sigma), "
+            "or control points, are needed; it goes with the flying height otherwise"
+        )
+    return "focal length: as well as the flying height above the ground is known, or control points tell it"
 
 
 def _datum_words(problem: SequenceProblem) -> str:

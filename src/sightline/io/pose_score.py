@@ -13,13 +13,21 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError
 from sightline.evaluation.score_poses import score_poses
-from sightline.io.poses import FramePoseTable, read_pose_covariance, read_pose_table, read_pose_truth
+from sightline.io.poses import (
+    FocalLength,
+    FramePoseTable,
+    read_pose_covariance,
+    read_pose_table,
+    read_pose_truth,
+)
+from sightline.io.tables import read_columns
 
 
 def score_pose_folder(folder: Path, truth: Path) -> dict[str, Any]:
     """Score of the ``poses.csv`` in `folder`, with its ``covariance.npz`` where there is one.
 
-    Frames are compared by name; those of one side alone are counted.
+    Frames are compared by name; those of one side alone are counted. A focal length that was found is
+    compared with that of ``truth-focal.csv`` beside `truth`.
     """
     path = folder / "poses.csv"
     poses, true = read_pose_table(path), read_pose_truth(truth)
@@ -30,12 +38,13 @@ def score_pose_folder(folder: Path, truth: Path) -> dict[str, Any]:
             f"{true.frames[0]!r}"
         )
     file = folder / "covariance.npz"
-    covariance = None
+    covariance, focal = None, dict[str, Any]()
     if file.is_file():
         given = read_pose_covariance(file)
         if given.frames != poses.frames:
             raise FormatError(f"{file}: is of other frames than poses.csv beside it; write both anew")
         covariance = given.covariance[rows]
+        focal = _focal_score(given.focal_length, truth.with_name("truth-focal.csv"))
     score = score_poses(
         poses.position[rows],
         Rotation.from_quat(poses.quat_xyzw[rows]),
@@ -45,7 +54,16 @@ def score_pose_folder(folder: Path, truth: Path) -> dict[str, Any]:
         covariance=covariance,
         source=tuple(poses.source[k] for k in rows),
     )
-    return score | {"not_in_truth": len(poses) - len(rows), "not_in_result": len(true) - len(rows)}
+    return score | focal | {"not_in_truth": len(poses) - len(rows), "not_in_result": len(true) - len(rows)}
+
+
+def _focal_score(found: FocalLength | None, truth: Path) -> dict[str, Any]:
+    """Of a focal length that was found, where the true one lies beside the truth of the poses."""
+    if found is None or not truth.is_file():
+        return {}
+    true = read_columns(truth, ("camera", "focal_length_px"), text=("camera",))["focal_length_px"]
+    error, sigma = found.px - float(np.ravel(true)[0]), float(np.sqrt(found.covariance[6]))
+    return {"focal_length": {"error_px": error, "sigma_px": sigma, "error_over_sigma": error / sigma}}
 
 
 def _common(poses: FramePoseTable, true: FramePoseTable) -> tuple[np.ndarray, np.ndarray]:

@@ -186,7 +186,7 @@ def focal_row(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]
     sigma, before = (problem.detector.focal_length_px * size for size in (focal.sigma, focal.prior))
     verdict = focal_verdict(focal)
     told = f"{digits(before, 2)} px" if np.isfinite(before) else "not known"
-    return [["focal length", f"{with_sigma(px, sigma)} px", f"{digits(sigma, 2)} px", told, verdict]]
+    return [["focal length", f"{with_sigma(px, sigma).lstrip(chr(43))} px", f"{digits(sigma, 2)} px", told, verdict]]
 
 
 def _focal(problem: SequenceProblem, found: SequencePoses) -> str:

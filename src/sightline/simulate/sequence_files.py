@@ -6,7 +6,8 @@ sigma_yaw), whose sigma is that of the noise alone, without the constant bias; `
 
 Truth, which nothing but a score should read: ``poses-truth.csv`` (frame,t,x,y,z,qx,qy,qz,qw, at the exposure
 of line 0), ``truth-lines.csv`` (the same for the first, middle and last line of each frame: frame,line,t,...)
-with a rolling shutter, ``truth-biases.csv`` (quantity,x,y,z), ``truth-dem.tif``, ``truth-bands.tif`` (numbers
+with a rolling shutter, ``truth-biases.csv`` (quantity,x,y,z), ``truth-focal.csv`` (camera,focal_length_px)
+where it is told wrong, ``truth-dem.tif``, ``truth-bands.tif`` (numbers
 that a few bands should have at every place, without noise; the wavelength of each in its description and in
 its tag ``wavelength_nm``) and ``truth-scene.json`` (case, seed, options, where the spectra are from).
 
@@ -29,6 +30,7 @@ from numpy.typing import NDArray
 from sightline.geometry.rotations import to_quat_xyzw
 from sightline.simulate.files import write_dem, write_rows
 from sightline.simulate.sequence import EPOCH, SequenceScenario
+from sightline.simulate.sequence_options import SequenceOptions
 from sightline.simulate.texture import Array
 
 FORMATS = ("tif", "png")
@@ -101,7 +103,8 @@ def sequence_toml(scenario: SequenceScenario, *, dem: bool = False) -> str:
         "",
         "[camera]",
         f"shape = [{options.shape[0]}, {options.shape[1]}]",
-        f"focal_length_px = {options.focal_length_px!r}",
+        f"focal_length_px = {options.told_focal_length_px!r}",
+        *_focal_sigma(options),
         f"principal_point_px = [{options.centre_px[0]!r}, {options.centre_px[1]!r}]",
         f"distortion = {list(options.distortion)!r}",
         'mount = "nominal"',
@@ -119,6 +122,13 @@ def sequence_toml(scenario: SequenceScenario, *, dem: bool = False) -> str:
     else:
         lines += [f"height = {float(heights.mean()):.3f}", f"height_sigma = {float(heights.std()):.3f}"]
     return "\n".join(lines) + "\n"
+
+
+def _focal_sigma(options: SequenceOptions) -> list[str]:
+    """How well the focal length is known, where it is told wrong."""
+    if not options.focal_error:
+        return []
+    return [f"focal_length_sigma_px = {abs(options.focal_error) * options.told_focal_length_px!r}"]
 
 
 def _filter_lines(scenario: SequenceScenario) -> list[str]:
@@ -201,6 +211,9 @@ def _write_truth(scenario: SequenceScenario, folder: Path) -> list[Path]:
         write_dem(folder / "truth-dem.tif", scenario.ground.relief.heights, scenario.ground.relief.transform),
         _write_scene(scenario, folder / "truth-scene.json"),
     ]
+    if scenario.options.focal_error:
+        row = [["1", scenario.options.focal_length_px]]
+        written.append(write_rows(folder / "truth-focal.csv", "camera,focal_length_px", row))
     if scenario.options.readout_time:
         written.append(_write_lines(scenario, folder / "truth-lines.csv"))
     return written

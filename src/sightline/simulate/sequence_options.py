@@ -44,6 +44,8 @@ class SequenceOptions:
         Line and column; None: the middle of the frame.
     distortion : tuple of float
         k1, k2, p1, p2, k3 in normalised coordinates.
+    focal_error : float
+        Relative: the true focal length is so much longer than the one told; not 0: told with that 1-sigma.
     altitude : float
         m above the mean ground; with the focal length it gives the size of a ground pixel.
     frame_rate : float
@@ -109,6 +111,7 @@ class SequenceOptions:
     focal_length_px: float = 800.0
     principal_point_px: tuple[float, float] | None = None
     distortion: tuple[float, ...] = ()
+    focal_error: float = 0.0
     altitude: float = 80.0
     frame_rate: float = REFERENCE_RATE
     overlap: float = 0.99
@@ -159,6 +162,8 @@ class SequenceOptions:
             ("mtf_nyquist", 1e-3, 0.9), ("bits", 4, 16), ("jitter", 0.0, 0.02),
         ):  # fmt: skip
             check_within(self, name, low, high)
+        if not abs(self.focal_error) < 0.5:
+            raise InputError(f"`focal_error` must be between -0.5 and 0.5, got {self.focal_error}")
         if not abs(self.readout_time) < 1.0 / self.frame_rate:
             raise InputError(
                 f"`readout_time` must be shorter than the {1.0 / self.frame_rate:g} s between frames, "
@@ -205,6 +210,11 @@ class SequenceOptions:
     def gsd(self) -> float:
         """m of one pixel at the nadir of the mean ground."""
         return self.altitude / self.focal_length_px
+
+    @property
+    def told_focal_length_px(self) -> float:
+        """Focal length that is told."""
+        return self.focal_length_px / (1.0 + self.focal_error)
 
     @property
     def step(self) -> float:
