@@ -21,7 +21,8 @@ from sightline.imaging.source import ArrayImage
 from sightline.matching.follow import Followed
 from sightline.photogrammetry import frame_poses
 from sightline.photogrammetry.descent import Block, State
-from sightline.photogrammetry.frame_poses import FocalStretch, FramePoses, adjust_frames, frame_unknowns
+from sightline.photogrammetry.frame_focal import FocalStretch
+from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames, frame_unknowns
 from sightline.photogrammetry.point_priors import HeightPrior, PointPriors
 from sightline.photogrammetry.sightings import (
     Images,
@@ -59,7 +60,7 @@ def test_sightings_change_with_the_focal_length_as_pixels_of_a_pinhole_do():
     common = np.append(np.zeros(6), stretch)
     sightings = sight_frames(flight.images, [camera(FOCAL)], [NADIR_MOUNT], flight.tracks)
     block = Block(sightings, unknowns, None)
-    ground = rng.uniform(-20.0, 20.0, (sightings.points, 3)) + [0.0, 0.0, -20.0]
+    ground = rng.uniform([-20.0, -20.0, -40.0], [20.0, 20.0, 0.0], (sightings.points, 3))
     x = unknowns.departures(own, common)
 
     def pixels(focal: float) -> np.ndarray:

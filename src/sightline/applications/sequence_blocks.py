@@ -26,7 +26,8 @@ from sightline.photogrammetry.frame_blocks import (
     block_ranges,
     join_blocks,
 )
-from sightline.photogrammetry.frame_poses import FocalStretch, FramePoses
+from sightline.photogrammetry.frame_focal import FocalStretch
+from sightline.photogrammetry.frame_poses import FramePoses
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.sightings import Index, Sightings, Tracks, as_index
 
@@ -227,7 +228,7 @@ class _Gathered:
         )
 
     def _common_focal(self) -> FocalStretch | None:
-        """The focal length to start from: the mean of the blocks', those that know it better counting more."""
+        """The focal length to start from: the blocks' mean, better known ones counting more."""
         if not self._focal:
             return None
         weight = np.array([focal.sigma**-2.0 for focal in self._focal])

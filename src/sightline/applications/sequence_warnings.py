@@ -11,13 +11,14 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from sightline.applications.frame_sequence import SequenceProblem
-from sightline.photogrammetry.frame_poses import FocalStretch, FramePoses, stretches
+from sightline.photogrammetry.frame_focal import FocalStretch
+from sightline.photogrammetry.frame_poses import FramePoses, stretches
 from sightline.photogrammetry.sightings import Tracks
 
 #: px, 1-sigma at the ends of a stretch, from which on it is worth saying that the stretch may be bent.
 _BENT_PX = 1.0
 _AXES = ("roll", "pitch", "yaw")
-#: Share of the sigma beforehand from which on the images told nothing of the focal length, and hardly anything.
+#: Share of the sigma beforehand from which on images told nothing of the focal length, and hardly anything.
 UNTOLD, HARDLY = 0.9, 0.5
 #: Relative sigma of a focal length of which nothing was known, from which on it is hardly observable: heights
 #: above ground go with it.
@@ -56,17 +57,21 @@ def focal_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
     out, verdict = [], focal_verdict(focal)
     known = f"{100.0 * focal.sigma:.2g} % (1-sigma)"
     if verdict != "observable":
-        before = f", beforehand to {100.0 * focal.prior:.2g} %" if np.isfinite(focal.prior) else ""
+        before = (
+            f", beforehand to {100.0 * focal.prior:.2g} %; the sigmas of poses hold that, heights above "
+            "ground first of all"
+            if np.isfinite(focal.prior)
+            else " at best: perspective alone tells it, badly, and heights above ground go with it"
+        )
         out.append(
-            f"the focal length is {verdict}: known to {known}{before}; the sigmas of poses hold that, heights "
-            "above ground first of all. A surface whose height is known, precise positions on a path that "
-            "climbs, control points or relief tell it"
+            f"the focal length is {verdict}: known to {known}{before}. Positions above a surface of known "
+            "height, on a path that climbs, or control points tell it"
         )
     if np.isfinite(focal.prior) and abs(focal.stretch) > _FAR_FOCAL * focal.prior:
         px = poses.detector(problem.detector).focal_length_px
         out.append(
-            f"the focal length found, {px:.6g} px, is {abs(focal.stretch) / focal.prior:.1f} of its sigmas from "
-            "the one told: check focal_length_px and its sigma, heights of positions, [surface] height"
+            f"the focal length found, {px:.6g} px, is {abs(focal.stretch) / focal.prior:.1f} of its sigmas "
+            "from the one told: check focal_length_px and its sigma, heights of positions, [surface] height"
         )
     return out
 

@@ -153,8 +153,8 @@ def _focal_observable(problem: SequenceProblem) -> str:
     heights = np.isfinite(known.position[:, 2]).any() or problem.control is not None
     if not (heights and (problem.height_sigma > 0.0 or problem.control is not None)):
         return (
-            "focal length: hardly observable: heights of positions and of the ground ([surface] height_sigma), "
-            "or control points, are needed; it goes with the flying height otherwise"
+            "focal length: hardly observable: heights of positions and of the ground ([surface] "
+            "height_sigma), or control points, are needed; it goes with the flying height otherwise"
         )
     return "focal length: as well as the flying height above the ground is known, or control points tell it"
 

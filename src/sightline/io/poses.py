@@ -207,7 +207,8 @@ def read_pose_covariance(path: Path) -> PoseCovariance:
     shapes = [array.shape for array in arrays]
     if shapes != [(len(frames), 6, 6), (6,), (6, 6)]:
         raise FormatError(f"{path}: arrays of shapes {shapes} for {len(frames)} frames")
-    return PoseCovariance(frames, *(frozen(array) for array in arrays), focal)
+    covariance, datum, datum_covariance = (frozen(array) for array in arrays)
+    return PoseCovariance(frames, covariance, datum, datum_covariance, focal)
 
 
 def pose_axes(world: WorldSection, radii: tuple[float, float] | None) -> tuple[Array, Rotation]:

@@ -24,14 +24,13 @@ from sightline.errors import EstimationError
 from sightline.estimation.banded_blocks import BlockwiseFactor
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.photogrammetry.descent import DIVERGED, Block, State
+from sightline.photogrammetry.frame_focal import FocalStretch, common_errors, globals_of
 from sightline.photogrammetry.frame_poses import (
-    FocalStretch,
     FramePoses,
     RoughPoses,
-    common_errors,
+    bias_rows,
     frame_unknowns,
     from_poses,
-    globals_of,
     held_at,
     moved_images,
     trend_forms,
@@ -211,7 +210,7 @@ class _Whole:
         self.images, self.known, self.store = images, known, store
         turn = (images.world_from_body.inv() * start.world_from_body).as_rotvec()
         self.moved = np.concatenate([turn, start.position - images.position], axis=1)
-        self.common = globals_of(known, start.bias, start.focal)
+        self.common = globals_of(start.bias, bias_rows(known), start.focal, known.focal_length)
         self.reach = max(r.end - r.last for r in store.ranges) if len(store) > 1 else len(images) - 1
         self.roughness = start.roughness
         self.unknowns = self._unknowns()
@@ -389,7 +388,9 @@ def _poses(whole: _Whole, found: _Forward, of_globals: Array, start: BlockPoses)
     factor, trends = found.factor, found.trends
     order = [3, 4, 5, 0, 1, 2]
     covariance = whole.covariance(factor, of_globals)[:, order][:, :, order]
-    bias, bias_covariance, focal = common_errors(whole.known, whole.common, of_globals)
+    bias, bias_covariance, focal = common_errors(
+        whole.common, of_globals, bias_rows(whole.known), whole.known.focal_length
+    )
     variance = np.diag(factor.gram)[len(trends) + 1 :] + np.einsum("gk,gh,hk->k", trends, of_globals, trends)
     points = np.full((whole.store.points, 3), np.nan)
     residual, rejected = np.zeros((whole.store.sightings, 2)), np.ones(whole.store.sightings, dtype=bool)

@@ -21,6 +21,13 @@ from sightline.errors import EstimationError, InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
 from sightline.photogrammetry.descent import Block, Fit, State, descend, first_state, seen_twice
+from sightline.photogrammetry.frame_focal import (
+    FocalStretch,
+    common_errors,
+    focal_information,
+    globals_of,
+    untold,
+)
 from sightline.photogrammetry.observability import observability
 from sightline.photogrammetry.point_priors import PointPriors
 from sightline.photogrammetry.pose_unknowns import STRETCH, PoseUnknowns
@@ -37,9 +44,6 @@ _PAUSE = 10.0
 _ROUNDS = 2
 #: Steps end when the next would lower the cost by less (chi-square units): a hundredth of a sigma.
 _CONVERGED = 1e-4
-#: Relative sigma of a focal length of which nothing is known: a weak hold, so that one that nothing tells
-#: (it goes with all heights then) comes out as not known rather than as no solution.
-_FREE_FOCAL = 1.0
 #: Bends end to end that tell how rough a path is over a step.
 _LEAST_BENDS = 4
 
@@ -111,28 +115,6 @@ class RoughPoses(ReadOnlyArrays):
         else:
             out[:, 3:, 3:] = np.einsum("nij,nj,nkj->nik", self.axes, self.position**-2.0, self.axes)
         return out
-
-
-@dataclass(frozen=True, eq=False)
-class FocalStretch(ReadOnlyArrays):
-    """The focal length of all frames, found with their poses.
-
-    Attributes
-    ----------
-    stretch : float
-        Relative: the focal length found over the one told, less 1.
-    sigma : float
-        1-sigma of it.
-    prior : float
-        What its sigma was beforehand; inf where nothing was known.
-    with_bias : (6,)
-        Covariance of `stretch` with the biases of `FramePoses`, m and rad.
-    """
-
-    stretch: float
-    sigma: float
-    prior: float
-    with_bias: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,7 +315,7 @@ def frame_unknowns(
         part[:, STRETCH] = 1.0
         parts.append(part)
         names.append("stretch_1")
-        information.append(min(known.focal_length, _FREE_FOCAL) ** -2.0)
+        information.append(focal_information(known.focal_length))
     by_global = np.concatenate([np.zeros((count, width, 0)), *parts], axis=2)
     half = 0.5 * float(np.ptp(images.t))
     return PoseUnknowns(
@@ -412,9 +394,14 @@ def adjust_frames(
     moved = np.zeros((len(images), 6)) if start is None else departures_of(images, start)
     solved = start if isinstance(start, FramePoses) else None
     rough = np.full(6, _LOOSE_ROUGHNESS) * _UNITS**2 if solved is None else solved.roughness
-    common = None if solved is None else globals_of(known, solved.bias, solved.focal)
+    common = (
+        None
+        if solved is None
+        else globals_of(solved.bias, bias_rows(known), solved.focal, known.focal_length)
+    )
     # from tables as rough as these are, a focal length that is free leads into false minima
-    first = known if solved is not None else replace(known, focal_length=0.0)
+    kept = solved is None and known.focal_length > 0.0
+    first = replace(known, focal_length=0.0) if kept else known
     unknowns = frame_unknowns(images, first, rough, rank, moved)
     block = Block(from_poses(sightings, moved), unknowns, priors)
     state, usable = first_state(block, seen_twice(sightings, priors), None)
@@ -445,21 +432,9 @@ def adjust_frames(
         try:
             fit = descend(block, state, usable, robust=robust, weight=fit.weight, converged=_CONVERGED)
         except EstimationError as error:
-            raise _untold(error, known, first) from None
+            raise (untold(known.focal_length) if known is not first else error) from None
         first = known
     return _poses(moved_images(images, moved), block, fit, rough, known)
-
-
-def _untold(error: EstimationError, known: RoughPoses, before: RoughPoses) -> EstimationError:
-    """What to say where no solution was found: that it is the focal length, if there was one without it."""
-    if known.focal_length == before.focal_length:
-        return error
-    size = "nothing known of it" if np.isinf(known.focal_length) else f"{100.0 * known.focal_length:.2g} %"
-    return EstimationError(
-        "the frames can be adjusted with the focal length that was told, but not with it as an unknown "
-        f"(1-sigma beforehand: {size}): they hardly tell it; give a smaller focal_length_sigma_px, or heights "
-        "of positions above a known surface, or control points"
-    )
 
 
 def _rounds(frames: int, known: RoughPoses, solved: FramePoses | None) -> int:
@@ -479,36 +454,6 @@ def bias_rows(known: RoughPoses) -> NDArray[np.intp]:
     """Places of the biases sought in `FramePoses.bias`, in the order of the globals."""
     places = [k for k, on in ((3, known.attitude_bias > 0.0), (0, known.position_bias > 0.0)) if on]
     return np.concatenate([np.arange(p, p + 3) for p in places]) if places else np.zeros(0, dtype=np.intp)
-
-
-def globals_of(known: RoughPoses, bias: Array, focal: FocalStretch | None) -> Array:
-    """Values (G,) of the globals for biases (6,) and a focal length found before; 0 where it was not."""
-    stretch = [] if not known.focal_length > 0.0 else [0.0 if focal is None else focal.stretch]
-    return np.concatenate([-bias[bias_rows(known)], stretch])
-
-
-def common_errors(
-    known: RoughPoses, common: Array, covariance: Array
-) -> tuple[Array, Array, FocalStretch | None]:
-    """Biases (6,) of the tables, their covariance (6, 6), and the focal length, from the globals.
-
-    Parameters
-    ----------
-    known : RoughPoses
-    common : (G,)
-    covariance : (G, G)
-    """
-    bias, bias_covariance, with_bias = np.zeros(6), np.zeros((6, 6)), np.zeros(6)
-    rows = bias_rows(known)
-    count = len(rows)
-    bias[rows] = -common[:count]
-    bias_covariance[np.ix_(rows, rows)] = covariance[:count, :count]
-    if not known.focal_length > 0.0:
-        return frozen(bias), frozen(bias_covariance), None
-    with_bias[rows] = -covariance[:count, count]
-    sigma = float(np.sqrt(covariance[count, count]))
-    focal = FocalStretch(float(common[count]), sigma, known.focal_length, frozen(with_bias))
-    return frozen(bias), frozen(bias_covariance), focal
 
 
 def from_poses(sightings: Sightings, step: Array) -> Sightings:
@@ -584,7 +529,7 @@ def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: Roug
     x = unknowns.departures(state.own, state.common)
     order = [3, 4, 5, 0, 1, 2]
     covariance = reduced.departure_covariance(common)[:, order][:, :, order]
-    bias, bias_covariance, focal = common_errors(known, state.common, common)
+    bias, bias_covariance, focal = common_errors(state.common, common, bias_rows(known), known.focal_length)
     used = seen_twice(sightings, block.priors, fit.weight > 0.0)
     r = block.gradient(state, used.astype(np.float64))[3]
     kept = np.bincount(sightings.point, used, minlength=sightings.points) > 0

@@ -186,7 +186,15 @@ def focal_row(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]
     sigma, before = (problem.detector.focal_length_px * size for size in (focal.sigma, focal.prior))
     verdict = focal_verdict(focal)
     told = f"{digits(before, 2)} px" if np.isfinite(before) else "not known"
-    return [["focal length", f"{with_sigma(px, sigma).lstrip(chr(43))} px", f"{digits(sigma, 2)} px", told, verdict]]
+    return [
+        [
+            "focal length",
+            f"{with_sigma(px, sigma).lstrip(chr(43))} px",
+            f"{digits(sigma, 2)} px",
+            told,
+            verdict,
+        ]
+    ]
 
 
 def _focal(problem: SequenceProblem, found: SequencePoses) -> str:
@@ -198,8 +206,8 @@ def _focal(problem: SequenceProblem, found: SequencePoses) -> str:
     told = f"{problem.detector.focal_length_px:.6g} px"
     beforehand = f"told was {told}" + (f", known to {before}" if before != "not known" else "")
     return (
-        f"The focal length was found with the poses: {value} ({verdict}); {beforehand}. What is not known of it "
-        "is in the sigmas of all poses."
+        f"The focal length was found with the poses: {value} ({verdict}); {beforehand}. What is not known of "
+        "it is in the sigmas of all poses."
     )
 
 
