@@ -75,3 +75,8 @@ def test_words_on_the_terminal_and_the_page(flight, done, capsys):
     assert "it is found with the poses" in capsys.readouterr().out
     page = (done / "report.html").read_text()
     assert "The focal length was found with the poses" in page and "told was 245.098 px" in page
+
+
+def test_an_error_beyond_half_is_refused(tmp_path, capsys):
+    assert run(["simulate", "frames", "--focal-error", "0.7", "--out", str(tmp_path / "no")]) == 2
+    assert "focal_error" in capsys.readouterr().err and not (tmp_path / "no").exists()

@@ -10,8 +10,9 @@ from scipy.spatial.transform import Rotation
 from tests.photogrammetry.test_frame_poses import FOCAL, SHAPE, SIGMA_PX, Flight
 
 from sightline.applications import sequence_blocks, sequence_poses, sequence_solver
+from sightline.applications.frame_cube import frame_views
 from sightline.applications.frame_sequence import SequenceProblem
-from sightline.applications.sequence_poses import poses_of_windows
+from sightline.applications.sequence_poses import SequencePoses, poses_of_windows
 from sightline.applications.sequence_warnings import focal_verdict, focal_warnings
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.instrument import AreaDetector
@@ -23,6 +24,7 @@ from sightline.photogrammetry import frame_poses
 from sightline.photogrammetry.descent import Block, State
 from sightline.photogrammetry.frame_focal import FocalStretch
 from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames, frame_unknowns
+from sightline.photogrammetry.frame_subset import Subset
 from sightline.photogrammetry.point_priors import HeightPrior, PointPriors
 from sightline.photogrammetry.sightings import (
     Images,
@@ -226,3 +228,18 @@ def test_blocks_joined_find_the_focal_length_of_the_whole(monkeypatch):
     turn = (whole.world_from_body.inv() * parts.world_from_body).as_rotvec()
     apart = np.concatenate([parts.position - whole.position, turn], axis=1)
     assert np.abs(apart / sigma).max() < 0.5
+
+
+def test_the_cube_looks_through_the_camera_that_was_found():
+    flight = Flight(0, count=6)
+    problem = small_problem(flight, 1.01 * FOCAL, 0.01)
+    poses = solved(flight, 1.01 * FOCAL, 0.01)
+    found = SequencePoses(
+        poses, ("estimated",) * 6, ("",) * 6, Subset(*([np.zeros(0)] * 3), ()), followed_of(flight),
+        flight.tracks, np.zeros(6, dtype=np.intp),
+    )  # fmt: skip
+    assert poses.focal is not None
+    px = 1.01 * FOCAL * (1.0 + poses.focal.stretch)
+    assert frame_views(problem, found).detector.focal_length_px == pytest.approx(px)
+    # by the rough poses, the one told
+    assert frame_views(problem).detector.focal_length_px == 1.01 * FOCAL

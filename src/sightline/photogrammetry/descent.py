@@ -479,7 +479,10 @@ def _beyond(block: Block, tried: State, weight: Array, cost: float) -> State | N
     for _ in range(_WATCHED):
         if not np.isfinite(block.cost(tried, weight)):
             return None
-        equations = _equations(block, tried, weight)
+        try:
+            equations = _equations(block, tried, weight)
+        except EstimationError:
+            return None
         pull = _pull(block, tried, weight, equations.reduced)
         if pull.cost < cost:
             return tried
