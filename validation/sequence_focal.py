@@ -66,7 +66,7 @@ def row(name: str, flights: int) -> str:
     cells = [100.0 * np.median(sigma), 100.0 * np.sqrt((error**2).mean())]
     over = error / sigma
     said = "- | - | - | - | "
-    if np.isfinite(sigma).all():
+    if len(found) and np.isfinite(sigma).all():
         sizes = f"{np.sqrt((over**2).mean()):.2f}, {1.4826 * np.median(np.abs(over)):.2f}"
         said = f"{cells[0]:.2f} | {cells[1]:.2f} | {sizes} | {100.0 * (np.abs(over) < INSIDE).mean():.0f} | "
     inside = ", ".join(f"{100.0 * part:.0f}" for part in share.mean(axis=0))

@@ -13,7 +13,7 @@ from sightline.applications import sequence_blocks, sequence_poses, sequence_sol
 from sightline.applications.frame_cube import frame_views
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses, poses_of_windows
-from sightline.applications.sequence_warnings import focal_verdict, focal_warnings
+from sightline.applications.sequence_warnings import focal_verdict, focal_warnings, refuse_untold
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
@@ -156,6 +156,15 @@ def test_a_focal_length_of_which_nothing_was_said_is_found_where_heights_tell_it
     px = found.detector(camera(1.08 * FOCAL)).focal_length_px
     assert abs(px - FOCAL) < 4.0 * 1.08 * FOCAL * found.focal.sigma < 0.05 * FOCAL
     assert focal_verdict(found.focal) == "observable"
+
+
+def test_one_that_rests_on_perspective_alone_is_refused():
+    loose = FocalStretch(-0.05, 0.04, np.inf, np.zeros(6))
+    poses = solved(Flight(0, count=3), FOCAL, 0.0)
+    with pytest.raises(EstimationError, match=r"known to 4 % at best.*focal_length_sigma_px"):
+        refuse_untold(replace(poses, focal=loose))
+    for told in (None, replace(loose, sigma=0.02), replace(loose, prior=0.05)):
+        refuse_untold(replace(poses, focal=told))
 
 
 def test_one_far_from_what_was_told_is_told():

@@ -26,7 +26,12 @@ from sightline.applications.sequence_solver import (
     ground_distances,
 )
 from sightline.applications.sequence_start import begun
-from sightline.applications.sequence_warnings import bow_warnings, focal_warnings, part_warnings
+from sightline.applications.sequence_warnings import (
+    bow_warnings,
+    focal_warnings,
+    part_warnings,
+    refuse_untold,
+)
 from sightline.applications.stages import Stages
 from sightline.errors import InputError
 from sightline.execution import CpuClock
@@ -321,6 +326,7 @@ def _all_poses(
             )
             run.progress(SOLVED_ALL, 1, 1)
             run.note(SOLVED_ALL)
+    refuse_untold(found.poses)
     return found, block.with_control(found.tracks)
 
 

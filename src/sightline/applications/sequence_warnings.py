@@ -11,6 +11,7 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
 from sightline.applications.frame_sequence import SequenceProblem
+from sightline.errors import EstimationError
 from sightline.photogrammetry.frame_focal import FocalStretch
 from sightline.photogrammetry.frame_poses import FramePoses, stretches
 from sightline.photogrammetry.sightings import Tracks
@@ -23,6 +24,8 @@ UNTOLD, HARDLY = 0.9, 0.5
 #: Relative sigma of a focal length of which nothing was known, from which on it is hardly observable: heights
 #: above ground go with it.
 _LOOSE_FOCAL = 0.02
+#: The same, from which on it is not observable: perspective alone gives as much, wrongly.
+_UNTOLD_FOCAL = 0.03
 #: Sigmas (of what was known beforehand) by which a focal length may be off: chance leads there once in 2,000.
 _FAR_FOCAL = 3.5
 
@@ -35,12 +38,36 @@ def focal_verdict(focal: FocalStretch) -> str:
     focal : FocalStretch
     """
     if not np.isfinite(focal.prior):
-        free = ("not observable", 10.0 * _LOOSE_FOCAL), ("hardly observable", _LOOSE_FOCAL)
+        free = ("not observable", _UNTOLD_FOCAL), ("hardly observable", _LOOSE_FOCAL)
         return next((words for words, least in free if focal.sigma >= least), "observable")
     share = focal.sigma / focal.prior
     if share >= UNTOLD:
         return "not observable"
     return "hardly observable" if share >= HARDLY else "observable"
+
+
+def refuse_untold(poses: FramePoses) -> None:
+    """EstimationError where a focal length of which nothing was known rests on perspective alone.
+
+    Parameters
+    ----------
+    poses : FramePoses
+        The last solution.
+
+    Notes
+    -----
+    Its sigma would be too small by a factor of two to four, and heights of all frames with it: flights of
+    points over flat ground, heights of positions not told.
+    """
+    focal = poses.focal
+    if focal is None or np.isfinite(focal.prior) or focal_verdict(focal) != "not observable":
+        return
+    raise EstimationError(
+        "the frames do not tell the focal length, of which nothing is said: known to "
+        f"{100.0 * focal.sigma:.2g} % at best, by perspective alone; give focal_length_px with its "
+        'focal_length_sigma_px in place of "estimate", or heights of positions above a surface of known '
+        "height, or control points"
+    )
 
 
 def focal_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
