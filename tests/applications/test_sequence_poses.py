@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.sequence_flights import problem_of
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
 from sightline.errors import EstimationError, InputError
@@ -70,6 +71,26 @@ def flight() -> SequenceScenario:
 @pytest.fixture(scope="module")
 def solved(flight: SequenceScenario) -> SequencePoses:
     return georeference_sequence(problem_of(flight))
+
+
+def test_linear_algebra_runs_on_one_thread(flight):
+    # threads of a small band wait for each other: five times the processor time where the machine is busy
+    threads = set()
+
+    def look(*_: object) -> None:
+        threads.update(
+            library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"
+        )
+
+    problem = problem_of(flight)
+    first = np.arange(8)
+    few = replace(
+        problem, frames=problem.frames[:8], t=problem.t[:8], sources=problem.sources[:8],
+        images=problem.images[first], known=problem.known[first], excluded=problem.excluded[:8],
+    )  # fmt: skip
+    with threadpool_limits(limits=2, user_api="blas"):
+        georeference_sequence(few, progress=look)
+    assert threads == {1}
 
 
 def test_every_frame_is_known_far_better_than_a_pixel_from_its_neighbours(flight, solved):

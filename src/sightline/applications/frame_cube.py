@@ -19,7 +19,7 @@ from sightline.applications.cube_ground import Ground, choose_ground, frame_outl
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import INTERPOLATED, SequencePoses
 from sightline.errors import InputError
-from sightline.execution import CpuClock
+from sightline.execution import CpuClock, one_blas_thread
 from sightline.geometry.checks import ReadOnlyArrays
 from sightline.imaging.source import ImageSource
 from sightline.photogrammetry.frame_poses import stretches
@@ -178,6 +178,7 @@ class CubeSummary(ReadOnlyArrays):
         return self.grid.extent
 
 
+@one_blas_thread
 def assemble_cube(
     problem: SequenceProblem,
     found: SequencePoses,

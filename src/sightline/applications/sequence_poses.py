@@ -29,7 +29,7 @@ from sightline.applications.sequence_start import begun
 from sightline.applications.sequence_warnings import bow_warnings, part_warnings
 from sightline.applications.stages import Stages
 from sightline.errors import InputError
-from sightline.execution import CpuClock
+from sightline.execution import CpuClock, one_blas_thread
 from sightline.geometry.checks import Array
 from sightline.matching.follow import Followed, FollowPlan, FollowState
 from sightline.photogrammetry.cross_links import link_stretches
@@ -95,6 +95,7 @@ class SequencePoses:
     model: RefinedModel | None = None
 
 
+@one_blas_thread
 def georeference_sequence(
     problem: SequenceProblem,
     *,
@@ -266,6 +267,7 @@ def _followed(problem: SequenceProblem, plan: FollowPlan | None, run: _Run) -> F
     return followed
 
 
+@one_blas_thread
 def follow_sequence(
     problem: SequenceProblem,
     plan: FollowPlan | None = None,
@@ -363,6 +365,7 @@ def _compared(block: SequenceSolver, poses: FramePoses, group: NDArray[np.intp],
     )  # fmt: skip
 
 
+@one_blas_thread
 def poses_of_windows(problem: SequenceProblem, followed: Followed) -> tuple[FramePoses, Tracks]:
     """Poses of all frames from windows that were followed (760), and their sightings; no image is read.
 

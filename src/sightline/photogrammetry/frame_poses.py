@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
+from sightline.execution import one_blas_thread
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.photogrammetry.descent import Block, Fit, State, descend, first_state, seen_twice
 from sightline.photogrammetry.observability import observability
@@ -323,6 +324,7 @@ def solving_order(images: Images, sightings: Sightings) -> NDArray[np.intp]:
     return rank if 2 * int(np.abs(rank[rows] - rank[columns]).max()) < in_time else np.arange(count)
 
 
+@one_blas_thread
 def adjust_frames(
     images: Images,
     sightings: Sightings,
