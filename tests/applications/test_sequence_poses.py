@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from tests.sequence_flights import problem_of
 from threadpoolctl import threadpool_info, threadpool_limits
 
+from sightline.applications import sequence_poses
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.rotations import NADIR_MOUNT
@@ -176,6 +177,15 @@ def test_two_lines_are_tied_where_they_overlap():
     apart = shared[:60].mean(axis=(0, 1, 2)) - shared[60:].mean(axis=(0, 1, 2))
     # tables alone leave the lines apart by noise of 1 m and 0.5 deg over sqrt(60) frames: 1 px and more
     assert np.abs(apart).max() < 0.5
+
+
+def test_lines_that_are_too_much_for_the_memory_are_solved_one_by_one(monkeypatch):
+    scenario = sequence_case("two-lines", 1, frames=30, overlap=0.95, filter="pan", readout_time=0.0)
+    monkeypatch.setattr(sequence_poses, "machine_memory", lambda: 1e6)
+    found = georeference_sequence(problem_of(scenario))
+    assert any("not solved together" in words for words in found.warnings)
+    assert found.tracks.point.max() + 1 == len(found.poses.points)
+    assert np.isfinite(found.poses.covariance).all()
 
 
 def test_a_mosaic_filter_is_averaged_over_its_pattern():

@@ -29,11 +29,11 @@ from sightline.applications.sequence_start import begun
 from sightline.applications.sequence_warnings import bow_warnings, part_warnings
 from sightline.applications.stages import Stages
 from sightline.errors import InputError
-from sightline.execution import CpuClock, one_blas_thread
+from sightline.execution import CpuClock, machine_memory, one_blas_thread
 from sightline.geometry.checks import Array
 from sightline.matching.follow import Followed, FollowPlan, FollowState
 from sightline.photogrammetry.cross_links import link_stretches
-from sightline.photogrammetry.frame_poses import FramePoses
+from sightline.photogrammetry.frame_poses import FramePoses, memory_wanted
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
 from sightline.photogrammetry.point_priors import HeightPrior
 from sightline.photogrammetry.pose_interpolation import by_displacement
@@ -54,6 +54,8 @@ FOLLOWED, CHOSEN, MODELLED = "frames followed", "subset chosen", "subset modelle
 SOLVED_ALL, COMPARED = "all poses", "stretches compared"
 #: Called with a stage, how much of it is done, how much it is.
 Progress = Callable[[str, int, int], None]
+#: Share of the machine's memory that a solution of all frames at once may take.
+_SHARE = 0.6
 #: Good sightings from which on a frame's own image tells its pose.
 _ENOUGH = 6
 
@@ -315,6 +317,8 @@ def _all_poses(
     if cross and len(np.unique(group[group >= 0])) > 1:
         shared = run.stages.stage("cross", _Shared, lambda: _compared(block, found.poses, group, run)).tracks
         run.note(COMPARED)
+        if shared is not None and (untied := _too_large(problem, appended(found.tracks, shared))):
+            return replace(found, words=(*found.words, untied)), block.with_control(found.tracks)
         if shared is not None:
             before, words, tracks = found.poses, found.words, appended(found.tracks, shared)
             run.progress(SOLVED_ALL, 0, 1)
@@ -324,6 +328,18 @@ def _all_poses(
             run.progress(SOLVED_ALL, 1, 1)
             run.note(SOLVED_ALL)
     return found, block.with_control(found.tracks)
+
+
+def _too_large(problem: SequenceProblem, tracks: Tracks) -> str:
+    """Why lines are not solved together; "" where they can be."""
+    wanted, there = memory_wanted(problem.images, tracks), _SHARE * machine_memory()
+    if wanted <= there:
+        return ""
+    return (
+        f"stretches of the flight overlap, but are not solved together: {len(problem)} frames at once would "
+        f"take {wanted / 1e9:.1f} GB of memory, {there / 1e9:.1f} GB may be used; each stretch is solved by "
+        "itself, by its own tables. Leave frames out (every other one, say), or use a larger machine"
+    )
 
 
 def _adjusted(block: SequenceSolver, run: _Run) -> Adjusted:
