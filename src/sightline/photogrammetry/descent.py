@@ -447,10 +447,11 @@ def _descended(
         if block.cost(tried, weight) <= pull.cost:
             return tried, False
         if not len(seen):
-            beyond = _beyond(block, state, weight, pull.cost, step)
-            if beyond is not None:
-                return beyond, False
             break
+    # with the globals held as with none it is the images themselves along whose motion the equations bend
+    beyond = _beyond(block, state, weight, pull.cost, step)
+    if beyond is not None:
+        return beyond, False
     for _ in range(_TRIALS):
         step = State(0.5 * step.common, 0.5 * step.own, 0.5 * step.points)
         tried = _moved(state, step)
@@ -469,7 +470,10 @@ def _beyond(block: Block, state: State, weight: Array, cost: float, step: State)
     for _ in range(_WATCHED):
         if not np.isfinite(block.cost(tried, weight)):
             return None
-        equations = _equations(block, tried, weight)
+        try:
+            equations = _equations(block, tried, weight)
+        except EstimationError:
+            return None  # so far off that the sightings tie nothing there
         pull = _pull(block, tried, weight, equations.reduced)
         if pull.cost < cost:
             return tried
