@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
+import signal
+import time
 
 import numpy as np
 import pytest
 
-from sightline.cli.main import run
+from sightline.cli.main import main, run
 from sightline.io.colmap import read_colmap_model
 from sightline.io.opensfm import read_opensfm
 from sightline.io.poses import read_pose_covariance, read_pose_table, read_pose_truth
@@ -126,20 +129,42 @@ def test_a_wrong_file_is_one_clear_error(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_run_that_was_stopped_goes_on_with_resume(flight, done, tmp_path, capsys, monkeypatch):
+@pytest.fixture
+def signals_as_before():
+    """What a signal does is the whole process' affair."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGHUP)}
+    yield
+    for number, heed in before.items():
+        signal.signal(number, heed)
+
+
+@pytest.mark.parametrize(
+    ("number", "status", "by"),
+    [(signal.SIGINT, 130, "interrupted"), (signal.SIGTERM, 143, "ended by SIGTERM"), (signal.SIGHUP, 129, "SIGHUP")],
+)
+def test_a_run_that_was_stopped_goes_on_with_resume(
+    flight, done, tmp_path, capsys, monkeypatch, signals_as_before, number, status, by
+):
     from sightline.applications import sequence_solver
 
     file, out = str(flight / "sequence.toml"), tmp_path / "out"
 
     def stopped(*_, **__):
-        raise KeyboardInterrupt
+        os.kill(os.getpid(), number)
+        time.sleep(60.0)
 
     with monkeypatch.context() as patch:
         patch.setattr(sequence_solver, "adjust_frames", stopped)
-        assert run(["georeference", file, "--out", str(out)]) == 130
-    said = capsys.readouterr().err
-    assert "--resume" in said and "no result was written" in said
+        with pytest.raises(SystemExit) as end:
+            main(["georeference", file, "--out", str(out)])
+    assert end.value.code == status
+    said = [line for line in capsys.readouterr().err.splitlines() if "progress" not in line]
+    assert len(said) == 1 and by in said[0] and "no result was written" in said[0]
+    assert str(out / ".partial" / "stages") in said[0] and "--resume" in said[0]
     assert [entry.name for entry in out.iterdir()] == [".partial"]
+    assert [entry.name for entry in (out / ".partial").iterdir()] == ["stages"]
+    first = set((out / ".partial" / "stages").iterdir())
+    assert {path.name for path in first} == {"follow.stage.npz", "subset.stage.npz"}
     assert run(["georeference", file, "--out", str(out)]) == 2
     assert "--resume to go on" in capsys.readouterr().err
 
@@ -150,6 +175,13 @@ def test_a_run_that_was_stopped_goes_on_with_resume(flight, done, tmp_path, caps
     assert run(["georeference", file, "--out", str(out), "--resume"]) == 0
     assert (out / "poses.csv").read_bytes() == (done / "poses.csv").read_bytes()
     assert not (out / ".partial").exists()
+    summary = json.loads((out / "summary.json").read_text())
+    # following was all of the first start, solving all of the second
+    assert set(summary["taken_over"]) == {"frames followed", "subset chosen"}
+    assert summary["taken_over"]["frames followed"] > 0.1
+    for stage, seconds in summary["taken_over"].items():
+        assert summary["stages"][stage] >= seconds
+    assert "of an earlier start" in (out / "report.html").read_text()
 
 
 @pytest.mark.parametrize("method", ["displacement", "slerp"])

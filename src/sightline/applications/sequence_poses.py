@@ -77,10 +77,12 @@ class SequencePoses:
     stretch : (M,) int
         Frames linked to each other, directly or through others; -1: to none.
     seconds : dict of str to float
-        CPU time of each stage.
+        CPU time of each stage, with that of earlier runs whose results were taken over.
     warnings : tuple of str
     model : RefinedModel or None
         Of the subset by photogrammetry, where it was made.
+    taken_over : dict of str to float
+        How many of the `seconds` are of earlier runs, by stage; stages that are all of this run are not in it.
     """
 
     poses: FramePoses
@@ -93,6 +95,7 @@ class SequencePoses:
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     model: RefinedModel | None = None
+    taken_over: dict[str, float] = field(default_factory=dict)
 
 
 def georeference_sequence(
@@ -159,7 +162,7 @@ def georeference_sequence(
     return SequencePoses(
         poses, source, reason, subset, followed, tracks, _linked(followed), run.seconds,
         (*_warnings(problem, poses, source), *found.words, *part_warnings(problem, tracks, poses)),
-        model,
+        model, run.taken_over,
     )  # fmt: skip
 
 
@@ -226,6 +229,16 @@ class _Run(CpuClock):
     def __init__(self, progress: Progress, stages: Stages) -> None:
         super().__init__()
         self.progress, self.stages = progress, stages
+        self.taken_over: dict[str, float] = {}
+        self._noted = 0.0
+
+    def note(self, stage: str) -> None:
+        """Add the time since the last note to a stage, and that of earlier runs which was taken over."""
+        super().note(stage)
+        taken, self._noted = self.stages.taken_over - self._noted, self.stages.taken_over
+        if taken > 0.0:
+            self.taken_over[stage] = self.taken_over.get(stage, 0.0) + taken
+            self.seconds[stage] += taken
 
 
 def _nothing(stage: str, done: int, total: int) -> None:
@@ -250,17 +263,15 @@ def _followed(problem: SequenceProblem, plan: FollowPlan | None, run: _Run) -> F
     def unreachable() -> FollowState:
         raise AssertionError("a stage that is there is not computed")
 
-    if not run.stages.has("follow"):
+    def keep(state: FollowState) -> None:
+        states.append(run.stages.keep(name(), state))
+
+    def follow() -> Followed:
         while run.stages.has(name()):
             states.append(run.stages.stage(name(), FollowState, unreachable))
-    before = tuple(states)
+        return follow_sequence(problem, plan, run.progress, keep, tuple(states))
 
-    def keep(state: FollowState) -> None:
-        states.append(run.stages.stage(name(), FollowState, lambda: state))
-
-    followed = run.stages.stage(
-        "follow", Followed, lambda: follow_sequence(problem, plan, run.progress, keep, before)
-    )
+    followed = run.stages.stage("follow", Followed, follow)
     for number in range(len(states)):
         run.stages.drop(f"follow-{number}")
     return followed

@@ -99,14 +99,17 @@ def georeference(
 
 @contextmanager
 def stages_kept(folder: Path) -> Iterator[None]:
-    """On an interruption, say where the finished stages are."""
-    from sightline.cli.terminal import complain
+    """Where a run ends early, say where its finished stages are and how to go on from them."""
+    from sightline.cli.terminal import Interrupted, complain
 
     try:
         yield
-    except KeyboardInterrupt:
+    except BaseException as error:
+        kept = f"finished stages wait in {folder}; the same command with --resume goes on from them"
+        if isinstance(error, KeyboardInterrupt):
+            raise Interrupted(kept if folder.is_dir() else "no stage was finished") from error
         if folder.is_dir():
-            complain("note", f"finished stages are kept in {folder}; the same command with --resume goes on")
+            complain("note", kept)
         raise
 
 

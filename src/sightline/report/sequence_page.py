@@ -78,7 +78,7 @@ def sequence_html(
         sliders=[] if cube is None else sequence_cube.sliders(cube),
         cube_sections=[] if cube is None else cube_sections(cube),
         stage_heads=words.STAGE_HEADS,
-        stages=words.stage_rows(found),
+        stages=words.stage_rows(found, (summary.get("cube") or {}).get("seconds")),
         inputs=dict(summary.get("inputs", {})),
         files=list(summary.get("files", [])),
     )
@@ -102,9 +102,9 @@ def about(problem: SequenceProblem, summary: Mapping[str, Any], view: SequenceVi
             f"{'E' if east >= 0.0 else 'W'}"
         )
     if summary.get("wall_seconds"):
-        parts.append(f"{summary['wall_seconds']:.0f} s")
+        parts.append(f"made in {summary['wall_seconds']:.0f} s")
     if summary.get("peak_memory_bytes"):
-        parts.append(f"{summary['peak_memory_bytes'] / 2**30:.2f} GiB")
+        parts.append(f"{summary['peak_memory_bytes'] / 2**30:.2f} GiB of memory at most")
     return "; ".join(parts)
 
 

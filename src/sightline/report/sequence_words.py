@@ -5,7 +5,7 @@ Not here: the page (``sequence_page.py``); nothing is computed but medians, shar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ BOW_HEADS = [
 ]  # fmt: skip
 SUBSET_HEADS = ["frame", "t (s)", "overlap (%)", "parallax (deg)", "why it was taken"]
 IDLE_HEADS = ["frames", "how many", "t (s)", "why", "1 sigma on the ground (px)"]
-STAGE_HEADS = ["stage", "CPU s", "share (%)", "ms per frame"]
+STAGE_HEADS = ["stage", "CPU time (s)", "share (%)", "ms per frame", "taken over"]
 
 
 def sentences(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> list[str]:
@@ -316,15 +316,32 @@ def _alike(reasons: Sequence[str], frames: Index) -> list[tuple[int, int]]:
     return out
 
 
-def stage_rows(found: SequencePoses) -> list[list[str]]:
-    """Per stage: CPU seconds, share, ms per frame; the sum last."""
-    whole = sum(found.seconds.values())
-    count = len(found.source)
-    every = [*found.seconds.items(), ("all", whole)] if found.seconds else []
+def stage_rows(found: SequencePoses, cube: Mapping[str, float] | None = None) -> list[list[str]]:
+    """Per stage: CPU seconds, share, ms per frame, where they were spent; the sum last.
+
+    Parameters
+    ----------
+    found : SequencePoses
+    cube : mapping, optional
+        CPU seconds of the stages of the maps.
+    """
+    if not found.seconds:
+        return []
+    every = dict(found.seconds) | {f"maps: {name}": s for name, s in (cube or {}).items()}
+    whole, count = sum(every.values()), len(found.source)
+    rows = [*((name, s, found.taken_over.get(name, 0.0)) for name, s in every.items()), ("all", whole, 0.0)]
     return [
-        [name, f"{s:.2f}", f"{100.0 * s / max(whole, 1e-9):.0f}", f"{1e3 * s / count:.1f}"]
-        for name, s in every
+        [name, f"{s:.2f}", f"{100.0 * s / max(whole, 1e-9):.0f}", f"{1e3 * s / count:.1f}", _taken_over(s, of)]
+        for name, s, of in rows
     ]
+
+
+def _taken_over(seconds: float, of_earlier: float) -> str:
+    """Whether a stage was taken over from a start that was stopped."""
+    if not of_earlier > 0.0:
+        return ""
+    # what reading the result takes counts as the stage's too
+    return "of an earlier start" if of_earlier > 0.95 * seconds else f"{of_earlier:.2f} s of an earlier start"
 
 
 def _capital(text: str) -> str:
