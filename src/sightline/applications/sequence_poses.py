@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.control_check import screened
+from sightline.applications.found_ground import ground_warnings
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_blocks import BLOCK_FRAMES, solve_in_blocks
 from sightline.applications.sequence_solver import (
@@ -433,4 +434,4 @@ def _warnings(problem: SequenceProblem, poses: FramePoses, source: tuple[str, ..
             f"the focal length is known {told} and not refined; what that moves poses by, heights above "
             "ground first of all, is not in their sigmas"
         )
-    return out + bow_warnings(problem, poses)
+    return out + bow_warnings(problem, poses) + ground_warnings(problem, poses)
