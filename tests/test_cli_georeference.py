@@ -197,3 +197,24 @@ def test_the_ways_of_the_document_stand_beside(flight, tmp_path, method, capsys)
     off = (truth.world_from_body.inv() * table.world_from_body).as_rotvec()
     # biases of a degree per axis are common to all; slerp leaves a third of a degree more
     assert np.degrees(np.abs(off - off.mean(axis=0))).max() < 3.0
+
+
+def test_a_score_for_people_has_the_numbers_of_the_json(flight, done, capsys):
+    truth = str(flight / "poses-truth.csv")
+    assert run(["score", str(done), truth]) == 0
+    score = json.loads(capsys.readouterr().out)
+    assert run(["score", str(done), truth, "--table"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("estimated ("))
+    for k, name in enumerate(("x", "y", "z", "roll", "pitch", "yaw")):
+        parameter, unit, *numbers = lines[at + k].replace(f"estimated ({score['by_source']['estimated']['frames']})", "").split()
+        entry = score["by_source"]["estimated"][name]
+        factor = 1.0 if k < 3 else np.degrees(1.0)
+        assert (parameter, unit) == (name, "m" if k < 3 else "deg")
+        told = [float(number.rstrip("%")) for number in numbers]
+        expected = [factor * entry["rms"], factor * entry["max"], factor * entry["sigma"]]
+        # three figures, two digits, whole per cent
+        assert told[:3] == pytest.approx(expected, rel=5e-3)
+        assert told[3] == pytest.approx(entry["nees"], abs=5e-3)
+        assert told[4] == pytest.approx(100.0 * entry["coverage_95"], abs=0.5)
+    assert any(line.startswith("interpolated (1)") for line in lines)

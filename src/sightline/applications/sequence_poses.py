@@ -27,7 +27,7 @@ from sightline.applications.sequence_solver import (
     ground_distances,
 )
 from sightline.applications.sequence_start import begun
-from sightline.applications.sequence_warnings import bow_warnings, part_warnings
+from sightline.applications.sequence_warnings import bow_warnings, part_warnings, short_warnings
 from sightline.applications.stages import Stages
 from sightline.errors import InputError
 from sightline.execution import CpuClock
@@ -162,7 +162,7 @@ def georeference_sequence(
     source, reason = _sources(problem, followed, subset, poses)
     return SequencePoses(
         poses, source, reason, subset, followed, tracks, _linked(followed), run.seconds,
-        (*_warnings(problem, poses, source), *found.words, *part_warnings(problem, tracks, poses)),
+        (*_warnings(problem, poses, source), *short_warnings(subset), *found.words, *part_warnings(problem, tracks, poses)),
         model, run.taken_over,
     )  # fmt: skip
 
@@ -301,8 +301,14 @@ def follow_sequence(
     if problem.mosaic_nm is not None:
         plan = replace(plan, reduction=int(np.lcm(*problem.mosaic_nm.shape)))
     sources = [s if not why else None for s, why in zip(problem.sources, problem.excluded, strict=True)]
-    if not any(source is not None for source in sources):
+    usable = sum(source is not None for source in sources)
+    if not usable:
         raise InputError("no frame of the sequence can be used; see why each was excluded")
+    if usable == 1:
+        raise InputError(
+            f"1 of {len(sources)} frames can be used: poses are told by what frames share; give two or more "
+            "that overlap"
+        )
 
     def report(done: int) -> None:
         if progress is not None:

@@ -109,6 +109,8 @@ def _missing(problem: SequenceProblem) -> list[str]:
     said = [f"frame {problem.frames[k]}: {problem.excluded[k]}" for k in lost[:LISTED]]
     if len(lost) > LISTED:
         said.append(f"and {len(lost) - LISTED} more frames that cannot be used")
+    if problem.usable.sum() == 1:
+        said.append("frames: one alone tells nothing of its pose; two or more that overlap are needed")
     if not np.isfinite(problem.known.attitude).any():
         said.append(
             "attitudes: none; georeference will begin with a model by pycolmap (extra sfm), and a bow of the "
