@@ -1,12 +1,13 @@
 """What ``check`` says of a flight before it is solved: gaps, overlap, maps, what is missing.
 
-The flight is straight and level in closed form: a frame of 24 x 32 px at f = 40 px from 100 m covers 60 m x 80 m, steps
-are 5 m in 0.5 s.
+The flight is straight and level in closed form: a frame of 24 x 32 px at f = 40 px from 100 m covers
+60 m x 80 m, steps are 5 m in 0.5 s.
 """
 
 from __future__ import annotations
 
-import numpy as np
+import re
+
 import pytest
 from tests.io.sequence_files import flight
 
@@ -35,8 +36,8 @@ def test_a_plain_flight(tmp_path):
     # 1 - 5 m / 60 m
     assert "share about 92%" in said["observable"]
     # 39 x 5 m + 60 m by 80 m, pixels of 2.5 m: 102 rows x 32 columns, rounded outwards
-    rows, columns = np.array(said["observable"].split("bands of ")[-1].split(" of 2.5 m")[0].split(" band of ")[-1]
-                             .replace("rows x", "").replace("columns", "").split(), dtype=int)  # fmt: skip
+    size = re.search(r"of (\d+) rows x (\d+) columns of 2.5 m", said["observable"])
+    rows, columns = map(int, size.groups())
     assert abs(rows - 102) <= 1 and abs(columns - 32) <= 2
     assert "those of the points that are found" in said["observable"]
 
@@ -93,7 +94,9 @@ def test_maps_that_the_camera_cannot_give_are_refused_before_any_work(tmp_path):
     made = flight(12)
     made.toml = made.toml.replace("[surface]", "wavelength_nm = { from = 450, to = 900 }\n[surface]")
     made.toml += "[cube]\nbands = [300.0]\n"
-    with pytest.raises(InputError, match=r"sequence.toml: \[cube\] bands must be wavelengths from 450 to 900 nm"):
+    with pytest.raises(
+        InputError, match=r"sequence.toml: \[cube\] bands must be wavelengths from 450 to 900 nm"
+    ):
         check_cube(read_sequence(made.write(tmp_path)))
 
 

@@ -60,7 +60,7 @@ def ground_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
     height = float(np.median(found_heights(problem, poses)))
     where = "above the ellipsoid" if problem.radii is not None else "of z"
     return [
-        f"the ground that the images show lies {abs(off):.4g} m {'above' if off > 0.0 else 'below'} that of "
-        f"[surface], at {height:.5g} m {where}: tell it (height and height_sigma, or a dem), or check heights "
-        "of the positions and the focal length"
+        f"the ground that the images show lies {abs(off):.4g} m {'above' if off > 0.0 else 'below'} that "
+        f"of [surface], at {height:.5g} m {where}: tell it (height and height_sigma, or a dem), or check "
+        "heights of the positions and the focal length"
     ]

@@ -1,6 +1,6 @@
-"""What the rough poses of a sequence let expect before anything is solved: gaps, overlap, size of the maps.
+"""What the rough poses of a sequence let expect before anything is solved: gaps, overlap, speed.
 
-Not here: in words (``io/describe_outlook.py``).
+Not here: the size of the maps (``cube_outlook.py``), all this in words (``io/describe_outlook.py``).
 """
 
 from __future__ import annotations
@@ -11,19 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from sightline.applications.cube_ground import Ground, frame_outlines, given_heights
-from sightline.applications.frame_cube import CubePlan, choose_bands, frame_views, map_of, pixel_size
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.geometry.checks import Array, read_only
 from sightline.photogrammetry.frame_poses import stretches
-from sightline.products.cube_bands import BandLayout
-from sightline.products.cube_grid import CubeGrid
-from sightline.products.frame_cube import grid_of
 
 #: Times the usual step from which on frames are missing between two of a stretch.
 _MISSING = 1.6
-#: Sigmas of the positions by which the places that tell a speed are apart.
-_SPEED_SIGMAS = 10.0
+#: Sigmas of the positions by which the places that tell a speed are apart; of a short stretch at least.
+_SPEED_SIGMAS, _LEAST_SIGMAS = 10.0, 2.0
 #: Share of the ground that a frame may cover at least, in each direction, to count as shared.
 _SHARED = 0.8
 
@@ -97,20 +92,10 @@ def overlap_of(problem: SequenceProblem) -> Overlap | None:
     times = times_of(problem.t)
     if not (np.isfinite(problem.known.position).any() and np.isfinite(times.step)):
         return None
-    velocity = _velocity(problem, times.stretch)
-    lines, columns = problem.detector.shape
-    middle = 0.5 * (np.array([problem.detector.shape]) - 1.0)
-    ends = problem.detector.directions(read_only(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
-    camera = problem.images.world_from_body * problem.mount
-    ground = problem.surface.intersect(problem.images.position, read_only(camera.apply(ends[0])))
-    distance = float(np.nanmedian(np.linalg.norm(ground - problem.images.position, axis=1)))
-    if not (np.isfinite(velocity).all(axis=1).any() and np.isfinite(distance)):
+    moved, speed = ground_motion(problem)
+    if not np.isfinite(moved).any():
         return None
-    seen = camera.inv().apply(velocity)
-    # frames per second that the ground moves through, along lines and along columns
-    per_px = np.linalg.norm(ends[1:] - ends[0], axis=1) * distance
-    axes = (ends[1:] - ends[0]) / np.linalg.norm(ends[1:] - ends[0], axis=1)[:, None]
-    rate = np.abs(np.nanmedian(seen @ axes.T, axis=0)) / (per_px * (lines, columns))
+    rate = np.abs(np.nanmedian(moved, axis=0)) / problem.detector.shape
     dt = np.diff(problem.t)
     inside = np.flatnonzero(np.diff(times.stretch) == 0)
     worst = int(inside[np.argmax(dt[inside])])
@@ -118,29 +103,56 @@ def overlap_of(problem: SequenceProblem) -> Overlap | None:
     def share(seconds: float) -> float:
         return float(np.prod(np.maximum(1.0 - rate * seconds, 0.0)))
 
-    speed = float(np.nanmedian(np.linalg.norm(velocity, axis=1)))
-    covered = speed / max(float(rate.max()), 1e-12) if speed > 0.0 else np.inf
+    covered = speed / float(rate.max()) if rate.max() > 0.0 else np.inf
     return Overlap(speed * times.step, covered, share(times.step), share(float(dt[worst])), worst)
 
 
+def ground_motion(problem: SequenceProblem) -> tuple[Array, float]:
+    """How the rough poses let the ground move through each frame.
+
+    Returns
+    -------
+    moved : (M, 2)
+        px/s of (line, column); NaN where the positions of a stretch do not tell a speed.
+    speed : float
+        m/s of the camera, median; NaN likewise.
+    """
+    velocity = _velocity(problem, stretches(problem.t))
+    middle = 0.5 * (np.array([problem.detector.shape]) - 1.0)
+    ends = problem.detector.directions(read_only(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
+    camera = problem.images.world_from_body * problem.mount
+    ground = problem.surface.intersect(problem.images.position, read_only(camera.apply(ends[0])))
+    distance = np.linalg.norm(ground - problem.images.position, axis=1)
+    if not (np.isfinite(velocity).any() and np.isfinite(distance).any()):
+        return np.full((len(problem.t), 2), np.nan), np.nan
+    # tangents of a pixel along lines and along columns
+    pixel = ends[1:] - ends[0]
+    along = camera.inv().apply(velocity) @ (pixel / (pixel**2).sum(axis=1)[:, None]).T
+    # the camera goes forward, the ground through its frames goes back
+    moved = -along / np.nanmedian(distance)
+    return np.asarray(moved), float(np.nanmedian(np.linalg.norm(velocity, axis=1)))
+
+
 def _velocity(problem: SequenceProblem, stretch: NDArray[np.intp]) -> Array:
-    """m/s (M, 3), between places farther apart than their noise; NaN where a stretch is too short for that."""
+    """m/s (M, 3), between places farther apart than their noise; NaN in a stretch too short for it."""
     t, position = problem.t, problem.images.position
     known = problem.known.position[np.isfinite(problem.known.position)]
-    apart = _SPEED_SIGMAS * float(np.median(known))
     out = np.full((len(t), 3), np.nan)
+    if not len(known):
+        return out
+    noise = float(np.median(known))
     for number in np.unique(stretch):
         rows = np.flatnonzero(stretch == number)
-        if len(rows) < 2:
-            continue
-        half = 1
-        while True:
-            a, b = np.maximum(np.arange(len(rows)) - half, 0), np.minimum(np.arange(len(rows)) + half, len(rows) - 1)
-            moved = position[rows[b]] - position[rows[a]]
-            if half >= len(rows) or float(np.median(np.linalg.norm(moved, axis=1))) > apart:
+        half, at = 1, np.arange(len(rows))
+        while len(rows) > 1:
+            before, after = rows[np.maximum(at - half, 0)], rows[np.minimum(at + half, len(rows) - 1)]
+            moved = position[after] - position[before]
+            far = float(np.median(np.linalg.norm(moved, axis=1)))
+            if far > _SPEED_SIGMAS * noise or half >= len(rows):
+                if far > _LEAST_SIGMAS * noise:
+                    out[rows] = moved / (t[after] - t[before])[:, None]
                 break
             half *= 2
-        out[rows] = moved / (t[rows[b]] - t[rows[a]])[:, None]
     return out
 
 
@@ -161,7 +173,9 @@ def side_overlap(problem: SequenceProblem) -> float:
     if not len(known):
         return np.nan
     distance = np.linalg.norm(ground[known] - problem.images.position[known], axis=1)
-    width = _SHARED * float(np.median(distance)) * min(problem.detector.shape) / problem.detector.focal_length_px
+    width = (
+        _SHARED * float(np.median(distance)) * min(problem.detector.shape) / problem.detector.focal_length_px
+    )
     shared = np.zeros(len(known), dtype=bool)
     for number in np.unique(stretch[known]):
         own = stretch[known] == number
@@ -170,26 +184,3 @@ def side_overlap(problem: SequenceProblem) -> float:
         near, _ = cKDTree(ground[known][~own]).query(ground[known][own], distance_upper_bound=width)
         shared[own] = np.isfinite(near)
     return float(shared.mean())
-
-
-def expected_cube(problem: SequenceProblem, plan: CubePlan) -> tuple[CubeGrid, BandLayout]:
-    """The map and the bands that a plan would come to by the rough poses.
-
-    Parameters
-    ----------
-    problem : SequenceProblem
-    plan : CubePlan
-
-    Raises
-    ------
-    InputError
-        If the plan asks for what the camera does not see, or no frame looks at the ground.
-    """
-    views, system = frame_views(problem), map_of(problem)
-    ground = Ground(given_heights(problem.surface, system), "", 0.0)
-    outline, _ = frame_outlines(problem, system, ground, views)
-    gsd = plan.gsd or pixel_size(problem, views, outline)
-    overlap = overlap_of(problem)
-    step = None if overlap is None else overlap.step / gsd
-    layout = choose_bands(problem, plan, outline, gsd, step)
-    return grid_of(outline[np.isfinite(views.penalty)].reshape(-1, 2), system, gsd), layout

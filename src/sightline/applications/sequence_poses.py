@@ -29,7 +29,8 @@ from sightline.applications.sequence_solver import (
 from sightline.applications.sequence_start import begun
 from sightline.applications.sequence_warnings import bow_warnings, part_warnings, short_warnings
 from sightline.applications.stages import Stages
-from sightline.errors import InputError
+from sightline.applications.table_check import motion_warnings, table_warnings, unsolved_words
+from sightline.errors import EstimationError, InputError
 from sightline.execution import CpuClock
 from sightline.geometry.checks import Array
 from sightline.matching.follow import Followed, FollowPlan, FollowState
@@ -41,6 +42,7 @@ from sightline.photogrammetry.pose_interpolation import by_displacement
 from sightline.photogrammetry.reconstruct import (
     Reconstruction,
     RefinedModel,
+    check_modelling,
     filter_pairs,
     looking_down,
     reconstruct,
@@ -83,7 +85,7 @@ class SequencePoses:
     model : RefinedModel or None
         Of the subset by photogrammetry, where it was made.
     taken_over : dict of str to float
-        How many of the `seconds` are of earlier runs, by stage; stages that are all of this run are not in it.
+        How many of the `seconds` are of earlier runs, by stage; without stages that are all of this one.
     """
 
     poses: FramePoses
@@ -137,6 +139,10 @@ def georeference_sequence(
         If no two frames are alike.
     """
     run = _Run(progress or _nothing, stages or Stages())
+    if photogrammetry is None:
+        photogrammetry = not np.isfinite(problem.known.attitude).any()
+    if photogrammetry:
+        check_modelling(problem.known.along_world())
     run.stages.depend(problem)
     followed = _followed(problem, plan, run)
     run.note(FOLLOWED)
@@ -149,21 +155,29 @@ def georeference_sequence(
         ),
     )  # fmt: skip
     run.note(CHOSEN)
-    if photogrammetry is None:
-        photogrammetry = not np.isfinite(problem.known.attitude).any()
     run.stages.depend([photogrammetry, cross])
     problem = begun(problem, followed)
     model = None
     if photogrammetry:
         problem, model = _with_model(problem, followed, subset, run)
         run.note(MODELLED)
-    found, tracks = _all_poses(problem, followed, cross, run)
+    try:
+        found, tracks = _all_poses(problem, followed, cross, run)
+    except EstimationError as error:
+        if "does not converge" not in str(error):
+            raise
+        raise EstimationError(unsolved_words(problem)) from error
     problem, poses = screened(problem, tracks, found.poses, _without_control(followed, tracks))
     source, reason = _sources(problem, followed, subset, poses)
+    words = (
+        *_warnings(problem, poses, source, followed),
+        *short_warnings(subset),
+        *found.words,
+        *part_warnings(problem, tracks, poses),
+    )
     return SequencePoses(
-        poses, source, reason, subset, followed, tracks, _linked(followed), run.seconds,
-        (*_warnings(problem, poses, source), *short_warnings(subset), *found.words, *part_warnings(problem, tracks, poses)),
-        model, run.taken_over,
+        poses, source, reason, subset, followed, tracks, _linked(followed), run.seconds, words, model,
+        run.taken_over,
     )  # fmt: skip
 
 
@@ -424,15 +438,19 @@ def _sources(
     return tuple(source), tuple(reason)
 
 
-def _warnings(problem: SequenceProblem, poses: FramePoses, source: tuple[str, ...]) -> list[str]:
+def _warnings(
+    problem: SequenceProblem, poses: FramePoses, source: tuple[str, ...], followed: Followed
+) -> list[str]:
     """What a user should know."""
     out = list(problem.warnings)
     idle = source.count(INTERPOLATED)
     if idle:
-        are = "frame is" if idle == 1 else "frames are"
-        out.append(
-            f"{idle} of {len(source)} {are} interpolated: their images are missing or tell nothing of them"
+        are = (
+            "is interpolated: its image is missing or tells nothing of it"
+            if idle == 1
+            else "are interpolated: their images are missing or tell nothing of them"
         )
+        out.append(f"{idle} of {len(source)} frames {are}")
     if problem.focal_length_sigma_px > 0.0:
         loose = problem.focal_length_sigma_px / problem.detector.focal_length_px
         told = f"to {100.0 * loose:.2g} %" if np.isfinite(loose) else "hardly"
@@ -440,4 +458,6 @@ def _warnings(problem: SequenceProblem, poses: FramePoses, source: tuple[str, ..
             f"the focal length is known {told} and not refined; what that moves poses by, heights above "
             "ground first of all, is not in their sigmas"
         )
-    return out + bow_warnings(problem, poses) + ground_warnings(problem, poses)
+    # ground at another height moves otherwise too: said once
+    out += ground_warnings(problem, poses) or motion_warnings(problem, followed)
+    return out + table_warnings(problem, poses) + bow_warnings(problem, poses)

@@ -63,9 +63,9 @@ def short_warnings(subset: Subset) -> list[str]:
     parallax = np.degrees(subset.parallax[np.isfinite(subset.parallax)])
     angle = f" under an angle of {parallax.max():.2g} degrees" if len(parallax) else ""
     return [
-        f"a very short sequence: its subset has {len(subset)} frames, which see the ground{angle}; heights and "
-        "poses are hardly better than the tables that tell them, nothing checks matches against a third view, "
-        "and bands whose lines did not pass over a place are missing there"
+        f"a very short sequence: its subset has {len(subset)} frames, which see the ground{angle}; "
+        "heights and poses are hardly better than the tables that tell them, nothing checks matches "
+        "against a third view, and bands whose lines did not pass over a place are missing there"
     ]
 
 

@@ -132,7 +132,7 @@ def run(words: list[str], *, debug: bool = False) -> int:
 
 
 def _interrupted(kept: str) -> int:
-    """Say that the command was stopped, by what, and what is left of it; the exit status that tells the same."""
+    """Say that the command was stopped, by what, and what is left of it; give the exit status of that."""
     if _ended_by:
         number = _ended_by[0]
         complain("error", f"ended by {signal.Signals(number).name}; no result was written{kept}")

@@ -87,8 +87,8 @@ def progress() -> Iterator[Progress]:
     """Function ``report(stage, done, total)`` that shows on stderr what is being done.
 
     On a terminal each finished stage leaves a line with the time it took; where a total is given, a bar and
-    the time left show meanwhile. Elsewhere, as in a log, plain lines say the same: one for each finished stage
-    of a second or more, and one every 30 s of a stage under way.
+    the time left show meanwhile. Elsewhere, as in a log, plain lines say the same: one for each finished
+    stage of a second or more, and one every 30 s of a stage under way.
     """
     if not sys.stderr.isatty():
         log, finished = _Log(), False

@@ -1,6 +1,7 @@
 """In plain words what a SEQUENCE.toml lets expect: gaps in time, overlap, size of the maps, what is missing.
 
-Not here: the numbers (``applications/sequence_outlook.py``), the rest of ``check`` (``describe_sequence.py``).
+Not here: the numbers (``applications/sequence_outlook.py``, ``cube_outlook.py``), the rest of ``check``
+(``describe_sequence.py``).
 """
 
 from __future__ import annotations
@@ -9,11 +10,11 @@ from importlib.util import find_spec
 
 import numpy as np
 
+from sightline.applications.cube_outlook import expected_cube
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_outlook import (
     Overlap,
     Times,
-    expected_cube,
     overlap_of,
     side_overlap,
     times_of,
@@ -25,6 +26,8 @@ from sightline.io.sequence import FrameSequence
 
 #: Share of a frame that successive frames have to share for displacements to be told.
 LEAST_OVERLAP = 0.5
+#: m/s; of drones that hardly move, and of orbits, beyond which units may be wrong.
+SLOWEST, FASTEST = 0.1, 12e3
 #: Gaps and stretches that are named in a message.
 LISTED = 3
 #: Frames from which on a sequence has overlaps enough that a gap in it stands out.
@@ -67,7 +70,15 @@ def overlap_words(problem: SequenceProblem) -> list[str]:
     overlap = overlap_of(problem)
     if overlap is None:
         return []
-    said = [f"successive frames share about {overlap.usual:.0%}, by the rough positions{_least(problem, overlap)}"]
+    said = [
+        f"successive frames share about {overlap.usual:.0%}, by the rough positions{_least(problem, overlap)}"
+    ]
+    speed = overlap.step / times_of(problem.t).step
+    if not SLOWEST < speed < FASTEST:
+        said.append(
+            f"note: the camera flies at {speed:.2g} m/s by the tables: are times in seconds and positions "
+            "in metres?"
+        )
     if overlap.usual < LEAST_OVERLAP:
         said.append("so little common ground tells poses badly; check positions, height, and focal length")
     side = side_overlap(problem)
@@ -109,8 +120,8 @@ def map_words(sequence: FrameSequence) -> list[str]:
     rows, columns = grid.shape
     size = 4.0 * rows * columns * len(layout) * len(cube.formats)
     return [
-        f"maps of about {bands} of {rows} rows x {columns} columns of {grid.gsd:.3g} m: some {_bytes(size)} as "
-        f"{', '.join(cube.formats)} before compression (--poses-only: none)",
+        f"maps of about {bands} of {rows} rows x {columns} columns of {grid.gsd:.3g} m: some "
+        f"{_bytes(size)} as {', '.join(cube.formats)} before compression (--poses-only: none)",
         f"heights of the maps: {_heights(sequence)}",
     ]
 

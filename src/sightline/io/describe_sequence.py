@@ -111,6 +111,8 @@ def _missing(problem: SequenceProblem) -> list[str]:
         said.append(f"and {len(lost) - LISTED} more frames that cannot be used")
     if problem.usable.sum() == 1:
         said.append("frames: one alone tells nothing of its pose; two or more that overlap are needed")
+    if not np.isfinite(problem.known.attitude).any() and np.isfinite(problem.known.position).all(1).sum() < 3:
+        said.append("positions of three frames or more: without attitudes they bring a model to the world")
     if not np.isfinite(problem.known.attitude).any():
         said.append(
             "attitudes: none; georeference will begin with a model by pycolmap (extra sfm), and a bow of the "
@@ -119,7 +121,11 @@ def _missing(problem: SequenceProblem) -> list[str]:
     if problem.height_sigma <= 0.0:
         said.append(
             "[surface] height_sigma: heights of the ground are a start only"
-            + (f"; they are {problem.surface.height:g} m" if isinstance(problem.surface, Plane | Ellipsoid) else "")
+            + (
+                f"; they are {problem.surface.height:g} m"
+                if isinstance(problem.surface, Plane | Ellipsoid)
+                else ""
+            )
             + "; ground known to height_sigma (or a dem) would tell heights, tilts and the scale better"
         )
     return said

@@ -79,8 +79,8 @@ def pose_score_lines(score: dict[str, Any]) -> list[str]:
     Returns
     -------
     list of str
-        Per kind of frame and parameter: rms, largest error and rms of the stated sigma (m, degrees), NEES, share
-        of the true values inside their 95 % interval.
+        Per kind of frame and parameter: rms, largest error and rms of the stated sigma (m, degrees), NEES,
+        share of the true values inside their 95 % interval.
     """
     count = score["frames"]
     lines = [_line("frames", "", [head for head, _, _ in _COLUMNS])]
@@ -90,8 +90,8 @@ def pose_score_lines(score: dict[str, Any]) -> list[str]:
     if "rigid" in score:
         lines += _part_lines(f"all, turned and moved ({count})", score["rigid"])
     lines.append(
-        "NEES: mean squared error over the stated variance; 1 is expected, of all six together 6. Frames share the "
-        "error of their datum: one flight is one draw of it."
+        "NEES: mean squared error over the stated variance; 1 is expected, of all six together 6. Frames "
+        "share the error of their datum: one flight is one draw of it."
     )
     alone = [f"{score[key]} {words}" for key, words in _ALONE.items() if score[key]]
     return lines + ([f"not compared: {', '.join(alone)}"] if alone else [])

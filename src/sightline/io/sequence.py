@@ -180,9 +180,16 @@ def detector_of(
     if tags is not None and camera.focal_length_px is None:
         principal = principal or tags.principal_point_px
         distortion = distortion or tags.distortion
-    detector = AreaDetector(
-        "camera", shape, focal, principal or middle, distortion, _wavelengths(camera, files, shape)
-    )
+    principal = principal or middle
+    off = [abs(p - m) > size for p, m, size in zip(principal, middle, shape, strict=True)]
+    if any(off):
+        words = (
+            *words,
+            f"the principal point (line {principal[0]:.6g}, column {principal[1]:.6g}) lies far outside "
+            f"the frame of {shape[0]} lines x {shape[1]} columns: is [camera] principal_point_px in "
+            "pixels, (line, column)?",
+        )
+    detector = AreaDetector("camera", shape, focal, principal, distortion, _wavelengths(camera, files, shape))
     return detector, sigma, words
 
 

@@ -10,7 +10,15 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
 from sightline.io.acquisition_schema import (
     ControlPointSection,
@@ -55,9 +63,9 @@ class WavelengthRange(Section):
 def _a_way(value: object) -> object:
     if not isinstance(value, list | dict | str | WavelengthRange):
         raise ValueError(
-            f"{value!r} is not allowed: a list with one wavelength (nm) per line, {{ from = 450, to = 900 }}, "
-            "or the name of an ENVI header are; of a camera without a filter along its lines remove it, or "
-            "give channel_nm"
+            f"{value!r} is not allowed: a list with one wavelength (nm) per line, {{ from = 450, to = 900 "
+            "}, or the name of an ENVI header are; of a camera without a filter along its lines remove "
+            "it, or give channel_nm"
         )
     return value
 

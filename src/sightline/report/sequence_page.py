@@ -148,8 +148,9 @@ def sections(problem: SequenceProblem, found: SequencePoses, view: SequenceView)
             "sigma",
             "1-sigma of the six parameters against time",
             "Of absolute poses. A level floor is what all frames have wrong together (the datum); peaks "
-            "are frames without evidence of their own, ends of stretches are known less. On the ground, "
-            "errors of place and of tilt partly make up for each other.",
+            "are frames without evidence of their own, ends of stretches are known less. Wide lines lie "
+            "under narrow ones of the same value. On the ground, errors of place and of tilt partly make "
+            "up for each other.",
             sequence_figures.sigma_figure(view, problem.epoch),
         ),
         Section(
@@ -170,8 +171,9 @@ def cube_sections(cube: CubeView) -> list[Section]:
         (
             "band-error",
             "Band-to-band error over the ground",
-            "How far bands lie from each other, rms over the pairs compared in each place. Patches along the "
-            "path are errors of poses, patches that follow hills errors of the surface; white: not known.",
+            "How far bands lie from each other, rms over the pairs compared in each place; every cell is "
+            "a window that was compared, px are those of the map. Patches along the path are errors of "
+            "poses, patches that follow hills errors of the surface; white: not known.",
             sequence_cube.error_map_figure(cube),
         ),
         (
@@ -184,7 +186,8 @@ def cube_sections(cube: CubeView) -> list[Section]:
         (
             "coverage",
             "Coverage of each band",
-            "Share of the ground that a band could see, given the flight lines, for which it has a value.",
+            "Share of the ground that the lines of every band passed over for which a band has a value: "
+            "less than all where steps between frames were too long for its lines.",
             sequence_cube.coverage_figure(cube),
         ),
     ]

@@ -67,9 +67,11 @@ def _what(found: SequencePoses, view: SequenceView) -> str:
         f"{'one stretch' if pauses == 1 else f'{pauses} stretches'} of flight: {count[0]:,} solved (the "
         f"subset), {count[1]:,} estimated from what they share with others, "
         + (
-            f"{count[2]:,} interpolated because their images tell nothing of them."
-            if count[2]
-            else "none interpolated."
+            "none interpolated."
+            if not count[2]
+            else "1 interpolated because its image tells nothing of it."
+            if count[2] == 1
+            else f"{count[2]:,} interpolated because their images tell nothing of them."
         )
     )
     return text + " Every frame has a pose and a covariance." * bool(_all_known(view))
@@ -331,7 +333,13 @@ def stage_rows(found: SequencePoses, cube: Mapping[str, float] | None = None) ->
     whole, count = sum(every.values()), len(found.source)
     rows = [*((name, s, found.taken_over.get(name, 0.0)) for name, s in every.items()), ("all", whole, 0.0)]
     return [
-        [name, f"{s:.2f}", f"{100.0 * s / max(whole, 1e-9):.0f}", f"{1e3 * s / count:.1f}", _taken_over(s, of)]
+        [
+            name,
+            f"{s:.2f}",
+            f"{100.0 * s / max(whole, 1e-9):.0f}",
+            f"{1e3 * s / count:.1f}",
+            _taken_over(s, of),
+        ]
         for name, s, of in rows
     ]
 
