@@ -39,6 +39,8 @@ DATA_CANNOT_ANSWER = 1
 WRONG_INPUT = 2
 DEFECT = 70
 INTERRUPTED = 130
+#: 128 and the number of SIGTERM, of SIGHUP.
+TERMINATED, HUNG_UP = 143, 129
 
 app = typer.Typer(
     name="sightline",

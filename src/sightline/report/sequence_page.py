@@ -77,7 +77,7 @@ def sequence_html(
         sections=sections(problem, found, view),
         sliders=[] if cube is None else sequence_cube.sliders(cube),
         cube_sections=[] if cube is None else cube_sections(cube),
-        stage_heads=words.STAGE_HEADS,
+        stage_heads=[*words.STAGE_HEADS, *([words.TAKEN_OVER] if found.taken_over else [])],
         stages=words.stage_rows(found, (summary.get("cube") or {}).get("seconds")),
         inputs=dict(summary.get("inputs", {})),
         files=list(summary.get("files", [])),

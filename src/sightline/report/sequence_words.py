@@ -39,7 +39,9 @@ BOW_HEADS = [
 ]  # fmt: skip
 SUBSET_HEADS = ["frame", "t (s)", "overlap (%)", "parallax (deg)", "why it was taken"]
 IDLE_HEADS = ["frames", "how many", "t (s)", "why", "1 sigma on the ground (px)"]
-STAGE_HEADS = ["stage", "CPU time (s)", "share (%)", "ms per frame", "taken over"]
+STAGE_HEADS = ["stage", "CPU time (s)", "share (%)", "ms per frame"]
+#: One more where stages of an earlier start were taken over.
+TAKEN_OVER = "taken over"
 
 
 def sentences(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> list[str]:
@@ -319,7 +321,7 @@ def _alike(reasons: Sequence[str], frames: Index) -> list[tuple[int, int]]:
 
 
 def stage_rows(found: SequencePoses, cube: Mapping[str, float] | None = None) -> list[list[str]]:
-    """Per stage: CPU seconds, share, ms per frame, where they were spent; the sum last.
+    """Per stage: CPU seconds, share, ms per frame, what was taken over if anything was; the sum last.
 
     Parameters
     ----------
@@ -331,17 +333,14 @@ def stage_rows(found: SequencePoses, cube: Mapping[str, float] | None = None) ->
         return []
     every = dict(found.seconds) | {f"maps: {name}": s for name, s in (cube or {}).items()}
     whole, count = sum(every.values()), len(found.source)
-    rows = [*((name, s, found.taken_over.get(name, 0.0)) for name, s in every.items()), ("all", whole, 0.0)]
-    return [
-        [
-            name,
-            f"{s:.2f}",
-            f"{100.0 * s / max(whole, 1e-9):.0f}",
-            f"{1e3 * s / count:.1f}",
-            _taken_over(s, of),
-        ]
-        for name, s, of in rows
-    ]
+    rows = []
+    for name, seconds in (*every.items(), ("all", whole)):
+        share = 100.0 * seconds / max(whole, 1e-9)
+        row = [name, f"{seconds:.2f}", f"{share:.0f}", f"{1e3 * seconds / count:.1f}"]
+        if found.taken_over:
+            row.append(_taken_over(seconds, found.taken_over.get(name, 0.0)))
+        rows.append(row)
+    return rows
 
 
 def _taken_over(seconds: float, of_earlier: float) -> str:
