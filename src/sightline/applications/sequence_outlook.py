@@ -17,8 +17,9 @@ from sightline.photogrammetry.frame_poses import stretches
 
 #: Times the usual step from which on frames are missing between two of a stretch.
 _MISSING = 1.6
-#: Sigmas of the positions by which the places that tell a speed are apart; of a short stretch at least.
-_SPEED_SIGMAS, _LEAST_SIGMAS = 10.0, 2.0
+#: Sigmas of the positions by which the places that tell a speed are apart, no farther as flights turn; of a
+#: short stretch at least.
+_SPEED_SIGMAS, _LEAST_SIGMAS = 4.0, 2.0
 #: Share of the ground that a frame may cover at least, in each direction, to count as shared.
 _SHARED = 0.8
 

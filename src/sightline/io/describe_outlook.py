@@ -114,13 +114,13 @@ def map_words(sequence: FrameSequence) -> list[str]:
         grid, layout = expected_cube(problem, cube_plan(cube))
     except InputError as error:
         return [f"size of the maps: not known by the rough poses: {error}"]
-    bands = f"{len(layout)} band" + ("s" if len(layout) != 1 else "")
+    bands = f"about {len(layout)} bands" if len(layout) != 1 else "1 band"
     if not np.isfinite(problem.known.position).any():
         return [f"maps of {bands}, in a scale of no meaning: no positions are told"]
     rows, columns = grid.shape
     size = 4.0 * rows * columns * len(layout) * len(cube.formats)
     return [
-        f"maps of about {bands} of {rows} rows x {columns} columns of {grid.gsd:.3g} m: some "
+        f"maps of {bands} of {rows} rows x {columns} columns of {grid.gsd:.3g} m: some "
         f"{_bytes(size)} as {', '.join(cube.formats)} before compression (--poses-only: none)",
         f"heights of the maps: {_heights(sequence)}",
     ]
