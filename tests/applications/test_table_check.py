@@ -49,7 +49,7 @@ def followed(rate, problem):
 
 def test_the_ground_moves_by_speed_over_distance(problem):
     moved, speed = ground_motion(problem)
-    # places 4 m apart, 0.5 m of noise each: sqrt(2) / 8 of the speed a frame, the median of 60 a fifth of that
+    # places 4 m apart, 0.5 m of noise each: sqrt(2) / 8 of the speed; the median of 60 is better
     assert speed == pytest.approx(2.0, rel=0.14)
     assert abs(np.median(moved[:, 0])) == pytest.approx(4.0, rel=0.14)
     assert np.abs(np.median(moved[:, 1])) < 0.5
