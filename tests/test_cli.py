@@ -214,6 +214,18 @@ def test_a_log_gets_a_line_now_and_then_and_one_for_each_finished_stage(capsys, 
     assert "sightline: progress: matching: 0 s" in lines
 
 
+def test_a_run_goes_on_when_nobody_reads_its_log_any_more(monkeypatch):
+    class Closed(io.StringIO):
+        def write(self, text):
+            raise BrokenPipeError
+
+    monkeypatch.setattr(terminal, "_WORTH_A_LINE", 0.0)
+    monkeypatch.setattr(sys, "stderr", Closed())
+    with progress() as report:
+        report("matching")
+        report("writing")
+
+
 def test_the_time_left_is_that_of_the_pace_since_the_start(monkeypatch):
     log = terminal._Log()
     now = [100.0]

@@ -10,7 +10,7 @@ import threading
 import time
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
 
@@ -54,12 +54,12 @@ class _Log:
     def _finish(self) -> None:
         took = time.monotonic() - self._begun
         if self._stage and took >= _WORTH_A_LINE:
-            complain("progress", f"{self._stage}: {_duration(took)}")
+            _progress_line(f"{self._stage}: {_duration(took)}")
 
     def _tell_now_and_then(self) -> None:
         while not self._ended.wait(_EVERY):
             if self._stage and time.monotonic() - self._begun >= 0.5 * _EVERY:
-                complain("progress", self._under_way())
+                _progress_line(self._under_way())
 
     def _under_way(self) -> str:
         """How far the stage has come, and the time left by its pace so far."""
@@ -71,6 +71,12 @@ class _Log:
         if done <= 0 or self._done >= self._total:
             return text
         return f"{text}, about {_duration(took * (self._total - self._done) / done)} left"
+
+
+def _progress_line(text: str) -> None:
+    """Say how far a run is; one that nobody reads any more goes on."""
+    with suppress(OSError, ValueError):
+        complain("progress", text)
 
 
 def _duration(seconds: float) -> str:
