@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sightline.applications.found_ground import level_ground
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.geometry.earth import from_geodetic, local_axes, to_geodetic
 from sightline.io.angle_tables import OPK, YPR, AngleTable, opk_of_camera, write_angles, ypr_of_body
@@ -219,7 +220,8 @@ def _write_places(
     horizontal = np.sqrt(variance[:, :2].mean(axis=1))
     lonlat = np.column_stack([np.degrees(geodetic[:, :2]), geodetic[:, 2]])
     write_geo(folder / "geo.txt", names, lonlat, np.column_stack([horizontal, np.sqrt(variance[:, 2])]))
-    edges = outlines(problem.detector, problem.mount, poses.position, poses.world_from_body, problem.surface)
+    ground = level_ground(problem, poses)
+    edges = outlines(problem.detector, problem.mount, poses.position, poses.world_from_body, ground)
     write_footprints(
         folder / "footprints.geojson",
         problem.frames,
