@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from sightline.cli import main as command
+from sightline.cli import terminal
 from sightline.cli.terminal import print_json, progress
 from sightline.errors import (
     EstimationError,
@@ -188,12 +189,53 @@ def test_json_has_no_numbers_that_json_does_not_know(capsys):
     }
 
 
-def test_progress_is_silent_where_nobody_watches(capsys):
+def test_stages_of_no_time_leave_no_lines_in_a_log(capsys):
     with progress() as report:
         report("matching")
         report("matching", 1, 3)
     said = capsys.readouterr()
     assert said.out == said.err == ""
+
+
+def test_a_log_gets_a_line_now_and_then_and_one_for_each_finished_stage(capsys, monkeypatch):
+    monkeypatch.setattr(terminal, "_EVERY", 0.2)
+    monkeypatch.setattr(terminal, "_WORTH_A_LINE", 0.1)
+    with progress() as report:
+        report("matching", 10, 100)
+        time.sleep(0.15)
+        report("matching", 40, 100)
+        time.sleep(0.15)
+        report("writing")
+        time.sleep(0.12)
+    said = capsys.readouterr()
+    lines = said.err.splitlines()
+    assert said.out == "" and lines[-1] == "sightline: progress: writing: 0 s"
+    assert "sightline: progress: matching: 0 s so far, 40 of 100, about 0 s left" in lines
+    assert "sightline: progress: matching: 0 s" in lines
+
+
+def test_a_run_goes_on_when_nobody_reads_its_log_any_more(monkeypatch):
+    class Closed(io.StringIO):
+        def write(self, text):
+            raise BrokenPipeError
+
+    monkeypatch.setattr(terminal, "_WORTH_A_LINE", 0.0)
+    monkeypatch.setattr(sys, "stderr", Closed())
+    with progress() as report:
+        report("matching")
+        report("writing")
+
+
+def test_the_time_left_is_that_of_the_pace_since_the_start(monkeypatch):
+    log = terminal._Log()
+    now = [100.0]
+    monkeypatch.setattr(terminal.time, "monotonic", lambda: now[0])
+    log("frames followed", 600, 1000)  # the first 600 were taken over
+    now[0] = 400.0
+    log("frames followed", 700, 1000)
+    # a hundred in 300 s: 300 more take 900
+    assert log._under_way() == "frames followed: 5 min so far, 700 of 1000, about 15 min left"
+    log.close(finished=False)
 
 
 def test_progress_with_a_total_shows_the_time_left(monkeypatch):

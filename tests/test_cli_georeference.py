@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
+import signal
+import time
 
 import numpy as np
 import pytest
 
-from sightline.cli.main import run
+from sightline.cli.main import main, run
 from sightline.io.colmap import read_colmap_model
 from sightline.io.opensfm import read_opensfm
 from sightline.io.poses import read_pose_covariance, read_pose_table, read_pose_truth
@@ -104,7 +107,7 @@ def test_words_on_the_terminal(flight, tmp_path, capsys):
     assert run(["georeference", str(flight / "sequence.toml"), "--out", str(out), "--stride", "6"]) == 0
     said = capsys.readouterr()
     assert re.search(r"24 frames: \d+ solved, \d+ estimated, 1 interpolated", said.out)
-    assert "1 of 24 frames are interpolated" in said.err or "1 of 24 frames cannot be used" in said.err
+    assert "1 of 24 frames is interpolated" in said.err or "1 of 24 frames cannot be used" in said.err
     assert str(out / "poses.csv") in said.out
     chosen = [int(row["frame"]) for row in rows_of(out / "frames_used.csv") if row["subset"] == "1"]
     assert set(np.diff(chosen)) <= {6, 7}  # one more where the frame that cannot be read lies between
@@ -126,20 +129,52 @@ def test_a_wrong_file_is_one_clear_error(tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_a_run_that_was_stopped_goes_on_with_resume(flight, done, tmp_path, capsys, monkeypatch):
+@pytest.fixture
+def signals_as_before():
+    """What a signal does is the whole process' affair."""
+    # tests that run in the background are started with some of them ignored
+    plain = {
+        signal.SIGINT: signal.default_int_handler,
+        signal.SIGTERM: signal.SIG_DFL,
+        signal.SIGHUP: signal.SIG_DFL,
+    }
+    before = {number: signal.signal(number, heed) for number, heed in plain.items()}
+    yield
+    for number, heed in before.items():
+        signal.signal(number, heed)
+
+
+@pytest.mark.parametrize(
+    ("number", "status", "by"),
+    [
+        (signal.SIGINT, 130, "interrupted"),
+        (signal.SIGTERM, 143, "ended by SIGTERM"),
+        (signal.SIGHUP, 129, "SIGHUP"),
+    ],
+)
+def test_a_run_that_was_stopped_goes_on_with_resume(
+    flight, done, tmp_path, capsys, monkeypatch, signals_as_before, number, status, by
+):
     from sightline.applications import sequence_solver
 
     file, out = str(flight / "sequence.toml"), tmp_path / "out"
 
     def stopped(*_, **__):
-        raise KeyboardInterrupt
+        os.kill(os.getpid(), number)
+        time.sleep(60.0)
 
     with monkeypatch.context() as patch:
         patch.setattr(sequence_solver, "adjust_frames", stopped)
-        assert run(["georeference", file, "--out", str(out)]) == 130
-    said = capsys.readouterr().err
-    assert "--resume" in said and "no result was written" in said
+        with pytest.raises(SystemExit) as end:
+            main(["georeference", file, "--out", str(out)])
+    assert end.value.code == status
+    said = [line for line in capsys.readouterr().err.splitlines() if "progress" not in line]
+    assert len(said) == 1 and by in said[0] and "no result was written" in said[0]
+    assert str(out / ".partial" / "stages") in said[0] and "--resume" in said[0]
     assert [entry.name for entry in out.iterdir()] == [".partial"]
+    assert [entry.name for entry in (out / ".partial").iterdir()] == ["stages"]
+    first = set((out / ".partial" / "stages").iterdir())
+    assert {path.name for path in first} == {"follow.stage.npz", "subset.stage.npz"}
     assert run(["georeference", file, "--out", str(out)]) == 2
     assert "--resume to go on" in capsys.readouterr().err
 
@@ -150,6 +185,13 @@ def test_a_run_that_was_stopped_goes_on_with_resume(flight, done, tmp_path, caps
     assert run(["georeference", file, "--out", str(out), "--resume"]) == 0
     assert (out / "poses.csv").read_bytes() == (done / "poses.csv").read_bytes()
     assert not (out / ".partial").exists()
+    summary = json.loads((out / "summary.json").read_text())
+    # following was all of the first start, solving all of the second
+    assert set(summary["taken_over"]) == {"frames followed", "subset chosen"}
+    assert summary["taken_over"]["frames followed"] > 0.1
+    for stage, seconds in summary["taken_over"].items():
+        assert summary["stages"][stage] >= seconds
+    assert "of an earlier start" in (out / "report.html").read_text()
 
 
 @pytest.mark.parametrize("method", ["displacement", "slerp"])
@@ -165,3 +207,26 @@ def test_the_ways_of_the_document_stand_beside(flight, tmp_path, method, capsys)
     off = (truth.world_from_body.inv() * table.world_from_body).as_rotvec()
     # biases of a degree per axis are common to all; slerp leaves a third of a degree more
     assert np.degrees(np.abs(off - off.mean(axis=0))).max() < 3.0
+
+
+def test_a_score_for_people_has_the_numbers_of_the_json(flight, done, capsys):
+    truth = str(flight / "poses-truth.csv")
+    assert run(["score", str(done), truth]) == 0
+    score = json.loads(capsys.readouterr().out)
+    assert run(["score", str(done), truth, "--table"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    at = next(k for k, line in enumerate(lines) if line.startswith("estimated ("))
+    for k, name in enumerate(("x", "y", "z", "roll", "pitch", "yaw")):
+        parameter, unit, *numbers = (
+            lines[at + k].replace(f"estimated ({score['by_source']['estimated']['frames']})", "").split()
+        )
+        entry = score["by_source"]["estimated"][name]
+        factor = 1.0 if k < 3 else np.degrees(1.0)
+        assert (parameter, unit) == (name, "m" if k < 3 else "deg")
+        told = [float(number.rstrip("%")) for number in numbers]
+        expected = [factor * entry["rms"], factor * entry["max"], factor * entry["sigma"]]
+        # three figures, two digits, whole per cent
+        assert told[:3] == pytest.approx(expected, rel=5e-3)
+        assert told[3] == pytest.approx(entry["nees"], abs=5e-3)
+        assert told[4] == pytest.approx(100.0 * entry["coverage_95"], abs=0.5)
+    assert any(line.startswith("interpolated (1)") for line in lines)

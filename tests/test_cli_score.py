@@ -76,3 +76,8 @@ def test_a_missing_truth_is_named_and_not_looked_for_in_a_toml_file(result, caps
     assert run(["score", str(result), "nope.csv"]) == 2
     said = capsys.readouterr().err
     assert "nope.csv: no such truth file" in said and "TOML" not in said
+
+
+def test_a_table_is_of_poses_alone(result, capsys):
+    assert run(["score", str(result), str(result.parent / "truth.csv"), "--table"]) == 2
+    assert "--table is for poses" in capsys.readouterr().err

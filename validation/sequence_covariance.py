@@ -1,278 +1,165 @@
 """Intervals of the poses of a sequence: how often 95 % intervals hold the truth, over many flights of points.
 
-No images: points on hills are sighted through frames with the errors that the dense stage assumes: each
-sighting by itself, windows that drift while they are followed, a few gross errors, tables with noise and a
-bias, a surface that is wrong. All is drawn anew for every flight. The truth has its own closed form (rolls,
-hills and pinholes are written out here), and the estimate is the application's own.
+Flights are of `point_flights.py`, drawn anew for every seed: no images, truth in closed form. The estimate is
+the application's own.
 
 Where the whole flight lies (the datum: biases, mean height) is one draw a flight: all its frames are off
 together. So the share of frames inside their intervals is taken per flight, and the scatter of these shares
 over flights tells how sure their mean is. Rendered flights are a check beside them: ten tell a share only to
-some seven per cent. Run with numbers of both: ``sequence_covariance.py 500 10``.
+some seven per cent. Run with numbers of both, and of flights of each variant (other tables, mounts, shutters,
+lines, gaps, errors): ``sequence_covariance.py 500 10 --variants 50``; one variant alone with ``--only``.
 """
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
 
 import numpy as np
-from scipy.spatial.transform import Rotation
+from point_flights import ASIDE, Flight, Kind, about, draw
 from sequence_poses import problem_of
 
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import georeference_sequence, poses_of_windows
-from sightline.geometry.instrument import AreaDetector
-from sightline.geometry.rotations import NADIR_MOUNT
-from sightline.geometry.surface import Plane
-from sightline.imaging.source import ArrayImage
-from sightline.matching.follow import Followed
-from sightline.photogrammetry.frame_poses import FramePoses, RoughPoses
-from sightline.photogrammetry.sightings import Images
+from sightline.applications.sequence_solver import SequenceSolver, ground_distances
+from sightline.errors import EstimationError
+from sightline.photogrammetry.frame_poses import FramePoses
+from sightline.photogrammetry.frame_subset import choose_subset
+from sightline.photogrammetry.sightings import appended
 from sightline.simulate.sequence import sequence_case
 
 NAMES = ("x", "y", "z", "roll", "pitch", "yaw")
-SHAPE, FOCAL, ALTITUDE, RATE = (160, 200), 250.0, 80.0, 25.0
-FRAMES, STEP, WINDOWS, LIFE = 48, 0.02, 60, 0.4
-#: m and rad: noise and bias of the tables.
-PLACE, PLACE_BIAS, TURN, TURN_BIAS = 1.0, 2.0, np.radians(0.5), np.radians(1.0)
-#: px of a sighting by itself, px of drift from frame to frame, share of gross errors.
-OWN, DRIFT, GROSS = 0.06, 0.012, 0.003
-#: m: of the hills, rms.
-HILLS = 1.0
 INSIDE = 1.959964
+#: Of one flight: a name of frames, their errors (n, 6) over sigmas, squared errors over covariances (n,).
+Scaled = list[tuple[str, np.ndarray, np.ndarray]]
 
-
-@dataclass(frozen=True)
-class Setting:
-    """What is flown over, and how well it is told.
-
-    Attributes
-    ----------
-    place, place_bias : float
-        m, noise and constant error of positions.
-    no_heights : bool
-        Heights of positions are not told: the estimate starts 5 m (1 sigma) off.
-    hills : float
-        m, rms of the hills.
-    climb : float
-        m, gained from the first frame to the last.
-    focal_sigma : float
-        Relative 1-sigma of the focal length told, by which it is drawn wrong; 0: it is told as it is.
-    free : bool
-        Nothing is said of how well the focal length is known.
-    """
-
-    place: float = PLACE
-    place_bias: float = PLACE_BIAS
-    no_heights: bool = False
-    hills: float = HILLS
-    climb: float = 0.0
-    focal_sigma: float = 0.0
-    free: bool = False
-
-    @property
-    def places(self) -> np.ndarray:
-        """m (3,), noise of positions."""
-        return np.array([self.place, self.place, np.inf if self.no_heights else self.place])
-
-
-USUAL = Setting()
-
-
-@dataclass(frozen=True, eq=False)
-class Flight:
-    """One flight: truth and what is told of it."""
-
-    position: np.ndarray
-    matrix: np.ndarray  # world_from_body
-    problem: SequenceProblem
-    followed: Followed
-
-
-class Hills:
-    """A surface in closed form: sinusoids of all directions, of a Gaussian covariance over places.
-
-    Its correlated area, the integral of the correlation over the plane, is that of a frame.
-    """
-
-    def __init__(self, rng: np.random.Generator, rms: float) -> None:
-        self.rms = rms
-        area = SHAPE[0] * SHAPE[1] * (ALTITUDE / FOCAL) ** 2
-        self.wave = rng.standard_normal((40, 2)) * np.sqrt(2.0 * np.pi / area)
-        self.phase = rng.uniform(0.0, 2.0 * np.pi, 40)
-
-    def __call__(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        angle = self.wave[:, 0] * x[..., None] + self.wave[:, 1] * y[..., None] + self.phase
-        return self.rms * np.sqrt(2.0 / 40) * np.sin(angle).sum(axis=-1)
-
-
-def matrices(roll: np.ndarray, pitch: np.ndarray, yaw: np.ndarray) -> np.ndarray:
-    """world_from_body (M, 3, 3) of a body flying north: x forward, y right, z down; world east, north, up."""
-    cr, sr, cp, sp, cy, sy = (f(a) for a in (roll, pitch, yaw) for f in (np.cos, np.sin))
-    forward = np.stack([cp * sy, cp * cy, sp], axis=-1)
-    right = np.stack([sr * sp * sy + cr * cy, sr * sp * cy - cr * sy, -sr * cp], axis=-1)
-    return np.stack([forward, right, np.cross(forward, right)], axis=-1)
-
-
-def path(rng: np.random.Generator, t: np.ndarray, climb: float) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and matrices: even motion, and sinusoids of slow and fast jitter."""
-
-    def swings(size: float, low: float, high: float) -> np.ndarray:
-        f, phase = rng.uniform(low, high, (3, 1)), rng.uniform(0.0, 2.0 * np.pi, (3, 1))
-        return size * np.sin(2.0 * np.pi * f * t + phase)
-
-    angle = swings(np.radians(1.0), 0.1, 0.8) + swings(np.radians(0.1), 2.7, 3.3)
-    place = swings(0.2, 0.05, 0.4)
-    speed = STEP * SHAPE[0] * ALTITUDE / FOCAL * RATE
-    height = ALTITUDE + climb * (t / t[-1] - 0.5) + place[2]
-    position = np.stack([place[0], speed * t + place[1], height], axis=1)
-    return position, matrices(*angle)
-
-
-def see(points: np.ndarray, position: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Pixels (n, 2) of points in one frame: lines run forward, columns to the left."""
-    forward, right, down = ((points - position) @ matrix).T
-    middle = 0.5 * (np.array(SHAPE) - 1.0)
-    return middle + FOCAL * np.column_stack([forward / down, -right / down])
-
-
-def on_ground(pixels: np.ndarray, position: np.ndarray, matrix: np.ndarray, hills: Hills) -> np.ndarray:
-    """Where rays of pixels (n, 2) of one frame meet the hills."""
-    x = (pixels - 0.5 * (np.array(SHAPE) - 1.0)) / FOCAL
-    ray = np.column_stack([x[:, 0], -x[:, 1], np.ones(len(x))]) @ matrix.T
-    height = np.zeros(len(x))
-    for _ in range(25):
-        met = position + ray * ((height - position[2]) / ray[:, 2])[:, None]
-        height = hills(met[:, 0], met[:, 1])
-    return met
-
-
-def windows(
-    rng: np.random.Generator, position: np.ndarray, matrix: np.ndarray, hills: Hills
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sightings (image, point, pixels) of windows followed from a hub till they leave or live out."""
-    rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
-    points, hub, walk = np.empty((0, 3)), np.empty((0, 2)), np.empty((0, 2))
-    name, count = np.empty(0, dtype=int), 0
-    for k in range(FRAMES):
-        seen = see(points, position[k], matrix[k])
-        good = ((seen > 10.0) & (seen < np.array(SHAPE) - 11.0)).all(axis=1)
-        good &= np.abs(seen - hub).max(axis=1) < LIFE * SHAPE[0]
-        points, hub, walk, name, seen = points[good], hub[good], walk[good], name[good], seen[good]
-        walk = walk + DRIFT * rng.standard_normal(walk.shape)
-        found = seen + walk + OWN * rng.standard_normal(seen.shape)
-        wild = rng.random(len(found)) < GROSS
-        found[wild] += rng.uniform(-3.0, 3.0, (wild.sum(), 2))
-        if k % 3 == 0 and len(points) < WINDOWS:
-            new = rng.uniform(10.0, np.array(SHAPE) - 11.0, (WINDOWS - len(points), 2))
-            points = np.concatenate([points, on_ground(new, position[k], matrix[k], hills)])
-            hub, walk = np.concatenate([hub, new]), np.concatenate([walk, np.zeros(new.shape)])
-            name = np.concatenate([name, count + np.arange(len(new))])
-            count += len(new)
-            # a hub's own place is where all others are compared to
-            found = np.concatenate([found, new + OWN * rng.standard_normal(new.shape)])
-        rows.append((np.full(len(name), k), name.copy(), found))
-    image, point, pixels = (np.concatenate(part) for part in zip(*rows, strict=True))
-    order = np.lexsort((image, point))
-    return image[order], point[order], pixels[order]
-
-
-def draw(seed: int, setting: Setting = USUAL) -> Flight:
-    """A flight."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(FRAMES) / RATE
-    position, matrix = path(rng, t, setting.climb)
-    image, point, pixels = windows(rng, position, matrix, Hills(rng, setting.hills))
-    bias, noise = setting.place_bias * rng.standard_normal(3), rng.standard_normal((FRAMES, 3))
-    told = position + bias + setting.place * noise
-    if setting.no_heights:
-        told[:, 2] = position[:, 2] + 5.0 * noise[0, 2]
-    turn = TURN_BIAS * rng.standard_normal(3) + TURN * rng.standard_normal((FRAMES, 3))
-    attitude = Rotation.from_matrix(matrix) * Rotation.from_rotvec(turn)
-    place = np.tile(setting.places, (FRAMES, 1))
-    known = RoughPoses(place, np.full((FRAMES, 3), TURN), setting.place_bias, TURN_BIAS)
-    middle = 0.5 * (np.array(SHAPE) - 1.0)
-    focal = FOCAL * (1.0 + setting.focal_sigma * rng.standard_normal())
-    detector = AreaDetector("frame", SHAPE, focal, (middle[0], middle[1]))
-    blank = ArrayImage(np.zeros(SHAPE))
-    problem = SequenceProblem(
-        tuple(map(str, range(FRAMES))), t, (blank,) * FRAMES, detector, NADIR_MOUNT,
-        Images(np.zeros(FRAMES), np.arange(FRAMES), t, told, attitude), known, Plane(0.0),
-        setting.hills, 0.0, 0.8, ("",) * FRAMES,
-        focal_length_sigma_px=np.inf if setting.free else setting.focal_sigma * focal,
-    )  # fmt: skip
-    nothing = np.full(FRAMES, np.nan)
-    followed = Followed(
-        image, point, pixels, np.full(len(image), OWN), np.arange(FRAMES) - 1, np.full((FRAMES, 4), np.nan),
-        np.bincount(image, minlength=FRAMES), nothing, nothing, ("",) * FRAMES,
-    )  # fmt: skip
-    return Flight(position, matrix, problem, followed)
+MAIN = Kind()
+VARIANTS = {
+    "earth": Kind("longitudes, latitudes, heights; 1 m, 3 m", place=(1.0, 1.0, 3.0), on_earth=True),
+    "mount": Kind(
+        "body turned by 90, camera tilted by 10 degrees; .3, .3, 2 degrees", turn=(0.3, 0.3, 2.0),
+        craft_from_body=about(2, 90.0), craft_from_camera=about(0, 6.0) @ about(1, 8.0),
+    ),
+    "shutter": Kind("rolling shutter of 20 ms", readout=0.02),
+    "precise": Kind(
+        "tables without biases: 3 and 5 cm, .1, .1, .3 degrees", place=(0.03, 0.03, 0.05), place_bias=0.0,
+        turn=(0.1, 0.1, 0.3), turn_bias=0.0,
+    ),
+    "no-attitudes": Kind("no attitudes told, heights of the ground are", attitudes=False, turn_bias=0.0),
+    "beside": Kind("two lines beside each other", frames=30, second_line=180.0, aside=-ASIDE),
+    "crossing": Kind("two lines that cross", frames=30, second_line=90.0),
+    "gap": Kind("12 of 48 frames missing", missing=(18, 30)),
+    "lost": Kind("12 of 48 frames missing, nothing followed over them", missing=(18, 30), lost=True),
+    "gross": Kind("2 % gross errors", gross=0.02),
+    "understated": Kind("noise of sightings 1.5 times what is told", understated=1.5),
+}  # fmt: skip
 
 
 def errors(flight: Flight, poses: FramePoses) -> np.ndarray:
-    """(M, 6): of positions (m), of angles (rad, body axes)."""
+    """(M, 6): of positions (m; east, north, up), of angles (rad, body axes)."""
     turn = np.swapaxes(flight.matrix, 1, 2) @ poses.world_from_body.as_matrix()
     # a small turn by its antisymmetric part
     angle = 0.5 * np.stack([
         turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1],
     ], axis=1)  # fmt: skip
-    return np.concatenate([poses.position - flight.position, angle], axis=1)
+    return np.concatenate([(poses.position - flight.position) @ flight.level, angle], axis=1)
 
 
-def scaled_errors(error: np.ndarray, poses: FramePoses) -> tuple[np.ndarray, float]:
-    """Errors (M, 6) over their sigmas, and the mean over frames of squared error over covariance."""
-    sigma = np.sqrt(np.einsum("kii->ki", poses.covariance))
-    solved = np.linalg.solve(poses.covariance, error[..., None])[..., 0]
-    return error / sigma, float((error * solved).sum(axis=1).mean())
+def scaled_errors(error: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Errors (M, 6) over their sigmas, and squared errors over covariances (M,)."""
+    sigma = np.sqrt(np.einsum("kii->ki", covariance))
+    solved = np.linalg.solve(covariance, error[..., None])[..., 0]
+    return error / sigma, (error * solved).sum(axis=1)
 
 
-def of_points(seed: int) -> tuple[np.ndarray, float]:
-    """Errors over sigmas of a flight of points."""
-    flight = draw(seed)
-    poses, _ = poses_of_windows(flight.problem, flight.followed)
-    return scaled_errors(errors(flight, poses), poses)
+def sources(flight: Flight, poses: FramePoses) -> np.ndarray:
+    """How the pose of each frame (M,) came about."""
+    p = flight.problem
+    chosen = choose_subset(flight.followed, p.images.position, ground_distances(p), p.detector.shape)
+    out = np.where(poses.sightings > 0, "estimated", "interpolated").astype("<U12")
+    out[chosen.frames] = "solved"
+    return out
 
 
-def rendered(seed: int) -> tuple[np.ndarray, float]:
+def of_points(kind: Kind) -> Callable[[int], Scaled]:
+    """Errors over sigmas of flights of points, by seed."""
+
+    def of_seed(seed: int) -> Scaled:
+        flight = draw(seed, kind)
+        if flight.shared is None:
+            poses, _ = poses_of_windows(flight.problem, flight.followed)
+        else:
+            # as `georeference_sequence` does once it has compared the lines' images
+            solver = SequenceSolver(flight.problem, flight.followed)
+            part = solver.part(flight.problem, flight.followed)
+            poses = solver.solve(appended(part.tracks, flight.shared), part.poses)
+        axes = np.eye(6)
+        axes[:3, :3] = flight.level
+        scaled, squared = scaled_errors(errors(flight, poses), axes.T @ poses.covariance @ axes)
+        out = [("all", scaled, squared)]
+        if kind.missing[1] > kind.missing[0]:
+            source = sources(flight, poses)
+            out += [(name, scaled[source == name], squared[source == name]) for name in np.unique(source)]
+        return out
+
+    return of_seed
+
+
+def rendered(seed: int) -> Scaled:
     """Errors over sigmas of a rendered flight."""
     scenario = sequence_case("small", seed)
     poses = georeference_sequence(problem_of(scenario)).poses
     _, position, attitude = scenario.poses
     turn = (attitude.inv() * poses.world_from_body).as_rotvec()
-    return scaled_errors(np.concatenate([poses.position - position, turn], axis=1), poses)
+    error = np.concatenate([poses.position - position, turn], axis=1)
+    return [("all", *scaled_errors(error, poses.covariance))]
 
 
-def table(title: str, of_seed: Callable[[int], tuple[np.ndarray, float]], flights: int) -> None:
+def table(title: str, of_seed: Callable[[int], Scaled], seeds: Iterable[int]) -> None:
     """Print how often intervals hold the truth."""
     began = time.process_time()
-    found = [of_seed(seed) for seed in range(1000, 1000 + flights)]
-    scaled = np.array([row[0] for row in found])
-    inside = np.abs(scaled) < INSIDE
-    share = inside.mean(axis=1)
-    print(f"{flights} {title}, {time.process_time() - began:.0f} CPU s")
-    print("  frames in their 95 % intervals, per cent; of the middle frame alone; rms of error over sigma")
-    for k, name in enumerate(NAMES):
-        sure = share[:, k].std() / np.sqrt(flights)
-        middle = inside[:, inside.shape[1] // 2, k].mean()
-        rms = np.sqrt((scaled[:, :, k] ** 2).mean())
-        mean = share[:, k].mean()
-        print(f"  {name:6s} {100 * mean:6.1f} +- {100 * sure:.1f}   {100 * middle:6.1f}   {rms:.2f}")
-    print(
-        f"  mean of squared error over covariance, 6 wanted: {np.mean([row[1] for row in found]):.2f}",
-        flush=True,
-    )
+    found, lost = [], []
+    for seed in seeds:
+        try:
+            found.append(of_seed(seed))
+        except EstimationError:
+            lost.append(seed)
+    print(f"{title}: {len(found)} flights, {time.process_time() - began:.0f} CPU s")
+    if lost:
+        print(f"  no solution of seeds {lost}")
+    for name in dict.fromkeys(part[0] for flight in found for part in flight):
+        parts = [part for flight in found for part in flight if part[0] == name]
+        share = np.array([100.0 * (np.abs(scaled) < INSIDE).mean(axis=0) for _, scaled, _ in parts])
+        sure = share.std(axis=0) / np.sqrt(len(parts))
+        rms = np.sqrt(np.mean([(scaled**2).mean(axis=0) for _, scaled, _ in parts], axis=0))
+        squared = np.array([each.mean() for _, _, each in parts])
+        print(f"  frames: {name}; inside their 95 % intervals, per cent, +-; rms of error over sigma")
+        for label, row, form in (("", share.mean(axis=0), "6.1f"), ("+-", sure, "6.1f"), ("", rms, "6.2f")):
+            print(f"    {label:2s} " + "  ".join(f"{n} {v:{form}}" for n, v in zip(NAMES, row, strict=True)))
+        wide = squared.std() / np.sqrt(len(parts))
+        print(f"    squared error over covariance, 6 wanted: {squared.mean():.2f} +- {wide:.2f}", flush=True)
 
 
-def main(flights: int, images: int) -> None:
-    """Print both tables."""
-    if flights:
-        table(f"flights of points, {FRAMES} frames", of_points, flights)
-    if images:
-        table('rendered flights, case "small"', rendered, images)
+def main() -> None:
+    """Print all tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("flights", nargs="?", type=int, default=500, help="flights of points")
+    parser.add_argument("images", nargs="?", type=int, default=10, help="rendered flights")
+    parser.add_argument("--variants", type=int, default=50, metavar="N", help="flights of each variant")
+    parser.add_argument("--only", choices=VARIANTS, action="append", help="this variant alone")
+    parser.add_argument("--first", type=int, default=1000, help="first seed")
+    given = parser.parse_args()
+
+    def seeds(count: int) -> range:
+        return range(given.first, given.first + count)
+
+    if given.flights and not given.only:
+        table(f"flights of points, {MAIN.frames} frames", of_points(MAIN), seeds(given.flights))
+    if given.images and not given.only:
+        table('rendered flights, case "small"', rendered, seeds(given.images))
+    for name in (given.only or VARIANTS) if given.variants else ():
+        table(VARIANTS[name].title, of_points(VARIANTS[name]), seeds(given.variants))
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 500, int(sys.argv[2]) if len(sys.argv) > 2 else 10)
+    main()

@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import wraps
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, Self, TypeVar
 
 from sightline.errors import InputError, SightlineError
@@ -243,6 +244,20 @@ def one_blas_thread(function: Callable[Arguments, Result]) -> Callable[Arguments
             return function(*args, **kwargs)
 
     return limited
+
+
+def machine_memory() -> float:
+    """Bytes of memory that this process may use; inf where the system does not tell."""
+    limits = []
+    try:
+        limits.append(float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES")))
+    except (AttributeError, OSError, ValueError):
+        pass  # not a POSIX system
+    try:
+        limits.append(float(Path("/sys/fs/cgroup/memory.max").read_text()))
+    except (OSError, ValueError):
+        pass  # no container, or one without a limit ("max")
+    return min(limits, default=float("inf"))
 
 
 class CpuClock:

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
-from sightline.errors import EstimationError, FormatError
+from sightline.errors import EstimationError, FormatError, InputError
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.io.sequence import load_sequence
 from sightline.photogrammetry.frame_cameras import frame_cameras
@@ -104,6 +104,26 @@ def test_no_frame_that_can_be_used_is_refused_in_words(tmp_path):
     written(tmp_path, 12, frames=4, unreadable=(0, 1, 2, 3))
     with pytest.raises(FormatError, match=r"none of 4 frames can be used: .* cannot be read"):
         solved(tmp_path)
+
+
+def test_a_single_frame_is_refused_in_words(tmp_path):
+    written(tmp_path, 12, frames=3, unreadable=(0, 2))
+    with pytest.raises(InputError, match=r"1 of 3 frames can be used: .* two or more that overlap"):
+        solved(tmp_path)
+
+
+def test_two_frames_are_solved_and_told_to_say_little(tmp_path):
+    scenario = written(tmp_path, 12, frames=2)
+    found = solved(tmp_path)
+    assert found.source == ("solved", "solved")
+    (words,) = [words for words in found.warnings if "very short" in words]
+    assert "subset has 2 frames" in words and "degrees" in words
+    assert_covered(scenario, found)
+    # nothing but the tables tells places: a row's noise of 1 m and the bias of 2 m, of two frames
+    options = scenario.options
+    least = np.hypot(options.position_sigma / np.sqrt(2.0), options.position_bias_sigma)
+    sigma = np.sqrt(np.einsum("kii->ki", found.poses.covariance))
+    assert (sigma[:, 0] > 0.95 * least).all()
 
 
 def test_slightly_blurred_frames_are_estimated_with_larger_sigmas(tmp_path):

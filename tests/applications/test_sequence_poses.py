@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.sequence_flights import problem_of
+from threadpoolctl import threadpool_info, threadpool_limits
 
+from sightline.applications import sequence_poses
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.rotations import NADIR_MOUNT
@@ -70,6 +72,26 @@ def flight() -> SequenceScenario:
 @pytest.fixture(scope="module")
 def solved(flight: SequenceScenario) -> SequencePoses:
     return georeference_sequence(problem_of(flight))
+
+
+def test_linear_algebra_runs_on_one_thread(flight):
+    # threads of a small band wait for each other: five times the processor time where the machine is busy
+    threads = set()
+
+    def look(*_: object) -> None:
+        threads.update(
+            library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"
+        )
+
+    problem = problem_of(flight)
+    first = np.arange(8)
+    few = replace(
+        problem, frames=problem.frames[:8], t=problem.t[:8], sources=problem.sources[:8],
+        images=problem.images[first], known=problem.known[first], excluded=problem.excluded[:8],
+    )  # fmt: skip
+    with threadpool_limits(limits=2, user_api="blas"):
+        georeference_sequence(few, progress=look)
+    assert threads == {1}
 
 
 def test_every_frame_is_known_far_better_than_a_pixel_from_its_neighbours(flight, solved):
@@ -155,6 +177,15 @@ def test_two_lines_are_tied_where_they_overlap():
     apart = shared[:60].mean(axis=(0, 1, 2)) - shared[60:].mean(axis=(0, 1, 2))
     # tables alone leave the lines apart by noise of 1 m and 0.5 deg over sqrt(60) frames: 1 px and more
     assert np.abs(apart).max() < 0.5
+
+
+def test_lines_that_are_too_much_for_the_memory_are_solved_one_by_one(monkeypatch):
+    scenario = sequence_case("two-lines", 1, frames=30, overlap=0.95, filter="pan", readout_time=0.0)
+    monkeypatch.setattr(sequence_poses, "machine_memory", lambda: 1e6)
+    found = georeference_sequence(problem_of(scenario))
+    assert any("not solved together" in words for words in found.warnings)
+    assert found.tracks.point.max() + 1 == len(found.poses.points)
+    assert np.isfinite(found.poses.covariance).all()
 
 
 def test_a_mosaic_filter_is_averaged_over_its_pattern():

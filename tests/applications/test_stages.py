@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,6 +115,37 @@ def test_a_stage_within_a_stage_does_not_change_those_after_it(tmp_path):
         stages.stage("outer", Inner, lambda stages=stages: outer(stages))
         stages.stage("last", Inner, lambda: Inner(np.ones(1), "x"))
         assert stages.computed == expected
+
+
+def worked(seconds: float) -> Inner:
+    """A result that takes so many CPU seconds."""
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        pass
+    return Inner(np.ones(1), "x")
+
+
+def test_seconds_of_an_earlier_start_come_with_what_is_taken_over(tmp_path):
+    def outer(stages: Stages, stop: bool) -> Inner:
+        for number in range(2):
+            if stages.has(f"part-{number}"):
+                stages.stage(f"part-{number}", Inner, lambda: worked(9.9))
+            elif stop and number == 1:
+                raise KeyboardInterrupt
+            else:
+                stages.keep(f"part-{number}", worked(0.1))
+        return Inner(np.ones(1), "x")
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped = Stages(tmp_path)
+        stopped.stage("outer", Inner, lambda: outer(stopped, True))
+    # a tenth of a second of the first start is in the whole's, with what the second took itself
+    second = Stages(tmp_path)
+    second.stage("outer", Inner, lambda: outer(second, False))
+    assert second.found == ["part-0"] and 0.1 <= second.taken_over < 0.15
+    third = Stages(tmp_path)
+    third.stage("outer", Inner, lambda: outer(third, False))
+    assert third.found == ["outer"] and 0.2 <= third.taken_over < 0.3
 
 
 def test_packed_arrays_of_another_kind_are_refused():

@@ -90,7 +90,8 @@ def test_a_series_in_order_of_its_times(tmp_path):
     assert problem.epoch == "2026-05-01T10:00:00Z"
     steps = np.linalg.norm(np.diff(problem.images.position, axis=0), axis=1)
     np.testing.assert_allclose(steps, 11.12, rtol=0.01)
-    assert problem.warnings == ("no attitudes: taken as straight down, nose along the track",)
+    assert problem.warnings[0] == "no attitudes: taken as straight down, nose along the track"
+    assert len(problem.warnings) == 2 and "tells no height of the ground" in problem.warnings[1]
 
 
 def test_frames_of_one_second_are_spread_over_it(tmp_path):

@@ -222,6 +222,24 @@ def test_filters_per_line_mosaic_and_channels(tmp_path):
     )
 
 
+@pytest.mark.parametrize(("first", "last", "step"), [(450.0, 565.0, 5.0), (565.0, 450.0, -5.0)])
+def test_wavelengths_from_one_to_another(tmp_path, first, last, step):
+    made = flight()
+    made.toml = made.toml.replace(
+        "[surface]", f"wavelength_nm = {{ from = {first}, to = {last} }}\n[surface]"
+    )
+    found = load_sequence(made.write(tmp_path)).detector.wavelength_nm
+    np.testing.assert_allclose(found, [first + step * line for line in range(24)], rtol=1e-12)
+
+
+def test_a_header_in_micrometres_that_does_not_say_so_is_told(tmp_path):
+    made = flight()
+    made.toml = made.toml.replace("[surface]", 'wavelength_nm = "cube.hdr"\n[surface]')
+    made.extra["cube.hdr"] = "ENVI\nwavelength = {" + ",".join(["0.45"] * 24) + "}\n"
+    with pytest.raises(FormatError, match=r"cube\.hdr: .*0\.45 nm .*`wavelength units = Micrometers`"):
+        load_sequence(made.write(tmp_path))
+
+
 def test_frames_that_cannot_be_used_are_kept_with_the_reason(tmp_path):
     made = flight()
     made.images["f1.npy"] = picture(1)[:200]
@@ -428,6 +446,13 @@ BAD = {
     "one of them"),
     "wavelengths": (camera("wavelength_nm = [450.0, 500.0]"), "2 values, shape 24 lines"),
     "no wavelengths": (camera("wavelength_nm = []"), "wavelength_nm"),
+    "wavelengths in um": (camera("wavelength_nm = [0.45, 0.5]"), r"\[1\]: 0.45 nm .*is 450 meant"),
+    "range in um": (camera("wavelength_nm = { from = 0.45, to = 0.9 }"), r"from: 0.45 nm .*is 450 meant"),
+    "half a range": (camera("wavelength_nm = { from = 450 }"), r"'camera.wavelength_nm.to' is missing"),
+    "range misspelled": (camera("wavelength_nm = { form = 450, to = 900 }"), r"did you mean from"),
+    "NaN wavelength": (camera("wavelength_nm = [nan]"), r"wavelength_nm\[1\] = nan is not allowed"),
+    "negative range": (camera("wavelength_nm = { from = -450, to = 900 }"), r"from = -450 is not allowed"),
+    "a single wavelength": (camera("wavelength_nm = 550"), "550 is not allowed: a list .* from = 450"),
     "negative wavelength": (camera("channel_nm = [-450.0]"), "channel_nm"),
     "no channels": (camera("channel_nm = []"), "channel_nm is empty"),
     "channels": (camera("channel_nm = [450.0, 550.0]"), "1 bands in place of the 2"),

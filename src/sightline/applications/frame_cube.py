@@ -19,7 +19,7 @@ from sightline.applications.cube_ground import Ground, choose_ground, frame_outl
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import INTERPOLATED, SequencePoses
 from sightline.errors import InputError
-from sightline.execution import CpuClock
+from sightline.execution import CpuClock, one_blas_thread
 from sightline.geometry.checks import ReadOnlyArrays
 from sightline.imaging.source import ImageSource
 from sightline.photogrammetry.frame_poses import stretches
@@ -178,6 +178,7 @@ class CubeSummary(ReadOnlyArrays):
         return self.grid.extent
 
 
+@one_blas_thread
 def assemble_cube(
     problem: SequenceProblem,
     found: SequencePoses,
@@ -297,14 +298,29 @@ def pixel_size(problem: SequenceProblem, views: FrameViews, outline: Array) -> f
     return float(f"{size:.3g}")
 
 
-def choose_bands(problem: SequenceProblem, plan: CubePlan, outline: Array, gsd: float) -> BandLayout:
-    """Bands of the cube, by what the camera is and what was asked for."""
+def choose_bands(
+    problem: SequenceProblem, plan: CubePlan, outline: Array, gsd: float, step: float | None = None
+) -> BandLayout:
+    """Bands of the cube, by what the camera is and what was asked for.
+
+    Parameters
+    ----------
+    problem : SequenceProblem
+    plan : CubePlan
+    outline : (M, n, 2)
+        m; map places around each frame.
+    gsd : float
+        m, side of a pixel of the map.
+    step : float, optional
+        Pixels of the map from frame to frame; by default that of the outlines.
+    """
     detector = problem.detector
     if detector.wavelength_nm is not None:
-        middle = np.nanmean(outline, axis=1)
-        step = np.linalg.norm(np.diff(middle, axis=0), axis=1) / gsd
-        usual = float(np.nanmedian(step)) if np.isfinite(step).any() else 1.0
-        return line_bands(detector.wavelength_nm, plan.bands, max(usual, 0.1), plan.fill_nm)
+        if step is None:
+            middle = np.nanmean(outline, axis=1)
+            steps = np.linalg.norm(np.diff(middle, axis=0), axis=1) / gsd
+            step = float(np.nanmedian(steps)) if np.isfinite(steps).any() else 1.0
+        return line_bands(detector.wavelength_nm, plan.bands, max(step, 0.1), plan.fill_nm)
     layout = frame_bands(detector.shape, problem.mosaic_nm, problem.channel_nm)
     if plan.bands is None:
         return layout

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.control_check import screened
+from sightline.applications.found_ground import ground_warnings
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_blocks import BLOCK_FRAMES, solve_in_blocks
 from sightline.applications.sequence_solver import (
@@ -31,20 +32,23 @@ from sightline.applications.sequence_warnings import (
     focal_warnings,
     part_warnings,
     refuse_untold,
+    short_warnings,
 )
 from sightline.applications.stages import Stages
-from sightline.errors import InputError
-from sightline.execution import CpuClock
+from sightline.applications.table_check import motion_warnings, table_warnings, unsolved_words
+from sightline.errors import EstimationError, InputError
+from sightline.execution import CpuClock, machine_memory, one_blas_thread
 from sightline.geometry.checks import Array
 from sightline.matching.follow import Followed, FollowPlan, FollowState
 from sightline.photogrammetry.cross_links import link_stretches
-from sightline.photogrammetry.frame_poses import FramePoses
+from sightline.photogrammetry.frame_poses import FramePoses, memory_wanted
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
 from sightline.photogrammetry.point_priors import HeightPrior
 from sightline.photogrammetry.pose_interpolation import by_displacement
 from sightline.photogrammetry.reconstruct import (
     Reconstruction,
     RefinedModel,
+    check_modelling,
     filter_pairs,
     looking_down,
     reconstruct,
@@ -59,6 +63,8 @@ FOLLOWED, CHOSEN, MODELLED = "frames followed", "subset chosen", "subset modelle
 SOLVED_ALL, COMPARED = "all poses", "stretches compared"
 #: Called with a stage, how much of it is done, how much it is.
 Progress = Callable[[str, int, int], None]
+#: Share of the machine's memory that a solution of all frames at once may take.
+_SHARE = 0.6
 #: Good sightings from which on a frame's own image tells its pose.
 _ENOUGH = 6
 
@@ -82,10 +88,12 @@ class SequencePoses:
     stretch : (M,) int
         Frames linked to each other, directly or through others; -1: to none.
     seconds : dict of str to float
-        CPU time of each stage.
+        CPU time of each stage, with that of earlier runs whose results were taken over.
     warnings : tuple of str
     model : RefinedModel or None
         Of the subset by photogrammetry, where it was made.
+    taken_over : dict of str to float
+        How many of the `seconds` are of earlier runs, by stage; without stages that are all of this one.
     """
 
     poses: FramePoses
@@ -98,8 +106,10 @@ class SequencePoses:
     seconds: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     model: RefinedModel | None = None
+    taken_over: dict[str, float] = field(default_factory=dict)
 
 
+@one_blas_thread
 def georeference_sequence(
     problem: SequenceProblem,
     *,
@@ -138,6 +148,10 @@ def georeference_sequence(
         If no two frames are alike.
     """
     run = _Run(progress or _nothing, stages or Stages())
+    if photogrammetry is None:
+        photogrammetry = not np.isfinite(problem.known.attitude).any()
+    if photogrammetry:
+        check_modelling(problem.known.along_world())
     run.stages.depend(problem)
     followed = _followed(problem, plan, run)
     run.note(FOLLOWED)
@@ -150,21 +164,29 @@ def georeference_sequence(
         ),
     )  # fmt: skip
     run.note(CHOSEN)
-    if photogrammetry is None:
-        photogrammetry = not np.isfinite(problem.known.attitude).any()
     run.stages.depend([photogrammetry, cross])
     problem = begun(problem, followed)
     model = None
     if photogrammetry:
         problem, model = _with_model(problem, followed, subset, run)
         run.note(MODELLED)
-    found, tracks = _all_poses(problem, followed, cross, run)
+    try:
+        found, tracks = _all_poses(problem, followed, cross, run)
+    except EstimationError as error:
+        if "does not converge" not in str(error):
+            raise
+        raise EstimationError(unsolved_words(problem)) from error
     problem, poses = screened(problem, tracks, found.poses, _without_control(followed, tracks))
     source, reason = _sources(problem, followed, subset, poses)
+    words = (
+        *_warnings(problem, poses, source, followed),
+        *short_warnings(subset),
+        *found.words,
+        *part_warnings(problem, tracks, poses),
+    )
     return SequencePoses(
-        poses, source, reason, subset, followed, tracks, _linked(followed), run.seconds,
-        (*_warnings(problem, poses, source), *found.words, *part_warnings(problem, tracks, poses)),
-        model,
+        poses, source, reason, subset, followed, tracks, _linked(followed), run.seconds, words, model,
+        run.taken_over,
     )  # fmt: skip
 
 
@@ -231,6 +253,16 @@ class _Run(CpuClock):
     def __init__(self, progress: Progress, stages: Stages) -> None:
         super().__init__()
         self.progress, self.stages = progress, stages
+        self.taken_over: dict[str, float] = {}
+        self._noted = 0.0
+
+    def note(self, stage: str) -> None:
+        """Add the time since the last note to a stage, and that of earlier runs which was taken over."""
+        super().note(stage)
+        taken, self._noted = self.stages.taken_over - self._noted, self.stages.taken_over
+        if taken > 0.0:
+            self.taken_over[stage] = self.taken_over.get(stage, 0.0) + taken
+            self.seconds[stage] += taken
 
 
 def _nothing(stage: str, done: int, total: int) -> None:
@@ -255,22 +287,21 @@ def _followed(problem: SequenceProblem, plan: FollowPlan | None, run: _Run) -> F
     def unreachable() -> FollowState:
         raise AssertionError("a stage that is there is not computed")
 
-    if not run.stages.has("follow"):
+    def keep(state: FollowState) -> None:
+        states.append(run.stages.keep(name(), state))
+
+    def follow() -> Followed:
         while run.stages.has(name()):
             states.append(run.stages.stage(name(), FollowState, unreachable))
-    before = tuple(states)
+        return follow_sequence(problem, plan, run.progress, keep, tuple(states))
 
-    def keep(state: FollowState) -> None:
-        states.append(run.stages.stage(name(), FollowState, lambda: state))
-
-    followed = run.stages.stage(
-        "follow", Followed, lambda: follow_sequence(problem, plan, run.progress, keep, before)
-    )
+    followed = run.stages.stage("follow", Followed, follow)
     for number in range(len(states)):
         run.stages.drop(f"follow-{number}")
     return followed
 
 
+@one_blas_thread
 def follow_sequence(
     problem: SequenceProblem,
     plan: FollowPlan | None = None,
@@ -294,8 +325,14 @@ def follow_sequence(
     if problem.mosaic_nm is not None:
         plan = replace(plan, reduction=int(np.lcm(*problem.mosaic_nm.shape)))
     sources = [s if not why else None for s, why in zip(problem.sources, problem.excluded, strict=True)]
-    if not any(source is not None for source in sources):
+    usable = sum(source is not None for source in sources)
+    if not usable:
         raise InputError("no frame of the sequence can be used; see why each was excluded")
+    if usable == 1:
+        raise InputError(
+            f"1 of {len(sources)} frames can be used: poses are told by what frames share; give two or more "
+            "that overlap"
+        )
 
     def report(done: int) -> None:
         if progress is not None:
@@ -318,6 +355,8 @@ def _all_poses(
     if cross and len(np.unique(group[group >= 0])) > 1:
         shared = run.stages.stage("cross", _Shared, lambda: _compared(block, found.poses, group, run)).tracks
         run.note(COMPARED)
+        if shared is not None and (untied := _too_large(problem, appended(found.tracks, shared))):
+            return replace(found, words=(*found.words, untied)), block.with_control(found.tracks)
         if shared is not None:
             before, words, tracks = found.poses, found.words, appended(found.tracks, shared)
             run.progress(SOLVED_ALL, 0, 1)
@@ -328,6 +367,18 @@ def _all_poses(
             run.note(SOLVED_ALL)
     refuse_untold(found.poses)
     return found, block.with_control(found.tracks)
+
+
+def _too_large(problem: SequenceProblem, tracks: Tracks) -> str:
+    """Why lines are not solved together; "" where they can be."""
+    wanted, there = memory_wanted(problem.images, tracks), _SHARE * machine_memory()
+    if wanted <= there:
+        return ""
+    return (
+        f"stretches of the flight overlap, but are not solved together: {len(problem)} frames at once would "
+        f"take {wanted / 1e9:.1f} GB of memory, {there / 1e9:.1f} GB may be used; each stretch is solved by "
+        "itself, by its own tables. Leave frames out (every other one, say), or use a larger machine"
+    )
 
 
 def _adjusted(block: SequenceSolver, run: _Run) -> Adjusted:
@@ -369,6 +420,7 @@ def _compared(block: SequenceSolver, poses: FramePoses, group: NDArray[np.intp],
     )  # fmt: skip
 
 
+@one_blas_thread
 def poses_of_windows(problem: SequenceProblem, followed: Followed) -> tuple[FramePoses, Tracks]:
     """Poses of all frames from windows that were followed (760), and their sightings; no image is read.
 
@@ -412,13 +464,20 @@ def _sources(
     return tuple(source), tuple(reason)
 
 
-def _warnings(problem: SequenceProblem, poses: FramePoses, source: tuple[str, ...]) -> list[str]:
+def _warnings(
+    problem: SequenceProblem, poses: FramePoses, source: tuple[str, ...], followed: Followed
+) -> list[str]:
     """What a user should know."""
     out = list(problem.warnings)
     idle = source.count(INTERPOLATED)
     if idle:
-        are = "frame is" if idle == 1 else "frames are"
-        out.append(
-            f"{idle} of {len(source)} {are} interpolated: their images are missing or tell nothing of them"
+        are = (
+            "is interpolated: its image is missing or tells nothing of it"
+            if idle == 1
+            else "are interpolated: their images are missing or tell nothing of them"
         )
-    return [*out, *focal_warnings(problem, poses), *bow_warnings(problem, poses)]
+        out.append(f"{idle} of {len(source)} frames {are}")
+    out += focal_warnings(problem, poses)
+    # ground at another height moves otherwise too: said once
+    out += ground_warnings(problem, poses) or motion_warnings(problem, followed)
+    return out + table_warnings(problem, poses) + bow_warnings(problem, poses)

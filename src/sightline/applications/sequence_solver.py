@@ -58,7 +58,7 @@ class SequenceSolver:
 
     def __init__(self, problem: SequenceProblem, followed: Followed) -> None:
         self.problem, self.followed = problem, followed
-        self.alike = _alike_heights(problem, followed)
+        self.alike = _alike_heights(problem, tracks_of(followed))
 
     def with_control(self, tracks: Tracks) -> Tracks:
         """The same tracks and those of points of control, which are numbered after the others."""
@@ -70,7 +70,7 @@ class SequenceSolver:
     def _priors(self, tracks: Tracks) -> PointPriors | None:
         """What is known of the points: a surface, points of control."""
         p = self.problem
-        heights, control = self.heights(), None
+        heights, control = self.heights(tracks), None
         if p.control is not None and p.control_tracks is not None:
             first = int(tracks.point.max()) + 1
             control = ControlPoints(
@@ -78,13 +78,16 @@ class SequenceSolver:
             )
         return None if heights is None and control is None else PointPriors(heights, control)
 
-    def heights(self) -> HeightPrior | None:
-        """What is known of the heights of all points."""
-        p = self.problem
+    def heights(self, tracks: Tracks | None = None) -> HeightPrior | None:
+        """What is known of the heights of all points: of those that were followed, or of `tracks`."""
+        p, alike = self.problem, self.alike
         if not p.height_sigma > 0.0:
             return None
+        if tracks is not None and int(tracks.point.max()) > int(self.followed.point.max()):
+            # points that stretches share lie on the same ground: they tell its height no better
+            alike = _alike_heights(p, tracks)
         # a surface is wrong over a whole frame alike: all points in it together tell its height once
-        return HeightPrior(p.surface, p.height_sigma * np.sqrt(self.alike), p.radii)
+        return HeightPrior(p.surface, p.height_sigma * np.sqrt(alike), p.radii)
 
     def rounds(self) -> int:
         """How many times a part is solved."""
@@ -179,12 +182,12 @@ def ground_distances(problem: SequenceProblem) -> Array:
     return np.where(known, far, np.median(far[known]) if known.any() else np.nan)
 
 
-def _alike_heights(problem: SequenceProblem, followed: Followed) -> float:
+def _alike_heights(problem: SequenceProblem, tracks: Tracks) -> float:
     """How many points share one error of the surface, which goes together over the area of a frame."""
-    first = np.unique(followed.point, return_index=True)[1]
-    image = followed.image[first]
+    first = np.unique(tracks.point, return_index=True)[1]
+    image = tracks.image[first]
     rays = problem.images.world_from_body[image].apply(
-        problem.mount.apply(problem.detector.directions(followed.pixels[first]))
+        problem.mount.apply(problem.detector.directions(tracks.pixels[first]))
     )
     met = problem.surface.intersect(read_only(problem.images.position[image]), read_only(rays))
     met = met[np.isfinite(met).all(axis=1)]

@@ -14,10 +14,13 @@ from sightline.applications.frame_sequence import SequenceProblem
 from sightline.errors import EstimationError
 from sightline.photogrammetry.frame_focal import FocalStretch
 from sightline.photogrammetry.frame_poses import FramePoses, stretches
+from sightline.photogrammetry.frame_subset import Subset
 from sightline.photogrammetry.sightings import Tracks
 
 #: px, 1-sigma at the ends of a stretch, from which on it is worth saying that the stretch may be bent.
 _BENT_PX = 1.0
+#: Frames of a subset up to which nothing is seen from three sides.
+_FEW = 2
 _AXES = ("roll", "pitch", "yaw")
 #: Share of the sigma beforehand from which on images told nothing of the focal length, and hardly anything.
 UNTOLD, HARDLY = 0.9, 0.5
@@ -135,6 +138,19 @@ def bow_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
             "its ends; attitudes, better positions, known heights or crossing flight lines tell it"
         )
     return out
+
+
+def short_warnings(subset: Subset) -> list[str]:
+    """A warning where a sequence hardly moves on, so that its frames see everything from one side."""
+    if len(subset) > _FEW:
+        return []
+    parallax = np.degrees(subset.parallax[np.isfinite(subset.parallax)])
+    angle = f" under an angle of {parallax.max():.2g} degrees" if len(parallax) else ""
+    return [
+        f"a very short sequence: its subset has {len(subset)} frames, which see the ground{angle}; "
+        "heights and poses are hardly better than the tables that tell them, nothing checks matches "
+        "against a third view, and bands whose lines did not pass over a place are missing there"
+    ]
 
 
 def tied_parts(tracks: Tracks, used: NDArray[np.bool_], frames: int) -> NDArray[np.intp]:

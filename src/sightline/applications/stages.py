@@ -12,6 +12,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import os
+import time
 import types
 import typing
 import zipfile
@@ -28,6 +29,7 @@ T = TypeVar("T")
 Packed = dict[str, NDArray[Any]]
 
 _KEY = "fingerprint"
+_SECONDS = "cpu-seconds"
 _NONE = "none"
 _SUFFIX = ".stage.npz"
 
@@ -46,6 +48,8 @@ class Stages:
     ----------
     computed, found : list of str
         Names of stages that were computed now, and of those that were taken from the folder.
+    taken_over : float
+        CPU seconds of earlier runs in what was taken from the folder so far.
     """
 
     def __init__(self, folder: Path | None = None, warn: Callable[[str], None] | None = None) -> None:
@@ -53,6 +57,8 @@ class Stages:
         self._key = hashlib.sha256(version("sightline").encode())
         self.computed: list[str] = []
         self.found: list[str] = []
+        self.taken_over = 0.0
+        self._since = time.process_time()
 
     def depend(self, inputs: object) -> None:
         """All stages from now on depend on `inputs` too.
@@ -81,19 +87,46 @@ class Stages:
         held = self._read(name)
         if held is not None:
             try:
+                seconds = float(held.pop(_SECONDS))
                 result = unpack(kind, held)
             except (KeyError, TypeError, ValueError) as error:
                 self._pass_over(name, str(error))
             else:
                 self.found.append(name)
+                self.taken_over += seconds
                 return result
-        key = self._key.copy()
+        key, before = self._key.copy(), self.taken_over
+        begun = self._since = time.process_time()
         packed = pack(compute())
         # what stages within this one depend on is their own affair
         self._key = key
+        # those of them that were found are part of its work
+        spent = time.process_time() - begun + self.taken_over - before
+        return self._kept(name, kind, packed, spent)
+
+    def keep(self, name: str, value: T) -> T:
+        """Keep how far a stage under way has come, as a stage of its own.
+
+        Parameters
+        ----------
+        name : str
+        value : dataclass
+            It took the time since the last one was kept, or since the stage around it began.
+
+        Returns
+        -------
+        dataclass
+            What `stage` will find under this name.
+        """
+        now = time.process_time()
+        spent, self._since = now - self._since, now
+        return self._kept(name, type(value), pack(value), spent)
+
+    def _kept(self, name: str, kind: type[T], packed: Packed, seconds: float) -> T:
+        """A stage that was computed now, as it will be found."""
         self.computed.append(name)
         if self._folder is not None:
-            self._write(name, packed)
+            self._write(name, packed | {_SECONDS: np.array(seconds)})
         return unpack(kind, packed)
 
     def has(self, name: str) -> bool:

@@ -69,6 +69,7 @@ def georeference(
     from sightline.applications.stages import Stages
     from sightline.cli.output import check_output_folder, output_folder, remove_stages, stages_folder
     from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.io.cube_summary import check_cube
     from sightline.io.sequence import read_sequence
 
     check_output_folder(out, overwrite=overwrite, resume=resume)
@@ -79,6 +80,8 @@ def georeference(
     with stages_kept(stages_folder(out)), progress() as report:
         report(f"reading {file}")
         sequence = read_sequence(file)
+        if not poses_only:
+            check_cube(sequence)  # maps that cannot be made are refused before hours of work, not after
         found = georeference_sequence(sequence.problem, stride=stride, progress=report, stages=stages)
         if method is not Method.ALL_FRAMES:
             report(f"frames between the subset's by {method.value}")
@@ -99,14 +102,17 @@ def georeference(
 
 @contextmanager
 def stages_kept(folder: Path) -> Iterator[None]:
-    """On an interruption, say where the finished stages are."""
-    from sightline.cli.terminal import complain
+    """Where a run ends early, say where its finished stages are and how to go on from them."""
+    from sightline.cli.terminal import Interrupted, complain
 
     try:
         yield
-    except KeyboardInterrupt:
+    except BaseException as error:
+        kept = f"finished stages wait in {folder}; the same command with --resume goes on from them"
+        if isinstance(error, KeyboardInterrupt):
+            raise Interrupted(kept if folder.is_dir() else "no stage was finished") from error
         if folder.is_dir():
-            complain("note", f"finished stages are kept in {folder}; the same command with --resume goes on")
+            complain("note", kept)
         raise
 
 

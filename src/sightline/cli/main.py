@@ -1,13 +1,15 @@
 """The ``sightline`` command: gathers the commands, one file each, and turns errors into one clear message.
 
 Exit status: 0 done; 1 the data cannot give the answer; 2 wrong input or usage; 70 a defect of Sightline;
-130 interrupted.
+130 interrupted, 143 and 129 ended by SIGTERM and SIGHUP (128 and the number of the signal).
 What a command does is in its own file, named like it.
 """
 
 from __future__ import annotations
 
+import signal
 import sys
+from types import FrameType
 from typing import Annotated, Any
 
 import typer
@@ -26,7 +28,7 @@ from sightline.cli import (
     tdi,
     version,
 )
-from sightline.cli.terminal import complain, warnings_as_messages
+from sightline.cli.terminal import Interrupted, complain, warnings_as_messages
 from sightline.errors import EstimationError, GeometryError, SightlineError
 
 # Named through typer, because its newer versions carry a click of their own.
@@ -37,6 +39,8 @@ DATA_CANNOT_ANSWER = 1
 WRONG_INPUT = 2
 DEFECT = 70
 INTERRUPTED = 130
+#: 128 and the number of SIGTERM, of SIGHUP.
+TERMINATED, HUNG_UP = 143, 129
 
 app = typer.Typer(
     name="sightline",
@@ -79,7 +83,29 @@ def main(arguments: list[str] | None = None) -> None:
     """
     words = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in words
+    _heed_signals()
     sys.exit(run([word for word in words if word != "--debug"], debug=debug))
+
+
+class _Ended(KeyboardInterrupt):
+    """A signal other than that of Ctrl-C asks for the end; what stops a command is the same."""
+
+
+#: The last signal that ended a command.
+_ended_by: list[int] = []
+
+
+def _heed_signals() -> None:
+    """SIGTERM and SIGHUP (unless ignored, as under ``nohup``) end a command as Ctrl-C does: it tidies up."""
+
+    def end(number: int, frame: FrameType | None) -> None:
+        _ended_by[:] = [number]
+        raise _Ended
+
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)  # Windows has no SIGHUP
+        if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+            signal.signal(number, end)
 
 
 def run(words: list[str], *, debug: bool = False) -> int:
@@ -87,6 +113,7 @@ def run(words: list[str], *, debug: bool = False) -> int:
 
     With `debug`, exceptions are left to rise with their traceback.
     """
+    _ended_by.clear()
     try:
         with warnings_as_messages():
             status = app(words, prog_name="sightline", standalone_mode=False)
@@ -95,14 +122,25 @@ def run(words: list[str], *, debug: bool = False) -> int:
     except _ClickException as error:
         _say_usage(error)
         return WRONG_INPUT
+    except Interrupted as kept:
+        return _interrupted(f"; {kept}")
     except (typer.Abort, KeyboardInterrupt):
-        complain("error", "interrupted; no result was written")
-        return INTERRUPTED
+        return _interrupted("")
     except Exception as error:
         if debug:
             raise
         return _status_of(error)
     return status if isinstance(status, int) else 0
+
+
+def _interrupted(kept: str) -> int:
+    """Say that the command was stopped, by what, and what is left of it; give the exit status of that."""
+    if _ended_by:
+        number = _ended_by[0]
+        complain("error", f"ended by {signal.Signals(number).name}; no result was written{kept}")
+        return 128 + number
+    complain("error", f"interrupted; no result was written{kept}")
+    return INTERRUPTED
 
 
 def _say_usage(error: Any) -> None:

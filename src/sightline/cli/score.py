@@ -23,11 +23,23 @@ def score(
             help="t,roll,pitch,yaw; of `orient` camera,roll,pitch,yaw; of poses poses-truth.csv.",
         ),
     ],
+    table: Annotated[
+        bool, typer.Option("--table", help="Of poses: a table for people in place of JSON.")
+    ] = False,
 ) -> None:
     """Print errors, NEES and coverage of a result against its truth, as JSON."""
-    from sightline.cli.terminal import print_json
+    from sightline.cli.terminal import print_json, say
+    from sightline.errors import InputError
+    from sightline.io.pose_score import pose_score_lines
 
-    print_json(score_folder(result, truth))
+    scored = score_folder(result, truth)
+    if not table:
+        print_json(scored)
+        return
+    if "by_source" not in scored:
+        raise InputError(f"{result}: --table is for poses (poses.csv); leave it out")
+    for line in pose_score_lines(scored):
+        say(line)
 
 
 #: Table of each kind of result, and the form and name of its truth.

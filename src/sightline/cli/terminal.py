@@ -6,9 +6,11 @@ Nothing here decides anything; exit statuses are in ``main.py``.
 from __future__ import annotations
 
 import sys
+import threading
+import time
 import warnings
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
 
@@ -19,15 +21,88 @@ class Progress(Protocol):
         """Say a stage; where `total` is known, with a bar and the time left."""
 
 
+#: s between lines of a stage under way, and that a stage took at least of which a line is left, in a log.
+_EVERY, _WORTH_A_LINE = 30.0, 1.0
+
+
+class _Log:
+    """Plain lines where stderr is no terminal: one when a stage ends, one now and then while it lasts."""
+
+    def __init__(self) -> None:
+        self._stage, self._begun, self._first = "", 0.0, 0
+        self._done, self._total = 0, 0
+        self._ended = threading.Event()
+        # of its own, as one long step may report nothing for minutes
+        self._beat = threading.Thread(target=self._tell_now_and_then, daemon=True)
+        self._beat.start()
+
+    def __call__(self, stage: str, done: int = 0, total: int | None = None) -> None:
+        """A stage, and how far it has come."""
+        if stage != self._stage:
+            self._finish()
+            self._stage, self._begun, self._first = stage, time.monotonic(), done
+            self._total = 0
+        self._done, self._total = done, self._total if total is None else total
+
+    def close(self, *, finished: bool) -> None:
+        """The end of all stages."""
+        self._ended.set()
+        self._beat.join()
+        if finished:
+            self._finish()
+
+    def _finish(self) -> None:
+        took = time.monotonic() - self._begun
+        if self._stage and took >= _WORTH_A_LINE:
+            _progress_line(f"{self._stage}: {_duration(took)}")
+
+    def _tell_now_and_then(self) -> None:
+        while not self._ended.wait(_EVERY):
+            if self._stage and time.monotonic() - self._begun >= 0.5 * _EVERY:
+                _progress_line(self._under_way())
+
+    def _under_way(self) -> str:
+        """How far the stage has come, and the time left by its pace so far."""
+        took, done = time.monotonic() - self._begun, self._done - self._first
+        text = f"{self._stage}: {_duration(took)} so far"
+        if self._total <= 1:
+            return text
+        text += f", {self._done} of {self._total}"
+        if done <= 0 or self._done >= self._total:
+            return text
+        return f"{text}, about {_duration(took * (self._total - self._done) / done)} left"
+
+
+def _progress_line(text: str) -> None:
+    """Say how far a run is; one that nobody reads any more goes on."""
+    with suppress(OSError, ValueError):
+        complain("progress", text)
+
+
+def _duration(seconds: float) -> str:
+    """Whole seconds, minutes from two on, hours from two on."""
+    if seconds < 120.0:
+        return f"{seconds:.0f} s"
+    if seconds < 7200.0:
+        return f"{seconds / 60.0:.0f} min"
+    return f"{seconds / 3600.0:.1f} h"
+
+
 @contextmanager
 def progress() -> Iterator[Progress]:
-    """Function ``report(stage, done, total)`` that shows what is being done, if stderr is a terminal.
+    """Function ``report(stage, done, total)`` that shows on stderr what is being done.
 
-    Each finished stage leaves a line with the time it took; where a total is given, a bar and the time left
-    show meanwhile. Elsewhere the function does nothing.
+    On a terminal each finished stage leaves a line with the time it took; where a total is given, a bar and
+    the time left show meanwhile. Elsewhere, as in a log, plain lines say the same: one for each finished
+    stage of a second or more, and one every 30 s of a stage under way.
     """
     if not sys.stderr.isatty():
-        yield lambda stage, done=0, total=None: None
+        log, finished = _Log(), False
+        try:
+            yield log
+            finished = True
+        finally:
+            log.close(finished=finished)
         return
     from rich.console import Console
     from rich.progress import (
@@ -74,6 +149,10 @@ def progress() -> Iterator[Progress]:
 
         yield report
         finish()
+
+
+class Interrupted(Exception):
+    """The user or the system stopped a command; the message says what was kept of it."""
 
 
 def print_json(summary: Mapping[str, Any]) -> None:

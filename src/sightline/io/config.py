@@ -275,6 +275,7 @@ def _is_type_tag(part: object) -> bool:
         in {
             "as-list",
             "as-range",
+            "as-header",
             "as-table",
             "float",
             "int",

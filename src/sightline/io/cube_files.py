@@ -61,6 +61,15 @@ class RawBand:
         return gaps if gaps.any() else None
 
 
+def check_formats(formats: Sequence[str]) -> None:
+    """InputError if a format is unknown, or Zarr is asked for without the extra ``cube``."""
+    wrong = [name for name in formats if name not in FORMATS]
+    if wrong or not formats:
+        raise InputError(f"`formats` must be among {', '.join(FORMATS)}, got {list(formats)}")
+    if "zarr" in formats:
+        _zarr()
+
+
 class CubeFolder:
     """Files of a cube, in one folder: takes the pixels, then writes what is wanted of them.
 
@@ -81,11 +90,7 @@ class CubeFolder:
 
     def __init__(self, folder: Path, formats: Sequence[str] = ("tif",), *, one_file: bool = False) -> None:
         """Check that everything asked for can be written, before work starts."""
-        wrong = [name for name in formats if name not in FORMATS]
-        if wrong or not formats:
-            raise InputError(f"`formats` must be among {', '.join(FORMATS)}, got {list(formats)}")
-        if "zarr" in formats:
-            _zarr()
+        check_formats(formats)
         self.folder, self.formats, self.one_file = Path(folder), tuple(formats), one_file
         self.draft = self.folder / ".cube.draft.dat"
 

@@ -9,9 +9,12 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube
+import numpy as np
+
+from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube, choose_bands
 from sightline.applications.sequence_poses import SequencePoses
-from sightline.io.cube_files import CubeFolder, crs_wkt
+from sightline.errors import InputError
+from sightline.io.cube_files import CubeFolder, check_formats, crs_wkt
 from sightline.io.sequence import FrameSequence
 from sightline.io.sequence_schema import CubeSection
 
@@ -20,6 +23,28 @@ def cube_plan(section: CubeSection) -> CubePlan:
     """The plan that a ``[cube]`` asks for."""
     bands = tuple(section.bands) if isinstance(section.bands, list) else section.bands
     return CubePlan(section.gsd, bands, section.surface, section.fill_nm, section.flatten)
+
+
+def check_cube(sequence: FrameSequence) -> None:
+    """Refuse at once the maps that could not be made once all poses are found.
+
+    Raises
+    ------
+    InputError
+        If ``[cube]`` asks for bands that the camera does not see, or for files whose package is missing.
+    """
+    if sequence.cube.make:
+        check_bands(sequence)
+        check_formats(sequence.cube.formats)
+
+
+def check_bands(sequence: FrameSequence) -> None:
+    """InputError if ``[cube]`` asks for bands that the camera does not see."""
+    try:
+        # which bands there can be does not depend on where they lie
+        choose_bands(sequence.problem, cube_plan(sequence.cube), np.zeros((0, 0, 2)), 1.0, 1.0)
+    except InputError as error:
+        raise InputError(f"{sequence.path}: [cube] {str(error).replace('`', '')}") from None
 
 
 def write_cube(

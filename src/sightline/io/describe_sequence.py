@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.frame_sequence import SequenceProblem
-from sightline.geometry.surface import Plane
+from sightline.geometry.surface import Ellipsoid, Plane
+from sightline.io.describe_outlook import map_words, overlap_words, program_words, time_words
 from sightline.io.sequence import FrameSequence
 
 Array = NDArray[np.float64]
 
-#: Share of a frame that successive frames have to share for displacements to be told.
-LEAST_OVERLAP = 0.5
 #: rad; sigma of attitudes beyond which they may have been given in degrees.
 LARGE_ATTITUDE_SIGMA = 0.2
 #: Frames that are named in a message.
@@ -29,8 +28,8 @@ def describe_sequence(sequence: FrameSequence) -> dict[str, Any]:
     problem = sequence.problem
     return {
         "understood": _understood(sequence),
-        "missing": _missing(problem),
-        "observable": _observable(problem),
+        "missing": _missing(problem) + program_words(sequence),
+        "observable": _observable(problem) + map_words(sequence),
         "frames": len(problem),
         "usable": int(problem.usable.sum()),
     }
@@ -63,6 +62,7 @@ def _understood(sequence: FrameSequence) -> list[str]:
     told = np.isfinite(problem.known.position).any()
     if len(steps) and told:
         said.append(f"frames are {float(np.median(steps)):.4g} m apart, by the rough positions")
+    said += time_words(problem)
     if problem.readout_time > 0.0:
         said.append(f"rolling shutter: {problem.readout_time:g} s from the first line to the last")
     for what, sigma, bias, unit in (
@@ -113,6 +113,10 @@ def _missing(problem: SequenceProblem) -> list[str]:
     said = [f"frame {problem.frames[k]}: {problem.excluded[k]}" for k in lost[:LISTED]]
     if len(lost) > LISTED:
         said.append(f"and {len(lost) - LISTED} more frames that cannot be used")
+    if problem.usable.sum() == 1:
+        said.append("frames: one alone tells nothing of its pose; two or more that overlap are needed")
+    if not np.isfinite(problem.known.attitude).any() and np.isfinite(problem.known.position).all(1).sum() < 3:
+        said.append("positions of three frames or more: without attitudes they bring a model to the world")
     if not np.isfinite(problem.known.attitude).any():
         said.append(
             "attitudes: none; georeference will begin with a model by pycolmap (extra sfm), and a bow of the "
@@ -121,7 +125,12 @@ def _missing(problem: SequenceProblem) -> list[str]:
     if problem.height_sigma <= 0.0:
         said.append(
             "[surface] height_sigma: heights of the ground are a start only"
-            + (f"; they are {problem.surface.height:g} m" if isinstance(problem.surface, Plane) else "")
+            + (
+                f"; they are {problem.surface.height:g} m"
+                if isinstance(problem.surface, Plane | Ellipsoid)
+                else ""
+            )
+            + "; ground known to height_sigma (or a dem) would tell heights, tilts and the scale better"
         )
     return said
 
@@ -136,15 +145,7 @@ def _observable(problem: SequenceProblem) -> list[str]:
         )
     if problem.focal_length_sigma_px > 0.0:
         said.append(_focal_observable(problem))
-    steps, length = steps_of(problem)
-    if len(steps) and np.isfinite(problem.known.position).any():
-        overlap = 1.0 - float(np.median(steps)) / length
-        said.append(f"successive frames share about {max(overlap, 0.0):.0%}, by the rough positions")
-        if overlap < LEAST_OVERLAP:
-            said.append(
-                "so little common ground tells poses badly; check positions, height, and focal length"
-            )
-    return said
+    return said + overlap_words(problem)
 
 
 def _focal_observable(problem: SequenceProblem) -> str:

@@ -30,7 +30,7 @@ from sightline.io.ground import surface_of
 from sightline.io.sequence_control import control_of
 from sightline.io.sequence_frames import FrameList, excluded, probe_frames, read_frames, shape_of
 from sightline.io.sequence_poses import is_local, radii_of, starting_poses
-from sightline.io.sequence_schema import CubeSection, SequenceCamera, SequenceFile
+from sightline.io.sequence_schema import LEAST_NM, CubeSection, SequenceCamera, SequenceFile, WavelengthRange
 from sightline.photogrammetry.sightings import Images
 
 Array = NDArray[np.float64]
@@ -185,9 +185,16 @@ def detector_of(
     if tags is not None and camera.focal_length_px is None:
         principal = principal or tags.principal_point_px
         distortion = distortion or tags.distortion
-    detector = AreaDetector(
-        "camera", shape, focal, principal or middle, distortion, _wavelengths(camera, files, shape)
-    )
+    principal = principal or middle
+    off = [abs(p - m) > size for p, m, size in zip(principal, middle, shape, strict=True)]
+    if any(off):
+        words = (
+            *words,
+            f"the principal point (line {principal[0]:.6g}, column {principal[1]:.6g}) lies far outside "
+            f"the frame of {shape[0]} lines x {shape[1]} columns: is [camera] principal_point_px in "
+            "pixels, (line, column)?",
+        )
+    detector = AreaDetector("camera", shape, focal, principal, distortion, _wavelengths(camera, files, shape))
     return detector, sigma, words
 
 
@@ -219,11 +226,20 @@ def _wavelengths(camera: SequenceCamera, files: InputFolder, shape: tuple[int, i
     given = camera.wavelength_nm
     if given is None:
         return None
+    if isinstance(given, WavelengthRange):
+        return np.linspace(given.first, given.last, shape[0])
     values = read_envi_wavelengths(files(given)) if isinstance(given, str) else np.array(given)
+    place = files(given) if isinstance(given, str) else files.toml
     if len(values) != shape[0]:
-        place = files.toml if not isinstance(given, str) else files(given)
         raise FormatError(
-            f"{place}: {len(values)} wavelengths for frames of {shape[0]} lines; one per line is expected"
+            f"{place}: {len(values)} wavelengths for frames of {shape[0]} lines; one per line is expected, "
+            "from line 0 on, or [camera] wavelength_nm = { from = ..., to = ... } where they change evenly"
+        )
+    if values.min() < LEAST_NM:
+        raise FormatError(
+            f"{place}: wavelengths from {values.min():g} to {values.max():g} nm are no light that a camera "
+            "sees; add `wavelength units = Micrometers` to the header if they are such, or give [camera] "
+            "wavelength_nm as a list"
         )
     return np.asarray(values, dtype=np.float64)
 
@@ -260,13 +276,26 @@ def _ground(
     if not seen.any():
         raise GeometryError(
             f"{files.toml}: no frame looks at the ground: by their rough poses all are below it, look "
-            "away from it, or "
-            "lie beside the dem; check z of the positions against [surface] height, [world], and the mount"
+            "away from it, or lie beside the dem; check z of the positions against [surface] height"
+            + ("" if _told_height(file) else " (not told: 0 m is taken)")
+            + ", [world], and the mount"
+        )
+    words = []
+    if not _told_height(file):
+        above = "in z" if is_local(file) else "above the ellipsoid"
+        words.append(
+            f"[surface] tells no height of the ground: 0 m {above} is where the solution starts; heights are "
+            "found from the images, as well as positions or control points tell the scale"
         )
     beside = int((~seen).sum())
     if beside > _BESIDE_SHARE * len(seen):
-        return surface, (f"{beside} of {len(seen)} frames look beside the ground by their rough poses",)
-    return surface, ()
+        words.append(f"{beside} of {len(seen)} frames look beside the ground by their rough poses")
+    return surface, tuple(words)
+
+
+def _told_height(file: SequenceFile) -> bool:
+    """Whether the file says how high the ground is."""
+    return file.surface.dem is not None or "height" in file.surface.model_fields_set
 
 
 def _rays_of_frames(images: Images, detector: AreaDetector, mount: Rotation) -> tuple[Array, Array]:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sightline.applications.found_ground import level_ground
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.geometry.checks import frozen
 from sightline.geometry.earth import from_geodetic, local_axes, to_geodetic
@@ -229,8 +230,8 @@ def _write_places(
     horizontal = np.sqrt(variance[:, :2].mean(axis=1))
     lonlat = np.column_stack([np.degrees(geodetic[:, :2]), geodetic[:, 2]])
     write_geo(folder / "geo.txt", names, lonlat, np.column_stack([horizontal, np.sqrt(variance[:, 2])]))
-    detector = poses.detector(problem.detector)
-    edges = outlines(detector, problem.mount, poses.position, poses.world_from_body, problem.surface)
+    detector, ground = poses.detector(problem.detector), level_ground(problem, poses)
+    edges = outlines(detector, problem.mount, poses.position, poses.world_from_body, ground)
     write_footprints(
         folder / "footprints.geojson",
         problem.frames,

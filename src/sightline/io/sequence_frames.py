@@ -94,7 +94,7 @@ def _of_folder(folder: Path, epoch: str | None) -> FrameList:
     """Photographs of a folder, by the times in their EXIF."""
     paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
     if not paths:
-        raise FormatError(f"{folder}: holds no images ({', '.join(SUFFIXES)}); check [frames]")
+        raise FormatError(f"{folder}: holds no images ({', '.join(SUFFIXES)}); check `frames`")
     exif, xmp = zip(*(_tags(path) for path in paths), strict=True)
     known = [k for k, tags in enumerate(exif) if tags is not None]
     if not known:

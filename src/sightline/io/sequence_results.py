@@ -138,6 +138,7 @@ def summarize_sequence(
         "sightings": _sightings(found),
         "points": int(np.isfinite(poses.points).all(axis=1).sum()),
         "stages": found.seconds,
+        "taken_over": found.taken_over,
         "warnings": list(found.warnings),
         "wall_seconds": wall_seconds,
         "peak_memory_bytes": peak_memory(),

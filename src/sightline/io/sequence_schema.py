@@ -10,7 +10,15 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Discriminator,
+    Field,
+    Tag,
+    field_validator,
+    model_validator,
+)
 
 from sightline.io.acquisition_schema import (
     ControlPointSection,
@@ -27,7 +35,51 @@ from sightline.io.camera_schema import FrameCameraSection, FrameShape
 #: m, rad; 1-sigma of positions and angles for which nothing is said: GPS of a camera, angles of a gimbal.
 POSITION_SIGMA, ATTITUDE_SIGMA = 5.0, 0.035
 
-Wavelength = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
+#: nm; no camera sees shorter waves, while 0.45 is a wavelength in micrometres.
+LEAST_NM = 100.0
+
+
+def _in_nm(value: float) -> float:
+    if value < LEAST_NM:
+        raise ValueError(
+            f"{value:g} nm is no light that a camera sees; nanometres are expected: is {1e3 * value:g} meant "
+            "(micrometres given)?"
+        )
+    return value
+
+
+Wavelength = Annotated[float, Field(gt=0.0, allow_inf_nan=False), AfterValidator(_in_nm)]
+#: Ways of telling the wavelengths of a filter along the lines, told apart before they are judged.
+_LIST, _RANGE, _HEADER = "as-list", "as-range", "as-header"
+
+
+class WavelengthRange(Section):
+    """Wavelengths that change evenly from the first line to the last."""
+
+    first: Wavelength = Field(alias="from", description="nm, of line 0")
+    last: Wavelength = Field(alias="to", description="nm, of the last line; less than `from` if they fall")
+
+
+def _a_way(value: object) -> object:
+    if not isinstance(value, list | dict | str | WavelengthRange):
+        raise ValueError(
+            f"{value!r} is not allowed: a list with one wavelength (nm) per line, {{ from = 450, to = 900 "
+            "}, or the name of an ENVI header are; of a camera without a filter along its lines remove "
+            "it, or give channel_nm"
+        )
+    return value
+
+
+def _way(value: object) -> str:
+    return _HEADER if isinstance(value, str) else _LIST if isinstance(value, list) else _RANGE
+
+
+Wavelengths = Annotated[
+    Annotated[list[Wavelength], Tag(_LIST)]
+    | Annotated[WavelengthRange, Tag(_RANGE)]
+    | Annotated[str, Tag(_HEADER)],
+    Discriminator(_way),
+]
 
 
 class SequenceHeader(DatedSection):
@@ -48,8 +100,8 @@ class SequenceCamera(FrameCameraSection):
     focal_length_px: Positive | None = Field(
         default=None, description="Focal length / pixel pitch; default what EXIF or XMP of photographs say"
     )
-    wavelength_nm: list[Wavelength] | str | None = Field(
-        default=None, description="One per line, or an ENVI header that has them"
+    wavelength_nm: Annotated[Wavelengths, BeforeValidator(_a_way)] | None = Field(
+        default=None, description="One per line, { from, to } of lines 0 and last, or an ENVI header"
     )
     mosaic_nm: list[list[Wavelength]] | None = Field(
         default=None, description="Rows of a pattern that repeats from pixel (0, 0)"
@@ -82,10 +134,12 @@ class SequenceCamera(FrameCameraSection):
         if isinstance(given, list) and self.shape is not None and len(given) != self.shape[0]:
             raise ValueError(
                 f"wavelength_nm has {len(given)} values, shape {self.shape[0]} lines; one per line is "
-                "expected"
+                "expected, from line 0 on, or { from = ..., to = ... } where they change evenly"
             )
         if given == []:
-            raise ValueError("wavelength_nm is empty; one per line is expected")
+            raise ValueError(
+                "wavelength_nm is empty; one per line is expected, { from = ..., to = ... }, or no key"
+            )
         if self.channel_nm == []:
             raise ValueError("channel_nm is empty; one per band of the image is expected")
 

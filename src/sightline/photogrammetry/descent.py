@@ -462,6 +462,10 @@ def _descended(
                 return beyond, False
         if not len(seen):
             break
+    # with the globals held as with none it is the images themselves along whose motion the equations bend
+    beyond = _beyond(block, _moved(state, step), weight, pull.cost) if len(seen) else None
+    if beyond is not None:
+        return beyond, False
     for _ in range(_TRIALS):
         step = State(0.5 * step.common, 0.5 * step.own, 0.5 * step.points)
         tried = _moved(state, step)
@@ -482,7 +486,7 @@ def _beyond(block: Block, tried: State, weight: Array, cost: float) -> State | N
         try:
             equations = _equations(block, tried, weight)
         except EstimationError:
-            return None
+            return None  # so far off that the sightings tie nothing there
         pull = _pull(block, tried, weight, equations.reduced)
         if pull.cost < cost:
             return tried

@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import EstimationError, InputError
+from sightline.execution import one_blas_thread
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
 from sightline.photogrammetry.descent import Block, Fit, State, descend, first_state, seen_twice
@@ -32,7 +33,7 @@ from sightline.photogrammetry.observability import observability
 from sightline.photogrammetry.point_priors import PointPriors
 from sightline.photogrammetry.pose_unknowns import STRETCH, PoseUnknowns
 from sightline.photogrammetry.reduced import PointsFirst, gather
-from sightline.photogrammetry.sightings import Images, Sightings, as_index
+from sightline.photogrammetry.sightings import Images, Sightings, Tracks, as_index
 
 #: rad, m: units of the unknowns; any of the size of the corrections keeps numbers near one.
 _UNITS = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1])
@@ -333,7 +334,7 @@ def frame_unknowns(
     )
 
 
-def solving_order(images: Images, sightings: Sightings) -> NDArray[np.intp]:
+def solving_order(images: Images, sightings: Sightings | Tracks) -> NDArray[np.intp]:
     """Rank (M,) of each frame such that frames with points in common lie near each other.
 
     That of time serves a single line; where lines cross or lie beside each other, frames of all lines go
@@ -354,6 +355,24 @@ def solving_order(images: Images, sightings: Sightings) -> NDArray[np.intp]:
     return rank if 2 * int(np.abs(rank[rows] - rank[columns]).max()) < in_time else np.arange(count)
 
 
+def memory_wanted(images: Images, tracks: Tracks) -> float:
+    """Bytes that an adjustment of all frames takes, beyond a few per sighting: six bands, measured.
+
+    Parameters
+    ----------
+    images : Images
+    tracks : Tracks
+        Of these images.
+    """
+    rank = solving_order(images, tracks)
+    low, high = np.full(len(tracks), len(images)), np.zeros(len(tracks), dtype=np.intp)
+    np.minimum.at(low, tracks.point, rank[tracks.image])
+    np.maximum.at(high, tracks.point, rank[tracks.image])
+    reach = int((high - low).max(initial=0)) + 1
+    return 6.0 * np.dtype(np.float64).itemsize * 36.0 * len(images) * reach
+
+
+@one_blas_thread
 def adjust_frames(
     images: Images,
     sightings: Sightings,

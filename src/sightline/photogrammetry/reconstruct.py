@@ -143,6 +143,35 @@ def _may_meet(first: int, frames: Index, position: Array | None, reach: Array | 
     return np.asarray(far <= reach[frames] + reach[first])
 
 
+def check_modelling(sigma: Array) -> Any:
+    """pycolmap, if a model can be made and brought to the world.
+
+    Parameters
+    ----------
+    sigma : (M, 3)
+        m, of the positions of frames; inf where none is told.
+
+    Raises
+    ------
+    InputError
+        If pycolmap is not installed, or fewer than three positions are told.
+    """
+    told = int(np.isfinite(sigma.sum(axis=1)).sum())
+    if told < 3:
+        raise InputError(
+            f"a model of the frames is brought to the world by three positions or more, {told} are told; "
+            "give positions or attitudes of the frames"
+        )
+    try:
+        import pycolmap
+    except ImportError:
+        raise InputError(
+            "photogrammetry on a subset needs pycolmap, which is not installed; install the extra `sfm`: "
+            "pip install 'sightline[sfm]', or give attitudes"
+        ) from None
+    return pycolmap
+
+
 def reconstruct(
     sources: Sequence[ImageSource],
     frames: Index,
@@ -179,16 +208,7 @@ def reconstruct(
     EstimationError
         If no model of three frames comes about.
     """
-    try:
-        import pycolmap
-    except ImportError:
-        raise InputError(
-            "photogrammetry on a subset needs pycolmap, which is not installed; install the extra `sfm`: "
-            "pip install 'sightline[sfm]'"
-        ) from None
-    told = np.isfinite(sigma.sum(axis=1))
-    if told[frames].sum() < 3:
-        raise InputError("a model is brought to the world by three positions or more; give a positions table")
+    pycolmap = check_modelling(sigma[frames])
     with tempfile.TemporaryDirectory() as folder:
         model = _mapped(pycolmap, Path(folder), sources, frames, pairs, detector, position, sigma)
     if model is None or model.num_reg_images() < 3:

@@ -25,6 +25,8 @@ Array = NDArray[np.float64]
 OVERVIEW, DETAIL, MAP_CELLS = 260_000, (200, 330), 60_000
 #: Pairs of bands that are drawn at most.
 PAIRS = 3000
+#: Pairs from which on large dots would hide each other.
+_MANY_PAIRS = 60
 #: Rows over columns from which on pictures are laid on their side.
 TALL = 1.6
 #: Share of a detail that may have no value.
@@ -108,7 +110,7 @@ def cube_view(cube: CubeSummary) -> CubeView | None:
         pair_nm=np.abs(first - second),
         pair_rms_px=cube.pair_rms_px[known],
         pair_noise_px=cube.pair_noise_px[known],
-        notes=tuple(_sentence(text) for text in (f"heights: {cube.surface}", *cube.warnings)),
+        notes=tuple(_sentence(text) for text in (f"the maps lie on {cube.surface}", *cube.warnings)),
         map_shape=cube.grid.shape,
         gsd=cube.grid.gsd,
     )
@@ -267,7 +269,7 @@ def pair_figure(cube: CubeView) -> go.Figure | None:
         if values is not None:
             figure.add_scatter(
                 x=small(cube.pair_nm[rows]), y=small(values[rows]), mode="markers", name=name,
-                marker={"size": 5, "color": colour, "opacity": 0.7},
+                marker={"size": 5 if len(rows) > _MANY_PAIRS else 8, "color": colour, "opacity": 0.7},
                 hovertemplate=f"{name}<br>%{{x:.0f}} nm apart: %{{y:.3f}} px rms<extra></extra>",
             )  # fmt: skip
     figure.update_xaxes(title_text="distance of the two bands (nm)", rangemode="tozero")
@@ -282,8 +284,10 @@ def pair_figure(cube: CubeView) -> go.Figure | None:
     return figure
 
 
-def coverage_figure(cube: CubeView) -> go.Figure:
-    """Share of the ground with a value, band by band."""
+def coverage_figure(cube: CubeView) -> go.Figure | None:
+    """Share of the ground with a value, band by band; None where no ground could have one in every band."""
+    if not np.isfinite(cube.coverage).any():
+        return None
     figure = panels(1, 320, top=30)
     figure.add_scatter(
         x=cube.wavelength_nm, y=100.0 * cube.coverage, mode="lines+markers", showlegend=False,
@@ -306,10 +310,10 @@ def cube_sentences(cube: CubeView) -> list[str]:
         f"{digits(cube.gsd or cube.pixel_size, 3)} m a pixel"
     )
     if np.isfinite(cube.coverage).all():
-        out = [
-            f"{size}; a band has a value on {100.0 * cube.coverage.min():.1f} to "
-            f"{100.0 * cube.coverage.max():.1f} % of the ground that lines of every band passed over."
-        ]
+        share = f"{100.0 * cube.coverage.min():.1f}"
+        if f"{100.0 * cube.coverage.max():.1f}" != share:
+            share += f" to {100.0 * cube.coverage.max():.1f}"
+        out = [f"{size}; a band has a value on {share} % of the ground that lines of every band passed over."]
     else:
         out = [f"{size}."]
     if len(cube.pair_rms_px):

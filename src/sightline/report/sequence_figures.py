@@ -151,10 +151,10 @@ def _line(
 ) -> None:  # fmt: skip
     """A curve against time, broken between stretches."""
     rows = line_rows(view, values)
-    group = options.pop("group", name)
+    group, width = options.pop("group", name), options.pop("width", 1.4)
     figure.add_scatter(
         x=at(axis.x, rows), y=at(values, rows), row=row, col=options.pop("col", 1), mode="lines", name=name,
-        line={"color": colour, "width": 1.4, "dash": options.pop("dash", "solid")}, legendgroup=group,
+        line={"color": colour, "width": width, "dash": options.pop("dash", "solid")}, legendgroup=group,
         hovertemplate=f"{name}: %{{y:.3g}} {unit}<extra></extra>", **options,
     )  # fmt: skip
 
@@ -218,7 +218,11 @@ def residual_figure(view: SequenceView, epoch: str | None) -> go.Figure:
 
 def departure_figure(view: SequenceView, epoch: str | None) -> go.Figure:
     """Six parameters less an even path: beside what tables told of them, with 95 % bands; and enlarged."""
-    titles = [text for name in PARAMETERS for text in (_LONG_NAMES[name], "the same line, enlarged")]
+    titles = [
+        text
+        for name in PARAMETERS
+        for text in (f"{_LONG_NAMES[name]}, from an even path", "the line by itself")
+    ]
     height, gap = 1180, 36.0
     figure = make_subplots(
         6, 2, horizontal_spacing=0.1, vertical_spacing=gap / (height - 130), subplot_titles=titles
@@ -295,19 +299,23 @@ def sigma_figure(view: SequenceView, epoch: str | None) -> go.Figure:
             f"{PARAMETERS[k % 3]}, {PARAMETERS[k % 3 + 3]}",
         )
         colour = AXIS_COLOURS[k % 3]
-        options = {"group": group, "showlegend": False}
+        # curves of one value lie on each other: the lower ones look out
+        options = {"group": group, "showlegend": False, "width": (4.2, 2.6, 1.2)[k % 3]}
         _line(figure, view, axis, view.sigma[:, k], row, name, colour, unit, **options)
         drawn[row - 1].append(view.sigma[:, k])
         if np.isfinite(view.told_sigma[:, k]).any():
             label = f"{name}, a single row of the tables"
             _line(
                 figure, view, axis, view.told_sigma[:, k], row, label, faint(colour, 0.7), unit, dash="dot",
-                **options,
+                **(options | {"width": 1.4}),
             )  # fmt: skip
             drawn[row - 1].append(view.told_sigma[:, k])
         if k < 3:
             _key(figure, group, colour, group=group)
-    for values, name, colour in ((worst, "ground, worst direction", INK), (best, "best direction", MUTED)):
+    for values, name, colour in (
+        (worst, "ground, worst direction", INK),
+        (best, "ground, best direction", MUTED),
+    ):
         _line(figure, view, axis, values, 3, name, colour, "px")
     if np.isfinite(view.told_sigma).any():
         _key(figure, "dotted: a single row of the tables", MUTED, dash="dot")

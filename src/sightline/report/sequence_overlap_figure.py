@@ -121,7 +121,7 @@ def _graph(figure: go.Figure, view: SequenceView, shared: Shared) -> None:
         "<extra></extra>",
     )  # fmt: skip
     figure.update_xaxes(title_text=f"east ({unit})", row=1, col=1)
-    options = {} if slim else {"scaleanchor": "x", "constrain": "domain"}
+    options = {} if slim else {"scaleanchor": "x", "constrain": "domain", "constraintoward": "top"}
     figure.update_yaxes(title_text=f"north ({unit})", row=1, col=1, tickformat=".6~g", **options)
     if slim:
         figure.layout.annotations[0].text += " (axes of different scale)"
@@ -164,6 +164,6 @@ def _matrix(figure: go.Figure, shared: Shared) -> None:
     figure.update_xaxes(title_text="group, by its frame (no.)", tickvals=ticked, ticktext=names, row=1, col=2)
     figure.update_yaxes(
         title_text="group, by its frame (no.)", tickvals=ticked, ticktext=names, autorange="reversed",
-        scaleanchor="x2", constrain="domain", row=1, col=2,
+        scaleanchor="x2", constrain="domain", constraintoward="top", row=1, col=2,
     )  # fmt: skip
     figure.update_xaxes(constrain="domain", row=1, col=2)

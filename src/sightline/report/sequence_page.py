@@ -77,8 +77,8 @@ def sequence_html(
         sections=sections(problem, found, view),
         sliders=[] if cube is None else sequence_cube.sliders(cube),
         cube_sections=[] if cube is None else cube_sections(cube),
-        stage_heads=words.STAGE_HEADS,
-        stages=words.stage_rows(found),
+        stage_heads=[*words.STAGE_HEADS, *([words.TAKEN_OVER] if found.taken_over else [])],
+        stages=words.stage_rows(found, (summary.get("cube") or {}).get("seconds")),
         inputs=dict(summary.get("inputs", {})),
         files=list(summary.get("files", [])),
     )
@@ -102,9 +102,9 @@ def about(problem: SequenceProblem, summary: Mapping[str, Any], view: SequenceVi
             f"{'E' if east >= 0.0 else 'W'}"
         )
     if summary.get("wall_seconds"):
-        parts.append(f"{summary['wall_seconds']:.0f} s")
+        parts.append(f"made in {summary['wall_seconds']:.0f} s")
     if summary.get("peak_memory_bytes"):
-        parts.append(f"{summary['peak_memory_bytes'] / 2**30:.2f} GiB")
+        parts.append(f"{summary['peak_memory_bytes'] / 2**30:.2f} GiB of memory at most")
     return "; ".join(parts)
 
 
@@ -148,8 +148,9 @@ def sections(problem: SequenceProblem, found: SequencePoses, view: SequenceView)
             "sigma",
             "1-sigma of the six parameters against time",
             "Of absolute poses. A level floor is what all frames have wrong together (the datum); peaks "
-            "are frames without evidence of their own, ends of stretches are known less. On the ground, "
-            "errors of place and of tilt partly make up for each other.",
+            "are frames without evidence of their own, ends of stretches are known less. Wide lines lie "
+            "under narrow ones of the same value. On the ground, errors of place and of tilt partly make "
+            "up for each other.",
             sequence_figures.sigma_figure(view, problem.epoch),
         ),
         Section(
@@ -170,8 +171,9 @@ def cube_sections(cube: CubeView) -> list[Section]:
         (
             "band-error",
             "Band-to-band error over the ground",
-            "How far bands lie from each other, rms over the pairs compared in each place. Patches along the "
-            "path are errors of poses, patches that follow hills errors of the surface; white: not known.",
+            "How far bands lie from each other, rms over the pairs compared in each place; every cell is "
+            "a window that was compared, px are those of the map. Patches along the path are errors of "
+            "poses, patches that follow hills errors of the surface; white: not known.",
             sequence_cube.error_map_figure(cube),
         ),
         (
@@ -184,7 +186,8 @@ def cube_sections(cube: CubeView) -> list[Section]:
         (
             "coverage",
             "Coverage of each band",
-            "Share of the ground that a band could see, given the flight lines, for which it has a value.",
+            "Share of the ground that the lines of every band passed over for which a band has a value: "
+            "less than all where steps between frames were too long for its lines.",
             sequence_cube.coverage_figure(cube),
         ),
     ]

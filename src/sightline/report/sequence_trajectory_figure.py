@@ -195,7 +195,10 @@ def _panel(figure: go.Figure, view: SequenceView, panel: Drawn, col: int) -> Non
     low, high = panel.limits(panel.enlarged)
     rim = 0.5 * (_ROOM - 1.0) * (high - low)
     ranges = [[low[k] - rim[k], high[k] + rim[k]] for k in (0, 1)]
-    options = {"scaleanchor": "x", "constrain": "domain"} if panel.true_to_scale else {}
+    # a panel that is shrunk to its scale stays under its title
+    options = (
+        {"scaleanchor": "x", "constrain": "domain", "constraintoward": "top"} if panel.true_to_scale else {}
+    )
     figure.update_xaxes(title_text=x, range=ranges[0], row=1, col=col, constrain="domain")
     figure.update_yaxes(title_text=y, range=ranges[1], row=1, col=col, tickformat=".6~g", **options)
 

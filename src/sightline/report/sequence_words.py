@@ -5,7 +5,7 @@ Not here: the page (``sequence_page.py``); nothing is computed but medians, shar
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +40,9 @@ BOW_HEADS = [
 ]  # fmt: skip
 SUBSET_HEADS = ["frame", "t (s)", "overlap (%)", "parallax (deg)", "why it was taken"]
 IDLE_HEADS = ["frames", "how many", "t (s)", "why", "1 sigma on the ground (px)"]
-STAGE_HEADS = ["stage", "CPU s", "share (%)", "ms per frame"]
+STAGE_HEADS = ["stage", "CPU time (s)", "share (%)", "ms per frame"]
+#: One more where stages of an earlier start were taken over.
+TAKEN_OVER = "taken over"
 
 
 def sentences(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> list[str]:
@@ -69,9 +71,11 @@ def _what(found: SequencePoses, view: SequenceView) -> str:
         f"{'one stretch' if pauses == 1 else f'{pauses} stretches'} of flight: {count[0]:,} solved (the "
         f"subset), {count[1]:,} estimated from what they share with others, "
         + (
-            f"{count[2]:,} interpolated because their images tell nothing of them."
-            if count[2]
-            else "none interpolated."
+            "none interpolated."
+            if not count[2]
+            else "1 interpolated because its image tells nothing of it."
+            if count[2] == 1
+            else f"{count[2]:,} interpolated because their images tell nothing of them."
         )
     )
     return text + " Every frame has a pose and a covariance." * bool(_all_known(view))
@@ -352,15 +356,35 @@ def _alike(reasons: Sequence[str], frames: Index) -> list[tuple[int, int]]:
     return out
 
 
-def stage_rows(found: SequencePoses) -> list[list[str]]:
-    """Per stage: CPU seconds, share, ms per frame; the sum last."""
-    whole = sum(found.seconds.values())
-    count = len(found.source)
-    every = [*found.seconds.items(), ("all", whole)] if found.seconds else []
-    return [
-        [name, f"{s:.2f}", f"{100.0 * s / max(whole, 1e-9):.0f}", f"{1e3 * s / count:.1f}"]
-        for name, s in every
-    ]
+def stage_rows(found: SequencePoses, cube: Mapping[str, float] | None = None) -> list[list[str]]:
+    """Per stage: CPU seconds, share, ms per frame, what was taken over if anything was; the sum last.
+
+    Parameters
+    ----------
+    found : SequencePoses
+    cube : mapping, optional
+        CPU seconds of the stages of the maps.
+    """
+    if not found.seconds:
+        return []
+    every = dict(found.seconds) | {f"maps: {name}": s for name, s in (cube or {}).items()}
+    whole, count = sum(every.values()), len(found.source)
+    rows = []
+    for name, seconds in (*every.items(), ("all", whole)):
+        share = 100.0 * seconds / max(whole, 1e-9)
+        row = [name, f"{seconds:.2f}", f"{share:.0f}", f"{1e3 * seconds / count:.1f}"]
+        if found.taken_over:
+            row.append(_taken_over(seconds, found.taken_over.get(name, 0.0)))
+        rows.append(row)
+    return rows
+
+
+def _taken_over(seconds: float, of_earlier: float) -> str:
+    """Whether a stage was taken over from a start that was stopped."""
+    if not of_earlier > 0.0:
+        return ""
+    # what reading the result takes counts as the stage's too
+    return "of an earlier start" if of_earlier > 0.95 * seconds else f"{of_earlier:.2f} s of an earlier start"
 
 
 def _capital(text: str) -> str:
