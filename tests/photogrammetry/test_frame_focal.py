@@ -163,6 +163,8 @@ def test_one_that_rests_on_perspective_alone_is_refused():
     poses = solved(Flight(0, count=3), FOCAL, 0.0)
     with pytest.raises(EstimationError, match=r"known to 4 % at best.*focal_length_sigma_px"):
         refuse_untold(replace(poses, focal=loose))
+    with pytest.raises(EstimationError, match="-97 % from the one told"):
+        refuse_untold(replace(poses, focal=replace(loose, stretch=-0.97, sigma=0.01)))
     for told in (None, replace(loose, sigma=0.02), replace(loose, prior=0.05)):
         refuse_untold(replace(poses, focal=told))
 

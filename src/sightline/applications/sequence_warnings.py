@@ -29,6 +29,8 @@ UNTOLD, HARDLY = 0.9, 0.5
 _LOOSE_FOCAL = 0.02
 #: The same, from which on it is not observable: perspective alone gives as much, wrongly.
 _UNTOLD_FOCAL = 0.03
+#: Relative change from where it started, from which on such a focal length has run away.
+_RUN_AWAY = 0.5
 #: Sigmas (of what was known beforehand) by which a focal length may be off: chance leads there once in 2,000.
 _FAR_FOCAL = 3.5
 
@@ -63,11 +65,14 @@ def refuse_untold(poses: FramePoses) -> None:
     points over flat ground, heights of positions not told.
     """
     focal = poses.focal
-    if focal is None or np.isfinite(focal.prior) or focal_verdict(focal) != "not observable":
+    if focal is None or np.isfinite(focal.prior):
+        return
+    if focal_verdict(focal) != "not observable" and abs(focal.stretch) < _RUN_AWAY:
         return
     raise EstimationError(
         "the frames do not tell the focal length, of which nothing is said: known to "
-        f"{100.0 * focal.sigma:.2g} % at best, by perspective alone; give focal_length_px with its "
+        f"{100.0 * focal.sigma:.2g} % at best, by perspective alone, and "
+        f"{100.0 * focal.stretch:+.2g} % from the one told; give focal_length_px with its "
         'focal_length_sigma_px in place of "estimate", or heights of positions above a surface of known '
         "height, or control points"
     )
