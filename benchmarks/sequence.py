@@ -185,7 +185,7 @@ def model_of_subset(problem: SequenceProblem, scenario: SequenceScenario) -> Rec
     chosen = choose_subset(followed, problem.images.position, far, problem.detector.shape).frames
     return reconstruct(
         problem.sources, chosen, filter_pairs(chosen, followed, problem.detector), problem.detector,
-        problem.mount, problem.images.position, problem.known.position,
+        problem.mount, problem.images.position, problem.known.position, enlarged=True,
     )  # fmt: skip
 
 
@@ -283,7 +283,7 @@ def photogrammetry(scenario: SequenceScenario, path: Path, count: int, way: str)
     pairs = [(i, i + step) for i in range(count) for step in steps if i + step < count]
     model = reconstruct(
         problem.sources, np.arange(count), pairs, problem.detector, problem.mount, problem.images.position,
-        problem.known.position,
+        problem.known.position, enlarged=True,
     )  # fmt: skip
     return model.frames, model.position, model.world_from_body, {}
 

@@ -181,6 +181,8 @@ def reconstruct(
     position: Array,
     sigma: Array,
     radii: tuple[float, float] | None = None,
+    *,
+    enlarged: bool | None = None,
 ) -> Reconstruction:
     """A model of the frames of a subset.
 
@@ -200,6 +202,9 @@ def reconstruct(
         m, of each axis; inf where none was told.
     radii : (float, float), optional
         Of the ellipsoid whose normals are the verticals; z is up otherwise.
+    enlarged : bool, optional
+        Search features at twice the size of the frames, as pycolmap does: more of them, at five times the cost.
+        Small frames are, large ones not, otherwise.
 
     Raises
     ------
@@ -209,8 +214,9 @@ def reconstruct(
         If no model of three frames comes about.
     """
     pycolmap = check_modelling(sigma[frames])
+    enlarged = min(detector.shape) < _LARGE if enlarged is None else enlarged
     with tempfile.TemporaryDirectory() as folder:
-        model = _mapped(pycolmap, Path(folder), sources, frames, pairs, detector, position, sigma)
+        model = _mapped(pycolmap, Path(folder), sources, frames, pairs, detector, position, sigma, enlarged)
     if model is None or model.num_reg_images() < 3:
         raise EstimationError(
             f"photogrammetry on {len(frames)} frames gave no model: they are too little alike; "
@@ -229,6 +235,7 @@ def _mapped(
     detector: AreaDetector,
     position: Array,
     sigma: Array,
+    enlarged: bool,
 ) -> Any:
     """The largest model, or None."""
     names = {int(k): f"{k:06d}.png" for k in frames}
@@ -247,7 +254,7 @@ def _mapped(
     numbers = [f, f, column + 0.5, line + 0.5, k1, k2, 0.0, 0.0, k3, 0.0, 0.0, 0.0]
     reader.camera_params = ",".join(map(str, numbers))
     extraction.sift.max_num_features = _FEATURES
-    extraction.sift.first_octave = 0 if min(detector.shape) >= _LARGE else -1
+    extraction.sift.first_octave = -1 if enlarged else 0
     extraction.num_threads = 1
     pycolmap.logging.minloglevel = 3
     pycolmap.extract_features(
