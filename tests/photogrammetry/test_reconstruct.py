@@ -110,10 +110,11 @@ def test_attitudes_that_nobody_told_are_held_at_first_and_free_afterwards():
 def test_a_strip_that_may_be_bent_is_named():
     problem = SimpleNamespace(detector=PLAIN, t=np.array([0.0, 1.0, 2.0, 60.0, 61.0]))
     # ends of an even trend are at the root of 3: 400 px x 0.002 rad x 1.73 = 1.4 px
-    poses = SimpleNamespace(bow=np.array([[1e-4, 2e-3, 1e-4], [1e-4, 1e-4, 1e-4]]))
-    (words,) = bow_warnings(problem, poses)
+    bent = np.array([[1e-4, 2e-3, 1e-4], [1e-4, 1e-4, 1e-4]])
+    (words,) = bow_warnings(problem, SimpleNamespace(bow=bent, detector=lambda told: told))
     assert "stretch 1 (3 frames)" in words and "pitch" in words and "0.11 deg" in words and "1.4 px" in words
-    assert bow_warnings(problem, SimpleNamespace(bow=np.full((2, 3), 1e-3))) == []
+    straight = SimpleNamespace(bow=np.full((2, 3), 1e-3), detector=lambda told: told)
+    assert bow_warnings(problem, straight) == []
 
 
 # -------------------------------------------------------------------------------------------------- pycolmap

@@ -203,7 +203,7 @@ def reconstruct(
     radii : (float, float), optional
         Of the ellipsoid whose normals are the verticals; z is up otherwise.
     enlarged : bool, optional
-        Search features at twice the size of the frames, as pycolmap does: more of them, at five times the cost.
+        Search features at twice the size of frames, as pycolmap does: more of them, at five times the cost.
         Small frames are, large ones not, otherwise.
 
     Raises
