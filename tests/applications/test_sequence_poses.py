@@ -11,6 +11,7 @@ from tests.sequence_flights import problem_of
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from sightline.applications import sequence_poses
+from sightline.applications.sequence_between import interpolate_between
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.rotations import NADIR_MOUNT
@@ -162,6 +163,20 @@ def test_rolling_shutter_is_seen_through():
     assert right.poses.scale * np.median(right.tracks.sigma_px) < wrong.poses.scale * np.median(
         wrong.tracks.sigma_px
     )
+
+
+def test_curves_through_the_subset_start_from_attitudes_as_they_were_mended(flight):
+    # attitudes written in axes turned by a quarter: found while frames are followed, for every way
+    problem = problem_of(flight)
+    quarter = Rotation.from_rotvec([0.0, 0.0, 0.5 * np.pi])
+    images = replace(problem.images, world_from_body=problem.images.world_from_body * quarter)
+    solved = georeference_sequence(replace(problem, images=images))
+    for way in ("displacement", "slerp"):
+        found = interpolate_between(solved, way)
+        assert any("turned by" in words for words in found.warnings)
+        error = errors_of(flight, found)[list(found.subset.frames)]
+        # the bias told is 0.5 deg
+        assert np.degrees(np.abs(error[:, 3:])).max() < 4.0 * 0.5
 
 
 def test_two_lines_are_tied_where_they_overlap():

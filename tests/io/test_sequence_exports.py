@@ -1,6 +1,7 @@
 """Poses of a sequence as files: each read back gives the poses that went in, whatever the axes."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -71,6 +72,18 @@ def test_poses_csv_is_in_the_axes_of_the_world(adjusted, tmp_path):
     again = load_sequence(tmp_path / "again.toml")
     np.testing.assert_allclose(again.images.position, poses.position, atol=1e-6)
     assert (again.images.world_from_body.inv() * poses.world_from_body).magnitude().max() < 1e-9
+
+
+def test_pixels_of_a_rolling_shutter_are_exported_as_of_the_first_line(adjusted, tmp_path):
+    # the formats know one pose a frame, that of its first line: where points would be seen from there
+    sequence, poses, tracks = adjusted
+    rolling = replace(sequence, problem=replace(sequence.problem, readout_time=0.02))
+    later = replace(tracks, pixels=tracks.pixels + [1.0, 0.3])  # raw pixels: seen by lines exposed later
+    write_pose_exports(tmp_path, rolling, poses, SOURCE, later)
+    model = read_colmap_model(tmp_path / "colmap")
+    good = ~poses.rejected & np.isfinite(poses.points[tracks.point]).all(axis=1)
+    # residuals are linear in the pixels but for distortion, of which there is none
+    np.testing.assert_allclose(model.pixels, tracks.pixels[good], atol=1e-4)
 
 
 def test_every_export_read_back_is_the_same_flight(adjusted, tmp_path):

@@ -51,6 +51,29 @@ def test_poses_of_lines_follow_the_motion_between_frames():
     assert np.abs(moved[delay == 0.0]).max() == 0.0
 
 
+def test_a_short_turn_between_two_lines_is_no_part_of_either():
+    # there and back, the camera off for five steps: no pause, but two curves
+    there, back = images(), images()
+    t = np.concatenate([there.t, there.t[-1] + 5.0 / RATE + back.t])
+    about = Rotation.from_rotvec([0.0, 0.0, np.pi])
+    attitude = Rotation.concatenate([there.world_from_body, about * back.world_from_body])
+    place = np.concatenate([there.position, about.apply(np.array(back.position)) + 50.0])
+    both = Images(np.zeros(80), np.arange(80), t, place, attitude)
+    image, delay = np.arange(80), np.full(80, READOUT)
+    moved, turned = line_poses(both, image, delay)
+    for rows, line, turn in ((slice(0, 40), there, Rotation.identity()), (slice(40, 80), back, about)):
+        alone, turned_alone = line_poses(line, np.arange(40), delay[:40])
+        assert np.abs(moved[rows] - turn.apply(np.array(alone))).max() < 1e-9
+        assert (turned_alone.inv() * turned[rows]).magnitude().max() < 1e-9
+    # a drone that flies back without turning: only its images say where a line ends
+    strafe = Images(np.zeros(80), np.arange(80), t, place, Rotation.identity(80))
+    linked = np.repeat([0, 1], 40)
+    linked[[20, 60]] = -1  # a frame without evidence stays on its line
+    moved, _ = line_poses(strafe, image, delay, linked)
+    alone, _ = line_poses(images(), np.arange(40), delay[:40])
+    assert np.abs(moved[:40] - alone).max() < 1e-9
+
+
 def test_a_lone_frame_does_not_move():
     flight = images(1)
     moved, turned = line_poses(flight, np.zeros(3, dtype=int), np.array([0.0, 0.01, 0.02]))

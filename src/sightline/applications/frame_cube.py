@@ -257,18 +257,21 @@ def frame_views(problem: SequenceProblem, found: SequencePoses | None = None) ->
         sharpness = found.followed.sharpness
         usual = np.nanmedian(sharpness) if np.isfinite(sharpness).any() else np.nan
         penalty += _BLURRED * (sharpness < _SHARP * usual)
-    position, turned = _instants(images, problem.readout_time)
+    linked = None if found is None else found.stretch
+    position, turned = _instants(images, problem.readout_time, linked)
     camera = np.stack([(turn * problem.mount).inv().as_matrix() for turn in turned], axis=1)
     return FrameViews(detector, np.stack(position, axis=1), camera, stretches(images.t), penalty)
 
 
-def _instants(images: Images, readout_time: float) -> tuple[list[Array], list[Rotation]]:
+def _instants(
+    images: Images, readout_time: float, linked: NDArray[np.intp] | None
+) -> tuple[list[Array], list[Rotation]]:
     """Poses of all frames when their first, middle and last lines are exposed; once where all are at once."""
     position, turned = [images.position], [images.world_from_body]
     if readout_time != 0.0:
         image = np.arange(len(images))
         for share in (0.5, 1.0):
-            moved, turn = line_poses(images, image, np.full(len(images), share * readout_time))
+            moved, turn = line_poses(images, image, np.full(len(images), share * readout_time), linked)
             position.append(images.position + moved)
             turned.append(images.world_from_body * turn)
     return position, turned

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import ESTIMATED, INTERPOLATED, SOLVED, SequencePoses
 from sightline.applications.sequence_solver import SequenceSolver, ground_distances
 from sightline.errors import EstimationError, InputError
@@ -21,14 +20,14 @@ from sightline.photogrammetry.pose_interpolation import WAYS, between_anchors, b
 __all__ = ["WAYS", "interpolate_between"]
 
 
-def interpolate_between(problem: SequenceProblem, found: SequencePoses, way: str) -> SequencePoses:
+def interpolate_between(found: SequencePoses, way: str) -> SequencePoses:
     """The same sequence by its subset alone.
 
     Parameters
     ----------
-    problem : SequenceProblem
     found : SequencePoses
-        Of `georeference_sequence`: its subset, windows and motions of frames are used, its poses are not.
+        Of `georeference_sequence`: its subset, windows, motions of frames and the problem that it solved are
+        used, its poses are not.
     way : str
         "displacement": how successive frames moved and turned, spread so that it meets the subset (S4, 750
         and 760); "slerp", "spline": a curve through the poses of the subset, whatever images show.
@@ -47,6 +46,9 @@ def interpolate_between(problem: SequenceProblem, found: SequencePoses, way: str
     """
     if way not in WAYS:
         raise InputError(f"`way` must be one of {', '.join(WAYS)}, got {way!r}")
+    problem = found.problem
+    if problem is None:
+        raise InputError("`found` must be of `georeference_sequence`, with the problem it solved")
     tracks = found.tracks[np.isin(found.tracks.image, found.subset.frames)]
     # control points are plain ones here: they stand among the tracks
     plain = replace(problem, control=None, control_tracks=None)
@@ -78,5 +80,5 @@ def interpolate_between(problem: SequenceProblem, found: SequencePoses, way: str
         source=tuple(SOLVED if each else between for each in solved),
         reason=tuple("" if each else f"between frames of the subset: {way}" for each in solved),
         tracks=tracks,
-        warnings=(*problem.warnings, f"poses between the subset's are by {way}: they have no covariance"),
+        warnings=(*found.warnings, f"poses between the subset's are by {way}: they have no covariance"),
     )

@@ -94,6 +94,9 @@ class SequencePoses:
         Of the subset by photogrammetry, where it was made.
     taken_over : dict of str to float
         How many of the `seconds` are of earlier runs, by stage; without stages that are all of this one.
+    problem : SequenceProblem or None
+        As it was solved: frames turned as their images show, attitudes of the subset's model where none are
+        told.
     """
 
     poses: FramePoses
@@ -107,6 +110,7 @@ class SequencePoses:
     warnings: tuple[str, ...] = ()
     model: RefinedModel | None = None
     taken_over: dict[str, float] = field(default_factory=dict)
+    problem: SequenceProblem | None = None
 
 
 @one_blas_thread
@@ -185,8 +189,8 @@ def georeference_sequence(
         *part_warnings(problem, tracks, poses),
     )
     return SequencePoses(
-        poses, source, reason, subset, followed, tracks, _linked(followed), run.seconds, words, model,
-        run.taken_over,
+        poses, source, reason, subset, followed, tracks, followed.linked(), run.seconds, words, model,
+        run.taken_over, problem,
     )  # fmt: skip
 
 
@@ -351,7 +355,7 @@ def _all_poses(
     block = SequenceSolver(problem, followed)
     found = run.stages.stage("poses", Adjusted, lambda: _adjusted(block, run))
     run.note(SOLVED_ALL)
-    group = _linked(followed)
+    group = followed.linked()
     if cross and len(np.unique(group[group >= 0])) > 1:
         shared = run.stages.stage("cross", _Shared, lambda: _compared(block, found.poses, group, run)).tracks
         run.note(COMPARED)
@@ -431,20 +435,6 @@ def poses_of_windows(problem: SequenceProblem, followed: Followed) -> tuple[Fram
     """
     found, tracks = _all_poses(problem, followed, False, _Run(_nothing, Stages()))
     return found.poses, tracks
-
-
-def _linked(followed: Followed) -> NDArray[np.intp]:
-    """Stretch (M,) of each frame; -1 where it stands alone."""
-    out = np.full(len(followed.before), -1, dtype=np.intp)
-    count = 0
-    for k, before in enumerate(followed.before):
-        if before < 0:
-            continue
-        if out[before] < 0:
-            out[before] = count
-            count += 1
-        out[k] = out[before]
-    return out
 
 
 def _sources(

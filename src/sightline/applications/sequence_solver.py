@@ -156,7 +156,8 @@ class SequenceSolver:
             ]
             if shutter:
                 delay = p.readout_time * tracks.pixels[:, 0] / (p.detector.shape[0] - 1.0)
-                sightings = sight_lines(sightings, p.images, estimated_images(p.images, before), delay)
+                estimated, linked = estimated_images(p.images, before), self.followed.linked()
+                sightings = sight_lines(sightings, p.images, estimated, delay, linked)
         return sightings, priors, points
 
     def cross_plan(self, poses: FramePoses) -> CrossPlan:

@@ -85,7 +85,7 @@ def georeference(
         found = georeference_sequence(sequence.problem, stride=stride, progress=report, stages=stages)
         if method is not Method.ALL_FRAMES:
             report(f"frames between the subset's by {method.value}")
-            found = interpolate_between(sequence.problem, found, method.value)
+            found = interpolate_between(found, method.value)
         with output_folder(out, overwrite=overwrite) as folder:
             summary = write_georeferenced(
                 folder, sequence, found, report, begun, method=method, cube=not poses_only

@@ -210,8 +210,21 @@ def reconstruction_of(
         rms,
         tracks.image[good],
         number,
-        tracks.pixels[good],
+        tracks.pixels[good] if problem.readout_time == 0.0 else _of_first_lines(problem, poses, tracks, good),
     )
+
+
+def _of_first_lines(
+    problem: SequenceProblem, poses: FramePoses, tracks: Tracks, rows: NDArray[np.intp]
+) -> NDArray[np.float64]:
+    """Pixels (n, 2) of some sightings as if all lines had been exposed with the first.
+
+    These formats know one pose a frame: raw pixels beside the poses of first lines would contradict them.
+    """
+    image = tracks.image[rows]
+    seen = poses.points[tracks.point[rows]] - poses.position[image]
+    rays = (poses.world_from_body[image] * problem.mount).inv().apply(seen)
+    return np.asarray(poses.detector(problem.detector).pixels(rays) + poses.residual_px[rows])
 
 
 def _write_places(

@@ -152,6 +152,19 @@ class Followed(ReadOnlyArrays):
     reason: tuple[str, ...]
     wide: bool = False
 
+    def linked(self) -> NDArray[np.intp]:
+        """Frames (M,) linked to each other, directly or through others, by number; -1: to none."""
+        out = np.full(len(self.before), -1, dtype=np.intp)
+        count = 0
+        for k, before in enumerate(self.before):
+            if before < 0:
+                continue
+            if out[before] < 0:
+                out[before] = count
+                count += 1
+            out[k] = out[before]
+        return out
+
 
 @dataclass(frozen=True, eq=False)
 class FollowState(ReadOnlyArrays):
