@@ -78,7 +78,7 @@ def test_pixels_of_a_rolling_shutter_are_exported_as_of_the_first_line(adjusted,
     # the formats know one pose a frame, that of its first line: where points would be seen from there
     sequence, poses, tracks = adjusted
     rolling = replace(sequence, problem=replace(sequence.problem, readout_time=0.02))
-    later = replace(tracks, pixels=np.add(tracks.pixels, [1.0, 0.3]))  # raw pixels: seen by lines exposed later
+    later = replace(tracks, pixels=np.add(tracks.pixels, [1.0, 0.3]))  # raw: of lines exposed later
     write_pose_exports(tmp_path, rolling, poses, SOURCE, later)
     model = read_colmap_model(tmp_path / "colmap")
     good = ~poses.rejected & np.isfinite(poses.points[tracks.point]).all(axis=1)
