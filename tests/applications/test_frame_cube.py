@@ -190,6 +190,15 @@ def test_frames_that_cannot_be_used_are_replaced_by_their_neighbours(lvf):
     assert filled.passed.min() > worse.passed.min() + 0.02 and filled.beyond.max() > 0.0
     interpolated = replace(found, source=tuple("interpolated" if k == 9 else "solved" for k in range(20)))
     assert made(problem, interpolated)[0].frames_used == 20
+    # one that may lie a hundred metres away would stretch the map by as much
+    sure = np.tile(np.diag([1.0, 1.0, 1.0, 1e-3, 1e-3, 1e-3]) ** 2, (20, 1, 1))
+    sure[9, :3, :3] *= 1e4
+    place = np.array(found.poses.position)
+    place[9] += [500.0, 0.0, 0.0]
+    poses = replace(found.poses, covariance=sure, position=place)
+    strayed, _ = made(problem, replace(interpolated, poses=poses))
+    assert strayed.frames_used == 19 and strayed.grid.shape == made(problem, found)[0].grid.shape
+    assert any("1 frame is not used" in words for words in strayed.warnings)
     # a frame whose image tells nothing of its pose stays in use only where no other saw the band
 
 

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from sightline.applications.cube_ground import Ground, choose_ground, frame_outlines, given_heights
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import INTERPOLATED, SequencePoses
+from sightline.applications.sequence_solver import ground_distances
 from sightline.errors import InputError
 from sightline.execution import CpuClock, one_blas_thread
 from sightline.geometry.checks import ReadOnlyArrays
@@ -44,6 +45,8 @@ Array32 = NDArray[np.float32]
 SURFACES = ("auto", "model", "given")
 #: What it costs to use a frame whose image tells nothing of its pose, or one out of focus.
 _GUESSED, _BLURRED = 1e4, 1e2
+#: Share of a frame's shorter side by which its view may be wrong (1-sigma) where its image tells nothing.
+_ADRIFT = 0.25
 #: Sharpness over that of most frames below which a frame is out of focus.
 _SHARP = 0.6
 #: Share of the ground passed over from which on gaps are not worth a warning.
@@ -243,7 +246,13 @@ def assemble_cube(
     fits = fit_pairs([store.source(b) for b in range(len(layout))], layout.wavelength_nm) if plan.fit else []
     clock.note("bands matched")
     unread = tuple(f"{problem.frames[k]}: {why}" for k, why in sorted(maker.unread.items()))
-    return _summary(problem, layout, grid, ground, tally, before, fits, unread, clock.seconds)
+    summary = _summary(problem, layout, grid, ground, tally, before, fits, unread, clock.seconds)
+    lost = int((problem.usable & np.isinf(views.penalty)).sum())
+    if not lost:
+        return summary
+    are = "frame is" if lost == 1 else "frames are"
+    words = f"{lost} {are} not used: images that tell nothing, of ground that nobody knows"
+    return replace(summary, warnings=(*summary.warnings, words))
 
 
 def frame_views(problem: SequenceProblem, found: SequencePoses | None = None) -> FrameViews:
@@ -254,6 +263,7 @@ def frame_views(problem: SequenceProblem, found: SequencePoses | None = None) ->
         detector = found.poses.detector(detector)
         images = replace(images, position=found.poses.position, world_from_body=found.poses.world_from_body)
         penalty += _GUESSED * (np.array(found.source) == INTERPOLATED)
+        penalty[_adrift(problem, found)] = np.inf
         sharpness = found.followed.sharpness
         usual = np.nanmedian(sharpness) if np.isfinite(sharpness).any() else np.nan
         penalty += _BLURRED * (sharpness < _SHARP * usual)
@@ -261,6 +271,25 @@ def frame_views(problem: SequenceProblem, found: SequencePoses | None = None) ->
     position, turned = _instants(images, problem.readout_time, linked)
     camera = np.stack([(turn * problem.mount).inv().as_matrix() for turn in turned], axis=1)
     return FrameViews(detector, np.stack(position, axis=1), camera, stretches(images.t), penalty)
+
+
+def _adrift(problem: SequenceProblem, found: SequencePoses) -> NDArray[np.bool_]:
+    """Frames (M,) whose images tell nothing and whose view nobody knows: one of them would stretch the map.
+
+    Sigmas beyond those of the frames that were solved, whose datum is that of all, are compared with the
+    ground that a frame shows.
+    """
+    guessed = np.array(found.source) == INTERPOLATED
+    far = float(np.median(ground_distances(problem)))
+    sigma = np.sqrt(np.einsum("kii->ki", found.poses.covariance))
+    moved = np.hypot(np.linalg.norm(sigma[:, :3], axis=1), far * np.linalg.norm(sigma[:, 3:], axis=1))
+    known = moved[~guessed]
+    if not guessed.any() or not np.isfinite(known).any():
+        return np.zeros(len(problem), dtype=np.bool_)
+    side = far * min(problem.detector.shape) / problem.detector.focal_length_px
+    beyond = np.sqrt(np.maximum(moved**2 - np.median(known[np.isfinite(known)]) ** 2, 0.0))
+    # frames between a subset's by a curve have no sigma: they are where the curve is
+    return np.asarray(guessed & np.isfinite(moved) & (beyond > _ADRIFT * side))
 
 
 def _instants(
