@@ -41,7 +41,7 @@ from sightline.execution import CpuClock, machine_memory, one_blas_thread
 from sightline.geometry.checks import Array
 from sightline.matching.follow import Followed, FollowPlan, FollowState
 from sightline.photogrammetry.cross_links import link_stretches
-from sightline.photogrammetry.frame_poses import FramePoses, memory_wanted
+from sightline.photogrammetry.frame_poses import FramePoses
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
 from sightline.photogrammetry.point_priors import HeightPrior
 from sightline.photogrammetry.pose_interpolation import by_displacement
@@ -55,6 +55,7 @@ from sightline.photogrammetry.reconstruct import (
     refined,
 )
 from sightline.photogrammetry.sightings import Tracks, appended
+from sightline.photogrammetry.solving_order import solving_order
 from sightline.photogrammetry.wide_links import followed_or_linked
 
 SOLVED, ESTIMATED, INTERPOLATED = "solved", "estimated", "interpolated"
@@ -375,7 +376,7 @@ def _all_poses(
 
 def _too_large(problem: SequenceProblem, tracks: Tracks) -> str:
     """Why lines are not solved together; "" where they can be."""
-    wanted, there = memory_wanted(problem.images, tracks), _SHARE * machine_memory()
+    wanted, there = solving_order(problem.images, tracks).memory, _SHARE * machine_memory()
     if wanted <= there:
         return ""
     return (

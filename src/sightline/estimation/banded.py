@@ -124,6 +124,11 @@ class BandedFactor:
         """Width b of the band below the diagonal."""
         return int(self._lower.shape[0]) - 1
 
+    @property
+    def lower(self) -> Array:
+        """The factor (b + 1, n) in lower band storage."""
+        return self._lower
+
     @cached_property
     def logdet(self) -> float:
         """Natural logarithm of the determinant of the matrix."""
@@ -188,7 +193,7 @@ def inverse_columns(lower: Array, width: int, window: Array) -> tuple[Array, Arr
     for stop in range(n, 0, -block):
         start = max(0, stop - block)
         size = stop - start
-        below_start, below = _dense_columns(lower[:, start:stop], keep)
+        below_start, below = dense_columns(lower[:, start:stop], keep)
         inverse = solve_triangular(
             below_start, np.eye(size), lower=True, overwrite_b=True, check_finite=False
         )
@@ -299,7 +304,7 @@ class BorderedFactor:
         return result
 
 
-def _dense_columns(lower: Array, keep: int) -> tuple[Array, Array]:
+def dense_columns(lower: Array, keep: int) -> tuple[Array, Array]:
     """Columns of a banded factor as dense blocks: on the diagonal (s, s) and below it (keep, s)."""
     depth, size = lower.shape
     dense = np.zeros((size + keep, size), order="F")

@@ -30,11 +30,11 @@ from sightline.photogrammetry.descent import (
     still_seen,
     together,
 )
+from sightline.photogrammetry.linked_frames import reduce_block
 from sightline.photogrammetry.observability import Observability, marginal, observability
 from sightline.photogrammetry.point_priors import PointPriors
 from sightline.photogrammetry.pose_noise import PoseNoise
 from sightline.photogrammetry.pose_unknowns import PoseUnknowns, pose_unknowns
-from sightline.photogrammetry.reduced import reduce_block
 from sightline.photogrammetry.sightings import Sightings, as_index
 
 

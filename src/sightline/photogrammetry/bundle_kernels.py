@@ -204,6 +204,57 @@ def couple(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _take(
+    rows: Array, weight: Array, begin: int, count: int, known: Array, width: int, basis: Array, taken: Array
+) -> None:
+    """Part Q^T A (count, 3, D) of the sightings' rows A that their point takes; `basis` is scratch."""
+    extra = len(known)
+    size = 2 * count + extra
+    for i in range(count):
+        root = np.sqrt(weight[begin + i])
+        for c in range(2):
+            for b in range(3):
+                basis[2 * i + c, b] = root * rows[begin + i, c, width + b]
+    for i in range(extra):
+        for b in range(3):
+            basis[2 * count + i, b] = known[i, b]
+    for b in range(3):
+        for _ in range(2):
+            for a in range(b):
+                along = 0.0
+                for i in range(size):
+                    along += basis[i, a] * basis[i, b]
+                for i in range(size):
+                    basis[i, b] -= along * basis[i, a]
+        length = 0.0
+        for i in range(size):
+            length += basis[i, b] ** 2
+        length = np.sqrt(length)
+        for i in range(size):
+            basis[i, b] /= length
+    for i in range(count):
+        row, root = rows[begin + i], np.sqrt(weight[begin + i])
+        for b in range(3):
+            for a in range(width):
+                taken[i, b, a] = root * (basis[2 * i, b] * row[0, a] + basis[2 * i + 1, b] * row[1, a])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def taken_by_points(rows: Array, weight: Array, first: Index, known: Array, width: int, out: Array) -> None:
+    """What points that are free take from the poses, as factors: E V^-1 E^T of i and j is out_i^T out_j.
+
+    Arguments as of `eliminate_points`; `out` is (N, 3, D), of each sighting.
+    """
+    most = 0
+    for n in range(len(first) - 1):
+        most = max(most, first[n + 1] - first[n])
+    basis = np.empty((2 * most + known.shape[1], 3))
+    for n in range(len(first) - 1):
+        count = first[n + 1] - first[n]
+        _take(rows, weight, first[n], count, known[n], width, basis, out[first[n] : first[n + 1]])
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def eliminate_points(
     rows: Array,
     weight: Array,
@@ -243,34 +294,7 @@ def eliminate_points(
     taken = np.empty((most, 3, width))
     for n in range(len(first) - 1):
         count = first[n + 1] - first[n]
-        size = 2 * count + extra
-        for i in range(count):
-            root = np.sqrt(weight[first[n] + i])
-            for c in range(2):
-                for b in range(3):
-                    basis[2 * i + c, b] = root * rows[first[n] + i, c, width + b]
-        for i in range(extra):
-            for b in range(3):
-                basis[2 * count + i, b] = known[n, i, b]
-        for b in range(3):
-            for _ in range(2):
-                for a in range(b):
-                    along = 0.0
-                    for i in range(size):
-                        along += basis[i, a] * basis[i, b]
-                    for i in range(size):
-                        basis[i, b] -= along * basis[i, a]
-            length = 0.0
-            for i in range(size):
-                length += basis[i, b] ** 2
-            length = np.sqrt(length)
-            for i in range(size):
-                basis[i, b] /= length
-        for i in range(count):
-            row, root = rows[first[n] + i], np.sqrt(weight[first[n] + i])
-            for b in range(3):
-                for a in range(width):
-                    taken[i, b, a] = root * (basis[2 * i, b] * row[0, a] + basis[2 * i + 1, b] * row[1, a])
+        _take(rows, weight, first[n], count, known[n], width, basis, taken)
         for i in range(count):
             mi = image[first[n] + i]
             ki, oi = shot[mi], width * slot[mi]

@@ -18,6 +18,7 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import EstimationError
 from sightline.geometry.checks import Array, frozen
 from sightline.photogrammetry.bundle_kernels import curvatures, gradients, statistics
+from sightline.photogrammetry.linked_frames import LinkedFrames, reduce_block
 from sightline.photogrammetry.observability import Observability, observability
 from sightline.photogrammetry.point_priors import PointPriors
 from sightline.photogrammetry.pose_unknowns import PoseUnknowns
@@ -27,7 +28,6 @@ from sightline.photogrammetry.reduced import (
     PosesFirst,
     gather,
     invert_points,
-    reduce_block,
 )
 from sightline.photogrammetry.sightings import Sightings
 from sightline.photogrammetry.triangulate import triangulate
@@ -60,7 +60,7 @@ _ROUGHLY = 1e-2
 #: Share of a residual's variance below which it says nothing (along an epipolar line).
 _SEEN = 0.05
 BoolArray = NDArray[np.bool_]
-Reduction = PosesFirst | PointsFirst
+Reduction = PosesFirst | PointsFirst | LinkedFrames
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,7 +198,7 @@ class Equations:
     Attributes
     ----------
     curvature : Curvature
-    reduced : PosesFirst or PointsFirst
+    reduced : PosesFirst, PointsFirst or LinkedFrames
     known : Observability
         What they tell of the globals.
     """

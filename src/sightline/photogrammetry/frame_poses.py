@@ -13,8 +13,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import EstimationError, InputError
@@ -29,11 +27,13 @@ from sightline.photogrammetry.frame_focal import (
     globals_of,
     untold,
 )
+from sightline.photogrammetry.linked_frames import LinkedFrames
 from sightline.photogrammetry.observability import observability
 from sightline.photogrammetry.point_priors import PointPriors
 from sightline.photogrammetry.pose_unknowns import STRETCH, PoseUnknowns
 from sightline.photogrammetry.reduced import PointsFirst, gather
-from sightline.photogrammetry.sightings import Images, Sightings, Tracks, as_index
+from sightline.photogrammetry.sightings import Images, Sightings, as_index
+from sightline.photogrammetry.solving_order import solving_order
 
 #: rad, m: units of the unknowns; any of the size of the corrections keeps numbers near one.
 _UNITS = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1])
@@ -334,44 +334,6 @@ def frame_unknowns(
     )
 
 
-def solving_order(images: Images, sightings: Sightings | Tracks) -> NDArray[np.intp]:
-    """Rank (M,) of each frame such that frames with points in common lie near each other.
-
-    That of time serves a single line; where lines cross or lie beside each other, frames of all lines go
-    together.
-    """
-    count = len(images)
-    order = np.lexsort((sightings.image, sightings.point))
-    image, point = sightings.image[order], sightings.point[order]
-    first = np.flatnonzero(np.concatenate([[True], np.diff(point) > 0]))
-    hub = np.repeat(image[first], np.diff(np.append(first, len(point))))
-    near = np.arange(count - 1)
-    rows, columns = np.concatenate([hub, near]), np.concatenate([image, near + 1])
-    graph = coo_matrix((np.ones(len(rows)), (rows, columns)), shape=(count, count)).tocsr()
-    found = reverse_cuthill_mckee(graph + graph.T, symmetric_mode=True)
-    rank = np.empty(count, dtype=np.intp)
-    rank[found] = np.arange(count)
-    in_time = int(np.abs(rows - columns).max())
-    return rank if 2 * int(np.abs(rank[rows] - rank[columns]).max()) < in_time else np.arange(count)
-
-
-def memory_wanted(images: Images, tracks: Tracks) -> float:
-    """Bytes that an adjustment of all frames takes, beyond a few per sighting: six bands, measured.
-
-    Parameters
-    ----------
-    images : Images
-    tracks : Tracks
-        Of these images.
-    """
-    rank = solving_order(images, tracks)
-    low, high = np.full(len(tracks), len(images)), np.zeros(len(tracks), dtype=np.intp)
-    np.minimum.at(low, tracks.point, rank[tracks.image])
-    np.maximum.at(high, tracks.point, rank[tracks.image])
-    reach = int((high - low).max(initial=0)) + 1
-    return 6.0 * np.dtype(np.float64).itemsize * 36.0 * len(images) * reach
-
-
 @one_blas_thread
 def adjust_frames(
     images: Images,
@@ -409,7 +371,7 @@ def adjust_frames(
     -------
     FramePoses
     """
-    rank = solving_order(images, sightings)
+    order = solving_order(images, sightings)
     moved = np.zeros((len(images), 6)) if start is None else departures_of(images, start)
     solved = start if isinstance(start, FramePoses) else None
     rough = np.full(6, _LOOSE_ROUGHNESS) * _UNITS**2 if solved is None else solved.roughness
@@ -421,7 +383,7 @@ def adjust_frames(
     # from tables as rough as these are, a focal length that is free leads into false minima
     kept = solved is None and known.focal_length > 0.0
     first = replace(known, focal_length=0.0) if kept else known
-    unknowns = frame_unknowns(images, first, rough, rank, moved)
+    unknowns = replace(frame_unknowns(images, first, rough, order.rank, moved), last=order.last)
     block = Block(from_poses(sightings, moved), unknowns, priors)
     state, usable = first_state(block, seen_twice(sightings, priors), None)
     if common is not None:
@@ -442,7 +404,7 @@ def adjust_frames(
         elif solved is None:
             rough = path_roughness(images.t, path, seen)
         # otherwise that of before: measured on a path that it has smoothed it would shrink every time
-        unknowns = frame_unknowns(images, known, rough, rank, moved)
+        unknowns = replace(frame_unknowns(images, known, rough, order.rank, moved), last=order.last)
         before, block = block, Block(from_poses(block.sightings, step), unknowns, priors)
         common = np.zeros(unknowns.globals)
         common[: len(fit.state.common)] = fit.state.common
@@ -543,7 +505,7 @@ def _longest_gap(good: NDArray[np.bool_]) -> int:
 def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: RoughPoses) -> FramePoses:
     """A solution as poses with covariance."""
     unknowns, sightings, state, reduced = block.unknowns, block.sightings, fit.state, fit.equations.reduced
-    assert isinstance(reduced, PointsFirst)  # frames are tied to their neighbours
+    assert isinstance(reduced, PointsFirst | LinkedFrames)  # frames are tied to their neighbours
     common = fit.equations.known.covariance()
     x = unknowns.departures(state.own, state.common)
     order = [3, 4, 5, 0, 1, 2]
@@ -591,7 +553,7 @@ def trend_forms(t: Array, width: int = 6) -> Array:
     return out.reshape(len(t), width, -1)
 
 
-def _bow(images: Images, block: Block, reduced: PointsFirst) -> Array:
+def _bow(images: Images, block: Block, reduced: PointsFirst | LinkedFrames) -> Array:
     """Sigma (S, 3) of the trend of the angles over each stretch, rms over it."""
     known = observability(reduced.information, block.unknowns.names, np.inf)
     nothing = np.zeros((block.sightings.points, 3))

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
@@ -50,6 +51,9 @@ class PoseUnknowns(ReadOnlyArrays):
         Slope of the prior's cost (half of it) where the shots' own unknowns are zero, where it is not least
         there; with `rest`, what it costs there.
     rest : float
+    last : (K,) bool or None
+        Shots that are solved after all others, as points tie them to shots far away; None: the order of shots
+        serves all.
     """
 
     shot: Index
@@ -63,6 +67,7 @@ class PoseUnknowns(ReadOnlyArrays):
     limit: float = LIMIT
     pull: Array | None = None
     rest: float = 0.0
+    last: NDArray[np.bool_] | None = None
 
     @property
     def shots(self) -> int:

@@ -10,9 +10,11 @@ Not here: how rows come about (``bundle_kernels.py``), iteration (``bundle.py``)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.linalg.blas import dsyrk
 from scipy.linalg.lapack import dtrtri
@@ -20,7 +22,7 @@ from scipy.linalg.lapack import dtrtri
 from sightline.errors import EstimationError
 from sightline.estimation.banded import BandedFactor
 from sightline.geometry.checks import Array
-from sightline.photogrammetry.bundle_kernels import couple, eliminate_points
+from sightline.photogrammetry.bundle_kernels import couple, eliminate_points, taken_by_points
 from sightline.photogrammetry.pose_unknowns import PoseUnknowns
 from sightline.photogrammetry.sightings import Index
 
@@ -57,11 +59,6 @@ class Curvature:
     of_images: Array
     of_points: Array
     known_points: Array | None = None
-
-
-def reduce_block(curvature: Curvature, unknowns: PoseUnknowns) -> PosesFirst | PointsFirst:
-    """Normal equations by whichever order is cheaper."""
-    return (PosesFirst if poses_first(curvature, unknowns) else PointsFirst)(curvature, unknowns)
 
 
 def poses_first(curvature: Curvature, unknowns: PoseUnknowns) -> bool:
@@ -198,40 +195,67 @@ class PosesFirst:
 
 
 class PointsEliminated:
-    """What is left of a block for shots and globals once its points are eliminated."""
+    """What is left of a block for shots and globals once its points are eliminated.
 
-    def __init__(self, curvature: Curvature, unknowns: PoseUnknowns) -> None:
-        self._unknowns, self._curvature = unknowns, curvature
+    `apart` (n,) bool: points whose sums are not made here, `taken` tells them.
+    """
+
+    def __init__(
+        self, curvature: Curvature, unknowns: PoseUnknowns, apart: NDArray[np.bool_] | None = None
+    ) -> None:
+        self._unknowns, self._curvature, self._apart = unknowns, curvature, apart
         self._inverse = invert_points(curvature.of_points)
+        self._span = _span(self._near(), unknowns)
+        tied = unknowns.precision
+        #: Shots over which one is tied to another.
+        self.reach = self._span if tied is None else max(self._span, tied.shape[1] - 1)
 
-    def assembled(self) -> tuple[Array, Array, Array]:
-        """Normal equations: band (6 n (1 + reach), 6 n K), lower; border (K, 6 n, G); corner (G, G)."""
-        unknowns, curvature = self._unknowns, self._curvature
+    def _near(self) -> Curvature:
+        """Without the sightings of points that are apart; a copy, which is not kept."""
+        return self._curvature if self._apart is None else _of_points(self._curvature, ~self._apart)
+
+    def _blocks(self) -> Array:
+        """(K, 1 + span, n D, n D): [k, s] has the rows of shot k, the columns of shot k - s."""
+        unknowns, curvature = self._unknowns, self._near()
         width, slots, shots = unknowns.width, unknowns.slots, unknowns.shots
-        span = _span(curvature, unknowns)
-        blocks = np.zeros((shots, span + 1, slots * width, slots * width))
+        blocks = np.zeros((shots, self._span + 1, slots * width, slots * width))
         blocks[:, 0] = _in_shots(curvature.of_images, unknowns)
-        order = np.lexsort((unknowns.shot[curvature.image], curvature.point)).astype(np.intp)
-        first = np.searchsorted(curvature.point[order], np.arange(len(curvature.of_points) + 1)).astype(
-            np.intp
-        )
+        order, first = _by_point(curvature, unknowns)
         eliminate_points(
             curvature.rows[order], curvature.weight[order], first, curvature.image[order], unknowns.shot,
             unknowns.slot, _known_rows(curvature), width, blocks,
         )  # fmt: skip
-        own, tied = 6 * slots, unknowns.precision
-        reach = span if tied is None else max(span, tied.shape[1] - 1)
-        band = np.zeros((own * (reach + 1), shots * own))
-        border = np.zeros((shots, own, unknowns.globals))
+        return blocks
+
+    def assembled(self) -> tuple[Array, Array, Array]:
+        """Normal equations: band (6 n (1 + reach), 6 n K), lower; border (K, 6 n, G); corner (G, G)."""
+        shots, own = self._unknowns.shots, 6 * self._unknowns.slots
+        band = np.zeros((own * (self.reach + 1), shots * own))
+
+        def place(step: int, there: Index, small: Array) -> None:
+            for a in range(own):
+                for b in range(a + 1 if step == 0 else own):
+                    band[step * own + a - b, own * there + b] = small[:, a, b]
+
+        border, corner = self.sums(place)
+        return band, border, corner
+
+    def sums(self, place: Callable[[int, Index, Array], None]) -> tuple[Array, Array]:
+        """Border (K, 6 n, G) and corner (G, G); blocks of shots are given away step by step.
+
+        `place` is called with a step, shots `there` and blocks (len(there), 6 n, 6 n), which have the rows of
+        shots `there` + step and the columns of `there`.
+        """
+        unknowns, blocks, span = self._unknowns, self._blocks(), self._span
+        width, slots, shots = unknowns.width, unknowns.slots, unknowns.shots
+        border = np.zeros((shots, 6 * slots, unknowns.globals))
         corner = np.diag(unknowns.global_information)
-        for step in range(reach + 1):
+        for step in range(self.reach + 1):
             here, there = np.arange(step, shots), np.arange(shots - step)
             block = blocks[step:, step] if step <= span else np.zeros((1, slots * width, slots * width))
             small = np.swapaxes(unknowns.by_shot[here], 1, 2) @ block @ unknowns.by_shot[there]
             small += unknowns.prior_block(step)
-            for a in range(own):
-                for b in range(a + 1 if step == 0 else own):
-                    band[step * own + a - b, own * there + b] = small[:, a, b]
+            place(step, there, small)
             if step > span:
                 continue
             shared, moved = unknowns.by_global[here], unknowns.by_global[there]
@@ -243,7 +267,20 @@ class PointsEliminated:
                     np.swapaxes(unknowns.by_shot[there], 1, 2) @ np.swapaxes(block, 1, 2) @ shared
                 )
                 corner = corner + add.T
-        return band, border, corner
+        return border, corner
+
+    def taken(self) -> tuple[Index, Index, Array]:
+        """Image, point (N,) and factors (N, 3, D) of the sightings of points that are `apart`.
+
+        Two sightings i and j of one point take factor_i^T factor_j from the block of their images.
+        """
+        width = self._unknowns.width
+        assert self._apart is not None
+        far = _of_points(self._curvature, self._apart)
+        order, first = _by_point(far, self._unknowns)
+        out = np.empty((len(order), 3, width))
+        taken_by_points(far.rows[order], far.weight[order], first, _known_rows(far), width, out)
+        return far.image[order], far.point[order], out
 
     def eliminate(self, shots: Array, points: Array, common: Array) -> tuple[Array, Array]:
         """Right-hand sides of shots (K, 6 n) and globals (G,) once points are eliminated."""
@@ -322,6 +359,19 @@ class PointsFirst:
     def point_covariance(self, covariance: Array) -> None:
         """Not kept in this order: triangulate the points with the poses found."""
         return None
+
+
+def _of_points(curvature: Curvature, among: NDArray[np.bool_]) -> Curvature:
+    """The sightings of some points; sums over images stay whole."""
+    c, rows = curvature, among[curvature.point]
+    return replace(c, rows=c.rows[rows], weight=c.weight[rows], image=c.image[rows], point=c.point[rows])
+
+
+def _by_point(curvature: Curvature, unknowns: PoseUnknowns) -> tuple[Index, Index]:
+    """Order (N,) of sightings by point and shot, and where those of each point (n + 1,) begin in it."""
+    order = np.lexsort((unknowns.shot[curvature.image], curvature.point)).astype(np.intp)
+    numbers = np.arange(len(curvature.of_points) + 1)
+    return order, np.searchsorted(curvature.point[order], numbers).astype(np.intp)
 
 
 def _known_rows(curvature: Curvature) -> Array:
