@@ -4,8 +4,8 @@ Every frame is free. Tables of positions and attitudes hold it where they are, e
 its own; between neighbours of one stretch the path is as smooth as it was found to be. One banded solution
 gives all frames with the covariance of each, those that no image evidence reaches too.
 
-Not here: how smooth a path is (``flight_path.py``), finding the points (``applications/``), constant errors of
-calibrated cameras (``bundle.py``).
+Not here: how smooth a path is (``flight_path.py``), finding the points (``applications/``), constant errors
+of calibrated cameras (``bundle.py``).
 """
 
 from __future__ import annotations
