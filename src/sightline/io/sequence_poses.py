@@ -7,7 +7,6 @@ Not here: which frames there are (``sequence_frames.py``), the ground (``sequenc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +19,7 @@ from sightline.geometry.earth import WGS84, from_geodetic, local_axes, to_geodet
 from sightline.io.acquired import InputFolder, attitude_to_world
 from sightline.io.angle_tables import OPK, body_of_ypr, camera_of_opk, kind_of_angles
 from sightline.io.exif import Exif
+from sightline.io.gps_places import places
 from sightline.io.odm import read_geo
 from sightline.io.platform import points_to_world
 from sightline.io.sequence_frames import FrameList, refuse_repeated
@@ -39,10 +39,6 @@ ATTITUDE_SIGMAS = ("sigma_roll", "sigma_pitch", "sigma_yaw")
 QUATERNION = ("qx", "qy", "qz", "qw")
 #: s by which the t of a table of poses may differ from that of the frame.
 SAME_TIME = 1e-3
-#: Degrees within which longitude and latitude are no place but a receiver without a fix.
-_NO_FIX = 1e-6
-#: Degrees; a longitude is mirrored if it is so far from the others and so near their negative, relatively.
-_MIRRORED_DEG, _MIRRORED_SHARE = 1.0, 0.2
 #: rad from straight down beyond which angles of a mapping camera are taken to be wrong.
 _OFF_NADIR = np.radians(80.0)
 #: Sigmas of positions by which the places that tell a heading are apart.
@@ -250,7 +246,7 @@ def _table_positions(file: SequenceFile, path: Path, frames: FrameList, warnings
     values = np.column_stack([np.asarray(table[axis], dtype=np.float64) for axis in "xyz"])
     kept = np.ones(len(t), dtype=np.bool_)
     if file.world.frame == "lonlat":
-        kept = _has_fix(values, names, str(path), warnings)
+        kept = places(t, values, names, str(path), warnings)
     sigma = _sigmas(path, table, with_sigma, len(t), file.position_sigma)
     position = points_to_world(values, file.world, file.surface.radii, path)
     return _in_time(frame, t, position, sigma, kept, _sigma_axes(file, position))
@@ -290,33 +286,6 @@ def _level_axes(file: SequenceFile, position: Array) -> Array:
     return np.asarray(local_axes(lon, lat).as_matrix())
 
 
-def _has_fix(lonlat: Array, names: Sequence[str], place: str, warnings: list[str]) -> Bools:
-    """Rows (n,) whose longitude and latitude are a place; the others are told."""
-    none = (np.abs(lonlat[:, :2]) < _NO_FIX).all(axis=1)
-    if none.any():
-        warnings.append(
-            f"{place}: {int(none.sum())} positions are 0, 0 (no GPS fix; the first of frame "
-            f"{names[int(np.argmax(none))]}): left out"
-        )
-    good = np.asarray(~none & np.isfinite(lonlat[:, :2]).all(axis=1))
-    if good.any():
-        middle = np.median(lonlat[good, :2], axis=0)
-        off = np.abs(lonlat[:, :2] - middle)
-        mirrored = (off > _MIRRORED_DEG) & (np.abs(lonlat[:, :2] + middle) < _MIRRORED_SHARE * off)
-        wrong = good & mirrored.any(axis=1)
-        if wrong.any():
-            k = int(np.argmax(wrong))
-            warnings.append(
-                f"{place}: {int(wrong.sum())} positions are in the wrong hemisphere (frame {names[k]} "
-                "at longitude "
-                f"{lonlat[k, 0]:.5g}, latitude {lonlat[k, 1]:.5g}, the others at {middle[0]:.5g}, "
-                f"{middle[1]:.5g}): "
-                "left out; is a reference W or S missing?"
-            )
-            good &= ~wrong
-    return good
-
-
 def _geodetic(file: SequenceFile, lonlat: Array) -> Array:
     """Points of computation of longitude, latitude (degrees), height."""
     return from_geodetic(np.column_stack([np.radians(lonlat[:, :2]), lonlat[:, 2]]), radii_of(file) or WGS84)
@@ -339,7 +308,7 @@ def _geo_positions(file: SequenceFile, path: Path, frames: FrameList, warnings: 
     frame, t = _matched(path, frames, geo.names, None)
     if geo.angles:
         warnings.append(f"{path.name}: its angles are not used; give attitudes = FILE")
-    kept = _has_fix(geo.lonlat, geo.names, str(path), warnings)
+    kept = places(t, geo.lonlat, geo.names, str(path), warnings)
     position = _geodetic(file, _with_heights(file, geo.lonlat, str(path)))
     flat = np.where(np.isfinite(geo.sigma), geo.sigma, file.position_sigma)
     return _in_time(frame, t, position, flat[:, [0, 0, 1]], kept, _level_axes(file, position))
@@ -368,7 +337,7 @@ def _exif_positions(file: SequenceFile, frames: FrameList, warnings: list[str]) 
         warnings.append(
             f"{bare} photographs give longitude or latitude without E, W, N, S: taken as east and north"
         )
-    kept = _has_fix(lonlat, frames.names, str(frames.path), warnings)
+    kept = places(frames.t, lonlat, frames.names, str(frames.path), warnings)
     if not kept.any():
         return None
     lonlat[~kept] = np.where(np.isfinite(lonlat[~kept]), lonlat[~kept], 0.0)
