@@ -1,4 +1,4 @@
-"""Positions in the wrong hemisphere are found; flights across Greenwich, the equator or 180 degrees are not."""
+"""Lost references W and S are found; flights across Greenwich, the equator or 180 degrees are whole."""
 
 import numpy as np
 import pytest

@@ -101,6 +101,11 @@ def test_every_export_read_back_is_the_same_flight(adjusted, tmp_path):
         level = local_axes(*np.radians(place[:2]))
         origin = from_geodetic([[*np.radians(place[:2]), place[2]]])[0]
     camera = poses.world_from_body * sequence.problem.mount
+    text = (tmp_path / "sequence.toml").read_text()
+    for name in ("opk.csv", "ypr.csv"):
+        (tmp_path / "again.toml").write_text(text.replace("attitudes.csv", name))
+        again = load_sequence(tmp_path / "again.toml").images.world_from_body
+        assert (again.inv() * poses.world_from_body).magnitude().max() < 1e-9
     assert reference == place and opk.origin == place and ypr.origin == place
     for position in (model.position, other.position, opk.position, ypr.position):
         np.testing.assert_allclose(origin + level.apply(np.array(position)), poses.position, atol=1e-6)

@@ -208,11 +208,15 @@ class SequenceFile(Section):
         default=None, description="CSV frame,t,qx,qy,qz,qw,sigma_roll,sigma_pitch,sigma_yaw: world_from_body"
     )
     geo: str | None = Field(default=None, description="geo.txt of OpenDroneMap in place of positions")
-    position_bias_sigma: Sigma = Field(
-        default=0.0, description="m per axis: constant error of all positions, to be estimated; 0 = none"
+    position_bias_sigma: Sigma | None = Field(
+        default=None,
+        description="m per axis: constant error of all positions, to be estimated; 0 = none; default of a "
+        "table none, of EXIF and geo.txt as large as a position's own sigma",
     )
-    attitude_bias_sigma: Sigma = Field(
-        default=0.0, description="rad per body axis: constant error of all attitudes; 0 = none"
+    attitude_bias_sigma: Sigma | None = Field(
+        default=None,
+        description="rad per body axis: constant error of all attitudes; 0 = none; default of a table none, "
+        "of gimbals in XMP as large as attitude_sigma",
     )
     position_sigma: Positive = Field(
         default=POSITION_SIGMA, description="m per axis, of EXIF and geo.txt where they give none"
