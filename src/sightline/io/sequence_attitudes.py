@@ -17,6 +17,7 @@ from sightline.geometry.earth import local_axes
 from sightline.io.acquired import InputFolder, attitude_to_world
 from sightline.io.angle_tables import OPK, body_of_ypr, camera_of_opk, kind_of_angles, origin_of_angles
 from sightline.io.sequence_frames import FrameList
+from sightline.io.sequence_models import ToldPoses
 from sightline.io.sequence_schema import SequenceFile
 from sightline.io.sequence_told import Told, in_time, matched, radii_of, sigmas_of
 from sightline.io.tables import check_quaternions, header_of, read_columns
@@ -37,6 +38,7 @@ def told_attitudes(
     frames: FrameList,
     mount: Rotation,
     position: Array,
+    model: ToldPoses | None,
     warnings: list[str],
 ) -> Told | None:
     """Attitudes that are told (quaternions world_from_body of computation); None where there are none."""
@@ -44,6 +46,8 @@ def told_attitudes(
     if file.attitudes is not None:
         path = files(file.attitudes)
         told = _table_attitudes(file, path, frames, mount, position)
+    elif model is not None:
+        path, told = model.path, model.attitudes
     elif frames.xmp:
         path, told = frames.path, _gimbal_attitudes(file, frames, mount, position)
     else:

@@ -18,6 +18,7 @@ from sightline.errors import FormatError
 from sightline.io.acquired import InputFolder
 from sightline.io.sequence_attitudes import told_attitudes
 from sightline.io.sequence_frames import FrameList
+from sightline.io.sequence_models import told_poses
 from sightline.io.sequence_positions import told_positions
 from sightline.io.sequence_schema import SequenceFile
 from sightline.io.sequence_told import Told, along, radii_of, slerp_along
@@ -54,14 +55,15 @@ def starting_poses(
 ) -> StartingPoses:
     """Rough poses of all frames; FormatError where a table is wrong or nothing is known at all."""
     warnings: list[str] = []
-    placed = told_positions(file, files, frames, warnings)
+    model = told_poses(file, files, frames, mount, warnings)
+    placed = told_positions(file, files, frames, model, warnings)
     radii = radii_of(file)
     count = len(frames.names)
     if placed is None:
         position, position_sigma = _anywhere(file, count), np.full((count, 3), np.inf)
         if radii is not None:
             raise FormatError(
-                f"{files.toml}: no frame has a position: give positions = FILE or geo = FILE, "
+                f"{files.toml}: no frame has a position: give positions = FILE, geo = FILE or poses = PATH, "
                 "photographs with GPS, "
                 'or [world] frame = "local" for poses about a place of no meaning'
             )
@@ -69,7 +71,7 @@ def starting_poses(
     else:
         position, position_sigma = along(frames.t, placed), _sigma_of(placed, count)
         _say_how_many(warnings, position_sigma, "position")
-    turned = told_attitudes(file, files, frames, mount, position, warnings)
+    turned = told_attitudes(file, files, frames, mount, position, model, warnings)
     guess = track_attitude(frames.t, position, position_sigma, radii)
     if turned is None:
         attitude, attitude_sigma = guess, np.full((count, 3), np.inf)

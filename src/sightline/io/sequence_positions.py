@@ -18,6 +18,7 @@ from sightline.io.gps_places import places
 from sightline.io.odm import read_geo
 from sightline.io.platform import points_to_world
 from sightline.io.sequence_frames import FrameList
+from sightline.io.sequence_models import ToldPoses
 from sightline.io.sequence_schema import SequenceFile
 from sightline.io.sequence_told import Told, in_time, is_local, matched, radii_of, sigmas_of
 from sightline.io.tables import header_of, read_columns
@@ -29,13 +30,19 @@ POSITION_SIGMAS = ("sigma_x", "sigma_y", "sigma_z")
 
 
 def told_positions(
-    file: SequenceFile, files: InputFolder, frames: FrameList, warnings: list[str]
+    file: SequenceFile,
+    files: InputFolder,
+    frames: FrameList,
+    model: ToldPoses | None,
+    warnings: list[str],
 ) -> Told | None:
     """Positions that are told, in the axes of computation; None where there are none."""
     if file.positions is not None:
         return _table_positions(file, files(file.positions), frames, warnings)
     if file.geo is not None:
         return _geo_positions(file, files(file.geo), frames, warnings)
+    if model is not None:
+        return model.positions
     if frames.exif:
         return _exif_positions(file, frames, warnings)
     return None

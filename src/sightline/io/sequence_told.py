@@ -83,6 +83,10 @@ def matched(path: Path, frames: FrameList, names: tuple[str, ...], t: Array | No
     refuse_repeated(path, names)
     number = {name: k for k, name in enumerate(frames.names)}
     number |= {path.name: k for k, path in enumerate(frames.files) if path.name not in number}
+    # as the exports write names with spaces
+    number |= {
+        "_".join(name.split()): k for name, k in number.items() if "_".join(name.split()) not in number
+    }
     frame = np.array([number.get(name, -1) for name in names], dtype=np.intp)
     if (frame < 0).all():
         raise FormatError(
