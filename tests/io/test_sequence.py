@@ -51,6 +51,24 @@ def test_everything_is_understood(tmp_path):
     }  # fmt: skip
 
 
+@pytest.mark.parametrize("epoch", ["2026-01-01T00:00:00Z", None])
+def test_times_may_be_utc_instants(tmp_path, epoch):
+    made = flight()
+    if epoch is None:
+        made.toml = made.toml.replace('epoch = "2026-01-01T00:00:00Z"\n', "")
+    for name in ("frames", "positions", "attitudes"):
+        for k, row in enumerate(getattr(made, name)):
+            row[1] = f"2026-01-01T00:00:{10 + k // 2:02d}.{5 * (k % 2)}Z"
+    if epoch is not None:  # tables need not be alike
+        for k, row in enumerate(made.positions):
+            row[1] = 10.0 + 0.5 * k
+    problem = load_sequence(made.write(tmp_path))
+    start = 0.0 if epoch is None else 10.0
+    np.testing.assert_allclose(problem.t, start + 0.5 * np.arange(6), atol=1e-9)
+    assert problem.epoch == (epoch or "2026-01-01T00:00:10.0Z")
+    assert np.isfinite(problem.known.position).all() and np.isfinite(problem.known.attitude).all()
+
+
 def test_frames_are_read_when_they_are_asked_for(tmp_path):
     problem = load_sequence(flight().write(tmp_path))
     expected = np.random.default_rng(3).integers(0, 4000, SHAPE).astype(np.float32)
@@ -443,6 +461,12 @@ def away(made):
         row[2:6] = [0.0, 0.0, 0.0, 1.0]
 
 
+def utc_positions(made):
+    made.toml = made.toml.replace('epoch = "2026-01-01T00:00:00Z"\n', "")
+    for k, row in enumerate(made.positions):
+        row[1] = f"2026-01-01T00:00:0{k}Z"
+
+
 def rename(made):
     for row in made.positions:
         row[0] = f"image {row[0]}"
@@ -526,6 +550,9 @@ BAD = {
     "no name": (cell("frames", 2, 0, ""), "row 3 has no frame"),
     "time twice": (cell("frames", 2, 1, 0.5), "duplicate times"),
     "times unordered": (cell("frames", 2, 1, 0.1), "unordered times"),
+    "time in part utc": (cell("frames", 0, 1, "2026-01-01T00:00:00Z"), "line 3: t = '0.5' is no UTC instant"),
+    "time utc of nowhere": (cell("frames", 0, 1, "2026-01-41T00:00:00Z"), "UTC instant"),
+    "positions: utc": (utc_positions, "UTC, those of the frames seconds .*add .sequence. epoch"),
     "time nan": (cell("frames", 2, 1, "nan"), "column 't' is nan"),
     "positions: columns": (header("positions", "frame,t,x,y,h,a,b,c"), "column 'z' is missing"),
     "positions: nan": (cell("positions", 2, 2, "nan"), "column 'x' is nan"),

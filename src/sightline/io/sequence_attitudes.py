@@ -19,6 +19,7 @@ from sightline.io.angle_tables import OPK, body_of_ypr, camera_of_opk, kind_of_a
 from sightline.io.sequence_frames import FrameList
 from sightline.io.sequence_models import ToldPoses
 from sightline.io.sequence_schema import SequenceFile
+from sightline.io.sequence_times import read_timed
 from sightline.io.sequence_told import Told, in_time, matched, radii_of, sigmas_of
 from sightline.io.tables import check_quaternions, header_of, read_columns
 from sightline.photogrammetry.point_priors import level_axes
@@ -93,9 +94,11 @@ def _table_attitudes(
         )
     angles = QUATERNION if kind is None else kind
     timed = ("t",) if "t" in header or kind is None else ()
-    table = read_columns(
-        path, ("frame", *timed, *angles, *with_sigma), text=("frame",), infinite=ATTITUDE_SIGMAS
-    )
+    columns = ("frame", *timed, *angles, *with_sigma)
+    if timed:
+        table = read_timed(path, columns, frames.epoch, text=("frame",), infinite=ATTITUDE_SIGMAS)
+    else:
+        table = read_columns(path, columns, text=("frame",), infinite=ATTITUDE_SIGMAS)
     names = tuple(str(word) for word in table["frame"])
     frame, t = matched(path, frames, names, np.asarray(table["t"], dtype=np.float64) if timed else None)
     values = np.column_stack([np.asarray(table[name], dtype=np.float64) for name in angles])

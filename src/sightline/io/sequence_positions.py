@@ -20,8 +20,9 @@ from sightline.io.platform import points_to_world
 from sightline.io.sequence_frames import FrameList
 from sightline.io.sequence_models import ToldPoses
 from sightline.io.sequence_schema import SequenceFile
+from sightline.io.sequence_times import read_timed
 from sightline.io.sequence_told import Told, in_time, is_local, matched, radii_of, sigmas_of
-from sightline.io.tables import header_of, read_columns
+from sightline.io.tables import header_of
 from sightline.io.xmp import Xmp
 
 Array = NDArray[np.float64]
@@ -54,7 +55,7 @@ def _table_positions(file: SequenceFile, path: Path, frames: FrameList, warnings
     if with_sigma and len(with_sigma) < 3:
         raise FormatError(f"{path}: has {', '.join(with_sigma)} alone; sigma_x,sigma_y,sigma_z are expected")
     columns = ("frame", "t", "x", "y", "z", *with_sigma)
-    table = read_columns(path, columns, text=("frame",), infinite=POSITION_SIGMAS)
+    table = read_timed(path, columns, frames.epoch, text=("frame",), infinite=POSITION_SIGMAS)
     names = tuple(str(word) for word in table["frame"])
     frame, t = matched(path, frames, names, np.asarray(table["t"], dtype=np.float64))
     values = np.column_stack([np.asarray(table[axis], dtype=np.float64) for axis in "xyz"])
