@@ -70,12 +70,12 @@ class ToldPoses:
     Attributes
     ----------
     path : Path
-    positions, attitudes : Told
+    positions, attitudes : Told or None
     """
 
     path: Path
-    positions: Told
-    attitudes: Told
+    positions: Told | None
+    attitudes: Told | None
 
 
 def told_poses(
@@ -106,7 +106,6 @@ def told_poses(
     sigma = np.ones((len(frame), 3))
     positions = in_time(frame, t, position, file.position_sigma * sigma, kept, common=True)
     attitudes = in_time(frame, t, body, file.attitude_sigma * sigma, kept, common=True)
-    assert positions is not None and attitudes is not None  # `matched` found a row
     return ToldPoses(path, positions, attitudes)
 
 
