@@ -25,7 +25,7 @@ from sightline.io.angle_tables import (
 )
 from sightline.io.colmap import read_colmap_model, write_colmap_model
 from sightline.io.envi import read_envi_wavelengths
-from sightline.io.footprints import outlines, write_footprints
+from sightline.io.footprints import outlines, rings_of, write_footprints
 from sightline.io.odm import read_gcp_list, read_geo, write_geo
 from sightline.io.opensfm import read_opensfm, write_opensfm
 from sightline.io.reconstruction import Reconstruction
@@ -248,8 +248,12 @@ def test_envi_wavelengths_in_both_units(tmp_path):
     path = tmp_path / "cube.hdr"
     path.write_text("ENVI\nsamples = 4\nwavelength units = Nanometers\nwavelength = {\n 450.5, 500,\n 550}\n")
     np.testing.assert_allclose(read_envi_wavelengths(path), [450.5, 500.0, 550.0])
-    path.write_text("ENVI\nwavelength = {0.45, 0.5}\nwavelength units = Micrometers\n")
-    np.testing.assert_allclose(read_envi_wavelengths(path), [450.0, 500.0])
+    for unit in ("Micrometers", "Micrometer", "micron", "um", "\u00b5m", "\u03bcm"):
+        path.write_text(f"ENVI\nwavelength = {{0.45, 0.5}}\nwavelength units = {unit}\n")
+        np.testing.assert_allclose(read_envi_wavelengths(path), [450.0, 500.0])
+    for unit in ("Nanometer", "nm", "{ Nanometres }", "Unknown"):
+        path.write_text(f"ENVI\nwavelength units = {unit}\nwavelength = {{450, 500}}\n")
+        np.testing.assert_allclose(read_envi_wavelengths(path), [450.0, 500.0])
 
 
 def test_footprints_are_the_ground_under_the_corners(tmp_path):
@@ -272,6 +276,58 @@ def test_footprints_are_the_ground_under_the_corners(tmp_path):
     assert (ring[0] == ring[-1]).all() and len(ring) == 17
     assert ((ring[:-1, 0] * ring[1:, 1] - ring[1:, 0] * ring[:-1, 1]).sum()) > 0  # counterclockwise
     np.testing.assert_allclose(ring[:-1].mean(axis=0), [11.0, 48.0], atol=1e-5)
+
+
+def areas(rings):
+    """Signed, square degrees."""
+    closed = [np.array(ring) for ring in rings]
+    return [0.5 * (r[:-1, 0] * r[1:, 1] - r[1:, 0] * r[:-1, 1]).sum() for r in closed]
+
+
+@pytest.mark.parametrize("turned", [1, -1])
+@pytest.mark.parametrize("east", [0.3, 0.5, 0.7])
+def test_an_outline_across_180_degrees_is_cut_there(turned, east):
+    # a square degree, `east` of it west of 180 degrees, written as longitudes are: -180 to 180
+    x = 180.0 - east + np.array([0.0, 0.5, 1.0, 1.0, 1.0, 0.5, 0.0, 0.0])
+    y = np.array([0.0, 0.0, 0.0, 0.5, 1.0, 1.0, 1.0, 0.5]) + 10.0
+    outline = np.column_stack([np.where(x > 180.0, x - 360.0, x), y])[::turned]
+    rings = rings_of(outline)
+    assert len(rings) == 2
+    sizes = {np.sign(np.mean(ring, axis=0)[0]): area for ring, area in zip(rings, areas(rings), strict=True)}
+    assert sizes[1.0] == pytest.approx(east, abs=1e-7) and sizes[-1.0] == pytest.approx(1 - east, abs=1e-7)
+    for ring in rings:
+        assert ring[0] == ring[-1] and np.abs(np.array(ring)[:, 0]).max() == 180.0
+        assert np.ptp(np.array(ring)[:, 0]) < 1.0  # no edge round the world
+
+
+def test_an_outline_up_to_180_degrees_stays_whole():
+    outline = np.array([[179.0, 0.0], [180.0, 0.0], [180.0, 1.0], [179.0, 1.0]])
+    assert [pytest.approx(1.0)] == areas(rings_of(outline)) == areas(rings_of(-outline))
+    assert areas(rings_of(outline * [-1.0, 1.0])) == [pytest.approx(1.0)]
+
+
+@pytest.mark.parametrize("pole", [90.0, -90.0])
+def test_an_outline_round_a_pole_reaches_to_it(pole):
+    longitude = np.array([100.0, 170.0, -120.0, -50.0, 20.0])
+    rings = rings_of(np.column_stack([longitude, np.full(5, np.sign(pole) * 89.0)]))
+    assert sum(areas(rings)) == pytest.approx(360.0)
+    points = np.concatenate([np.array(ring) for ring in rings])
+    assert np.abs(points[:, 0]).max() == 180.0 and pole in points[:, 1]
+
+
+def test_a_frame_across_180_degrees_is_a_multipolygon(tmp_path):
+    lon, lat = np.pi, np.radians(-17.0)
+    detector = AreaDetector("c", SHAPE, 80.0, (23.5, 31.5))
+    attitude = local_axes(lon, lat) * Rotation.concatenate([DOWN])
+    edge = outlines(detector, Rotation.identity(), from_geodetic([[lon, lat, 1000.0]]), attitude, Ellipsoid())
+    write_footprints(tmp_path / "f.geojson", ["a"], edge)
+    geometry = json.loads((tmp_path / "f.geojson").read_text())["features"][0]["geometry"]
+    assert geometry["type"] == "MultiPolygon" and len(geometry["coordinates"]) == 2
+    east, west = sorted(areas([part[0] for part in geometry["coordinates"]]))
+    # half of 800 m x 600 m each
+    assert east == pytest.approx(west, rel=1e-3)
+    size = 111.3e3 * np.cos(lat) * 110.7e3  # m^2 of a square degree at latitude 17
+    assert east * size == pytest.approx(240e3, rel=0.01)
 
 
 def test_a_frame_that_looks_past_the_ground_has_no_footprint(tmp_path):

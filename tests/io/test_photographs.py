@@ -90,8 +90,10 @@ def test_a_series_in_order_of_its_times(tmp_path):
     assert problem.epoch == "2026-05-01T10:00:00Z"
     steps = np.linalg.norm(np.diff(problem.images.position, axis=0), axis=1)
     np.testing.assert_allclose(steps, 11.12, rtol=0.01)
-    assert problem.warnings[0] == "no attitudes: taken as straight down, nose along the track"
-    assert len(problem.warnings) == 2 and "tells no height of the ground" in problem.warnings[1]
+    heights, attitudes, ground = problem.warnings
+    assert attitudes == "no attitudes: taken as straight down, nose along the track"
+    assert "10 heights of EXIF (above sea level, by its standard)" in heights and "no geoid" in heights
+    assert "tells no height of the ground" in ground
 
 
 def test_frames_of_one_second_are_spread_over_it(tmp_path):
@@ -116,6 +118,54 @@ def test_no_fix_wrong_hemisphere_and_no_reference(tmp_path):
     assert "wrong hemisphere (frame p5.tif" in said and "is a reference W or S missing?" in said
     assert "1 photographs give longitude or latitude without E, W, N, S" in said
     assert "3 of 8 frames have no position" in said
+
+
+@pytest.mark.parametrize(
+    ("reference", "height", "ellipsoid"),
+    [
+        (None, 140.0, False),
+        ("0x00", 140.0, False),
+        ("0x01", -140.0, False),
+        ("1", -140.0, False),
+        ("0x31", -140.0, False),  # the letter "1"
+        ("0x02", 140.0, True),
+        ("0x03", -140.0, True),
+        ("0x10", 140.0, False),  # no value of the standard
+        ("?", 140.0, False),
+    ],
+)
+def test_what_heights_are_counted_from(tmp_path, reference, height, ellipsoid):
+    photograph(tmp_path / "p.tif", tags(EXIF_GPSAltitudeRef=reference))
+    read = read_exif(tmp_path / "p.tif")
+    assert (read.height, read.above_ellipsoid) == (height, ellipsoid)
+
+
+def test_heights_above_the_ellipsoid_need_no_word(tmp_path):
+    problem = load_sequence(photographs(tmp_path, [tags(k, EXIF_GPSAltitudeRef="0x02") for k in range(3)]))
+    assert not any("geoid" in words for words in problem.warnings)
+
+
+RTK = 'drone-dji:RtkStdLon="0.012" drone-dji:RtkStdLat="0.013" drone-dji:RtkStdHgt="0.03" drone-dji:GimbalYaw'
+
+
+@pytest.mark.parametrize(
+    ("keys", "rtk", "expected"),
+    [
+        ("", False, (5.0, 0.035)),
+        ("position_sigma = 3.0\nattitude_sigma = 0.1\n", False, (3.0, 0.1)),
+        ("position_bias_sigma = 0\nattitude_bias_sigma = 0.0\n", False, (0.0, 0.0)),
+        ("position_bias_sigma = 9.0\n", False, (9.0, 0.035)),
+        ("", True, (0.03, 0.035)),  # as rough as the receiver says that it is
+    ],
+)
+def test_receivers_and_gimbals_are_off_by_the_same_in_every_photograph(tmp_path, keys, rtk, expected):
+    xmp = GIMBAL.format(90.0, -90.0)
+    if rtk:
+        xmp = xmp.replace("drone-dji:GimbalYaw", RTK)
+    path = photographs(tmp_path, [tags(k) for k in range(5)], [xmp] * 5)
+    path.write_text(keys + TOML)
+    known = load_sequence(path).known
+    assert (known.position_bias, known.attitude_bias) == expected
 
 
 def test_a_photograph_without_time_lies_between_its_neighbours(tmp_path):

@@ -17,7 +17,8 @@ from sightline.io.config import json_schema, kind_of
 from sightline.io.describe_sequence import describe_sequence
 from sightline.io.frame_files import opened
 from sightline.io.sequence import load_sequence, read_sequence
-from sightline.io.sequence_poses import place_of, track_attitude
+from sightline.io.sequence_poses import track_attitude
+from sightline.io.sequence_positions import place_of
 from sightline.io.xmp import gimbal_attitude, parse_xmp
 
 
@@ -48,6 +49,24 @@ def test_everything_is_understood(tmp_path):
     assert set(sequence.input_hashes()) == {
         "sequence.toml", "frames.csv", "positions.csv", "attitudes.csv", "frames",
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("epoch", ["2026-01-01T00:00:00Z", None])
+def test_times_may_be_utc_instants(tmp_path, epoch):
+    made = flight()
+    if epoch is None:
+        made.toml = made.toml.replace('epoch = "2026-01-01T00:00:00Z"\n', "")
+    for name in ("frames", "positions", "attitudes"):
+        for k, row in enumerate(getattr(made, name)):
+            row[1] = f"2026-01-01T00:00:{10 + k // 2:02d}.{5 * (k % 2)}Z"
+    if epoch is not None:  # tables need not be alike
+        for k, row in enumerate(made.positions):
+            row[1] = 10.0 + 0.5 * k
+    problem = load_sequence(made.write(tmp_path))
+    start = 0.0 if epoch is None else 10.0
+    np.testing.assert_allclose(problem.t, start + 0.5 * np.arange(6), atol=1e-9)
+    assert problem.epoch == (epoch or "2026-01-01T00:00:10.0Z")
+    assert np.isfinite(problem.known.position).all() and np.isfinite(problem.known.attitude).all()
 
 
 def test_frames_are_read_when_they_are_asked_for(tmp_path):
@@ -167,7 +186,8 @@ def test_geo_txt_gives_positions_and_angle_tables_attitudes(tmp_path):
     made.extra["opk.csv"] = "frame,omega,phi,kappa\n" + "".join(f"{k},0,0,180\n" for k in range(6))
     problem = load_sequence(made.write(tmp_path))
     up = problem.images.position / np.linalg.norm(problem.images.position, axis=1)[:, None]
-    assert problem.warnings == ()
+    assert len(problem.warnings) == 1 and "geo.txt: 6 heights are taken as they are" in problem.warnings[0]
+    assert (problem.known.position_bias, problem.known.attitude_bias) == (2.0, 0.01)
     level = local_axes(np.radians(11.0), np.radians(48.0))
     body = level.inv() * problem.images.world_from_body
     # 25 m north turn the level axes by 4e-6 rad
@@ -179,6 +199,44 @@ def test_geo_txt_gives_positions_and_angle_tables_attitudes(tmp_path):
     again = load_sequence(tmp_path / "sequence.toml")
     assert (again.images.world_from_body.inv() * problem.images.world_from_body).magnitude().max() < 1e-12
     np.testing.assert_array_equal(again.known.attitude[0], [0.1, 0.1, 0.2])
+
+
+def test_places_of_geo_txt_are_off_by_the_same_unless_told(tmp_path):
+    made = flight()
+    made.toml = (
+        made.toml.replace('positions = "positions.csv"', 'geo = "geo.txt"')
+        .replace('frame = "local"', 'frame = "lonlat"')
+        .replace('attitudes = "attitudes.csv"\nposition_bias_sigma = 2.0\nattitude_bias_sigma = 0.01\n', "")
+    )
+    rows = [f"f{k}.npy 11.0 {48.0 + k * 5.0 / 111200:.9f} 100 0 0 0 1.5 3" for k in range(6)]
+    made.extra["geo.txt"] = "EPSG:4326\n" + "\n".join(rows) + "\n"
+    known = load_sequence(made.write(tmp_path)).known
+    assert (known.position_bias, known.attitude_bias) == (3.0, 0.0)
+    # a table says for itself what its errors share
+    plain = flight()
+    plain.toml = plain.toml.replace("position_bias_sigma = 2.0\nattitude_bias_sigma = 0.01\n", "")
+    known = load_sequence(plain.write(tmp_path / "plain")).known
+    assert (known.position_bias, known.attitude_bias) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("angles", ["yaw,pitch,roll", "omega,phi,kappa"])
+def test_angles_are_against_the_axes_at_the_origin_of_their_table(tmp_path, angles):
+    made = flight()
+    made.toml = made.toml.replace('frame = "local"', 'frame = "local"\norigin = [20.0, 70.0, 0.0]')
+    for k in range(6):
+        made.positions[k][2:4] = [1000.0 * k, 0.0]
+    level = load_sequence(made.write(tmp_path / "quaternions")).images.world_from_body
+    made.toml = made.toml.replace("attitudes.csv", "angles.csv")
+    # nose to the north of the origin, level there; the columns of the nominal camera run west of that nose
+    rows = "".join(f"{k},0,0,{0 if angles[0] == 'y' else 180}\n" for k in range(6))
+    made.extra["angles.csv"] = f"# origin = 20,70,0\nframe,{angles}\n{rows}"
+    read = load_sequence(made.write(tmp_path / "origin")).images.world_from_body
+    assert (read.inv() * level).magnitude().max() < 1e-9
+    made.extra["angles.csv"] = f"frame,{angles}\n{rows}"
+    read = load_sequence(made.write(tmp_path / "places")).images.world_from_body
+    # meridians converge: 5 km east at latitude 70 on a sphere of 6390 km (normal radius there 6397 km)
+    yaw = (level.inv() * read).as_rotvec()[5, 2]
+    assert abs(yaw) == pytest.approx(5000.0 / 6390e3 * np.tan(np.radians(70.0)), rel=0.01)
 
 
 def test_control_points_of_each_form(tmp_path):
@@ -403,6 +461,12 @@ def away(made):
         row[2:6] = [0.0, 0.0, 0.0, 1.0]
 
 
+def utc_positions(made):
+    made.toml = made.toml.replace('epoch = "2026-01-01T00:00:00Z"\n', "")
+    for k, row in enumerate(made.positions):
+        row[1] = f"2026-01-01T00:00:0{k}Z"
+
+
 def rename(made):
     for row in made.positions:
         row[0] = f"image {row[0]}"
@@ -486,6 +550,9 @@ BAD = {
     "no name": (cell("frames", 2, 0, ""), "row 3 has no frame"),
     "time twice": (cell("frames", 2, 1, 0.5), "duplicate times"),
     "times unordered": (cell("frames", 2, 1, 0.1), "unordered times"),
+    "time in part utc": (cell("frames", 0, 1, "2026-01-01T00:00:00Z"), "line 3: t = '0.5' is no UTC instant"),
+    "time utc of nowhere": (cell("frames", 0, 1, "2026-01-41T00:00:00Z"), "UTC instant"),
+    "positions: utc": (utc_positions, "UTC, those of the frames seconds .*add .sequence. epoch"),
     "time nan": (cell("frames", 2, 1, "nan"), "column 't' is nan"),
     "positions: columns": (header("positions", "frame,t,x,y,h,a,b,c"), "column 'z' is missing"),
     "positions: nan": (cell("positions", 2, 2, "nan"), "column 'x' is nan"),

@@ -101,6 +101,20 @@ def test_every_export_read_back_is_the_same_flight(adjusted, tmp_path):
         level = local_axes(*np.radians(place[:2]))
         origin = from_geodetic([[*np.radians(place[:2]), place[2]]])[0]
     camera = poses.world_from_body * sequence.problem.mount
+    text = (tmp_path / "sequence.toml").read_text()
+    for name in ("opk.csv", "ypr.csv"):
+        (tmp_path / "again.toml").write_text(text.replace("attitudes.csv", name))
+        again = load_sequence(tmp_path / "again.toml").images.world_from_body
+        assert (again.inv() * poses.world_from_body).magnitude().max() < 1e-9
+    start = text.index("positions =")
+    for name in ("colmap", "reconstruction.json", "opk.csv", "ypr.csv"):
+        told = f'poses = "{name}"\n' + text[text.index("[sequence]", start) :]
+        if not flat:  # whatever the axes of the tables
+            told = told.replace('frame = "local"\norigin = [11.0, 48.0, 500.0]', 'frame = "lonlat"')
+        (tmp_path / "again.toml").write_text(text[:start] + told)
+        again = load_sequence(tmp_path / "again.toml").images
+        np.testing.assert_allclose(again.position, poses.position, atol=1e-6)
+        assert (again.world_from_body.inv() * poses.world_from_body).magnitude().max() < 1e-9
     assert reference == place and opk.origin == place and ypr.origin == place
     for position in (model.position, other.position, opk.position, ypr.position):
         np.testing.assert_allclose(origin + level.apply(np.array(position)), poses.position, atol=1e-6)

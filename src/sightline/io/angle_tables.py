@@ -109,12 +109,12 @@ def read_angles(path: Path) -> AngleTable:
         return np.column_stack([np.asarray(table[name], dtype=np.float64) for name in names])
 
     return AngleTable(
-        tuple(str(name) for name in table["frame"]), matrix("xyz"), matrix(kind), kind, _origin(path)
+        tuple(str(name) for name in table["frame"]), matrix("xyz"), matrix(kind), kind, origin_of_angles(path)
     )
 
 
-def _origin(path: Path) -> tuple[float, float, float] | None:
-    """What the comment at the top says."""
+def origin_of_angles(path: Path) -> tuple[float, float, float] | None:
+    """Longitude, latitude (degrees), height (m) of the comment at the top; None where there is none."""
     with path.open(encoding="utf-8-sig") as stream:
         match = _ORIGIN.fullmatch(stream.readline().strip())
     if match is None:

@@ -202,10 +202,17 @@ def read_colmap_model(folder: Path) -> Reconstruction:
     FormatError
         Names the file that is missing, damaged, or holds a camera that is not understood.
     """
-    for suffix, read in ((".bin", _read_binary), (".txt", _read_text)):
-        paths = [folder / f"{name}{suffix}" for name in ("cameras", "images", "points3D")]
+    paths = colmap_files(folder)
+    read = _read_binary if paths[0].suffix == ".bin" else _read_text
+    return _model(folder, *read(paths))
+
+
+def colmap_files(folder: Path) -> tuple[Path, ...]:
+    """The three files of the model in a folder; FormatError where one is missing."""
+    for suffix in (".bin", ".txt"):
+        paths = tuple(folder / f"{name}{suffix}" for name in ("cameras", "images", "points3D"))
         if all(path.is_file() for path in paths):
-            return _model(folder, *read(paths))
+            return paths
     raise FormatError(
         f"{folder}: no COLMAP model: cameras, images and points3D, each .bin or .txt, are expected"
     )

@@ -17,8 +17,9 @@ Array = NDArray[np.float64]
 
 _LIST = re.compile(r"^\s*wavelength\s*=\s*\{([^}]*)\}", re.IGNORECASE | re.MULTILINE)
 _UNITS = re.compile(r"^\s*wavelength units\s*=\s*\{?\s*([^}\n]*?)\s*\}?\s*$", re.IGNORECASE | re.MULTILINE)
-_NM = {"nanometers": 1.0, "nm": 1.0, "unknown": 1.0, "": 1.0}
-_UM = {"micrometers": 1e3, "microns": 1e3, "um": 1e3, "µm": 1e3}
+#: nm of each unit, in the singular; the last two are the micro sign and the Greek letter.
+_NM = {"nanometer": 1.0, "nanometre": 1.0, "nm": 1.0, "unknown": 1.0, "": 1.0}
+_UM = dict.fromkeys(("micrometer", "micrometre", "micron", "um", "\u00b5m", "\u03bcm"), 1e3)
 
 
 def read_envi_wavelengths(path: Path) -> Array:
@@ -40,7 +41,7 @@ def read_envi_wavelengths(path: Path) -> Array:
     found, unit = _LIST.search(text), _UNITS.search(text)
     if found is None:
         raise FormatError(f"{path}: has no wavelength = {{...}}; give wavelength_nm as a list")
-    name = unit[1].strip().lower() if unit else ""
+    name = unit[1].strip().lower().rstrip("s") if unit else ""
     scale = {**_NM, **_UM}.get(name)
     if scale is None:
         raise FormatError(

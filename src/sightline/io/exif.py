@@ -24,6 +24,9 @@ from sightline.io.tables import write_positions
 
 Array = NDArray[np.float64]
 
+#: GPSAltitudeRef: 0 above, 1 below sea level; since EXIF 3.0 2 above, 3 below the ellipsoid.
+_BELOW, _OF_ELLIPSOID = (1, 3), (2, 3)
+
 
 @dataclass(frozen=True)
 class Exif:
@@ -36,11 +39,14 @@ class Exif:
     longitude_deg, latitude_deg : float or None
         Degrees, east and north positive; None where the file has no GPS entry.
     height : float or None
-        m; None where the file has none.
+        m, as the file has it, negative where its reference says "below"; None where the file has none.
     focal_35mm : float or None
         mm; focal length of the same field of view on 36 mm x 24 mm film.
     unreferenced : bool
         Whether longitude or latitude have no E, W, N or S beside them.
+    above_ellipsoid : bool
+        Whether the height's reference says that it is one above the ellipsoid (values 2 and 3 of EXIF 3.0),
+        not above sea level (0, 1, and where there is none).
     """
 
     time: str
@@ -49,6 +55,7 @@ class Exif:
     height: float | None
     focal_35mm: float | None = None
     unreferenced: bool = False
+    above_ellipsoid: bool = False
 
 
 def read_exif(path: Path) -> Exif:
@@ -88,7 +95,7 @@ def read_exif(path: Path) -> Exif:
         )
     year, month, day, clock = match.groups()
     altitude = _numbers(tags.get("EXIF_GPSAltitude"))
-    below = "1" in tags.get("EXIF_GPSAltitudeRef", "").removeprefix("0x")
+    reference = _altitude_reference(tags.get("EXIF_GPSAltitudeRef", ""))
     focal = _numbers(tags.get("EXIF_FocalLengthIn35mmFilm"))
     longitude = _degrees(tags, "EXIF_GPSLongitude", "W")
     references = ("EXIF_GPSLongitudeRef", "EXIF_GPSLatitudeRef")
@@ -96,10 +103,18 @@ def read_exif(path: Path) -> Exif:
         _with_fraction(f"{year}-{month}-{day}T{clock}", tags),
         longitude,
         _degrees(tags, "EXIF_GPSLatitude", "S"),
-        (-altitude[0] if below else altitude[0]) if altitude else None,
+        (-altitude[0] if reference in _BELOW else altitude[0]) if altitude else None,
         focal[0] if focal and focal[0] > 0.0 else None,
         longitude is not None and not all(tags.get(name, "").strip() for name in references),
+        reference in _OF_ELLIPSOID,
     )
+
+
+def _altitude_reference(text: str) -> int:
+    """GPSAltitudeRef from a byte as the raster library shows it, a digit in ASCII too; 0 where it is none."""
+    match = re.fullmatch(r"(0x[0-9a-f]+|\d+)\b.*", text.strip().lower())
+    value = 0 if match is None else int(match[1], 16 if match[1].startswith("0x") else 10)
+    return value - ord("0") if ord("0") <= value <= ord("3") else value
 
 
 def _with_fraction(instant: str, tags: dict[str, str]) -> str:

@@ -1,5 +1,7 @@
 """Ground that each frame covers, as GeoJSON (RFC 7946): longitude, latitude in degrees, counterclockwise.
 
+A frame across 180 degrees is two polygons, one on each side; one with a pole in it reaches to that pole.
+
 Not here: which frames there are (``sequence.py``).
 """
 
@@ -22,6 +24,9 @@ from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.surface import Surface
 
 Array = NDArray[np.float64]
+
+#: Decimals of degrees: 0.1 mm.
+_DIGITS = 9
 
 
 def outlines(
@@ -70,7 +75,7 @@ def write_footprints(
     radii: tuple[float, float] | None = WGS84,
     properties: Mapping[str, Sequence[Any]] | None = None,
 ) -> int:
-    """A FeatureCollection of one polygon a frame.
+    """A FeatureCollection of one polygon a frame, or one MultiPolygon where it is cut at 180 degrees.
 
     Parameters
     ----------
@@ -100,21 +105,71 @@ def write_footprints(
     for k, name in enumerate(names):
         if not np.isfinite(edges[k]).all():
             continue
-        lonlat = np.degrees(to_geodetic(edges[k], radii)[:, :2])
-        lonlat[:, 0] = np.degrees(np.unwrap(np.radians(lonlat[:, 0])))
-        x, y = (lonlat - lonlat.mean(axis=0)).T
-        if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() < 0.0:
-            lonlat = lonlat[::-1]
-        ring = np.round(np.concatenate([lonlat, lonlat[:1]]), 9).tolist()
+        rings = rings_of(np.degrees(to_geodetic(edges[k], radii)[:, :2]))
+        geometry = (
+            {"type": "Polygon", "coordinates": rings}
+            if len(rings) == 1
+            else {"type": "MultiPolygon", "coordinates": [[ring] for ring in rings]}
+        )
         more = {key: values[k] for key, values in (properties or {}).items()}
         features.append(
             {
                 "type": "Feature",
                 "properties": {"frame": name, **more},
-                "geometry": {"type": "Polygon", "coordinates": [ring]},
+                "geometry": geometry,
             }
         )
     temporary = path.with_name(f".{path.name}.part")
     temporary.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
     os.replace(temporary, path)
     return len(features)
+
+
+def rings_of(lonlat: Array) -> list[list[list[float]]]:
+    """Closed rings, counterclockwise, each between -180 and 180 degrees, of the outline of a piece of ground.
+
+    Parameters
+    ----------
+    lonlat : (k, 2)
+        Longitude, latitude (degrees) round the outline, less than 180 degrees from one to the next.
+
+    Returns
+    -------
+    list
+        Of rings, each a list of [longitude, latitude] whose last is the first; more than one where the
+        outline is cut at 180 degrees (RFC 7946, 3.1.9).
+    """
+    around = np.degrees(np.unwrap(np.radians(np.append(lonlat[:, 0], lonlat[0, 0]))))
+    outline = np.column_stack([around[:-1], lonlat[:, 1]])
+    if abs(around[-1] - around[0]) > 180.0:  # once round a pole: along its meridian to it, and back
+        pole = np.copysign(90.0, lonlat[:, 1].mean())
+        end = [[around[-1], lonlat[0, 1]], [around[-1], pole], [around[0], pole]]
+        outline = np.concatenate([outline, end])
+    x, y = (outline - outline.mean(axis=0)).T
+    if (x * np.roll(y, -1) - np.roll(x, -1) * y).sum() < 0.0:
+        outline = outline[::-1]
+    first, last = (int(np.floor((x + 180.0) / 360.0)) for x in (outline[:, 0].min(), outline[:, 0].max()))
+    rings = []
+    for turn in range(first, last + 1):
+        part = outline - [360.0 * turn, 0.0]
+        for side in (-1.0, 1.0):
+            part = _this_side(part, side)
+        part = np.round(part, _DIGITS)
+        if len(part) >= 3 and np.ptp(part[:, 0]) > 0.0:
+            rings.append(np.concatenate([part, part[:1]]).tolist())
+    return rings
+
+
+def _this_side(outline: Array, side: float) -> Array:
+    """The part of an outline (k, 2) with side * longitude <= 180 degrees (Sutherland and Hodgman, 1974)."""
+    beyond = side * outline[:, 0] - 180.0
+    kept: list[Array] = []
+    for k, point in enumerate(outline):
+        before = k - 1
+        if (beyond[k] > 0.0) != (beyond[before] > 0.0):
+            part = beyond[before] / (beyond[before] - beyond[k])
+            latitude = outline[before, 1] + part * (point[1] - outline[before, 1])
+            kept.append(np.array([side * 180.0, latitude]))
+        if beyond[k] <= 0.0:
+            kept.append(point)
+    return np.array(kept).reshape(-1, 2)

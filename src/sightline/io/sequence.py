@@ -29,8 +29,9 @@ from sightline.io.frame_files import FrameFile
 from sightline.io.ground import surface_of
 from sightline.io.sequence_control import control_of
 from sightline.io.sequence_frames import FrameList, excluded, probe_frames, read_frames, shape_of
-from sightline.io.sequence_poses import is_local, radii_of, starting_poses
+from sightline.io.sequence_poses import starting_poses
 from sightline.io.sequence_schema import LEAST_NM, CubeSection, SequenceCamera, SequenceFile, WavelengthRange
+from sightline.io.sequence_told import is_local, radii_of
 from sightline.photogrammetry.sightings import Images
 
 Array = NDArray[np.float64]

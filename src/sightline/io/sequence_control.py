@@ -17,8 +17,8 @@ from sightline.io.acquired import InputFolder
 from sightline.io.odm import read_gcp_list
 from sightline.io.platform import points_to_world
 from sightline.io.sequence_frames import FrameList
-from sightline.io.sequence_poses import radii_of
 from sightline.io.sequence_schema import SequenceFile
+from sightline.io.sequence_told import radii_of
 from sightline.io.stereo_tables import check_inside, refuse_seen_twice
 from sightline.io.tables import read_control_points
 from sightline.photogrammetry.point_priors import ControlPoints

@@ -19,7 +19,8 @@ from sightline.io.ccsds import seconds_from_epoch
 from sightline.io.exif import Exif, read_exif
 from sightline.io.frame_files import Probe, probe
 from sightline.io.sequence_schema import SequenceFile
-from sightline.io.tables import check_times, read_columns
+from sightline.io.sequence_times import first_instant, read_timed
+from sightline.io.tables import check_times
 from sightline.io.xmp import Xmp, read_xmp
 
 Array = NDArray[np.float64]
@@ -70,7 +71,8 @@ def read_frames(file: SequenceFile, files: InputFolder) -> FrameList:
 
 
 def _of_table(path: Path, file: SequenceFile, files: InputFolder) -> FrameList:
-    table = read_columns(path, FRAMES, text=("frame", "image"))
+    epoch = file.sequence.epoch or first_instant(path)
+    table = read_timed(path, FRAMES, epoch, text=("frame", "image"))
     names = tuple(str(word) for word in table["frame"])
     refuse_repeated(path, names)
     t = np.asarray(table["t"], dtype=np.float64)
@@ -78,7 +80,7 @@ def _of_table(path: Path, file: SequenceFile, files: InputFolder) -> FrameList:
     images = [str(word) for word in table["image"]]
     if "" in images:
         raise FormatError(f"{path}: row {images.index('') + 1} names no image")
-    return FrameList(path, names, t, tuple(files.toml.parent / name for name in images), file.sequence.epoch)
+    return FrameList(path, names, t, tuple(files.toml.parent / name for name in images), epoch)
 
 
 def refuse_repeated(path: Path, names: Sequence[str]) -> None:

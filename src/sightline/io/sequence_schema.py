@@ -208,17 +208,26 @@ class SequenceFile(Section):
         default=None, description="CSV frame,t,qx,qy,qz,qw,sigma_roll,sigma_pitch,sigma_yaw: world_from_body"
     )
     geo: str | None = Field(default=None, description="geo.txt of OpenDroneMap in place of positions")
-    position_bias_sigma: Sigma = Field(
-        default=0.0, description="m per axis: constant error of all positions, to be estimated; 0 = none"
+    poses: str | None = Field(
+        default=None,
+        description="Model of another program in place of positions and attitudes: folder of a COLMAP model, "
+        "reconstruction.json of OpenSfM, or CSV frame,x,y,z,omega,phi,kappa or frame,x,y,z,yaw,pitch,roll",
     )
-    attitude_bias_sigma: Sigma = Field(
-        default=0.0, description="rad per body axis: constant error of all attitudes; 0 = none"
+    position_bias_sigma: Sigma | None = Field(
+        default=None,
+        description="m per axis: constant error of all positions, to be estimated; 0 = none; default of a "
+        "table none, of EXIF, geo.txt and poses as large as a position's own sigma",
+    )
+    attitude_bias_sigma: Sigma | None = Field(
+        default=None,
+        description="rad per body axis: constant error of all attitudes; 0 = none; default of a table none, "
+        "of gimbals in XMP and of poses as large as attitude_sigma",
     )
     position_sigma: Positive = Field(
-        default=POSITION_SIGMA, description="m per axis, of EXIF and geo.txt where they give none"
+        default=POSITION_SIGMA, description="m per axis, of EXIF, geo.txt and poses where they give none"
     )
     attitude_sigma: Positive = Field(
-        default=ATTITUDE_SIGMA, description="rad per axis, of angles of a gimbal in XMP"
+        default=ATTITUDE_SIGMA, description="rad per axis, of angles of a gimbal in XMP, and of poses"
     )
     altitude: Finite | None = Field(
         default=None, description="m above the ellipsoid, of photographs and geo.txt that give no height"
@@ -242,6 +251,11 @@ class SequenceFile(Section):
             raise ValueError("surface.kind is for stars; a sequence of frames looks at ground: remove it")
         if self.geo is not None and self.positions is not None:
             raise ValueError("positions and geo are both given; keep one of them")
+        if self.poses is not None and self.attitudes is not None and (self.positions or self.geo):
+            raise ValueError(
+                "poses would tell nothing beside attitudes and positions (or geo), which go before it; "
+                "remove poses, or what it is to tell"
+            )
         ways = [k for k in ("control_point", "control_points", "gcp_list") if getattr(self, k)]
         if len(ways) > 1:
             raise ValueError(f"{' and '.join(ways)} are given; keep one of them")
