@@ -106,7 +106,7 @@ def _how_well(view: SequenceView) -> str:
     return text + (
         " These are sigmas of absolute poses: what all frames have wrong together (the datum) is in them, "
         "and neighbours are known to each other far better. How much better no sigma says; where a truth is "
-        'at hand `sightline score --table` does, in its rows "turned and moved".'
+        'at hand "sightline score --table" does, in its rows "turned and moved".'
     )
 
 
