@@ -82,6 +82,28 @@ def test_the_python_of_the_readme_on_what_is_simulated_runs_as_stated(tmp_path, 
     )
 
 
+@pytest.mark.slow
+def test_the_table_of_the_readme_is_what_score_prints(tmp_path):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    (stated,) = re.findall(r"```console\n(frames .*?)```", readme, re.DOTALL)
+    flight, located = str(tmp_path / "flight"), str(tmp_path / "located")
+    for words in (
+        ["simulate", "frames", "--case", "small", "--out", flight, "--seed", "1"],
+        ["georeference", f"{flight}/sequence.toml", "--out", located, "--poses-only"],
+        ["score", located, f"{flight}/poses-truth.csv", "--table"],
+    ):
+        printed = run(["-c", f"import sys; from sightline.cli.main import run; sys.exit(run({words!r}))"])
+    lines = printed.splitlines()
+    wanted = [part.splitlines() for part in stated.split("...\n")]
+    for part in wanted:
+        first = next(k for k, line in enumerate(lines) if line[:40] == part[0][:40])
+        for line, said in zip(lines[first : first + len(part)], part, strict=True):
+            assert line[:40].strip() == said[:40].strip()
+            numbers = [[float(n) for n in re.findall(r"[\d.]+", text[40:])] for text in (line, said)]
+            # libraries of another version may change a pose by a hundredth of its sigma
+            assert numbers[0] == pytest.approx(numbers[1], rel=0.03, abs=0.02)
+
+
 def test_the_noise_example_refuses_what_it_cannot_use(tmp_path):
     script = str(ROOT / "examples" / "tdi_noise.py")
     for arguments in (["out", "abc"], ["out", "-3"]):

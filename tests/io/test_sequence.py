@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import warnings
 from pathlib import Path
 from types import SimpleNamespace
@@ -13,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from tests.io.sequence_files import NORTH, SHAPE, flight, npy, picture
 
 from sightline.errors import FormatError, GeometryError, SightlineError
-from sightline.geometry.earth import from_geodetic, local_axes
+from sightline.geometry.earth import WGS84, from_geodetic, local_axes, to_geodetic
 from sightline.io.config import json_schema, kind_of
 from sightline.io.describe_sequence import describe_sequence
 from sightline.io.frame_files import opened
@@ -371,6 +372,17 @@ def test_photographs_of_a_gimbal(tmp_path, real_data):
     )
     assert np.linalg.norm(ground - problem.images.position, axis=1)[0] == pytest.approx(40.3, abs=0.1)
     assert problem.focal_length_sigma_px == 0.0 and "EXIF" in problem.warnings[0]
+
+
+def test_the_file_for_photographs_of_a_drone_that_the_formats_show(tmp_path, real_data):
+    folder = real_data("drone_brighton_lines12")
+    page = (Path(__file__).resolve().parents[2] / "docs" / "formats.md").read_text(encoding="utf-8")
+    toml = re.search(r"### Photographs of a drone.*?```toml\n(.*?)```", page, re.DOTALL)[1]
+    problem = load_sequence(written(tmp_path, toml.replace('"photographs"', f'"{folder}"')))
+    assert len(problem) == 12 and problem.usable.all() and problem.height_sigma == 5.0
+    # RelativeAltitude of XMP says 39.8 to 40.1 m
+    height = to_geodetic(problem.images.position, WGS84)[:, 2] - problem.surface.height
+    assert height.min() > 39.7 and height.max() < 40.2
 
 
 def test_photographs_without_heights_ask_for_the_altitude(tmp_path, real_data):

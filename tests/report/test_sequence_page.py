@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
+from sightline.applications.sequence_warnings import bow_warnings
 from sightline.errors import InputError
 from sightline.geometry.earth import WGS84, from_geodetic, local_axes
 from sightline.geometry.instrument import AreaDetector
@@ -188,7 +189,7 @@ def test_sentences_and_tables_are_the_numbers_of_the_result():
     problem, found = flown(60, idle=(20, 21, 40))
     view = sequence_view(problem, found)
     text = " ".join(sequence_words.sentences(problem, found, view))
-    assert "60 frames over 2.36 s and 47.2 m of path in one stretch" in text
+    assert "60 frames over 2.36 s and 47.2 m of path in one stretch of the flight" in text
     # of frames 0, 10, ... 50 two were left out
     assert "4 solved (the subset), 53 estimated" in text and "3 interpolated" in text
     assert "up 0.2 m; roll 0.057 deg" in text
@@ -322,7 +323,10 @@ def test_the_cube_is_shown_as_it_is(cube):
     assert (detail.width, detail.height) == (330, 200) and detail.after != detail.before
     text = " ".join(sequence_cube.cube_sentences(cube))
     assert "20 bands from 450 to 900 nm of 600 rows × 700 columns" in text and "99.0 to 100.0 %" in text
-    assert "within 0.2 px rms" in text and "by the told poses it would be 3 px" in text
+    assert (
+        "to 0.2 to 0.2 px rms per axis in those 40 pairs" in text
+        and "told poses all would have 3 px rms" in text
+    )
     sections = sequence_page.cube_sections(cube)
     assert [s.name for s in sections] == ["band-error", "band-pairs", "coverage"]
     bare = replace(cube, before=None, error_px=None, pair_nm=np.zeros(0), pair_rms_px=np.zeros(0),
@@ -339,3 +343,34 @@ def test_tall_ground_is_laid_on_its_side(cube):
     assert (overview.width, overview.height) == (600, 80) and "first row is at the left" in overview.caption
     figure = sequence_cube.error_map_figure(tall)
     assert figure.layout.xaxis.title.text == "from the first row (m)"
+
+
+def test_pixels_that_lack_a_band_are_grey_and_sizes_are_those_of_the_maps(cube):
+    coded = np.full((4, 5, 3), 100, dtype=np.uint8)
+    coded[0, 0], coded[1, 2, 0], coded[3, 4, 1:] = 0, 0, 0  # none, two, and one of the bands are there
+    lacking = {(0, 0), (1, 2), (3, 4)}
+    picture = sequence_cube._picture(coded)
+    assert set(zip(*np.nonzero(np.isnan(picture).any(axis=2)), strict=True)) == lacking
+    assert set(zip(*np.nonzero(np.isnan(picture).all(axis=2)), strict=True)) == lacking
+    # a picture of 600 x 700 px of 0.1 m that shows a part of maps of 1500 x 1600 px of 0.05 m
+    part = replace(cube, map_shape=(1500, 1600), gsd=0.05)
+    caption = sequence_cube.sliders(part)[0].caption
+    assert "60 m down × 70 m across, of the 75 m × 80 m of the maps" in caption
+    figure = sequence_cube.error_map_figure(part)
+    assert 79.0 < figure.data[0].x[-1] < 80.0 and 74.0 < figure.data[0].y[-1] < 75.0
+    apart = np.full((9, 9, 3), np.nan)
+    apart[:5, :, 0], apart[5:, :, 1:] = 1.0, 1.0
+    assert sequence_cube.sliders(replace(cube, after=apart, before=None)) == []
+
+
+def test_a_bow_that_is_warned_of_is_not_called_observable():
+    problem, found = flown(40)
+    # an even trend of rms s ends at s times the root of 3: this one moves the ground there by 2 px
+    sigma = 2.0 / np.sqrt(3.0) / FOCAL
+    told = replace(problem, known=replace(problem.known, attitude=np.full((40, 3), 1.0)))
+    poses = replace(found.poses, bow=np.array([[1e-4, sigma, 1e-4]]))
+    found = replace(found, poses=poses)
+    view = sequence_view(told, found)
+    assert bow_warnings(told, poses)
+    assert sequence_words.bow_rows(told, found, view)[0][-1] == "known to 2 px at the ends only"
+    assert "so that the flight may be bent: 1 sigma" in " ".join(sequence_words.sentences(told, found, view))

@@ -30,7 +30,7 @@ from sightline.products.cube_bands import BandLayout, frame_bands, line_bands
 from sightline.products.cube_fit import PairFit, error_map, fit_pairs
 from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
 from sightline.products.cube_store import CubeStore, MemoryStore
-from sightline.products.cube_tally import CubePicture, CubeTally, picture_bands
+from sightline.products.cube_tally import CubePicture, CubeTally, picture_bands, picture_factor
 from sightline.products.frame_cube import (
     CubeMaker,
     FrameViews,
@@ -174,6 +174,11 @@ class CubeSummary(ReadOnlyArrays):
     def gsd(self) -> float:
         """m, side of a pixel."""
         return self.grid.gsd
+
+    @property
+    def picture_gsd(self) -> float:
+        """m, side of a pixel of the pictures, which show only the part where all three bands have values."""
+        return self.grid.gsd * picture_factor(self.grid.shape)
 
     @property
     def extent(self) -> tuple[float, float, float, float]:

@@ -33,6 +33,11 @@ def picture_bands(layout: BandLayout) -> tuple[int, int, int]:
     return red, green, blue
 
 
+def picture_factor(shape: tuple[int, int]) -> int:
+    """Pixels of a map (rows, columns) along each side of a pixel of its picture."""
+    return max(1, -(-max(shape) // _PICTURE_PX))
+
+
 class CubeTally:
     """What is counted while tiles are filled, and the picture."""
 
@@ -68,7 +73,7 @@ class CubePicture:
     """Three bands, reduced."""
 
     def __init__(self, grid: CubeGrid, bands: int) -> None:
-        self.factor = max(1, -(-max(grid.shape) // _PICTURE_PX))
+        self.factor = picture_factor(grid.shape)
         rows, columns = (-(-n // self.factor) for n in grid.shape) if bands else (0, 0)
         self._sum = np.zeros((bands, rows, columns))
         self._count = np.zeros((bands, rows, columns))

@@ -43,11 +43,11 @@ class CubeView(ReadOnlyArrays):
     coverage : (B,)
         Share of the ground that lines of every band passed over for which each has a value.
     after : (rows, columns, 3)
-        Bands shown in red, green, blue by the poses found; NaN where there is no value.
+        Bands shown in red, green, blue by the poses found; NaN where any of the three has no value.
     rgb_nm : (3,)
         Their wavelengths.
     pixel_size : float
-        m
+        m, side of a pixel of `after`.
     before : (rows, columns, 3) or None
         The same by the told poses.
     error_px : (r, c) or None
@@ -104,7 +104,7 @@ def cube_view(cube: CubeSummary) -> CubeView | None:
         cube.passed,
         _picture(cube.after),
         cube.wavelength_nm[cube.rgb],
-        cube.grid.gsd * cube.grid.shape[1] / cube.after.shape[1],
+        cube.picture_gsd,
         before=_picture(cube.before) if cube.before.size else None,
         error_px=cube.error_map,
         pair_nm=np.abs(first - second),
@@ -122,8 +122,8 @@ def _sentence(text: str) -> str:
 
 
 def _picture(coded: NDArray[np.uint8]) -> Array:
-    """Tones (h, w, 3); NaN where there is no value."""
-    return np.where((coded == 0).all(axis=2, keepdims=True), np.nan, coded.astype(np.float64))
+    """Tones (h, w, 3); NaN where any band has no value: the others alone would look like misfit."""
+    return np.where((coded == 0).any(axis=2, keepdims=True), np.nan, coded.astype(np.float64))
 
 
 @dataclass(frozen=True)
@@ -149,11 +149,15 @@ class Slider:
 
 
 def sliders(cube: CubeView) -> list[Slider]:
-    """The whole ground reduced, and a detail pixel by pixel."""
+    """The whole picture reduced, and a detail pixel by pixel; none where the three bands never meet."""
+    if not np.isfinite(cube.after).all(axis=2).any():
+        return []
     rows, columns = cube.after.shape[:2]
     every = max(int(np.ceil(np.sqrt(rows * columns / OVERVIEW))), 1)
-    size = f"{digits(columns * cube.pixel_size, 3)} m × {digits(rows * cube.pixel_size, 3)} m"
-    reduced = f", means of {every} × {every} pixels" if every > 1 else ""
+    size = f"{digits(rows * cube.pixel_size, 3)} m down × {digits(columns * cube.pixel_size, 3)} m across"
+    whole = _map_size(cube)
+    of_map = f" of the {digits(whole[0], 3)} m × {digits(whole[1], 3)} m of the maps"
+    reduced = f", means of {every} × {every} of its pixels" if every > 1 else ""
     names = ", ".join(
         f"{nm:.0f} nm in {hue}" for nm, hue in zip(cube.rgb_nm, ("red", "green", "blue"), strict=True)
     )
@@ -161,18 +165,27 @@ def sliders(cube: CubeView) -> list[Slider]:
     pictures = [_reduced(picture, every) for picture in (cube.before, cube.after) if picture is not None]
     if turned:
         pictures = [np.rot90(picture) for picture in pictures]
-    out = [_slider("overview", f"The whole ground ({size}{reduced}){turned}: {names}.", pictures)]
+    shown = f"The part of the maps where all three bands have values ({size},{of_map}{reduced}){turned}"
+    out = [_slider("overview", f"{shown}: {names}.", pictures)]
     if every > 1 or rows > DETAIL[0] or columns > DETAIL[1]:
         first = _busiest(cube)
         part = tuple(slice(f, f + n) for f, n in zip(first, DETAIL, strict=True))
         last = [min(p.stop, n) - 1 for p, n in zip(part, (rows, columns), strict=True)]
         caption = (
-            f"A detail pixel by pixel, rows {first[0]} to {last[0]}, columns {first[1]} to {last[1]}: "
-            "coloured rims are misfit of bands, colours of whole areas are those of the ground."
+            "A detail of the same pixel by pixel, its "
+            f"rows {first[0]} to {last[0]}, columns {first[1]} to {last[1]}: coloured rims are misfit of "
+            "bands, colours of whole areas are those of the ground."
         )
         crops = [picture[part] for picture in (cube.before, cube.after) if picture is not None]
         out.append(_slider("detail", caption, crops))
     return out
+
+
+def _map_size(cube: CubeView) -> Array:
+    """m; sides of the maps down and across, of which the picture may be a part."""
+    if cube.map_shape is None or not cube.gsd:
+        return np.array(cube.after.shape[:2]) * cube.pixel_size
+    return np.array(cube.map_shape) * cube.gsd
 
 
 def _turned(cube: CubeView) -> bool:
@@ -223,7 +236,7 @@ def error_map_figure(cube: CubeView) -> go.Figure | None:
         return None
     every = max(int(np.ceil(np.sqrt(cube.error_px.size / MAP_CELLS))), 1)
     shown = _block_rms(cube.error_px, every)
-    size = np.array(cube.after.shape[:2]) * cube.pixel_size
+    size = _map_size(cube)
     down, along = ((np.arange(n) + 0.5) / n * whole for n, whole in zip(shown.shape, size, strict=True))
     names = ("from the first column (m)", "from the first row (m)")
     x, y, tall = along, down, float(size[0] / size[1])
@@ -319,14 +332,17 @@ def cube_sentences(cube: CubeView) -> list[str]:
     if len(cube.pair_rms_px):
         rms = float(np.sqrt(np.mean(cube.pair_rms_px**2)))
         far = cube.pair_nm >= np.quantile(cube.pair_nm, 0.75)
+        least, most = cube.pair_rms_px.min(), cube.pair_rms_px.max()
         said = (
-            f"Bands lie within {digits(rms, 2)} px rms of each other over the {len(cube.pair_rms_px):,} "
-            f"pairs that look alike enough to be compared, up to {cube.pair_nm.max():.0f} nm apart; "
-            f"the quarter of the pairs farthest apart (from {cube.pair_nm[far].min():.0f} nm on) within "
-            f"{digits(float(np.sqrt(np.mean(cube.pair_rms_px[far] ** 2))), 2)} px"
+            f"Bands lie on each other to {least:.2g} to {most:.2g} px rms per axis in those "
+            f"{len(cube.pair_rms_px):,} pairs that look alike enough to be compared, up to "
+            f"{cube.pair_nm.max():.0f} nm apart, each over the windows compared. "
+            f"All these pairs together have {digits(rms, 2)} px rms, the quarter of them farthest apart "
+            f"(from {cube.pair_nm[far].min():.0f} nm on) "
+            f"{digits(float(np.sqrt(np.mean(cube.pair_rms_px[far] ** 2))), 2)} px rms"
         )
         if cube.pair_before_px is not None:
             before = float(np.sqrt(np.mean(cube.pair_before_px**2)))
-            said += f"; by the told poses it would be {digits(before, 2)} px"
+            said += f"; by the told poses all would have {digits(before, 2)} px rms"
         out.append(said + ".")
     return [*out, *cube.notes]

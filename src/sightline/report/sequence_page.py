@@ -62,7 +62,7 @@ def sequence_html(
         "sequence.html.j2",
         name=summary["name"],
         about=about(problem, summary, view),
-        sentences=words.sentences(problem, found, view) + _cube_words(cube),
+        sentences=words.sentences(problem, found, view) + _cube_words(problem, cube),
         warnings=list(summary.get("warnings", found.warnings)),
         bias_heads=words.BIAS_HEADS,
         biases=words.bias_rows(problem, found) + words.focal_row(problem, found),
@@ -84,8 +84,18 @@ def sequence_html(
     )
 
 
-def _cube_words(cube: CubeView | None) -> list[str]:
-    return [] if cube is None else sequence_cube.cube_sentences(cube)
+def _cube_words(problem: SequenceProblem, cube: CubeView | None) -> list[str]:
+    """The cube, and what its bands tell of the poses where they come from different frames."""
+    if cube is None:
+        return []
+    by_line = problem.detector.wavelength_nm is not None
+    if not by_line or not len(cube.pair_rms_px):
+        return sequence_cube.cube_sentences(cube)
+    relative = (
+        "Behind the filter two bands of one place come from different frames: how well bands fit is a "
+        "measured figure of how well those frames are known to each other, beside the absolute sigmas above."
+    )
+    return [*sequence_cube.cube_sentences(cube), relative]
 
 
 def about(problem: SequenceProblem, summary: Mapping[str, Any], view: SequenceView) -> str:

@@ -38,7 +38,8 @@ PANEL, SEEN_PX = (500, 430), 7.0
 SLIM = 5.0
 #: Size of a panel over what is in it.
 _ROOM = 1.08
-_ELLIPSE = "#7b4ea3"
+#: As it is seen, in the legend too: no line so thin and no opacity that would make it another there.
+_ELLIPSE = "#9a74bd"
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,7 +247,7 @@ def _ellipses(figure: go.Figure, view: SequenceView, panel: Drawn, col: int) -> 
     middle = panel.place.mean(axis=0)  # single precision is enough about the middle
     x, y = (small(ring[:, axis].ravel() - middle[axis]) + middle[axis] for axis in (0, 1))
     figure.add_scatter(
-        x=x, y=y, row=1, col=col, mode="lines", line={"color": _ELLIPSE, "width": 1}, opacity=0.75,
+        x=x, y=y, row=1, col=col, mode="lines", line={"color": _ELLIPSE, "width": 1.5},
         name="95 % ellipses of the absolute position of some frames", legendgroup="ellipses",
         showlegend=col == 1, hoverinfo="skip",
     )  # fmt: skip

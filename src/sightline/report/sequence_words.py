@@ -23,6 +23,8 @@ Index = NDArray[np.intp]
 #: rad; a trend of the angles known no better is said not to be observable: it bends the ground of a strip
 #: by more than a hundredth of the flying height at its ends.
 LOOSE_BOW = np.radians(1.0)
+#: px at the ends of a stretch from which on a warning says that it may be bent, which words must not belie.
+BENT_PX = 1.0
 #: Share of the sigma that was known beforehand from which on data told nothing of it.
 UNTOLD = 0.9
 #: Rows of a table at most, and rows from which on it is folded up.
@@ -68,8 +70,9 @@ def _what(found: SequencePoses, view: SequenceView) -> str:
     length = f"{digits(size / 1e3, 3)} km" if size >= 1e4 else f"{digits(size, 3)} m"
     text = (
         f"{several(len(view.t), 'frame')} over {digits(float(np.ptp(view.t)), 3)} s and {length} of path in "
-        f"{'one stretch' if pauses == 1 else f'{pauses} stretches'} of flight: {count[0]:,} solved (the "
-        f"subset), {count[1]:,} estimated from what they share with others, "
+        f"{'one stretch' if pauses == 1 else f'{pauses} stretches'} of the flight (frames "
+        f"between pauses): {count[0]:,} solved (the subset), {count[1]:,} estimated from what they share "
+        "with others, "
         + (
             "none interpolated."
             if not count[2]
@@ -101,8 +104,9 @@ def _how_well(view: SequenceView) -> str:
             "of tilt that make up for each other left out."
         )
     return text + (
-        " These are sigmas of absolute poses: what all frames have wrong together is in them, and neighbours "
-        "are known to each other far better."
+        " These are sigmas of absolute poses: what all frames have wrong together (the datum) is in them, "
+        "and neighbours are known to each other far better. How much better no sigma says; where a truth is "
+        'at hand "sightline score --table" does, in its rows "turned and moved".'
     )
 
 
@@ -227,25 +231,36 @@ def bow_rows(problem: SequenceProblem, found: SequencePoses, view: SequenceView)
                 digits(float(np.ptp(view.along[frames])), 4),
                 digits(float(np.ptp(view.t[frames])), 4),
                 *(digits(float(np.degrees(b)), 2) for b in bow),
-                bow_verdict(problem, bow, frames),
+                bow_verdict(problem, bow, frames, bent_px(problem, found, bow)),
             ]
         )
     return rows
 
 
-def bow_verdict(problem: SequenceProblem, bow: Array, frames: Index) -> str:
-    """Whether images or tables tell how a stretch is bent."""
+def bent_px(problem: SequenceProblem, found: SequencePoses, bow: Array) -> Array:
+    """px (3,), 1 sigma by which the bow about each axis moves the ground at the ends of a stretch."""
+    detector = found.poses.detector(problem.detector)
+    # about the line of sight a turn moves the corner of a frame most; a trend of rms 1 ends at the root of 3
+    lever = np.array([detector.focal_length_px] * 2 + [0.5 * float(np.hypot(*detector.shape))])
+    return np.asarray(np.sqrt(3.0) * bow * lever)
+
+
+def bow_verdict(problem: SequenceProblem, bow: Array, frames: Index, px: Array) -> str:
+    """Whether images or tables tell how a stretch is bent; `px` as of `bent_px`."""
     if len(frames) < 2:
         return "a single frame has none"
     loose = [axis for axis, b in zip(PARAMETERS[3:], bow, strict=True) if not b < LOOSE_BOW]
     if loose:
         return f"not observable about {_listed(loose)}"
+    known = (
+        "observable" if px.max() < BENT_PX else f"known to {digits(float(px.max()), 2)} px at the ends only"
+    )
     with np.errstate(divide="ignore"):
         by_table = (problem.known.attitude[frames] ** -2.0).sum(axis=0) ** -0.5
     alone = [axis for axis, b, s in zip(PARAMETERS[3:], bow, by_table, strict=True) if b > UNTOLD * s]
     if alone:
-        return f"observable; held by the told attitudes alone about {_listed(alone)}"
-    return "observable"
+        return f"{known}; held by the told attitudes alone about {_listed(alone)}"
+    return known
 
 
 def _bow(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> str:
@@ -254,7 +269,11 @@ def _bow(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> 
     if not groups:
         return ""
     bows = np.array([found.poses.bow[n] for n, _ in groups])
-    verdicts = {n + 1: bow_verdict(problem, found.poses.bow[n], rows) for n, rows in groups}
+    px = np.array([bent_px(problem, found, bow) for bow in bows])
+    verdicts = {
+        n + 1: bow_verdict(problem, bow, rows, moved)
+        for (n, rows), bow, moved in zip(groups, bows, px, strict=True)
+    }
     hidden = [
         f"{verdict.partition(' about ')[2]} in stretch {n}"
         for n, verdict in verdicts.items()
@@ -273,10 +292,18 @@ def _bow(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> 
         )
     if parts:
         whose = "" if len(groups) == 1 else " of the worst stretch"
-        which = "What is observable of the bow" if hidden else "The bow is observable"
+        ends = float(np.where(bows < LOOSE_BOW, px, 0.0).max())
+        which = (
+            "What is observable of the bow"
+            if hidden
+            else "The bow is observable"
+            if ends < BENT_PX
+            else "The bow is observable, but not to a pixel, so that the flight may be bent"
+        )
         said.append(
             f"{which}: 1 sigma of an even trend of the angles' errors from the first frame to the "
-            f"last{whose}, rms along it, is {'; '.join(parts)}."
+            f"last{whose}, rms along it, is {'; '.join(parts)}, which moves the ground at its ends by up to "
+            f"{digits(ends, 2)} px."
         )
     return " ".join(said)
 
