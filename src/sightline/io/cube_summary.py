@@ -5,6 +5,7 @@ Not here: the pixels (``cube_files.py``).
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -80,6 +81,14 @@ def write_cube(
         return summary, store.finish(tell)
     finally:
         store.discard()
+
+
+def remove_cube(folder: Path) -> None:
+    """Remove the files of a cube that was begun, where they are not all of it."""
+    for name in ("bands", "cube.zarr"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    for name in ("cube.tif", "cube.dat", "cube.hdr"):
+        (folder / name).unlink(missing_ok=True)
 
 
 def cube_summary(cube: CubeSummary, files: Sequence[str] = ()) -> dict[str, Any]:
