@@ -169,6 +169,7 @@ def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any])
         "usual sigma of a pose: x {sigma_x:.3g}, y {sigma_y:.3g}, z {sigma_z:.3g} m; roll {sigma_roll:.2g}, "
         "pitch {sigma_pitch:.2g}, yaw {sigma_yaw:.2g} degrees".format(**middle)
     )
+    say(_view_words(sequence, found))
     if summary["focal_length"] is not None:
         say(_focal_words(summary["focal_length"]))
     seen = summary["sightings"]
@@ -180,6 +181,14 @@ def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any])
         tell_cube(summary["cube"])
     for note in summary["export_notes"]:
         say(note)
+
+
+def _view_words(sequence: FrameSequence, found: SequencePoses) -> str:
+    """The field of view, which shows a focal length in other units."""
+    from sightline.io.sequence import field_of_view
+
+    along, across = field_of_view(found.poses.detector(sequence.problem.detector))
+    return f"field of view {along:.3g} degrees along x {across:.3g} across"
 
 
 def _focal_words(focal: dict[str, Any]) -> str:
