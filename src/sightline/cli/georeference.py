@@ -140,7 +140,7 @@ def write_georeferenced(
     view = None
     if cube and sequence.cube.make:
         try:
-            made, files = write_cube(folder, sequence, found, progress=report, tell=report)
+            made, files = write_cube(folder, sequence, found, progress=report)
             more["cube"], view = cube_summary(made, files), cube_view(made)
         except SightlineError as error:
             # the poses took hours and are good: they are not lost with the maps

@@ -54,7 +54,6 @@ def write_cube(
     found: SequencePoses,
     *,
     progress: Callable[[str, int, int], None] | None = None,
-    tell: Callable[[str], None] = lambda text: None,
 ) -> tuple[CubeSummary, tuple[str, ...]]:
     """Make the cube of a sequence and write its files.
 
@@ -65,9 +64,7 @@ def write_cube(
     sequence : FrameSequence
     found : SequencePoses
     progress : callable, optional
-        Called with the stage, tiles done and tiles in all.
-    tell : callable
-        Told in words what is being written.
+        Called with the stage, what is done of it (tiles, pairs of bands, files) and all of that.
 
     Returns
     -------
@@ -78,7 +75,7 @@ def write_cube(
     store = CubeFolder(folder, sequence.cube.formats, one_file=sequence.cube.one_file)
     try:
         summary = assemble_cube(sequence.problem, found, cube_plan(sequence.cube), store, progress)
-        return summary, store.finish(tell)
+        return summary, store.finish(progress)
     finally:
         store.discard()
 

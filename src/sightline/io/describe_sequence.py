@@ -57,7 +57,7 @@ def _understood(sequence: FrameSequence) -> list[str]:
         f"{np.ptp(problem.t):.6g} s, {int(problem.usable.sum())} of them usable",
         _focal_words(problem),
         _filter_words(problem),
-        f"by the rough poses a frame covers {length:.4g} m along its lines; a subset of "
+        f"by the rough poses{_over(problem)} a frame covers {length:.4g} m along its lines; a subset of "
         f"{problem.overlap:.0%} overlap "
         f"has a frame every {(1.0 - problem.overlap) * length:.4g} m",
     ]
@@ -94,6 +94,13 @@ def _understood(sequence: FrameSequence) -> list[str]:
         said.append(f"{len(problem.control.point)} control points, seen {len(problem.control_tracks)} times")
     said += [f"note: {words}" for words in problem.warnings]
     return said
+
+
+def _over(problem: SequenceProblem) -> str:
+    """The height of ground that is a start only."""
+    if not isinstance(problem.surface, Plane | Ellipsoid) or problem.height_sigma > 0.0:
+        return ""
+    return f", over ground at {problem.surface.height:g} m,"
 
 
 def _focal_words(problem: SequenceProblem) -> str:
