@@ -30,7 +30,12 @@ def test_the_field_of_view_shows_a_focal_length_in_mm(tmp_path):
     assert "field of view of 33.4 degrees along x 43.6 across" in said and "mm" not in said
     made.toml = made.toml.replace("focal_length_px = 40.0", "focal_length_px = 8.0")
     # 2 atan(12 / 8), 2 atan(16 / 8)
-    warned = [w for w in read_sequence(made.write(tmp_path / "mm")).problem.warnings if "field of view" in w]
+    path = made.write(tmp_path / "mm")
+    assert any(
+        words.startswith("suspicious: the field of view")
+        for words in describe_sequence(read_sequence(path))["missing"]
+    )
+    warned = [w for w in read_sequence(path).problem.warnings if "field of view" in w]
     assert len(warned) == 1 and "113 x 127 degrees" in warned[0] and "given in mm" in warned[0]
 
 

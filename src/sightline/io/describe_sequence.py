@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.io.describe_outlook import map_words, overlap_words, program_words, time_words
-from sightline.io.sequence import FrameSequence, field_of_view
+from sightline.io.sequence import FrameSequence, field_of_view, wide_words
 
 Array = NDArray[np.float64]
 
@@ -92,7 +92,8 @@ def _understood(sequence: FrameSequence) -> list[str]:
                 )
     if problem.control is not None and problem.control_tracks is not None:
         said.append(f"{len(problem.control.point)} control points, seen {len(problem.control_tracks)} times")
-    said += [f"note: {words}" for words in problem.warnings]
+    doubted = wide_words(problem.detector)
+    said += [f"note: {words}" for words in problem.warnings if words not in doubted]
     return said
 
 
@@ -133,7 +134,8 @@ def _filter_words(problem: SequenceProblem) -> str:
 
 def _missing(problem: SequenceProblem) -> list[str]:
     lost = np.flatnonzero(~problem.usable)
-    said = [f"frame {problem.frames[k]}: {problem.excluded[k]}" for k in lost[:LISTED]]
+    said = [f"suspicious: {words}" for words in wide_words(problem.detector)]
+    said += [f"frame {problem.frames[k]}: {problem.excluded[k]}" for k in lost[:LISTED]]
     if len(lost) > LISTED:
         said.append(f"and {len(lost) - LISTED} more frames that cannot be used")
     if problem.usable.sum() == 1:

@@ -198,7 +198,7 @@ def detector_of(
             "pixels, (line, column)?",
         )
     detector = AreaDetector("camera", shape, focal, principal, distortion, _wavelengths(camera, files, shape))
-    return detector, sigma, (*words, *_wide_words(detector))
+    return detector, sigma, (*words, *wide_words(detector))
 
 
 def field_of_view(detector: AreaDetector) -> tuple[float, float]:
@@ -209,8 +209,8 @@ def field_of_view(detector: AreaDetector) -> tuple[float, float]:
     return lines, columns
 
 
-def _wide_words(detector: AreaDetector) -> tuple[str, ...]:
-    """A focal length that makes the view wider than lenses without a fisheye's projection have it."""
+def wide_words(detector: AreaDetector) -> tuple[str, ...]:
+    """A doubt of a focal length that makes the view wider than any lens but a fisheye has it; else none."""
     along, across = field_of_view(detector)
     if max(along, across) <= _WIDEST:
         return ()
