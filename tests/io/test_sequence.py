@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import warnings
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from sightline.geometry.earth import from_geodetic, local_axes
 from sightline.io.config import json_schema, kind_of
 from sightline.io.describe_sequence import describe_sequence
 from sightline.io.frame_files import opened
-from sightline.io.sequence import load_sequence, read_sequence
+from sightline.io.sequence import _focal_length, load_sequence, read_sequence
 from sightline.io.sequence_poses import track_attitude
 from sightline.io.sequence_positions import place_of
 from sightline.io.xmp import gimbal_attitude, parse_xmp
@@ -601,3 +602,14 @@ def test_every_key_has_a_description_and_a_test_or_a_default():
         table = schema if name == "SequenceFile" else schema["$defs"][name]
         for key, entry in table["properties"].items():
             assert "description" in entry or "$ref" in str(entry), f"{name}.{key}"
+
+
+def test_a_focal_length_of_exif_is_where_estimate_begins_as_well_as_it_is_known():
+    # 36 mm of film on the diagonal's scale: 43.27 mm are 500 px across a 3-4-5 frame
+    exif = SimpleNamespace(focal_35mm=43.2666)
+    frames = SimpleNamespace(xmp=(None,), exif=(None, exif))
+    for given, expected in (("estimate", 50.0), (None, 0.0)):
+        camera = SimpleNamespace(focal_length=given, focal_length_sigma_px=0.0, focal_length_px=None)
+        focal, sigma, words = _focal_length(camera, None, frames, (300, 400))
+        assert focal == pytest.approx(500.0, rel=1e-4) and sigma == pytest.approx(expected, rel=1e-4)
+        assert "10 %" in words[0]

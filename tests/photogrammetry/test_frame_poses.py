@@ -12,12 +12,11 @@ from sightline.errors import InputError
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
+from sightline.photogrammetry.flight_path import path_precision, path_roughness
 from sightline.photogrammetry.frame_poses import (
     FramePoses,
     RoughPoses,
     adjust_frames,
-    path_precision,
-    path_roughness,
 )
 from sightline.photogrammetry.point_priors import HeightPrior, PointPriors
 from sightline.photogrammetry.sightings import Images, Tracks, sight_frames

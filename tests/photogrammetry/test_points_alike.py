@@ -1,10 +1,13 @@
-"""How many points share one error of a surface: against means of drawn surfaces."""
+"""What surfaces say of points: how many share one error, against drawn surfaces; how far above they are."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from sightline.geometry.earth import from_geodetic
+from sightline.geometry.surface import level_surface
+from sightline.photogrammetry.point_priors import HeightPrior
 from sightline.photogrammetry.relief import points_alike
 
 
@@ -25,3 +28,13 @@ def test_points_far_apart_stand_alone():
     assert points_alike(np.array([[0.0, 0.0], [1e6, 0.0], [0.0, 1e6]]), 900.0) == pytest.approx(1.0)
     assert points_alike(np.zeros((1, 2)), 900.0) == 1.0
     assert points_alike(np.zeros((5000, 2)), 900.0) == pytest.approx(5000.0)
+
+
+def test_points_far_under_an_ellipsoid_are_under_it_by_as_much():
+    # a camera in orbit may begin with points tens of kilometres under the ground
+    radii = (6378137.0, 6356752.314245)
+    heights = np.array([100.0, -5e3, -40e3, -300e3])
+    points = from_geodetic(np.column_stack([np.full(4, 0.3), np.full(4, 0.5), heights]))
+    above, slope = HeightPrior(level_surface(radii, 500.0), 1.0, radii).above(points)
+    np.testing.assert_allclose(above, heights - 500.0, atol=1.0)  # of one ellipsoid's normal and the other's
+    np.testing.assert_allclose(np.linalg.norm(slope, axis=1), 1.0, atol=1e-3)

@@ -23,7 +23,7 @@ from sightline.errors import InputError
 from sightline.execution import CpuClock, one_blas_thread
 from sightline.geometry.checks import ReadOnlyArrays
 from sightline.imaging.source import ImageSource
-from sightline.photogrammetry.frame_poses import stretches
+from sightline.photogrammetry.flight_path import stretches
 from sightline.photogrammetry.rolling_shutter import line_poses
 from sightline.photogrammetry.sightings import Images
 from sightline.products.cube_bands import BandLayout, frame_bands, line_bands

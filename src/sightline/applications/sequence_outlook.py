@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.geometry.checks import Array, read_only
-from sightline.photogrammetry.frame_poses import stretches
+from sightline.photogrammetry.flight_path import stretches
 
 #: Times the usual step from which on frames are missing between two of a stretch.
 _MISSING = 1.6

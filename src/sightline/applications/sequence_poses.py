@@ -172,10 +172,10 @@ def georeference_sequence(
     run.stages.depend([photogrammetry, cross])
     problem = begun(problem, followed)
     model = None
-    if photogrammetry:
-        problem, model = _with_model(problem, followed, subset, run)
-        run.note(MODELLED)
     try:
+        if photogrammetry:
+            problem, model = _with_model(problem, followed, subset, run)
+            run.note(MODELLED)
         found, tracks = _all_poses(problem, followed, cross, run)
     except EstimationError as error:
         if "does not converge" not in str(error):

@@ -114,5 +114,5 @@ def approached(
         if last:
             return counted, poses, []
         near = np.flatnonzero(~found.rejected[: len(tracks)])
-        tracks, counted = tracks[near], weighed[near]
+        tracks = tracks[near]
         loose /= _FINER

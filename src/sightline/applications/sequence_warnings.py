@@ -12,8 +12,9 @@ from scipy.sparse.csgraph import connected_components
 
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.errors import EstimationError
+from sightline.photogrammetry.flight_path import stretches
 from sightline.photogrammetry.frame_focal import FocalStretch
-from sightline.photogrammetry.frame_poses import FramePoses, stretches
+from sightline.photogrammetry.frame_poses import FramePoses
 from sightline.photogrammetry.frame_subset import Subset
 from sightline.photogrammetry.sightings import Tracks
 

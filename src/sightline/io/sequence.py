@@ -234,7 +234,7 @@ def _focal_length(
             focal = exif.focal_35mm / _FILM_DIAGONAL * float(np.hypot(*shape))
             words = f"focal length by EXIF: {focal:.4g} px +- {100 * _FILM_SIGMA:.0f} %"
             if sigma > 0.0:
-                return focal, sigma, (words,)
+                return focal, min(sigma, _FILM_SIGMA * focal), (f"{words}, refined from there",)
             return focal, 0.0, (f"{words}, taken as it is: {_NOT_REFINED}",)
     raise FormatError(
         f"{files.toml}: key 'camera.focal_length_px' is missing, and no photograph tells it; add it "

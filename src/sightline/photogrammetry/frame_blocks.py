@@ -24,6 +24,7 @@ from sightline.errors import EstimationError
 from sightline.estimation.banded_blocks import BlockwiseFactor
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.photogrammetry.descent import DIVERGED, Block, State
+from sightline.photogrammetry.flight_path import trend_forms
 from sightline.photogrammetry.frame_focal import FocalStretch, common_errors, globals_of
 from sightline.photogrammetry.frame_poses import (
     FramePoses,
@@ -33,7 +34,6 @@ from sightline.photogrammetry.frame_poses import (
     from_poses,
     held_at,
     moved_images,
-    trend_forms,
 )
 from sightline.photogrammetry.observability import observability
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors

@@ -4,7 +4,8 @@ Every frame is free. Tables of positions and attitudes hold it where they are, e
 its own; between neighbours of one stretch the path is as smooth as it was found to be. One banded solution
 gives all frames with the covariance of each, those that no image evidence reaches too.
 
-Not here: finding the points (``applications/``), constant errors of calibrated cameras (``bundle.py``).
+Not here: how smooth a path is (``flight_path.py``), finding the points (``applications/``), constant errors
+of calibrated cameras (``bundle.py``).
 """
 
 from __future__ import annotations
@@ -20,6 +21,15 @@ from sightline.execution import one_blas_thread
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
 from sightline.photogrammetry.descent import Block, Fit, State, descend, first_state, seen_twice
+from sightline.photogrammetry.flight_path import (
+    UNITS,
+    bends,
+    path_precision,
+    path_roughness,
+    path_turns,
+    stretches,
+    trend_forms,
+)
 from sightline.photogrammetry.frame_focal import (
     FocalStretch,
     common_errors,
@@ -35,18 +45,12 @@ from sightline.photogrammetry.reduced import PointsFirst, gather
 from sightline.photogrammetry.sightings import Images, Sightings, as_index
 from sightline.photogrammetry.solving_order import solving_order
 
-#: rad, m: units of the unknowns; any of the size of the corrections keeps numbers near one.
-_UNITS = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1])
-#: Roughness (unit^2 / s^3 in `_UNITS`) with which the first solution starts: hardly any smoothness.
+#: Roughness (unit^2 / s^3 in `UNITS`) with which the first solution starts: hardly any smoothness.
 _LOOSE_ROUGHNESS = 1e8
-#: Times the usual step between frames from which on it is a pause.
-_PAUSE = 10.0
 #: Rounds in which the roughness of the path is measured anew.
 _ROUNDS = 2
 #: Steps end when the next would lower the cost by less (chi-square units): a hundredth of a sigma.
 _CONVERGED = 1e-4
-#: Bends end to end that tell how rough a path is over a step.
-_LEAST_BENDS = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,83 +177,10 @@ class FramePoses(ReadOnlyArrays):
         return replace(told, focal_length_px=told.focal_length_px * (1.0 + self.focal.stretch))
 
 
-def stretches(t: Array) -> NDArray[np.intp]:
-    """Which stretch (M,) of the flight each frame is of: a new one begins after a pause.
-
-    Parameters
-    ----------
-    t : (M,)
-        s, increasing.
-    """
-    step = np.diff(t)
-    pause = step > _PAUSE * np.median(step) if len(step) else np.zeros(0, dtype=bool)
-    return np.concatenate([[0], np.cumsum(pause)]).astype(np.intp)
-
-
-def path_precision(t: Array, roughness: Array, stretch: NDArray[np.intp], rank: NDArray[np.intp]) -> Array:
-    """Prior precision (M, 1 + s, 6, 6) that ties each frame to the two before it.
-
-    Parameters
-    ----------
-    t : (M,)
-        s, increasing.
-    roughness : (6,)
-        Spectral density of the second derivative of each unknown, unit^2 / s^3.
-    stretch : (M,) int
-        Frames of different stretches are not tied.
-    rank : (M,) int
-        Row of the precision that each frame has.
-
-    Returns
-    -------
-    (M, 1 + s, 6, 6)
-        As `PoseUnknowns.precision`. Straight and even motion costs nothing.
-
-    Notes
-    -----
-    With white acceleration the bend (x3 - x2)/h2 - (x2 - x1)/h1 has variance roughness (h1 + h2)/3; that
-    neighbouring bends go together is left out.
-    """
-    row, at, strength = _bends(t, roughness, stretch)
-    places = rank[at[:, None] + np.arange(-2, 1)]
-    reach = int(np.abs(places[:, :, None] - places[:, None, :]).max()) if len(at) else 0
-    out = np.zeros((len(t), 1 + reach, 6, 6))
-    axis = np.arange(6)
-    for i in range(3):
-        for j in range(3):
-            # each pair once: the block below the diagonal
-            low = places[:, i] >= places[:, j]
-            first, second = places[low, i], places[low, j]
-            value = (row[low, i] * row[low, j])[:, None] * strength[low]
-            np.add.at(out, (first[:, None], (first - second)[:, None], axis, axis), value)
-    return out
-
-
-def _bends(t: Array, roughness: Array, stretch: NDArray[np.intp]) -> tuple[Array, NDArray[np.intp], Array]:
-    """Bends of a path: weights (n, 3) of three frames in a row, the last (n,), 1 / variance (n, 6)."""
-    h = np.diff(t)
-    first, last = 1.0 / h[:-1], 1.0 / h[1:]
-    row = np.stack([first, -(first + last), last], axis=1)
-    kept = np.flatnonzero(stretch[2:] == stretch[:-2])
-    strength = 3.0 / ((h[:-1] + h[1:])[:, None] * roughness)
-    return row[kept], kept + 2, strength[kept]
-
-
 def moved_images(images: Images, moved: Array) -> Images:
     """Images turned and moved by (M, 6)."""
     turned = images.world_from_body * Rotation.from_rotvec(moved[:, :3])
     return replace(images, position=images.position + moved[:, 3:], world_from_body=turned)
-
-
-def path_turns(images: Images, stretch: NDArray[np.intp]) -> Array:
-    """Poses as a path (M, 6): turns (rad, body axes) from the mean of the stretch, and places (m)."""
-    out = np.empty((len(images), 6))
-    out[:, 3:] = images.position - images.position.mean(axis=0)
-    for number in np.unique(stretch):
-        rows = np.flatnonzero(stretch == number)
-        attitude = images.world_from_body[rows]
-        out[rows, :3] = (attitude.mean().inv() * attitude).as_rotvec()
-    return out
 
 
 def frame_unknowns(
@@ -289,18 +220,18 @@ def frame_unknowns(
     moved = np.zeros((count, 6)) if moved is None else moved
     rank = np.arange(count) if rank is None else rank
     stretch = stretches(images.t)
-    small = roughness / _UNITS**2
+    small = roughness / UNITS**2
     precision = path_precision(images.t, small, stretch, rank)
     # it is the path itself that is smooth, not what tables have wrong of it
-    row, at, strength = _bends(images.t, small, stretch)
-    planned = path_turns(moved_images(images, moved), stretch) / _UNITS
+    row, at, strength = bends(images.t, small, stretch)
+    planned = path_turns(moved_images(images, moved), stretch) / UNITS
     bend = np.einsum("nk,nka->na", row, planned[at[:, None] + np.arange(-2, 1)])
     pull = np.zeros((count, 6))
     for k in range(3):
         pull[rank[at + k - 2]] += row[:, k, None] * strength * bend
-    told = known.precision() * np.multiply.outer(_UNITS, _UNITS)
+    told = known.precision() * np.multiply.outer(UNITS, UNITS)
     precision[rank, 0] += told
-    departed = np.einsum("mab,mb->ma", told, moved / _UNITS)
+    departed = np.einsum("mab,mb->ma", told, moved / UNITS)
     pull[rank] += departed
     parts, names, information = [], [], []
     width = 7 if known.focal_length > 0.0 else 6
@@ -322,7 +253,7 @@ def frame_unknowns(
     return PoseUnknowns(
         as_index(rank, "shot"),
         as_index(np.zeros(count), "slot"),
-        frozen(np.broadcast_to(np.eye(width, 6) * _UNITS, (count, width, 6))),
+        frozen(np.broadcast_to(np.eye(width, 6) * UNITS, (count, width, 6))),
         frozen(by_global),
         frozen(np.array(information)),
         tuple(names),
@@ -330,7 +261,7 @@ def frame_unknowns(
         frozen(precision),
         np.inf,  # each has a prior
         frozen(pull),
-        float((strength * bend**2).sum() + (departed * moved / _UNITS).sum()),
+        float((strength * bend**2).sum() + (departed * moved / UNITS).sum()),
     )
 
 
@@ -374,7 +305,7 @@ def adjust_frames(
     order = solving_order(images, sightings)
     moved = np.zeros((len(images), 6)) if start is None else departures_of(images, start)
     solved = start if isinstance(start, FramePoses) else None
-    rough = np.full(6, _LOOSE_ROUGHNESS) * _UNITS**2 if solved is None else solved.roughness
+    rough = np.full(6, _LOOSE_ROUGHNESS) * UNITS**2 if solved is None else solved.roughness
     common = (
         None
         if solved is None
@@ -459,49 +390,6 @@ def _count(sightings: Sightings, weight: Array, images: Images) -> Array:
     return np.asarray(np.bincount(sightings.image, weight, minlength=len(images)), dtype=np.float64)
 
 
-def path_roughness(t: Array, path: Array, seen: Array) -> Array:
-    """Roughness (6,) of a path, by its bends over steps from one frame to a good part of the flight.
-
-    Parameters
-    ----------
-    t : (M,)
-        s, increasing.
-    path : (M, 6)
-    seen : (M,)
-        Sightings of each frame: bends between well seen frames count (all, if there are none).
-
-    Notes
-    -----
-    The bend over two steps of h has the variance 2 h / 3 times the roughness where acceleration is white. A
-    flight's is not: it sways for seconds. By bends of neighbours alone the path would be taken to be far
-    straighter than it is; the largest roughness of all steps holds for each. Over gaps longer than the
-    steps that were seen, bends may go on in one sense. That of turns is one for all axes: what smoothness
-    says must not depend on how the axes of the body lie.
-    """
-    stretch, good = stretches(t), seen >= 4.0
-    out = np.zeros(6)
-    step = longest = 1
-    while step == 1 or _LEAST_BENDS * 2 * step <= len(t):
-        first, middle, last = (slice(k * step, len(t) - (2 - k) * step) for k in range(3))
-        h1, h2 = t[middle] - t[first], t[last] - t[middle]
-        bend = (path[last] - path[middle]) / h2[:, None] - (path[middle] - path[first]) / h1[:, None]
-        size = bend**2 * (3.0 / (h1 + h2))[:, None]
-        tied = stretch[first] == stretch[last]
-        clear = tied & good[first] & good[middle] & good[last]
-        used = size[clear] if clear.any() else size[tied]
-        if len(used):
-            out, longest = np.maximum(out, used.mean(axis=0)), step
-        step *= 2
-    out[:3] = out[:3].max()
-    return np.maximum(out, 1e-12 * _UNITS**2) * max(_longest_gap(good) / longest, 1.0)
-
-
-def _longest_gap(good: NDArray[np.bool_]) -> int:
-    """Most frames in a row that are not good; 0 where none are."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], ~good, [False]]).astype(np.int8)))
-    return int((edges[1::2] - edges[::2]).max(initial=0)) if good.any() else 0
-
-
 def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: RoughPoses) -> FramePoses:
     """A solution as poses with covariance."""
     unknowns, sightings, state, reduced = block.unknowns, block.sightings, fit.state, fit.equations.reduced
@@ -529,28 +417,6 @@ def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: Roug
         _bow(images, block, reduced),
         focal,
     )
-
-
-def trend_forms(t: Array, width: int = 6) -> Array:
-    """Weights (M, D, 3 S) of departures that give the even trend of each angle over each of S stretches.
-
-    Parameters
-    ----------
-    t : (M,)
-        s, increasing. The trend is its rms over the stretch, rad; 0 of a single frame.
-    width : int
-        D, numbers of a departure; angles are the first three.
-    """
-    stretch = stretches(t)
-    out = np.zeros((len(t), width, int(stretch[-1]) + 1, 3))
-    for number in range(out.shape[2]):
-        rows = np.flatnonzero(stretch == number)
-        place = t[rows] - t[rows].mean()
-        size = float(np.sqrt((place**2).mean()))
-        if size > 0.0:
-            for axis in range(3):
-                out[rows, axis, number, axis] = place / (len(rows) * size)
-    return out.reshape(len(t), width, -1)
 
 
 def _bow(images: Images, block: Block, reduced: PointsFirst | LinkedFrames) -> Array:

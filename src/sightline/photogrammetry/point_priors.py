@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, as_points, frozen, read_only
 from sightline.geometry.earth import local_axes, to_geodetic
-from sightline.geometry.surface import Surface
+from sightline.geometry.surface import Ellipsoid, Surface
 from sightline.photogrammetry.sightings import Index, as_index
 
 #: m; half the base over which the slope of a surface is taken, and how far above a point its vertical begins.
 _STEP, _REACH = 15.0, 30e3
+#: m; the same above an ellipsoid, where no terrain has to be searched.
+_DEEP = 1e6
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +99,9 @@ class HeightPrior:
 
     def _height(self, points: Array, up: Array) -> Array:
         """Height (n,) of points above the surface along `up` (n, 3)."""
-        ground = self.surface.intersect(read_only(points + _REACH * up), read_only(-up))
+        # from under it a ray would meet the far side of the Earth
+        reach = _DEEP if isinstance(self.surface, Ellipsoid) else _REACH
+        ground = self.surface.intersect(read_only(points + reach * up), read_only(-up))
         return np.asarray(((points - ground) * up).sum(axis=1))
 
 

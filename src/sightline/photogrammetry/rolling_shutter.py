@@ -16,7 +16,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from sightline.geometry.checks import Array, frozen
-from sightline.photogrammetry.frame_poses import path_turns, stretches
+from sightline.photogrammetry.flight_path import path_turns, stretches
 from sightline.photogrammetry.sightings import Images, Index, Sightings, as_index
 
 #: rad; frames that are turned by more against the one before are of another flight line.

@@ -14,7 +14,7 @@ from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import ESTIMATED, INTERPOLATED, SOLVED, SequencePoses
 from sightline.geometry.checks import read_only
 from sightline.geometry.earth import local_axes, to_geodetic
-from sightline.photogrammetry.frame_poses import path_turns, stretches
+from sightline.photogrammetry.flight_path import path_turns, stretches
 from sightline.photogrammetry.sightings import Images
 
 Array = NDArray[np.float64]
