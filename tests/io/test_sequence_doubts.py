@@ -13,6 +13,7 @@ from sightline.errors import FormatError
 from sightline.geometry.earth import WGS84, from_geodetic
 from sightline.io.describe_sequence import describe_sequence
 from sightline.io.exif import Exif
+from sightline.io.odm import read_geo
 from sightline.io.sequence import read_sequence
 from sightline.io.sequence_frames import FrameList
 from sightline.io.sequence_positions import told_positions
@@ -54,6 +55,15 @@ def test_metres_given_as_degrees_are_refused(tmp_path):
         row[2] = 500.0
     with pytest.raises(FormatError, match=r'longitudes .x. reach 500,.*give frame = "local"'):
         read_sequence(made.write(tmp_path))
+
+
+def test_metres_in_a_geo_txt_of_degrees_are_refused(tmp_path):
+    path = tmp_path / "geo.txt"
+    path.write_text("EPSG:4326\na.jpg 8.0 47.0 500\nb.jpg 12.0 112.5 500\n")
+    with pytest.raises(FormatError, match=r"12, 112\.5 is no place in the coordinate system of line 1"):
+        read_geo(path)
+    path.write_text("EPSG:4326\na.jpg 8.0 47.0 500\nb.jpg 12.0 47.5 500\n")
+    assert read_geo(path).lonlat[1] == pytest.approx([12.0, 47.5, 500.0])
 
 
 @pytest.mark.parametrize(
