@@ -7,12 +7,16 @@ import json
 import os
 import re
 import signal
+import subprocess
+import sys
 import time
+from importlib.metadata import version
 
 import numpy as np
 import pytest
 
 from sightline.cli.main import main, run
+from sightline.errors import InputError
 from sightline.io.colmap import read_colmap_model
 from sightline.io.opensfm import read_opensfm
 from sightline.io.poses import read_pose_covariance, read_pose_table, read_pose_truth
@@ -230,3 +234,26 @@ def test_a_score_for_people_has_the_numbers_of_the_json(flight, done, capsys):
         assert told[3] == pytest.approx(entry["nees"], abs=5e-3)
         assert told[4] == pytest.approx(100.0 * entry["coverage_95"], abs=0.5)
     assert any(line.startswith("interpolated (1)") for line in lines)
+
+
+def test_maps_that_fail_leave_the_poses(flight, tmp_path, capsys, monkeypatch):
+    def nothing_to_map(problem, found, plan, store, progress=None):
+        (store.folder / "bands").mkdir()
+        raise InputError("no frame that can be used looks at the ground: there is nothing to map")
+
+    monkeypatch.setattr("sightline.io.cube_summary.assemble_cube", nothing_to_map)
+    out = tmp_path / "out"
+    assert run(["georeference", str(flight / "sequence.toml"), "--out", str(out)]) == 0
+    said = capsys.readouterr().err
+    assert "warning: no maps of the bands were made: no frame that can be used looks at the ground" in said
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["cube"] is None and any("no maps" in words for words in summary["warnings"])
+    assert len(rows_of(out / "poses.csv")) == 24 and not (out / "bands").exists()
+    assert "no maps of the bands were made" in (out / "report.html").read_text()
+
+
+def test_the_package_is_a_command():
+    done = subprocess.run(
+        [sys.executable, "-m", "sightline", "version"], capture_output=True, text=True, check=True
+    )
+    assert version("sightline") in done.stdout

@@ -161,6 +161,33 @@ def test_points_found_make_the_ground_where_the_surface_given_is_worse(lvf):
         made(rough, true_poses(scenario), replace(QUICK, surface="model"))
 
 
+def test_ground_that_nobody_told_is_that_of_the_points(lvf):
+    scenario, problem = lvf
+    dem, rng = problem.surface, np.random.default_rng(1)
+    # too few for a surface through them
+    flat = rng.uniform([-7.0, -2.0], [7.0, 18.0], (11, 2))
+    points = np.column_stack([flat, dem.height_at(np.column_stack([flat, np.zeros(11)]))])
+    flying = float(np.median(scenario.poses[1][:, 2] - np.median(points[:, 2])))
+    # as if the flight began from a hill four times as high as it flies above it
+    below = replace(problem, surface=Plane(float(np.median(points[:, 2])) - 4.0 * flying), height_sigma=0.0)
+    stages = []
+    summary = assemble_cube(
+        below,
+        true_poses(scenario, points),
+        progress=lambda stage, done, total: stages.append((stage, done, total)),
+    )
+    assert summary.surface.startswith("level ground at")
+    # the relief is a few percent of the flying height; pixels of the ground told are five times as large
+    good = assemble_cube(problem, true_poses(scenario, points), QUICK)
+    assert summary.gsd == pytest.approx(good.gsd, rel=0.1)
+    last = {stage: (done, total) for stage, done, total in stages}
+    assert list(last) == [
+        "cube: ground", "cube: lines made alike", "cube", "cube: picture by the rough poses",
+        "cube: bands matched",
+    ]  # fmt: skip
+    assert all(last[name][0] == last[name][1] for name in list(last)[2:])
+
+
 def test_frames_that_cannot_be_used_are_replaced_by_their_neighbours(lvf):
     scenario, problem = lvf
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.applications.found_ground import level_ground
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.errors import EstimationError, InputError
@@ -39,40 +40,57 @@ class Ground:
         m; what points miss it by, robust rms.
     model : GroundModel or None
         Where they are those of the points found.
+    level : Surface or None
+        Level ground at the height of the points found, where that is nearer to them than the surface given.
     """
 
     heights: Heights
     words: str
     sigma: float
     model: GroundModel | None = None
+    level: Surface | None = None
 
 
 def choose_ground(problem: SequenceProblem, found: SequencePoses, system: MapSystem, surface: str) -> Ground:
-    """Heights of the points found, or of the surface given, whichever points tell to be better."""
-    given = given_heights(problem.surface, system)
+    """Heights of the points found, or of the surface given, whichever points tell to be better.
+
+    A single height that points do not bear out, as that of ground of which none is told, gives way to theirs.
+    """
+    given, words = given_heights(problem.surface, system), "the surface given"
     points = system.places(found.poses.points)
     sigma = _height_sigmas(found, problem)
-    flat = points[np.isfinite(points).all(axis=1)]
-    off = flat[:, 2] - given(flat[:, 0], flat[:, 1])
-    known = off[np.isfinite(off)]
-    missed = 1.4826 * float(np.median(np.abs(known))) if len(known) else np.inf
+    missed, level = _missed(points, given), None
     if surface == "given":
-        return Ground(given, "the surface given, as asked for", missed)
+        return Ground(given, f"{words}, as asked for", missed)
+    found_level = level_ground(problem, found.poses)
+    if isinstance(found_level, Plane | Ellipsoid) and found_level is not problem.surface:
+        at = given_heights(found_level, system)
+        if missed > _AS_GOOD * (closer := _missed(points, at)):
+            given, missed, level = at, closer, found_level
+            words = f"level ground at the points' middle height, {found_level.height:.5g} m,"
     try:
         model = fit_ground(points, sigma)
     except EstimationError as error:
         if surface == "model":
             raise
-        return Ground(given, f"the surface given: {error}", missed)
-    words = (
+        return Ground(given, f"{words.rstrip(',')}: {error}", missed, level=level)
+    if surface == "auto" and missed <= _AS_GOOD * model.sigma:
+        return Ground(given, f"{words.rstrip(',')}, which points meet to {missed:.3g} m", missed, level=level)
+    said = (
         f"{int(model.used.sum())} points found, which a surface through the others meets to "
         f"{model.sigma:.3g} m"
     )
-    if surface == "auto" and missed <= _AS_GOOD * model.sigma:
-        return Ground(given, f"the surface given, which points meet to {missed:.3g} m", missed)
     if surface == "auto":
-        words += f" and the surface given to {missed:.3g} m"
-    return Ground(model.at, f"heights of the {words}", model.sigma, model)
+        said += f" and {words} to {missed:.3g} m"
+    return Ground(model.at, f"heights of the {said}", model.sigma, model, level)
+
+
+def _missed(points: Array, heights: Heights) -> float:
+    """m, robust rms; what points (n, 3) of the map miss ground by."""
+    flat = points[np.isfinite(points).all(axis=1)]
+    off = flat[:, 2] - heights(flat[:, 0], flat[:, 1])
+    known = off[np.isfinite(off)]
+    return 1.4826 * float(np.median(np.abs(known))) if len(known) else np.inf
 
 
 def _height_sigmas(found: SequencePoses, problem: SequenceProblem) -> Array:
@@ -122,7 +140,7 @@ def frame_outlines(
 
 def _levels(problem: SequenceProblem, ground: Ground) -> tuple[float, float, float]:
     """m: usual, lowest and highest ground."""
-    surface = problem.surface
+    surface = problem.surface if ground.level is None else ground.level
     if ground.model is not None:
         heights = ground.model.heights
         return float(np.median(heights)), float(heights.min()), float(heights.max())

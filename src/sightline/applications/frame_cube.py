@@ -204,7 +204,7 @@ def assemble_cube(
     store : CubeStore, optional
         Takes the pixels; by default they are held in memory and lost.
     progress : callable, optional
-        Called with the stage, tiles done and tiles in all.
+        Called with the stage, what is done of it (tiles, pairs of bands) and all of that.
 
     Returns
     -------
@@ -218,6 +218,8 @@ def assemble_cube(
     plan = CubePlan() if plan is None else plan
     store = MemoryStore() if store is None else store
     clock = CpuClock()
+    report = _silent if progress is None else progress
+    report("cube: ground", 0, 1)
     views = frame_views(problem, found)
     system = map_of(problem)
     ground = choose_ground(problem, found, system, plan.surface)
@@ -227,6 +229,7 @@ def assemble_cube(
     layout = choose_bands(problem, plan, outline, gsd)
     grid = grid_of(outline[np.isfinite(views.penalty)].reshape(-1, 2), system, gsd)
     channels = images_of(problem)
+    report("cube: lines made alike", 0, 1)
     by_line = problem.detector.wavelength_nm is not None and plan.flatten
     gain = line_gain(channels, problem.detector.shape[0]) if by_line else None
     clock.note("lines made alike")
@@ -243,12 +246,12 @@ def assemble_cube(
         else:
             store.write(tile.row, tile.column, filled.values)
             tally.add(filled)
-        if progress is not None:
-            progress("cube", done, len(tiles))
+        report("cube", done, len(tiles))
     clock.note("tiles")
-    before = _before(problem, plan, tally, grid, layout, system, channels, gain)
+    before = _before(problem, plan, tally, grid, layout, ground, channels, gain, report)
     clock.note("picture by the rough poses")
-    fits = fit_pairs([store.source(b) for b in range(len(layout))], layout.wavelength_nm) if plan.fit else []
+    bands = [store.source(b) for b in range(len(layout))] if plan.fit else []
+    fits = fit_pairs(bands, layout.wavelength_nm, lambda *done: report("cube: bands matched", *done))
     clock.note("bands matched")
     unread = tuple(f"{problem.frames[k]}: {why}" for k, why in sorted(maker.unread.items()))
     summary = _summary(problem, layout, grid, ground, tally, before, fits, unread, clock.seconds)
@@ -387,24 +390,32 @@ def _before(
     tally: CubeTally,
     grid: CubeGrid,
     layout: BandLayout,
-    system: MapSystem,
+    ground: Ground,
     channels: Sequence[Sequence[ImageSource]],
     gain: Array | None,
+    report: Callable[[str, int, int], None],
 ) -> CubePicture:
-    """The picture that the rough poses and the surface given make."""
+    """The picture that the rough poses make, on the surface given or level ground nearer to the points."""
     picture = CubePicture(grid, len(tally.rgb))
     if not plan.picture:
         return picture
     views = frame_views(problem)
-    given = Ground(given_heights(problem.surface, system), "", 0.0)
+    system = grid.system
+    given = Ground(given_heights(ground.level or problem.surface, system), "", 0.0, level=ground.level)
     _, reach = frame_outlines(problem, system, given, views)
     three = layout.of(tally.rgb)
     maker = CubeMaker(grid, three, views, reach, given.heights, channels, gain)
-    for tile in tiles_of(grid, three):
+    tiles = tiles_of(grid, three)
+    for done, tile in enumerate(tiles, start=1):
         filled = maker.fill(tile)
         if filled is not None:
             picture.add(filled, range(len(three)))
+        report("cube: picture by the rough poses", done, len(tiles))
     return picture
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """Progress that nobody asked for."""
 
 
 def _summary(

@@ -20,6 +20,8 @@ from sightline.photogrammetry.turned_frames import carried_attitudes, quarter_tu
 
 #: Share of a frame's longer side by which points may lie off the rough poses; each round sees this finer.
 _FAR_OFF, _FINER = 0.03, 5.0
+#: Share of a frame that the next one shows, from which on it is not little overlap that hinders following.
+_MUCH = 0.6
 
 
 def begun(problem: SequenceProblem, followed: Followed) -> SequenceProblem:
@@ -34,9 +36,7 @@ def begun(problem: SequenceProblem, followed: Followed) -> SequenceProblem:
     told = np.isfinite(problem.known.attitude).all(axis=1)
     words = []
     if followed.wide:
-        words.append(
-            "neighbouring frames overlap too little to be followed: their windows were found by features"
-        )
+        words.append(_wide_words(problem, followed))
     images, camera = problem.images, (problem.detector, problem.mount)
     if told.any():
         quarters = quarter_turns(images, problem.known, *camera, problem.surface, followed)
@@ -52,6 +52,24 @@ def begun(problem: SequenceProblem, followed: Followed) -> SequenceProblem:
         if followed.wide and not told.all():
             images = carried_attitudes(images, problem.known, *camera, followed)
     return replace(problem, images=images, warnings=(*problem.warnings, *words))
+
+
+def _wide_words(problem: SequenceProblem, followed: Followed) -> str:
+    """Why frames were not followed, by how features say that they moved: a long step, or little overlap."""
+    by_features = "their windows were found by features"
+    rows = np.flatnonzero(followed.before == np.arange(len(followed.before)) - 1)
+    rows = rows[(followed.before[rows] >= 0) & np.isfinite(followed.motion[rows]).all(axis=1)]
+    if not len(rows):
+        return f"neighbouring frames could not be followed from one to the next: {by_features}"
+    step = np.median(np.abs(followed.motion[rows, :2]), axis=0)
+    shared = float(np.prod(np.maximum(1.0 - step / problem.detector.shape, 0.0)))
+    if shared < _MUCH:
+        return f"neighbouring frames overlap too little to be followed (about {shared:.0%}): {by_features}"
+    turn = float(np.degrees(np.median(np.abs(followed.motion[rows, 2]))))
+    return (
+        f"neighbouring frames share about {shared:.0%}, but are {float(np.hypot(*step)):.0f} px and "
+        f"{turn:.2g} degrees of turn apart, too much to be followed from one to the next: {by_features}"
+    )
 
 
 def approached(

@@ -126,10 +126,12 @@ def write_georeferenced(
     method: Method,
     cube: bool,
 ) -> dict[str, Any]:
-    """Every file of the result; gives the summary."""
+    """Every file of the result; gives the summary. Maps that cannot be made are a warning in it."""
     import time
+    from dataclasses import replace
 
-    from sightline.io.cube_summary import cube_summary, write_cube
+    from sightline.errors import SightlineError
+    from sightline.io.cube_summary import cube_summary, remove_cube, write_cube
     from sightline.io.sequence_results import write_sequence_result
     from sightline.report.sequence_cube import cube_view
     from sightline.report.sequence_page import write_sequence_report
@@ -137,8 +139,14 @@ def write_georeferenced(
     more: dict[str, Any] = {"method": method.value, "cube": None}
     view = None
     if cube and sequence.cube.make:
-        made, files = write_cube(folder, sequence, found, progress=report, tell=report)
-        more["cube"], view = cube_summary(made, files), cube_view(made)
+        try:
+            made, files = write_cube(folder, sequence, found, progress=report)
+            more["cube"], view = cube_summary(made, files), cube_view(made)
+        except SightlineError as error:
+            # the poses took hours and are good: they are not lost with the maps
+            remove_cube(folder)
+            words = f"no maps of the bands were made: {error}; the poses are written without them"
+            found = replace(found, warnings=(*found.warnings, words))
     report("writing")
     seconds = time.perf_counter() - begun
     summary = write_sequence_result(folder, sequence, found, wall_seconds=seconds, **more)
@@ -161,6 +169,7 @@ def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any])
         "usual sigma of a pose: x {sigma_x:.3g}, y {sigma_y:.3g}, z {sigma_z:.3g} m; roll {sigma_roll:.2g}, "
         "pitch {sigma_pitch:.2g}, yaw {sigma_yaw:.2g} degrees".format(**middle)
     )
+    say(_view_words(sequence, found))
     if summary["focal_length"] is not None:
         say(_focal_words(summary["focal_length"]))
     seen = summary["sightings"]
@@ -172,6 +181,14 @@ def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any])
         tell_cube(summary["cube"])
     for note in summary["export_notes"]:
         say(note)
+
+
+def _view_words(sequence: FrameSequence, found: SequencePoses) -> str:
+    """The field of view, which shows a focal length in other units."""
+    from sightline.io.sequence import field_of_view
+
+    along, across = field_of_view(found.poses.detector(sequence.problem.detector))
+    return f"field of view {along:.3g} degrees along x {across:.3g} across"
 
 
 def _focal_words(focal: dict[str, Any]) -> str:

@@ -40,6 +40,8 @@ COMMANDS = {
     "stereo": "orient",
     "tdi": "tdi",
 }
+#: Keys that a focal length in mm is given by, which none of the files takes.
+_IN_MM = ("focal_length_mm", "focal_mm", "focal", "f_mm", "f")
 #: Keys that are listed in a message.
 _LISTED = 8
 
@@ -184,6 +186,9 @@ def _unknown_keys(
     for key, value in data.items():
         if key not in fields:
             owner = _table(where) or "the file"
+            if key in _IN_MM and "focal_length_px" in fields:
+                yield f"unknown key {_key((*where, key))!r}; {_focal_hint(value)}"
+                continue
             hint = _near(key, list(fields)) or ";"
             yield f"unknown key {_key((*where, key))!r}{hint} {owner} takes: {', '.join(fields)}"
             continue
@@ -194,6 +199,15 @@ def _unknown_keys(
                 if inner is not None:
                     place = (*where, key, index) if isinstance(value, list) else (*where, key)
                     yield from _unknown_keys(inner, item, place)
+
+
+def _focal_hint(value: Any) -> str:
+    """What to give in place of a focal length in mm."""
+    told = f"{value:g} mm" if isinstance(value, int | float) and not isinstance(value, bool) else "mm"
+    return (
+        f"give focal_length_px = {told} / pixel pitch in mm: in pixels, as 8 mm and pixels of 0.005 mm make "
+        "1600.0"
+    )
 
 
 def _model_of(annotation: Any, item: dict[str, Any]) -> type[BaseModel] | None:
@@ -251,6 +265,14 @@ def _explain(error: Any) -> str:
     if kind == "value_error":
         place = f"{key}: " if key else ""
         return f"{place}{context['error']}"
+    if (
+        kind == "literal_error"
+        and where[-1:] == ("focal_length",)
+        and not isinstance(given, str | dict | list)
+    ):
+        return (
+            f"{key} = {given!r} is not allowed: {_focal_hint(given)}; or focal_length = {context['expected']}"
+        )
     if kind == "literal_error":
         return f"{key} = {given!r} is not known; allowed: {context['expected']}"
     shown = repr(given) if not isinstance(given, dict) else "a table"

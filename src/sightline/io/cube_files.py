@@ -121,16 +121,20 @@ class CubeFolder:
         """A band as it was written."""
         return RawBand(self.draft, band, self.grid.shape)
 
-    def finish(self, tell: Callable[[str], None] = lambda text: None) -> tuple[str, ...]:
-        """Write all formats; names of the files, below the folder. Nothing else is left."""
+    def finish(self, tell: Callable[[str, int, int], None] | None = None) -> tuple[str, ...]:
+        """Write all formats; names of the files, below the folder. Nothing else is left.
+
+        `tell` is called with what is written, how many files of it are, and how many will be.
+        """
+        tell = _silent if tell is None else tell
         written: list[str] = []
         if "tif" in self.formats:
-            tell("writing GeoTIFFs")
-            written += self._write_tiffs()
+            written += self._write_tiffs(tell)
         if "zarr" in self.formats:
-            tell("writing Zarr")
+            tell("writing Zarr", 0, 1)
             written.append(self._write_zarr())
         if "envi" in self.formats:
+            tell("writing ENVI", 0, 1)
             written += self._write_envi()
         self.discard()
         return tuple(written)
@@ -143,14 +147,16 @@ class CubeFolder:
         rows = self.grid.shape[0]
         return ((first, min(first + height, rows)) for first in range(0, rows, height))
 
-    def _write_tiffs(self) -> list[str]:
+    def _write_tiffs(self, tell: Callable[[str, int, int], None]) -> list[str]:
         names = band_files(self.layout)
+        tell("writing GeoTIFFs", 0, len(names))
         if self.one_file:
             self._write_tiff(self.folder / "cube.tif", range(len(names)))
             return ["cube.tif"]
         (self.folder / "bands").mkdir(exist_ok=True)
         for band, name in enumerate(names):
             self._write_tiff(self.folder / "bands" / f"{name}.tif", [band])
+            tell("writing GeoTIFFs", band + 1, len(names))
         return [f"bands/{name}.tif" for name in names]
 
     def _write_tiff(self, path: Path, bands: Sequence[int]) -> None:
@@ -221,6 +227,10 @@ class CubeFolder:
         self.draft.replace(self.folder / "cube.dat")
         (self.folder / "cube.hdr").write_text(envi_header(self.grid, self.layout), encoding="utf-8")
         return ["cube.dat", "cube.hdr"]
+
+
+def _silent(stage: str, done: int, total: int) -> None:
+    """Progress that nobody asked for."""
 
 
 def band_files(layout: BandLayout) -> list[str]:

@@ -5,6 +5,7 @@ Not here: the pixels (``cube_files.py``).
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,6 @@ def write_cube(
     found: SequencePoses,
     *,
     progress: Callable[[str, int, int], None] | None = None,
-    tell: Callable[[str], None] = lambda text: None,
 ) -> tuple[CubeSummary, tuple[str, ...]]:
     """Make the cube of a sequence and write its files.
 
@@ -64,9 +64,7 @@ def write_cube(
     sequence : FrameSequence
     found : SequencePoses
     progress : callable, optional
-        Called with the stage, tiles done and tiles in all.
-    tell : callable
-        Told in words what is being written.
+        Called with the stage, what is done of it (tiles, pairs of bands, files) and all of that.
 
     Returns
     -------
@@ -77,9 +75,17 @@ def write_cube(
     store = CubeFolder(folder, sequence.cube.formats, one_file=sequence.cube.one_file)
     try:
         summary = assemble_cube(sequence.problem, found, cube_plan(sequence.cube), store, progress)
-        return summary, store.finish(tell)
+        return summary, store.finish(progress)
     finally:
         store.discard()
+
+
+def remove_cube(folder: Path) -> None:
+    """Remove the files of a cube that was begun, where they are not all of it."""
+    for name in ("bands", "cube.zarr"):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    for name in ("cube.tif", "cube.dat", "cube.hdr"):
+        (folder / name).unlink(missing_ok=True)
 
 
 def cube_summary(cube: CubeSummary, files: Sequence[str] = ()) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from sightline.applications.sequence_outlook import (
     times_of,
 )
 from sightline.errors import InputError
-from sightline.geometry.surface import Dem
+from sightline.geometry.surface import Dem, Ellipsoid, Plane
 from sightline.io.cube_summary import check_bands, cube_plan
 from sightline.io.sequence import FrameSequence
 
@@ -121,9 +121,20 @@ def map_words(sequence: FrameSequence) -> list[str]:
     size = 4.0 * rows * columns * len(layout) * len(cube.formats)
     return [
         f"maps of {bands} of {rows} rows x {columns} columns of {grid.gsd:.3g} m: some "
-        f"{_bytes(size)} as {', '.join(cube.formats)} before compression (--poses-only: none)",
+        f"{_bytes(size)} as {', '.join(cube.formats)} before compression (--poses-only: none)"
+        + _by_ground(problem),
         f"heights of the maps: {_heights(sequence)}",
     ]
+
+
+def _by_ground(problem: SequenceProblem) -> str:
+    """Of what ground sizes are, where it is a start only: the maps are laid on the ground that is found."""
+    if not isinstance(problem.surface, Plane | Ellipsoid) or problem.height_sigma > 0.0:
+        return ""
+    return (
+        f"; by ground at {problem.surface.height:g} m, of which [surface] tells no height_sigma: sizes go "
+        "with the flying height above the ground that is found"
+    )
 
 
 def _heights(sequence: FrameSequence) -> str:

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.io.describe_outlook import map_words, overlap_words, program_words, time_words
-from sightline.io.sequence import FrameSequence
+from sightline.io.sequence import FrameSequence, field_of_view, wide_words
 
 Array = NDArray[np.float64]
 
 #: rad; sigma of attitudes beyond which they may have been given in degrees.
 LARGE_ATTITUDE_SIGMA = 0.2
+#: rad; the same of their constant error, which a camera mounted by hand may have large.
+LARGE_ATTITUDE_BIAS = 0.5
 #: Frames that are named in a message.
 LISTED = 5
 
@@ -55,7 +57,7 @@ def _understood(sequence: FrameSequence) -> list[str]:
         f"{np.ptp(problem.t):.6g} s, {int(problem.usable.sum())} of them usable",
         _focal_words(problem),
         _filter_words(problem),
-        f"by the rough poses a frame covers {length:.4g} m along its lines; a subset of "
+        f"by the rough poses{_over(problem)} a frame covers {length:.4g} m along its lines; a subset of "
         f"{problem.overlap:.0%} overlap "
         f"has a frame every {(1.0 - problem.overlap) * length:.4g} m",
     ]
@@ -75,18 +77,40 @@ def _understood(sequence: FrameSequence) -> list[str]:
                 f"{what} of {int(own.sum())} frames, sigma {float(np.median(sigma[own])):.3g} {unit}"
                 + (f" ({np.degrees(float(np.median(sigma[own]))):.3g} degrees)" if unit == "rad" else "")
                 + (f", with a constant error of {bias:.3g} {unit}" if bias else "")
+                + (f" ({np.degrees(bias):.3g} degrees)" if bias and unit == "rad" else "")
             )
+            if unit == "rad" and bias > LARGE_ATTITUDE_BIAS:
+                said.append(
+                    f"note: attitude_bias_sigma = {bias:.3g} rad is {np.degrees(bias):.3g} degrees: were "
+                    f"degrees meant? {bias:.3g} degrees are {np.radians(bias):.3g} rad"
+                )
             if unit == "rad" and float(np.median(sigma[own])) > LARGE_ATTITUDE_SIGMA:
-                said.append("note: so large a sigma of attitudes: is it in degrees? rad are expected")
+                said.append(
+                    f"note: a sigma of attitudes of {float(np.median(sigma[own])):.3g} rad is "
+                    f"{np.degrees(float(np.median(sigma[own]))):.3g} degrees: is it in degrees? rad are "
+                    "expected"
+                )
     if problem.control is not None and problem.control_tracks is not None:
         said.append(f"{len(problem.control.point)} control points, seen {len(problem.control_tracks)} times")
-    said += [f"note: {words}" for words in problem.warnings]
+    doubted = wide_words(problem.detector)
+    said += [f"note: {words}" for words in problem.warnings if words not in doubted]
     return said
+
+
+def _over(problem: SequenceProblem) -> str:
+    """The height of ground that is a start only."""
+    if not isinstance(problem.surface, Plane | Ellipsoid) or problem.height_sigma > 0.0:
+        return ""
+    return f", over ground at {problem.surface.height:g} m,"
 
 
 def _focal_words(problem: SequenceProblem) -> str:
     """The focal length, and whether it is found with the poses."""
-    sigma, said = problem.focal_length_sigma_px, f"focal length {problem.detector.focal_length_px:.6g} px"
+    sigma, view = problem.focal_length_sigma_px, field_of_view(problem.detector)
+    said = (
+        f"focal length {problem.detector.focal_length_px:.6g} px (a field of view of {view[0]:.3g} degrees "
+        f"along x {view[1]:.3g} across)"
+    )
     if not sigma > 0.0:
         return f"{said}, kept as told"
     known = f"+- {sigma:.3g} px" if np.isfinite(sigma) else "to start from"
@@ -110,7 +134,8 @@ def _filter_words(problem: SequenceProblem) -> str:
 
 def _missing(problem: SequenceProblem) -> list[str]:
     lost = np.flatnonzero(~problem.usable)
-    said = [f"frame {problem.frames[k]}: {problem.excluded[k]}" for k in lost[:LISTED]]
+    said = [f"suspicious: {words}" for words in wide_words(problem.detector)]
+    said += [f"frame {problem.frames[k]}: {problem.excluded[k]}" for k in lost[:LISTED]]
     if len(lost) > LISTED:
         said.append(f"and {len(lost) - LISTED} more frames that cannot be used")
     if problem.usable.sum() == 1:

@@ -89,7 +89,7 @@ def read_geo(path: Path) -> GeoPlaces:
         raise FormatError(f"{path}: line {rows[row][0]} has no place (nan); remove the line")
     sigma = np.where(values[:, 6:8] > 0.0, values[:, 6:8], np.nan)
     return GeoPlaces(
-        names, _lonlat(crs, values[:, :3]), sigma, bool((np.nan_to_num(values[:, 3:6]) != 0).any())
+        names, _lonlat(crs, values[:, :3], path), sigma, bool((np.nan_to_num(values[:, 3:6]) != 0).any())
     )
 
 
@@ -101,7 +101,7 @@ def read_gcp_list(path: Path) -> ControlList:
         row = int(np.flatnonzero(~np.isfinite(values).all(axis=1))[0])
         raise FormatError(f"{path}: line {rows[row][0]} holds nan or inf; finite numbers are expected")
     return ControlList(
-        _lonlat(crs, values[:, :3]),
+        _lonlat(crs, values[:, :3], path),
         values[:, [4, 3]],
         tuple(cells[5] for _, cells in rows),
         tuple(cells[6] if len(cells) > 6 else " ".join(cells[:3]) for _, cells in rows),
@@ -176,13 +176,22 @@ def _crs(path: Path, text: str) -> Any:
         ) from None
 
 
-def _lonlat(crs: Any, values: Array) -> Array:
-    """Longitude, latitude (degrees) and height of x, y, z."""
+def _lonlat(crs: Any, values: Array, path: Path) -> Array:
+    """Longitude, latitude (degrees) and height of x, y, z; FormatError of what is no place on Earth."""
     from pyproj import Transformer
 
     transformer = Transformer.from_crs(crs, "EPSG:4326", always_xy=True)
     longitude, latitude = transformer.transform(values[:, 0], values[:, 1])
-    return np.column_stack([longitude, latitude, values[:, 2]])
+    places = np.column_stack([longitude, latitude, values[:, 2]])
+    wrong = ~((np.abs(longitude) <= 360.0) & (np.abs(latitude) <= 90.0))
+    if wrong.any():
+        x, y = values[int(np.argmax(wrong)), :2]
+        raise FormatError(
+            f"{path}: {x:.9g}, {y:.9g} is no place in the coordinate system of line 1 (x, longitude first); "
+            "are x and y swapped, or are these metres about a place of the site? Give such as a table of "
+            'positions (control_points) with [world] frame = "local"'
+        )
+    return places
 
 
 def _number(path: Path, line: int, word: str) -> float:

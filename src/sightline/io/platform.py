@@ -179,9 +179,10 @@ def points_to_world(
         lon, lat = points[:, 0], points[:, 1]
         if np.any(np.abs(lat) > 90.0) or np.any(np.abs(lon) > 360.0):
             raise FormatError(
-                f"{place}latitudes (y) reach {np.abs(lat).max():.6g} degrees; with [world] frame = "
-                f'"lonlat" the columns '
-                "are x = longitude, y = latitude (degrees), z = height (m); are x and y swapped?"
+                f"{place}longitudes (x) reach {np.abs(lon).max():.6g}, latitudes (y) reach "
+                f'{np.abs(lat).max():.6g} degrees; with [world] frame = "lonlat" the columns are '
+                "x = longitude, y = latitude (degrees), z = height (m); are x and y swapped, or are they "
+                'metres? Of metres about a place of the site give frame = "local"'
             )
         return from_geodetic(np.column_stack([np.radians(lon), np.radians(lat), points[:, 2]]), body)
     if world.frame == "local":

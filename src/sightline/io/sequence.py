@@ -45,6 +45,8 @@ _NOT_REFINED = (
 _FILM_SIGMA = 0.1
 #: mm; diagonal of such film.
 _FILM_DIAGONAL = float(np.hypot(36.0, 24.0))
+#: Degrees; no lens that maps planes to planes sees more, while a focal length in mm taken for pixels does.
+_WIDEST = 120.0
 #: Share of the frames whose middle may look beside the ground before that is told.
 _BESIDE_SHARE = 0.02
 
@@ -196,7 +198,26 @@ def detector_of(
             "pixels, (line, column)?",
         )
     detector = AreaDetector("camera", shape, focal, principal, distortion, _wavelengths(camera, files, shape))
-    return detector, sigma, words
+    return detector, sigma, (*words, *wide_words(detector))
+
+
+def field_of_view(detector: AreaDetector) -> tuple[float, float]:
+    """Degrees from the first line to the last (along), and across the columns, without distortion."""
+    lines, columns = (
+        2.0 * float(np.degrees(np.arctan(0.5 * size / detector.focal_length_px))) for size in detector.shape
+    )
+    return lines, columns
+
+
+def wide_words(detector: AreaDetector) -> tuple[str, ...]:
+    """A doubt of a focal length that makes the view wider than any lens but a fisheye has it; else none."""
+    along, across = field_of_view(detector)
+    if max(along, across) <= _WIDEST:
+        return ()
+    return (
+        f"the field of view is {along:.0f} x {across:.0f} degrees by focal_length_px = "
+        f"{detector.focal_length_px:g}: was it given in mm? Pixels are expected: mm / pixel pitch in mm",
+    )
 
 
 def _focal_length(
@@ -217,8 +238,8 @@ def _focal_length(
             return focal, 0.0, (f"{words}, taken as it is: {_NOT_REFINED}",)
     raise FormatError(
         f"{files.toml}: key 'camera.focal_length_px' is missing, and no photograph tells it; add it "
-        "(focal length / "
-        "pixel pitch)"
+        "(focal length in mm / pixel pitch in mm); where it is known roughly only, add focal_length = "
+        '"estimate" beside such a rough value, to have it found with the poses'
     )
 
 

@@ -17,7 +17,7 @@ from sightline.io.exif import Exif
 from sightline.io.gps_places import places
 from sightline.io.odm import read_geo
 from sightline.io.platform import points_to_world
-from sightline.io.sequence_frames import FrameList
+from sightline.io.sequence_frames import PAUSE, FrameList
 from sightline.io.sequence_models import ToldPoses
 from sightline.io.sequence_schema import SequenceFile
 from sightline.io.sequence_times import read_timed
@@ -27,6 +27,8 @@ from sightline.io.xmp import Xmp
 
 Array = NDArray[np.float64]
 
+#: s, 1-sigma of a time that is told to the second; times the positions' sigma from which on that matters.
+_SECOND_SIGMA, _FAST = 0.3, 2.0
 POSITION_SIGMAS = ("sigma_x", "sigma_y", "sigma_z")
 
 
@@ -62,6 +64,8 @@ def _table_positions(file: SequenceFile, path: Path, frames: FrameList, warnings
     kept = np.ones(len(t), dtype=np.bool_)
     if file.world.frame == "lonlat":
         kept = places(t, values, names, str(path), warnings)
+    if not with_sigma:
+        _say_assumed(file, warnings, np.flatnonzero(kept))
     sigma = sigmas_of(path, table, with_sigma, len(t), file.position_sigma)
     position = points_to_world(values, file.world, file.surface.radii, path)
     return in_time(frame, t, position, sigma, kept, _sigma_axes(file, position))
@@ -107,6 +111,7 @@ def _geo_positions(file: SequenceFile, path: Path, frames: FrameList, warnings: 
         warnings.append(f"{path.name}: its angles are not used; give attitudes = FILE")
     kept = places(t, geo.lonlat, geo.names, str(path), warnings)
     position = _geodetic(file, _with_heights(file, geo.lonlat, str(path)))
+    _say_assumed(file, warnings, np.flatnonzero(kept & ~np.isfinite(geo.sigma).all(axis=1)))
     _say_heights(warnings, path.name, int((kept & np.isfinite(geo.lonlat[:, 2])).sum()))
     sigma = np.where(np.isfinite(geo.sigma), geo.sigma, file.position_sigma)[:, [0, 0, 1]]
     return in_time(frame, t, position, sigma, kept, _level_axes(file, position), common=True)
@@ -122,6 +127,37 @@ def _say_heights(warnings: list[str], table: str, count: int, what: str = "heigh
         )
 
 
+def _say_assumed(file: SequenceFile, warnings: list[str], rows: NDArray[np.intp]) -> None:
+    """That nothing but a default tells how good positions are."""
+    if len(rows) and "position_sigma" not in file.model_fields_set:
+        warnings.append(
+            f"{len(rows)} positions tell no sigma: {file.position_sigma:g} m per axis is assumed; set "
+            "position_sigma"
+        )
+
+
+def _say_whole_seconds(
+    frames: FrameList, position: Array, sigma: Array, rows: NDArray[np.intp], warnings: list[str]
+) -> None:
+    """What stamps without a fraction of a second alone leave open of a fast camera's places."""
+    stamps = [exif.time for exif in frames.exif if exif is not None]
+    step = np.diff(frames.t[rows])
+    if any("." in stamp for stamp in stamps) or not (step > 0.0).any():
+        return
+    # of a whole stretch, as stamps of single steps are off by up to a second
+    moved = np.linalg.norm(np.diff(position[rows], axis=0), axis=1)
+    usual = step <= PAUSE
+    speed = float(moved[usual].sum() / step[usual].sum()) if step[usual].sum() > 0.0 else 0.0
+    off, told = speed * _SECOND_SIGMA, float(np.median(sigma[rows]))
+    if off > _FAST * told:
+        warnings.append(
+            f"the photographs' stamps are whole seconds, the camera flies at {speed:.3g} m/s: the stamp "
+            f"alone leaves {off:.2g} m along the flight uncertain ({_SECOND_SIGMA:g} s x speed), beyond the "
+            f"{told:.3g} m that positions are taken to be good to; a GPS that is read once a second is off "
+            f"likewise: position_sigma = {off:.2g} if so, or a table of frames with finer times"
+        )
+
+
 def _exif_positions(file: SequenceFile, frames: FrameList, warnings: list[str]) -> Told | None:
     """GPS of photographs."""
     if is_local(file):
@@ -132,6 +168,7 @@ def _exif_positions(file: SequenceFile, frames: FrameList, warnings: list[str]) 
         np.full((len(frames.names), 3), file.position_sigma),
     )
     signs, bare = 0, 0
+    assumed = np.ones(len(frames.names), dtype=np.bool_)
     for k, (exif, xmp) in enumerate(zip(frames.exif, frames.xmp, strict=True)):
         place, turned = place_of(exif, xmp)
         lonlat[k] = place
@@ -139,6 +176,7 @@ def _exif_positions(file: SequenceFile, frames: FrameList, warnings: list[str]) 
         bare += exif is not None and exif.unreferenced and not turned
         if xmp is not None and xmp.position_sigma is not None:
             sigma[k] = xmp.position_sigma
+            assumed[k] = False
     if signs:
         warnings.append(f"{signs} photographs: EXIF and XMP disagree on the hemisphere: that of XMP is taken")
     if bare:
@@ -148,12 +186,14 @@ def _exif_positions(file: SequenceFile, frames: FrameList, warnings: list[str]) 
     kept = places(frames.t, lonlat, frames.names, str(frames.path), warnings)
     if not kept.any():
         return None
+    _say_assumed(file, warnings, np.flatnonzero(kept & assumed))
     from_sea = [e is not None and e.height is not None and not e.above_ellipsoid for e in frames.exif]
     what = "heights of EXIF (above sea level, by its standard)"
     _say_heights(warnings, frames.path.name, int((kept & np.array(from_sea)).sum()), what)
     lonlat[~kept] = np.where(np.isfinite(lonlat[~kept]), lonlat[~kept], 0.0)
     lonlat = _with_heights(file, lonlat, str(frames.path))
     position = _geodetic(file, lonlat)
+    _say_whole_seconds(frames, position, sigma, np.flatnonzero(kept), warnings)
     frame = np.arange(len(kept))
     return in_time(frame, frames.t, position, sigma, kept, _level_axes(file, position), common=True)
 

@@ -5,7 +5,7 @@ Not here: the matching of one pair (``band_fit.py``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,7 +66,9 @@ def pairs_of(wavelength_nm: Array) -> list[tuple[int, int]]:
     return [(int(order[a]), int(order[b])) for a, b in sorted(pairs, key=lambda p: (p[1] - p[0], p))]
 
 
-def fit_pairs(bands: Sequence[ImageSource], wavelength_nm: Array) -> list[PairFit]:
+def fit_pairs(
+    bands: Sequence[ImageSource], wavelength_nm: Array, progress: Callable[[int, int], None] | None = None
+) -> list[PairFit]:
     """Match bands with each other, nearest wavelengths first.
 
     Parameters
@@ -74,10 +76,17 @@ def fit_pairs(bands: Sequence[ImageSource], wavelength_nm: Array) -> list[PairFi
     bands : sequence of ImageSource
         Of one map.
     wavelength_nm : (B,)
+    progress : callable, optional
+        Called with the pairs done, and all of them.
     """
-    return [
-        PairFit(fit_bands(bands[a], bands[b], (a, b), search_px=_SEARCH)) for a, b in pairs_of(wavelength_nm)
-    ]
+    if not len(bands):
+        return []
+    out, pairs = [], pairs_of(wavelength_nm)
+    for a, b in pairs:
+        out.append(PairFit(fit_bands(bands[a], bands[b], (a, b), search_px=_SEARCH)))
+        if progress is not None:
+            progress(len(out), len(pairs))
+    return out
 
 
 def error_map(fits: Sequence[PairFit], shape: tuple[int, int]) -> Array:

@@ -1,0 +1,128 @@
+"""What ``check`` doubts: focal lengths in mm, angles in degrees, sigmas nobody told, metres as degrees."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.io.sequence_files import flight
+
+from sightline.errors import FormatError
+from sightline.geometry.earth import WGS84, from_geodetic
+from sightline.io.describe_sequence import describe_sequence
+from sightline.io.exif import Exif
+from sightline.io.odm import read_geo
+from sightline.io.sequence import read_sequence
+from sightline.io.sequence_frames import FrameList
+from sightline.io.sequence_positions import told_positions
+from sightline.io.sequence_schema import SequenceFile
+
+
+def understood(made, folder):
+    return "\n".join(describe_sequence(read_sequence(made.write(folder)))["understood"])
+
+
+def test_the_field_of_view_shows_a_focal_length_in_mm(tmp_path):
+    made = flight()
+    said = understood(made, tmp_path / "px")
+    # 2 atan(12 / 40) and 2 atan(16 / 40)
+    assert "field of view of 33.4 degrees along x 43.6 across" in said and "mm" not in said
+    made.toml = made.toml.replace("focal_length_px = 40.0", "focal_length_px = 8.0")
+    # 2 atan(12 / 8), 2 atan(16 / 8)
+    path = made.write(tmp_path / "mm")
+    assert any(
+        words.startswith("suspicious: the field of view")
+        for words in describe_sequence(read_sequence(path))["missing"]
+    )
+    warned = [w for w in read_sequence(path).problem.warnings if "field of view" in w]
+    assert len(warned) == 1 and "113 x 127 degrees" in warned[0] and "given in mm" in warned[0]
+
+
+def test_constant_errors_of_angles_in_degrees_are_asked_about(tmp_path):
+    made = flight()
+    assert "degrees meant" not in understood(made, tmp_path / "rad")
+    made.toml = made.toml.replace("attitude_bias_sigma = 0.01", "attitude_bias_sigma = 1.0")
+    said = understood(made, tmp_path / "degrees")
+    assert "1 rad is 57.3 degrees: were degrees meant? 1 degrees are 0.0175 rad" in said
+
+
+def test_metres_given_as_degrees_are_refused(tmp_path):
+    made = flight()
+    made.toml = made.toml.replace('frame = "local"', 'frame = "lonlat"')
+    for row in made.positions:
+        row[2] = 500.0
+    with pytest.raises(FormatError, match=r'longitudes .x. reach 500,.*give frame = "local"'):
+        read_sequence(made.write(tmp_path))
+
+
+def test_metres_in_a_geo_txt_of_degrees_are_refused(tmp_path):
+    path = tmp_path / "geo.txt"
+    path.write_text("EPSG:4326\na.jpg 8.0 47.0 500\nb.jpg 12.0 112.5 500\n")
+    with pytest.raises(FormatError, match=r"12, 112\.5 is no place in the coordinate system of line 1"):
+        read_geo(path)
+    path.write_text("EPSG:4326\na.jpg 8.0 47.0 500\nb.jpg 12.0 47.5 500\n")
+    assert read_geo(path).lonlat[1] == pytest.approx([12.0, 47.5, 500.0])
+
+
+@pytest.mark.parametrize(
+    ("key", "said"),
+    [
+        (
+            "focal_length_mm = 8.0",
+            "unknown key 'camera.focal_length_mm'; give focal_length_px = 8 mm / pixel",
+        ),
+        (
+            "focal_length = 8.0",
+            "camera.focal_length = 8.0 is not allowed: give focal_length_px = 8 mm / pixel",
+        ),
+        ("", "'camera.focal_length_px' is missing.*focal_length = \"estimate\""),
+    ],
+)
+def test_a_focal_length_in_mm_is_told_what_to_become(tmp_path, key, said):
+    made = flight()
+    made.toml = made.toml.replace("focal_length_px = 40.0", key)
+    with pytest.raises(FormatError, match=said):
+        read_sequence(made.write(tmp_path))
+
+
+def test_a_table_without_sigmas_says_what_is_assumed(tmp_path):
+    made = flight()
+    made.headers["positions"] = "frame,t,x,y,z"
+    made.positions = [row[:5] for row in made.positions]
+    assert "6 positions tell no sigma: 5 m per axis is assumed; set position_sigma" in understood(
+        made, tmp_path / "none"
+    )
+    made.toml = "position_sigma = 3.0\n" + made.toml
+    assert "assumed" not in understood(made, tmp_path / "told")
+
+
+def photographs(speed: float, stamp: str) -> FrameList:
+    """Ten photographs northwards at one a second, their places exact."""
+    t = np.arange(10.0)
+    begin = datetime.fromisoformat("2026-01-01T00:00:00")
+    exif = tuple(
+        Exif((begin + timedelta(seconds=k)).isoformat() + stamp, 8.0, 47.0 + speed * k / 111e3, 500.0)
+        for k in t
+    )
+    names = tuple(f"{k:.0f}" for k in t)
+    return FrameList(Path("photos"), names, t, (Path("x"),) * 10, None, exif, (None,) * 10)
+
+
+@pytest.mark.parametrize(
+    ("speed", "stamp", "doubted"), [(60.0, "Z", True), (60.0, ".25Z", False), (10.0, "Z", False)]
+)
+def test_whole_seconds_of_a_fast_camera(speed, stamp, doubted):
+    file = SequenceFile.model_validate({"frames": "photos", "world": {"frame": "lonlat"}})
+    warnings: list[str] = []
+    told = told_positions(file, None, photographs(speed, stamp), None, warnings)
+    # a degree of latitude is 111 km to 1 %
+    moved = np.linalg.norm(told.values[-1] - told.values[0])
+    assert moved == pytest.approx(9.0 * speed, rel=0.01)
+    start = from_geodetic([[np.radians(8.0), np.radians(47.0), 500.0]], WGS84)[0]
+    assert np.linalg.norm(told.values[0] - start) < 1e-6
+    assert any("10 positions tell no sigma: 5 m per axis is assumed" in words for words in warnings)
+    # 0.3 s at 60 m/s are 18 m
+    said = [words for words in warnings if "whole seconds" in words]
+    assert bool(said) == doubted and (not doubted or "leaves 18 m along the flight" in said[0])
