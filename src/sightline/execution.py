@@ -260,6 +260,10 @@ def machine_memory() -> float:
     return min(limits, default=float("inf"))
 
 
+def silent(stage: str, done: int, total: int) -> None:
+    """Progress that nobody asked for."""
+
+
 class CpuClock:
     """CPU seconds of this process by stage.
 

@@ -20,7 +20,7 @@ from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import INTERPOLATED, SequencePoses
 from sightline.applications.sequence_solver import ground_distances
 from sightline.errors import InputError
-from sightline.execution import CpuClock, one_blas_thread
+from sightline.execution import CpuClock, one_blas_thread, silent
 from sightline.geometry.checks import ReadOnlyArrays
 from sightline.imaging.source import ImageSource
 from sightline.photogrammetry.flight_path import stretches
@@ -218,7 +218,7 @@ def assemble_cube(
     plan = CubePlan() if plan is None else plan
     store = MemoryStore() if store is None else store
     clock = CpuClock()
-    report = _silent if progress is None else progress
+    report = silent if progress is None else progress
     report("cube: ground", 0, 1)
     views = frame_views(problem, found)
     system = map_of(problem)
@@ -412,10 +412,6 @@ def _before(
             picture.add(filled, range(len(three)))
         report("cube: picture by the rough poses", done, len(tiles))
     return picture
-
-
-def _silent(stage: str, done: int, total: int) -> None:
-    """Progress that nobody asked for."""
 
 
 def _summary(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
-from sightline.geometry.checks import Array, ReadOnlyArrays
+from sightline.geometry.checks import Array, ReadOnlyArrays, read_only
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
@@ -121,6 +121,12 @@ class SequenceProblem(ReadOnlyArrays):
         """What is known beforehand of the poses, and of the focal length."""
         relative = self.focal_length_sigma_px / self.detector.focal_length_px
         return replace(self.known, focal_length=relative)
+
+    def middles(self) -> Array:
+        """m (M, 3): the ground in the middle of each frame, by the rough poses; NaN where it shows none."""
+        middle = 0.5 * (np.array([self.detector.shape]) - 1.0)
+        axis = self.images.world_from_body.apply(self.mount.apply(self.detector.directions(middle))[0])
+        return np.asarray(self.surface.intersect(read_only(self.images.position), read_only(axis)))
 
     @property
     def usable(self) -> NDArray[np.bool_]:

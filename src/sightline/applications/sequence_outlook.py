@@ -122,8 +122,7 @@ def ground_motion(problem: SequenceProblem) -> tuple[Array, float]:
     middle = 0.5 * (np.array([problem.detector.shape]) - 1.0)
     ends = problem.detector.directions(read_only(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
     camera = problem.images.world_from_body * problem.mount
-    ground = problem.surface.intersect(problem.images.position, read_only(camera.apply(ends[0])))
-    distance = np.linalg.norm(ground - problem.images.position, axis=1)
+    distance = np.linalg.norm(problem.middles() - problem.images.position, axis=1)
     if not (np.isfinite(velocity).any() and np.isfinite(distance).any()):
         return np.full((len(problem.t), 2), np.nan), np.nan
     # tangents of a pixel along lines and along columns
@@ -165,11 +164,7 @@ def side_overlap(problem: SequenceProblem) -> float:
     stretch = times_of(problem.t).stretch
     if stretch[-1] == 0 or not np.isfinite(problem.known.position).any():
         return np.nan
-    middle = 0.5 * (np.array([problem.detector.shape]) - 1.0)
-    look = (problem.images.world_from_body * problem.mount).apply(
-        problem.detector.directions(read_only(middle))[0]
-    )
-    ground = problem.surface.intersect(problem.images.position, read_only(look))
+    ground = problem.middles()
     known = np.flatnonzero(np.isfinite(ground).all(axis=1))
     if not len(known):
         return np.nan

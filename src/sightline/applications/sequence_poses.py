@@ -37,10 +37,11 @@ from sightline.applications.sequence_warnings import (
 from sightline.applications.stages import Stages
 from sightline.applications.table_check import motion_warnings, table_warnings, unsolved_words
 from sightline.errors import EstimationError, InputError
-from sightline.execution import CpuClock, machine_memory, one_blas_thread
+from sightline.execution import CpuClock, machine_memory, one_blas_thread, silent
 from sightline.geometry.checks import Array
 from sightline.matching.follow import Followed, FollowPlan, FollowState
 from sightline.photogrammetry.cross_links import link_stretches
+from sightline.photogrammetry.descent import DivergedError
 from sightline.photogrammetry.frame_poses import FramePoses
 from sightline.photogrammetry.frame_subset import Subset, choose_subset
 from sightline.photogrammetry.point_priors import HeightPrior
@@ -152,7 +153,7 @@ def georeference_sequence(
     EstimationError
         If no two frames are alike.
     """
-    run = _Run(progress or _nothing, stages or Stages())
+    run = _Run(progress or silent, stages or Stages())
     if photogrammetry is None:
         photogrammetry = not np.isfinite(problem.known.attitude).any()
     if photogrammetry:
@@ -177,9 +178,7 @@ def georeference_sequence(
             problem, model = _with_model(problem, followed, subset, run)
             run.note(MODELLED)
         found, tracks = _all_poses(problem, followed, cross, run)
-    except EstimationError as error:
-        if "does not converge" not in str(error):
-            raise
+    except DivergedError as error:
         raise EstimationError(unsolved_words(problem)) from error
     problem, poses = screened(problem, tracks, found.poses, _without_control(followed, tracks))
     source, reason = _sources(problem, followed, subset, poses)
@@ -268,10 +267,6 @@ class _Run(CpuClock):
         if taken > 0.0:
             self.taken_over[stage] = self.taken_over.get(stage, 0.0) + taken
             self.seconds[stage] += taken
-
-
-def _nothing(stage: str, done: int, total: int) -> None:
-    """Progress that nobody looks at."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -434,7 +429,7 @@ def poses_of_windows(problem: SequenceProblem, followed: Followed) -> tuple[Fram
     problem : SequenceProblem
     followed : Followed
     """
-    found, tracks = _all_poses(problem, followed, False, _Run(_nothing, Stages()))
+    found, tracks = _all_poses(problem, followed, False, _Run(silent, Stages()))
     return found.poses, tracks
 
 

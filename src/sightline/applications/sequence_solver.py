@@ -175,10 +175,7 @@ class SequenceSolver:
 
 def ground_distances(problem: SequenceProblem) -> Array:
     """m (M,) from each frame to the ground in its middle, by the rough poses."""
-    middle = 0.5 * (np.array([problem.detector.shape]) - 1.0)
-    axis = problem.images.world_from_body.apply(problem.mount.apply(problem.detector.directions(middle))[0])
-    ground = problem.surface.intersect(read_only(problem.images.position), read_only(axis))
-    far = np.linalg.norm(ground - problem.images.position, axis=1)
+    far = np.linalg.norm(problem.middles() - problem.images.position, axis=1)
     known = np.isfinite(far)
     return np.where(known, far, np.median(far[known]) if known.any() else np.nan)
 

@@ -12,6 +12,8 @@ from scipy.sparse.csgraph import connected_components
 
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.errors import EstimationError
+from sightline.geometry.checks import Array
+from sightline.geometry.instrument import AreaDetector
 from sightline.photogrammetry.flight_path import stretches
 from sightline.photogrammetry.frame_focal import FocalStretch
 from sightline.photogrammetry.frame_poses import FramePoses
@@ -19,7 +21,7 @@ from sightline.photogrammetry.frame_subset import Subset
 from sightline.photogrammetry.sightings import Tracks
 
 #: px, 1-sigma at the ends of a stretch, from which on it is worth saying that the stretch may be bent.
-_BENT_PX = 1.0
+BENT_PX = 1.0
 #: Frames of a subset up to which nothing is seen from three sides.
 _FEW = 2
 _AXES = ("roll", "pitch", "yaw")
@@ -127,15 +129,11 @@ def bow_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
         One for each stretch that may be bent by a pixel and more (1-sigma) at its ends.
     """
     out = []
-    detector = poses.detector(problem.detector)
-    # a turn moves the ground by the focal length times it, about the line of sight by the place in the frame
-    lever = np.array([detector.focal_length_px] * 2 + [0.5 * float(np.hypot(*detector.shape))])
-    stretch = stretches(problem.t)
+    detector, stretch = poses.detector(problem.detector), stretches(problem.t)
     for number, sigma in enumerate(poses.bow):
-        # an even trend of rms 1 ends at the root of 3
-        ends = np.sqrt(3.0) * sigma * lever
+        ends = bent_px(detector, sigma)
         worst = int(np.argmax(ends))
-        if ends[worst] < _BENT_PX:
+        if ends[worst] < BENT_PX:
             continue
         count = int((stretch == number).sum())
         out.append(
@@ -144,6 +142,22 @@ def bow_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
             "its ends; attitudes, better positions, known heights or crossing flight lines tell it"
         )
     return out
+
+
+def bent_px(detector: AreaDetector, bow: Array) -> Array:
+    """px (..., 3), 1-sigma by which a bow about each axis moves the ground at the ends of a stretch.
+
+    Parameters
+    ----------
+    detector : AreaDetector
+        With the focal length found.
+    bow : (..., 3)
+        rad, as of `FramePoses`.
+    """
+    # a turn moves the ground by the focal length times it, about the line of sight by the place in the frame
+    lever = np.array([detector.focal_length_px] * 2 + [0.5 * float(np.hypot(*detector.shape))])
+    # an even trend of rms 1 ends at the root of 3
+    return np.asarray(np.sqrt(3.0) * bow * lever)
 
 
 def short_warnings(subset: Subset) -> list[str]:

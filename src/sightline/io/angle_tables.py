@@ -34,7 +34,7 @@ OPK, YPR = ("omega", "phi", "kappa"), ("yaw", "pitch", "roll")
 #: Image axes (x columns, y up, z to the viewer) to camera axes (x columns, y lines, z forward), and north,
 #: east, down to east, north, up: both are their own inverse.
 _IMAGE_FROM_CAMERA = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
-_ENU_FROM_NED = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+ENU_FROM_NED = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 _ORIGIN = re.compile(r"#\s*origin\s*=\s*([^,\s]+)\s*,\s*([^,\s]+)\s*,\s*([^,\s]+)\s*")
 
@@ -81,12 +81,12 @@ def opk_of_camera(east_north_up_from_camera: Rotation) -> Array:
 
 def body_of_ypr(degrees: Array) -> Rotation:
     """east_north_up_from_body of yaw, pitch, roll (M, 3), degrees."""
-    return _ENU_FROM_NED * Rotation.from_euler("ZYX", degrees, degrees=True)
+    return ENU_FROM_NED * Rotation.from_euler("ZYX", degrees, degrees=True)
 
 
 def ypr_of_body(east_north_up_from_body: Rotation) -> Array:
     """Yaw, pitch, roll (M, 3), degrees: the inverse of `body_of_ypr`."""
-    return np.asarray((_ENU_FROM_NED * east_north_up_from_body).as_euler("ZYX", degrees=True))
+    return np.asarray((ENU_FROM_NED * east_north_up_from_body).as_euler("ZYX", degrees=True))
 
 
 def kind_of_angles(path: Path) -> tuple[str, str, str] | None:

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
+from sightline.execution import silent
 from sightline.io.registered import TILE, file_name, optimise
 from sightline.products.cube_bands import BandLayout
 from sightline.products.cube_grid import CubeGrid
@@ -126,7 +127,7 @@ class CubeFolder:
 
         `tell` is called with what is written, how many files of it are, and how many will be.
         """
-        tell = _silent if tell is None else tell
+        tell = silent if tell is None else tell
         written: list[str] = []
         if "tif" in self.formats:
             written += self._write_tiffs(tell)
@@ -227,10 +228,6 @@ class CubeFolder:
         self.draft.replace(self.folder / "cube.dat")
         (self.folder / "cube.hdr").write_text(envi_header(self.grid, self.layout), encoding="utf-8")
         return ["cube.dat", "cube.hdr"]
-
-
-def _silent(stage: str, done: int, total: int) -> None:
-    """Progress that nobody asked for."""
 
 
 def band_files(layout: BandLayout) -> list[str]:

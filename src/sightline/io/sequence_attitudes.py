@@ -15,7 +15,14 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import FormatError
 from sightline.geometry.earth import local_axes
 from sightline.io.acquired import InputFolder, attitude_to_world
-from sightline.io.angle_tables import OPK, body_of_ypr, camera_of_opk, kind_of_angles, origin_of_angles
+from sightline.io.angle_tables import (
+    ENU_FROM_NED,
+    OPK,
+    body_of_ypr,
+    camera_of_opk,
+    kind_of_angles,
+    origin_of_angles,
+)
 from sightline.io.sequence_frames import FrameList
 from sightline.io.sequence_models import ToldPoses
 from sightline.io.sequence_schema import SequenceFile
@@ -30,7 +37,6 @@ ATTITUDE_SIGMAS = ("sigma_roll", "sigma_pitch", "sigma_yaw")
 QUATERNION = ("qx", "qy", "qz", "qw")
 #: rad from straight down beyond which angles of a mapping camera are taken to be wrong.
 _OFF_NADIR = np.radians(80.0)
-_ENU_FROM_NED = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def told_attitudes(
@@ -132,7 +138,7 @@ def _gimbal_attitudes(file: SequenceFile, frames: FrameList, mount: Rotation, po
         return None
     frame = np.array(rows, dtype=np.intp)
     level = level_at(position[frame], radii_of(file))
-    body = level * _ENU_FROM_NED * Rotation.concatenate(turns) * mount.inv()
+    body = level * ENU_FROM_NED * Rotation.concatenate(turns) * mount.inv()
     sigma = np.full((len(rows), 3), file.attitude_sigma)
     kept = np.ones(len(rows), dtype=np.bool_)
     return in_time(frame, frames.t[frame], body.as_quat(), sigma, kept, common=True)

@@ -38,6 +38,7 @@ from sightline.io.poses import (
 )
 from sightline.io.reconstruction import Reconstruction
 from sightline.io.sequence import FrameSequence
+from sightline.io.sequence_models import FLAT, GEODETIC, ORIGIN_FILE
 from sightline.io.tables import write_columns
 from sightline.photogrammetry.frame_poses import FramePoses
 from sightline.photogrammetry.sightings import Tracks
@@ -154,9 +155,9 @@ def write_pose_exports(
     model = reconstruction_of(problem, names, poses, tracks, level)
     write_colmap_model(folder / "colmap", model)
     place = level.place or (0.0, 0.0, 0.0)
-    columns = ("longitude", "latitude", "height") if level.place is not None else ("x", "y", "z")
+    columns = GEODETIC if level.place is not None else FLAT
     write_columns(
-        folder / "colmap" / "origin.csv",
+        folder / "colmap" / ORIGIN_FILE,
         dict(zip(columns, np.array(place)[:, None], strict=True)),
         dict.fromkeys(columns, "%.10g"),
     )

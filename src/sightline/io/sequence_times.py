@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import FormatError
 from sightline.io.ccsds import seconds_from_epoch
-from sightline.io.tables import header_of, line_of_row, read_columns
+from sightline.io.tables import first_row, line_of_row, read_columns
 
 Array = NDArray[np.float64]
 
@@ -23,14 +23,8 @@ _INSTANT = re.compile(r"\d{4}-\d\d-\d\d[T ].*")
 
 def first_instant(path: Path) -> str | None:
     """The `t` of the first row of a table where that is a UTC instant; None where it is seconds."""
-    if "t" not in header_of(path):
-        return None
-    word = _words(path)[0]
+    word = first_row(path).get("t", "")
     return word if _INSTANT.fullmatch(word) else None
-
-
-def _words(path: Path) -> list[str]:
-    return [str(word) for word in read_columns(path, ("t",), text=("t",))["t"]]
 
 
 def read_timed(
@@ -55,7 +49,7 @@ def read_timed(
             '[sequence] epoch = "..." (UTC of t = 0)'
         )
     table = read_columns(path, columns, (*text, "t"), infinite)
-    words = _words(path)
+    words = [str(word) for word in table["t"]]
     other = next((k for k, word in enumerate(words) if not _INSTANT.fullmatch(word)), None)
     if other is not None:
         raise FormatError(

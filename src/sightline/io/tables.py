@@ -178,6 +178,12 @@ def header_of(path: Path) -> list[str]:
     raise FormatError(f"{path}: the file is empty; a header line and rows are expected")
 
 
+def first_row(path: Path) -> dict[str, str]:
+    """Cells of the first row of a CSV file by the names of their columns; none where there is no row."""
+    cells = [next(csv.reader([line])) for _, line in _lines(path)[:2]]
+    return {name.strip(): cell.strip() for name, cell in zip(*cells, strict=False)} if len(cells) > 1 else {}
+
+
 def line_of_row(path: Path, row: int) -> int:
     """Line of a CSV file, as an editor counts, that holds row `row` (from 0) below the header."""
     return _lines(path)[row + 1][0]

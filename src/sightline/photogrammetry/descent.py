@@ -63,6 +63,10 @@ BoolArray = NDArray[np.bool_]
 Reduction = PosesFirst | PointsFirst | LinkedFrames
 
 
+class DivergedError(EstimationError):
+    """Steps do not end, or lead nowhere."""
+
+
 @dataclass(frozen=True, eq=False)
 class State:
     """Unknowns of a block."""
@@ -377,7 +381,7 @@ def _settle(
         statistic, checked = _statistic(replace(equations.curvature, weight=weight), pull.residuals)
         scale = np.sqrt(_scale(statistic[usable & checked]))
         return Fit(state, weight, equations, steps, statistic, checked, float(scale))
-    raise EstimationError(DIVERGED)
+    raise DivergedError(DIVERGED)
 
 
 def _lowers(block: Block, state: State, weight: Array, pull: _Pull, step: State, decrease: float) -> bool:
@@ -471,7 +475,7 @@ def _descended(
         tried = _moved(state, step)
         if block.cost(tried, weight) <= pull.cost:
             return tried, False
-    raise EstimationError(DIVERGED)
+    raise DivergedError(DIVERGED)
 
 
 def _beyond(block: Block, tried: State, weight: Array, cost: float) -> State | None:

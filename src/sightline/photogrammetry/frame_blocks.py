@@ -20,10 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import EstimationError
 from sightline.estimation.banded_blocks import BlockwiseFactor
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
-from sightline.photogrammetry.descent import DIVERGED, Block, State
+from sightline.photogrammetry.descent import DIVERGED, Block, DivergedError, State
 from sightline.photogrammetry.flight_path import trend_forms
 from sightline.photogrammetry.frame_focal import FocalStretch, common_errors, globals_of
 from sightline.photogrammetry.frame_poses import (
@@ -380,7 +379,7 @@ def join_blocks(
         last = found.cost
         if progress is not None:
             progress(steps + 1)
-    raise EstimationError(DIVERGED)
+    raise DivergedError(DIVERGED)
 
 
 def _poses(whole: _Whole, found: _Forward, of_globals: Array, start: BlockPoses) -> FramePoses:

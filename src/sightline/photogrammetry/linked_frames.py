@@ -148,10 +148,12 @@ class LinkedFrames:
             raise InputError(f"shots solved last must be of one image each, got {unknowns.slots} a shot")
         self._unknowns = unknowns
         shared = np.zeros(len(curvature.of_points), dtype=bool)
-        found = runs_of_points(unknowns.shot[curvature.image], curvature.point)[2]
+        shot = unknowns.shot[curvature.image]
+        order, run, found = runs_of_points(shot, curvature.point)
         shared[: len(found)] = found
         self._left = PointsEliminated(curvature, unknowns, shared)
-        reach = max(self._left.reach, _longest_run(curvature, unknowns, shared))
+        tied = shared[curvature.point[order]]
+        reach = max(self._left.reach, longest(shot[order][tied], run[tied]))
         sums = _Sums(unknowns.last, reach)
         border, corner = self._left.sums(
             lambda step, there, small: sums.add(there + step, there, np.asarray(small))
@@ -239,19 +241,10 @@ def pairs_of_points(point: Index) -> tuple[Index, Index]:
     return np.concatenate(later), np.concatenate(earlier)
 
 
-def _longest_run(curvature: Curvature, unknowns: PoseUnknowns, shared: NDArray[np.bool_]) -> int:
-    """Most frames from the first to the last of a run of a point that lines share."""
-    rows = np.flatnonzero(shared[curvature.point])
-    if not len(rows):
-        return 0
-    shot = unknowns.shot[curvature.image]
-    order, run, _ = runs_of_points(shot, curvature.point)
-    kept = shared[curvature.point[order]]
-    return longest(shot[order][kept], run[kept])
-
-
 def longest(frame: Index, run: Index) -> int:
     """Most frames from the first to the last of a run; `run` (N,) is sorted, as are frames within one."""
+    if not len(run):
+        return 0
     first = np.flatnonzero(np.concatenate([[True], np.diff(run) > 0]))
     last = np.append(first[1:], len(run)) - 1
     return int((frame[last] - frame[first]).max(initial=0))

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses
-from sightline.applications.sequence_warnings import focal_verdict
+from sightline.applications.sequence_warnings import BENT_PX, bent_px, focal_verdict
 from sightline.report.sequence_view import PARAMETERS, UNITS, SequenceView
 from sightline.report.stereo_words import several, with_sigma
 from sightline.report.words import digits
@@ -23,8 +23,6 @@ Index = NDArray[np.intp]
 #: rad; a trend of the angles known no better is said not to be observable: it bends the ground of a strip
 #: by more than a hundredth of the flying height at its ends.
 LOOSE_BOW = np.radians(1.0)
-#: px at the ends of a stretch from which on a warning says that it may be bent, which words must not belie.
-BENT_PX = 1.0
 #: Share of the sigma that was known beforehand from which on data told nothing of it.
 UNTOLD = 0.9
 #: Rows of a table at most, and rows from which on it is folded up.
@@ -221,7 +219,7 @@ def _focal(problem: SequenceProblem, found: SequencePoses) -> str:
 
 def bow_rows(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> list[list[str]]:
     """Per stretch: frames, length, duration, sigma of the trend of each angle, verdict."""
-    rows = []
+    rows, detector = [], found.poses.detector(problem.detector)
     for number, frames in enumerate(view.of_stretches()):
         bow = found.poses.bow[number]
         rows.append(
@@ -231,18 +229,10 @@ def bow_rows(problem: SequenceProblem, found: SequencePoses, view: SequenceView)
                 digits(float(np.ptp(view.along[frames])), 4),
                 digits(float(np.ptp(view.t[frames])), 4),
                 *(digits(float(np.degrees(b)), 2) for b in bow),
-                bow_verdict(problem, bow, frames, bent_px(problem, found, bow)),
+                bow_verdict(problem, bow, frames, bent_px(detector, bow)),
             ]
         )
     return rows
-
-
-def bent_px(problem: SequenceProblem, found: SequencePoses, bow: Array) -> Array:
-    """px (3,), 1 sigma by which the bow about each axis moves the ground at the ends of a stretch."""
-    detector = found.poses.detector(problem.detector)
-    # about the line of sight a turn moves the corner of a frame most; a trend of rms 1 ends at the root of 3
-    lever = np.array([detector.focal_length_px] * 2 + [0.5 * float(np.hypot(*detector.shape))])
-    return np.asarray(np.sqrt(3.0) * bow * lever)
 
 
 def bow_verdict(problem: SequenceProblem, bow: Array, frames: Index, px: Array) -> str:
@@ -269,7 +259,7 @@ def _bow(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> 
     if not groups:
         return ""
     bows = np.array([found.poses.bow[n] for n, _ in groups])
-    px = np.array([bent_px(problem, found, bow) for bow in bows])
+    px = bent_px(found.poses.detector(problem.detector), bows)
     verdicts = {
         n + 1: bow_verdict(problem, bow, rows, moved)
         for (n, rows), bow, moved in zip(groups, bows, px, strict=True)
