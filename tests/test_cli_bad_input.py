@@ -8,12 +8,11 @@ import warnings
 
 import numpy as np
 import pytest
+from tests.terminal_lines import PROGRESS, WARNING
 
 from sightline.cli.main import run
 
 LINES, COLUMNS = 420, 64
-#: What is told on the way, beside the one error; slow machines are told of finished stages.
-TOLD = ("sightline: warning: ", "sightline: progress: ")
 
 
 @pytest.fixture(scope="module")
@@ -190,7 +189,7 @@ def test_bad_input_gives_one_clear_message_and_writes_nothing(
     got = run(["recover", str(scene / "acquisition.toml"), "--out", str(out)])
     said = capsys.readouterr()
     assert got == status, said.err
-    errors = [line for line in said.err.splitlines() if not line.startswith(TOLD)]
+    errors = [line for line in said.err.splitlines() if not line.startswith((WARNING, PROGRESS))]
     assert len(errors) == 1 and re.search(message, errors[0]), said.err
     assert "Traceback" not in said.err
     assert not out.exists()

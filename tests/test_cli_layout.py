@@ -7,6 +7,7 @@ import json
 
 import numpy as np
 import pytest
+from tests.terminal_lines import PROGRESS, WARNING
 
 from sightline.cli.main import run
 
@@ -87,8 +88,7 @@ def test_without_a_folder_the_ranked_layouts_are_printed(instrument, capsys):
     assert run(["layout", str(instrument), *BAND, "--count", "1"]) == 0
     said = capsys.readouterr()
     assert "(best in the band)" in said.out and "ASTER SWIR is blind at" in said.out
-    known = ("sightline: warning: ", "sightline: progress: ")
-    assert all(line.startswith(known) for line in said.err.splitlines())
+    assert all(line.startswith((WARNING, PROGRESS)) for line in said.err.splitlines())
     assert list(instrument.parent.iterdir()) == [instrument]
 
 

@@ -7,6 +7,7 @@ import math
 import shutil
 
 import pytest
+from tests.terminal_lines import PROGRESS, WARNING
 
 from sightline.cli import demo as demo_command
 from sightline.cli.main import run
@@ -39,9 +40,7 @@ def test_without_json_three_axes_and_the_places_to_look_are_said(quick, tmp_path
     lines = said.out.splitlines()
     assert [line.split()[0] for line in lines] == ["roll", "pitch", "yaw", "(after", "from"]
     assert str(out / "report.html") in lines[4]
-    # where that takes a second or more, finished stages are told as well
-    known = ("sightline: warning: ", "sightline: progress: ")
-    assert all(line.startswith(known) for line in said.err.splitlines())
+    assert all(line.startswith((WARNING, PROGRESS)) for line in said.err.splitlines())
 
 
 def test_a_recovery_scores_well_against_its_truth(recovery, capsys):
@@ -67,7 +66,7 @@ def test_what_fails_in_the_last_step_leaves_nothing(quick, tmp_path, capsys, mon
     out = tmp_path / "result"
     assert run([*quick, str(out)]) == status
     said = capsys.readouterr()
-    errors = [line for line in said.err.splitlines() if not line.startswith("sightline: progress: ")]
+    errors = [line for line in said.err.splitlines() if not line.startswith(PROGRESS)]
     assert said.out == "" and len(errors) == 1
     assert not out.exists()
 

@@ -175,15 +175,18 @@ def test_axes_of_the_world_give_the_same_geometry(tmp_path):
     assert (other.images.world_from_body.inv() * local.images.world_from_body).magnitude().max() < 1e-12
 
 
-def test_geo_txt_gives_positions_and_angle_tables_attitudes(tmp_path):
-    made = flight()
-    made.toml = (
-        made.toml.replace('positions = "positions.csv"', 'geo = "geo.txt"')
-        .replace('frame = "local"', 'frame = "lonlat"')
-        .replace("attitudes.csv", "opk.csv")
-    )
+def by_geo(made):
+    """The flight's positions by a geo.txt, sigmas 1.5 and 3 m, in place of its table."""
+    made.toml = made.toml.replace('positions = "positions.csv"', 'geo = "geo.txt"')
+    made.toml = made.toml.replace('frame = "local"', 'frame = "lonlat"')
     rows = [f"f{k}.npy 11.0 {48.0 + k * 5.0 / 111200:.9f} 100 0 0 0 1.5 3" for k in range(6)]
     made.extra["geo.txt"] = "EPSG:4326\n" + "\n".join(rows) + "\n"
+
+
+def test_geo_txt_gives_positions_and_angle_tables_attitudes(tmp_path):
+    made = flight()
+    by_geo(made)
+    made.toml = made.toml.replace("attitudes.csv", "opk.csv")
     # the nominal camera has its lines forward: its columns run west of a nose to the north, kappa 180
     made.extra["opk.csv"] = "frame,omega,phi,kappa\n" + "".join(f"{k},0,0,180\n" for k in range(6))
     problem = load_sequence(made.write(tmp_path))
@@ -205,13 +208,9 @@ def test_geo_txt_gives_positions_and_angle_tables_attitudes(tmp_path):
 
 def test_places_of_geo_txt_are_off_by_the_same_unless_told(tmp_path):
     made = flight()
-    made.toml = (
-        made.toml.replace('positions = "positions.csv"', 'geo = "geo.txt"')
-        .replace('frame = "local"', 'frame = "lonlat"')
-        .replace('attitudes = "attitudes.csv"\nposition_bias_sigma = 2.0\nattitude_bias_sigma = 0.01\n', "")
-    )
-    rows = [f"f{k}.npy 11.0 {48.0 + k * 5.0 / 111200:.9f} 100 0 0 0 1.5 3" for k in range(6)]
-    made.extra["geo.txt"] = "EPSG:4326\n" + "\n".join(rows) + "\n"
+    by_geo(made)
+    told = 'attitudes = "attitudes.csv"\nposition_bias_sigma = 2.0\nattitude_bias_sigma = 0.01\n'
+    made.toml = made.toml.replace(told, "")
     known = load_sequence(made.write(tmp_path)).known
     assert (known.position_bias, known.attitude_bias) == (3.0, 0.0)
     # a table says for itself what its errors share
