@@ -122,13 +122,14 @@ class SequenceProblem(ReadOnlyArrays):
         relative = self.focal_length_sigma_px / self.detector.focal_length_px
         return replace(self.known, focal_length=relative)
 
-    def middles(self) -> Array:
-        """m (M, 3): the ground in the middle of each frame, by the rough poses; NaN where it shows none."""
-        middle = 0.5 * (np.array([self.detector.shape]) - 1.0)
-        axis = self.images.world_from_body.apply(self.mount.apply(self.detector.directions(middle))[0])
-        return np.asarray(self.surface.intersect(read_only(self.images.position), read_only(axis)))
-
     @property
     def usable(self) -> NDArray[np.bool_]:
         """Which frames (M,) have an image that can be used."""
         return np.array([not reason for reason in self.excluded], dtype=np.bool_)
+
+
+def seen_ground(problem: SequenceProblem) -> Array:
+    """m (M, 3): the ground in the middle of each frame, by the rough poses; NaN where it shows none."""
+    middle = 0.5 * (np.array([problem.detector.shape]) - 1.0)
+    axis = problem.images.world_from_body.apply(problem.mount.apply(problem.detector.directions(middle))[0])
+    return np.asarray(problem.surface.intersect(read_only(problem.images.position), read_only(axis)))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.frame_sequence import SequenceProblem, seen_ground
 from sightline.geometry.checks import Array, read_only
 from sightline.photogrammetry.flight_path import stretches
 
@@ -122,7 +122,7 @@ def ground_motion(problem: SequenceProblem) -> tuple[Array, float]:
     middle = 0.5 * (np.array([problem.detector.shape]) - 1.0)
     ends = problem.detector.directions(read_only(middle + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])))
     camera = problem.images.world_from_body * problem.mount
-    distance = np.linalg.norm(problem.middles() - problem.images.position, axis=1)
+    distance = np.linalg.norm(seen_ground(problem) - problem.images.position, axis=1)
     if not (np.isfinite(velocity).any() and np.isfinite(distance).any()):
         return np.full((len(problem.t), 2), np.nan), np.nan
     # tangents of a pixel along lines and along columns
@@ -164,7 +164,7 @@ def side_overlap(problem: SequenceProblem) -> float:
     stretch = times_of(problem.t).stretch
     if stretch[-1] == 0 or not np.isfinite(problem.known.position).any():
         return np.nan
-    ground = problem.middles()
+    ground = seen_ground(problem)
     known = np.flatnonzero(np.isfinite(ground).all(axis=1))
     if not len(known):
         return np.nan

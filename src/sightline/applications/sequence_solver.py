@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.frame_sequence import SequenceProblem, seen_ground
 from sightline.applications.sequence_blocks import PartSolution
 from sightline.applications.sequence_start import approached
 from sightline.errors import EstimationError
@@ -175,7 +175,7 @@ class SequenceSolver:
 
 def ground_distances(problem: SequenceProblem) -> Array:
     """m (M,) from each frame to the ground in its middle, by the rough poses."""
-    far = np.linalg.norm(problem.middles() - problem.images.position, axis=1)
+    far = np.linalg.norm(seen_ground(problem) - problem.images.position, axis=1)
     known = np.isfinite(far)
     return np.where(known, far, np.median(far[known]) if known.any() else np.nan)
 
