@@ -29,10 +29,10 @@ def strip(count, weak=None, size=(500, 200)):
 
 
 def recovered(bands, hybridise):
-    return recover_line_of_sight(bands, Plane(0.0), options=RecoverOptions(hybridise=hybridise, passes=3))
+    return recover_line_of_sight(bands, Plane(0.0), options=RecoverOptions(hybridise=hybridise, passes=2))
 
 
-@pytest.mark.parametrize("count", [3, 6])
+@pytest.mark.parametrize("count", [3, 5])
 def test_both_ways_give_the_same_motion_within_its_sigma(count):
     _, bands = strip(count)
     one, other = (recovered(bands, how) for how in ("global", "iterative"))

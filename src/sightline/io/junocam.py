@@ -191,7 +191,8 @@ def unusable(hits: NDArray[np.bool_], median: NDArray[np.float32], dark: float) 
     from scipy import ndimage
 
     night = ndimage.binary_opening(ndimage.uniform_filter(median, 7) < dark, np.ones((5, 5), bool))
-    out = hits | ndimage.binary_dilation(night, np.ones((2 * AROUND + 1,) * 2, bool))
+    # a dilation by a wide square: the largest of rows, then of columns, is many times faster
+    out = hits | ndimage.maximum_filter(night, 2 * AROUND + 1, mode="constant")
     out[:, :BLIND] = True
     return np.asarray(out)
 
