@@ -15,7 +15,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
+from sightline.applications.sequence_poses import ESTIMATED, SOLVED, SequencePoses, georeference_sequence
 from sightline.errors import EstimationError, FormatError, InputError
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.io.sequence import load_sequence
@@ -273,6 +273,17 @@ def test_control_points_tie_the_datum(controlled):
     assert (after[:3] < 0.6 * before[:3]).all() and after[5] < 0.5 * before[5]
     assert_covered(scenario, found)
     assert not any("control point" in words for words in found.warnings)
+
+
+def test_control_points_alone_tell_the_datum(controlled):
+    scenario, folder = controlled
+    lines = (folder / "sequence.toml").read_text().splitlines()
+    kept = [line for line in lines if not line.startswith("position")]
+    toml = folder / "control-alone.toml"
+    toml.write_text('control_points = "control.csv"\ncontrol_sigma_px = 0.3\n' + "\n".join(kept) + "\n")
+    found = georeference_sequence(load_sequence(toml))
+    assert set(found.source) == {SOLVED, ESTIMATED}
+    assert_covered(scenario, found)
 
 
 @pytest.mark.parametrize("wrong", [0, 3])

@@ -100,10 +100,11 @@ def test_maps_that_the_camera_cannot_give_are_refused_before_any_work(tmp_path):
         check_cube(read_sequence(made.write(tmp_path)))
 
 
-def test_no_maps_and_maps_without_a_scale(tmp_path):
+def test_no_maps_and_maps_of_unknown_size(tmp_path):
     made = flight(12)
     made.toml += "[cube]\nmake = false\n"
     assert "no maps" in described(made, tmp_path / "a")["observable"]
     made = flight(12)
-    made.toml = made.toml.replace('positions = "positions.csv"\n', "")
-    assert "scale of no meaning" in described(made, tmp_path / "b")["observable"]
+    made.toml = 'control_points = "c.csv"\n' + made.toml.replace('positions = "positions.csv"\n', "")
+    made.extra["c.csv"] = "x,y,z,sigma,image,line,column\n10,0,0,1,0,11.5,11.5\n0,10,0,1,0,15.5,15.5\n"
+    assert "size is known once control points" in described(made, tmp_path / "b")["observable"]

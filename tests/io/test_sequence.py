@@ -140,12 +140,16 @@ def test_a_camera_that_stands_still_points_north():
     np.testing.assert_allclose(still.apply([1.0, 0, 0]), [[0, 1.0, 0]] * 3, atol=1e-12)
 
 
-def test_without_any_poses_a_local_world_has_a_place_of_no_meaning(tmp_path):
+def test_without_any_poses_control_points_are_said_to_tell_the_place(tmp_path):
     made = flight()
     made.toml = made.toml.replace('positions = "positions.csv"\nattitudes = "attitudes.csv"\n', "")
+    files('control_points = "c.csv"', c_csv=CONTROL + "1,2,0,1,0,4,5\n5,7,0,1,0,8,9\n")(made)
     problem = load_sequence(made.write(tmp_path))
-    assert np.isinf(problem.known.position).all() and "arbitrary" in problem.warnings[0]
-    assert "not observable" in describe_sequence(read_sequence(tmp_path / "sequence.toml"))["observable"][0]
+    assert np.isinf(problem.known.position).all() and np.isinf(problem.known.attitude).all()
+    said = describe_sequence(read_sequence(tmp_path / "sequence.toml"))
+    assert said["observable"][0].endswith("by control points")
+    assert not any("a frame covers" in words for words in said["understood"])
+    assert any("positions of three frames or more" in words for words in said["missing"])
 
 
 def test_axes_of_the_world_give_the_same_geometry(tmp_path):
@@ -484,8 +488,13 @@ def rename(made):
         row[0] = f"image {row[0]}"
 
 
-def no_positions(made):
+def no_positions_on_the_earth(made):
     made.toml = made.toml.replace('positions = "positions.csv"\n', "").replace('"local"', '"earth-fixed"')
+
+
+def a_single_position(made):
+    made.positions = made.positions[:1]
+    made.toml = made.toml.replace("height_sigma = 1.0\n", "")
 
 
 def transposed(made):
@@ -573,7 +582,9 @@ BAD = {
     "positions: one sigma": (header("positions", "frame,t,x,y,z,sigma_x,b,c"), "sigma_x alone"),
     "positions: time": (cell("positions", 2, 1, 77.0), "frame '2' has t = 77, in frames.csv it is 1"),
     "positions: names": (rename, "no row is of a frame: the first is of 'image 0'"),
-    "positions: none": (no_positions, "no frame has a position"),
+    "positions: none": (toml('positions = "positions.csv"\n', ""), "no frame .* no control points"),
+    "positions: none on the Earth": (no_positions_on_the_earth, "no frame has a position"),
+    "positions: a single one": (a_single_position, "a single frame has a position"),
     "positions: axes": (toml('"local"', '"earth-fixed"'), "from the Earth's centre"),
     "positions: below ground": (toml("height = 0.0", "height = 400.0"), "no frame looks at the ground"),
     "attitudes: length": (cell("attitudes", 2, 5, 3.0), "quaternion of length"),
@@ -605,6 +616,20 @@ def test_bad_input_is_told(tmp_path, case):
         load_sequence(made.write(tmp_path))
     assert isinstance(raised.value, FormatError | GeometryError)
     assert str(tmp_path) in str(raised.value)  # the file is named
+
+
+def test_without_positions_a_flight_begins_where_control_points_are_seen_from(tmp_path):
+    made = flight()
+    toml('positions = "positions.csv"\n', "")(made)
+    toml("position_bias_sigma = 2.0\n", "")(made)
+    # 10 m east and 10 m north of frame 0, which is at (0, 0, 100) m: 40 px x 10 / 100 from the middle; lines
+    # run forward, that is north, columns to the left. Frame 2 is 10 m further north. A third is seen once
+    seen = "10,0,0,1,0,11.5,11.5\n0,10,0,1,0,15.5,15.5\n10,0,0,1,2,7.5,11.5\n0,10,0,1,2,11.5,15.5\n"
+    files('control_points = "c.csv"', c_csv=CONTROL + seen + "0,20,0,1,4,11.5,15.5\n")(made)
+    problem = load_sequence(made.write(tmp_path))
+    np.testing.assert_allclose(problem.images.position, [[0.0, 5.0, 100.0]] * 6, atol=1e-9)
+    assert np.isinf(problem.known.position).all()
+    assert any("control points alone" in words for words in problem.warnings)
 
 
 def test_every_key_has_a_description_and_a_test_or_a_default():

@@ -207,7 +207,8 @@ def tell_cube(cube: dict[str, Any]) -> None:
     rows, columns = cube["shape"]
     bands = cube["bands"]
     covered = min(band["passed"] for band in bands)
-    said = f"{len(bands)} bands of {rows} rows x {columns} columns of {cube['gsd']:.3g} m"
+    count = f"{len(bands)} bands" if len(bands) != 1 else "1 band"
+    said = f"{count} of {rows} rows x {columns} columns of {cube['gsd']:.3g} m"
     share = f"a band covers at least {100.0 * covered:.1f} % of what lines of every band passed"
     say(f"{said}; {share}" if math.isfinite(covered) else said)
     misfit = [pair["rms_px"] for pair in cube["pairs"] if math.isfinite(pair["rms_px"])]

@@ -72,7 +72,10 @@ def frames(
     ] = None,
     position_jitter: Annotated[Number, _option("--position-jitter", "Metres rms per axis.")] = None,
     position_sigma: Annotated[
-        Number, _option("--position-sigma", "Metres, noise of positions; 0: none told.")
+        Number,
+        _option(
+            "--position-sigma", "Metres, noise of positions; 0: none told (control points are needed then)."
+        ),
     ] = None,
     position_bias_sigma: Annotated[
         Number, _option("--position-bias-sigma", "Metres, of their constant error.")

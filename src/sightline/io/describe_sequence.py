@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.frame_sequence import SequenceProblem, seen_ground
 from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.io.describe_outlook import map_words, overlap_words, program_words, time_words
 from sightline.io.sequence import FrameSequence, field_of_view, wide_words
@@ -40,9 +40,7 @@ def describe_sequence(sequence: FrameSequence) -> dict[str, Any]:
 def steps_of(problem: SequenceProblem) -> tuple[Array, float]:
     """By the rough poses: m from frame to frame, over so many that noise hardly counts; m a frame covers."""
     detector = problem.detector
-    looks = problem.images.world_from_body.apply(problem.mount.as_matrix()[:, 2])
-    ground = problem.surface.intersect(problem.images.position, looks)
-    distance = np.linalg.norm(ground - problem.images.position, axis=1)
+    distance = np.linalg.norm(seen_ground(problem) - problem.images.position, axis=1)
     position, over = problem.images.position, max(1, len(problem) // 8)
     steps = np.linalg.norm(position[over:] - position[:-over], axis=1) / over
     return steps, float(np.nanmedian(distance)) * detector.shape[0] / detector.focal_length_px
@@ -57,13 +55,15 @@ def _understood(sequence: FrameSequence) -> list[str]:
         f"{np.ptp(problem.t):.6g} s, {int(problem.usable.sum())} of them usable",
         _focal_words(problem),
         _filter_words(problem),
-        f"by the rough poses{_over(problem)} a frame covers {length:.4g} m along its lines; a subset of "
-        f"{problem.overlap:.0%} overlap "
-        f"has a frame every {(1.0 - problem.overlap) * length:.4g} m",
     ]
-    told = np.isfinite(problem.known.position).any()
-    if len(steps) and told:
-        said.append(f"frames are {float(np.median(steps)):.4g} m apart, by the rough positions")
+    if np.isfinite(problem.known.position).any():
+        said.append(
+            f"by the rough poses{_over(problem)} a frame covers {length:.4g} m along its lines; a subset of "
+            f"{problem.overlap:.0%} overlap "
+            f"has a frame every {(1.0 - problem.overlap) * length:.4g} m"
+        )
+        if len(steps):
+            said.append(f"frames are {float(np.median(steps)):.4g} m apart, by the rough positions")
     said += time_words(problem)
     if problem.readout_time > 0.0:
         said.append(f"rolling shutter: {problem.readout_time:g} s from the first line to the last")
@@ -161,13 +161,7 @@ def _missing(problem: SequenceProblem) -> list[str]:
 
 
 def _observable(problem: SequenceProblem) -> list[str]:
-    said = []
-    if np.isfinite(problem.known.position).any() or problem.control is not None:
-        said.append("place, size and direction of the whole: by " + _datum_words(problem))
-    else:
-        said.append(
-            "place, size and direction of the whole: not observable without positions or control points"
-        )
+    said = ["place, size and direction of the whole: by " + _datum_words(problem)]
     if problem.focal_length_sigma_px > 0.0:
         said.append(_focal_observable(problem))
     return said + overlap_words(problem)

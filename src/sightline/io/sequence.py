@@ -27,9 +27,9 @@ from sightline.io.config import read_toml, validate
 from sightline.io.envi import read_envi_wavelengths
 from sightline.io.frame_files import FrameFile
 from sightline.io.ground import surface_of
-from sightline.io.sequence_control import control_of
+from sightline.io.sequence_control import control_of, placed_by_control
 from sightline.io.sequence_frames import FrameList, excluded, probe_frames, read_frames, shape_of
-from sightline.io.sequence_poses import starting_poses
+from sightline.io.sequence_poses import check_places, starting_poses
 from sightline.io.sequence_schema import LEAST_NM, CubeSection, SequenceCamera, SequenceFile, WavelengthRange
 from sightline.io.sequence_told import is_local, radii_of
 from sightline.photogrammetry.sightings import Images
@@ -125,15 +125,19 @@ def read_sequence(path: Path) -> FrameSequence:
     _check_mosaic(file.camera, shape, path)
     _check_readout(file.camera, frames, path)
     bands = {p.bands for p, reason in zip(probes, reasons, strict=True) if not reason}
-    surface, ground_words = _ground(file, files, start.images, detector, mount)
     control, tracks = control_of(file, files, frames, shape)
+    check_places(path, start.known, control, file.surface.height_sigma)
+    images = start.images
+    if control is not None and tracks is not None and not np.isfinite(start.known.position).any():
+        images = placed_by_control(images, control, tracks, detector, mount)
+    surface, ground_words = _ground(file, files, images, detector, mount)
     problem = SequenceProblem(
         frames=frames.names,
         t=frames.t,
         sources=tuple(FrameFile(p, shape, "luminance" if bands != {1} else 1) for p in frames.files),
         detector=detector,
         mount=mount,
-        images=start.images,
+        images=images,
         known=start.known,
         surface=surface,
         height_sigma=file.surface.height_sigma,

@@ -6,13 +6,16 @@ Not here: rough poses (``sequence_poses.py``).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError
 from sightline.geometry.earth import WGS84, from_geodetic
+from sightline.geometry.instrument import AreaDetector
 from sightline.io.acquired import InputFolder
 from sightline.io.odm import read_gcp_list
 from sightline.io.platform import points_to_world
@@ -22,7 +25,7 @@ from sightline.io.sequence_told import radii_of
 from sightline.io.stereo_tables import check_inside, refuse_seen_twice
 from sightline.io.tables import read_control_points
 from sightline.photogrammetry.point_priors import ControlPoints
-from sightline.photogrammetry.sightings import Tracks
+from sightline.photogrammetry.sightings import Images, Tracks
 
 Array = NDArray[np.float64]
 
@@ -59,6 +62,42 @@ def control_of(
     _, first = np.unique(point, return_index=True)
     control = ControlPoints(np.arange(len(first)), position[first], sigma[first])
     return control, Tracks(image, point, pixels, np.full(len(point), file.control_sigma_px))
+
+
+def placed_by_control(
+    images: Images, control: ControlPoints, seen: Tracks, detector: AreaDetector, mount: Rotation
+) -> Images:
+    """Rough poses of which no place is told, put where control points are seen from.
+
+    Parameters
+    ----------
+    images : Images
+        Of all frames; their attitudes are used, their positions are not.
+    control : ControlPoints
+    seen : Tracks
+        Where they were seen; `point` counts the rows of `control`.
+    detector : AreaDetector
+    mount : Rotation
+        body <- camera.
+
+    Returns
+    -------
+    Images
+        All in one place, a start only: the middle of those from which frames see two points or more. Where
+        no frame does, as given.
+    """
+    attitude = images.world_from_body[seen.image]
+    look = attitude.apply(mount.apply(detector.directions(seen.pixels)))
+    # the part of (place - point) across the ray is nothing
+    across = np.eye(3) - np.einsum("ni,nj->nij", look, look)
+    places = []
+    for frame in np.flatnonzero(np.bincount(seen.image) > 1):
+        rows = seen.image == frame
+        target = np.einsum("nij,nj->i", across[rows], control.position[seen.point[rows]])
+        places.append(np.linalg.lstsq(across[rows].sum(axis=0), target, rcond=None)[0])
+    if not places:
+        return images
+    return replace(images, position=np.tile(np.median(places, axis=0), (len(images), 1)))
 
 
 def _of_tables(file: SequenceFile, files: InputFolder) -> tuple[Path, Array, Array, Sequence[str], Array]:

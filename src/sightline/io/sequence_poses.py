@@ -9,6 +9,7 @@ frames there are (``sequence_frames.py``), the ground (``sequence.py``).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from sightline.io.sequence_positions import told_positions
 from sightline.io.sequence_schema import SequenceFile
 from sightline.io.sequence_told import Told, along, radii_of, slerp_along
 from sightline.photogrammetry.frame_poses import RoughPoses
-from sightline.photogrammetry.point_priors import level_axes
+from sightline.photogrammetry.point_priors import ControlPoints, level_axes
 from sightline.photogrammetry.sightings import Images
 
 Array = NDArray[np.float64]
@@ -32,6 +33,8 @@ Array = NDArray[np.float64]
 _HEADING_SIGMAS = 10.0
 #: m; height of a camera of which nothing is known above the ground.
 _ANY_HEIGHT = 100.0
+#: Ways to tell where frames were taken.
+_PLACES = "positions = FILE, geo = FILE, poses = PATH or photographs with GPS"
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +66,10 @@ def starting_poses(
         position, position_sigma = _anywhere(file, count), np.full((count, 3), np.inf)
         if radii is not None:
             raise FormatError(
-                f"{files.toml}: no frame has a position: give positions = FILE, geo = FILE or poses = PATH, "
-                "photographs with GPS, "
-                'or [world] frame = "local" for poses about a place of no meaning'
+                f"{files.toml}: no frame has a position: give {_PLACES}; "
+                'of control points alone, [world] frame = "local" is needed'
             )
-        warnings.append("no positions: place, size and direction of the result are arbitrary")
+        warnings.append("no positions: control points alone tell where the path lies, and how large it is")
     else:
         position, position_sigma = along(frames.t, placed), _sigma_of(placed, count)
         _say_how_many(warnings, position_sigma, "position")
@@ -91,6 +93,38 @@ def starting_poses(
         ),
         tuple(warnings),
     )
+
+
+def check_places(path: Path, known: RoughPoses, control: ControlPoints | None, height_sigma: float) -> None:
+    """What tells where a path lies and how large it is must be there.
+
+    Parameters
+    ----------
+    path : Path
+        Of SEQUENCE.toml, for the words.
+    known : RoughPoses
+    control : ControlPoints or None
+    height_sigma : float
+        m, of the ground; 0: not known.
+
+    Raises
+    ------
+    FormatError
+        If nothing has a place; if a single frame or control point has, and no height tells the size.
+    """
+    frames = int(np.isfinite(known.position).any(axis=1).sum())
+    places = frames + (0 if control is None else len(control.point))
+    if places == 0:
+        raise FormatError(
+            f"{path}: no frame has a position, and there are no control points: where the path lies and how "
+            f"large it is cannot be told from frames alone; give {_PLACES}, or control points"
+        )
+    if places == 1 and not height_sigma > 0.0:
+        raise FormatError(
+            f"{path}: a single {'frame has a position' if frames else 'control point is given'}: that does "
+            f"not tell how large the path is; give two or more ({_PLACES}, or control points), or [surface] "
+            "height_sigma of a ground whose height is known"
+        )
 
 
 def _bias_sigma(told: float | None, rows: Told | None) -> float:
