@@ -116,9 +116,7 @@ def map_words(sequence: FrameSequence) -> list[str]:
         return [f"size of the maps: not known by the rough poses: {error}"]
     bands = f"about {len(layout)} bands" if len(layout) != 1 else "1 band"
     if not np.isfinite(problem.known.position).any():
-        return [
-            f"maps of {bands}; how large they are is known once control points have told the flying height"
-        ]
+        return [f"maps of {bands}; their size is known once control points have told the flying height"]
     rows, columns = grid.shape
     size = 4.0 * rows * columns * len(layout) * len(cube.formats)
     return [
