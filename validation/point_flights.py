@@ -76,6 +76,8 @@ class Kind:
     lost: bool = False
     gross: float = 0.003
     understated: float = 1.0
+    windows: int = WINDOWS  # followed at once
+    noise: float = 1.0  # of windows, and their drift, in units of OWN and DRIFT
     hills: float = HILLS  # m, rms
     climb: float = 0.0  # m, from the first frame of a line to the last
 
@@ -213,18 +215,18 @@ def windows(
         seen = camera.see(points, line, t[k])
         good = inside(seen) & (np.abs(seen - hub).max(axis=1, initial=0.0) < LIFE * SHAPE[0])
         points, hub, walk, name, seen = points[good], hub[good], walk[good], name[good], seen[good]
-        walk = walk + DRIFT * rng.standard_normal(walk.shape)
-        found = seen + walk + OWN * rng.standard_normal(seen.shape)
+        walk = walk + kind.noise * DRIFT * rng.standard_normal(walk.shape)
+        found = seen + walk + kind.noise * OWN * rng.standard_normal(seen.shape)
         wild = rng.random(len(found)) < kind.gross
         found[wild] += rng.uniform(-3.0, 3.0, (wild.sum(), 2))
-        if k % 3 == 0 and len(points) < WINDOWS:
-            new = rng.uniform(RIM, np.array(SHAPE) - 1.0 - RIM, (WINDOWS - len(points), 2))
+        if k % 3 == 0 and len(points) < kind.windows:
+            new = rng.uniform(RIM, np.array(SHAPE) - 1.0 - RIM, (kind.windows - len(points), 2))
             points = np.concatenate([points, camera.on_ground(new, line, t[k], hills)])
             hub, walk = np.concatenate([hub, new]), np.concatenate([walk, np.zeros(new.shape)])
             name = np.concatenate([name, count + np.arange(len(new))])
             count += len(new)
             # a hub's own place is where all others are compared to
-            found = np.concatenate([found, new + OWN * rng.standard_normal(new.shape)])
+            found = np.concatenate([found, new + kind.noise * OWN * rng.standard_normal(new.shape)])
         rows.append((np.full(len(name), k), name.copy(), found))
     image, point, pixels = (np.concatenate(part) for part in zip(*rows, strict=True))
     order = np.lexsort((image, point))
@@ -390,7 +392,7 @@ def sighted(
     before[np.isnan(motion[:, 0])] = -1
     nothing = np.ones(len(t))
     return Followed(
-        image, point, pixels, np.full(len(image), OWN / kind.understated), before,
+        image, point, pixels, np.full(len(image), kind.noise * OWN / kind.understated), before,
         motion, np.bincount(image, minlength=len(t)), nothing, nothing,
         ("",) * len(t),
     )  # fmt: skip

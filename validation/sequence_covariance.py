@@ -41,6 +41,9 @@ VARIANTS = {
         craft_from_body=about(2, 90.0), craft_from_camera=about(0, 6.0) @ about(1, 8.0),
     ),
     "shutter": Kind("rolling shutter of 20 ms", readout=0.02),
+    "shutter-fine": Kind(
+        "rolling shutter of 30 ms, 250 windows good to .015 px", readout=0.03, windows=250, noise=0.25
+    ),
     "precise": Kind(
         "tables without biases: 3 and 5 cm, .1, .1, .3 degrees", place=(0.03, 0.03, 0.05), place_bias=0.0,
         turn=(0.1, 0.1, 0.3), turn_bias=0.0,

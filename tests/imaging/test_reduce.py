@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import InputError
-from sightline.imaging.reduce import ReducedImage
+from sightline.imaging.reduce import ReducedImage, pattern_means
 from sightline.imaging.source import ArrayImage
 
 
@@ -24,3 +24,30 @@ def test_windows_of_a_reduced_image_are_means_of_blocks_and_flag_bad_ones():
 def test_a_block_larger_than_the_image_is_refused():
     with pytest.raises(InputError, match="factor"):
         ReducedImage(ArrayImage(np.zeros((4, 9))), 5)
+
+
+def test_means_over_a_pattern_do_not_lean_to_its_bright_cells():
+    # a ramp along lines behind cells of unlike brightness: each mean is the ramp's in the middle of its square
+    ramp = 100.0 + np.arange(40.0)[:, None] * np.ones((1, 26))
+    gain = np.array([[0.5, 0.7], [1.2, 1.6]])
+    means = pattern_means(ArrayImage(ramp * np.tile(gain, (20, 13))), 2)
+    assert means.shape == (20, 13)
+    found = means.read((0, 20), (0, 13))
+    # as bright as all cells are together, but for the ramp's step of one in 120 within each square
+    level = found / (gain.mean() * (ramp[::2, ::2] + 0.5))
+    assert np.ptp(level) < 1e-5 and abs(level.mean() - 1.0) < 1.0 / 120.0
+    leaning = ReducedImage(ArrayImage(ramp * np.tile(gain, (20, 13))), 2).read((0, 20), (0, 13))
+    assert np.ptp(leaning / (ramp[::2, ::2] + 0.5)) > 1e-4
+
+
+def test_means_over_a_pattern_flag_what_holds_a_bad_pixel_and_bear_a_dark_cell():
+    pixels = np.random.default_rng(2).uniform(50.0, 60.0, (21, 31))
+    pixels[1::3, 1::3] = 0.0
+    bad = np.zeros(pixels.shape, dtype=bool)
+    bad[5, 7] = True
+    means = pattern_means(ArrayImage(pixels, bad), 3)
+    assert means.shape == (7, 10) and np.isfinite(means.read((0, 7), (0, 10))).all()
+    flags = means.mask((0, 7), (0, 10))
+    assert flags is not None and np.argwhere(flags).tolist() == [[1, 2]]
+    dark = pattern_means(ArrayImage(np.zeros((8, 8))), 2)
+    assert (dark.read((0, 4), (0, 4)) == 0.0).all()

@@ -35,17 +35,18 @@ def on_ground(images: Images, frame: int, pixels: np.ndarray) -> np.ndarray:
     return images.position[frame, :2] + sign * np.column_stack([-left, forward])
 
 
-def pictures(images: Images) -> list[ArrayImage]:
-    """What each frame sees of a ground of many waves."""
+def pictures(images: Images, mosaic: np.ndarray | None = None, finest: float = 1.5) -> list[ArrayImage]:
+    """What each frame sees of a ground of waves of `finest` m and more, perhaps behind a mosaic filter."""
     rng = np.random.default_rng(0)
-    wave = rng.standard_normal((120, 2)) * 2.0 * np.pi / rng.uniform(1.5, 12.0, (120, 1))
+    wave = rng.standard_normal((120, 2)) * 2.0 * np.pi / rng.uniform(finest, 12.0, (120, 1))
+    gain = np.ones(SHAPE) if mosaic is None else np.tile(mosaic, np.array(SHAPE) // len(mosaic))
     phase = rng.uniform(0.0, 2.0 * np.pi, 120)
     grid = np.stack(np.indices(SHAPE), axis=-1).reshape(-1, 2).astype(float)
     out = []
     for frame in range(len(images)):
         light = np.cos(on_ground(images, frame, grid) @ wave.T + phase).sum(axis=1)
         noise = 0.5 * rng.standard_normal(len(grid))
-        out.append(ArrayImage((1000.0 + 20.0 * (light + noise)).reshape(SHAPE)))
+        out.append(ArrayImage(gain * (1000.0 + 20.0 * (light + noise)).reshape(SHAPE)))
     return out
 
 
@@ -87,7 +88,8 @@ def linked() -> Tracks:
     return found
 
 
-def test_places_found_are_of_the_same_ground(linked):
+def apart_px(linked: Tracks) -> tuple[np.ndarray, np.ndarray]:
+    """How far apart the two frames of each point put it (n, 2), and what is stated of that (n,); px."""
     images = flight()
     order = np.lexsort((linked.image, linked.point))
     first, second = order[::2], order[1::2]
@@ -97,10 +99,29 @@ def test_places_found_are_of_the_same_ground(linked):
         for rows in (first, second)
     ]
     apart = (ground[0] - ground[1]) * FOCAL / HEIGHT
-    stated = np.sqrt(linked.sigma_px[first] ** 2 + linked.sigma_px[second] ** 2)
+    return apart, np.sqrt(linked.sigma_px[first] ** 2 + linked.sigma_px[second] ** 2)
+
+
+def test_places_found_are_of_the_same_ground(linked):
+    apart, stated = apart_px(linked)
     # good windows err by less than what is stated of them with the other wavelengths they do not have here
     assert np.abs(np.median(apart, axis=0)).max() < 0.05
     assert np.sqrt((apart**2).mean()) < np.sqrt((stated**2).mean()) < 0.4
+
+
+def test_the_pattern_of_a_mosaic_is_not_taken_for_ground():
+    # cells of 0.6 to 1.4 of the mean; as they are, windows lie where their patterns meet
+    mosaic = np.random.default_rng(2).permutation(np.linspace(0.6, 1.4, 4)).reshape(2, 2)
+    images = flight()
+    plan = CrossPlan(0.5, 0.005, window=11, reduction=2)
+    found = link_stretches(
+        pictures(images, mosaic, finest=4.0), images, detector(), NADIR_MOUNT, Plane(0.0), GROUP, plan
+    )
+    assert found is not None
+    apart, stated = apart_px(found)
+    assert len(apart) > 50 and np.sqrt((apart**2).mean()) < np.sqrt((stated**2).mean()) < 0.4
+    # of cells that counted for as much as they are bright the means would lie 0.27 px apart
+    assert np.abs(np.median(apart, axis=0)).max() < 0.05
 
 
 def test_grounds_that_differ_are_not_linked():

@@ -1,16 +1,19 @@
-"""Lines of a frame exposed one after the other: poses of lines against a motion in closed form."""
+"""Lines of a frame exposed one after the other: what they see, against a motion in closed form."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
-from sightline.photogrammetry.rolling_shutter import line_poses, sight_lines
-from sightline.photogrammetry.sightings import Images, Tracks, sight_frames
+from sightline.photogrammetry.rolling_shutter import as_of_first_lines, line_poses
+from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_frames
 
 RATE, READOUT, SHAPE, FOCAL = 25.0, 0.02, (240, 320), 300.0
+MIDDLE = 0.5 * (np.array(SHAPE) - 1.0)
 
 
 def position_at(t: np.ndarray) -> np.ndarray:
@@ -31,12 +34,10 @@ def matrix_at(t: float) -> np.ndarray:
     return out
 
 
-def images(count: int = 40, turned: float = 0.0) -> Images:
+def images(count: int = 40) -> Images:
     t = np.arange(count) / RATE
-    attitude = Rotation.from_matrix(np.stack([matrix_at(x) for x in t])) * Rotation.from_rotvec(
-        [turned, 0, 0]
-    )
-    return Images(np.zeros(count), np.arange(count), t, position_at(t) + 3.0 * turned, attitude)
+    attitude = Rotation.from_matrix(np.stack([matrix_at(x) for x in t]))
+    return Images(np.zeros(count), np.arange(count), t, position_at(t), attitude)
 
 
 def test_poses_of_lines_follow_the_motion_between_frames():
@@ -80,27 +81,65 @@ def test_a_lone_frame_does_not_move():
     assert (moved == 0.0).all() and turned.magnitude().max() == 0.0
 
 
-def test_points_seen_by_single_lines_are_met_exactly_from_wrong_plans():
-    true, plan = images(), images(turned=0.02)
+def seen(true: Images, image: np.ndarray, point: np.ndarray, readout: float) -> np.ndarray:
+    """Pixels (n, 2) by plain geometry: each point in its frame, by the line that sees it at its own time."""
+    out = np.empty((len(point), 2))
+    for n, (frame, place) in enumerate(zip(image, point, strict=True)):
+        line = MIDDLE[0]
+        for _ in range(20):
+            t = true.t[frame] + readout * line / (SHAPE[0] - 1.0)
+            forward, right, down = matrix_at(t).T @ (place - position_at(np.array(t)))
+            line = MIDDLE[0] + FOCAL * forward / down
+        out[n] = line, MIDDLE[1] - FOCAL * right / down
+    return out
+
+
+def sighted(true: Images) -> tuple[Sightings, np.ndarray, np.ndarray]:
+    """Sightings of 60 points in two frames, the points, and s from the first line to that of each."""
     rng = np.random.default_rng(0)
     point = np.column_stack([rng.uniform(-30, 30, 60), rng.uniform(0, 20, 60), rng.uniform(-2, 2, 60)])
-    middle = 0.5 * (np.array(SHAPE) - 1.0)
-    image, pixels = np.repeat([12, 25], 30), np.empty((60, 2))
-    for n in range(60):
-        line = middle[0]
-        for _ in range(20):  # the line that sees the point at its own time
-            t = true.t[image[n]] + READOUT * line / (SHAPE[0] - 1.0)
-            forward, right, down = matrix_at(t).T @ (point[n] - position_at(np.array(t)))
-            line = middle[0] + FOCAL * forward / down
-        pixels[n] = line, middle[1] - FOCAL * right / down
-    detector = AreaDetector("frame", SHAPE, FOCAL, (middle[0], middle[1]))
-    tracks = Tracks(image, np.arange(60), pixels, np.array(0.1))
-    delay = READOUT * pixels[:, 0] / (SHAPE[0] - 1.0)
-    sightings = sight_lines(sight_frames(plan, [detector], [NADIR_MOUNT], tracks), plan, true, delay)
-    # each pose departs from its line's as its frame's does from the plan: body axes, then the world's
-    turn = Rotation.from_rotvec([-0.02, 0.0, 0.0]).as_matrix()
-    q = np.einsum("nij,ni->nj", sightings.world_from_body @ turn, point - (sightings.position - 0.06))
-    q = q @ NADIR_MOUNT.as_matrix()
-    miss = np.einsum("nij,nj->ni", sightings.px_per_tangent, sightings.tangents - q[:, :2] / q[:, 2:])
-    # the spline's error as above, at 80 m and 300 px: 1e-6 (1 / 80 + 1) 300 px
-    assert np.abs(miss).max() < 1e-3
+    image = np.repeat([12, 25], 30)
+    pixels = seen(true, image, point, READOUT)
+    detector = AreaDetector("frame", SHAPE, FOCAL, (MIDDLE[0], MIDDLE[1]))
+    sightings = sight_frames(
+        true, [detector], [NADIR_MOUNT], Tracks(image, np.arange(60), pixels, np.array(0.1))
+    )
+    return sightings, point, READOUT * pixels[:, 0] / (SHAPE[0] - 1.0)
+
+
+def test_sightings_are_what_the_first_line_would_see():
+    true = images()
+    sightings, point, delay = sighted(true)
+    still = seen(true, sightings.image, point, 0.0)
+    found = as_of_first_lines(sightings, true, point, delay)
+    x = (still - MIDDLE) / FOCAL
+    # the mount's camera has x along columns, y along lines; columns run to the left
+    expected = NADIR_MOUNT.inv().apply(np.column_stack([x[:, 0], -x[:, 1], np.ones(len(x))]))
+    # the spline's error as above, at 80 m and 300 px: 1e-6 (1 / 80 + 1) rad
+    assert np.abs(found.tangents - expected[:, :2] / expected[:, 2:]).max() < 2e-6
+    assert np.abs(found.tangents - sightings.tangents).max() > 1e-3
+    np.testing.assert_array_equal(found.position, sightings.position)
+    # a point that is not known is as far as the others: heights of 2 m in 80 m change what 20 ms do by 3 %
+    some = point.copy()
+    some[::7] = np.nan
+    rough = as_of_first_lines(sightings, true, some, delay)
+    displaced = np.linalg.norm(found.tangents - sightings.tangents, axis=1)
+    assert (np.linalg.norm(rough.tangents - found.tangents, axis=1) < 0.06 * displaced.max()).all()
+    np.testing.assert_allclose(
+        np.delete(rough.tangents, np.s_[::7], 0), np.delete(found.tangents, np.s_[::7], 0)
+    )
+
+
+def test_where_the_flight_lies_changes_nothing():
+    # turned, moved and enlarged as a whole, points with it: what frames show within themselves is the same
+    true = images()
+    sightings, point, delay = sighted(true)
+    turn, move, size = Rotation.from_rotvec([0.03, -0.05, 0.4]), np.array([20.0, -7.0, 3.0]), 1.07
+    elsewhere = replace(
+        true,
+        position=size * turn.apply(np.array(true.position)) + move,
+        world_from_body=turn * true.world_from_body,
+    )
+    here = as_of_first_lines(sightings, true, point, delay)
+    there = as_of_first_lines(sightings, elsewhere, size * turn.apply(point) + move, delay)
+    np.testing.assert_allclose(here.tangents, there.tangents, atol=1e-9)

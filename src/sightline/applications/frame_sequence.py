@@ -123,6 +123,11 @@ class SequenceProblem(ReadOnlyArrays):
         return replace(self.known, focal_length=relative)
 
     @property
+    def filter_period(self) -> int:
+        """px; side of the squares whose means all see the same wavelengths: 1 without a mosaic filter."""
+        return 1 if self.mosaic_nm is None else int(np.lcm(*self.mosaic_nm.shape))
+
+    @property
     def usable(self) -> NDArray[np.bool_]:
         """Which frames (M,) have an image that can be used."""
         return np.array([not reason for reason in self.excluded], dtype=np.bool_)

@@ -323,7 +323,7 @@ def follow_sequence(
     """
     plan = FollowPlan() if plan is None else plan
     if problem.mosaic_nm is not None:
-        plan = replace(plan, reduction=int(np.lcm(*problem.mosaic_nm.shape)))
+        plan = replace(plan, reduction=problem.filter_period)
     sources = [s if not why else None for s, why in zip(problem.sources, problem.excluded, strict=True)]
     usable = sum(source is not None for source in sources)
     if not usable:

@@ -21,7 +21,7 @@ from sightline.photogrammetry.cross_links import CrossPlan
 from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors, level_axes
 from sightline.photogrammetry.relief import points_alike
-from sightline.photogrammetry.rolling_shutter import sight_lines
+from sightline.photogrammetry.rolling_shutter import as_of_first_lines
 from sightline.photogrammetry.sightings import (
     Images,
     Sightings,
@@ -147,8 +147,6 @@ class SequenceSolver:
         sightings = sight_frames(p.images, [detector], [p.mount], tracks)
         near = sightings if p.start is None else sight_frames(p.start, [detector], [p.mount], tracks)
         points = _on_surface(near, p)
-        if before is not None and before.focal is not None:
-            sightings = stretched_sightings(sightings, before.focal.stretch)
         if before is not None:
             known = len(before.points)
             points[:known] = np.where(np.isfinite(before.points), before.points, points[:known])[
@@ -157,7 +155,9 @@ class SequenceSolver:
             if shutter:
                 delay = p.readout_time * tracks.pixels[:, 0] / (p.detector.shape[0] - 1.0)
                 estimated, linked = estimated_images(p.images, before), self.followed.linked()
-                sightings = sight_lines(sightings, p.images, estimated, delay, linked)
+                sightings = as_of_first_lines(sightings, estimated, points, delay, linked)
+            if before.focal is not None:
+                sightings = stretched_sightings(sightings, before.focal.stretch)
         return sightings, priors, points
 
     def cross_plan(self, poses: FramePoses) -> CrossPlan:
@@ -170,7 +170,9 @@ class SequenceSolver:
         far = float(np.median(ground_distances(self.problem)))
         # biases of the tables are the same for all stretches, up to where the flight turns
         loose = float(np.median(np.hypot(sigma[:, 3:].max(axis=1), sigma[:, :3].max(axis=1) / far)))
-        return CrossPlan(float(np.nanquantile(above, 0.99)), min(loose, 0.05))
+        return CrossPlan(
+            float(np.nanquantile(above, 0.99)), min(loose, 0.05), reduction=self.problem.filter_period
+        )
 
 
 def ground_distances(problem: SequenceProblem) -> Array:

@@ -1,4 +1,4 @@
-"""An image at a coarser scale: the mean of square blocks, read window by window.
+"""An image at a coarser scale: means of square blocks read window by window, or over a mosaic's pattern.
 
 Not here: matching at several scales (``photogrammetry/match_frames.py``).
 """
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.imaging.source import ImageSource
+from sightline.imaging.source import ArrayImage, ImageSource, read_padded
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,3 +70,29 @@ class ReducedImage:
         """Pixels as (lines, factor, columns, factor)."""
         k = self.factor
         return pixels.reshape(pixels.shape[0] // k, k, pixels.shape[1] // k, k)
+
+
+def pattern_means(source: ImageSource, period: int) -> ArrayImage:
+    """A frame behind a mosaic filter as means over its pattern, held in memory.
+
+    Every cell of the pattern counts alike: did the brighter ones count for more, a mean would lie nearer to
+    them, and on the other side where the frame is turned.
+
+    Parameters
+    ----------
+    source : ImageSource
+        Lines and columns left over are cut off.
+    period : int
+        px, side of the squares that show each cell equally often.
+    """
+    lines, columns = (side // period for side in source.shape)
+    pixels, unusable = read_padded(source, (0, lines * period), (0, columns * period))
+    cells = pixels.reshape(lines, period, columns, period)
+    level = cells.mean(axis=(0, 2), keepdims=True, dtype=np.float64)
+    usual = float(level.mean())
+    # a cell that is dark on the whole tells nothing: it is not made a hundred times brighter
+    gain = np.maximum(level / usual, 0.05) if usual > 0.0 else np.ones_like(level)
+    means = np.asarray((cells / gain).mean(axis=(1, 3)), dtype=np.float32)
+    if unusable is None:
+        return ArrayImage(means)
+    return ArrayImage(means, np.asarray(unusable.reshape(cells.shape).any(axis=(1, 3))))

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from sightline.errors import EstimationError, InputError, SightlineError
 from sightline.geometry.checks import ReadOnlyArrays, frozen
-from sightline.imaging.reduce import ReducedImage
+from sightline.imaging.reduce import pattern_means
 from sightline.imaging.resample import kernel_table
 from sightline.imaging.source import ArrayImage, ImageSource, read_padded
 from sightline.matching import kernels
@@ -278,9 +278,9 @@ class _Reader:
         source = self._sources[number]
         if source is None:
             return None
-        if self._plan.reduction > 1:
-            source = ReducedImage(source, self._plan.reduction)
         try:
+            if self._plan.reduction > 1:
+                source = pattern_means(source, self._plan.reduction)
             return read_padded(source, (0, self.shape[0]), (0, self.shape[1]))
         except (SightlineError, OSError):
             return None

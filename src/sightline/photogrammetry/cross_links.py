@@ -21,6 +21,7 @@ from sightline.geometry.camera import FrameCamera
 from sightline.geometry.checks import Array, read_only
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.surface import Surface
+from sightline.imaging.reduce import pattern_means
 from sightline.imaging.source import ImageSource
 from sightline.matching.match_images import match_images
 from sightline.matching.select import grid_points, spread_subset, texture_strength
@@ -55,13 +56,17 @@ class CrossPlan:
     partners : int
         Frames of each other stretch that a frame is compared with, at most.
     window : int
-        px
+        Pixels of what is compared.
+    reduction : int
+        Pixels are averaged in squares of this side first: the period of a mosaic filter, whose pattern would
+        look like itself wherever the ground is.
     """
 
     height_range: float
     pointing_error: float
     partners: int = 2
     window: int = 21
+    reduction: int = 1
 
 
 def cross_pairs(
@@ -222,30 +227,33 @@ def _match_pair(
 ) -> tuple[Array, Array, Array] | None:
     """Pixels in both frames of a pair and the sigma of each; None if too few agree."""
     hub, partner = cameras
+    k = plan.reduction
+    size, step = (plan.window, plan.window), 2 * plan.window // 3
+    images = (pattern_means(sources[0], k), pattern_means(sources[1], k)) if k > 1 else sources
 
-    def seen(pixels: Array, height: float = 0.0) -> Array:
-        return partner.project(hub.locate(pixels, surface.raised(height) if height else surface))
+    def seen(places: Array, height: float = 0.0) -> Array:
+        """Where the partner sees what the hub sees at some places, both in pixels of what is compared."""
+        ground = hub.locate(_of_frame(places, k), surface.raised(height) if height else surface)
+        return (partner.project(ground) - 0.5 * (k - 1)) / k
 
-    size = (plan.window, plan.window)
-    step = 2 * plan.window // 3
-    points = grid_points(sources[0].shape, window=size, step=(step, step))
-    points = points[lines[np.rint(points[:, 0]).astype(np.intp)]]
+    points = grid_points(images[0].shape, window=size, step=(step, step))
+    points = points[lines[np.rint(_of_frame(points, k)[:, 0]).astype(np.intp)]]
     there = seen(points)
     with np.errstate(invalid="ignore"):
-        inside = ((there >= 0.0) & (there <= np.array(partner.shape) - 1.0)).all(axis=1)
+        inside = ((there >= 0.0) & (there <= np.array(images[1].shape) - 1.0)).all(axis=1)
     points, there = points[inside], there[inside]
-    strength = texture_strength(sources[0], points, size)
+    strength = texture_strength(images[0], points, size)
     strength[~(strength > 0.0)] = np.nan
     rows = spread_subset(points, strength, _POINTS, (_CELLS, _CELLS))
     if len(rows) < _LEAST_WINDOWS:
         return None
     points, there = points[rows], there[rows]
     high = np.abs(seen(points, plan.height_range) - there)
-    loose = 2.0 * plan.pointing_error * partner.detector.focal_length_px
+    loose = 2.0 * plan.pointing_error * partner.detector.focal_length_px / k
     reach = np.minimum(np.ceil(np.nanmax(high, axis=0) + loose) + 1, _LONGEST_SEARCH).astype(int)
     affine = np.stack([(seen(points + s) - seen(points - s)) / 2.0 for s in np.eye(2)], axis=-1)
     found = match_images(
-        sources[0], sources[1], points, there, window=size, affine=affine,
+        images[0], images[1], points, there, window=size, affine=affine,
         search_px=(int(reach[0]), int(reach[1])), whitening=gradient_filter(), min_score=_MIN_SCORE,
     )  # fmt: skip
     kept = found.kept
@@ -259,4 +267,9 @@ def _match_pair(
         return None
     covariance = found.covariance_px[kept][near]
     sigma = np.sqrt(0.25 * np.trace(covariance, axis1=1, axis2=2) + _FLOOR**2)
-    return points[kept][near], found.b[kept][near], sigma
+    return _of_frame(points[kept][near], k), _of_frame(found.b[kept][near], k), k * sigma
+
+
+def _of_frame(places: Array, reduction: int) -> Array:
+    """Pixels (N, 2) of a frame from those of its means over squares."""
+    return reduction * places + 0.5 * (reduction - 1)

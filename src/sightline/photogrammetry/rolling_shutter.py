@@ -1,7 +1,7 @@
-"""Frames whose lines are exposed one after the other: each sighting from the pose of its own line.
+"""Frames whose lines are exposed one after the other: sightings as of the first.
 
-Within a frame the camera moves as the path through all frames does. What a frame's pose departs from its plan
-by is the same for all its lines.
+Within a frame the camera moves as the path through all frames does, as last found; sightings are brought to
+its first line by that.
 
 Not here: the poses of the frames (``frame_poses.py``).
 """
@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.geometry.checks import Array, frozen
 from sightline.photogrammetry.flight_path import path_turns, stretches
-from sightline.photogrammetry.sightings import Images, Index, Sightings, as_index
+from sightline.photogrammetry.sightings import Images, Index, Sightings
 
 #: rad; frames that are turned by more against the one before are of another flight line.
 _TURNED = 0.5
@@ -86,17 +86,19 @@ def flight_lines(estimated: Images, linked: Index | None = None) -> NDArray[np.i
     return np.concatenate([[0], np.cumsum(new)]).astype(np.intp)
 
 
-def sight_lines(
-    sightings: Sightings, images: Images, estimated: Images, delay: Array, linked: Index | None = None
+def as_of_first_lines(
+    sightings: Sightings, estimated: Images, points: Array, delay: Array, linked: Index | None = None
 ) -> Sightings:
-    """The same sightings, each from the pose of its own line.
+    """The same sightings as if every frame had been exposed with its first line.
 
     Parameters
     ----------
     sightings : Sightings
         Of frames: one pose per image.
-    images, estimated : Images
-        Planned poses, and what is known of the true ones so far.
+    estimated : Images
+        What is known of the true poses at first lines so far.
+    points : (n, 3)
+        m, world axes; where points are, by these poses. NaN where that is not known: as far as the others.
     delay : (N,)
         s from the first line of its frame to the line of each sighting.
     linked : (M,) int, optional
@@ -105,16 +107,34 @@ def sight_lines(
     Returns
     -------
     Sightings
-        One pose per sighting. Where departures from the plan are as estimated, its pose is the line's.
+        Less what a point is displaced by between its line's pose and the first's.
+
+    Notes
+    -----
+    What is taken off stays the same when poses and points are turned, moved and scaled together: it tells
+    nothing of where the flight lies. Lines with poses of their own, held while that of the frame is sought,
+    would: a turn of all frames does not commute with the turn from line to line, and a move within the frame
+    has a direction and a length.
     """
     image = sightings.image
     moved, turned = line_poses(estimated, image, delay, linked)
-    departure = (images.world_from_body.inv() * estimated.world_from_body)[image]
-    # R exp(w) dR = (R exp(w) dR exp(-w)) exp(w)
-    planned = images.world_from_body[image] * departure * turned * departure.inv()
-    return replace(
-        sightings,
-        pose=as_index(np.arange(len(image)), "pose"),
-        position=frozen(images.position[image] + moved),
-        world_from_body=frozen(planned.as_matrix()),
-    )
+    camera = sightings.body_from_camera[sightings.camera[image]]
+    first = estimated.world_from_body[image]
+    away = _away(sightings, estimated, points)
+    by_line = np.einsum("nji,nj->ni", camera, (first * turned).inv().apply(away - moved))
+    by_first = np.einsum("nji,nj->ni", camera, first.inv().apply(away))
+    displaced = by_line[:, :2] / by_line[:, 2:] - by_first[:, :2] / by_first[:, 2:]
+    return replace(sightings, tangents=frozen(sightings.tangents - displaced))
+
+
+def _away(sightings: Sightings, estimated: Images, points: Array) -> Array:
+    """m (N, 3): from the first line's place of its frame to each point that is sighted."""
+    image = sightings.image
+    away = points[sightings.point] - estimated.position[image]
+    rays = np.column_stack([sightings.tangents, np.ones(len(image))])
+    rays = np.einsum("nij,nj->ni", sightings.body_from_camera[sightings.camera[image]], rays)
+    rays = estimated.world_from_body[image].apply(rays)
+    depth = np.einsum("ni,ni->n", away, rays) / np.einsum("ni,ni->n", rays, rays)
+    known = depth > 0.0
+    usual = float(np.median(depth[known])) if known.any() else np.inf
+    return np.where(known[:, None], away, usual * rays)

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError, SightlineError
 from sightline.geometry.checks import Array, frozen
-from sightline.imaging.reduce import ReducedImage
+from sightline.imaging.reduce import ReducedImage, pattern_means
 from sightline.imaging.source import ArrayImage, ImageSource, read_padded
 from sightline.matching.displacement import DisplacementField
 from sightline.matching.follow import NOTHING, Followed, FollowPlan, FollowState, follow_windows
@@ -67,11 +67,14 @@ class WidePlan:
         px, side of a window.
     min_score : float
         Lowest normalised correlation of two windows.
+    reduction : int
+        Pixels are averaged in squares of a side that is a multiple of this: the period of a mosaic filter.
     """
 
     points: int = 250
     window: int = 21
     min_score: float = 0.5
+    reduction: int = 1
 
     def __post_init__(self) -> None:
         """Check."""
@@ -146,7 +149,11 @@ def link_widely(
         If no two frames show the same ground.
     """
     plan = plan or WidePlan()
-    frames = {k: frame for k in sorted({k for pair in pairs for k in pair}) if (frame := _read(sources[k]))}
+    frames = {
+        k: frame
+        for k in sorted({k for pair in pairs for k in pair})
+        if (frame := _read(sources[k], plan.reduction))
+    }
     usable = [pair for pair in pairs if pair[0] in frames and pair[1] in frames]
     features = _verified(frames, usable) if usable else {}
     found = _Found(len(sources))
@@ -171,12 +178,14 @@ class _Frame:
         return pixels * self.factor + 0.5 * (self.factor - 1)
 
 
-def _read(source: ImageSource | None) -> _Frame | None:
+def _read(source: ImageSource | None, reduction: int) -> _Frame | None:
     if source is None:
         return None
-    factor = -(-max(source.shape) // _LONGEST_SIDE)
-    reduced = source if factor == 1 else ReducedImage(source, factor)
+    coarser = -(-max(source.shape) // (_LONGEST_SIDE * reduction))
+    factor = reduction * coarser
     try:
+        plain = source if reduction == 1 else pattern_means(source, reduction)
+        reduced = plain if coarser == 1 else ReducedImage(plain, coarser)
         return _Frame(ArrayImage(*read_padded(reduced, (0, reduced.shape[0]), (0, reduced.shape[1]))), factor)
     except (SightlineError, OSError):
         return None
@@ -464,7 +473,8 @@ def followed_or_linked(
     if followed is not None and (links >= enough or len(frames) > _MANY):
         return followed
     try:
-        wide = link_widely(sources, wide_pairs(frames, position, sigma), progress=progress)
+        pairs, wide_plan = wide_pairs(frames, position, sigma), WidePlan(reduction=plan.reduction)
+        wide = link_widely(sources, pairs, wide_plan, progress=progress)
     except (EstimationError, InputError) as error:
         if followed is not None:
             return followed
