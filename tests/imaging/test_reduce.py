@@ -27,7 +27,7 @@ def test_a_block_larger_than_the_image_is_refused():
 
 
 def test_means_over_a_pattern_do_not_lean_to_its_bright_cells():
-    # a ramp along lines behind cells of unlike brightness: each mean is the ramp's in the middle of its square
+    # a ramp along lines behind cells of unlike brightness: a mean is the ramp's in the middle of its square
     ramp = 100.0 + np.arange(40.0)[:, None] * np.ones((1, 26))
     gain = np.array([[0.5, 0.7], [1.2, 1.6]])
     means = pattern_means(ArrayImage(ramp * np.tile(gain, (20, 13))), 2)
