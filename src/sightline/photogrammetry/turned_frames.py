@@ -24,8 +24,9 @@ from sightline.photogrammetry.sightings import Images, Index, as_index
 
 #: rad; a turn further from whole quarters is none of them.
 _CLEAR = np.radians(30.0)
-#: Least correlation of motions seen with those told: less shows no direction.
-_ALONG = 0.3
+#: Least correlation of motions seen with those told, and sigmas by which it must be more than what errors of
+#: the positions make of it: less shows no direction.
+_ALONG, _SIGMAS = 0.3, 4.0
 #: px; step over which the turn between two frames is taken.
 _STEP = 50.0
 
@@ -59,6 +60,7 @@ def quarter_turns(
     places = middle + np.array([[0.0, 0.0], [_STEP, 0.0]])
     chain, own = np.arange(count), np.zeros(count, dtype=np.intp)
     seen, planned = np.zeros(count, dtype=complex), np.zeros(count, dtype=complex)
+    loose = _step_noise(images, known, detector, mount, surface, followed)
     for k in np.flatnonzero(followed.before >= 0):
         i = int(followed.before[k])
         if not (told[i] and told[k]):
@@ -78,12 +80,29 @@ def quarter_turns(
         common = (seen * planned.conj())[rows].sum()
         size = np.sqrt((np.abs(seen[rows]) ** 2).sum() * (np.abs(planned[rows]) ** 2).sum())
         quarters, clear = _quarters(float(np.angle(common)))
-        if size > 0.0 and abs(common) > _ALONG * size and clear:
+        moving = rows & (seen != 0.0)
+        by_chance = np.sqrt((np.abs(seen[moving]) ** 2 * loose[moving] ** 2).sum())
+        if size > 0.0 and abs(common) > max(_ALONG * size, _SIGMAS * by_chance) and clear:
             own[rows] += quarters
         elif rows.sum() > 1:
             # no motion tells which are as they were: most of them
             own[rows] -= np.bincount(own[rows] % 4).argmax()
     return as_index(own % 4, "quarter turns")
+
+
+def _step_noise(
+    images: Images,
+    known: RoughPoses,
+    detector: AreaDetector,
+    mount: Rotation,
+    surface: Surface,
+    followed: Followed,
+) -> Array:
+    """px (M,), 1-sigma per axis: what errors of two positions make of how a frame moved since another."""
+    axis = images.world_from_body.apply(mount.as_matrix()[:, 2])
+    far = np.linalg.norm(surface.intersect(images.position, axis) - images.position, axis=1)
+    sigma = np.sqrt((known.along_world() ** 2).mean(axis=1)) * detector.focal_length_px / far
+    return np.where(followed.before >= 0, np.hypot(sigma, sigma[followed.before]), np.inf)
 
 
 def _complex(vector: Array) -> complex:
