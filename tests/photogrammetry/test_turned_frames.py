@@ -46,7 +46,6 @@ def test_a_flight_with_good_positions_tells_how_its_pixels_are_turned():
 
 
 def test_positions_that_tell_no_direction_tell_no_turn():
-    # steps of 2 m told to 4 m: the direction of a few of them is chance. Beyond four sigmas along one of two
-    # axes lies one draw in 16,000
+    # 10 m from the first to the last, told to 4 m each: a turn must be exp(9) times as likely as none
     for seed in range(300):
         assert (quarters(4.0, 0, seed) == 0).all()

@@ -12,6 +12,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.geometry.checks import Array
@@ -22,11 +23,15 @@ from sightline.photogrammetry.frame_cameras import frame_cameras
 from sightline.photogrammetry.frame_poses import RoughPoses
 from sightline.photogrammetry.sightings import Images, Index, as_index
 
+Complex = NDArray[np.complex128]
+
 #: rad; a turn further from whole quarters is none of them.
 _CLEAR = np.radians(30.0)
-#: Least correlation of motions seen with those told, and sigmas by which it must be more than what errors of
-#: the positions make of it: less shows no direction.
-_ALONG, _SIGMAS = 0.3, 4.0
+#: Least correlation of motions seen with those told: less shows no direction.
+_ALONG = 0.3
+#: By how much the logarithm of a turn's likelihood must exceed that of others, and of none: frames that are
+#: turned are rare.
+_LIKELIER, _RARE = 3.0, 9.0
 #: px; step over which the turn between two frames is taken.
 _STEP = 50.0
 
@@ -60,7 +65,7 @@ def quarter_turns(
     places = middle + np.array([[0.0, 0.0], [_STEP, 0.0]])
     chain, own = np.arange(count), np.zeros(count, dtype=np.intp)
     seen, planned = np.zeros(count, dtype=complex), np.zeros(count, dtype=complex)
-    loose = _step_noise(images, known, detector, mount, surface, followed)
+    loose = _pixel_noise(images, known, detector, mount, surface)
     for k in np.flatnonzero(followed.before >= 0):
         i = int(followed.before[k])
         if not (told[i] and told[k]):
@@ -80,9 +85,10 @@ def quarter_turns(
         common = (seen * planned.conj())[rows].sum()
         size = np.sqrt((np.abs(seen[rows]) ** 2).sum() * (np.abs(planned[rows]) ** 2).sum())
         quarters, clear = _quarters(float(np.angle(common)))
-        moving = rows & (seen != 0.0)
-        by_chance = np.sqrt((np.abs(seen[moving]) ** 2 * loose[moving] ** 2).sum())
-        if size > 0.0 and abs(common) > max(_ALONG * size, _SIGMAS * by_chance) and clear:
+        likely = _likelihoods(common, np.where(rows, seen, 0.0), followed.before, loose)
+        likely[0] += _RARE - _LIKELIER
+        margin = likely[quarters % 4] - np.delete(likely, quarters % 4).max()
+        if size > 0.0 and abs(common) > _ALONG * size and clear and margin > _LIKELIER:
             own[rows] += quarters
         elif rows.sum() > 1:
             # no motion tells which are as they were: most of them
@@ -90,19 +96,33 @@ def quarter_turns(
     return as_index(own % 4, "quarter turns")
 
 
-def _step_noise(
-    images: Images,
-    known: RoughPoses,
-    detector: AreaDetector,
-    mount: Rotation,
-    surface: Surface,
-    followed: Followed,
+def _likelihoods(common: complex, seen: Complex, before: Index, loose: Array) -> Array:
+    """Logarithms (4,), but for a constant, of how likely turns by so many quarters are.
+
+    Motions told are those seen, turned back, and the errors of two positions each. Of successive frames those
+    of the positions between cancel, but for how motions differ.
+    """
+    weight = seen.copy()
+    rows = np.flatnonzero(seen)
+    np.subtract.at(weight, before[rows], seen[rows])
+    own = np.flatnonzero(weight)
+    variance = float((np.abs(weight[own]) ** 2 * loose[own] ** 2).sum())
+    expected = float((np.abs(seen) ** 2).sum()) * 1j ** np.arange(4)
+    if not 0.0 < variance < np.inf:
+        return np.zeros(4)
+    return np.asarray((common * expected.conj()).real / variance)
+
+
+def _pixel_noise(
+    images: Images, known: RoughPoses, detector: AreaDetector, mount: Rotation, surface: Surface
 ) -> Array:
-    """px (M,), 1-sigma per axis: what errors of two positions make of how a frame moved since another."""
+    """px (M,), 1-sigma per axis: by what the error of a position moves the ground in a frame's middle."""
     axis = images.world_from_body.apply(mount.as_matrix()[:, 2])
     far = np.linalg.norm(surface.intersect(images.position, axis) - images.position, axis=1)
     sigma = np.sqrt((known.along_world() ** 2).mean(axis=1)) * detector.focal_length_px / far
-    return np.where(followed.before >= 0, np.hypot(sigma, sigma[followed.before]), np.inf)
+    told = np.isfinite(sigma)
+    # one between others that are told is as good as these
+    return np.where(told, sigma, np.median(sigma[told]) if told.any() else np.inf)
 
 
 def _complex(vector: Array) -> complex:
