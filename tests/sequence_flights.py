@@ -1,10 +1,12 @@
-"""What a user would know of a simulated flight, for tests: frames, rough tables, level ground."""
+"""What a user would know of a simulated flight, for tests: frames, rough tables, level ground; and errors."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.stats import chi2
 
 from sightline.applications.frame_sequence import SequenceProblem
+from sightline.applications.sequence_poses import SequencePoses
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
@@ -32,3 +34,18 @@ def problem_of(scenario: SequenceScenario) -> SequenceProblem:
         Plane(0.0), float(scenario.ground.relief.heights.std()), options.readout_time, 0.8, ("",) * count,
         mosaic_nm=scenario.filter.told_nm[0] if options.filter == "mosaic" else None,
     )  # fmt: skip
+
+
+def errors_of(scenario: SequenceScenario, found: SequencePoses, rows: slice = slice(None)) -> np.ndarray:
+    """(M, 6): position (m), angles (rad)."""
+    frames = list(scenario.frames)
+    _, position, attitude = scenario.poses
+    turn = (attitude[frames].inv() * found.poses.world_from_body[rows]).as_rotvec()
+    return np.concatenate([found.poses.position[rows] - position[frames], turn], axis=1)
+
+
+def assert_covered(scenario: SequenceScenario, found: SequencePoses, rows: slice = slice(None)) -> None:
+    """Every frame's error is within its covariance at one in a thousand; those of a flight err alike."""
+    error, covariance = errors_of(scenario, found, rows), found.poses.covariance[rows]
+    squares = np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[..., None])[..., 0])
+    assert squares.max() < chi2.ppf(0.999, 6)

@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
+from tests.sequence_flights import assert_covered, errors_of
 
 from sightline.applications.sequence_poses import ESTIMATED, SOLVED, SequencePoses, georeference_sequence
 from sightline.errors import EstimationError, FormatError, InputError
@@ -33,21 +34,6 @@ def written(folder: Path, seed: int, **options) -> SequenceScenario:
 
 def solved(folder: Path) -> SequencePoses:
     return georeference_sequence(load_sequence(folder / "sequence.toml"))
-
-
-def errors_of(scenario: SequenceScenario, found: SequencePoses, rows: slice = slice(None)) -> np.ndarray:
-    """(M, 6): position (m), angles (rad)."""
-    frames = list(scenario.frames)
-    _, position, attitude = scenario.poses
-    turn = (attitude[frames].inv() * found.poses.world_from_body[rows]).as_rotvec()
-    return np.concatenate([found.poses.position[rows] - position[frames], turn], axis=1)
-
-
-def assert_covered(scenario: SequenceScenario, found: SequencePoses, rows: slice = slice(None)) -> None:
-    """Every frame's error is within its covariance at one in a thousand; those of a flight err alike."""
-    error, covariance = errors_of(scenario, found, rows), found.poses.covariance[rows]
-    squares = np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[..., None])[..., 0])
-    assert squares.max() < chi2.ppf(0.999, 6)
 
 
 def test_lost_frames_are_named_with_the_reason_and_bridged(tmp_path):

@@ -67,9 +67,22 @@ class ReducedImage:
         return (lines[0] * k, lines[1] * k), (columns[0] * k, columns[1] * k)
 
     def _blocks(self, pixels: NDArray[Any]) -> NDArray[Any]:
-        """Pixels as (lines, factor, columns, factor)."""
-        k = self.factor
-        return pixels.reshape(pixels.shape[0] // k, k, pixels.shape[1] // k, k)
+        return _in_squares(pixels, self.factor)
+
+
+def _in_squares(pixels: NDArray[Any], side: int) -> NDArray[Any]:
+    """Pixels as (lines, side, columns, side)."""
+    return pixels.reshape(pixels.shape[0] // side, side, pixels.shape[1] // side, side)
+
+
+def reduced_pixels(pixels: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
+    """Places (N, 2) of an image in its means over squares of `factor` pixels a side."""
+    return (pixels - 0.5 * (factor - 1)) / factor
+
+
+def whole_pixels(pixels: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
+    """Places (N, 2) of means over squares in the image: the inverse of `reduced_pixels`."""
+    return pixels * factor + 0.5 * (factor - 1)
 
 
 def pattern_means(source: ImageSource, period: int) -> ArrayImage:
@@ -87,7 +100,7 @@ def pattern_means(source: ImageSource, period: int) -> ArrayImage:
     """
     lines, columns = (side // period for side in source.shape)
     pixels, unusable = read_padded(source, (0, lines * period), (0, columns * period))
-    cells = pixels.reshape(lines, period, columns, period)
+    cells = _in_squares(pixels, period)
     level = cells.mean(axis=(0, 2), keepdims=True, dtype=np.float64)
     usual = float(level.mean())
     # a cell that is dark on the whole tells nothing: it is not made a hundred times brighter
@@ -95,4 +108,4 @@ def pattern_means(source: ImageSource, period: int) -> ArrayImage:
     means = np.asarray((cells / gain).mean(axis=(1, 3)), dtype=np.float32)
     if unusable is None:
         return ArrayImage(means)
-    return ArrayImage(means, np.asarray(unusable.reshape(cells.shape).any(axis=(1, 3))))
+    return ArrayImage(means, np.asarray(_in_squares(unusable, period).any(axis=(1, 3))))

@@ -22,6 +22,7 @@ from sightline.io.platform import points_to_world
 from sightline.io.sequence_frames import FrameList
 from sightline.io.sequence_schema import SequenceFile
 from sightline.io.sequence_told import radii_of
+from sightline.io.stereo_checks import meet, rays_of
 from sightline.io.stereo_tables import check_inside, refuse_seen_twice
 from sightline.io.tables import read_control_points
 from sightline.photogrammetry.point_priors import ControlPoints
@@ -86,16 +87,11 @@ def placed_by_control(
         All in one place, a start only: the middle of those from which frames see two points or more. Where
         no frame does, as given.
     """
-    attitude = images.world_from_body[seen.image]
-    look = attitude.apply(mount.apply(detector.directions(seen.pixels)))
-    # the part of (place - point) across the ray is nothing
-    across = np.eye(3) - np.einsum("ni,nj->nij", look, look)
-    places = []
-    for frame in np.flatnonzero(np.bincount(seen.image) > 1):
-        rows = seen.image == frame
-        target = np.einsum("nij,nj->i", across[rows], control.position[seen.point[rows]])
-        places.append(np.linalg.lstsq(across[rows].sum(axis=0), target, rcond=None)[0])
-    if not places:
+    # a frame is where the lines meet along which it sees its points
+    look = rays_of(images, [detector], [mount], seen)
+    places = meet(control.position[seen.point], look, seen.image, len(images)).points
+    places = places[np.isfinite(places).all(axis=1)]
+    if not len(places):
         return images
     return replace(images, position=np.tile(np.median(places, axis=0), (len(images), 1)))
 

@@ -23,7 +23,7 @@ from scipy.spatial import cKDTree
 
 from sightline.errors import EstimationError, InputError, SightlineError
 from sightline.geometry.checks import ReadOnlyArrays, frozen
-from sightline.imaging.reduce import pattern_means
+from sightline.imaging.reduce import pattern_means, whole_pixels
 from sightline.imaging.resample import kernel_table
 from sightline.imaging.source import ArrayImage, ImageSource, read_padded
 from sightline.matching import kernels
@@ -722,7 +722,7 @@ def _assembled(follower: _Follower, sharpness: Array, contrast: Array, reason: l
     return Followed(
         _sorted(image, order),
         _sorted(point, order),
-        _sorted(pixels * k + 0.5 * (k - 1), order),
+        _sorted(whole_pixels(pixels, k), order),
         _sorted(np.sqrt(variance) * k, order),
         follower.before,
         frozen(follower.motion * np.array([k, k, 1.0, 1.0])),

@@ -21,7 +21,7 @@ from sightline.geometry.camera import FrameCamera
 from sightline.geometry.checks import Array, read_only
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.surface import Surface
-from sightline.imaging.reduce import pattern_means
+from sightline.imaging.reduce import pattern_means, reduced_pixels, whole_pixels
 from sightline.imaging.source import ImageSource
 from sightline.matching.match_images import match_images
 from sightline.matching.select import grid_points, spread_subset, texture_strength
@@ -233,11 +233,11 @@ def _match_pair(
 
     def seen(places: Array, height: float = 0.0) -> Array:
         """Where the partner sees what the hub sees at some places, both in pixels of what is compared."""
-        ground = hub.locate(_of_frame(places, k), surface.raised(height) if height else surface)
-        return (partner.project(ground) - 0.5 * (k - 1)) / k
+        ground = hub.locate(whole_pixels(places, k), surface.raised(height) if height else surface)
+        return reduced_pixels(partner.project(ground), k)
 
     points = grid_points(images[0].shape, window=size, step=(step, step))
-    points = points[lines[np.rint(_of_frame(points, k)[:, 0]).astype(np.intp)]]
+    points = points[lines[np.rint(whole_pixels(points, k)[:, 0]).astype(np.intp)]]
     there = seen(points)
     with np.errstate(invalid="ignore"):
         inside = ((there >= 0.0) & (there <= np.array(images[1].shape) - 1.0)).all(axis=1)
@@ -267,9 +267,4 @@ def _match_pair(
         return None
     covariance = found.covariance_px[kept][near]
     sigma = np.sqrt(0.25 * np.trace(covariance, axis1=1, axis2=2) + _FLOOR**2)
-    return _of_frame(points[kept][near], k), _of_frame(found.b[kept][near], k), k * sigma
-
-
-def _of_frame(places: Array, reduction: int) -> Array:
-    """Pixels (N, 2) of a frame from those of its means over squares."""
-    return reduction * places + 0.5 * (reduction - 1)
+    return whole_pixels(points[kept][near], k), whole_pixels(found.b[kept][near], k), k * sigma

@@ -24,7 +24,7 @@ from sightline.geometry.camera import FrameCamera
 from sightline.geometry.checks import read_only
 from sightline.geometry.interpolation import interpolate
 from sightline.geometry.surface import Surface
-from sightline.imaging.reduce import ReducedImage
+from sightline.imaging.reduce import ReducedImage, reduced_pixels, whole_pixels
 from sightline.imaging.source import ArrayImage, ImageSource
 from sightline.imaging.warp import WarpedImage
 from sightline.matching import matches as codes
@@ -323,7 +323,9 @@ class _Pair:
         def mapping(lines: Array, columns: Array) -> Array:
             rows, places = _lattice(lines), _lattice(columns)
             grid = np.stack(np.meshgrid(rows, places, indexing="ij"), axis=-1).reshape(-1, 2)
-            exact = _reduced(self.map(_whole(grid, scale)), scale).reshape(len(rows), len(places), 2)
+            exact = reduced_pixels(self.map(whole_pixels(grid, scale)), scale).reshape(
+                len(rows), len(places), 2
+            )
             along = interpolate(rows, exact.reshape(len(rows), -1), read_only(lines))
             turned = along.reshape(len(lines), len(places), 2).transpose(1, 0, 2).reshape(len(places), -1)
             out = interpolate(places, np.ascontiguousarray(turned), read_only(columns))
@@ -350,16 +352,6 @@ def _lattice(places: Array) -> Array:
 
 def _at_scale(source: ImageSource, scale: int) -> ImageSource:
     return source if scale == 1 else ReducedImage(source, scale)
-
-
-def _reduced(pixels: Array, scale: int) -> Array:
-    """Pixels of an image in its reduced form."""
-    return (pixels - 0.5 * (scale - 1)) / scale
-
-
-def _whole(pixels: Array, scale: int) -> Array:
-    """Pixels of a reduced image in its whole form."""
-    return pixels * scale + 0.5 * (scale - 1)
 
 
 def _match_pair(pair: _Pair, partner: int, points: Array, plan: TrackPlan) -> _Found | None:
@@ -390,7 +382,7 @@ def _coarse_to_fine(
         kept = found.kept
         if kept.sum() < _LEAST_WINDOWS:
             return None, 0.0
-        pair = pair.after(_whole(look[kept], scale), pair.map(_whole(found.b[kept], scale)))
+        pair = pair.after(whole_pixels(look[kept], scale), pair.map(whole_pixels(found.b[kept], scale)))
         tried = kept.sum() + np.isin(found.status, (codes.NO_CONVERGENCE, codes.LOW_SCORE)).sum()
         agreement = min(agreement, float((pair.weights > 0.0).sum() / tried))
         if scale == 1:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError, SightlineError
 from sightline.geometry.checks import Array, frozen
-from sightline.imaging.reduce import ReducedImage, pattern_means
+from sightline.imaging.reduce import ReducedImage, pattern_means, whole_pixels
 from sightline.imaging.source import ArrayImage, ImageSource, read_padded
 from sightline.matching.displacement import DisplacementField
 from sightline.matching.follow import NOTHING, Followed, FollowPlan, FollowState, follow_windows
@@ -175,7 +175,7 @@ class _Frame:
 
     def whole(self, pixels: Array) -> Array:
         """Pixels of the reduced frame in the frame."""
-        return pixels * self.factor + 0.5 * (self.factor - 1)
+        return whole_pixels(pixels, self.factor)
 
 
 def _read(source: ImageSource | None, reduction: int) -> _Frame | None:
