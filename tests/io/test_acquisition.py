@@ -260,4 +260,4 @@ def test_a_table_of_line_times_of_another_length_is_refused(folder):
 
 def test_a_mount_that_is_not_a_rotation_is_refused(folder):
     said = message(folder.add("[camera]\nbody_from_camera = [1.0, 1.0, 0.0, 0.0]\n"))
-    assert "body_from_camera has length 1.41421; a unit quaternion [x, y, z, w] is expected" in said
+    assert "has length 1.41421; a unit quaternion [x, y, z, w], scalar last, is expected" in said

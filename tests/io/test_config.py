@@ -36,7 +36,7 @@ def test_an_unknown_table_is_named_with_the_nearest_one(folder):
 
 def test_a_value_out_of_range_is_named_with_what_is_allowed(folder):
     said = message(folder.replace("ifov = 5e-6", "ifov = -5e-6"))
-    assert "instrument.ifov = -5e-06 is not allowed: input should be greater than 0" in said
+    assert "instrument.ifov = -5e-06 is not allowed: 1e-10 to 0.5 are; a tangent" in said
 
 
 def test_a_value_that_is_not_a_number_is_refused(folder):
@@ -45,7 +45,7 @@ def test_a_value_that_is_not_a_number_is_refused(folder):
 
 def test_a_value_of_the_wrong_type_is_refused(folder):
     said = message(folder.replace("look_ahead = 2e-4", 'look_ahead = "2e-4 rad"'))
-    assert "band[2].look_ahead = '2e-4 rad' is not allowed: input should be a valid number" in said
+    assert "band[2].look_ahead = '2e-4 rad' is not allowed: a number without quotation marks is" in said
 
 
 def test_a_missing_key_is_named(folder):
@@ -106,8 +106,7 @@ def test_an_epoch_may_be_written_as_a_toml_date_time(folder):
 @pytest.mark.parametrize("epoch", ["yesterday", "2026-13-01T00:00:00Z", "2026-01-01T00:00:00+02:00", ""])
 def test_an_epoch_that_is_no_utc_instant_is_refused_when_the_file_is_read(folder, epoch):
     said = message(folder.replace('"2026-01-01T00:00:00Z"', f'"{epoch}"'))
-    assert f"acquisition.epoch: {epoch!r} is not allowed" in said
-    assert 'an ISO 8601 instant in UTC is, such as "2026-01-31T12:00:00Z"' in said
+    assert f"acquisition.epoch: {epoch!r} is not a UTC instant; write it like 2026-01-31T12:00:00" in said
 
 
 def test_a_file_for_another_command_is_pointed_there(tmp_path):

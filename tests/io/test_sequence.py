@@ -557,7 +557,7 @@ BAD = {
     "gcp sigma": (top("gcp_sigma = 0.0"), "gcp_sigma = 0.0"),
     "control sigma": (top("control_sigma_px = 0.0"), "control_sigma_px = 0.0"),
     "world": (toml('"local"', '"moon"'), "'moon' is not known"),
-    "epoch": (toml("2026-01-01T00:00:00Z", "yesterday"), "sequence.epoch: 'yesterday' is not allowed"),
+    "epoch": (toml("2026-01-01T00:00:00Z", "yesterday"), "sequence.epoch: 'yesterday' is not a UTC instant"),
     "stars": (toml("[surface]", '[surface]\nkind = "infinity"'), "surface.kind is for stars"),
     "height sigma": (toml("height_sigma = 1.0", "height_sigma = -1.0"), "surface.height_sigma = -1.0"),
     "no dem": (toml("height = 0.0", 'dem = "no.tif"'), "no.tif"),

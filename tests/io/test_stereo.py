@@ -459,7 +459,7 @@ BAD = {
         "height_sigma = 0 is not allowed",
     ),
     "stars": (toml("[surface]", '[surface]\nkind = "infinity"'), FormatError, "surface.kind is for stars"),
-    "epoch": (toml("2026-01-01T00:00:00Z", "yesterday"), FormatError, "ISO 8601"),
+    "epoch": (toml("2026-01-01T00:00:00Z", "yesterday"), FormatError, "not a UTC instant"),
     # files
     "no table": (toml('"matches.csv"', '"marches.csv"'), FormatError, "marches.csv: no such file"),
     "no dem": (

@@ -16,13 +16,54 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from sightline.errors import FormatError
 from sightline.io.ccsds import parse_utc
+from sightline.io.quantities import (
+    Altitude,
+    AngleSigma,
+    BandNumber,
+    Coordinate,
+    CorrelationTime,
+    Direction,
+    Distortion,
+    Factor,
+    FileName,
+    FocalLengthPx,
+    FocalSigmaPx,
+    FrameShape,
+    Frequency,
+    Height,
+    Latitude,
+    LengthSigma,
+    LengthSigmaAbove0,
+    LinePeriod,
+    LineRotation,
+    Longitude,
+    LookAngle,
+    Name,
+    PixelPlace,
+    Pixels,
+    PixelSigma,
+    PixelTangent,
+    Place,
+    Radius,
+    RateSigma,
+    Readout,
+    Scale,
+    Seconds,
+    Speed,
+    SpinRate,
+    TimeSigma,
+    Title,
+    UnitQuaternion,
+    Within,
+    WorldRate,
+)
 
 Estimate = Literal["estimate"]
-Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
-Sigma = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Quaternion = tuple[Finite, Finite, Finite, Finite]
-Vector = tuple[Finite, Finite, Finite]
+
+#: Bands of one acquisition: imaging spectrometers 500. Frames: Juno 80 a pass, aerial cameras some thousand.
+MOST_BANDS, MOST_FRAMES = 4096, 100_000
+#: Points, sensors and tones that a file lists itself; more are given by tables.
+MOST_LISTED = 10_000
 
 
 class Section(BaseModel):
@@ -34,7 +75,7 @@ class Section(BaseModel):
 class DatedSection(Section):
     """What every data set may say of itself: when t = 0 was."""
 
-    epoch: str | None = Field(default=None, description="UTC instant of t = 0, ISO 8601")
+    epoch: Title | None = Field(default=None, description="UTC instant of t = 0, ISO 8601")
 
     @field_validator("epoch", mode="before")
     @classmethod
@@ -49,21 +90,19 @@ class DatedSection(Section):
         if value is not None:
             try:
                 parse_utc(value, "epoch")
-            except FormatError:
-                raise ValueError(
-                    f'{value!r} is not allowed: an ISO 8601 instant in UTC is, such as "2026-01-31T12:00:00Z"'
-                ) from None
+            except FormatError as error:
+                raise ValueError(str(error).removeprefix("epoch: ")) from None
         return value
 
 
 class HeaderSection(DatedSection):
     """``[acquisition]``: what this data set is called and when t = 0 was."""
 
-    name: str = Field(default="acquisition", description="Title of the report")
-    epoch: str | None = Field(
+    name: Title = Field(default="acquisition", description="Title of the report")
+    epoch: Title | None = Field(
         default=None, description="UTC instant of t = 0, ISO 8601; needed by CCSDS files and EXIF times"
     )
-    control_points: str | None = Field(
+    control_points: FileName | None = Field(
         default=None, description="CSV file x,y,z,sigma,image,line,column of ground control points"
     )
 
@@ -72,16 +111,16 @@ class LevelFlight(Section):
     """``[platform]`` kind level-flight: straight and level over a flat Earth, flying north."""
 
     kind: Literal["level-flight"]
-    altitude: Positive = Field(description="m above height 0")
-    ground_speed: Positive = Field(description="m/s")
+    altitude: Altitude = Field(description="m above height 0")
+    ground_speed: Speed = Field(description="m/s")
 
 
 class EphemerisPlatform(Section):
     """``[platform]`` kind ephemeris: positions and attitudes from tables."""
 
     kind: Literal["ephemeris"]
-    positions: str = Field(description="CSV t,x,y,z or CCSDS OEM")
-    attitudes: str = Field(
+    positions: FileName = Field(description="CSV t,x,y,z or CCSDS OEM")
+    attitudes: FileName = Field(
         default="along-track",
         description='CSV t,qx,qy,qz,qw (world_from_body), CCSDS AEM, or "along-track" (z down, x ahead)',
     )
@@ -91,7 +130,7 @@ class CameraModelPlatform(Section):
     """``[platform]`` kind camera-model: geometry from a sensor-model file."""
 
     kind: Literal["camera-model"]
-    model: str | None = Field(
+    model: FileName | None = Field(
         default=None, description="USGS CSM line-scan ISD (JSON); or one `model` per [[band]]"
     )
 
@@ -100,26 +139,26 @@ class SpinPlatform(Section):
     """``[platform]`` kind spin: a body that turns evenly about an axis of its own."""
 
     kind: Literal["spin"]
-    positions: str | None = Field(default=None, description="CSV t,x,y,z or CCSDS OEM")
-    position: Vector | None = Field(
+    positions: FileName | None = Field(default=None, description="CSV t,x,y,z or CCSDS OEM")
+    position: Place | None = Field(
         default=None, description="The same place at all times, axes of [world]; with neither: the origin"
     )
-    attitude: Quaternion = Field(description="world_from_body at t = 0, [x, y, z, w]")
-    attitude_sigma: Sigma = Field(
+    attitude: UnitQuaternion = Field(description="world_from_body at t = 0, [x, y, z, w]")
+    attitude_sigma: AngleSigma = Field(
         default=0.1, description="How well that is known, rad about each axis (frames only)"
     )
-    attitude_turn_sigma: Sigma | None = Field(
+    attitude_turn_sigma: AngleSigma | None = Field(
         default=None,
         description="The same about the line to the origin of [world] (the centre of the body), where it is "
         "known less well: the outline of a body hardly tells it",
     )
-    axis: Vector = Field(description="Axis of the spin in body axes, of any length")
-    axis_sigma: Sigma = Field(
+    axis: Direction = Field(description="Axis of the spin in body axes, of any length")
+    axis_sigma: AngleSigma = Field(
         default=0.0, description="How well its direction is known, rad, each way across it; 0 = exactly"
     )
-    rate: Finite = Field(description="rad/s about the axis, right-handed, relative to the stars")
-    rate_sigma: Sigma = Field(default=0.0, description="How well the rate is known, rad/s; 0 = exactly")
-    world_rate: Finite | None = Field(
+    rate: SpinRate = Field(description="rad/s about the axis, right-handed, relative to the stars")
+    rate_sigma: RateSigma = Field(default=0.0, description="How well the rate is known, rad/s; 0 = exactly")
+    world_rate: WorldRate | None = Field(
         default=None,
         description="rad/s at which the axes of [world] turn about their z relative to the stars; default: "
         "the Earth's; 0 for local axes without an origin and where [surface] is infinity or has radii",
@@ -129,8 +168,6 @@ class SpinPlatform(Section):
     def _turns(self) -> SpinPlatform:
         if self.positions is not None and self.position is not None:
             raise ValueError("positions and position are both given; keep one of them")
-        if not any(self.axis):
-            raise ValueError("axis = [0, 0, 0] has no direction; give the axis of the spin in body axes")
         if self.rate == 0.0:
             raise ValueError(
                 'rate = 0 is no spin; a body that does not turn is kind = "ephemeris" with attitudes'
@@ -157,15 +194,12 @@ class ScanMirrorPointing(Section):
     """``[pointing]`` kind scan-mirror: the camera looks through a plane mirror that turns."""
 
     kind: Literal["scan-mirror"]
-    axis: Vector = Field(description="Axis the mirror turns about, body axes, of any length")
-    normal: Vector = Field(description="Normal of the mirror at angle 0, body axes, of any length")
-    angles: str = Field(description="CSV t,angle: s, rad of the mirror about its axis")
+    axis: Direction = Field(description="Axis the mirror turns about, body axes, of any length")
+    normal: Direction = Field(description="Normal of the mirror at angle 0, body axes, of any length")
+    angles: FileName = Field(description="CSV t,angle: s, rad of the mirror about its axis")
 
     @model_validator(mode="after")
-    def _have_directions(self) -> ScanMirrorPointing:
-        for key in ("axis", "normal"):
-            if not any(getattr(self, key)):
-                raise ValueError(f"{key} = [0, 0, 0] has no direction; give it in body axes")
+    def _scans(self) -> ScanMirrorPointing:
         axis, normal = (np.array(v) / max(map(abs, v)) for v in (self.axis, self.normal))
         if np.linalg.norm(np.cross(axis, normal)) < LEAST_TILT * np.linalg.norm(axis) * np.linalg.norm(
             normal
@@ -183,14 +217,12 @@ PointingSection = Annotated[FixedPointing | ScanMirrorPointing, Field(discrimina
 class LineGeometry(Section):
     """Keys that `[instrument]` gives for all bands and a `[[band]]` may give for itself."""
 
-    ifov: Positive | None = Field(
+    ifov: PixelTangent | None = Field(
         default=None, description="Tangent of the angle of one pixel: pixel pitch / focal length"
     )
-    columns: Annotated[int, Field(ge=2)] | None = Field(
-        default=None, description="Pixels of the detector line"
-    )
-    line_period: Positive | None = Field(default=None, description="s between image lines")
-    directions: str | None = Field(
+    columns: Pixels | None = Field(default=None, description="Pixels of the detector line")
+    line_period: LinePeriod | None = Field(default=None, description="s between image lines")
+    directions: FileName | None = Field(
         default=None, description="CSV column,x,y,z of viewing directions in camera axes"
     )
 
@@ -198,36 +230,36 @@ class LineGeometry(Section):
 class BandSection(LineGeometry):
     """``[[band]]``: one detector line and its image."""
 
-    name: str = Field(min_length=1)
-    image: str = Field(description="Any GDAL raster, or .npy (lines, columns)")
-    image_band: Annotated[int, Field(ge=1)] = Field(default=1, description="Which band of the raster")
-    look_ahead: Annotated[float, Field(gt=-1.5, lt=1.5)] = Field(
-        default=0.0, description="Along-track viewing angle, rad, forward positive"
-    )
-    offset_px: tuple[Finite, Finite] = Field(
+    name: Name
+    image: FileName = Field(description="Any GDAL raster, or .npy (lines, columns)")
+    image_band: BandNumber = Field(default=1, description="Which band of the raster")
+    look_ahead: LookAngle = Field(default=0.0, description="Along-track viewing angle, rad, forward positive")
+    offset_px: tuple[PixelPlace, PixelPlace] = Field(
         default=(0.0, 0.0),
         description="The line looks this many pixels further (forward, toward larger columns) than nominal",
     )
-    offset_sigma_px: Sigma = Field(default=1.0, description="How well the offset is known, px; 0 = exactly")
-    rotation: Annotated[float, Field(gt=-0.8, lt=0.8)] = Field(
+    offset_sigma_px: PixelSigma = Field(
+        default=1.0, description="How well the offset is known, px; 0 = exactly"
+    )
+    rotation: LineRotation = Field(
         default=0.0, description="rad; positive looks further forward at larger columns"
     )
-    rotation_sigma: Sigma = Field(
+    rotation_sigma: AngleSigma = Field(
         default=3e-4, description="How well the rotation is known, rad; 0 = exactly"
     )
-    first_line_time: Finite | None = Field(
+    first_line_time: Seconds | None = Field(
         default=None, description="s, centre of the exposure of line 0 (default 0)"
     )
-    line_times: str | None = Field(
+    line_times: FileName | None = Field(
         default=None, description="CSV line,t for uneven lines, in place of first_line_time"
     )
-    mask: str | None = Field(default=None, description="Raster of the same size; non-zero: do not use")
-    quality: str | None = Field(
+    mask: FileName | None = Field(default=None, description="Raster of the same size; non-zero: do not use")
+    quality: FileName | None = Field(
         default=None,
         description="CSV column,mtf_x,mtf_y,snr (choice.csv of `tdi` will do): predicted, for [matching] "
         'weighting = "predicted"',
     )
-    model: str | None = Field(
+    model: FileName | None = Field(
         default=None, description="Sensor-model file of this band, [platform] kind camera-model"
     )
 
@@ -235,14 +267,16 @@ class BandSection(LineGeometry):
 class FrameSection(Section):
     """``[[frame]]``: one exposure of an area detector."""
 
-    image: str = Field(description="Any GDAL raster (JPEG included), or .npy (lines, columns)")
-    name: str | None = Field(default=None, description="Default: the file name without ending")
-    image_band: Annotated[int, Field(ge=1)] | Literal["luminance"] = Field(
+    image: FileName = Field(description="Any GDAL raster (JPEG included), or .npy (lines, columns)")
+    name: Name | None = Field(default=None, description="Default: the file name without ending")
+    image_band: BandNumber | Literal["luminance"] = Field(
         default="luminance", description='Which band of the raster, or "luminance": their mean'
     )
-    time: Finite | str = Field(description='s from the epoch, an ISO 8601 UTC instant, or "exif"')
-    time_sigma: Sigma = Field(default=0.0, description="How well the time is known, s (0.29 for 1-s stamps)")
-    mask: str | None = Field(default=None, description="Raster of the same size; non-zero: do not use")
+    time: Seconds | Name = Field(description='s from the epoch, an ISO 8601 UTC instant, or "exif"')
+    time_sigma: TimeSigma = Field(
+        default=0.0, description="How well the time is known, s (0.29 for 1-s stamps)"
+    )
+    mask: FileName | None = Field(default=None, description="Raster of the same size; non-zero: do not use")
 
     @field_validator("time", mode="before")
     @classmethod
@@ -253,23 +287,23 @@ class FrameSection(Section):
 class StripSection(Section):
     """``[[camera.strip]]``: lines of a frame that lie behind one filter."""
 
-    name: str = Field(min_length=1)
-    first_line: Annotated[int, Field(ge=0)] = Field(
+    name: Name
+    first_line: Annotated[int, Within(0, 1_000_000)] = Field(
         description="Of the frame's image, where the strip begins"
     )
-    lines: Annotated[int, Field(ge=1)] = Field(description="How many")
-    axis_line: Finite | None = Field(
+    lines: Annotated[int, Within(1, 1_000_000)] = Field(description="How many")
+    axis_line: PixelPlace | None = Field(
         default=None,
         description="Line of the optical axis counted from the strip's first line (outside the strip as a "
         "rule); default: as if the frame's image were the chip",
     )
-    axis_line_sigma_px: Sigma = Field(
+    axis_line_sigma_px: PixelSigma = Field(
         default=0.0, description="px; how well the strip's place on the chip is known; 0 = exactly"
     )
-    scale_sigma: Sigma = Field(
+    scale_sigma: Scale = Field(
         default=0.0, description="How well its focal length is known relative to the others'; 0 = exactly"
     )
-    height_sigma: Sigma = Field(
+    height_sigma: LengthSigma = Field(
         default=0.0,
         description="m; how well the height of the layer that it sees is known (colours see different depths "
         "of clouds); 0 = the surface itself",
@@ -280,30 +314,30 @@ class CameraSection(Section):
     """``[camera]``: how the camera sits in the body and, for an area detector, its lens."""
 
     mount: Literal["nominal"] = Field(default="nominal", description="Lines forward, columns left")
-    body_from_camera: Quaternion | None = Field(
+    body_from_camera: UnitQuaternion | None = Field(
         default=None, description="[x, y, z, w] in place of the nominal mount"
     )
-    shape: tuple[Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]] | None = Field(
-        default=None, description="(lines, columns) of a frame"
-    )
-    focal_length_px: Positive | Estimate | None = None
-    focal_length_sigma_px: Sigma = Field(default=0.0, description="0 = exactly")
-    principal_point_px: tuple[Finite, Finite] | Estimate | None = Field(
+    shape: FrameShape | None = Field(default=None, description="(lines, columns) of a frame")
+    focal_length_px: FocalLengthPx | Estimate | None = None
+    focal_length_sigma_px: FocalSigmaPx = Field(default=0.0, description="0 = exactly")
+    principal_point_px: tuple[PixelPlace, PixelPlace] | Estimate | None = Field(
         default=None, description="(line, column); default the centre of the frame"
     )
-    principal_point_sigma_px: Sigma = Field(default=0.0, description="0 = exactly")
-    distortion: Annotated[list[Finite], Field(max_length=5)] | Estimate = Field(
+    principal_point_sigma_px: PixelSigma = Field(default=0.0, description="0 = exactly")
+    distortion: Annotated[list[Distortion], Field(max_length=5)] | Estimate = Field(
         default=[], description="k1, k2, p1, p2, k3 in normalised coordinates"
     )
-    distortion_sigma: Sigma = Field(default=0.0, description="Of k1 (k2, k3 likewise); 0 = exactly")
-    readout_time: Finite = Field(
+    distortion_sigma: Annotated[float, Within(1e-12, 1e18, zero=True)] = Field(
+        default=0.0, description="Of k1 (k2, k3 likewise); 0 = exactly"
+    )
+    readout_time: Readout = Field(
         default=0.0, description="s from the first to the last line of a rolling shutter"
     )
-    common_line_sigma_px: Sigma = Field(
+    common_line_sigma_px: PixelSigma = Field(
         default=0.0,
         description="px; how well the line of the optical axis is known, common to all strips; 0 = exactly",
     )
-    strip: list[StripSection] = []
+    strip: list[StripSection] = Field(default=[], max_length=1000)
 
     @model_validator(mode="after")
     def _sigma_needs_a_number(self) -> CameraSection:
@@ -329,21 +363,21 @@ class SurfaceSection(Section):
     kind: Literal["infinity"] | None = Field(
         default=None, description="infinity: only directions matter (stars)"
     )
-    height: Finite = Field(
+    height: Height = Field(
         default=0.0, description="m above the ellipsoid (above z = 0 for local axes); ignored with a dem"
     )
-    dem: str | None = Field(default=None, description="Raster of heights in metres")
+    dem: FileName | None = Field(default=None, description="Raster of heights in metres")
     datum: Literal["ellipsoid", "geoid"] = Field(
         default="ellipsoid", description="What the heights of the dem count from"
     )
-    geoid: str | Finite | None = Field(
+    geoid: Annotated[float, Within(-1e5, 1e5, "m")] | FileName | None = Field(
         default=None, description="Height of the geoid above the ellipsoid: raster, or metres"
     )
-    radii: tuple[Positive, Positive] | None = Field(
+    radii: tuple[Radius, Radius] | None = Field(
         default=None, description="[equatorial, polar] of another body, m"
     )
-    height_sigma: Sigma = Field(default=0.0, description="What is not known about the height, m")
-    parallax_sigma: Sigma = Field(
+    height_sigma: LengthSigma = Field(default=0.0, description="What is not known about the height, m")
+    parallax_sigma: RateSigma = Field(
         default=0.0,
         description="rad/s; speed of the platform over the distance of what it sees, where neither is known: "
         "directions may drift so fast (kind infinity and a spin only)",
@@ -372,7 +406,7 @@ class WorldSection(Section):
     frame: Literal["earth-fixed", "local", "lonlat"] = Field(
         default="earth-fixed", description="lonlat: x, y, z hold longitude (deg), latitude (deg), height (m)"
     )
-    origin: tuple[Finite, Finite, Finite] | None = Field(
+    origin: tuple[Longitude, Latitude, Height] | None = Field(
         default=None,
         description="longitude (deg), latitude (deg), height (m) of the local axes (east, north, up)",
     )
@@ -382,15 +416,17 @@ class SensorSection(Section):
     """``[[attitude_sensor]]``: angles measured by something else than the camera."""
 
     kind: Literal["star-tracker", "gyro"]
-    table: str = Field(description="CSV t,roll,pitch,yaw,sigma (gyro: t_start,t_end,roll,pitch,yaw,sigma)")
-    name: str | None = None
-    alignment_sigma: Sigma = Field(
+    table: FileName = Field(
+        description="CSV t,roll,pitch,yaw,sigma (gyro: t_start,t_end,roll,pitch,yaw,sigma)"
+    )
+    name: Name | None = None
+    alignment_sigma: AngleSigma = Field(
         default=0.0, description="Constant error of its axes against the camera's, rad, 1-sigma"
     )
-    bias_sigma: Sigma = Field(
+    bias_sigma: AngleSigma = Field(
         default=0.0, description="star tracker: constant, rad; gyro: drift, rad/s; 1-sigma"
     )
-    correlation_time: Sigma = Field(
+    correlation_time: CorrelationTime = Field(
         default=0.0, description="s over which its errors stay alike; 0 = independent"
     )
 
@@ -398,22 +434,24 @@ class SensorSection(Section):
 class ControlPointSection(Section):
     """``[[control_point]]``: a ground point of known coordinates, seen in one image."""
 
-    x: Finite
-    y: Finite
-    z: Finite
-    sigma: Positive
-    image: str = Field(description="Name of the band or frame")
-    line: Finite
-    column: Finite
+    x: Coordinate
+    y: Coordinate
+    z: Coordinate
+    sigma: LengthSigmaAbove0
+    image: Name = Field(description="Name of the band or frame")
+    line: PixelPlace
+    column: PixelPlace
 
 
 class KnownMotionSection(Section):
     """``[known_motion]``: what is known of the motion's frequencies beforehand."""
 
-    tones: list[Positive] = Field(
-        default=[], description="Hz; tones of wheels, coolers, ... that are there, of whatever size"
+    tones: list[Frequency] = Field(
+        default=[],
+        max_length=1000,
+        description="Hz; tones of wheels, coolers, ... that are there, of whatever size",
     )
-    psd: str | None = Field(
+    psd: FileName | None = Field(
         default=None,
         description="CSV f,roll,pitch,yaw: one-sided spectrum, rad^2/Hz; taken as it is, nothing is fitted",
     )
@@ -429,7 +467,10 @@ class KnownMotionSection(Section):
 BANDS_ONLY = frozenset(
     {"hybridise", "pairs", "select", "strength", "points", "features", "similarity", "weighting"}
 )
-WindowSize = tuple[Annotated[int, Field(ge=3)], Annotated[int, Field(ge=3)]]
+#: px; windows of more than some hundred see the motion change under them.
+_Side = Annotated[int, Within(3, 4096, "px")]
+_Reach = Annotated[int, Within(0, 4096, "px")]
+WindowSize = tuple[_Side, _Side]
 
 
 class MatchingSection(Section):
@@ -441,13 +482,13 @@ class MatchingSection(Section):
     window: WindowSize | None = Field(
         default=None, description="(lines, columns) of the windows of the passes compensated by motion"
     )
-    step: Annotated[int, Field(ge=1)] | None = Field(
+    step: Annotated[int, Within(1, 1_000_000, "lines")] | None = Field(
         default=None, description="Lines between rows of windows in the compensated passes"
     )
-    search_px: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]] | None = Field(
+    search_px: tuple[_Reach, _Reach] | None = Field(
         default=None, description="Half-range (lines, columns) of the first search about the prediction"
     )
-    passes: Annotated[int, Field(ge=1)] | None = Field(
+    passes: Annotated[int, Within(1, 50)] | None = Field(
         default=None, description="At most so many compensated passes"
     )
     hybridise: Literal["global", "iterative"] | None = Field(
@@ -458,14 +499,14 @@ class MatchingSection(Section):
         description="Which windows are matched: all; those with texture in two directions; the strongest, "
         "well spread; those that hold a listed feature",
     )
-    strength: Positive | None = Field(
+    strength: Factor | None = Field(
         default=None,
         description="select = textured: least texture, in units of the image's median (default 1)",
     )
-    points: Annotated[int, Field(ge=1)] | None = Field(
+    points: Annotated[int, Within(1, 10_000_000)] | None = Field(
         default=None, description="select = spread: at most so many windows of an image (default 2000)"
     )
-    features: str | None = Field(default=None, description="select = listed: CSV image,line,column")
+    features: FileName | None = Field(default=None, description="select = listed: CSV image,line,column")
     similarity: Literal["whitened", "radiometric", "gradient"] | None = Field(
         default=None, description="What is compared: whitened images, images as they are, or their edges"
     )
@@ -474,8 +515,11 @@ class MatchingSection(Section):
         description="Whether a match counts for what it knows, for what MTF and SNR of its columns let "
         "expect ([[band]] quality), or all alike (for comparison)",
     )
-    pairs: Annotated[tuple[tuple[str, str], ...], Field(min_length=1)] | None = Field(
-        default=None, description="[[a, b], ...], names of the pairs of bands that are matched; default: all"
+    pairs: Annotated[tuple[tuple[Name, Name], ...], Field(min_length=1, max_length=MOST_LISTED)] | None = (
+        Field(
+            default=None,
+            description="[[a, b], ...], names of the pairs of bands that are matched; default: all",
+        )
     )
 
     @model_validator(mode="after")
@@ -496,12 +540,12 @@ class AcquisitionFile(Section):
     instrument: LineGeometry = LineGeometry()
     camera: CameraSection = CameraSection()
     pointing: PointingSection = FixedPointing(kind="fixed")
-    band: list[BandSection] = []
-    frame: list[FrameSection] = []
+    band: list[BandSection] = Field(default=[], max_length=MOST_BANDS)
+    frame: list[FrameSection] = Field(default=[], max_length=MOST_FRAMES)
     surface: SurfaceSection = SurfaceSection()
     world: WorldSection = WorldSection()
-    attitude_sensor: list[SensorSection] = []
-    control_point: list[ControlPointSection] = []
+    attitude_sensor: list[SensorSection] = Field(default=[], max_length=100)
+    control_point: list[ControlPointSection] = Field(default=[], max_length=MOST_LISTED)
     known_motion: KnownMotionSection = KnownMotionSection()
     matching: MatchingSection = MatchingSection()
 

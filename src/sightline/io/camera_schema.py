@@ -7,55 +7,36 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
-from sightline.io.acquisition_schema import Finite, Quaternion, Section, Sigma
-
-
-def _two_whole_numbers(value: object) -> object:
-    whole = isinstance(value, list | tuple) and all(
-        isinstance(v, int | float) and float(v).is_integer() for v in value
-    )
-    if not whole or len(value) != 2:  # type: ignore[arg-type]
-        raise ValueError(f"{value!r} is not allowed: two whole numbers [lines, columns] are")
-    return value
-
-
-FrameShape = Annotated[
-    tuple[Annotated[int, Field(ge=2)], Annotated[int, Field(ge=2)]], BeforeValidator(_two_whole_numbers)
-]
+from sightline.io.acquisition_schema import Section
+from sightline.io.quantities import (
+    Distortion,
+    FocalSigmaPx,
+    PixelPlace,
+    UnitQuaternion,
+)
 
 
 class FrameCameraSection(Section):
     """How a camera sits in the body, and its lens."""
 
     mount: Literal["nominal"] = Field(default="nominal", description="Lines forward, columns left")
-    body_from_camera: Quaternion | None = Field(
+    body_from_camera: UnitQuaternion | None = Field(
         default=None, description="[x, y, z, w] in place of the nominal mount"
     )
-    focal_length_sigma_px: Sigma = Field(
+    focal_length_sigma_px: FocalSigmaPx = Field(
         default=0.0, description="How well it is known, to be refined; 0 = exactly"
     )
     focal_length: Literal["estimate"] | None = Field(
         default=None, description='"estimate": refine it freely, starting from focal_length_px'
     )
-    principal_point_px: tuple[Finite, Finite] | None = Field(
+    principal_point_px: tuple[PixelPlace, PixelPlace] | None = Field(
         default=None, description="(line, column); default the centre of the frame"
     )
-    distortion: Annotated[list[Finite], Field(max_length=5)] = Field(
+    distortion: Annotated[list[Distortion], Field(max_length=5)] = Field(
         default=[], description="k1, k2, p1, p2, k3 in normalised coordinates"
     )
-
-    @field_validator("body_from_camera")
-    @classmethod
-    def _length_one(cls, value: Quaternion | None) -> Quaternion | None:
-        length = 1.0 if value is None else float(sum(q * q for q in value)) ** 0.5
-        if abs(length - 1.0) > 1e-3:
-            raise ValueError(
-                f"{list(value or ())} has length {length:.6g}; a unit quaternion [x, y, z, w], scalar last, "
-                "is expected"
-            )
-        return value
 
     @model_validator(mode="after")
     def _said_once(self) -> FrameCameraSection:

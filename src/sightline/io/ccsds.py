@@ -24,6 +24,8 @@ Array = NDArray[np.float64]
 
 #: Reference frames that turn with the Earth; others need an Earth-rotation model and are refused.
 EARTH_FIXED_FRAMES = ("EARTH_FIXED", "ECEF", "ITRF", "ITRS", "TDR", "WGS84", "EFG")
+#: Years in which images are taken: the oldest photographs of land from above are of 1858.
+FIRST_YEAR, LAST_YEAR = 1850, 2200
 #: Names for the axes of our body in an attitude message.
 BODY_FRAMES = ("SC_BODY", "BODY", "SC_BODY_1", "SPACECRAFT_BODY")
 
@@ -85,9 +87,14 @@ def parse_utc(text: str, place: str) -> tuple[datetime, float]:
             whole = datetime.strptime(body, form).replace(tzinfo=UTC)
         except ValueError:
             continue
+        if not FIRST_YEAR <= whole.year <= LAST_YEAR:
+            raise FormatError(
+                f"{place}: {text!r} is an instant of the year {whole.year}; images are of {FIRST_YEAR} to "
+                f"{LAST_YEAR}"
+            )
         if not dot or digits.isdigit():
             return whole, float(f"0.{digits or 0}")
-    raise FormatError(f"{place}: {text!r} is not a UTC instant; write it like 2026-01-31T12:00:00.123Z")
+    raise FormatError(f"{place}: {text[:80]!r} is not a UTC instant; write it like 2026-01-31T12:00:00.123Z")
 
 
 def seconds_from_epoch(text: str, epoch: str, place: str) -> float:

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ValidationError
 from sightline.errors import FormatError
 from sightline.io.acquisition_schema import AcquisitionFile
 from sightline.io.instrument_schema import InstrumentFile
+from sightline.io.quantities import shown
 from sightline.io.sequence_schema import SequenceFile
 from sightline.io.stereo_schema import StereoFile
 from sightline.io.tdi_schema import TdiFile
@@ -122,7 +123,9 @@ def validate(model: type[Model], data: dict[str, Any], path: Path) -> Model:
         return model.model_validate(data)
     except ValidationError as error:
         first, *others = error.errors()
-        raise FormatError(f"{path}: {_explain(first)}{_held(model, first)}{_others(others)}") from None
+        raise FormatError(
+            f"{path}: {_explain(first)}{_held(model, first)}{_others(_place(first), others)}"
+        ) from None
 
 
 def _meant_for_another(model: type[BaseModel], data: dict[str, Any]) -> str:
@@ -154,15 +157,13 @@ def _held(model: type[BaseModel], error: Any) -> str:
     return said + (f"; if wanted also {', '.join(optional)}" if optional else "")
 
 
-def _others(errors: Sequence[Any]) -> str:
-    """Further mistakes by the names of their keys."""
-    if not errors:
-        return ""
+def _others(first: str, errors: Sequence[Any]) -> str:
+    """Further mistakes by the names of their keys; a key of several types is complained of by each."""
     missing = [_place(error) for error in errors if error["type"] == "missing"]
-    wrong = [_place(error) for error in errors if error["type"] != "missing"]
+    wrong = [place for place in map(_place, (e for e in errors if e["type"] != "missing")) if place != first]
     said = [f"also missing: {_few(missing)}"] if missing else []
     said += [f"also wrong: {_few(wrong)}"] if wrong else []
-    return f" ({'; '.join(said)})"
+    return f" ({'; '.join(said)})" if said else ""
 
 
 def _few(keys: Sequence[str]) -> str:
@@ -271,12 +272,14 @@ def _explain(error: Any) -> str:
         and not isinstance(given, str | dict | list)
     ):
         return (
-            f"{key} = {given!r} is not allowed: {_focal_hint(given)}; or focal_length = {context['expected']}"
+            f"{key} = {shown(given)} is not allowed: {_focal_hint(given)}; or focal_length = "
+            f"{context['expected']}"
         )
     if kind == "literal_error":
-        return f"{key} = {given!r} is not known; allowed: {context['expected']}"
-    shown = repr(given) if not isinstance(given, dict) else "a table"
-    return f"{key} = {shown} is not allowed: {error['msg'][0].lower()}{error['msg'][1:]}"
+        return f"{key} = {shown(given)} is not known; allowed: {context['expected']}"
+    if kind == "too_long":
+        return f"{key} holds more values than the {context['max_length']} that are allowed; leave some out"
+    return f"{key} = {shown(given)} is not allowed: {error['msg'][0].lower()}{error['msg'][1:]}"
 
 
 def _where(error: Any) -> tuple[str | int, ...]:

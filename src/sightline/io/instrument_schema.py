@@ -12,10 +12,31 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from sightline.io.acquisition_schema import Finite, Positive, Section
+from sightline.io.acquisition_schema import Section
+from sightline.io.quantities import (
+    Duration,
+    FocalLengthPx,
+    Frequency,
+    LinePeriod,
+    Name,
+    PixelPlace,
+    PixelSigmaAbove0,
+    Seconds,
+    Title,
+    Within,
+    shown,
+)
 
-Detectors = Annotated[int, Field(ge=2, le=64)]
-Lines = Annotated[float, Field(ge=1.0, allow_inf_nan=False)]
+#: Lines of a focal plane: multispectral scanners place ten or twenty, imaging spectrometers a whole matrix.
+Detectors = Annotated[int, Within(2, 64)]
+#: Of a detector to choose lines of: matrices of 10,000 lines.
+MOST_LINES = 100_000
+#: Lines of a row of windows, and from one to the next.
+Lines = Annotated[float, Within(1.0, 1e6, "lines")]
+#: On a focal plane: stereo cameras look 25 degrees ahead and back, 300,000 px apart; mosaics end at 1e6.
+Separation = Annotated[float, Within(1e-3, 1e7, "px")]
+#: px a second: microscopes 1, satellites 1e3 to 1e4, the fastest line cameras 3e5.
+GroundRate = Annotated[float, Within(1e-4, 1e8, "px/s")]
 
 
 class PriorSection(Section):
@@ -24,16 +45,16 @@ class PriorSection(Section):
     kind: Literal["matern", "tone"] = Field(
         default="matern", description='"matern": drift or broadband jitter; "tone": a narrow line'
     )
-    sigma_px: Positive = Field(description="Its standard deviation, px")
-    timescale: Positive | None = Field(default=None, description="s, of a matern; or corner")
-    corner: Positive | None = Field(
+    sigma_px: PixelSigmaAbove0 = Field(description="Its standard deviation, px")
+    timescale: Duration | None = Field(default=None, description="s, of a matern; or corner")
+    corner: Frequency | None = Field(
         default=None, description="Hz, of a matern: its spectrum is flat below and falls above"
     )
     order: Literal["3/2", "5/2", "9/2", "17/2"] | None = Field(
         default=None, description='Smoothness of a matern (default "3/2"); a drift is "5/2"'
     )
-    frequency: Positive | None = Field(default=None, description="Hz, of a tone")
-    bandwidth: Positive | None = Field(
+    frequency: Frequency | None = Field(default=None, description="Hz, of a tone")
+    bandwidth: Frequency | None = Field(
         default=None, description="Hz, full width at half maximum of a tone (default 1 % of its frequency)"
     )
 
@@ -53,10 +74,14 @@ class PriorSection(Section):
 class LayoutSection(Section):
     """``[[layout]]``: a layout of one's own to compare with."""
 
-    name: str = Field(default="yours", min_length=1)
-    positions_px: list[Finite] | None = Field(default=None, description="px along the track, two or more")
-    positions_s: list[Finite] | None = Field(
-        default=None, description="s; when each detector sees the ground, in place of positions_px"
+    name: Name = Field(default="yours")
+    positions_px: list[PixelPlace] | None = Field(
+        default=None, max_length=64, description="px along the track, two or more"
+    )
+    positions_s: list[Seconds] | None = Field(
+        default=None,
+        max_length=64,
+        description="s; when each detector sees the ground, in place of positions_px",
     )
 
     @model_validator(mode="after")
@@ -67,49 +92,61 @@ class LayoutSection(Section):
         if len(given[0]) < 2:
             raise ValueError(f"a [[layout]] needs two or more positions, got {len(given[0])}")
         if len(set(given[0])) < len(given[0]):
-            raise ValueError(f"two detectors stand at the same place: {given[0]}; positions must differ")
+            raise ValueError(
+                f"two detectors stand at the same place: {shown(given[0])}; positions must differ"
+            )
         return self
 
 
 class InstrumentFile(Section):
     """An INSTRUMENT.toml: what is known of an instrument before its detectors have places."""
 
-    name: str = Field(default="instrument", description="Title of the report")
-    focal_length_px: Positive = Field(description="Focal length / pixel pitch")
-    line_period: Positive = Field(description="s between image lines")
-    ground_rate_px: Positive | None = Field(
+    name: Title = Field(default="instrument", description="Title of the report")
+    focal_length_px: FocalLengthPx = Field(description="Focal length / pixel pitch")
+    line_period: LinePeriod = Field(description="s between image lines")
+    ground_rate_px: GroundRate | None = Field(
         default=None,
         description="Pixels per second at which the ground crosses the focal plane (default 1 / line_period)",
     )
-    match_sigma_px: Positive | None = Field(
+    match_sigma_px: PixelSigmaAbove0 | None = Field(
         default=None,
         description="1-sigma of a match between two images, px, per row of windows (all columns together)",
     )
-    image_sigma_px: list[Positive] | None = Field(
-        default=None, description="In its place, the error of each image: a match has the variances of both"
+    image_sigma_px: list[PixelSigmaAbove0] | None = Field(
+        default=None,
+        max_length=64,
+        description="In its place, the error of each image: a match has the variances of both",
     )
     window_lines: Lines = Field(default=1.0, description="Lines that a row of windows spans")
     step_lines: Lines = Field(default=1.0, description="Lines from one row of windows to the next")
     detectors: Detectors | None = Field(
         default=None, description="How many to place, or lines of one to choose"
     )
-    span_px: Positive | None = Field(
+    span_px: Separation | None = Field(
         default=None, description="Most distance between the first and the last detector, px"
     )
-    span_s: Positive | None = Field(default=None, description="The same in s")
-    min_spacing_px: Positive = Field(default=1.0, description="Least distance between neighbours, px")
-    step_px: Positive | None = Field(
+    span_s: Duration | None = Field(default=None, description="The same in s")
+    min_spacing_px: Separation = Field(default=1.0, description="Least distance between neighbours, px")
+    step_px: Separation | None = Field(
         default=None, description="Places are multiples of it, px; without it any place will do"
     )
-    lines: Annotated[int, Field(ge=2)] | list[Finite] | None = Field(
+    lines: (
+        Annotated[int, Within(2, MOST_LINES)]
+        | Annotated[list[PixelPlace], Field(max_length=MOST_LINES)]
+        | None
+    ) = Field(
         default=None,
         description="In place of span and step: lines of one detector, their number or their places in px",
     )
-    duration: Positive | None = Field(
+    duration: Duration | None = Field(
         default=None, description="s, of a strip (default 20 periods of the lower end, 2 s at least)"
     )
-    prior: list[PriorSection] = Field(default=[], description="Parts of the motion that is expected")
-    layout: list[LayoutSection] = Field(default=[], description="Layouts of one's own to compare with")
+    prior: list[PriorSection] = Field(
+        default=[], max_length=64, description="Parts of the motion that is expected"
+    )
+    layout: list[LayoutSection] = Field(
+        default=[], max_length=64, description="Layouts of one's own to compare with"
+    )
 
     @model_validator(mode="after")
     def _one_of_each(self) -> InstrumentFile:

@@ -21,16 +21,31 @@ from pydantic import (
 )
 
 from sightline.io.acquisition_schema import (
+    MOST_LISTED,
     ControlPointSection,
     DatedSection,
-    Finite,
-    Positive,
     Section,
-    Sigma,
     SurfaceSection,
     WorldSection,
 )
-from sightline.io.camera_schema import FrameCameraSection, FrameShape
+from sightline.io.camera_schema import FrameCameraSection
+from sightline.io.quantities import (
+    AngleSigma,
+    AngleSigmaAbove0,
+    FileName,
+    FocalLengthPx,
+    FrameShape,
+    GroundSample,
+    Height,
+    LengthSigma,
+    LengthSigmaAbove0,
+    PixelSigmaAbove0,
+    ReadoutForward,
+    Title,
+    WavelengthReach,
+    Within,
+    shown,
+)
 
 #: m, rad; 1-sigma of positions and angles for which nothing is said: GPS of a camera, angles of a gimbal.
 POSITION_SIGMA, ATTITUDE_SIGMA = 5.0, 0.035
@@ -48,7 +63,10 @@ def _in_nm(value: float) -> float:
     return value
 
 
-Wavelength = Annotated[float, Field(gt=0.0, allow_inf_nan=False), AfterValidator(_in_nm)]
+#: Far infrared is 1e5 nm; what is given in micrometres is found out afterwards.
+Wavelength = Annotated[float, Within(1e-3, 1e6, "nm"), AfterValidator(_in_nm)]
+#: Lines of a frame, and bands of its maps (imaging spectrometers have 500).
+MOST_LINES, MOST_BANDS = 100_000, 4096
 #: Ways of telling the wavelengths of a filter along the lines, told apart before they are judged.
 _LIST, _RANGE, _HEADER = "as-list", "as-range", "as-header"
 
@@ -63,9 +81,9 @@ class WavelengthRange(Section):
 def _a_way(value: object) -> object:
     if not isinstance(value, list | dict | str | WavelengthRange):
         raise ValueError(
-            f"{value!r} is not allowed: a list with one wavelength (nm) per line, {{ from = 450, to = 900 "
-            "}, or the name of an ENVI header are; of a camera without a filter along its lines remove "
-            "it, or give channel_nm"
+            f"{shown(value)} is not allowed: a list with one wavelength (nm) per line, "
+            "{ from = 450, to = 900 }, or the name of an ENVI header are; of a camera without a filter along "
+            "its lines remove it, or give channel_nm"
         )
     return value
 
@@ -75,9 +93,9 @@ def _way(value: object) -> str:
 
 
 Wavelengths = Annotated[
-    Annotated[list[Wavelength], Tag(_LIST)]
+    Annotated[list[Wavelength], Field(max_length=MOST_LINES), Tag(_LIST)]
     | Annotated[WavelengthRange, Tag(_RANGE)]
-    | Annotated[str, Tag(_HEADER)],
+    | Annotated[FileName, Tag(_HEADER)],
     Discriminator(_way),
 ]
 
@@ -85,8 +103,8 @@ Wavelengths = Annotated[
 class SequenceHeader(DatedSection):
     """``[sequence]``: what this data set is called and when t = 0 was."""
 
-    name: str = Field(default="frame sequence", description="Title of the report")
-    epoch: str | None = Field(
+    name: Title = Field(default="frame sequence", description="Title of the report")
+    epoch: Title | None = Field(
         default=None, description="UTC instant of t = 0, ISO 8601; default for photographs: the first one"
     )
 
@@ -97,17 +115,19 @@ class SequenceCamera(FrameCameraSection):
     shape: FrameShape | None = Field(
         default=None, description="(lines, columns) of a frame; default that of most frames"
     )
-    focal_length_px: Positive | None = Field(
+    focal_length_px: FocalLengthPx | None = Field(
         default=None, description="Focal length / pixel pitch; default what EXIF or XMP of photographs say"
     )
     wavelength_nm: Annotated[Wavelengths, BeforeValidator(_a_way)] | None = Field(
         default=None, description="One per line, { from, to } of lines 0 and last, or an ENVI header"
     )
-    mosaic_nm: list[list[Wavelength]] | None = Field(
-        default=None, description="Rows of a pattern that repeats from pixel (0, 0)"
+    mosaic_nm: list[Annotated[list[Wavelength], Field(max_length=64)]] | None = Field(
+        default=None, max_length=64, description="Rows of a pattern that repeats from pixel (0, 0)"
     )
-    channel_nm: list[Wavelength] | None = Field(default=None, description="One per band of the image")
-    readout_time: Sigma = Field(
+    channel_nm: list[Wavelength] | None = Field(
+        default=None, max_length=MOST_BANDS, description="One per band of the image"
+    )
+    readout_time: ReadoutForward = Field(
         default=0.0, description="s from the exposure of line 0 to that of the last line (rolling shutter)"
     )
 
@@ -147,7 +167,7 @@ class SequenceCamera(FrameCameraSection):
 class SubsetSection(Section):
     """``[subset]``: frames that photogrammetry is done on."""
 
-    overlap: Annotated[float, Field(gt=0.0, lt=1.0, allow_inf_nan=False)] = Field(
+    overlap: Annotated[float, Within(0.01, 0.999, "", "a share of the frame: 0.8 for 80 %")] = Field(
         default=0.8, description="Wanted along the flight, share of the frame"
     )
 
@@ -156,10 +176,14 @@ class CubeSection(Section):
     """``[cube]``: maps of every band; ``make = false``: none."""
 
     make: bool = Field(default=True, description="Make the maps")
-    gsd: Positive | None = Field(
+    gsd: GroundSample | None = Field(
         default=None, description="m, side of a pixel; default that of the frames on the ground"
     )
-    bands: Annotated[int, Field(ge=1)] | list[Wavelength] | None = Field(
+    bands: (
+        Annotated[int, Within(1, MOST_BANDS)]
+        | Annotated[list[Wavelength], Field(max_length=MOST_BANDS)]
+        | None
+    ) = Field(
         default=None,
         description="How many, or their wavelengths (nm); default each step of a filter that has steps, else "
         "as many as leave each enough lines for the steps flown",
@@ -168,7 +192,7 @@ class CubeSection(Section):
         default="auto",
         description="Heights: of the points found (model), of [surface] (given), or whichever is better",
     )
-    fill_nm: Sigma | None = Field(
+    fill_nm: WavelengthReach | None = Field(
         default=None,
         description="How far beyond a band's own wavelengths lines may stand in where a step between frames "
         "was too long; default less than half the band's width",
@@ -177,7 +201,7 @@ class CubeSection(Section):
         default=True, description="Make the lines of a filter alike before they are resampled"
     )
     formats: list[Literal["tif", "zarr", "envi"]] = Field(
-        default=["tif"], description='Files; "zarr" needs the extra cube'
+        default=["tif"], max_length=3, description='Files; "zarr" needs the extra cube'
     )
     one_file: bool = Field(default=False, description="One GeoTIFF of all bands in place of one for each")
 
@@ -200,50 +224,54 @@ class SequenceFile(Section):
     """A SEQUENCE.toml: overlapping frames of one camera, and what is known of their poses."""
 
     sequence: SequenceHeader = SequenceHeader()
-    frames: str = Field(description="Folder of images (times by EXIF), or CSV frame,t,image")
-    positions: str | None = Field(
+    frames: FileName = Field(description="Folder of images (times by EXIF), or CSV frame,t,image")
+    positions: FileName | None = Field(
         default=None, description="CSV frame,t,x,y,z,sigma_x,sigma_y,sigma_z, axes of [world]"
     )
-    attitudes: str | None = Field(
+    attitudes: FileName | None = Field(
         default=None, description="CSV frame,t,qx,qy,qz,qw,sigma_roll,sigma_pitch,sigma_yaw: world_from_body"
     )
-    geo: str | None = Field(default=None, description="geo.txt of OpenDroneMap in place of positions")
-    poses: str | None = Field(
+    geo: FileName | None = Field(default=None, description="geo.txt of OpenDroneMap in place of positions")
+    poses: FileName | None = Field(
         default=None,
         description="Model of another program in place of positions and attitudes: folder of a COLMAP model, "
         "reconstruction.json of OpenSfM, or CSV frame,x,y,z,omega,phi,kappa or frame,x,y,z,yaw,pitch,roll",
     )
-    position_bias_sigma: Sigma | None = Field(
+    position_bias_sigma: LengthSigma | None = Field(
         default=None,
         description="m per axis: constant error of all positions, to be estimated; 0 = none; default of a "
         "table none, of EXIF, geo.txt and poses as large as a position's own sigma",
     )
-    attitude_bias_sigma: Sigma | None = Field(
+    attitude_bias_sigma: AngleSigma | None = Field(
         default=None,
         description="rad per body axis: constant error of all attitudes; 0 = none; default of a table none, "
         "of gimbals in XMP and of poses as large as attitude_sigma",
     )
-    position_sigma: Positive = Field(
+    position_sigma: LengthSigmaAbove0 = Field(
         default=POSITION_SIGMA, description="m per axis, of EXIF, geo.txt and poses where they give none"
     )
-    attitude_sigma: Positive = Field(
+    attitude_sigma: AngleSigmaAbove0 = Field(
         default=ATTITUDE_SIGMA, description="rad per axis, of angles of a gimbal in XMP, and of poses"
     )
-    altitude: Finite | None = Field(
+    altitude: Height | None = Field(
         default=None, description="m above the ellipsoid, of photographs and geo.txt that give no height"
     )
-    control_points: str | None = Field(
+    control_points: FileName | None = Field(
         default=None, description="CSV x,y,z,sigma,image,line,column of ground control points"
     )
-    gcp_list: str | None = Field(default=None, description="gcp_list.txt of OpenDroneMap")
-    gcp_sigma: Positive = Field(default=0.05, description="m per axis, of the points of gcp_list")
-    control_sigma_px: Positive = Field(default=1.0, description="px, of where control points were seen")
+    gcp_list: FileName | None = Field(default=None, description="gcp_list.txt of OpenDroneMap")
+    gcp_sigma: LengthSigmaAbove0 = Field(default=0.05, description="m per axis, of the points of gcp_list")
+    control_sigma_px: PixelSigmaAbove0 = Field(
+        default=1.0, description="px, of where control points were seen"
+    )
     camera: SequenceCamera = SequenceCamera()
     subset: SubsetSection = SubsetSection()
     surface: SurfaceSection = SurfaceSection()
     cube: CubeSection = CubeSection()
     world: WorldSection = WorldSection()
-    control_point: list[ControlPointSection] = Field(default=[], description="Control points one by one")
+    control_point: list[ControlPointSection] = Field(
+        default=[], max_length=MOST_LISTED, description="Control points one by one"
+    )
 
     @model_validator(mode="after")
     def _parts_agree(self) -> SequenceFile:

@@ -38,7 +38,7 @@ def spin_of(config: AcquisitionFile) -> Spin | None:
     Raises
     ------
     FormatError
-        If ``attitude`` is no unit quaternion, or flat axes are said to turn.
+        If flat axes are said to turn.
     """
     platform = config.platform
     if not isinstance(platform, SpinPlatform):
@@ -51,7 +51,7 @@ def spin_of(config: AcquisitionFile) -> Spin | None:
         )
     still = local or config.surface.radii is not None or config.surface.kind == "infinity"
     return Spin(
-        attitude_to_world(unit_rotation(platform.attitude, "[platform] attitude"), config),
+        attitude_to_world(unit_rotation(platform.attitude), config),
         np.array(platform.axis),
         platform.rate,
         (0.0 if still else EARTH_RATE) if platform.world_rate is None else platform.world_rate,
@@ -60,20 +60,17 @@ def spin_of(config: AcquisitionFile) -> Spin | None:
     )
 
 
-def unit_rotation(quaternion: tuple[float, float, float, float], key: str) -> Rotation:
-    """The rotation of a quaternion [x, y, z, w] of a TOML file; FormatError unless its length is 1."""
+def unit_rotation(quaternion: tuple[float, float, float, float]) -> Rotation:
+    """The rotation of a quaternion [x, y, z, w] of a TOML file, whose length is 1 but for rounding."""
     array = np.array(quaternion)
-    length = float(np.linalg.norm(array))
-    if abs(length - 1.0) > tables.QUATERNION_TOLERANCE:
-        raise FormatError(f"{key} has length {length:.6g}; a unit quaternion [x, y, z, w] is expected")
-    return Rotation.from_quat(array / length)
+    return Rotation.from_quat(array / float(np.linalg.norm(array)))
 
 
 def mount_of(camera: CameraSection) -> FixedMount:
     """``[camera]`` mount or body_from_camera."""
     if camera.body_from_camera is None:
         return FixedMount()
-    return FixedMount(unit_rotation(camera.body_from_camera, "[camera] body_from_camera"))
+    return FixedMount(unit_rotation(camera.body_from_camera))
 
 
 def pointing_of(config: AcquisitionFile, files: InputFolder, span: tuple[float, float]) -> Pointing:

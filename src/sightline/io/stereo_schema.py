@@ -16,18 +16,36 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 from sightline.geometry.units import ARCSEC
 from sightline.io.acquisition_schema import (
     DatedSection,
-    Finite,
-    Positive,
     Section,
-    Sigma,
     SurfaceSection,
-    Vector,
     WorldSection,
 )
-from sightline.io.camera_schema import FrameCameraSection, FrameShape
+from sightline.io.camera_schema import FrameCameraSection
+from sightline.io.quantities import (
+    AngleSigma,
+    Duration,
+    Extent,
+    FileName,
+    FocalLengthPx,
+    FrameShape,
+    Inclination,
+    Latitude,
+    LengthSigma,
+    LengthSigmaAbove0,
+    Name,
+    Offset,
+    OrbitAltitude,
+    PixelSigmaAbove0,
+    Place,
+    Title,
+    Within,
+)
 
 #: rad; noise of attitudes beyond which nothing is linear, and which no sensor has: given in other units.
 LARGEST_ATTITUDE_SIGMA = 0.05
+
+#: Shots of a pass, spacecraft (constellations of 200 fly), points of a shot: each, with the others few.
+MOST_SHOTS, MOST_CAMERAS, MOST_POINTS = 100_000, 1000, 1_000_000
 
 #: One table for all cameras or a list of tables, told apart before they are judged.
 _ONE, _EACH = "as-table", "as-list"
@@ -40,16 +58,16 @@ def _form(value: object) -> str:
 class StereoHeader(DatedSection):
     """``[stereo]``: what this data set is called and when t = 0 was."""
 
-    name: str = Field(default="stereo orientation", description="Title of the report")
-    epoch: str | None = Field(default=None, description="UTC instant of t = 0, ISO 8601; needed for an AEM")
+    name: Title = Field(default="stereo orientation", description="Title of the report")
+    epoch: Title | None = Field(default=None, description="UTC instant of t = 0, ISO 8601; needed for an AEM")
 
 
 class StereoCamera(FrameCameraSection):
     """``[camera]``, or one ``[[camera]]`` each: how it sits in the body, and its lens."""
 
-    name: str | None = Field(default=None, description="Of [[camera]]: which one, as in cameras.csv")
+    name: Name | None = Field(default=None, description="Of [[camera]]: which one, as in cameras.csv")
     shape: FrameShape = Field(description="(lines, columns) of a frame")
-    focal_length_px: Positive = Field(description="Focal length / pixel pitch")
+    focal_length_px: FocalLengthPx = Field(description="Focal length / pixel pitch")
 
     @field_validator("name", mode="before")
     @classmethod
@@ -60,19 +78,19 @@ class StereoCamera(FrameCameraSection):
 class StereoNoise(Section):
     """``[noise]``: errors of points and of planned poses, 1-sigma."""
 
-    sigma_px: Positive | None = Field(
+    sigma_px: PixelSigmaAbove0 | None = Field(
         default=None,
         description="Of each coordinate of a point, px; where the table of points gives none. With images: "
         "added in quadrature to what each match says of itself",
     )
-    sigma_position: Sigma = Field(description="Of planned positions, m per axis, shot to shot")
-    sigma_attitude: Sigma = Field(description="Of planned attitudes, rad per body axis, shot to shot")
+    sigma_position: LengthSigma = Field(description="Of planned positions, m per axis, shot to shot")
+    sigma_attitude: AngleSigma = Field(description="Of planned attitudes, rad per body axis, shot to shot")
     attitude_knowledge: Literal["independent", "from-position"] = Field(
         default="independent",
         description="independent: measured (star tracker); from-position: each camera looked at aim_point "
         "and attitudes were rebuilt from the noisy positions",
     )
-    aim_point: Vector | None = Field(
+    aim_point: Place | None = Field(
         default=None,
         description="With from-position: x, y, z, axes of [world]; default: nearest to all boresights",
     )
@@ -100,27 +118,31 @@ class StereoNoise(Section):
 class StereoStrip(Section):
     """``[[strip]]``: a push-broom image in place of the frames of a camera."""
 
-    name: str = Field(description="Camera of this strip, as in the column camera of observations")
-    acquisition: str = Field(description="ACQUISITION.toml that has its camera")
-    band: str | None = Field(default=None, description="Which of its bands; default the first")
+    name: Name = Field(description="Camera of this strip, as in the column camera of observations")
+    acquisition: FileName = Field(description="ACQUISITION.toml that has its camera")
+    band: Name | None = Field(default=None, description="Which of its bands; default the first")
 
 
 class PlanSection(Section):
     """``[plan]``: a pass that is not flown yet, for ``--predict``; in place of cameras and points."""
 
-    altitude: Positive = Field(default=500e3, description="m above the equatorial radius, circular orbits")
-    inclination_deg: Positive = Field(default=97.4, description="Of the orbits, degrees")
-    latitude_deg: Finite = Field(default=0.0, description="Geocentric, of the aim point, degrees")
-    separation: Positive = Field(description="s between the first spacecraft and the last on their orbit")
-    window: Positive = Field(description="s in which the shots are taken")
-    shots: Annotated[int, Field(ge=1)] = Field(description="How many")
-    offset: Finite = Field(default=0.0, description="s from the middle of the pass to that of the window")
-    cross_track: Finite = Field(
+    altitude: OrbitAltitude = Field(
+        default=500e3, description="m above the equatorial radius, circular orbits"
+    )
+    inclination_deg: Inclination = Field(default=97.4, description="Of the orbits, degrees")
+    latitude_deg: Latitude = Field(default=0.0, description="Geocentric, of the aim point, degrees")
+    separation: Duration = Field(description="s between the first spacecraft and the last on their orbit")
+    window: Duration = Field(description="s in which the shots are taken")
+    shots: Annotated[int, Within(1, MOST_SHOTS)] = Field(description="How many")
+    offset: Offset = Field(default=0.0, description="s from the middle of the pass to that of the window")
+    cross_track: Annotated[float, Within(-1e8, 1e8, "m")] = Field(
         default=0.0, description="m of the aim point beside the track, to the left of the flight"
     )
-    cameras: Annotated[int, Field(ge=2)] = Field(default=2, description="How many spacecraft")
-    points: Annotated[int, Field(ge=1)] = Field(default=300, description="Conjugate points in every shot")
-    scene_size: Positive | None = Field(
+    cameras: Annotated[int, Within(2, MOST_CAMERAS)] = Field(default=2, description="How many spacecraft")
+    points: Annotated[int, Within(1, MOST_POINTS)] = Field(
+        default=300, description="Conjugate points in every shot"
+    )
+    scene_size: Extent | None = Field(
         default=None, description="m, side of the square they cover; default 0.9 of a frame from nearest"
     )
 
@@ -129,29 +151,30 @@ class StereoFile(Section):
     """A STEREO.toml: cameras that image one scene together, points found in the images, what is known."""
 
     stereo: StereoHeader = StereoHeader()
-    cameras: str | None = Field(
+    cameras: FileName | None = Field(
         default=None,
         description="CSV camera,shot,t,x,y,z,qx,qy,qz,qw: planned poses, world_from_body, scalar last",
     )
-    matches: str | None = Field(
+    matches: FileName | None = Field(
         default=None,
         description="CSV shot,point,line_1,column_1,line_2,column_2[,sigma_px], two cameras",
     )
-    observations: str | None = Field(
+    observations: FileName | None = Field(
         default=None, description="CSV camera,shot,point,line,column[,sigma_px], any number of cameras"
     )
-    images: str | None = Field(
+    images: FileName | None = Field(
         default=None, description="CSV camera,shot,image[,mask]: points are found in the images"
     )
-    dem: str | None = Field(default=None, description="Raster of heights on which all points lie")
-    dem_sigma: Positive | None = Field(default=None, description="How well it is known, m; with dem")
-    control_points: str | None = Field(
+    dem: FileName | None = Field(default=None, description="Raster of heights on which all points lie")
+    dem_sigma: LengthSigmaAbove0 | None = Field(default=None, description="How well it is known, m; with dem")
+    control_points: FileName | None = Field(
         default=None,
         description="CSV x,y,z,sigma and point, or camera,shot,line,column, or image,line,column",
     )
     camera: (
         Annotated[
-            Annotated[StereoCamera, Tag(_ONE)] | Annotated[list[StereoCamera], Tag(_EACH)],
+            Annotated[StereoCamera, Tag(_ONE)]
+            | Annotated[list[StereoCamera], Field(max_length=MOST_CAMERAS), Tag(_EACH)],
             Discriminator(_form),
         ]
         | None
@@ -159,7 +182,9 @@ class StereoFile(Section):
     noise: StereoNoise
     surface: SurfaceSection = SurfaceSection()
     world: WorldSection = WorldSection()
-    strip: list[StereoStrip] = Field(default=[], description="Push-broom images in place of frames")
+    strip: list[StereoStrip] = Field(
+        default=[], max_length=MOST_CAMERAS, description="Push-broom images in place of frames"
+    )
     plan: PlanSection | None = Field(default=None, description="A pass not yet flown, for --predict")
 
     @property

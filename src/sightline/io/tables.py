@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import FormatError, InputError
+from sightline.io.quantities import QUATERNION_TOLERANCE
 
 Array = NDArray[np.float64]
 
@@ -42,9 +43,6 @@ MOTION = (
     "observed",
 )
 SPECTRUM = ("frequency", *(f"{kind}_{axis}" for kind in ("psd", "error", "observed") for axis in ANGLES))
-
-#: A quaternion whose length differs from 1 by more than this is a mistake, not rounding.
-QUATERNION_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)

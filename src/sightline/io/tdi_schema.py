@@ -13,16 +13,25 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
-from sightline.io.acquisition_schema import Positive, Section, Sigma
-from sightline.tdi.setting import SLIP_LIMIT
+from sightline.io.acquisition_schema import Section
+from sightline.io.quantities import FileName, Name, ShareBelow1, ShareOrNone, Title, Within, shown
+from sightline.tdi.setting import MOST_RATIOS, MOST_STAGES, SLIP_LIMIT
 
 #: More would not fit into memory, nor onto a focal plane.
 MOST_COLUMNS, MOST_SIGNALS = 1_000_000, 10_000
 
-Share = Annotated[float, Field(gt=0.0, le=1.0, allow_inf_nan=False)]
-Stages = Annotated[int, Field(ge=1)]
-Frequency = Annotated[float, Field(gt=0.0, le=0.5, allow_inf_nan=False)]
-Mtf = Annotated[float, Field(gt=0.0, le=1.0, allow_inf_nan=False)]
+#: Integration time over the line period; a line of 1e-4 s is not cut shorter than 1e-8 s.
+Share = Annotated[float, Within(1e-4, 1.0, "of the line period")]
+#: Detectors sum 8 to 256 lines.
+Stages = Annotated[int, Within(1, MOST_STAGES, "stages", "a word of the table has 9 bits for them")]
+Spatial = Annotated[float, Within(1e-4, 0.5, "cycles per pixel")]
+Mtf = Annotated[float, Within(1e-6, 1.0)]
+#: Of a line, where single photons are counted and where a well of a large thermal detector fills.
+Electrons = Annotated[float, Within(1e-3, 4.29e9, "electrons", "32 bits count them")]
+#: rms; the best sCMOS read 0.3, thermal detectors 1e4.
+NoiseElectrons = Annotated[float, Within(1e-6, 1e9, "electrons", zero=True)]
+#: Of gains: detectors are flat to 1e-4 at best, their variance to 1e-8.
+RelativeVariance = Annotated[float, Within(1e-16, 100.0, "", zero=True)]
 #: A list or a range in its place, told apart before they are judged: messages are about what was meant.
 _LIST, _RANGE = "as-list", "as-range"
 
@@ -31,8 +40,9 @@ def _shape(value: object) -> str:
     return _LIST if isinstance(value, list | tuple) else _RANGE
 
 
-Well = Annotated[float, Field(gt=0.0)]
-Width = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Well = Annotated[float, Within(1.0, 1e15, "electrons", infinite=True)]
+#: Of a pixel and of what blurs it: beyond some pixels nothing of a half cycle is left.
+Width = Annotated[float, Within(1e-6, 100.0, "px", zero=True)]
 
 
 class StageRange(Section):
@@ -50,15 +60,24 @@ class RatioRange(Section):
     stop: Share = Field(alias="to", description="Longest")
     step: Share = Field(description="Distance between them")
 
+    @property
+    def count(self) -> int:
+        """How many they are."""
+        return int(np.floor((self.stop - self.start) / self.step + 1e-9)) + 1
+
 
 class GridSection(Section):
     """``[grid]``: the settings that the detector offers, every number of stages with every ratio."""
 
     stages: Annotated[
-        Annotated[list[Stages], Tag(_LIST)] | Annotated[StageRange, Tag(_RANGE)], Discriminator(_shape)
+        Annotated[list[Stages], Field(max_length=MOST_STAGES), Tag(_LIST)]
+        | Annotated[StageRange, Tag(_RANGE)],
+        Discriminator(_shape),
     ] = Field(description="Numbers of TDI stages, head included: a list, or { from, to, step }")
     integration_ratio: Annotated[
-        Annotated[list[Share], Tag(_LIST)] | Annotated[RatioRange, Tag(_RANGE)], Discriminator(_shape)
+        Annotated[list[Share], Field(max_length=MOST_RATIOS), Tag(_LIST)]
+        | Annotated[RatioRange, Tag(_RANGE)],
+        Discriminator(_shape),
     ] = Field(
         description="Integration time over the line period, above 0 to 1: a list, or { from, to, step }"
     )
@@ -77,9 +96,8 @@ class GridSection(Section):
         given = self.integration_ratio
         if not isinstance(given, RatioRange):
             return given
-        steps = int(np.floor((given.stop - given.start) / given.step + 1e-9))
         # rounded, so that 0.05 x 20 is 1 and not a hair above
-        return [float(np.round(given.start + k * given.step, 12)) for k in range(steps + 1)]
+        return [float(np.round(given.start + k * given.step, 12)) for k in range(given.count)]
 
     @field_validator("stages", "integration_ratio")
     @classmethod
@@ -88,17 +106,22 @@ class GridSection(Section):
             if not value:
                 raise ValueError("the list is empty; one value at least is needed")
             if sorted(set(value)) != value:
-                raise ValueError(f"{value} must rise from value to value, none twice")
+                raise ValueError(f"{shown(value)} must rise from value to value, none twice")
         elif isinstance(value, StageRange | RatioRange) and value.stop < value.start:
             raise ValueError(f"from = {value.start} lies above to = {value.stop}; exchange them")
+        if isinstance(value, RatioRange) and value.count > MOST_RATIOS:
+            raise ValueError(
+                f"from {value.start:g} to {value.stop:g} by {value.step:g} are {value.count:,} integration "
+                f"ratios; a word of the table has bits for {MOST_RATIOS}: a longer step is needed"
+            )
         return value
 
 
 class HeadSection(Section):
     """``[head]``: the first lines, which are always read alike and measure the signal."""
 
-    stages: Annotated[int, Field(ge=0)] = Field(default=0, description="How many (N0); 0: none")
-    integration_ratio: Annotated[float, Field(ge=0.0, le=1.0)] = Field(
+    stages: Annotated[int, Within(0, MOST_STAGES)] = Field(default=0, description="How many (N0); 0: none")
+    integration_ratio: Annotated[float, Within(1e-4, 1.0, "of the line period", zero=True)] = Field(
         default=0.0, description="Their integration time over the line period (Kt0), above 0 with a head"
     )
 
@@ -112,12 +135,18 @@ class HeadSection(Section):
 class NoiseSection(Section):
     """``[noise]``: variance of one line of s electrons: gain s^2 + shot s + dark Kt + read^2."""
 
-    gain: Sigma = Field(default=0.0, description="A: relative variance of a line's gain, line to line (1)")
-    shot: Sigma = Field(default=1.0, description="B: variance per electron; 1 for photons")
-    read: Sigma = Field(default=0.0, description="C: electrons rms per line")
-    dark: Sigma = Field(default=0.0, description="D: electrons per line at an integration ratio of 1")
-    output: Sigma = Field(default=0.0, description="C_out: electrons rms, once per sum")
-    column_fixed: Sigma = Field(
+    gain: RelativeVariance = Field(
+        default=0.0, description="A: relative variance of a line's gain, line to line (1)"
+    )
+    shot: Annotated[float, Within(1e-6, 1e6, "", zero=True)] = Field(
+        default=1.0, description="B: variance per electron; 1 for photons"
+    )
+    read: NoiseElectrons = Field(default=0.0, description="C: electrons rms per line")
+    dark: NoiseElectrons = Field(
+        default=0.0, description="D: electrons per line at an integration ratio of 1"
+    )
+    output: NoiseElectrons = Field(default=0.0, description="C_out: electrons rms, once per sum")
+    column_fixed: RelativeVariance = Field(
         default=0.0, description="A_col: relative variance of a column's pattern, common to all its lines (1)"
     )
 
@@ -133,20 +162,24 @@ class NoiseSection(Section):
 class ColumnsSection(Section):
     """``[columns]``: how the scene moves past each column."""
 
-    count: Annotated[int, Field(ge=1, le=MOST_COLUMNS)] | None = Field(
+    count: Annotated[int, Within(1, MOST_COLUMNS, "columns")] | None = Field(
         default=None, description="So many columns, in step with the clock (V = 1, g = 0)"
     )
-    table: str | None = Field(
+    table: FileName | None = Field(
         default=None,
         description="CSV column,scan_velocity,slip[,optics_mtf_x,optics_mtf_y][,sigma_velocity,sigma_slip]: "
         "pixels per line period, rad",
     )
-    acquisition: str | None = Field(
+    acquisition: FileName | None = Field(
         default=None, description="An ACQUISITION.toml whose cameras give velocity and slip"
     )
-    band: str | None = Field(default=None, description="Its band (default: the first)")
-    sigma_velocity: Sigma = Field(default=0.0, description="1-sigma of every velocity, px per line period")
-    sigma_slip: Sigma = Field(default=0.0, description="1-sigma of every slip angle, rad")
+    band: Name | None = Field(default=None, description="Its band (default: the first)")
+    sigma_velocity: Annotated[float, Within(1e-9, 1.0, "px per line period", zero=True)] = Field(
+        default=0.0, description="1-sigma of every velocity, px per line period"
+    )
+    sigma_slip: Annotated[float, Within(1e-9, 1.5, "rad", zero=True)] = Field(
+        default=0.0, description="1-sigma of every slip angle, rad"
+    )
 
     @model_validator(mode="after")
     def _one_source(self) -> ColumnsSection:
@@ -162,10 +195,12 @@ class ColumnsSection(Section):
 class SignalsSection(Section):
     """``[signals]``: electrons of one head line (or of one line at `integration_ratio`, without a head)."""
 
-    list_: list[Positive] | None = Field(default=None, alias="list", description="Rising list, electrons")
-    start: Positive | None = Field(default=None, alias="from", description="Lowest signal, electrons")
-    stop: Positive | None = Field(default=None, alias="to", description="Highest signal, electrons")
-    count: Annotated[int, Field(ge=2, le=MOST_SIGNALS)] | None = Field(
+    list_: list[Electrons] | None = Field(
+        default=None, alias="list", max_length=MOST_SIGNALS, description="Rising list, electrons"
+    )
+    start: Electrons | None = Field(default=None, alias="from", description="Lowest signal, electrons")
+    stop: Electrons | None = Field(default=None, alias="to", description="Highest signal, electrons")
+    count: Annotated[int, Within(2, MOST_SIGNALS, "signals")] | None = Field(
         default=None, description="How many, spaced evenly in the logarithm (default 32)"
     )
     integration_ratio: Share | None = Field(
@@ -173,7 +208,7 @@ class SignalsSection(Section):
         description="Integration ratio that signals are given for, where no head lines measure them "
         "(default 1)",
     )
-    sigma: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
+    sigma: ShareBelow1 = Field(
         default=0.0, description="Relative 1-sigma of the signals, for instance measured by another detector"
     )
 
@@ -183,7 +218,9 @@ class SignalsSection(Section):
             if any(value is not None for value in (self.start, self.stop, self.count)):
                 raise ValueError("give either list, or from, to and count")
             if not self.list_ or sorted(set(self.list_)) != self.list_:
-                raise ValueError(f"list = {self.list_} must hold one value or more, rising, none twice")
+                raise ValueError(
+                    f"list = {shown(self.list_)} must hold one value or more, rising, none twice"
+                )
         elif self.start is None or self.stop is None:
             raise ValueError("give list, or from and to (electrons; count of them)")
         elif not self.start < self.stop:
@@ -201,7 +238,7 @@ class SignalsSection(Section):
 class MtfSection(Section):
     """``[mtf]``: where MTF is judged, and what blurs besides motion."""
 
-    frequencies: tuple[Frequency, Frequency] = Field(
+    frequencies: tuple[Spatial, Spatial] = Field(
         default=(0.5, 0.5), description="Cycles per pixel across and along the column; one number: both"
     )
     aperture_x: Width = Field(default=1.0, description="Photosensitive width across, px")
@@ -212,22 +249,22 @@ class MtfSection(Section):
         description="MTF of the optics at the frequencies: one for both, or [across, along]; default 1, or "
         "that of optics_cutoff",
     )
-    optics_cutoff: Positive | None = Field(
+    optics_cutoff: Annotated[float, Within(1e-3, 1e6, "cycles per pixel")] | None = Field(
         default=None,
         description="In place of optics_mtf: cycles per pixel where diffraction ends, "
         "pixel / (wavelength x f-number)",
     )
-    obscuration: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
+    obscuration: Annotated[float, Within(0.0, 0.99)] = Field(
         default=0.0, description="Of the pupil, by diameter, with optics_cutoff"
     )
-    wavefront: Annotated[float, Field(ge=0.0, lt=0.18)] = Field(
+    wavefront: Annotated[float, Within(0.0, 0.18, "waves rms", below=True)] = Field(
         default=0.0, description="Waves rms of wavefront error, with optics_cutoff"
     )
 
     @field_validator("frequencies", mode="before")
     @classmethod
     def _both_alike(cls, value: object) -> object:
-        return (value, value) if isinstance(value, int | float) else value
+        return (value, value) if not isinstance(value, list | tuple) else value
 
     @model_validator(mode="after")
     def _one_optics(self) -> MtfSection:
@@ -253,32 +290,28 @@ class ChoiceSection(Section):
     align: Literal["centre", "start", "end"] = Field(
         default="centre", description="Where in the line period the exposures lie"
     )
-    snr_min: Sigma = Field(default=0.0, description="Least SNR of the sum")
-    mtf_min: Annotated[float, Field(ge=0.0, le=1.0)] = Field(default=0.0, description="Least MTF, each axis")
-    mtf_max: Annotated[float, Field(ge=0.0, le=1.0)] = Field(default=1.0, description="Most MTF, each axis")
+    snr_min: Annotated[float, Within(0.0, 1e7)] = Field(default=0.0, description="Least SNR of the sum")
+    mtf_min: ShareOrNone = Field(default=0.0, description="Least MTF, each axis")
+    mtf_max: ShareOrNone = Field(default=1.0, description="Most MTF, each axis")
     full_well_line: Well = Field(default=np.inf, description="Electrons that a line can hold")
     full_well_sum: Well = Field(default=np.inf, description="Electrons that the sum can hold")
-    slip_limit: Annotated[float, Field(gt=0.0, lt=1.5)] | Literal["allow"] = Field(
+    slip_limit: (
+        Annotated[float, Within(1e-6, 1.5, "rad", 'or "allow"; are these degrees?', below=True)]
+        | Literal["allow"]
+    ) = Field(
         default=SLIP_LIMIT,
         description='rad; columns that slip more are refused (default 5 degrees); "allow" takes any',
     )
 
-    @field_validator("slip_limit", mode="before")
-    @classmethod
-    def _angle_or_allow(cls, value: object) -> object:
-        if value != "allow" and not (isinstance(value, int | float) and 0.0 < value < 1.5):
-            raise ValueError(f'{value!r} is not allowed: rad, above 0 and below 1.5, or "allow"')
-        return value
-
-    quantile: Annotated[float, Field(gt=0.0, lt=1.0)] | None = Field(
+    quantile: Annotated[float, Within(1e-4, 0.9999)] | None = Field(
         default=None,
         description="Where motion or signal is uncertain, judge a setting by this quantile of its merit "
         "(default: by its mean)",
     )
-    hysteresis: Annotated[float, Field(ge=0.0, lt=1.0)] = Field(
+    hysteresis: ShareBelow1 = Field(
         default=0.0, description="Share of merit that a column may lose to keep its neighbour's setting"
     )
-    max_step: Annotated[int, Field(ge=1)] | None = Field(
+    max_step: Annotated[int, Within(1, MOST_STAGES)] | None = Field(
         default=None, description="Most change of stages from column to column, in steps of the grid"
     )
 
@@ -286,7 +319,7 @@ class ChoiceSection(Section):
 class TableSection(Section):
     """``[table]``: the table that is looked up at line rate."""
 
-    max_loss: Annotated[float, Field(gt=0.0, lt=1.0)] = Field(
+    max_loss: Annotated[float, Within(1e-6, 1.0, "", "a share of the merit", below=True)] = Field(
         default=0.005, description="Most relative merit that a cell may lose, certified"
     )
 
@@ -301,7 +334,7 @@ class MotionSection(Section):
 class TdiFile(Section):
     """A TDI.toml: a detector, its columns, its signals, and what is wanted of them."""
 
-    name: str = Field(default="TDI choice", description="Title of the report")
+    name: Title = Field(default="TDI choice", description="Title of the report")
     grid: GridSection
     head: HeadSection = HeadSection()
     noise: NoiseSection = NoiseSection()

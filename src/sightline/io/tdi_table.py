@@ -10,14 +10,12 @@ import re
 from pathlib import Path
 
 from sightline.errors import FormatError, InputError
+from sightline.tdi.setting import MOST_RATIOS, RATIO_BITS, STAGE_BITS
 from sightline.tdi.table import (
     BEYOND_BIT,
     HEADER,
     IMAGE_FILE,
     INFEASIBLE_BIT,
-    MOST_RATIOS,
-    RATIO_BITS,
-    STAGE_BITS,
     VERSION,
     TdiTable,
 )

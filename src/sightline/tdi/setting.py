@@ -19,6 +19,9 @@ Index = NDArray[np.intp]
 
 MERITS = ("product", "geomean", "mean", "min", "x", "y")
 MODELS = ("exact", "patent")
+#: Bits of a word of the table, from the lowest: stages, number of the integration ratio; flags follow.
+STAGE_BITS, RATIO_BITS = 9, 5
+MOST_STAGES, MOST_RATIOS = (1 << STAGE_BITS) - 1, 1 << RATIO_BITS
 #: rad; beyond this slip angle the scene leaves the column within a few stages (EP2733929: 5 degrees).
 SLIP_LIMIT = float(np.radians(5.0))
 

@@ -20,16 +20,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import FormatError, InputError
-from sightline.tdi.setting import Array, Index, TdiGrid
+from sightline.tdi.setting import MOST_RATIOS, MOST_STAGES, RATIO_BITS, STAGE_BITS, Array, Index, TdiGrid
 from sightline.tdi.table_kernels import words_by_passes, words_by_signal
 
 Words = NDArray[np.uint16]
 Flags = NDArray[np.bool_]
 
-#: Bits of a word, from the lowest: stages, number of the integration ratio, flags.
-STAGE_BITS, RATIO_BITS = 9, 5
+#: Bits of a word above those of its setting: flags.
 INFEASIBLE_BIT, BEYOND_BIT = 14, 15
-MOST_STAGES, MOST_RATIOS = (1 << STAGE_BITS) - 1, 1 << RATIO_BITS
 INFEASIBLE, BEYOND = 1 << INFEASIBLE_BIT, 1 << BEYOND_BIT
 
 MAGIC, VERSION = b"SLTD", 2

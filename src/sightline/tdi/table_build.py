@@ -24,9 +24,9 @@ from sightline.tdi.merit import (
     column_factors,
     well_levels,
 )
-from sightline.tdi.setting import Array, Index
+from sightline.tdi.setting import STAGE_BITS, Array, Index
 from sightline.tdi.table import INFEASIBLE as INFEASIBLE_FLAG
-from sightline.tdi.table import STAGE_BITS, TdiTable, check_words_fit
+from sightline.tdi.table import TdiTable, check_words_fit
 from sightline.tdi.table_certificate import (
     AT_ONCE,
     BELOW,
