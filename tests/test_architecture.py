@@ -14,8 +14,8 @@ SOURCE = ROOT / "src" / "sightline"
 
 # Each layer may import only itself and those before it.
 LAYERS = (
-    "errors execution geometry estimation imaging matching photogrammetry motion products tdi simulate "
-    "applications evaluation io report cli __main__"
+    "errors execution compiled geometry estimation imaging matching photogrammetry motion products tdi "
+    "simulate applications evaluation io report cli __main__"
 ).split()
 
 # (who, what it never imports)
@@ -195,3 +195,16 @@ def test_the_constraints_carry_hashes_and_no_address():
         assert ":" + "//" not in content, f"{path.name} names an address"
         pins = re.findall(r"^[a-z0-9][\w.-]*(?:\[[\w,]+\])?==", content, flags=re.MULTILINE)
         assert pins and content.count("--hash=sha256:") >= len(pins)
+
+
+def test_kernels_are_compiled_and_kept_by_one_module_alone():
+    # numba's own decorator refuses to start where the package and the home folder cannot be written.
+    bypassing = [
+        f"{module}, line {node.lineno}"
+        for module in MODULES
+        if module != "sightline.compiled"
+        for node in ast.walk(TREES[module])
+        if (isinstance(node, ast.Import) and any(alias.name.split(".")[0] == "numba" for alias in node.names))
+        or (isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "numba")
+    ]
+    assert not bypassing, f"{bypassing} import numba; take njit from sightline.compiled"

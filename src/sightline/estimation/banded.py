@@ -15,11 +15,11 @@ from __future__ import annotations
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, cho_solve_banded, cholesky_banded, solve_triangular
 
+from sightline.compiled import njit
 from sightline.errors import EstimationError, InputError
 
 Array = NDArray[np.float64]

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sightline.compiled import njit
 from sightline.estimation.banded import BorderedFactor, band_times
 from sightline.estimation.prior import Autoregressive
 from sightline.estimation.series import NormalEquations

@@ -11,9 +11,9 @@ Not here: the estimate under given weights (``evidence.py``).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sightline.compiled import njit
 from sightline.errors import InputError
 from sightline.estimation.prior import Autoregressive
 

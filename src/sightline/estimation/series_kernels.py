@@ -8,7 +8,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from sightline.compiled import njit
 
 #: Nodes of the local interpolation on the grid. Six (degree 5) keep the error of a sinusoid below
 #: 0.2 % down to 7 nodes per period; four would need 12.

@@ -18,9 +18,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sightline.compiled import njit
 from sightline.errors import InputError
 from sightline.estimation.banded import BorderedFactor
 from sightline.estimation.prior import NUGGET, Autoregressive, Matern, Spectrum, autoregressive

@@ -10,8 +10,8 @@ Not here: how the table is made (``camera.py``).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from sightline.compiled import njit
 from sightline.geometry.checks import Array
 from sightline.geometry.interpolation import unit_weights
 

@@ -10,8 +10,8 @@ Not here: what the grid is and where it comes from (``surface.py``).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from sightline.compiled import njit
 from sightline.geometry.checks import Array
 from sightline.geometry.earth import normal_of
 from sightline.geometry.interpolation import unit_weights

@@ -10,10 +10,10 @@ Not here: heights above the geoid (handled where a DEM is read, ``io/``), polar 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from sightline.compiled import njit
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, as_points, as_times, positive, read_only, same_length
 

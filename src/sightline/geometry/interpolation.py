@@ -9,8 +9,8 @@ Not here: which quantity is interpolated and where it ends (``trajectory.py``, `
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from sightline.compiled import njit
 from sightline.geometry.checks import Array
 
 #: Nodes of the local polynomial.

@@ -9,8 +9,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from sightline.compiled import njit
 
 __all__ = ["PHASES", "TAPS", "delay_weights", "kernel_table", "sample", "weights_of_sum_one"]
 

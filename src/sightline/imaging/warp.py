@@ -13,9 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sightline.compiled import njit
 from sightline.imaging.resample import TAPS, fill_weights, kernel_table, sample_at
 from sightline.imaging.source import ImageSource
 

@@ -7,8 +7,8 @@ the number of threads. Not their meaning: see `whitening`, `patches` and `correl
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from sightline.compiled import njit
 from sightline.imaging.resample import fill_weights, sample_at
 
 __all__ = [

@@ -18,9 +18,9 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sightline.compiled import njit
 from sightline.motion.bright_layer import RowShifts, bright_windows, sum_along, sum_beside
 from sightline.motion.observations import Star
 

@@ -10,7 +10,8 @@ Not here: what they are called with (``layout_search.py``).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from sightline.compiled import njit
 
 
 @njit(cache=True, nogil=True)

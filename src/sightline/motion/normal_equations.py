@@ -15,9 +15,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sightline.compiled import njit
 from sightline.estimation.banded import band_times
 from sightline.execution import in_threads
 from sightline.motion.observations import Star

@@ -10,8 +10,8 @@ Not here: what is solved from the sums (``reduce_poses.py``, ``reduce_points.py`
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from sightline.compiled import njit
 from sightline.geometry.checks import Array
 from sightline.photogrammetry.sightings import Index
 

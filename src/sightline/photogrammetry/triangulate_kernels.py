@@ -8,7 +8,8 @@ Not here: which sightings belong together, and what poses are (``triangulate.py`
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from sightline.compiled import njit
 
 #: Gauss-Newton steps at most; rays that meet converge in three or four.
 _STEPS = 12

@@ -8,9 +8,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sightline.compiled import njit
 from sightline.geometry.camera_kernels import brown
 from sightline.imaging.resample import weights_of_sum_one
 from sightline.products.resample import BAND, TAPS

@@ -12,9 +12,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sightline.compiled import njit
 from sightline.imaging.resample import weights_of_sum_one
 
 __all__ = ["BEFORE", "TAPS", "delay_weights", "kernel_table", "resample_rows"]

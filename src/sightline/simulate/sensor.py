@@ -15,9 +15,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from sightline.compiled import njit
 from sightline.errors import GeometryError
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.simulate.scene import Relief, Scene

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.fft
-from numba import njit
 from numpy.typing import NDArray
 
+from sightline.compiled import njit
 from sightline.simulate.scene import Extent, Relief, mtf_at, random_relief
 from sightline.simulate.sequence_options import SequenceOptions
 from sightline.simulate.sequence_spectra import (

@@ -6,8 +6,8 @@ The ground is in ``sequence_ground.py``; noise and numbers are made by ``sensor.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from sightline.compiled import njit
 from sightline.errors import GeometryError
 from sightline.simulate.sequence_ground import Ground, spline_signal, water_share
 from sightline.simulate.texture import Array, Array32

@@ -16,9 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
+from sightline.compiled import njit
 from sightline.errors import InputError
 from sightline.tdi.setting import TdiDetector
 

@@ -13,8 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from sightline.compiled import njit
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from sightline.compiled import njit
 
 #: Merits closer than this (relative) are one merit: which of them is larger is rounding.
 TIE = 1e-12

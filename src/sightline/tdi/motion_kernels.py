@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+
+from sightline.compiled import njit
 
 #: Taylor series of sine and cosine of 2 pi x; |x| <= 1/8 leaves 1e-17.
 _SINE = tuple((-1.0) ** i * (2.0 * math.pi) ** (2 * i + 1) / math.factorial(2 * i + 1) for i in range(8))

@@ -7,7 +7,8 @@ Not here: what is lost, and which limits a cell keeps (``hysteresis.py``).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from sightline.compiled import njit
 
 #: Bits of what a setting keeps; a cell needs some of them.
 UNSATURATED, IN_LOBE, IN_BOUNDS, CLEAR = 1, 2, 4, 8

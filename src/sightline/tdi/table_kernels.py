@@ -6,8 +6,8 @@ Not here: what is in a table (``table.py``), how it is built (``table_build.py``
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from sightline.compiled import njit
 from sightline.tdi.kernels import TIE, largest
 
 #: Columns worked on at once, so that signals and words stay in the first cache.

@@ -10,7 +10,8 @@ Not here: what the values mean (``tagging.py``).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from sightline.compiled import njit
 
 
 @njit(cache=True, nogil=True)
