@@ -29,7 +29,7 @@ from sightline.motion.spin_report import at_camera
 from sightline.motion.windows import window_grid
 from sightline.products.frame_mosaic import frame_mosaic
 
-DATA = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[1] / "../shared/data"))
+DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))
 IMAGES = DATA / "junocam_spin_scan"
 LOCATED, ALONE = ("44C00030", "44C00032"), "36C00061"
 #: px, rad per exposure: what is asked.

@@ -6,7 +6,8 @@
 
 Frames are rendered once, to a file that everyone reads frame by frame; rendering and compilation are not
 counted. Each way runs in a process of its own: CPU seconds are user and system of it, its threads and its
-children, less what a flight of a few frames takes (imports, compiled code); memory is the most it held.
+children, less what a flight of a few frames takes (imports, compiled code); memory is the most it held. The
+ground has real spectra: SIGHTLINE_DATA names the folder of the data sets.
 
 Ways. `ours`: rough tables as told by the simulation (positions 1 m, attitudes 0.5 deg, both with a bias).
 `ours, fine attitudes`: 0.05 deg. `ours, no attitudes`: begins with a model of the subset by pycolmap (extra
@@ -103,13 +104,13 @@ class FrameFile:
 
 def flight(case: str, seed: int, way: str) -> SequenceScenario:
     """The flight as that way is told of it; motion, ground and frames are the same for all."""
-    return sequence_case(case, seed, **TOLD.get(way, {}))
+    return sequence_case(case, seed, spectra="rededge", **TOLD.get(way, {}))
 
 
 def rendered(case: str, seed: int, work: Path) -> Path:
     """The file of all frames."""
     path = work / f"{case}-{seed}.frames"
-    scenario = sequence_case(case, seed)
+    scenario = flight(case, seed, WAYS[0])
     if not path.exists():
         with open(path.with_suffix(".part"), "wb") as file:
             for k in range(scenario.options.total_frames):
@@ -422,7 +423,7 @@ def main() -> None:
         work = args.work or Path(folder)
         work.mkdir(parents=True, exist_ok=True)
         path = rendered(args.case, args.seed, work)
-        total = sequence_case(args.case, args.seed).options.total_frames
+        total = flight(args.case, args.seed, WAYS[0]).options.total_frames
         print(f"{args.case}, seed {args.seed}: {total} frames. Targets: {TARGETS}\n")
         print(
             "| way | between anchors (px) | along, across, up (px) | pitch roll yaw (deg) | "

@@ -3,6 +3,7 @@
 Frames are rendered into one file and read one at a time; what is measured is a process of its own that reads
 them. ``python benchmarks/sequence_scale.py [FRAMES ...] [--whole]``; "--whole" solves all frames at once, for
 comparison. Rendering takes 6 CPU ms per frame, the solution three times as much.
+The ground has real spectra: SIGHTLINE_DATA names the folder of the data sets.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def render(folder: Path, frames: int) -> None:
     """Write frames, what a user knows of them, and the truth."""
     from sightline.simulate.sequence import sequence_case
 
-    scenario = sequence_case("long", 0, frames=frames)
+    scenario = sequence_case("long", 0, spectra="rededge", frames=frames)
     with (folder / "frames.bin").open("wb") as file:
         for number in range(frames):
             file.write(scenario.image(number)[0].tobytes())

@@ -21,7 +21,7 @@ from sightline.applications.frame_attitude import mount_by_motion
 from sightline.io.acquisition import load_acquisition
 from sightline.io.exif import write_photo_acquisition
 
-DATA = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[1] / "../shared/data"))
+DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))
 ALTITUDE, GROUND, GROUND_SIGMA = 420e3, 1000.0, 800.0
 CLOUD = 165.0  # of 255
 
@@ -39,8 +39,7 @@ def main() -> None:
     out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp(prefix="iss-frames-"))
     photos = sorted((DATA / "iss_astropi_a").glob("*.jpg"))
     if not photos:
-        print(f"no photographs in {DATA / 'iss_astropi_a'}; set SIGHTLINE_DATA to the folder of real data")
-        return
+        sys.exit(f"no photographs in {DATA / 'iss_astropi_a'}; set SIGHTLINE_DATA to the folder of real data")
     out.mkdir(parents=True, exist_ok=True)
     ground = (GROUND, GROUND_SIGMA)
     acquisition = load_acquisition(write_photo_acquisition(photos, out, height=ALTITUDE, ground=ground))

@@ -33,8 +33,7 @@ NOISE = "sigma_px = 0.1\nsigma_position = 100.0\nsigma_attitude = 1e-3"
 out = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(tempfile.mkdtemp(prefix="iss-stereo-"))
 photos = sorted((DATA / "iss_astropi_a").glob("*.jpg"))
 if not photos:
-    print(f"no photographs in {DATA / 'iss_astropi_a'}; set SIGHTLINE_DATA to the folder of real data")
-    sys.exit()
+    sys.exit(f"no photographs in {DATA / 'iss_astropi_a'}; set SIGHTLINE_DATA to the folder of real data")
 out.mkdir(parents=True, exist_ok=True)
 known = load_acquisition(write_photo_acquisition(photos, out, height=ALTITUDE))
 mount = mount_by_motion(known.frames, known.surface).body_from_camera.as_quat().tolist()

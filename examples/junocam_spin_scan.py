@@ -17,7 +17,7 @@ from pathlib import Path
 from sightline.cli.main import run
 from sightline.io.junocam import write_junocam_acquisition
 
-DATA = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[1] / "../shared/data"))
+DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))
 
 
 def main() -> None:
@@ -27,8 +27,7 @@ def main() -> None:
     folder = DATA / "junocam_spin_scan"
     images = sorted(folder.glob(f"*{name}*-raw.png"))
     if not images:
-        print(f"no image {name} in {folder}; set SIGHTLINE_DATA to the folder of real data")
-        return
+        sys.exit(f"no image {name} in {folder}; set SIGHTLINE_DATA to the folder of real data")
     # of the third image no metadata are known: its surface can only be taken for infinitely far
     metadata = sorted(folder.glob("*-Metadata.json")) if name.startswith("44C") else []
     toml = write_junocam_acquisition(images[0], out, metadata=metadata, infinity="infinity" in sys.argv)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 import tempfile
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from sightline.applications.strip_noise import estimate_strip_noise, figures, no
 from sightline.io.hirise_edr import read_hirise_edr
 from sightline.io.noise_toml import write_noise_toml
 
-DATA = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[1] / "../shared/data"))
+DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))
 IMAGE = "hirise_edr_bg12/PSP_001446_1790_BG12_0.IMG"
 
 
@@ -35,8 +36,7 @@ def main() -> None:
     if not 0.0 < conversion < float("inf"):
         parser.error(f"ELECTRONS_PER_DN is {conversion:g}; a number above 0 is allowed")
     if not (DATA / IMAGE).is_file():
-        print(f"no image {IMAGE} in {DATA}; set SIGHTLINE_DATA to the folder of real data")
-        return
+        sys.exit(f"no image {IMAGE} in {DATA}; set SIGHTLINE_DATA to the folder of real data")
     edr = read_hirise_edr(DATA / IMAGE)
     noise = estimate_strip_noise(edr.pixels())
     print(f"{edr.product}: {edr.stages} stages, binning {edr.binning}, {edr.image.image.shape} pixels")

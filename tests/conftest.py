@@ -3,6 +3,9 @@
 A test that needs an optional thing asks a fixture for it and is skipped, with the reason, where it is
 missing. With ``SIGHTLINE_REQUIRE_ALL=1`` nothing may be left out: such a skip is then a failure.
 A skip whose reason begins with "not applicable" is one that no installation could change.
+
+The tests find real data through ``SIGHTLINE_DATA``, by default in ``../shared/data``. The package finds them
+only where a test hands them over: the variable is not set while tests run.
 """
 
 from __future__ import annotations
@@ -21,6 +24,14 @@ import pytest
 REQUIRE_ALL = os.environ.get("SIGHTLINE_REQUIRE_ALL", "") not in ("", "0")
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("SIGHTLINE_DATA", ROOT / ".." / "shared" / "data")).resolve()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def no_data_by_default() -> Iterator[None]:
+    """The package is given no folder of real data, but by tests that name it."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.delenv("SIGHTLINE_DATA", raising=False)
+        yield
 
 
 @pytest.fixture(scope="session")
@@ -97,6 +108,22 @@ def open_page(browser) -> Iterator[Callable[[Path], tuple[object, list[str]]]]:
         context.close()
 
 
+def pytest_addoption(parser) -> None:
+    """``--done FILE``: run what an earlier run, perhaps of another clone, left out or did not pass."""
+    parser.addoption(
+        "--done", metavar="FILE", type=Path, help="leave out the tests that FILE lists; add those that pass"
+    )
+
+
+def pytest_collection_modifyitems(config, items) -> None:
+    """Leave out what is listed as done."""
+    file = config.getoption("done")
+    if file and file.is_file():
+        done = set(file.read_text(encoding="utf-8").splitlines())
+        config.hook.pytest_deselected(items=[item for item in items if item.nodeid in done])
+        items[:] = [item for item in items if item.nodeid not in done]
+
+
 def _refuse_skip(report) -> None:
     """Make a skip of something optional a failure, where nothing may be left out."""
     if REQUIRE_ALL and report.skipped and not hasattr(report, "wasxfail"):
@@ -125,9 +152,19 @@ def pytest_make_collect_report(collector):
     return report
 
 
-def pytest_terminal_summary(terminalreporter) -> None:
-    """Name what was left out, and why."""
-    reasons = Counter(_reason(report) for report in terminalreporter.stats.get("skipped", ()))
+def pytest_terminal_summary(terminalreporter, config) -> None:
+    """Name what was left out, and why; list what is done, where that is asked for."""
+    stats = terminalreporter.stats
+    file = config.getoption("done")
+    if file and not hasattr(config, "workerinput"):  # of all workers at once
+        names = {
+            kind: {report.nodeid for report in stats.get(kind, ())} for kind in ("passed", "failed", "error")
+        }
+        with file.open("a", encoding="utf-8") as listed:
+            listed.writelines(
+                f"{name}\n" for name in sorted(names["passed"] - names["failed"] - names["error"])
+            )
+    reasons = Counter(_reason(report) for report in stats.get("skipped", ()))
     if reasons:
         terminalreporter.section("left out")
         for reason, count in sorted(reasons.items()):

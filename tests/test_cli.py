@@ -24,6 +24,7 @@ from sightline.errors import (
     SpanError,
     UnobservableBandWarning,
 )
+from sightline.version import VERSION
 
 
 @pytest.fixture
@@ -160,6 +161,12 @@ def test_help_says_what_a_first_reader_asks(capsys, words, said):
     assert command.run([*words, "--help"]) == 0
     shown = " ".join(re.sub(r"[│\s]+", " ", capsys.readouterr().out).split())
     assert all(text in shown for text in said), shown
+
+
+def test_the_version_is_an_option_and_a_command(capsys):
+    for words in (["--version"], ["version"], ["--version", "recover"]):
+        assert command.run(words) == 0
+        assert capsys.readouterr().out == f"{VERSION}\n"
 
 
 def test_no_document_names_an_option_that_no_command_has():

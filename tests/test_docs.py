@@ -113,6 +113,45 @@ def test_the_readme_links_the_documents_it_names_and_states_every_exit_status():
 def test_versions_agree():
     import tomllib
 
+    from sightline.version import VERSION
+
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert f"\nversion: {project['version']}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
-    assert f"## {project['version']}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert project["name"] == "sightline-eo" and project["dynamic"] == ["version"]
+    assert f"\nversion: {VERSION}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"## {VERSION}" in (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
+
+
+def test_nothing_tells_to_install_by_a_name_of_ours():
+    # On the package index `sightline` is somebody else's, and ours is not there: only a clone installs it.
+    files = [
+        *PAGES,
+        *ROOT.glob("src/**/*.py"),
+        *ROOT.glob("examples/*.py"),
+        ROOT / "Makefile",
+        ROOT / ".ci" / "run",
+    ]
+    wrong = re.compile(r"sightline(?:-eo)?\[|install[^\n]{0,40}?[\s\"'`]sightline(?:-eo)?(?![\w./-])")
+    found = [
+        f"{file.relative_to(ROOT)}: {match[0]}"
+        for file in files
+        for match in wrong.finditer(file.read_text(encoding="utf-8"))
+    ]
+    assert not found
+
+
+def test_a_library_that_is_advised_is_one_of_ours_to_use():
+    import tomllib
+
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lists = [project["dependencies"], *project["optional-dependencies"].values()]
+    named = {re.split(r"[<>=]", one)[0] for part in lists for one in part}
+    advised = re.compile(r"`pip install ([\w. -]+)`")
+    sources = {path: path.read_text(encoding="utf-8") for path in ROOT.glob("src/**/*.py")}
+    found = {
+        word for text in sources.values() for match in advised.finditer(text) for word in match[1].split()
+    }
+    assert {"pycolmap", "zarr", "spiceypy", "distributed"} <= found <= named
+    without = [
+        path.name for path, text in sources.items() if text.count("pip install") > len(advised.findall(text))
+    ]
+    assert not without, "a library is named as `pip install NAME`, on one line"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -11,19 +12,43 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+#: The real data set that an example is about.
+ABOUT = {
+    "iss_frames": "iss_astropi_a",
+    "iss_stereo": "iss_astropi_a",
+    "junocam_spin_scan": "junocam_spin_scan",
+    "tdi_noise": "hirise_edr_bg12",
+}
 
 
-def run(code: list[str], folder: Path = ROOT) -> str:
-    done = subprocess.run([sys.executable, *code], capture_output=True, text=True, timeout=600, cwd=folder)
+def run(code: list[str], folder: Path = ROOT, **environment: str) -> str:
+    done = subprocess.run(
+        [sys.executable, *code], capture_output=True, text=True, timeout=600, cwd=folder,
+        env={**os.environ, **environment},
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_an_example_runs_and_prints(path):
-    assert len(path.read_text(encoding="utf-8").splitlines()) < 60
-    assert run([str(path)])
+def test_an_example_runs_and_prints(path, real_data, tmp_path):
+    given = {}
+    if path.stem in ABOUT:
+        given["SIGHTLINE_DATA"] = str(real_data(ABOUT[path.stem]).parent)
+    assert run([str(path)], TMPDIR=str(tmp_path), **given)
+
+
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_an_example_is_short_and_says_which_folder_it_is_not_given(path):
+    text = path.read_text(encoding="utf-8")
+    assert len(text.splitlines()) < 60 and (path.stem in ABOUT) == ("SIGHTLINE_DATA" in text)
+    if path.stem in ABOUT:
+        done = subprocess.run(
+            [sys.executable, str(path)], capture_output=True, text=True, timeout=60, check=False
+        )
+        assert done.returncode == 1 and not done.stdout and "Traceback" not in done.stderr
+        assert "in $SIGHTLINE_DATA" in done.stderr and ABOUT[path.stem] in done.stderr
 
 
 @pytest.mark.slow

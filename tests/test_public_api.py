@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import sightline
+from sightline.version import VERSION
 
 HEAVY = ["scipy", "numba", "rasterio", "plotly", "pandas", "dask", "distributed", "xarray", "pyproj"]
 
@@ -60,7 +61,7 @@ def test_dir_lists_the_public_names_and_an_unknown_one_is_an_attribute_error():
 
 
 def test_the_version_is_that_of_the_installed_package():
-    assert sightline.__version__ == version("sightline")
+    assert sightline.__version__ == VERSION == version("sightline-eo")
 
 
 def test_importing_the_package_loads_nothing_heavy():

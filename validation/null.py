@@ -13,8 +13,8 @@ false-alarm level of 1e-3, and the median sigma.
 The errors of a strip of 600 lines are alike over some fifty lines, so that the share of one strip holds about
 ten independent samples: `--layouts` pools twelve.
 
-The data are `landsat7_everest` (RGB and band 4, 30 m, 8 bits) under SIGHTLINE_DATA, by default
-`../shared/data` beside the repository. A third of the scene is saturated snow.
+The data are `landsat7_everest` (RGB and band 4, 30 m, 8 bits) in the folder that SIGHTLINE_DATA names. A
+third of the scene is saturated snow.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from sightline.motion.band import Band
 from sightline.motion.joint import remove_directions
 from sightline.motion.tones import detect_tones
 
-DATA = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))
 FOLDER = "landsat7_everest"
 SCENE = "LE71400412000304SGS00"
 

@@ -29,7 +29,7 @@ from sightline.imaging.noise_estimation import Estimate, column_pattern
 from sightline.io.hirise_edr import read_hirise_edr
 from sightline.simulate.raw_strip import RawStripOptions, simulate_raw_strip
 
-DATA = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[1] / "../shared/data"))
+DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))
 IMAGE = DATA / "hirise_edr_bg12/PSP_001446_1790_BG12_0.IMG"
 SCENES = {
     "middling": {"fall": 2.7, "patchy": 0.3},

@@ -1,6 +1,7 @@
 """A flight solved in overlapping blocks beside the same solved at once: poses in sigma, ratio of sigmas.
 
 ``python validation/sequence_blocks.py [frames] [block] [seed]``; 400 frames in blocks of 130: half a minute.
+The ground has real spectra: SIGHTLINE_DATA names the folder of the data sets.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ def solved(problem: SequenceProblem, block: int) -> tuple[SequencePoses, float]:
 
 def main(frames: int, block: int, seed: int) -> None:
     """Print the table."""
-    problem = problem_of(sequence_case("long", seed, frames=frames))
+    problem = problem_of(sequence_case("long", seed, spectra="rededge", frames=frames))
     whole, at_once = solved(problem, frames)
     parts, in_blocks = solved(problem, block)
     sigma = np.sqrt(np.einsum("kii->ki", whole.poses.covariance))

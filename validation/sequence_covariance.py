@@ -8,6 +8,7 @@ together. So the share of frames inside their intervals is taken per flight, and
 over flights tells how sure their mean is. Rendered flights are a check beside them: ten tell a share only to
 some seven per cent. Run with numbers of both, and of flights of each variant (other tables, mounts, shutters,
 lines, gaps, errors): ``sequence_covariance.py 500 10 --variants 50``; one variant alone with ``--only``.
+The ground of rendered flights has real spectra: SIGHTLINE_DATA names the folder of the data sets.
 """
 
 from __future__ import annotations
@@ -110,7 +111,7 @@ def of_points(kind: Kind) -> Callable[[int], Scaled]:
 
 def rendered(seed: int) -> Scaled:
     """Errors over sigmas of a rendered flight."""
-    scenario = sequence_case("small", seed)
+    scenario = sequence_case("small", seed, spectra="rededge")
     poses = georeference_sequence(problem_of(scenario)).poses
     _, position, attitude = scenario.poses
     turn = (attitude.inv() * poses.world_from_body).as_rotvec()

@@ -3,7 +3,7 @@
 Poses are found from rough tables, the ground from the points that were followed. Bands are matched with each
 other, and their true error follows from true poses and true relief. Run with seeds:
 ``python validation/sequence_cube.py 3 4`` (about 80 CPU seconds each); then memory and time against the
-number of frames.
+number of frames. The ground has real spectra: SIGHTLINE_DATA names the folder of the data sets.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def height_error(
 
 def one_seed(case: str, seed: int) -> bool:
     """Print the table of one flight; whether bands lie within 0.3 px rms and 99 % is covered."""
-    scenario = sequence_case(case, seed)
+    scenario = sequence_case(case, seed, spectra="rededge")
     problem = problem_of(scenario)
     found = georeference_sequence(problem)
     began = time.process_time()
@@ -172,7 +172,7 @@ def growth() -> None:
     """Print time and memory against the number of frames."""
     print("small frames on disk, 20 bands:", flush=True)
     for frames in (60, 240):
-        scenario = sequence_case("small", 4, frames=frames)
+        scenario = sequence_case("small", 4, spectra="rededge", frames=frames)
         problem = problem_of(scenario)
         found = georeference_sequence(problem)
         with tempfile.TemporaryDirectory() as name:

@@ -3,6 +3,7 @@
 ``python validation/sequence_lines.py [lines] [cross lines] [frames a line]``; 4 lines of 250 frames: two
 minutes, half of them rendering. Flights of the case "long", neighbouring lines overlap by 40 %. All lines
 are solved together once more from what was found. Memory is what arrays take at most beyond what was there.
+The ground has real spectra: SIGHTLINE_DATA names the folder of the data sets.
 """
 
 from __future__ import annotations
@@ -42,7 +43,9 @@ def solved(solver: SequenceSolver, found: SequencePoses) -> tuple[FramePoses, fl
 
 def main(lines: int, cross: int, frames: int) -> None:
     """Print the table."""
-    scenario = sequence_case("long", 0, frames=frames, flight_lines=lines, cross_lines=cross)
+    scenario = sequence_case(
+        "long", 0, spectra="rededge", frames=frames, flight_lines=lines, cross_lines=cross
+    )
     problem = problem_of(scenario)
     found = georeference_sequence(problem)
     solver = SequenceSolver(problem, found.followed)

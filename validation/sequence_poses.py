@@ -2,6 +2,7 @@
 
 Rivals start from true anchors one frame in 20; the adjustment from rough tables. Run with a case and a seed:
 ``python validation/sequence_poses.py lvf 0``; "small" takes seconds, "lvf" a minute and a half.
+The ground has real spectra: SIGHTLINE_DATA names the folder of the data sets.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ def between_px(error: np.ndarray) -> float:
 
 def main(case: str, seed: int) -> None:
     """Print the table."""
-    scenario = sequence_case(case, seed)
+    scenario = sequence_case(case, seed, spectra="rededge")
     problem = problem_of(scenario)
     began = time.process_time()
     found = georeference_sequence(problem, plan=FollowPlan(points=200))

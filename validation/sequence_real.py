@@ -34,7 +34,7 @@ from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
 from sightline.photogrammetry.point_priors import PointPriors, level_axes
 from sightline.photogrammetry.sightings import Images, Tracks, sight_frames
 
-DATA = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[1] / "../shared/data"))
+DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))
 ISS = """frames = "{folder}"
 altitude = 420e3                 # general knowledge; EXIF says longitude and latitude alone
 position_sigma = 100.0           # m; positions lie that near to an even flight

@@ -5,7 +5,7 @@ from rough tables. Ground errors are where rays meet the mean ground, less where
 px. Lines see the ground between them from both sides, so that a height of the whole that is off (the datum)
 would look like lines apart: what points lie too high on the whole is taken off first. The bow of a line is
 the trend of its angles' errors from end to end. ``sequence_two_lines.py 3 200``: three flights of 200 frames
-a line.
+a line. The ground has real spectra: SIGHTLINE_DATA names the folder of the data sets.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def main(flights: int, frames: int) -> None:
     print("  seed  between anchors px  lines apart px  bow over sigma: roll pitch yaw  squared error  CPU s")
     for seed in range(300, 300 + flights):
         overlap = 1.0 - 2.0 / frames  # as much ground, however many frames
-        scenario = sequence_case("two-lines", seed, frames=frames, overlap=overlap)
+        scenario = sequence_case("two-lines", seed, spectra="rededge", frames=frames, overlap=overlap)
         began = time.process_time()
         found = georeference_sequence(problem_of(scenario), plan=FollowPlan(points=200))
         seconds = time.process_time() - began

@@ -297,8 +297,7 @@ def speed() -> None:
 
 def real_jitter() -> None:
     """Item 10: the HiRISE curve under two layouts, and single sinusoids."""
-    root = Path(os.environ.get("SIGHTLINE_DATA", Path(__file__).parents[1] / "../shared/data"))
-    path = root / "hirise_jitter_psp008469" / "mroJitter.txt"
+    path = Path(os.path.expandvars("$SIGHTLINE_DATA")) / "hirise_jitter_psp008469" / "mroJitter.txt"
     if not path.exists():
         print(f"| 10 | left out: {path.name} not found (set SIGHTLINE_DATA) | | | |")
         return

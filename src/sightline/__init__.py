@@ -6,8 +6,9 @@ The public names are loaded when they are first used, so that ``import sightline
 from __future__ import annotations
 
 import importlib
-from importlib.metadata import version as _installed_version
 from typing import TYPE_CHECKING, Any
+
+from sightline.version import VERSION as __version__  # noqa: F401
 
 if TYPE_CHECKING:
     from sightline.applications.focal_plane import FocalPlane, LayoutChoice, choose_layout
@@ -63,8 +64,6 @@ if TYPE_CHECKING:
     from sightline.tdi.choose import TdiChoice
     from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
     from sightline.tdi.table import TdiTable
-
-    __version__: str
 
 # Public name -> module that defines it, sorted; `tests/test_public_api.py` compares it with what is there.
 _MODULE_OF = {
@@ -246,8 +245,6 @@ __all__ = [
 
 def __getattr__(name: str) -> Any:
     """Load the module that defines a public name, the first time it is asked for."""
-    if name == "__version__":
-        return _installed_version("sightline")
     module = _MODULE_OF.get(name)
     if module is None:
         raise AttributeError(f"module 'sightline' has no attribute {name!r}")
@@ -258,4 +255,4 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     """Public names, loaded or not."""
-    return sorted({*globals(), *_MODULE_OF, "__version__"})
+    return sorted({*globals(), *_MODULE_OF})

@@ -143,8 +143,8 @@ class DaskExecutor(_Closing):
                 from distributed import Client
             except ImportError as error:
                 raise InputError(
-                    "the executor `dask` needs the package `distributed`, which is not installed; install "
-                    "`sightline[dask]`, or use `process`"
+                    "the executor `dask` needs the package `distributed`, which is not installed; run "
+                    "`pip install dask distributed`, or use `process`"
                 ) from error
             try:
                 self._connected = Client(self._address)

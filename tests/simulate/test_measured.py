@@ -1,13 +1,53 @@
-"""Real curves, grounds and reliefs, where the data are found."""
+"""Real curves, grounds and reliefs, where the data are found; and that no default asks whether they are."""
 
 import numpy as np
 import pytest
 
+from sightline.errors import FormatError
 from sightline.simulate import measured
+from sightline.simulate.instruments import INSTRUMENT_CASES, instrument_case
+from sightline.simulate.scenarios import line_of_sight_case
+from sightline.simulate.sequence import sequence_case
+from sightline.simulate.sequence_options import CASE_OPTIONS as SEQUENCES
+from sightline.simulate.stereo import stereo_case
+from sightline.simulate.stereo_options import CASE_OPTIONS as STEREO
+from sightline.simulate.strip_options import CASES
 
-pytestmark = pytest.mark.skipif(
-    not measured.data_folder().is_dir(), reason="no real data; set SIGHTLINE_DATA"
-)
+REAL = ("real", "other-family")
+STRIP, FRAMES = {"lines": 64, "columns": 64}, {"frames": 2, "shape": (40, 48), "bands": 8}
+DRAWN = {
+    **{case: (line_of_sight_case, STRIP) for case in CASES if case not in REAL},
+    **{case: (instrument_case, STRIP) for case in INSTRUMENT_CASES},
+    **{case: (sequence_case, FRAMES) for case in SEQUENCES},
+    **{case: (stereo_case, {"shots": 2, "points": 9}) for case in STEREO},
+}
+
+
+@pytest.mark.parametrize("case", DRAWN)
+def test_a_scene_that_names_no_real_data_does_not_look_for_them(case, monkeypatch):
+    def looked_for():
+        pytest.fail(f"{case} looks for real data, so that the same seed may give another scene elsewhere")
+
+    monkeypatch.setattr(measured, "data_folder", looked_for)
+    draw, size = DRAWN[case]
+    scenario = draw(case, 1, **size)
+    assert scenario.case == case
+
+
+def test_real_data_are_looked_for_only_in_the_folder_that_is_given(monkeypatch, tmp_path):
+    assert (
+        measured.data_folder() is None
+    )  # though there may be some beside this copy, which the tests know of
+    for case in REAL:
+        with pytest.raises(FormatError, match="no folder of real data is given; set SIGHTLINE_DATA"):
+            line_of_sight_case(case, **STRIP)
+    monkeypatch.setenv("SIGHTLINE_DATA", str(tmp_path))
+    assert measured.data_folder() == tmp_path
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "file").touch()
+    assert measured.data_file("set/file") == tmp_path / "set" / "file"
+    with pytest.raises(FormatError, match=f"real data not found: {tmp_path / 'elsewhere'}"):
+        measured.data_file("set/file", tmp_path / "elsewhere")
 
 
 def test_the_hirise_curve_has_its_length_step_and_span(real_data):

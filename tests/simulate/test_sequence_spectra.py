@@ -7,7 +7,7 @@ import pytest
 
 from sightline.errors import FormatError, InputError
 from sightline.simulate.sequence import sequence_case
-from sightline.simulate.sequence_spectra import ground_spectra, law_spectra, measured_spectra, real_bands
+from sightline.simulate.sequence_spectra import ground_spectra, measured_spectra, real_bands
 
 
 def block_means(bands, side=8):
@@ -34,8 +34,9 @@ def test_kinds_of_real_ground_change_order_between_red_and_infrared(real_data):
     assert spectra.share.sum() == pytest.approx(1.0) and spectra.share.min() > 0.05
 
 
-def test_bands_of_a_drawn_ground_are_as_alike_as_the_real_ones(real_data):
+def test_bands_of_a_drawn_ground_are_as_alike_as_the_real_ones(real_data, monkeypatch):
     folder = real_data("rededge_capture").parent
+    monkeypatch.setenv("SIGHTLINE_DATA", str(folder))
     wavelength_nm, bands = real_bands("rededge", folder)
     real = np.corrcoef(block_means(bands))
     scenario = sequence_case("small", 5, spectra="rededge", frames=400)
@@ -46,8 +47,8 @@ def test_bands_of_a_drawn_ground_are_as_alike_as_the_real_ones(real_data):
     assert np.abs(drawn - real).max() < 0.25
 
 
-def test_the_texture_of_a_real_scene_may_lie_on_the_ground(real_data):
-    real_data("landsat7_everest")
+def test_the_texture_of_a_real_scene_may_lie_on_the_ground(real_data, monkeypatch):
+    monkeypatch.setenv("SIGHTLINE_DATA", str(real_data("landsat7_everest").parent))
     scenario = sequence_case("small", 0, texture="landsat", frames=2)
     _, bands = real_bands("landsat")
     light, seen, gsd = bands.mean(axis=0), scenario.seen, scenario.options.gsd
@@ -63,10 +64,12 @@ def test_landsat_has_four_kinds_too(real_data):
     assert spectra.brightness.shape == (4, 4) and spectra.wavelength_nm.tolist() == [485, 560, 660, 835]
 
 
-def test_without_data_the_law_stands_in_and_says_so(monkeypatch, tmp_path):
+def test_real_spectra_are_read_where_they_are_asked_for_by_name_and_nowhere_else(monkeypatch, tmp_path):
+    assert ground_spectra("law").name == "law"
+    with pytest.raises(FormatError, match="no folder of real data is given; set SIGHTLINE_DATA"):
+        ground_spectra("rededge")
     monkeypatch.setenv("SIGHTLINE_DATA", str(tmp_path))
-    assert ground_spectra("auto").name == "law" == law_spectra().name
-    with pytest.raises(FormatError, match="real data not found"):
+    with pytest.raises(FormatError, match=r"real data not found: .*rededge_capture"):
         ground_spectra("rededge")
 
 

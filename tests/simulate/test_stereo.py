@@ -281,8 +281,9 @@ def test_white_relief_has_no_dem_and_flat_ground_no_height():
     np.testing.assert_allclose(to_geodetic(flat.points, flat.pair.radii)[:, 2], 0.0, atol=1e-6)
 
 
-def test_real_relief_is_laid_under_the_aim_point(real_data):
+def test_real_relief_is_laid_under_the_aim_point(real_data, monkeypatch):
     folder = real_data("srtm_n44e005")
+    monkeypatch.setenv("SIGHTLINE_DATA", str(folder.parent))
     tile = stereo_case(CASE, 6, shots=2, points=50, relief="dem")
     assert 500.0 < np.ptp(tile.surface.heights) < 2000.0  # Mont Ventoux rises 1500 m over its foot
     raw = str(folder / "N44E005.hgt")

@@ -17,13 +17,14 @@ import types
 import typing
 import zipfile
 from collections.abc import Callable, Mapping
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from sightline.version import VERSION
 
 T = TypeVar("T")
 Packed = dict[str, NDArray[Any]]
@@ -54,7 +55,7 @@ class Stages:
 
     def __init__(self, folder: Path | None = None, warn: Callable[[str], None] | None = None) -> None:
         self._folder, self._warn = folder, warn
-        self._key = hashlib.sha256(version("sightline").encode())
+        self._key = hashlib.sha256(VERSION.encode())
         self.computed: list[str] = []
         self.found: list[str] = []
         self.taken_over = 0.0

@@ -91,7 +91,11 @@ def frames(
         Number, _option("--relief-scale", "Altitudes, beyond which hills grow no more.")
     ] = None,
     spectra: Annotated[
-        Word, _option("--spectra", "Of the ground: law, rededge, landsat, or auto (rededge where it is).")
+        Word,
+        _option(
+            "--spectra",
+            "Of the ground: law, rededge or landsat (real), or auto (of a real texture, else law).",
+        ),
     ] = None,
     texture: Annotated[Word, _option("--texture", "spectrum, or a real scene: rededge, landsat.")] = None,
     contrast: Annotated[

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from importlib.metadata import version as installed
+from sightline.version import VERSION
 
 
 def version() -> None:
     """Print the version of Sightline."""
-    print(installed("sightline"))
+    print(VERSION)

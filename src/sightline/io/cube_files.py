@@ -290,5 +290,5 @@ def _zarr() -> Any:
     try:
         import zarr
     except ImportError:
-        raise InputError('Zarr needs the extra "cube": pip install "sightline[cube]"') from None
+        raise InputError("Zarr files need zarr, which is not installed; run `pip install zarr`") from None
     return zarr

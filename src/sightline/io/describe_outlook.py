@@ -151,7 +151,7 @@ def _bytes(size: float) -> str:
 
 
 def program_words(sequence: FrameSequence) -> list[str]:
-    """Extras that this sequence needs, or may need, and that are not installed."""
+    """Libraries that this sequence needs, or may need, and that are not installed."""
     problem, said = sequence.problem, []
     overlap = overlap_of(problem)
     why = []
@@ -160,7 +160,7 @@ def program_words(sequence: FrameSequence) -> list[str]:
     if overlap is not None and overlap.usual < LEAST_OVERLAP:
         why.append("successive frames share little")
     if why and find_spec("pycolmap") is None:
-        said.append(f"pycolmap, which is needed as {' and '.join(why)}: pip install 'sightline[sfm]'")
+        said.append(f"pycolmap, which is needed as {' and '.join(why)}: run `pip install pycolmap`")
     if sequence.cube.make and "zarr" in sequence.cube.formats and find_spec("zarr") is None:
-        said.append("zarr, for [cube] formats: pip install 'sightline[cube]'")
+        said.append("zarr, for [cube] formats: run `pip install zarr`")
     return said

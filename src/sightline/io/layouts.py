@@ -8,7 +8,6 @@ from __future__ import annotations
 import csv
 import hashlib
 import os
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 
 from sightline.applications.focal_plane import FocalPlane, JudgedLayout, LayoutChoice
 from sightline.io.results import write_json
+from sightline.version import VERSION
 
 #: Every file that ``layout`` leaves in its folder.
 LAYOUT_FILES = ("layouts.csv", "report.html", "summary.json")
@@ -57,7 +57,7 @@ def summarize_layouts(choice: LayoutChoice, source: Path, *, wall_seconds: float
     plane = choice.focal_plane
     return {
         "name": plane.name,
-        "version": version("sightline"),
+        "version": VERSION,
         "passband": list(choice.passband),
         "detectors": plane.detectors,
         "ranked": [as_row(plane, layout) for layout in choice.ranked],

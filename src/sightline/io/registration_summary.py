@@ -6,7 +6,6 @@ Not here: the images (``registered.py``).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -21,6 +20,7 @@ from sightline.products.band_fit import BandFit
 from sightline.products.image_map import MAP_TOLERANCE
 from sightline.products.register_bands import MASK_SHARE
 from sightline.products.resample import BAND, TAPS
+from sightline.version import VERSION
 
 #: Less of a band than this with a value is worth a warning.
 MOST = 0.5
@@ -65,7 +65,7 @@ def summarize_registration(
     ]
     return {
         "name": acquisition.name,
-        "version": version("sightline"),
+        "version": VERSION,
         "onto": names[registration.reference],
         "shape": list(registration.after[registration.reference].shape),
         "files": list(written.files),

@@ -12,7 +12,6 @@ import os
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +38,7 @@ from sightline.io.spin_summary import spin_summary
 from sightline.io.tables import ANGLES, MotionTable, write_attitudes, write_motion, write_spectrum
 from sightline.motion.observability import Passbands
 from sightline.motion.tones import DetectedTone, detect_tones, spectrum
+from sightline.version import VERSION
 
 Array = NDArray[np.float64]
 
@@ -162,7 +162,7 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
     bands = dict(zip(ANGLES, seen.passbands, strict=True))
     return {
         "name": acquisition.name,
-        "version": version("sightline"),
+        "version": VERSION,
         "epoch": acquisition.epoch,
         "images": list(result.image_names),
         "lines": len(result.motion.t),

@@ -7,7 +7,6 @@ Not here: the poses themselves and models for other programs (``sequence_exports
 from __future__ import annotations
 
 import math
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from sightline.io.results import peak_memory, write_json
 from sightline.io.sequence import FrameSequence
 from sightline.io.sequence_exports import write_pose_exports, write_sequence_poses
 from sightline.io.tables import write_columns
+from sightline.version import VERSION
 
 Array = NDArray[np.float64]
 
@@ -122,7 +122,7 @@ def summarize_sequence(
     return {
         "name": sequence.name,
         "epoch": problem.epoch,
-        "version": version("sightline"),
+        "version": VERSION,
         "frames": len(problem),
         "sources": {word: found.source.count(word) for word in SOURCES},
         "not_estimated": [{"frame": problem.frames[k], "reason": found.reason[k]} for k in lost],

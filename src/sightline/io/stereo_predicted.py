@@ -5,7 +5,6 @@ Not here: the results of an orientation (``stereo_results.py``).
 
 from __future__ import annotations
 
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from sightline.io.stereo_results import (
     write_orientation,
 )
 from sightline.io.tables import write_columns
+from sightline.version import VERSION
 
 
 def write_prediction(
@@ -81,7 +81,7 @@ def summarize_prediction(
     entries = principal_sigmas(predicted)
     return {
         "name": problem.name,
-        "version": version("sightline"),
+        "version": VERSION,
         "method": predicted.method,
         "cameras": list(predicted.cameras),
         "points_from": predicted.how,

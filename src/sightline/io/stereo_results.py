@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +21,7 @@ from sightline.io.results import peak_memory, write_json
 from sightline.io.stereo import Stereo
 from sightline.io.tables import write_columns
 from sightline.photogrammetry.triangulate import triangulate
+from sightline.version import VERSION
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -144,7 +144,7 @@ def summarize_orientation(
     return {
         "name": stereo.name,
         "epoch": problem.epoch,
-        "version": version("sightline"),
+        "version": VERSION,
         "method": result.method,
         "cameras": list(result.cameras),
         "images": len(images),

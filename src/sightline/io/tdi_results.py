@@ -8,7 +8,6 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterable
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from sightline.tdi.hysteresis import SteadyChoice
 from sightline.tdi.merit import ColumnMtf
 from sightline.tdi.motion_mtf import MotionMtf
 from sightline.tdi.predict_loss import PredictedLoss
+from sightline.version import VERSION
 
 COLUMNS = (
     "column", "signal", "stages", "integration_ratio", "mtf_x", "mtf_y", "snr", "merit", "limit",
@@ -74,7 +74,7 @@ def summarize_tdi(result: TdiResult, inputs: Iterable[Path], *, wall_seconds: fl
     codes, counts = np.unique(choice.limit, return_counts=True)
     return {
         "name": problem.name,
-        "version": version("sightline"),
+        "version": VERSION,
         "columns": len(columns),
         "signals": len(problem.signals),
         "settings": len(problem.grid),

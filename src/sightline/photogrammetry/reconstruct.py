@@ -166,8 +166,8 @@ def check_modelling(sigma: Array) -> Any:
         import pycolmap
     except ImportError:
         raise InputError(
-            "photogrammetry on a subset needs pycolmap, which is not installed; install the extra `sfm`: "
-            "pip install 'sightline[sfm]', or give attitudes"
+            "photogrammetry on a subset needs pycolmap, which is not installed; run "
+            "`pip install pycolmap`, or give attitudes"
         ) from None
     return pycolmap
 

@@ -200,8 +200,8 @@ def _verified(
     except ImportError:
         raise InputError(
             "too few windows could be followed from frame to frame (little overlap, or steps or turns too "
-            "large), and features need pycolmap, which is not installed; install the extra `sfm`: "
-            "pip install 'sightline[sfm]'"
+            "large), and features need pycolmap, which is not installed; run "
+            "`pip install pycolmap`"
         ) from None
     names = {k: f"{k:06d}.png" for k in frames}
     with tempfile.TemporaryDirectory() as folder:

@@ -1,8 +1,8 @@
 """Readers of the real curves, grounds and reliefs that simulated scenes may be made of.
 
-Data sets are looked for in the folder named by the environment variable ``SIGHTLINE_DATA``, by default
-``../shared/data`` beside the working copy; each function names the set it reads. What is made of them is in
-``scenarios.py``.
+Data sets are looked for in the folder that is given, as an argument or by the environment variable
+``SIGHTLINE_DATA``, and nowhere else; each function names the set it reads. Only what is asked for by name
+reads them: no default depends on whether they are there. What is made of them is in ``scenarios.py``.
 """
 
 from __future__ import annotations
@@ -32,23 +32,25 @@ _MRO_REFERENCE = [
 ]
 
 
-def data_folder() -> Path:
-    """Folder of the real data sets: ``$SIGHTLINE_DATA``, else ``../shared/data`` beside the working copy."""
+def data_folder() -> Path | None:
+    """Folder of the real data sets that ``SIGHTLINE_DATA`` gives; None: none is given."""
     named = os.environ.get("SIGHTLINE_DATA")
-    if named:
-        return Path(named)
-    return Path(__file__).resolve().parents[3].parent / "shared" / "data"
+    return Path(named) if named else None
 
 
 def data_file(name: str, folder: Path | None = None) -> Path:
-    """Path of one file of the real data sets; raises FormatError saying where it was looked for."""
-    path = (folder or data_folder()) / name
-    if not path.is_file():
+    """Path of one file of the real data sets in `folder`, else in :func:`data_folder`.
+
+    Raises FormatError, saying where it was looked for, if it is not there.
+    """
+    folder = folder or data_folder()
+    if folder is None or not (folder / name).is_file():
+        where = f"{name}, and no folder of real data is given" if folder is None else folder / name
         raise FormatError(
-            f"real data not found: {path}; this case needs it; set SIGHTLINE_DATA to the folder that holds "
-            f"{Path(name).parts[0]}, or choose a case without real data (nominal, relief, clouds, hard)"
+            f"real data not found: {where}; set SIGHTLINE_DATA to the folder that holds "
+            f"{Path(name).parts[0]}, or choose what is made without real data (as the defaults are)"
         )
-    return path
+    return folder / name
 
 
 def hirise_curve(folder: Path | None = None) -> tuple[Array, Array]:
@@ -113,7 +115,7 @@ def mro_ck_curve(folder: Path | None = None, degree: int = 5, step: float = 2e-3
         import spiceypy
     except ImportError as error:
         raise FormatError(
-            "reading a C kernel needs spiceypy, which is not installed; pip install 'sightline[spice]'"
+            "reading a C kernel needs spiceypy, which is not installed; run `pip install spiceypy`"
         ) from error
     from scipy.spatial.transform import Rotation
 

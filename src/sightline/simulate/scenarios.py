@@ -198,7 +198,8 @@ def line_of_sight_case(
     profile : JitterProfile, optional
         Motion in place of that of the case.
     data : Path, optional
-        Folder of the real data sets, by default that of ``measured.data_folder``.
+        Folder of the real data sets, else that of ``measured.data_folder``; read by the cases "real" and
+        "other-family", and by what names real data in `overrides`.
     **overrides
         Fields of :class:`~sightline.simulate.strip_options.StripOptions`.
 

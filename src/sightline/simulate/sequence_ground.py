@@ -80,7 +80,7 @@ def draw_ground(options: SequenceOptions, extent: Extent, seed: np.random.SeedSe
     relief_seed, texture_seed = seed.spawn(2)
     gsd = options.gsd
     if options.texture == "spectrum":
-        spectra = ground_spectra(options.spectra)
+        spectra = ground_spectra("law" if options.spectra == "auto" else options.spectra)
         amounts = _drawn_amounts(options, extent, spectra, texture_seed)
     else:
         spectra = ground_spectra(options.texture if options.spectra == "auto" else options.spectra)

@@ -86,8 +86,8 @@ class SequenceOptions:
     relief_scale : float
         Period, in altitudes, beyond which the spectrum of the relief stops growing.
     spectra : str
-        Of the ground: "law" (built in), "rededge" or "landsat" (measured from real bands), "auto" (the first
-        of rededge and law that is there).
+        Of the ground: "law" (built in), "rededge" or "landsat" (measured from real bands), "auto" (those of
+        the real scene that `texture` names, else law).
     texture : str
         "spectrum" (drawn from a power law), or what a real scene of those names shows.
     contrast : float

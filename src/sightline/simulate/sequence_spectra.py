@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.errors import FormatError, InputError
+from sightline.errors import InputError
 from sightline.simulate.measured import data_file, landsat_bands
 from sightline.simulate.texture import Array, Array32
 
@@ -56,15 +56,8 @@ class Spectra:
 
 
 def ground_spectra(name: str) -> Spectra:
-    """Spectra by name: "law", "rededge", "landsat", or "auto" (rededge where the data are, else law)."""
-    if name == "law":
-        return law_spectra()
-    if name == "auto":
-        try:
-            return measured_spectra("rededge")
-        except FormatError:
-            return law_spectra()
-    return measured_spectra(name)
+    """Spectra by name: "law", or those of a real scene, "rededge" or "landsat"."""
+    return law_spectra() if name == "law" else measured_spectra(name)
 
 
 def law_spectra() -> Spectra:
