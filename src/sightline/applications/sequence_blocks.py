@@ -5,10 +5,8 @@ Not here: how a block is solved (``sequence_poses.py``), how the whole follows (
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +28,7 @@ from sightline.photogrammetry.frame_focal import FocalStretch
 from sightline.photogrammetry.frame_poses import FramePoses
 from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.sightings import Index, Sightings, Tracks, as_index
+from sightline.writing import scratch_folder
 
 #: Frames of a block; a flight of fewer than twice as many is solved at once.
 BLOCK_FRAMES = 500
@@ -164,8 +163,8 @@ def solve_in_blocks(
     stages = stages or Stages()
     stages.depend(length)
     sigma = np.zeros(len(followed.image))
-    with tempfile.TemporaryDirectory(prefix="sightline-") as folder:
-        gathered = _Gathered(len(problem), BlockStore(Path(folder), heights))
+    with scratch_folder() as folder:
+        gathered = _Gathered(len(problem), BlockStore(folder, heights))
         for number, place in enumerate(ranges):
 
             def own(place: BlockRange = place) -> _Result:

@@ -9,6 +9,7 @@ Not here: which stages there are (``sequence_poses.py``).
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import os
@@ -160,6 +161,9 @@ class Stages:
     def _read(self, name: str) -> Packed | None:
         if self._folder is None or not self._path(name).is_file():
             return None
+        if self._path(name).is_symlink():
+            self._pass_over(name, "it is a link, which no run made")
+            return None
         try:
             with np.load(self._path(name), allow_pickle=False) as file:
                 if str(file[_KEY]) != self._fingerprint(name):
@@ -179,15 +183,19 @@ class Stages:
         temporary = path.with_name(path.name + ".tmp")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            with temporary.open("wb") as file:
+            # what a killed run left is not written into: under its name there may be a link by now
+            temporary.unlink(missing_ok=True)
+            with temporary.open("xb") as file:
                 np.savez(file, allow_pickle=False, **{_KEY: np.array(self._fingerprint(name))}, **packed)
                 file.flush()
                 os.fsync(file.fileno())
             os.replace(temporary, path)
         except OSError as error:
-            # the run itself is none the worse for it
+            # the run itself is none the worse for it, and has the room that was taken
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
             if self._warn is not None:
-                self._warn(f"stages are not kept: {path} cannot be written ({error.strerror})")
+                self._warn(f"stages are not kept: {path} cannot be written ({error.strerror or error})")
             self._folder = None
 
 

@@ -56,7 +56,12 @@ def georeference(
         bool, typer.Option("--poses-only", help="Make no maps of the bands, whatever the file asks for.")
     ] = False,
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on from the finished stages of a run that was stopped.")
+        bool,
+        typer.Option(
+            "--resume",
+            help="Go on from the finished stages of a run that was stopped, also with --overwrite, which "
+            "alone begins anew.",
+        ),
     ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -67,17 +72,17 @@ def georeference(
     from sightline.applications.sequence_between import interpolate_between
     from sightline.applications.sequence_poses import georeference_sequence
     from sightline.applications.stages import Stages
-    from sightline.cli.output import check_output_folder, output_folder, remove_stages, stages_folder
+    from sightline.cli.output import output_folder, stages_folder
     from sightline.cli.terminal import complain, print_json, progress, say
-    from sightline.io.cube_summary import check_cube
+    from sightline.io.cube_summary import check_cube, earlier_cube
     from sightline.io.sequence import read_sequence
 
-    check_output_folder(out, overwrite=overwrite, resume=resume)
     begun = time.perf_counter()
-    if not resume:
-        remove_stages(out)
-    stages = Stages(stages_folder(out), lambda text: complain("warning", text))
-    with stages_kept(stages_folder(out)), progress() as report:
+    place = output_folder(
+        out, overwrite=overwrite, earlier=earlier_cube, stages=True, anew=overwrite and not resume
+    )
+    with place as folder, stages_kept(stages_folder(out), asked=resume), progress() as report:
+        stages = Stages(stages_folder(out), lambda text: complain("warning", text))
         report(f"reading {file}")
         sequence = read_sequence(file)
         if not poses_only:
@@ -86,11 +91,9 @@ def georeference(
         if method is not Method.ALL_FRAMES:
             report(f"frames between the subset's by {method.value}")
             found = interpolate_between(found, method.value)
-        with output_folder(out, overwrite=overwrite) as folder:
-            summary = write_georeferenced(
-                folder, sequence, found, report, begun, method=method, cube=not poses_only
-            )
-    remove_stages(out)
+        summary = write_georeferenced(
+            folder, sequence, found, report, begun, method=method, cube=not poses_only
+        )
     if as_json:
         print_json(summary)
         return
@@ -101,14 +104,21 @@ def georeference(
 
 
 @contextmanager
-def stages_kept(folder: Path) -> Iterator[None]:
-    """Where a run ends early, say where its finished stages are and how to go on from them."""
+def stages_kept(folder: Path, *, asked: bool) -> Iterator[None]:
+    """Where a run ends early, say where its finished stages are and how to go on from them.
+
+    Where one goes on from those of another, say so unless it was `asked` for.
+    """
     from sightline.cli.terminal import Interrupted, complain
 
+    if folder.is_dir() and not asked:
+        complain("note", f"goes on from the finished stages in {folder}; --overwrite would begin anew")
     try:
         yield
     except BaseException as error:
-        kept = f"finished stages wait in {folder}; the same command with --resume goes on from them"
+        kept = (
+            f"finished stages wait in {folder}; the same command, with --resume or without, goes on from them"
+        )
         if isinstance(error, KeyboardInterrupt):
             raise Interrupted(kept if folder.is_dir() else "no stage was finished") from error
         if folder.is_dir():

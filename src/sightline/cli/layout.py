@@ -36,23 +36,23 @@ def layout(
 ) -> None:
     """Rank layouts of the focal plane by what they tell of the motion in a band, beside other layouts."""
     import time
+    from contextlib import nullcontext
 
     from sightline.applications.focal_plane import choose_layout
-    from sightline.cli.output import check_output_folder
+    from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress
     from sightline.io.instrument import load_instrument
     from sightline.io.layouts import summarize_layouts
 
     begin = time.perf_counter()
-    if out is not None:
-        check_output_folder(out, overwrite=overwrite)
-    with progress() as report:
+    place = nullcontext() if out is None else output_folder(out, overwrite=overwrite)
+    with place as folder, progress() as report:
         plane = load_instrument(instrument)
         choice = choose_layout(plane, passband, count=count, progress=report)
-        if out is None:
+        if folder is None:
             summary = summarize_layouts(choice, instrument, wall_seconds=time.perf_counter() - begin)
         else:
-            summary = _write(out, choice, instrument, begin, report, overwrite)
+            summary = _write(folder, choice, instrument, begin, report)
     if as_json:
         print_json(summary)
         return
@@ -62,19 +62,17 @@ def layout(
 
 
 def _write(
-    out: Path, choice: LayoutChoice, instrument: Path, begin: float, report: Progress, overwrite: bool
+    folder: Path, choice: LayoutChoice, instrument: Path, begin: float, report: Progress
 ) -> dict[str, Any]:
     """Write every file of the result; gives the summary."""
     import time
 
-    from sightline.cli.output import output_folder
     from sightline.io.layouts import write_layouts
     from sightline.report.layout_page import write_layout_report
 
     report("writing the layouts and their report")
-    with output_folder(out, overwrite=overwrite) as folder:
-        summary = write_layouts(folder, choice, instrument, wall_seconds=time.perf_counter() - begin)
-        write_layout_report(folder / "report.html", choice, summary)
+    summary = write_layouts(folder, choice, instrument, wall_seconds=time.perf_counter() - begin)
+    write_layout_report(folder / "report.html", choice, summary)
     return summary
 
 

@@ -28,6 +28,7 @@ from sightline.cli import (
     tdi,
     version,
 )
+from sightline.cli.output import published
 from sightline.cli.terminal import Interrupted, complain, warnings_as_messages
 from sightline.errors import EstimationError, GeometryError, SightlineError
 
@@ -124,6 +125,7 @@ def run(words: list[str], *, debug: bool = False) -> int:
     With `debug`, exceptions are left to rise with their traceback.
     """
     _ended_by.clear()
+    published.clear()
     try:
         with warnings_as_messages():
             status = app(words, prog_name="sightline", standalone_mode=False)
@@ -145,12 +147,13 @@ def run(words: list[str], *, debug: bool = False) -> int:
 
 def _interrupted(kept: str) -> int:
     """Say that the command was stopped, by what, and what is left of it; give the exit status of that."""
+    left = f"the result is complete: {published[-1]}" if published else f"no result was written{kept}"
+    by, status = "interrupted", INTERRUPTED
     if _ended_by:
         number = _ended_by[0]
-        complain("error", f"ended by {signal.Signals(number).name}; no result was written{kept}")
-        return 128 + number
-    complain("error", f"interrupted; no result was written{kept}")
-    return INTERRUPTED
+        by, status = f"ended by {signal.Signals(number).name}", 128 + number
+    complain("error", f"{by}; {left}")
+    return status
 
 
 def _say_usage(error: Any) -> None:

@@ -63,23 +63,21 @@ def orient(
     as_json: Json = False,
 ) -> None:
     """Find the constant attitude errors of cameras from points they see together, with covariance."""
-    from sightline.cli.output import check_output_folder, output_folder
+    from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
 
-    check_output_folder(out, overwrite=overwrite)
     if predict:
-        with progress() as report:
-            summary = foretell(file, method, out, report, overwrite=overwrite)
+        with output_folder(out, overwrite=overwrite) as folder, progress() as report:
+            summary = foretell(file, method, folder, report)
         if as_json:
             print_json(summary)
         else:
             tell_bound(summary)
             say(f"{out / 'orientation.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
         return
-    with progress() as report:
+    with output_folder(out, overwrite=overwrite) as folder, progress() as report:
         found = estimate(file, method, report, raw=raw, drift=drift)
-        with output_folder(out, overwrite=overwrite) as folder:
-            summary = write_oriented(folder, found, report)
+        summary = write_oriented(folder, found, report)
     if as_json:
         print_json(summary)
         return
@@ -193,12 +191,11 @@ def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str,
     return summary
 
 
-def foretell(file: Path, method: Method, out: Path, report: Progress, *, overwrite: bool) -> dict[str, Any]:
+def foretell(file: Path, method: Method, folder: Path, report: Progress) -> dict[str, Any]:
     """The bound of a STEREO.toml, in files; gives the summary."""
     import time
 
     from sightline.applications.stereo_prediction import predict, predict_plan
-    from sightline.cli.output import output_folder
     from sightline.errors import InputError
     from sightline.io.stereo import read_stereo
     from sightline.io.stereo_plan import has_plan, read_plan
@@ -221,9 +218,8 @@ def foretell(file: Path, method: Method, out: Path, report: Progress, *, overwri
         tables = len(problem.problem.tracks) <= IMPROVED_SIGHTINGS
         predicted = predict(problem.problem, method.value, tables=tables)
     seconds = time.perf_counter() - begun
-    with output_folder(out, overwrite=overwrite) as folder:
-        summary = write_prediction(folder, problem, predicted, wall_seconds=seconds)
-        write_prediction_report(folder / "report.html", predicted, summary)
+    summary = write_prediction(folder, problem, predicted, wall_seconds=seconds)
+    write_prediction_report(folder / "report.html", predicted, summary)
     return summary
 
 

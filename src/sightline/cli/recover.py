@@ -22,16 +22,16 @@ def recover(
     as_json: Json = False,
 ) -> None:
     """Recover roll, pitch and yaw with their sigma: per line of a strip's bands, or per frame."""
-    from sightline.cli.output import output_folder, remove_earlier
+    from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.io.results import RESULT_FILES
 
-    with output_folder(out, overwrite=overwrite) as folder, progress() as report:
-        summary = recover_into(folder, acquisition, report)
-        written = {entry.name for entry in folder.iterdir()}
     # a file of another acquisition beside this motion.csv would be taken for a part of the same result
-    inputs = [acquisition.parent / name for name in summary["inputs"]]
-    remove_earlier(out, sorted(set(RESULT_FILES) - written), inputs)
+    with (
+        output_folder(out, overwrite=overwrite, earlier=lambda _: RESULT_FILES) as folder,
+        progress() as report,
+    ):
+        summary = recover_into(folder, acquisition, report)
     if as_json:
         print_json(summary)
         return

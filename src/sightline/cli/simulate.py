@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from sightline.cli.options import FRAMES_CASE, ORBIT_CASES, STRIP_CASES, Json, Out, Overwrite, Seed
-from sightline.cli.output import check_output_folder, output_folder
+from sightline.cli.output import output_folder
 from sightline.cli.simulate_frames import frames
 from sightline.cli.simulate_stereo import stereo
 from sightline.cli.terminal import print_json, say
@@ -82,7 +82,6 @@ def line_of_sight(
     from sightline.simulate.files import write_strip
     from sightline.simulate.scenarios import line_of_sight_case
 
-    check_output_folder(out, overwrite=overwrite)
     begin = time.perf_counter()
     cases = (*STRIP_CASES, *ORBIT_CASES, FRAMES_CASE)
     if case not in cases:
@@ -112,8 +111,8 @@ def line_of_sight(
         return
     if off_nadir is not None:
         raise InputError(f"--off-nadir is not for case {case!r}; it is for: {', '.join(ORBIT_CASES)}")
-    scenario = line_of_sight_case(case, seed, **given)
     with output_folder(out, overwrite=overwrite) as folder:
+        scenario = line_of_sight_case(case, seed, **given)
         written = write_strip(
             scenario, folder, dem=dem, star_tracker=star_tracker, gyro=gyro, control_points=control_points
         )
@@ -126,9 +125,8 @@ def _instrument(case: str, seed: int, given: dict[str, Any], out: Path, overwrit
     from sightline.simulate.instrument_files import write_instrument
     from sightline.simulate.instruments import instrument_case
 
-    scenario = instrument_case(case, seed, **given)
     with output_folder(out, overwrite=overwrite) as folder:
-        return list(write_instrument(scenario, folder))
+        return list(write_instrument(instrument_case(case, seed, **given), folder))
 
 
 def _photographs(
@@ -138,9 +136,8 @@ def _photographs(
     from sightline.simulate.files import write_frames
     from sightline.simulate.frames import frames_case
 
-    scenario = frames_case(seed, **given)
     with output_folder(out, overwrite=overwrite) as folder:
-        return list(write_frames(scenario, folder, estimate_camera=estimate_camera))
+        return list(write_frames(frames_case(seed, **given), folder, estimate_camera=estimate_camera))
 
 
 def _refuse(asked: dict[str, bool], case: str) -> None:

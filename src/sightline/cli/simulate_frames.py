@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeAlias
 import typer
 
 from sightline.cli.options import SEQUENCE_CASES, Json, Out, Overwrite, Seed
-from sightline.cli.output import check_output_folder, output_folder
+from sightline.cli.output import output_folder
 from sightline.cli.terminal import print_json, progress, say
 
 #: Options in degrees on the command line.
@@ -131,7 +131,6 @@ def frames(
 
     if image_format not in FORMATS:
         raise InputError(f"--format must be one of {', '.join(FORMATS)}, got {image_format!r}")
-    check_output_folder(out, overwrite=overwrite)
     begin = time.perf_counter()
     with output_folder(out, overwrite=overwrite) as folder, progress() as report:
         report("drawing the flight and the ground")

@@ -9,7 +9,7 @@ from typing import Annotated, Any, TypeAlias
 import typer
 
 from sightline.cli.options import STEREO_CASES, Json, Out, Overwrite, Seed
-from sightline.cli.output import check_output_folder, output_folder
+from sightline.cli.output import output_folder
 from sightline.cli.terminal import print_json, say
 from sightline.geometry.units import ARCSEC
 
@@ -122,12 +122,11 @@ def stereo(
     from sightline.simulate.stereo import stereo_case
     from sightline.simulate.stereo_files import write_stereo
 
-    check_output_folder(out, overwrite=overwrite)
     begin = time.perf_counter()
     if images:
         options.setdefault("ground_size", _FRAMED_GROUND)
-    scenario = stereo_case(case, seed, **options)
     with output_folder(out, overwrite=overwrite) as folder:
+        scenario = stereo_case(case, seed, **options)
         names = list(write_stereo(scenario, folder, control_points=control_points, images=images))
     seconds = time.perf_counter() - begin
     if as_json:

@@ -37,14 +37,12 @@ def tdi(
     as_json: Json = False,
 ) -> None:
     """Choose TDI stages and integration ratio per column and signal, as a table looked up at line rate."""
-    from sightline.cli.output import check_output_folder, output_folder
+    from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
 
-    check_output_folder(out, overwrite=overwrite)
-    with progress() as report:
+    with output_folder(out, overwrite=overwrite) as folder, progress() as report:
         chosen = judge(file, motion, report, pictures=pictures)
-        with output_folder(out, overwrite=overwrite) as folder:
-            summary = write_judged(folder, chosen)
+        summary = write_judged(folder, chosen)
     if as_json:
         print_json(summary)
         return

@@ -19,6 +19,7 @@ from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
 from sightline.io.acquisition_schema import AcquisitionFile, WorldSection
+from sightline.io.inputs import note
 from sightline.motion.band import Band, ChipKnowledge, Frame, LensKnowledge
 from sightline.motion.hyper import KnownContent
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
@@ -153,12 +154,14 @@ class InputFolder:
         """Start with the TOML file itself."""
         self.toml = toml
         self.used: list[Path] = [toml]
+        note(toml)
 
     def __call__(self, name: str) -> Path:
         """The path behind a name in the file; it is listed among the inputs."""
         path = self.toml.parent / name
         if path not in self.used:
             self.used.append(path)
+            note(path)
         return path
 
 

@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError
 from sightline.io.tables import header_of, read_columns, write_columns
+from sightline.writing import whole
 
 Array = NDArray[np.float64]
 
@@ -134,4 +135,5 @@ def write_angles(path: Path, table: AngleTable) -> None:
     if table.origin is not None:
         text = path.read_text(encoding="utf-8")
         top = "# origin = " + ",".join(f"{value:.12g}" for value in table.origin)
-        path.write_text(f"{top}\n{text}", encoding="utf-8")
+        with whole(path) as draft:
+            draft.write_text(f"{top}\n{text}", encoding="utf-8")

@@ -8,7 +8,6 @@ Not here: CSV tables (``tables.py``).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
@@ -19,6 +18,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import FormatError, InputError
 from sightline.io.tables import check_quaternions, check_times
+from sightline.writing import creation_date, whole
 
 Array = NDArray[np.float64]
 
@@ -342,7 +342,7 @@ def write_aem(
     stamps = [utc_text(float(instant), epoch) for instant in t]
     header = [
         "CCSDS_AEM_VERS = 1.0",
-        f"CREATION_DATE = {datetime.now(UTC):%Y-%m-%dT%H:%M:%S}",
+        f"CREATION_DATE = {creation_date():%Y-%m-%dT%H:%M:%S}",
         f"ORIGINATOR = {originator}",
         "",
         "META_START",
@@ -360,10 +360,8 @@ def write_aem(
         "",
         "DATA_START",
     ]
-    temporary = path.with_name(f".{path.name}.part")
-    with temporary.open("w", encoding="utf-8") as stream:
+    with whole(path) as draft, draft.open("w", encoding="utf-8") as stream:
         stream.write("\n".join(header) + "\n")
         for stamp, quaternion in zip(stamps, np.asarray(quat_xyzw).tolist(), strict=True):
             stream.write(stamp + "".join(f" {value:.16f}" for value in quaternion) + "\n")
         stream.write("DATA_STOP\n")
-    os.replace(temporary, path)

@@ -10,7 +10,6 @@ Not here: which poses and points of a result are written (``stereo_exports.py``,
 
 from __future__ import annotations
 
-import os
 import struct
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -23,6 +22,7 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import FormatError, InputError
 from sightline.geometry.instrument import AreaDetector
 from sightline.io.reconstruction import Reconstruction, by_image
+from sightline.writing import whole
 
 Array = NDArray[np.float64]
 
@@ -133,10 +133,8 @@ def _tracks(model: Reconstruction, place: NDArray[np.intp]) -> list[NDArray[np.i
 
 
 def _replace(path: Path, parts: Iterable[bytes]) -> None:
-    temporary = path.with_name(f".{path.name}.part")
-    with temporary.open("wb") as stream:
+    with whole(path) as draft, draft.open("wb") as stream:
         stream.writelines(parts)
-    os.replace(temporary, path)
 
 
 def _text(lines: Iterable[str]) -> Iterable[bytes]:

@@ -16,6 +16,7 @@ from pydantic import BaseModel, ValidationError
 
 from sightline.errors import FormatError
 from sightline.io.acquisition_schema import AcquisitionFile
+from sightline.io.inputs import note
 from sightline.io.instrument_schema import InstrumentFile
 from sightline.io.quantities import shown
 from sightline.io.sequence_schema import SequenceFile
@@ -86,6 +87,7 @@ def kind_of(path: Path) -> str:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file; FormatError names the file and the line of a mistake."""
+    note(path)
     try:
         text = path.read_bytes().decode("utf-8")
     except FileNotFoundError:

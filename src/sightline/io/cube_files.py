@@ -8,7 +8,7 @@ Not here: the pixels (``products/frame_cube.py``), the summary (``cube_summary.p
 
 from __future__ import annotations
 
-import shutil
+import re
 import warnings
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
@@ -23,10 +23,14 @@ from sightline.execution import silent
 from sightline.io.registered import TILE, file_name, optimise
 from sightline.products.cube_bands import BandLayout
 from sightline.products.cube_grid import CubeGrid
+from sightline.writing import must_fit, whole, whole_raster
 
 Pixels = NDArray[np.float32]
 
 FORMATS = ("tif", "zarr", "envi")
+#: Name of the Zarr store, and what a file in it is called: of the store itself, of an array, of a chunk.
+ZARR = "cube.zarr"
+_ZARR_FILE = re.compile(r"cube\.zarr/(zarr\.json|(cube|wavelength|x|y)/(zarr\.json|c(/\d+)+))")
 #: Side of a chunk of the Zarr, px, and bands in one: a spectrum and a map both cost few chunks.
 _CHUNK, _CHUNK_BANDS = 256, 16
 _BYTES = 4
@@ -99,12 +103,7 @@ class CubeFolder:
         """Make room for all bands on the disk."""
         self.grid, self.layout = grid, layout
         size = len(layout) * grid.shape[0] * grid.shape[1] * _BYTES
-        free = shutil.disk_usage(self.folder).free
-        if size > free:
-            raise InputError(
-                f"{self.folder}: the cube needs {size / 2**30:.1f} GiB, {free / 2**30:.1f} GiB are free; ask "
-                "for fewer bands, a larger gsd or another folder"
-            )
+        must_fit(self.folder, size, "the cube", "ask for fewer bands or a larger gsd,")
         with self.draft.open("wb") as file:
             file.truncate(size)
 
@@ -177,7 +176,7 @@ class CubeFolder:
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", NotGeoreferencedWarning)
-                with rasterio.open(draft, "w", **profile) as target:
+                with whole_raster(draft) as made, rasterio.open(made, "w", **profile) as target:
                     for number, band in enumerate(bands, start=1):
                         target.set_band_description(number, self.layout.names[band])
                         nm = self.layout.wavelength_nm[band]
@@ -193,7 +192,7 @@ class CubeFolder:
             draft.unlink(missing_ok=True)
 
     def _write_zarr(self) -> str:
-        zarr, path, grid, layout = _zarr(), self.folder / "cube.zarr", self.grid, self.layout
+        zarr, path, grid, layout = _zarr(), self.folder / ZARR, self.grid, self.layout
         group = zarr.create_group(store=path, overwrite=True)
         shape = (len(layout), *grid.shape)
         chunks = (min(_CHUNK_BANDS, shape[0]), min(_CHUNK, shape[1]), min(_CHUNK, shape[2]))
@@ -222,11 +221,12 @@ class CubeFolder:
         wkt = crs_wkt(grid)
         if wkt:
             group.attrs["crs_wkt"] = wkt
-        return "cube.zarr"
+        return ZARR
 
     def _write_envi(self) -> list[str]:
         self.draft.replace(self.folder / "cube.dat")
-        (self.folder / "cube.hdr").write_text(envi_header(self.grid, self.layout), encoding="utf-8")
+        with whole(self.folder / "cube.hdr") as draft:
+            draft.write_text(envi_header(self.grid, self.layout), encoding="utf-8")
         return ["cube.dat", "cube.hdr"]
 
 
@@ -238,6 +238,11 @@ def band_files(layout: BandLayout) -> list[str]:
         text = f"{nm:.1f}nm" if np.isfinite(nm) else name.replace(" ", "-")
         out.append(f"{number:0{digits}d}-{file_name(text)}")
     return out
+
+
+def is_zarr_file(name: str) -> bool:
+    """Whether a file, named from the folder of the result on, is part of its Zarr store."""
+    return _ZARR_FILE.fullmatch(name) is not None
 
 
 def crs_wkt(grid: CubeGrid) -> str:

@@ -5,6 +5,7 @@ Not here: the pixels (``cube_files.py``).
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -15,7 +16,7 @@ import numpy as np
 from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube, choose_bands
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.errors import InputError
-from sightline.io.cube_files import CubeFolder, check_formats, crs_wkt
+from sightline.io.cube_files import ZARR, CubeFolder, check_formats, crs_wkt, is_zarr_file
 from sightline.io.sequence import FrameSequence
 from sightline.io.sequence_schema import CubeSection
 
@@ -82,10 +83,24 @@ def write_cube(
 
 def remove_cube(folder: Path) -> None:
     """Remove the files of a cube that was begun, where they are not all of it."""
-    for name in ("bands", "cube.zarr"):
+    for name in ("bands", ZARR):
         shutil.rmtree(folder / name, ignore_errors=True)
     for name in ("cube.tif", "cube.dat", "cube.hdr"):
         (folder / name).unlink(missing_ok=True)
+
+
+def earlier_cube(folder: Path) -> list[str]:
+    """Files below a folder of the maps that an earlier result there lists in its summary."""
+    try:
+        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        listed = [str(name) for name in summary["cube"]["files"]]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return []
+    if ZARR not in listed:
+        return listed
+    # the store is named as one; what is in it belongs to it by its form
+    inside = [path.relative_to(folder).as_posix() for path in (folder / ZARR).rglob("*") if path.is_file()]
+    return [name for name in listed if name != ZARR] + [name for name in inside if is_zarr_file(name)]
 
 
 def cube_summary(cube: CubeSummary, files: Sequence[str] = ()) -> dict[str, Any]:

@@ -8,7 +8,6 @@ Not here: which frames there are (``sequence.py``).
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from sightline.geometry.checks import read_only
 from sightline.geometry.earth import WGS84, to_geodetic
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.surface import Surface
+from sightline.writing import whole
 
 Array = NDArray[np.float64]
 
@@ -119,9 +119,8 @@ def write_footprints(
                 "geometry": geometry,
             }
         )
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
-    os.replace(temporary, path)
+    with whole(path) as draft:
+        draft.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
     return len(features)
 
 

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import FormatError, InputError
+from sightline.io.inputs import note
 from sightline.io.tables import ANGLES, read_columns, write_columns
 
 Array = NDArray[np.float64]
@@ -91,6 +92,7 @@ def read_hidden(folder: Path, summary: Mapping[str, Any], lines: int) -> tuple[A
 def read_summary(folder: Path) -> dict[str, Any]:
     """``summary.json`` of a result as a dict; empty where there is none."""
     path = folder / "summary.json"
+    note(path)
     if not path.is_file():
         return {}
     try:

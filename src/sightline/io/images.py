@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import FormatError, InputError
+from sightline.io.inputs import note
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -59,6 +60,7 @@ def _first_line(error: BaseException) -> str:
 
 def must_exist(path: Path) -> None:
     """FormatError when there is no such file."""
+    note(path)
     if not path.is_file():
         raise FormatError(f"{path}: no such file; check the name in the TOML file")
 
@@ -209,6 +211,8 @@ class NpyImage:
                 f"{self.path}: holds an array of shape {array.shape} and type {array.dtype}; "
                 "an image is (lines, columns) of real numbers"
             )
+        # of the file, as far as it is mapped
+        self._size = array.offset + array.nbytes
         return np.asarray(array)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -235,7 +239,20 @@ class NpyImage:
     def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> Image:
         """Pixels of lines [first, last) and columns [first, last), float32, C order."""
         _check_window(self.path, self.shape, lines, columns)
+        self._refuse_cut()
         return np.ascontiguousarray(self._array[slice(*lines), slice(*columns)], dtype=np.float32)
+
+    def _refuse_cut(self) -> None:
+        """FormatError if the file has become shorter: the system would end a process that reads there."""
+        try:
+            left = self.path.stat().st_size
+        except OSError:
+            return  # removed: what is mapped stays
+        if left < self._size:
+            raise FormatError(
+                f"{self.path}: was cut to {left} bytes while it was read, {self._size} are expected; run the "
+                "same command again once the file stays as it is"
+            )
 
     def mask(self, lines: tuple[int, int], columns: tuple[int, int]) -> Mask | None:
         """True where a pixel is not to be used (NaN, masked); None if all are good."""

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import csv
 import hashlib
-import os
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +15,7 @@ import numpy as np
 from sightline.applications.focal_plane import FocalPlane, JudgedLayout, LayoutChoice
 from sightline.io.results import write_json
 from sightline.version import VERSION
+from sightline.writing import whole
 
 #: Every file that ``layout`` leaves in its folder.
 LAYOUT_FILES = ("layouts.csv", "report.html", "summary.json")
@@ -39,14 +39,12 @@ def write_layouts(folder: Path, choice: LayoutChoice, source: Path, *, wall_seco
         s; of the whole command so far.
     """
     plane = choice.focal_plane
-    temporary = folder / ".layouts.csv.part"
-    with temporary.open("w", newline="", encoding="utf-8") as stream:
+    with whole(folder / "layouts.csv") as draft, draft.open("w", newline="", encoding="utf-8") as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(COLUMNS)
         for rank, layout in enumerate(choice.ranked, 1):
             row = as_row(plane, layout)
             table.writerow([rank, *(_cell(row[name]) for name in COLUMNS[1:])])
-    os.replace(temporary, folder / "layouts.csv")
     summary = summarize_layouts(choice, source, wall_seconds=wall_seconds)
     write_json(folder / "summary.json", summary)
     return summary

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from sightline.errors import FormatError
 from sightline.imaging.tdi_noise import NoiseLaw
+from sightline.writing import whole
 
 
 def write_noise_toml(
@@ -77,6 +78,7 @@ merit = "product"
 full_well_sum = {full_well_sum:.4g}             # the top of the look-up table
 """
     try:
-        path.write_text(text, encoding="utf-8")
+        with whole(path) as draft:
+            draft.write_text(text, encoding="utf-8")
     except OSError as error:
         raise FormatError(f"{path}: cannot be written ({error.strerror})") from None

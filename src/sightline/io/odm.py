@@ -12,7 +12,6 @@ Not here: what the places are used for (``sequence.py``).
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import FormatError
+from sightline.writing import whole
 
 Array = NDArray[np.float64]
 
@@ -130,9 +130,8 @@ def write_geo(path: Path, names: Sequence[str], lonlat: Array, sigma: Array | No
         if sigma is not None:
             line += f" 0 0 0 {sigma[k, 0]:.6g} {sigma[k, 1]:.6g}"
         lines.append(line)
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    with whole(path) as draft:
+        draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _rows(path: Path, least: int) -> tuple[Any, list[tuple[int, list[str]]]]:

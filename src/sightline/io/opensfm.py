@@ -11,7 +11,6 @@ Not here: COLMAP models (``colmap.py``).
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import FormatError
 from sightline.geometry.instrument import AreaDetector
 from sightline.io.reconstruction import Reconstruction
+from sightline.writing import whole
 
 #: Relative difference of the two focal lengths up to which pixels are square.
 _SQUARE = 1e-3
@@ -59,9 +59,8 @@ def write_opensfm(
     if reference is not None:
         longitude, latitude, height = reference
         content["reference_lla"] = {"latitude": latitude, "longitude": longitude, "altitude": height}
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(json.dumps([content], indent=1), encoding="utf-8")
-    os.replace(temporary, path)
+    with whole(path) as draft:
+        draft.write_text(json.dumps([content], indent=1), encoding="utf-8")
 
 
 def _name(camera: int) -> str:

@@ -14,7 +14,6 @@ Not here: poses for other programs (``colmap.py``, ``opensfm.py``, ``odm.py``, `
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +29,7 @@ from sightline.geometry.earth import WGS84, from_geodetic, local_axes
 from sightline.io.acquisition_schema import WorldSection
 from sightline.io.sequence_frames import refuse_repeated
 from sightline.io.tables import check_quaternions, read_columns, write_columns
+from sightline.writing import whole
 
 Array = NDArray[np.float64]
 
@@ -175,19 +175,18 @@ class PoseCovariance(ReadOnlyArrays):
 
 def write_pose_covariance(path: Path, given: PoseCovariance) -> None:
     """``covariance.npz``, complete or not at all."""
-    temporary = path.with_name(f".{path.name}.part.npz")
     focal, more = given.focal_length, dict[str, Any]()
     if focal is not None:
         more = {"focal_length_px": focal.px, "focal_length_covariance": focal.covariance}
-    np.savez_compressed(
-        temporary,
-        frame=np.array(given.frames, dtype=str),
-        covariance=given.covariance,
-        datum=given.datum,
-        datum_covariance=given.datum_covariance,
-        **more,
-    )
-    os.replace(temporary, path)
+    with whole(path) as draft:
+        np.savez_compressed(
+            draft,
+            frame=np.array(given.frames, dtype=str),
+            covariance=given.covariance,
+            datum=given.datum,
+            datum_covariance=given.datum_covariance,
+            **more,
+        )
 
 
 def read_pose_covariance(path: Path) -> PoseCovariance:

@@ -21,6 +21,7 @@ from sightline.errors import FormatError, InputError
 from sightline.geometry.trajectory import Motion
 from sightline.io.acquired import Acquisition
 from sightline.io.hidden import read_summary
+from sightline.io.inputs import note
 from sightline.io.tables import read_motion
 
 Array = NDArray[np.float64]
@@ -106,6 +107,7 @@ def _statics(folder: Path, summary: Mapping[str, Any]) -> dict[str, float]:
 def _prolonged(folder: Path, t: Array, angles: Array) -> tuple[Array, Array]:
     """The motion at the lines of the first band, and before and after them on the grid of the estimate."""
     path = folder / "covariance.npz"
+    note(path)
     if not path.is_file():
         return t, angles
     try:

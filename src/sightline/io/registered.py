@@ -7,11 +7,10 @@ Not here: the pixels (``products/register_bands.py``), the summary (``registrati
 
 from __future__ import annotations
 
-import os
 import shutil
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from sightline.imaging.source import ImageSource
 from sightline.io.acquired import Acquisition
 from sightline.io.images import open_image, raster_errors
 from sightline.products.register_bands import line_blocks
+from sightline.writing import must_fit, whole_raster
 
 Pixels = NDArray[np.float32]
 
@@ -158,17 +158,15 @@ def file_name(name: str) -> str:
 def _stored(folder: Path, registration: Registration) -> tuple[ImageSource, ...]:
     """The bands by the nominal cameras as files, so that nothing is resampled twice; the reference itself."""
     moved = [k for k in range(len(registration.before)) if k != registration.reference]
-    tables = {
-        k: np.lib.format.open_memmap(
-            folder / f"{k}.npy", mode="w+", dtype=np.float32, shape=registration.before[k].shape
-        )
-        for k in moved
-    }
-    for first, pixels in line_blocks([registration.before[k] for k in moved]):
-        for k, block in zip(moved, pixels, strict=True):
-            tables[k][first : first + len(block)] = block
-    for table in tables.values():
-        table.flush()
+    with ExitStack() as stack:
+        # written, not mapped: a page that a full disk cannot take would end the process without a word
+        tables = {k: stack.enter_context((folder / f"{k}.npy").open("wb")) for k in moved}
+        for k, table in tables.items():
+            header = {"descr": "<f4", "fortran_order": False, "shape": registration.before[k].shape}
+            np.lib.format.write_array_header_1_0(table, header)
+        for _, pixels in line_blocks([registration.before[k] for k in moved]):
+            for k, block in zip(moved, pixels, strict=True):
+                tables[k].write(np.ascontiguousarray(block, dtype="<f4").data)
     return tuple(
         open_image(folder / f"{k}.npy") if k in tables else source
         for k, source in enumerate(registration.before)
@@ -205,31 +203,35 @@ def write_registered(
     from rasterio.errors import NotGeoreferencedWarning
 
     drafts = [path.with_name(f".{path.name}.draft.tif") for path in paths]
+    pixels_in_all = grid.shape[0] * grid.shape[1]
+    size = sum(len(part) * dtype.itemsize for part, dtype in zip(names, dtypes, strict=True)) * pixels_in_all
+    for folder in {path.parent for path in paths}:
+        must_fit(folder, size, "the registered bands", "ask for smaller pixels by --type,")
     counts = np.zeros(sum(len(part) for part in names))
     with warnings.catch_warnings(), rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True):
         # an image in sensor geometry has no georeferencing, by nature
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         try:
-            targets = [
-                rasterio.open(draft, "w", **_profile(grid, len(part), dtype))
-                for draft, part, dtype in zip(drafts, names, dtypes, strict=True)
-            ]
-            for target, part in zip(targets, names, strict=True):
-                _describe(target, part, grid)
-            for first, pixels in blocks:
-                counts += [np.isfinite(image).sum() for image in pixels]
-                done = 0
+            with ExitStack() as stack:
+                made = [stack.enter_context(whole_raster(draft)) for draft in drafts]
+                targets = [
+                    stack.enter_context(rasterio.open(path, "w", **_profile(grid, len(part), dtype)))
+                    for path, part, dtype in zip(made, names, dtypes, strict=True)
+                ]
                 for target, part in zip(targets, names, strict=True):
-                    _write_block(target, first, pixels[done : done + len(part)])
-                    done += len(part)
-            for target in targets:
-                target.close()
+                    _describe(target, part, grid)
+                for first, pixels in blocks:
+                    counts += [np.isfinite(image).sum() for image in pixels]
+                    done = 0
+                    for target, part in zip(targets, names, strict=True):
+                        _write_block(target, first, pixels[done : done + len(part)])
+                        done += len(part)
             for draft, path, dtype in zip(drafts, paths, dtypes, strict=True):
                 optimise(draft, path, dtype)
         finally:
             for draft in drafts:
                 draft.unlink(missing_ok=True)
-    return [float(share) for share in counts / (grid.shape[0] * grid.shape[1])]
+    return [float(share) for share in counts / pixels_in_all]
 
 
 def _profile(grid: Grid, count: int, dtype: np.dtype[Any]) -> dict[str, Any]:
@@ -277,12 +279,8 @@ def optimise(draft: Path, path: Path, dtype: np.dtype[Any]) -> None:
     """A tiled file as cloud-optimised GeoTIFF with overviews, complete or not at all."""
     import rasterio.shutil
 
-    made = path.with_name(f".{path.name}.part.tif")
-    try:
+    with whole_raster(path) as made:
         rasterio.shutil.copy(
             draft, made, driver="COG", COMPRESS="DEFLATE", LEVEL="1", PREDICTOR="YES", BLOCKSIZE=str(TILE),
             BIGTIFF="IF_SAFER", OVERVIEW_RESAMPLING="AVERAGE", NUM_THREADS="ALL_CPUS",
         )  # fmt: skip
-        os.replace(made, path)
-    finally:
-        made.unlink(missing_ok=True)

@@ -25,6 +25,7 @@ from sightline.io.results import write_json
 from sightline.io.tables import ANGLES
 from sightline.motion.spin_frames import SpinUnknowns, layers_of, spin_statics
 from sightline.products.frame_mosaic import Mosaic, frame_mosaic
+from sightline.writing import whole_raster
 
 Array = NDArray[np.float64]
 
@@ -189,8 +190,8 @@ def write_values(path: Path, mosaic: Mosaic) -> None:
     count, lines, columns = mosaic.pixels.shape
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        with rasterio.open(
-            path, "w", driver="COG", width=columns, height=lines, count=count, dtype="float32",
+        with whole_raster(path) as draft, rasterio.open(
+            draft, "w", driver="COG", width=columns, height=lines, count=count, dtype="float32",
             nodata=float("nan"), compress="deflate",
         ) as raster:  # fmt: skip
             raster.write(mosaic.pixels)
@@ -216,7 +217,7 @@ def write_colours(path: Path, mosaic: Mosaic) -> None:
         tones.append(np.rint(255.0 * level**GAMMA).astype(np.uint8))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", rasterio.errors.NotGeoreferencedWarning)
-        with rasterio.open(
-            path, "w", driver="PNG", width=chosen.shape[2], height=chosen.shape[1], count=3, dtype="uint8"
-        ) as raster:
+        with whole_raster(path) as draft, rasterio.open(
+            draft, "w", driver="PNG", width=chosen.shape[2], height=chosen.shape[1], count=3, dtype="uint8"
+        ) as raster:  # fmt: skip
             raster.write(np.stack(tones))

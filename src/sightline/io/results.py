@@ -8,7 +8,6 @@ Not here: the page for people (``report/``).
 
 from __future__ import annotations
 
-import os
 import sys
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -39,6 +38,7 @@ from sightline.io.tables import ANGLES, MotionTable, write_attitudes, write_moti
 from sightline.motion.observability import Passbands
 from sightline.motion.tones import DetectedTone, detect_tones, spectrum
 from sightline.version import VERSION
+from sightline.writing import whole
 
 Array = NDArray[np.float64]
 
@@ -273,16 +273,14 @@ def _write_spectrum(path: Path, result: LineOfSight, bands: Mapping[str, Passban
 def _write_covariance(path: Path, result: LineOfSight) -> None:
     """``covariance.npz``: t (s), angles (rad) on the grid of the estimate, and the lower band (rad^2)."""
     assert result.band is not None  # the caller looked
-    temporary = path.with_name(f".{path.name}.part.npz")
-    np.savez_compressed(temporary, t=result.band.t, angles=result.band.angles, band=result.band.band)
-    os.replace(temporary, path)
+    with whole(path) as draft:
+        np.savez_compressed(draft, t=result.band.t, angles=result.band.angles, band=result.band.band)
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """A JSON file, complete or not at all; numbers that are not finite become null."""
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(json_text(content) + "\n", encoding="utf-8")
-    os.replace(temporary, path)
+    with whole(path) as draft:
+        draft.write_text(json_text(content) + "\n", encoding="utf-8")
 
 
 def peak_memory() -> int | None:

@@ -22,6 +22,7 @@ from sightline.io.stereo import Stereo
 from sightline.io.tables import write_columns
 from sightline.photogrammetry.triangulate import triangulate
 from sightline.version import VERSION
+from sightline.writing import whole
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -79,9 +80,8 @@ def write_covariance(path: Path, cameras: tuple[str, ...], covariance: Array) ->
     """``covariance.csv``: rad^2, rows and columns as the comment at its top names them."""
     lines = ["# " + ",".join(angle_names(cameras))]
     lines += [",".join(f"{value:.17g}" for value in row) for row in covariance]
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
-    temporary.replace(path)
+    with whole(path) as draft:
+        draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def used(stereo: Stereo, result: StereoOrientation) -> tuple[Array, BoolArray]:

@@ -9,7 +9,6 @@ Not here: CCSDS messages (``ccsds.py``), sensor-model files (``isd.py``).
 from __future__ import annotations
 
 import csv
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import FormatError, InputError
+from sightline.io.inputs import note
 from sightline.io.quantities import QUATERNION_TOLERANCE
+from sightline.writing import whole
 
 Array = NDArray[np.float64]
 
@@ -197,6 +198,7 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
 
 def _lines(path: Path) -> list[tuple[int, str]]:
     """Number and text of every line that is neither empty nor a comment."""
+    note(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             lines = [(number, line) for number, line in enumerate(stream, 1)]
@@ -445,11 +447,9 @@ def write_columns(
             continue
         form = given.get(name, "%.17g" if name == "t" or name.startswith("t_") else "%.9g")
         cells.append([form % value for value in array.tolist()])
-    temporary = path.with_name(f".{path.name}.part")
-    with temporary.open("w", newline="", encoding="utf-8") as stream:
+    with whole(path) as draft, draft.open("w", newline="", encoding="utf-8") as stream:
         stream.write(",".join(columns) + "\n")
         stream.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
-    os.replace(temporary, path)
 
 
 def write_motion(path: Path, motion: MotionTable) -> None:

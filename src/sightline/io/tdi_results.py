@@ -6,7 +6,6 @@ Not here: the table that is looked up (``tdi_table.py``), the page for people (`
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from sightline.tdi.merit import ColumnMtf
 from sightline.tdi.motion_mtf import MotionMtf
 from sightline.tdi.predict_loss import PredictedLoss
 from sightline.version import VERSION
+from sightline.writing import whole
 
 COLUMNS = (
     "column", "signal", "stages", "integration_ratio", "mtf_x", "mtf_y", "snr", "merit", "limit",
@@ -29,12 +29,11 @@ COLUMNS = (
 
 def write_choice(path: Path, choice: TdiChoice) -> None:
     """``choice.csv``: one row per column and signal, complete or not at all."""
-    temporary = path.with_name(f".{path.name}.part")
     count = len(choice.signals)
     signals = [f"{value:.10g}" for value in choice.signals]
     ratios = {value: f"{value:.10g}" for value in choice.grid.ratios}
     stages, ratio, merit = choice.stages, choice.integration_ratio, choice.merit
-    with temporary.open("w", encoding="utf-8") as stream:
+    with whole(path) as draft, draft.open("w", encoding="utf-8") as stream:
         stream.write(",".join(COLUMNS) + "\n")
         for c, column in enumerate(choice.columns.column):
             mtf, snr, why = choice.mtf[c], choice.snr[c], [LIMITS[code] for code in choice.limit[c]]
@@ -43,7 +42,6 @@ def write_choice(path: Path, choice: TdiChoice) -> None:
                 f"{mtf[s, 0]:.9g},{mtf[s, 1]:.9g},{snr[s]:.9g},{merit[c, s]:.9g},{why[s]}\n"
                 for s in range(count)
             )
-    os.replace(temporary, path)
 
 
 def write_tdi_summary(

@@ -19,6 +19,7 @@ from sightline.tdi.table import (
     VERSION,
     TdiTable,
 )
+from sightline.writing import whole
 
 HEADER_FILE, SOURCE_FILE = "table.h", "table.c"
 HEX_FILE, SEGMENTS_FILE = "table.hex", "table_segments.bin"
@@ -184,7 +185,8 @@ def write_table(folder: str | Path, table: TdiTable) -> list[Path]:
         SEGMENTS_FILE: segments(image),
     }
     for name, data in content.items():
-        (folder / name).write_bytes(data)
+        with whole(folder / name) as draft:
+            draft.write_bytes(data)
     return [folder / name for name in content]
 
 

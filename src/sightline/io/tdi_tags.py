@@ -5,7 +5,6 @@ Not here: what tags mean (``tdi/tagging.py``).
 
 from __future__ import annotations
 
-import os
 import struct
 import zlib
 from pathlib import Path
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from sightline.errors import FormatError, InputError
 from sightline.imaging.tdi_transfer import ALIGNMENTS, Exposure
 from sightline.tdi.tagging import FIELDS, TdiTags, decode_field, encode_field
+from sightline.writing import whole
 
 MAGIC = b"SLTDITAG"
 VERSION = 1
@@ -47,9 +47,8 @@ def tags_as_bytes(tags: TdiTags) -> bytes:
 def write_tags(path: Path, tags: TdiTags) -> int:
     """Write a file of tags, complete or not at all; gives its bytes."""
     content = tags_as_bytes(tags)
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_bytes(content)
-    os.replace(temporary, path)
+    with whole(path) as draft:
+        draft.write_bytes(content)
     return len(content)
 
 

@@ -9,7 +9,6 @@ Not here: which frames (``frame_subset.py``), the adjustment (``frame_poses.py``
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -30,6 +29,7 @@ from sightline.photogrammetry.frame_subset import chained
 from sightline.photogrammetry.point_priors import HeightPrior, PointPriors, level_axes
 from sightline.photogrammetry.sightings import Images, Index, Tracks, as_index, sight_frames
 from sightline.photogrammetry.track_noise import with_drift
+from sightline.writing import scratch_folder
 
 #: nm; ground is not compared in wavelengths further apart, neighbours excepted.
 _ALIKE_NM = 200.0
@@ -215,8 +215,8 @@ def reconstruct(
     """
     pycolmap = check_modelling(sigma[frames])
     enlarged = min(detector.shape) < _LARGE if enlarged is None else enlarged
-    with tempfile.TemporaryDirectory() as folder:
-        model = _mapped(pycolmap, Path(folder), sources, frames, pairs, detector, position, sigma, enlarged)
+    with scratch_folder() as folder:
+        model = _mapped(pycolmap, folder, sources, frames, pairs, detector, position, sigma, enlarged)
     if model is None or model.num_reg_images() < 3:
         raise EstimationError(
             f"photogrammetry on {len(frames)} frames gave no model: they are too little alike; "

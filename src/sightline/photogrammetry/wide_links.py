@@ -9,7 +9,6 @@ Not here: frames that overlap nearly whole (``matching/follow.py``); a model (``
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +26,7 @@ from sightline.matching.follow import NOTHING, Followed, FollowPlan, FollowState
 from sightline.matching.match_images import match_images
 from sightline.matching.select import spread_subset
 from sightline.matching.whitening import gradient_filter
+from sightline.writing import scratch_folder
 
 __all__ = ["WidePlan", "link_widely", "wide_pairs"]
 
@@ -204,8 +204,7 @@ def _verified(
             "`pip install pycolmap`"
         ) from None
     names = {k: f"{k:06d}.png" for k in frames}
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder)
+    with scratch_folder() as path:
         for k, frame in frames.items():
             shape = frame.small.shape
             pixels = frame.small.read((0, shape[0]), (0, shape[1]))

@@ -7,7 +7,6 @@ Not here: what the figures and sentences are (the other files of this folder).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,6 +32,7 @@ from sightline.report import (
 )
 from sightline.report.composite import composite
 from sightline.report.spin_words import spin_section
+from sightline.writing import whole
 
 #: Frequencies at which visibility is drawn.
 _FREQUENCIES = 2401
@@ -82,9 +82,8 @@ def write_report(
 
 def write_page(path: Path, text: str) -> None:
     """Write a page, complete or not at all."""
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
+    with whole(path) as draft:
+        draft.write_text(text, encoding="utf-8")
 
 
 def render(template: str, **values: Any) -> str:

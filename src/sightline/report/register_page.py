@@ -5,7 +5,6 @@ Not here: the images (``products/``), the page of a recovery (``page.py``).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ from sightline.products.band_fit import WINDOW, BandFit
 from sightline.report.composite import CROP, colours, data_png
 from sightline.report.page import Section
 from sightline.report.style import panels
+from sightline.writing import whole
 
 Array = NDArray[np.float64]
 
@@ -81,9 +81,8 @@ def write_register_report(
         sections=sections(before, after, summary),
         bands=_band_rows(summary),
     )
-    temporary = path.with_name(f".{path.name}.part")
-    temporary.write_text(html, encoding="utf-8")
-    os.replace(temporary, path)
+    with whole(path) as draft:
+        draft.write_text(html, encoding="utf-8")
 
 
 def sentences(summary: Mapping[str, Any]) -> list[str]:

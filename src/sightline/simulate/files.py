@@ -19,6 +19,7 @@ from sightline.simulate.frames import FrameScenario
 from sightline.simulate.scenarios import StripScenario
 from sightline.simulate.scene import Relief
 from sightline.simulate.texture import Array
+from sightline.writing import whole_raster
 
 CONTROL_POINTS = "control_points.csv"
 
@@ -146,7 +147,7 @@ def write_image(path: Path, shape: tuple[int, int], chunks: Iterator[tuple[int, 
     with warnings.catch_warnings():
         # an image in sensor geometry has no georeferencing, by nature
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, "w", **profile) as target:
+        with whole_raster(path) as draft, rasterio.open(draft, "w", **profile) as target:
             for first, block in chunks:
                 target.write(block, 1, window=Window(0, first, shape[1], block.shape[0]))
     return path
@@ -178,7 +179,7 @@ def write_dem(path: Path, heights: Array, transform: Sequence[float], crs: str |
         "crs": crs,
         "transform": Affine(*transform),
     }
-    with rasterio.open(path, "w", **profile) as target:
+    with whole_raster(path) as draft, rasterio.open(draft, "w", **profile) as target:
         target.write(heights, 1)
     return path
 

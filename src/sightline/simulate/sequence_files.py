@@ -32,6 +32,7 @@ from sightline.simulate.files import write_dem, write_rows
 from sightline.simulate.sequence import EPOCH, SequenceScenario
 from sightline.simulate.sequence_options import SequenceOptions
 from sightline.simulate.texture import Array
+from sightline.writing import whole_raster
 
 FORMATS = ("tif", "png")
 _SUBSET_OVERLAP = 0.8
@@ -170,7 +171,7 @@ def _write_image(path: Path, image: NDArray[np.generic]) -> None:
     with warnings.catch_warnings():
         # an image in sensor geometry has no georeferencing, by nature
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path, "w", **profile) as target:
+        with whole_raster(path) as draft, rasterio.open(draft, "w", **profile) as target:
             target.write(image)
 
 
@@ -277,7 +278,7 @@ def _write_truth_bands(scenario: SequenceScenario, path: Path, count: int) -> Pa
         "bigtiff": "if_safer",
     }
     x = seen.west + gsd * (np.arange(columns) + 0.5)
-    with rasterio.open(path, "w", **profile) as target:
+    with whole_raster(path) as draft, rasterio.open(draft, "w", **profile) as target:
         for band, nm in enumerate(wavelengths, start=1):
             target.set_band_description(band, "all light" if np.isnan(nm) else f"{nm:.3f} nm")
             target.update_tags(band, wavelength_nm="" if np.isnan(nm) else f"{nm:.3f}")

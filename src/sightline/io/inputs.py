@@ -1,0 +1,91 @@
+"""Files that a command reads: still what they were when it began to read them, and never written over.
+
+A command that runs for minutes describes its result by hashes of its inputs. They are those of what was read
+only if no file was exchanged meanwhile: size, time and place of each are kept when it is first met and
+compared before the result is published.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from sightline.errors import InputError
+
+
+@dataclass(frozen=True)
+class _Stamp:
+    """What tells a file from one that took its place; all -1 where there is none."""
+
+    size: int = -1
+    mtime_ns: int = -1
+    inode: int = -1
+    ctime_ns: int = -1
+
+    @classmethod
+    def of(cls, path: Path) -> _Stamp:
+        try:
+            known = path.stat()
+        except OSError:
+            return cls()
+        return cls(known.st_size, known.st_mtime_ns, known.st_ino, known.st_ctime_ns)
+
+    def same(self, other: _Stamp) -> bool:
+        """Whether nothing speaks for another file or other content."""
+        if (self.size, self.mtime_ns) != (other.size, other.mtime_ns):
+            return False
+        # some network file systems number a file anew now and then, and a backup may touch its ctime: only
+        # both together are another file
+        return self.inode == other.inode or self.ctime_ns == other.ctime_ns
+
+
+@dataclass
+class Inputs:
+    """Files met since `noted` began, but for those below `own`, which the command makes itself."""
+
+    own: Path
+    _stamps: dict[Path, _Stamp] = field(default_factory=dict)
+
+    def add(self, path: Path) -> None:
+        """Keep what a file is now, unless it was met before."""
+        if path not in self._stamps and not path.is_relative_to(self.own):
+            self._stamps[path] = _Stamp.of(path)
+
+    def changed(self) -> Path | None:
+        """The first file that is not what it was."""
+        return next((p for p, stamp in self._stamps.items() if not stamp.same(_Stamp.of(p))), None)
+
+    def places(self) -> frozenset[str]:
+        """Real paths of all files."""
+        return frozenset(os.path.realpath(path) for path in self._stamps)
+
+
+_watching: list[Inputs] = []
+
+
+@contextmanager
+def noted(own: Path) -> Iterator[Inputs]:
+    """Every file that is read during the block, as far as readers `note` it; none below `own`."""
+    seen = Inputs(own)
+    _watching.append(seen)
+    try:
+        yield seen
+    finally:
+        _watching.remove(seen)
+
+
+def note(path: Path) -> None:
+    """Call before a file is read: it is an input of the command under way, if there is one."""
+    for seen in _watching:
+        seen.add(path)
+
+
+def changed_error(path: Path) -> InputError:
+    """That a file is not any more what was read of it."""
+    return InputError(
+        f"{path}: changed while it was read; a result of it would be a mixture of both, and its hash that of "
+        "neither: run the same command again once the file stays as it is"
+    )

@@ -1,0 +1,195 @@
+"""Writing files: whole or not at all, with errors that name them, and the date that stands in them.
+
+Not here: the folder of a command's results (``cli/output.py``), what is written.
+"""
+
+from __future__ import annotations
+
+import errno
+import logging
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+from sightline.errors import InputError
+
+#: Environment variables by which a user says where scratch files go.
+_SCRATCH_VARIABLES = ("TMPDIR", "TEMP", "TMP")
+#: Last second that a date of four digits for the year can tell.
+_LAST_SECOND = 253402300799
+#: How the raster library begins the line of its log that tells of an error.
+_GDAL_ERROR = "GDAL signalled an error"
+
+_scratch: list[Path] = []
+
+
+@contextmanager
+def whole(path: Path) -> Iterator[Path]:
+    """A file that appears under its name complete or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        The name; a file of this name is replaced when the block ends.
+
+    Yields
+    ------
+    Path
+        Where to write it, with the same suffix.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; carries `path`, also where the system's own error names no file.
+    """
+    draft = path.with_name(f".{path.name}.part{path.suffix}")
+    try:
+        # one that is a link must not lead elsewhere
+        draft.unlink(missing_ok=True)
+        yield draft
+        os.replace(draft, path)
+    except OSError as error:
+        raise unwritable(error, path) from error
+    finally:
+        if draft.exists():
+            draft.unlink()
+
+
+@contextmanager
+def whole_raster(path: Path) -> Iterator[Path]:
+    """As `whole`, for a raster that GDAL writes.
+
+    What fails when GDAL closes a file, as on a full disk, raises nothing and leaves a file cut short: it is
+    found in the library's log.
+
+    Raises
+    ------
+    OSError
+        If it cannot be written; carries `path`.
+    """
+    from rasterio._err import CPLE_BaseError
+    from rasterio.errors import RasterioError
+
+    with whole(path) as draft, _gdal_errors() as said:
+        try:
+            yield draft
+        except (RasterioError, CPLE_BaseError) as error:
+            words = said[0] if said else _first_line(error)
+            raise OSError(errno.EIO, words, str(path)) from error
+        if said:
+            raise OSError(errno.EIO, said[0], str(path))
+
+
+@contextmanager
+def _gdal_errors() -> Iterator[list[str]]:
+    """What GDAL signals as errors during the block, raised or not."""
+    said: list[str] = []
+
+    class Listener(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            words = record.getMessage()
+            if record.levelno >= logging.ERROR or words.startswith(_GDAL_ERROR):
+                said.append(words.partition("msg=")[2].strip("'\"") or words)
+
+    logger, listener = logging.getLogger("rasterio"), Listener(logging.INFO)
+    level = logger.level
+    logger.addHandler(listener)
+    if logger.getEffectiveLevel() > logging.INFO:
+        logger.setLevel(logging.INFO)
+    try:
+        yield said
+    finally:
+        logger.removeHandler(listener)
+        logger.setLevel(level)
+
+
+def unwritable(error: OSError, path: Path) -> OSError:
+    """The same error with the file that it is about."""
+    return OSError(error.errno or errno.EIO, error.strerror or _first_line(error), str(path))
+
+
+def must_fit(folder: Path, size: int, what: str, advice: str) -> None:
+    """Refuse what the disk has no room for, before work goes into it.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists; where it is to be written.
+    size : int
+        Bytes.
+    what, advice : str
+        Of the message: what needs the room, what could be done besides taking another folder.
+
+    Raises
+    ------
+    InputError
+    """
+    free = shutil.disk_usage(folder).free
+    if size > free:
+        raise InputError(
+            f"{folder}: {what} needs {in_bytes(size)}, {in_bytes(free)} are free; {advice} or give another "
+            "folder"
+        )
+
+
+def in_bytes(size: float) -> str:
+    """A size in the unit that suits it."""
+    for unit in ("B", "KiB", "MiB"):
+        if size < 1024.0:
+            return f"{size:.3g} {unit}"
+        size /= 1024.0
+    return f"{size:.1f} GiB"
+
+
+@contextmanager
+def scratch_in(folder: Path) -> Iterator[None]:
+    """Scratch files of the block go below `folder`, unless the user says where by TMPDIR."""
+    _scratch.append(folder)
+    try:
+        yield
+    finally:
+        _scratch.pop()
+
+
+@contextmanager
+def scratch_folder() -> Iterator[Path]:
+    """A folder for scratch files, removed at the end; errors of the system without a file name name it."""
+    chosen = any(os.environ.get(name) for name in _SCRATCH_VARIABLES)
+    place = _scratch[-1] if _scratch and not chosen else None
+    with tempfile.TemporaryDirectory(prefix="sightline-", dir=place) as folder:
+        try:
+            yield Path(folder)
+        except OSError as error:
+            if error.filename is not None:
+                raise
+            raise unwritable(error, Path(folder)) from error
+
+
+def creation_date() -> datetime:
+    """UTC, whole seconds: now, or what SOURCE_DATE_EPOCH says, so that files can be made again bit for bit.
+
+    Raises
+    ------
+    InputError
+        If SOURCE_DATE_EPOCH is set to anything but whole seconds since 1970.
+    """
+    given = os.environ.get("SOURCE_DATE_EPOCH")
+    if given is None:
+        return datetime.now(UTC).replace(microsecond=0)
+    # so many digits at most that a number of thousands of them is not even read
+    seconds = int(given) if given.isascii() and given.isdigit() and len(given) < 20 else -1
+    if not 0 <= seconds <= _LAST_SECOND:
+        shown = given if len(given) <= 40 else f"{given[:40]}..."
+        raise InputError(
+            f"SOURCE_DATE_EPOCH is {shown!r}; whole seconds since 1970-01-01 UTC are expected, 0 to "
+            f"{_LAST_SECOND}; correct it, or unset it to have the date of today"
+        )
+    return datetime.fromtimestamp(seconds, UTC)
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(". ")
