@@ -149,15 +149,15 @@ def signals_as_before():
 
 
 @pytest.mark.parametrize(
-    ("number", "status", "by"),
+    ("number", "status", "by", "words"),
     [
-        (signal.SIGINT, 130, "interrupted"),
-        (signal.SIGTERM, 143, "ended by SIGTERM"),
-        (signal.SIGHUP, 129, "SIGHUP"),
+        (signal.SIGINT, 130, "interrupted", ["--resume"]),
+        (signal.SIGTERM, 143, "ended by SIGTERM", []),
+        (signal.SIGHUP, 129, "SIGHUP", ["--overwrite", "--resume"]),
     ],
 )
-def test_a_run_that_was_stopped_goes_on_with_resume(
-    flight, done, tmp_path, capsys, monkeypatch, signals_as_before, number, status, by
+def test_a_run_that_was_stopped_goes_on_by_the_same_command(
+    flight, done, tmp_path, capsys, monkeypatch, signals_as_before, number, status, by, words
 ):
     from sightline.applications import sequence_solver
 
@@ -179,14 +179,13 @@ def test_a_run_that_was_stopped_goes_on_with_resume(
     assert [entry.name for entry in (out / ".partial").iterdir()] == ["stages"]
     first = set((out / ".partial" / "stages").iterdir())
     assert {path.name for path in first} == {"follow.stage.npz", "subset.stage.npz"}
-    assert run(["georeference", file, "--out", str(out)]) == 2
-    assert "--resume to go on" in capsys.readouterr().err
 
     def again(*_, **__):
         raise AssertionError("windows have been followed before")
 
     monkeypatch.setattr("sightline.applications.sequence_poses.follow_sequence", again)
-    assert run(["georeference", file, "--out", str(out), "--resume"]) == 0
+    assert run(["georeference", file, "--out", str(out), *words]) == 0
+    assert ("goes on from the finished stages" in capsys.readouterr().err) == (not words)
     assert (out / "poses.csv").read_bytes() == (done / "poses.csv").read_bytes()
     assert not (out / ".partial").exists()
     summary = json.loads((out / "summary.json").read_text())
@@ -196,6 +195,31 @@ def test_a_run_that_was_stopped_goes_on_with_resume(
     for stage, seconds in summary["taken_over"].items():
         assert summary["stages"][stage] >= seconds
     assert "of an earlier start" in (out / "report.html").read_text()
+
+
+def test_finished_stages_that_are_a_link_are_refused_before_the_work(flight, tmp_path, capsys):
+    (tmp_path / "data").mkdir()
+    (tmp_path / "data" / "follow.stage.npz").write_text("precious")
+    out = tmp_path / "out"
+    (out / ".partial").mkdir(parents=True)
+    (out / ".partial" / "stages").symlink_to(tmp_path / "data", target_is_directory=True)
+    for words in (["--overwrite"], ["--resume"], []):
+        assert run(["georeference", str(flight / "sequence.toml"), "--out", str(out), *words]) == 2
+        assert "stages is a link, not made by Sightline" in capsys.readouterr().err
+    assert (tmp_path / "data" / "follow.stage.npz").read_text() == "precious"
+
+
+def test_an_earlier_result_is_replaced_with_the_maps_it_lists_and_no_file_of_the_user(
+    flight, tmp_path, capsys
+):
+    out, words = tmp_path / "out", ["georeference", str(flight / "sequence.toml"), "--out"]
+    (out / "bands").mkdir(parents=True)
+    for name in ("99-old.tif", "mine.tif"):
+        (out / "bands" / name).write_text(name)
+    (out / "summary.json").write_text(json.dumps({"cube": {"files": ["bands/99-old.tif", "bands/gone.tif"]}}))
+    assert run([*words, str(out), "--overwrite"]) == 0
+    assert not (out / "bands" / "99-old.tif").exists()
+    assert (out / "bands" / "mine.tif").read_text() == "mine.tif"
 
 
 @pytest.mark.parametrize("method", ["displacement", "slerp"])

@@ -9,11 +9,13 @@ import errno
 import logging
 import os
 import shutil
+import struct
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import BinaryIO
 
 from sightline.errors import InputError
 
@@ -21,6 +23,14 @@ from sightline.errors import InputError
 _SCRATCH_VARIABLES = ("TMPDIR", "TEMP", "TMP")
 #: Last second that a date of four digits for the year can tell.
 _LAST_SECOND = 253402300799
+#: How a PNG begins and ends; the version of a TIFF with offsets of 8 bytes.
+_PNG, _BIG_TIFF = (b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"), 43
+#: Bytes in which a cloud-optimised TIFF says what more it holds; that each block is followed by four bytes.
+_HEAD, _REPEATED = 1024, b"BLOCK_TRAILER=LAST_4_BYTES_REPEATED"
+#: Tags of offsets and lengths: of strips, of tiles; types of such numbers, as `struct` has them.
+_BLOCK_PAIRS = ((273, 279), (324, 325))
+_BLOCKS = {tag for pair in _BLOCK_PAIRS for tag in pair}
+_WHOLE_NUMBERS = {3: "H", 4: "L", 16: "Q"}
 #: How the raster library begins the line of its log that tells of an error.
 _GDAL_ERROR = "GDAL signalled an error"
 
@@ -63,8 +73,8 @@ def whole(path: Path) -> Iterator[Path]:
 def whole_raster(path: Path) -> Iterator[Path]:
     """As `whole`, for a raster that GDAL writes.
 
-    What fails when GDAL closes a file, as on a full disk, raises nothing and leaves a file cut short: it is
-    found in the library's log.
+    What fails when GDAL closes a file, as on a full disk, raises nothing and leaves a file that lacks some of
+    its blocks: it is found in the library's log, and in the file.
 
     Raises
     ------
@@ -80,8 +90,55 @@ def whole_raster(path: Path) -> Iterator[Path]:
         except (RasterioError, CPLE_BaseError) as error:
             words = said[0] if said else _first_line(error)
             raise OSError(errno.EIO, words, str(path)) from error
-        if said:
-            raise OSError(errno.EIO, said[0], str(path))
+        if said or not is_complete(draft):
+            words = said[0] if said else "the file was cut short"
+            raise OSError(errno.EIO, words, str(path))
+
+
+def is_complete(path: Path) -> bool:
+    """Whether a TIFF holds every block that it lists, in all its images, and a PNG its end; others: True."""
+    with path.open("rb") as file:
+        head = file.read(_HEAD)
+        if head.startswith(_PNG[0]):
+            file.seek(-len(_PNG[1]), os.SEEK_END)
+            return file.read() == _PNG[1]
+        order = {b"II": "<", b"MM": ">"}.get(head[:2])
+        try:
+            end = path.stat().st_size - 4 * (_REPEATED in head)
+            return order is None or _has_all_blocks(file, order, end)
+        except struct.error:  # it ends within a directory
+            return False
+
+
+def _has_all_blocks(file: BinaryIO, order: str, end: int) -> bool:
+    """Whether all strips and tiles of every directory of a TIFF lie before an offset."""
+
+    def read(form: str, at: int) -> tuple[int, ...]:
+        file.seek(at)
+        return struct.unpack(order + form, file.read(struct.calcsize(order + form)))
+
+    big = read("H", 2)[0] == _BIG_TIFF
+    number, count, entry = ("Q", "Q", 20) if big else ("L", "H", 12)
+    at = read(number, 8 if big else 4)[0]
+    met: set[int] = set()
+    while at and at not in met:
+        met.add(at)
+        many = read(count, at)[0]
+        first = at + struct.calcsize(order + count)
+        blocks: dict[int, tuple[int, ...]] = {}
+        for place in range(first, first + many * entry, entry):
+            tag, kind, length = read(f"HH{number}", place)
+            if tag in _BLOCKS and kind in _WHOLE_NUMBERS:
+                form = f"{length}{_WHOLE_NUMBERS[kind]}"
+                inside = place + 4 + struct.calcsize(order + number)
+                fits = struct.calcsize(order + form) <= struct.calcsize(order + number)
+                blocks[tag] = read(form, inside if fits else read(number, inside)[0])
+        for offsets, lengths in _BLOCK_PAIRS:
+            for offset, length in zip(blocks.get(offsets, ()), blocks.get(lengths, ()), strict=True):
+                if offset == 0 or length == 0 or offset + length > end:
+                    return False
+        at = read(number, first + many * entry)[0]
+    return bool(met)
 
 
 @contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import time
 from dataclasses import dataclass
 
@@ -87,6 +88,34 @@ def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
     for name in ("one", "two"):
         assert same(stages.stage(name, Result, result), result())
     assert len(told) == 1 and "stages are not kept" in told[0]
+
+
+@pytest.mark.parametrize("name", ["one.stage.npz", "one.stage.npz.tmp"])
+def test_links_among_stages_are_neither_read_nor_written_through(tmp_path, name):
+    elsewhere = tmp_path / "elsewhere"
+    Stages(elsewhere).stage("one", Result, result)
+    before = (elsewhere / "one.stage.npz").read_bytes()
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / name).symlink_to(elsewhere / "one.stage.npz")
+    told: list[str] = []
+    stages = Stages(tmp_path / "kept", told.append)
+    assert same(stages.stage("one", Result, result), result()) and stages.computed == ["one"]
+    assert (elsewhere / "one.stage.npz").read_bytes() == before
+    assert not (tmp_path / "kept" / "one.stage.npz").is_symlink()
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == ["one.stage.npz"]
+    assert len(told) == (not name.endswith("tmp")) and all("is a link" in words for words in told)
+
+
+def test_a_disk_without_room_for_a_stage_keeps_no_half_of_it(tmp_path, monkeypatch):
+    def full(file, **_):
+        file.write(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    told: list[str] = []
+    assert same(Stages(tmp_path, told.append).stage("one", Result, result), result())
+    assert not list(tmp_path.iterdir())
+    assert len(told) == 1 and "No space left" in told[0]
 
 
 def test_files_of_the_problem_count_by_name_size_and_time(tmp_path):

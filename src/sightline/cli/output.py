@@ -149,8 +149,8 @@ def remove_stages(folder: Path) -> None:
 def _make(folder: Path) -> list[Path]:
     """Make a folder; gives those that were not there, outermost first."""
     missing = [folder, *folder.parents]
-    missing = missing[: next((n for n, path in enumerate(missing) if path.exists()), len(missing))]
-    if not missing and not folder.is_dir():
+    missing = missing[: next((n for n, path in enumerate(missing) if os.path.exists(path)), len(missing))]
+    if not missing and not os.path.isdir(folder):
         raise InputError(f"the output folder is a file: {folder}; give a folder with --out")
     try:
         for path in reversed(missing):
@@ -187,7 +187,7 @@ def _take(folder: Path, made: list[Path]) -> Lock:
 
 def _unusable(error: OSError, folder: Path) -> InputError:
     """That a folder cannot be written at all."""
-    if folder.is_symlink() and not folder.exists():
+    if os.path.islink(folder) and not os.path.exists(folder):
         return InputError(
             f"the output folder is a link to a folder that does not exist: {folder}; make that folder, or "
             "give another --out"
@@ -271,7 +271,20 @@ def _staging(folder: Path) -> Iterator[Path]:
         yield staging
     finally:
         if not (staging / _JOURNAL).exists():
-            shutil.rmtree(staging, ignore_errors=True)
+            _remove(staging)
+
+
+def _remove(staging: Path) -> None:
+    """Remove a staging folder, its mark last: what is left of it is known to be ours at any moment."""
+    with suppress(OSError):
+        for entry in staging.iterdir():
+            if _kind(entry) == "folder":
+                shutil.rmtree(entry, ignore_errors=True)
+            elif entry.name != _MARK:
+                entry.unlink()
+        if [entry.name for entry in staging.iterdir()] == [_MARK]:
+            (staging / _MARK).unlink()
+        staging.rmdir()
 
 
 def _clear_after_killed(folder: Path) -> None:
@@ -281,7 +294,7 @@ def _clear_after_killed(folder: Path) -> None:
             continue
         if _kind(staging / _MARK) == "file":
             _roll_back(folder, staging)
-            shutil.rmtree(staging, ignore_errors=True)
+            _remove(staging)
         else:
             # killed before it left its mark, or somebody else's
             with suppress(OSError):
@@ -483,7 +496,7 @@ def _refusal(error: OSError, folder: Path) -> InputError | None:
 def _advice(error: OSError, path: Path) -> str:
     """The system's reason, the room that is left, and what to do."""
     reason = error.strerror or str(error)
-    place = next((p for p in (path, *path.parents) if p.exists()), Path())
+    place = next((p for p in (path, *path.parents) if os.path.exists(p)), Path())
     with suppress(OSError):
         reason += f"; {in_bytes(shutil.disk_usage(place).free)} are free there"
     return f"({reason}); make room, or give a folder on another disk with --out"

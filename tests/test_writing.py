@@ -1,0 +1,211 @@
+"""Files that are whole or not there, with errors that name them, and the date that stands in them."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+import tempfile
+import textwrap
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+import rasterio
+
+from sightline.errors import InputError
+from sightline.io.ccsds import write_aem
+from sightline.writing import (
+    creation_date,
+    in_bytes,
+    is_complete,
+    must_fit,
+    scratch_folder,
+    scratch_in,
+    whole,
+    whole_raster,
+)
+
+
+def test_a_file_takes_its_name_when_it_is_whole(tmp_path):
+    path = tmp_path / "motion.csv"
+    path.write_text("earlier")
+    with whole(path) as draft:
+        assert draft.suffix == ".csv"
+        draft.write_text("new")
+        assert path.read_text() == "earlier"
+    assert path.read_text() == "new" and list(tmp_path.iterdir()) == [path]
+    with pytest.raises(RuntimeError), whole(path) as draft:
+        draft.write_text("half")
+        raise RuntimeError
+    assert path.read_text() == "new" and list(tmp_path.iterdir()) == [path]
+
+
+def test_a_draft_is_written_through_no_link(tmp_path):
+    path, other = tmp_path / "motion.csv", tmp_path / "other"
+    other.write_text("precious")
+    with whole(path) as draft:
+        draft.write_text("earlier")
+    draft.symlink_to(other)
+    with whole(path) as draft:
+        draft.write_text("new")
+    assert other.read_text() == "precious" and path.read_text() == "new"
+
+
+@pytest.mark.parametrize(
+    ("error", "number", "words"),
+    [
+        (OSError(errno.ENOSPC, "No space left on device"), errno.ENOSPC, "No space left on device"),
+        (OSError("20 requested and 3 written"), errno.EIO, "20 requested and 3 written"),
+    ],
+)
+def test_what_the_system_refuses_carries_the_name_of_the_file(tmp_path, error, number, words):
+    with pytest.raises(OSError) as raised, whole(tmp_path / "motion.csv"):
+        raise error
+    assert raised.value.filename == str(tmp_path / "motion.csv")
+    assert (raised.value.errno, raised.value.strerror) == (number, words)
+
+
+#: Writes rasters as the package does where no file may be larger than so many bytes, as on a full disk.
+LIMITED = textwrap.dedent("""
+    import resource, sys, warnings
+    from pathlib import Path
+    import numpy as np, rasterio
+    from sightline.io.registered import optimise
+    from sightline.writing import whole_raster
+
+    warnings.simplefilter("ignore")
+    folder, how, limit = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
+    pixels = np.random.default_rng(1).integers(0, 60000, (1, 300, 300)).astype("uint16")
+    profile = {"driver": "GTiff", "height": 300, "width": 300, "count": 1, "dtype": "uint16"}
+    if how == "optimised":
+        with rasterio.open(folder / "draft.tif", "w", **profile) as target:
+            target.write(pixels)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
+    try:
+        if how == "optimised":
+            optimise(folder / "draft.tif", folder / "a.tif", np.dtype("uint16"))
+        else:
+            more = {"tiled": {"tiled": True, "blockxsize": 256, "blockysize": 256},
+                    "packed": {"compress": "deflate"}, "cog": {"driver": "COG"}}.get(how, {})
+            with whole_raster(folder / "a.tif") as draft:
+                with rasterio.open(draft, "w", **profile | more) as target:
+                    target.write(pixels)
+    except OSError as error:
+        print(error.filename)
+""")
+
+
+@pytest.mark.parametrize("limit", [20_000, 150_000, 179_000])
+@pytest.mark.parametrize("how", ["plain", "tiled", "packed", "cog", "optimised"])
+def test_a_raster_that_gdal_could_not_finish_is_no_file_and_an_error(tmp_path, how, limit):
+    """A raster of 180 kB; GDAL itself raises nothing where closing fails."""
+    done = subprocess.run(
+        [sys.executable, "-c", LIMITED, tmp_path, how, str(limit)], capture_output=True, text=True
+    )
+    assert done.stdout.strip() == str(tmp_path / "a.tif"), done.stderr
+    assert {path.name for path in tmp_path.iterdir()} <= {"draft.tif"}
+
+
+FORMS = {
+    "plain": {},
+    "tiled": {"tiled": True, "blockxsize": 256, "blockysize": 256},
+    "big": {"bigtiff": "YES", "compress": "deflate"},
+    "cog": {"driver": "COG", "blocksize": 128},
+    "other end": {"endianness": "BIG"},
+    "small": {"width": 3, "height": 2},
+    "one block": {"blockysize": 300},
+}
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+@pytest.mark.parametrize("form", FORMS)
+def test_a_raster_that_could_be_written_is_one_and_cut_by_a_byte_it_is_none(tmp_path, form):
+    profile = {"driver": "GTiff", "height": 300, "width": 310, "count": 2, "dtype": "uint16"} | FORMS[form]
+    shape = (2, profile["height"], profile["width"])
+    pixels = np.random.default_rng(1).integers(0, 60000, shape).astype("uint16")
+    path = tmp_path / "a.tif"
+    with (
+        rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True),
+        whole_raster(path) as draft,
+        rasterio.open(draft, "w", **profile) as target,
+    ):
+        target.write(pixels)
+        target.write_mask(pixels[0] > 100)
+    with rasterio.open(path) as source:
+        assert np.array_equal(source.read(), pixels)
+    content = path.read_bytes()
+    for length in {len(content) - 1, len(content) // 2, 20}:
+        path.write_bytes(content[:length])
+        assert not is_complete(path)
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_a_picture_that_is_cut_is_none(tmp_path):
+    path = tmp_path / "a.png"
+    with (
+        whole_raster(path) as draft,
+        rasterio.open(draft, "w", driver="PNG", width=4, height=3, count=1, dtype="uint8") as target,
+    ):
+        target.write(np.arange(12, dtype=np.uint8).reshape(1, 3, 4))
+    assert is_complete(path)
+    path.write_bytes(path.read_bytes()[:-1])
+    assert not is_complete(path)
+
+
+def test_what_cannot_fit_is_refused_with_the_sizes(tmp_path):
+    with pytest.raises(InputError, match=rf"{tmp_path}: the cube needs .* GiB, .* are free; take less or"):
+        must_fit(tmp_path, 2**70, "the cube", "take less")
+    must_fit(tmp_path, 1, "the cube", "take less")
+    sizes = (0, 1023, 2048, 5 * 2**19, 2**40)
+    assert [in_bytes(n) for n in sizes] == ["0 B", "1.02e+03 B", "2 KiB", "2.5 MiB", "1024.0 GiB"]
+
+
+def test_scratch_files_go_beside_the_result_unless_the_user_says_where(tmp_path, monkeypatch):
+    for name in ("TMPDIR", "TEMP", "TMP"):
+        monkeypatch.delenv(name, raising=False)
+    with scratch_in(tmp_path), scratch_folder() as folder:
+        assert folder.parent == tmp_path
+    assert not folder.exists()
+    (tmp_path / "chosen").mkdir()
+    monkeypatch.setenv("TMPDIR", str(tmp_path / "chosen"))
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    with scratch_in(tmp_path), scratch_folder() as folder:
+        assert folder.parent == tmp_path / "chosen"
+        full = OSError(errno.ENOSPC, "No space left on device")
+    with pytest.raises(OSError) as raised, scratch_folder():
+        raise full
+    assert Path(raised.value.filename).parent == tmp_path / "chosen"
+
+
+@pytest.mark.parametrize(
+    ("given", "date"),
+    [
+        ("0", "1970-01-01T00:00:00"),
+        ("1700000000", "2023-11-14T22:13:20"),
+        ("253402300799", "9999-12-31T23:59:59"),
+    ],
+)
+def test_the_date_of_a_file_is_that_of_the_environment(tmp_path, monkeypatch, given, date):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", given)
+    assert f"{creation_date():%Y-%m-%dT%H:%M:%S}" == date
+    write_aem(tmp_path / "a.aem", np.zeros(1), np.array([[0.0, 0.0, 0.0, 1.0]]), "2026-01-01T00:00:00Z")
+    assert f"CREATION_DATE = {date}\n" in (tmp_path / "a.aem").read_text()
+
+
+@pytest.mark.parametrize(
+    "given", ["", " ", "-1", "1.5", "1e9", "now", "253402300800", "9" * 5000, "٣", "0x10"]
+)
+def test_a_date_that_is_none_is_one_clear_error(monkeypatch, given):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", given)
+    with pytest.raises(InputError, match=r"SOURCE_DATE_EPOCH is .* whole seconds since 1970") as raised:
+        creation_date()
+    assert len(str(raised.value)) < 300
+
+
+def test_without_it_the_date_is_that_of_today(monkeypatch):
+    monkeypatch.delenv("SOURCE_DATE_EPOCH", raising=False)
+    assert abs((creation_date() - datetime.now(UTC)).total_seconds()) < 60.0
+    assert os.environ.get("SOURCE_DATE_EPOCH") is None
