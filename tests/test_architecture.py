@@ -14,7 +14,7 @@ SOURCE = ROOT / "src" / "sightline"
 
 # Each layer may import only itself and those before it.
 LAYERS = (
-    "version errors execution writing compiled geometry estimation imaging matching photogrammetry motion "
+    "version errors execution compiled writing geometry estimation imaging matching photogrammetry motion "
     "products tdi simulate applications evaluation io report cli __main__"
 ).split()
 
