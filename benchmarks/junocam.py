@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 from scipy.ndimage import uniform_filter
 
+from sightline import write_junocam_acquisition
 from sightline.applications.spin_attitude import SpinAttitude, recover_spin_attitude
 from sightline.imaging.source import ArrayImage
 from sightline.io.acquisition import load_acquisition
-from sightline.io.junocam import write_junocam_acquisition
 from sightline.matching.match_images import match_images
 from sightline.motion.spin_frames import SPIN_NAMES, SpinEstimate
 from sightline.motion.spin_report import at_camera

@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
+from pathlib import Path
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
@@ -24,9 +26,11 @@ from functools import partial
 import numpy as np
 from scipy.linalg import toeplitz
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from motion.estimators.s1_combinations import in_turn, max_band
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.geometry.trajectory import Motion
-from sightline.motion.combine import in_turn, max_band
 from sightline.motion.differences import AngleDifferences
 from sightline.motion.estimators.inverse import inverse
 from sightline.motion.estimators.kalman import kalman

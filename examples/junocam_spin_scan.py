@@ -14,8 +14,8 @@ import sys
 import tempfile
 from pathlib import Path
 
+from sightline import write_junocam_acquisition
 from sightline.cli.main import run
-from sightline.io.junocam import write_junocam_acquisition
 
 DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))
 

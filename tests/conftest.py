@@ -50,24 +50,31 @@ def real_data() -> Callable[[str], Path]:
 @pytest.fixture(scope="session")
 def recovery(tmp_path_factory) -> SimpleNamespace:
     """A small rendered strip and what `sightline recover` made of it: folders `scene` and `folder`, the
-    `printed` summary, and the objects behind the files (`result`, `acquisition`, `summary`)."""
+    `printed` summary, and the objects behind the files (`result`, `acquisition`, `summary`, and `solved`: the
+    strip, the last state of its estimate, the result)."""
+    from sightline.applications import line_of_sight
     from sightline.cli.main import run
     from sightline.io import results
 
     base = tmp_path_factory.mktemp("recovery")
     scene, folder, kept = base / "scene", base / "result", SimpleNamespace()
-    written = results.write_result
+    written, solve = results.write_result, line_of_sight.joint_line_of_sight
 
     def keep(to, result, acquisition, **options):
         kept.result, kept.acquisition = result, acquisition
         kept.summary = written(to, result, acquisition, **options)
         return kept.summary
 
+    def keep_solved(*given):
+        kept.solved = solve(*given)
+        return kept.solved
+
     size = ["--lines", "640", "--columns", "320"]
     assert run(["simulate", "line-of-sight", "--seed", "3", *size, "--out", str(scene)]) == 0
     said = io.StringIO()
     with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stdout(said):
         patch.setattr(results, "write_result", keep)
+        patch.setattr(line_of_sight, "joint_line_of_sight", keep_solved)
         assert run(["recover", str(scene / "acquisition.toml"), "--out", str(folder), "--json"]) == 0
     return SimpleNamespace(scene=scene, folder=folder, printed=said.getvalue(), **vars(kept))
 

@@ -12,10 +12,14 @@ from __future__ import annotations
 
 import argparse
 import os
+import sys
 from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from imaging.raw_strip import RawStripOptions, simulate_raw_strip
 from sightline.applications.strip_noise import (
     EDGES,
     StripPixels,
@@ -27,7 +31,6 @@ from sightline.applications.strip_noise import (
 from sightline.errors import EstimationError
 from sightline.imaging.noise_estimation import Estimate, column_pattern
 from sightline.io.hirise_edr import read_hirise_edr
-from sightline.simulate.raw_strip import RawStripOptions, simulate_raw_strip
 
 DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))
 IMAGE = DATA / "hirise_edr_bg12/PSP_001446_1790_BG12_0.IMG"

@@ -19,11 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
+from motion.estimators.s1_combinations import max_band
 from sightline.estimation.evidence import Posterior, posterior
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.series import Grid, normal_equations
 from sightline.estimation.split import split
-from sightline.motion.combine import max_band
 from sightline.motion.differences import AngleDifferences
 from sightline.motion.estimators.inverse import inverse
 from sightline.motion.estimators.smoother import fit_spectra, scalar_series, smooth

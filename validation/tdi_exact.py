@@ -17,18 +17,22 @@
 from __future__ import annotations
 
 import argparse
+import sys
+from pathlib import Path
 
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
 from sightline.imaging.mtf import aperture_mtf, diffusion_mtf
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.imaging.tdi_transfer import ALIGNMENTS, Exposure, drift_transfer, patent_transfer
-from sightline.simulate.tdi_column import TdiColumn
 from sightline.tdi.choose import choose_settings
 from sightline.tdi.kernels import exact_mtf
 from sightline.tdi.merit import DriftMtf, column_factors, mtf_merit, signal_factors
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
+from tdi.brute_force_column import TdiColumn
 
 NOISE = NoiseLaw(gain=9e-6, shot=1.0, read=12.0)
 STATIC = 0.35 * float(aperture_mtf(0.5, 0.9) * diffusion_mtf(0.5, 0.2))

@@ -12,19 +12,23 @@ changes per line and group and the bytes of the tags per line (signals rounded t
 from __future__ import annotations
 
 import argparse
+import sys
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.imaging.tdi_transfer import Exposure
 from sightline.io.tdi_tags import tags_as_bytes
-from sightline.simulate.tdi_lines import Decide, clairvoyant_loss, head_readings, set_lines
 from sightline.tdi.choose import TdiChoice, choose_settings
 from sightline.tdi.hysteresis import LineHold, merit_factors, nearest_settings
 from sightline.tdi.merit import DriftMtf
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
 from sightline.tdi.tagging import rounded_signal, tag_lines
+from tdi.causal_lines import Decide, clairvoyant_loss, head_readings, set_lines
 
 Array = NDArray[np.float64]
 GROUPS = 24

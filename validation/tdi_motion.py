@@ -25,13 +25,16 @@ chosen as it is seen, and with the average undone as far as it can be.
 from __future__ import annotations
 
 import argparse
+import sys
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
+
 from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.applications.tdi_columns import band_camera, strip_span
-from sightline.evaluation.motion_knowledge import motion_knowledge
 from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
@@ -46,6 +49,7 @@ from sightline.tdi.motion_mtf import MotionMtf
 from sightline.tdi.predict_loss import predict_loss
 from sightline.tdi.scan_columns import column_geometry
 from sightline.tdi.setting import ChoiceRules, TdiDetector, TdiGrid
+from tdi.knowledge_in_memory import motion_knowledge
 
 LINES, COLUMNS = 2000, 500
 GRID = TdiGrid(np.arange(4, 129), np.arange(1, 11) / 10.0)

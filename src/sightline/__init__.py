@@ -48,6 +48,7 @@ if TYPE_CHECKING:
     from sightline.io.acquired import Acquisition
     from sightline.io.acquisition import load_acquisition
     from sightline.io.instrument import load_instrument
+    from sightline.io.junocam import write_junocam_acquisition
     from sightline.io.sequence import load_sequence
     from sightline.io.stereo import load_stereo
     from sightline.io.tdi import load_tdi
@@ -152,6 +153,7 @@ _MODULE_OF = {
     "score_motion": "sightline.evaluation.score",
     "sequence_case": "sightline.simulate.sequence",
     "stereo_case": "sightline.simulate.stereo",
+    "write_junocam_acquisition": "sightline.io.junocam",
 }
 
 __all__ = [
@@ -240,6 +242,7 @@ __all__ = [
     "score_motion",
     "sequence_case",
     "stereo_case",
+    "write_junocam_acquisition",
 ]
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from imaging.raw_strip import RawStripOptions, simulate_raw_strip, two_step_table
 from sightline.applications.strip_noise import (
     EDGES,
     StripPixels,
@@ -24,7 +25,6 @@ from sightline.imaging.noise_estimation import (
     resting_noise,
     white_noise,
 )
-from sightline.simulate.raw_strip import RawStripOptions, simulate_raw_strip, two_step_table
 
 OPTIONS = RawStripOptions(lines=2000, gain=4e-6)
 SEEDS = range(4)

@@ -19,7 +19,7 @@ from sightline.imaging.tdi_transfer import (
     patent_transfer,
     phases,
 )
-from sightline.simulate.tdi_column import TdiColumn
+from tdi.brute_force_column import TdiColumn
 
 
 def drifting(velocity, slip):

@@ -10,9 +10,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sightline.errors import FormatError, InputError
-from sightline.evaluation.motion_knowledge import motion_knowledge
 from sightline.io.acquisition import load_acquisition
 from sightline.io.motion_knowledge import read_motion_knowledge
+from tdi.knowledge_in_memory import motion_knowledge
 
 
 @pytest.fixture

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import InputError
-from sightline.motion.differences import AngleDifferences
+from sightline.motion.differences import AngleDifferences, by_pair
 
 T = np.array([0.0, 0.1, 0.2])
 ANGLES = np.zeros((3, 3))
@@ -40,3 +40,34 @@ def test_bad_input_is_named(change: dict[str, object], words: str) -> None:
     good = {"t": T, "lag": np.full(3, 0.1), "angles": ANGLES, "covariance": COVARIANCE}
     with pytest.raises(InputError, match=words):
         AngleDifferences(**{**good, **change})  # type: ignore[arg-type]
+
+
+def test_a_pair_taken_both_ways_is_one_set_in_order_of_time() -> None:
+    there = AngleDifferences(T, 0.05, ANGLES + 1.0, COVARIANCE, (2, 5), 0.01, np.arange(3))
+    # image 5 at t + lag = 0.12 first, then image 2 at 0.07
+    back = AngleDifferences([0.12], -0.05, [[-2.0, -3.0, -4.0]], COVARIANCE[:1], (5, 2), 0.01, [9])
+    (one,) = by_pair([there, back])
+    assert one.images == (2, 5) and one.window == 0.01
+    np.testing.assert_allclose(one.t, [0.0, 0.07, 0.1, 0.2])
+    np.testing.assert_allclose(one.lag, 0.05)
+    np.testing.assert_allclose(one.angles[1], [2.0, 3.0, 4.0])
+    assert one.patch is not None and one.patch.tolist() == [0, 9, 1, 2]
+
+
+def test_differences_that_do_not_show_an_axis_are_left_out_and_so_is_a_pair_of_none() -> None:
+    covariance = np.tile(np.eye(3), (5, 1, 1))
+    covariance[1, 2, 2] = np.inf
+    covariance[3, 0, 0] = 101.0
+    pair = AngleDifferences(np.arange(5.0), 0.5, np.zeros((5, 3)), covariance)
+    blind = AngleDifferences(T, 0.05, ANGLES, np.tile(np.diag([1.0, 1.0, np.inf]), (3, 1, 1)), (1, 2))
+    (one,) = by_pair([pair, blind])
+    np.testing.assert_array_equal(one.t, [0.0, 2.0, 4.0])
+
+
+def test_turned_about_another_axis_roll_becomes_yaw_and_keeps_its_sigma() -> None:
+    turn = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])  # z of the new axes is the old x
+    pair = AngleDifferences(
+        T, 0.05, ANGLES + np.array([1.0, 2.0, 3.0]), np.tile(np.diag([1.0, 4.0, 9.0]), (3, 1, 1))
+    )
+    np.testing.assert_allclose(pair.turned(turn).angles[0], [-3.0, 2.0, 1.0])
+    np.testing.assert_allclose(pair.turned(turn).sigma()[0], [3.0, 2.0, 1.0])

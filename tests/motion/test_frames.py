@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import chi2
 from tests.motion import pinholes
 
+from motion.frame_closure import closure
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.surface import Plane
-from sightline.motion.frame_closure import closure
 from sightline.motion.frame_errors import outcome_covariance
 from sightline.motion.frame_hidden import hidden_directions, relative_covariance, without
 from sightline.motion.frame_linear import linearise_frames

@@ -113,6 +113,21 @@ class TestDifferences:
         assert first.patch.tolist() == second.patch.tolist() == list(range(20))
         assert third.patch.tolist() == list(range(20, 35)) and third.images == (1, 2)
 
+    def test_relief_that_nobody_knows_is_in_their_covariance(self):
+        # 0.01 px of line per metre: a row's mean height of 3 m is pitch, a slope of 2 m at the edge is yaw
+        star = plain_star(20, 8, 1, SIGMA)
+        per_metre = 0.01
+        height = np.zeros_like(star.by_height)
+        height[..., 0] = per_metre
+        star = replace(star, by_height=height)
+        estimate = estimate_of(star, still)
+        (known,) = angle_differences([star], [star.residual_px], estimate)
+        (found,) = angle_differences([star], [star.residual_px], estimate, (3.0, 2.0))
+        grown = found.covariance[4] - known.covariance[4]
+        pitch = (per_metre * 3.0 * IFOV) ** 2
+        yaw = (per_metre * 2.0 / 800.0) ** 2  # the edge is 800 px from the middle
+        assert_allclose(np.diag(grown), [0.0, pitch, yaw], rtol=1e-3, atol=1e-6 * pitch)
+
     def test_pairs_of_fewer_than_eight_rows_are_left_out(self):
         star = plain_star(7, 8, 1, SIGMA)
         assert angle_differences([star], [star.residual_px], estimate_of(star, still)) == []

@@ -22,13 +22,13 @@ from sightline.imaging.tdi_transfer import (
     jitter_transfer,
     motion_transfer,
 )
-from sightline.simulate.tdi_column import TdiColumn
 from sightline.tdi.merit import normal_draws, robust_merit
 from sightline.tdi.motion_kernels import moved_mtf
 from sightline.tdi.motion_knowledge import MotionKnowledge
 from sightline.tdi.motion_mtf import MotionMtf
 from sightline.tdi.scan_columns import ColumnGeometry, column_geometry
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiGrid
+from tdi.brute_force_column import TdiColumn
 
 PERIOD, IFOV, LINES = 5e-4, 5e-6, 400
 GRID = TdiGrid(np.array([1, 2, 5, 16, 40]), np.array([0.3, 0.8, 1.0]))

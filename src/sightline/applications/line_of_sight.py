@@ -27,6 +27,7 @@ from sightline.applications.strip_estimate import (
     initial_attitude,
     solve_strip,
 )
+from sightline.applications.strip_methods import by_method, check_method, strip_differences
 from sightline.applications.strip_warnings import observed_lines, strip_warnings
 from sightline.applications.wrong_sign import matches_backwards
 from sightline.errors import EstimationError
@@ -121,7 +122,8 @@ def recover_line_of_sight(
     Notes
     -----
     S1, figure 15. The motion is the joint maximum a posteriori of roll, pitch, yaw, band offsets and
-    rotations (``motion/joint.py``) with priors by marginal likelihood (``motion/hyper.py``).
+    rotations (``motion/joint.py``) with priors by marginal likelihood (``motion/hyper.py``); with
+    ``options.method`` that of one of S1's own estimators (``strip_methods.py``).
     """
     options = options or RecoverOptions()
     tell = progress or (lambda text: None)
@@ -132,6 +134,18 @@ def recover_line_of_sight(
         known=known or KnownContent(),
     )
     strip = checked(strip, options)
+    check_method(options.method, strip)
+    strip, state, result = joint_line_of_sight(strip, options, height_sigma, tell)
+    if options.method == "joint":
+        return result
+    tell(f"from the angular differences to the motion: {options.method}")
+    return by_method(strip, state, result, options.method)
+
+
+def joint_line_of_sight(
+    strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress
+) -> tuple[Strip, StripState, LineOfSight]:
+    """All passes over a strip that was prepared and checked: its last state, and that as a result."""
     if options.hybridise == "iterative":
         tell("comparing pairs: the best correlated one comes first")
         strip = replace(strip, order=_best_first(strip, options))
@@ -150,20 +164,23 @@ def recover_line_of_sight(
     if wide:
         tell("last pass: windows side by side over the whole field")
         state = _compensated_pass(strip, state, options.passes, options, height_sigma, tell)
-    if strip.known.spectra is None:
-        return _result(strip, state, changes, options.window)
-    tell("last pass: under the spectrum that is given")
-    found = state
-    state = _compensated_pass(strip, found, options.passes, options, height_sigma, tell, strip.given_model())
-    result = _result(strip, state, changes, options.window)
-    left = _change(strip, found, state)
-    if left > FOREIGN_SPECTRUM:
-        warning = (
-            f"the spectrum that is given does not hold the motion that the images show: without it they tell "
-            f"another, {left:.3g} sigma away; check [known_motion] psd, or leave it out"
+    warnings: tuple[str, ...] = ()
+    if strip.known.spectra is not None:
+        tell("last pass: under the spectrum that is given")
+        found = state
+        state = _compensated_pass(
+            strip, found, options.passes, options, height_sigma, tell, strip.given_model()
         )
-        result = replace(result, warnings=(*result.warnings, warning))
-    return result
+        left = _change(strip, found, state)
+        if left > FOREIGN_SPECTRUM:
+            warnings = (
+                "the spectrum that is given does not hold the motion that the images show: without it they "
+                f"tell another, {left:.3g} sigma away; check [known_motion] psd, or leave it out",
+            )
+    result = _result(strip, state, changes, options.window)
+    differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state, height_sigma))
+    warnings = (*result.warnings, *warnings)
+    return strip, state, replace(result, differences=differences, warnings=warnings)
 
 
 def _best_first(strip: Strip, options: RecoverOptions) -> tuple[int, ...]:

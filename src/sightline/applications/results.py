@@ -16,6 +16,7 @@ from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import MASKED, NOT_CHOSEN, OUTSIDE, STATUS_NAMES
+from sightline.motion.differences import AngleDifferences
 from sightline.motion.fusion import SensorUse
 from sightline.motion.stars import END, StarRecord
 
@@ -64,6 +65,25 @@ class PairResiduals:
 
 
 @dataclass(frozen=True, eq=False)
+class NamedMethod:
+    """The estimator of S1's claim 6 whose motion stands in the place of the joint estimate.
+
+    Attributes
+    ----------
+    name : str
+        ``"inverse"``, ``"wiener"``, ``"polynomial"`` or ``"kalman"``.
+    departure : (N, 3)
+        rad; of its motion from the joint estimate. The covariance of the motion holds its square.
+    stated_sigma : (N, 3)
+        rad; what the method by itself takes for its error, which leaves out part of it.
+    """
+
+    name: str
+    departure: Array
+    stated_sigma: Array
+
+
+@dataclass(frozen=True, eq=False)
 class LineOfSight:
     """Result of S1.
 
@@ -102,6 +122,10 @@ class LineOfSight:
         Covariance (K, K) rad^2 of sums of the motion at its instants with weights (N, 3, K).
     sensors : tuple of SensorUse
         What attitude sensors and control points gave.
+    differences : tuple of AngleDifferences
+        S1's step b, one per pair of images: rows of windows that show all three angles. None of frames.
+    method : NamedMethod or None
+        None: the joint estimate.
     warnings : tuple of str
     """
 
@@ -125,6 +149,8 @@ class LineOfSight:
     functional_covariance: Callable[[Array], Array] | None = None
     hidden_covariance: Array | None = None
     sensors: tuple[SensorUse, ...] = ()
+    differences: tuple[AngleDifferences, ...] = ()
+    method: NamedMethod | None = None
     warnings: tuple[str, ...] = ()
 
     @property

@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 
 #: Tiles per pair that teach the whitening of drafts.
 DRAFT_TILES = 128
+#: Estimators of the motion (S1, claim 6).
+METHODS = ("joint", "inverse", "wiener", "polynomial", "kalman")
 #: How pairs may be brought together.
 HYBRIDISE = ("global", "iterative")
 #: Lines at which the ground of a strip is sought.
@@ -69,6 +71,9 @@ class RecoverOptions:
         SNR (``Band.match_sigma``) let expect; ``"none"``: all alike, for comparison.
     pairs : tuple of (str, str)
         Names of the pairs of bands that are matched; empty: every pair that shares ground.
+    method : str
+        ``"joint"``: the maximum a posteriori of all matches; ``"inverse"``, ``"wiener"``, ``"polynomial"`` or
+        ``"kalman"``: S1's own estimators (claim 6), from the angular differences of its step b.
     """
 
     first_window: tuple[int, int] = (10, 100)
@@ -84,6 +89,7 @@ class RecoverOptions:
     similarity: str = "whitened"
     weighting: str = "covariance"
     pairs: tuple[tuple[str, str], ...] = ()
+    method: str = "joint"
 
     def __post_init__(self) -> None:
         """Refuse an unknown word."""
@@ -95,6 +101,7 @@ class RecoverOptions:
         for name, given, allowed in (
             ("similarity", self.similarity, SIMILARITIES),
             ("weighting", self.weighting, WEIGHTINGS),
+            ("method", self.method, METHODS),
         ):
             if given not in allowed:
                 raise InputError(f"`{name}` is {given!r}; allowed are {', '.join(allowed)}")

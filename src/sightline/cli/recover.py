@@ -18,20 +18,31 @@ if TYPE_CHECKING:
 def recover(
     acquisition: Annotated[Path, typer.Argument(metavar="ACQUISITION.toml", help="What was acquired.")],
     out: Out,
+    method: Annotated[
+        str,
+        typer.Option(
+            "--method",
+            metavar="NAME",
+            help="Estimator of the motion: joint, or S1's own, from the angular differences of a strip's "
+            "bands: inverse, wiener, polynomial, kalman.",
+        ),
+    ] = "joint",
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Recover roll, pitch and yaw with their sigma: per line of a strip's bands, or per frame."""
+    from sightline.applications.strip import RecoverOptions
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.io.results import RESULT_FILES
 
+    RecoverOptions(method=method)  # a word that is none is refused before anything is read
     # a file of another acquisition beside this motion.csv would be taken for a part of the same result
     with (
         output_folder(out, overwrite=overwrite, earlier=lambda _: RESULT_FILES) as folder,
         progress() as report,
     ):
-        summary = recover_into(folder, acquisition, report)
+        summary = recover_into(folder, acquisition, report, method=method)
     if as_json:
         print_json(summary)
         return
@@ -44,11 +55,17 @@ def recover(
         names = summary["hidden_directions"]["names"]
         kinds = list(dict.fromkeys(name.partition(" of ")[0] for name in names))
         say(f"(after what the images cannot see is left out: {' and '.join(kinds)})")
+    if method != "joint":
+        departure = summary["method"]["rms_departure_from_joint_px"]
+        apart = ", ".join(f"{axis} {value:.4f}" for axis, value in departure.items())
+        say(f"(by {method}; apart from the joint estimate by {apart} px rms, which its sigma includes)")
     matches = summary["matches"]
     say(f"from {matches['kept']} of {matches['tried']} windows; {out / 'motion.csv'}, {out / 'report.html'}")
 
 
-def recover_into(folder: Path, acquisition: Path, report: Progress) -> dict[str, Any]:
+def recover_into(
+    folder: Path, acquisition: Path, report: Progress, *, method: str = "joint"
+) -> dict[str, Any]:
     """Recover the strip of `acquisition`, write every file of the result into `folder`, give the summary."""
     import time
 
@@ -59,20 +76,27 @@ def recover_into(folder: Path, acquisition: Path, report: Progress) -> dict[str,
     begin = time.perf_counter()
     report("reading the acquisition")
     acquired = load_acquisition(acquisition)
-    result = recover_acquisition(acquired, report)
+    result = recover_acquisition(acquired, report, method=method)
     report("writing the result and its report")
     summary = write_result(folder, result, acquired, wall_seconds=time.perf_counter() - begin)
     write_report(folder / "report.html", result, acquired, summary)
     return summary
 
 
-def recover_acquisition(acquired: Acquisition, report: Progress) -> LineOfSight:
+def recover_acquisition(acquired: Acquisition, report: Progress, *, method: str = "joint") -> LineOfSight:
     """Recover what an acquisition holds: bands of a strip, or frames of a camera, spinning or not."""
     from sightline.applications.frame_attitude import recover_frame_attitude
     from sightline.applications.frame_passes import FrameOptions
     from sightline.applications.line_of_sight import recover_line_of_sight
     from sightline.applications.strip import RecoverOptions
+    from sightline.errors import InputError
 
+    options = RecoverOptions(**acquired.matching, method=method) if not acquired.frames else None
+    if options is None and method != "joint":
+        raise InputError(
+            f"--method {method} is for the bands of a strip: {acquired.path} holds frames, whose motion is "
+            "recovered by the joint estimate alone; leave --method out"
+        )
     if acquired.frames and acquired.spin is not None:
         from sightline.applications.spin_attitude import SpinOptions, recover_spin_attitude
 
@@ -103,6 +127,6 @@ def recover_acquisition(acquired: Acquisition, report: Progress) -> LineOfSight:
         sensors=acquired.sensors,
         control_points=acquired.control_points,
         known=acquired.known_motion,
-        options=RecoverOptions(**acquired.matching),
+        options=options,
         progress=report,
     )

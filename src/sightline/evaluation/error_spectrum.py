@@ -10,6 +10,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from sightline.applications.results import LineOfSight
 from sightline.evaluation.observed import Observed, observed
+from sightline.geometry.trajectory import Motion
+from sightline.motion.tones import spectrum
 
 Array = NDArray[np.float64]
 
@@ -30,13 +32,18 @@ def error_psd(result: LineOfSight, frequency: ArrayLike, seen: Observed | None =
     Measurements of error density N, of a motion of density S, leave the smoothed estimate the error density
     ``1 / (1/S + 1/N)`` (the error of a Wiener smoother): N where the motion is seen well, S where it is not.
     N is T times the variance of a steady tone's amplitude over the strip's duration T (``observed.py``),
-    infinite at blind frequencies. Without a prior the error is N alone.
+    infinite at blind frequencies. Without a prior the error is N alone. The motion of another method adds the
+    density of its departure from that estimate.
     """
     f = np.asarray(frequency, dtype=np.float64)
     seen = seen if seen is not None else observed(result, f)
     measured = seen.tone_sigma**2 * float(np.ptp(result.motion.t))
     if result.spectra is None:
         return np.asarray(measured)
-    prior = np.stack([spectrum.psd(f) for spectrum in result.spectra], axis=1)
+    prior = np.stack([one.psd(f) for one in result.spectra], axis=1)
     with np.errstate(divide="ignore"):
-        return np.asarray(1.0 / (1.0 / prior + 1.0 / measured))
+        error = np.asarray(1.0 / (1.0 / prior + 1.0 / measured))
+    if result.method is None:
+        return error
+    lost = spectrum(Motion(result.motion.t, result.method.departure))
+    return error + np.stack([np.interp(f, lost.frequency, density) for density in lost.psd.T], axis=1)

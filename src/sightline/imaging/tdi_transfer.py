@@ -5,8 +5,7 @@ Lengths are in pixels along the track, times in line periods, frequencies in cyc
 (1: in step with the clock) and `velocity tan(slip)` across it; the first `head_stages` lines integrate for
 `head_ratio` of the line period, the others for `ratio`.
 
-Not here: optics, pixel and diffusion (``mtf.py``), noise (``tdi_noise.py``), the brute-force column that
-checks this (``simulate/tdi_column.py``).
+Not here: optics, pixel and diffusion (``mtf.py``), noise (``tdi_noise.py``).
 
 Source: EP2733929, equations of the MTF; its drift per stage and its mean of the exposures are corrected here.
 """

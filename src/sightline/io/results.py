@@ -1,7 +1,7 @@
 """A recovered line of sight → the files of its folder: what a chain reads, and the summary.
 
-``motion.csv``, ``attitude.csv``, ``attitude.aem``, ``hidden.csv``, ``spectrum.csv``, ``smear.csv``,
-``covariance.npz``, ``summary.json``; their columns are described in ``docs/formats.md``.
+``motion.csv``, ``attitude.csv``, ``attitude.aem``, ``differences.csv``, ``hidden.csv``, ``spectrum.csv``,
+``smear.csv``, ``covariance.npz``, ``summary.json``; their columns are described in ``docs/formats.md``.
 
 Not here: the page for people (``report/``).
 """
@@ -34,7 +34,14 @@ from sightline.io.hidden import write_hidden
 from sightline.io.json_text import json_text
 from sightline.io.microvibration import microvibration_summary, write_smear
 from sightline.io.spin_summary import spin_summary
-from sightline.io.tables import ANGLES, MotionTable, write_attitudes, write_motion, write_spectrum
+from sightline.io.tables import (
+    ANGLES,
+    MotionTable,
+    write_attitudes,
+    write_differences,
+    write_motion,
+    write_spectrum,
+)
 from sightline.motion.observability import Passbands
 from sightline.motion.tones import DetectedTone, detect_tones, spectrum
 from sightline.version import VERSION
@@ -44,8 +51,8 @@ Array = NDArray[np.float64]
 
 #: Every file a recovery may leave in its folder; which of them it does depends on the data.
 RESULT_FILES = (
-    "attitude.aem", "attitude.csv", "covariance.npz", "hidden.csv", "motion.csv", "report.html",
-    "smear.csv", "spectrum.csv", "summary.json",
+    "attitude.aem", "attitude.csv", "covariance.npz", "differences.csv", "hidden.csv", "motion.csv",
+    "report.html", "smear.csv", "spectrum.csv", "summary.json",
 )  # fmt: skip
 #: The highest frequency spoken of, in units of the line rate: windows of some lines cut beyond.
 HIGHEST_FREQUENCY = 0.25
@@ -95,6 +102,7 @@ def write_result(
     _write_spectrum(folder / "spectrum.csv", result, summary["passbands"])
     if _is_strip(acquisition):
         write_smear(folder / "smear.csv", result, summary["microvibration"])
+        write_differences(folder / "differences.csv", result.differences, result.image_names)
     if result.band is not None:
         _write_covariance(folder / "covariance.npz", result)
     write_json(folder / "summary.json", summary)
@@ -170,6 +178,7 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "half_field_px": acquisition.half_field_px,
         "half_field": result.half_field,
         "reference_image": result.image_names[0],
+        "method": _method(result),
         "highest_frequency": upper,
         "passbands": bands,
         "blind_frequencies": {_name(result.image_names, pair): list(f) for pair, f in seen.blind.items()},
@@ -216,6 +225,19 @@ def _unused(acquisition: Acquisition) -> list[str]:
     if not given:
         return []
     return [f"not used: {', '.join(given)}; of frames the motion is recovered from the images alone"]
+
+
+def _method(result: LineOfSight) -> dict[str, Any]:
+    """The estimator of the motion; of those beside the joint estimate how far they lie from it, and their own
+    sigma."""
+    used = result.method
+    if used is None:
+        return {"name": "joint"}
+    departure, stated = (
+        _per_axis(np.sqrt((values**2).mean(axis=0)) / result.scale)
+        for values in (used.departure, used.stated_sigma)
+    )
+    return {"name": used.name, "rms_departure_from_joint_px": departure, "rms_stated_sigma_px": stated}
 
 
 def _by_axis(tones: Sequence[DetectedTone]) -> dict[str, list[dict[str, Any]]]:

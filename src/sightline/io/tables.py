@@ -1,7 +1,7 @@
 """CSV tables ↔ arrays: exact headers, every number checked, errors that name file and row.
 
 Positions, attitudes, star-tracker and gyro tables, control points, line times, viewing
-directions; ``motion.csv``, ``truth.csv``, ``attitude.csv``, ``spectrum.csv``.
+directions; ``motion.csv``, ``truth.csv``, ``attitude.csv``, ``spectrum.csv``, ``differences.csv``.
 
 Not here: CCSDS messages (``ccsds.py``), sensor-model files (``isd.py``).
 """
@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from sightline.errors import FormatError, InputError
 from sightline.io.inputs import note
 from sightline.io.quantities import QUATERNION_TOLERANCE
+from sightline.motion.differences import AngleDifferences
 from sightline.writing import whole
 
 Array = NDArray[np.float64]
@@ -440,7 +441,7 @@ def write_columns(
     for name, values in columns.items():
         array = np.asarray(values)
         if array.dtype.kind in "US":
-            cells.append([str(word) for word in array])
+            cells.append([_quoted(str(word)) for word in array])
             continue
         if array.dtype.kind in "biu":
             cells.append([str(int(value)) for value in array])
@@ -450,6 +451,40 @@ def write_columns(
     with whole(path) as draft, draft.open("w", newline="", encoding="utf-8") as stream:
         stream.write(",".join(columns) + "\n")
         stream.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
+
+
+def _quoted(word: str) -> str:
+    """A word as a cell; in quotes where it holds what parts cells or rows."""
+    return '"' + word.replace('"', '""') + '"' if any(c in word for c in ',"\r\n') else word
+
+
+def write_differences(path: Path, differences: Sequence[AngleDifferences], names: Sequence[str]) -> None:
+    """``differences.csv``: angles(t + lag) - angles(t) of every pair of images, one row per axis, rad.
+
+    Parameters
+    ----------
+    path : Path
+    differences : sequence of AngleDifferences
+    names : sequence of str
+        Of the images that the differences number.
+    """
+    count = [3 * len(one) for one in differences]
+    images = np.repeat(np.array([one.images for one in differences], dtype=np.intp).reshape(-1, 2), count, 0)
+
+    def every(parts: list[Array]) -> Array:
+        return np.concatenate(parts) if parts else np.empty(0)
+
+    words = np.array(names, dtype=np.str_)
+    columns = {
+        "first": words[images[:, 0]],
+        "second": words[images[:, 1]],
+        "t": every([np.repeat(one.t, 3) for one in differences]),
+        "lag": every([np.repeat(one.lag, 3) for one in differences]),
+        "axis": np.tile(np.array(ANGLES), len(images) // 3),
+        "value": every([one.angles.ravel() for one in differences]),
+        "sigma": every([one.sigma().ravel() for one in differences]),
+    }
+    write_columns(path, columns, {"value": "%.12g"})
 
 
 def write_motion(path: Path, motion: MotionTable) -> None:

@@ -2,12 +2,14 @@
 
 The input of every estimator in ``estimators/``.
 
-Not here: the joint observations of the best estimator (``observations.py``).
+Not here: how they are made of matches (``hyper.py``), the joint observations of the best estimator
+(``observations.py``).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +19,13 @@ from sightline.geometry.checks import as_points, as_times, frozen, same_length
 
 Array = NDArray[np.float64]
 
+#: A difference does not show an axis whose variance is so many times the median of its pair.
+UNSEEN = 100.0
+
 
 @dataclass(frozen=True, eq=False)
 class AngleDifferences:
-    """What one image pair tells: angles(t + lag) - angles(t).
+    """What one image pair measures: angles(t + lag) - angles(t).
 
     Attributes
     ----------
@@ -80,3 +85,70 @@ class AngleDifferences:
     def __len__(self) -> int:
         """Number of differences."""
         return len(self.t)
+
+    def sigma(self) -> Array:
+        """(N, 3) rad; of each angle by itself."""
+        return np.sqrt(np.einsum("nii->ni", self.covariance))
+
+    def turned(self, turn: Array) -> AngleDifferences:
+        """The same differences about the axes that the rotation `turn` (3, 3) leads to."""
+        return replace(self, angles=self.angles @ turn.T, covariance=turn @ self.covariance @ turn.T)
+
+
+def by_pair(differences: Sequence[AngleDifferences]) -> list[AngleDifferences]:
+    """One set per pair of images, from the image of the lower number, in order of time.
+
+    Differences that were taken from the image of the higher number are turned round. Those that do not show
+    an axis, being `UNSEEN` times less certain of it than is usual in their pair, are left out.
+
+    Parameters
+    ----------
+    differences : sequence of AngleDifferences
+        Any number for each pair, in either direction.
+    """
+    parts: dict[tuple[int, int], list[AngleDifferences]] = {}
+    for one in differences:
+        first, second = one.images
+        if first > second:
+            one = _reversed(one)
+        parts.setdefault((min(first, second), max(first, second)), []).append(one)
+    joined = [_joined(parts[pair]) for pair in sorted(parts)]
+    return [one for one in joined if len(one)]
+
+
+def _reversed(one: AngleDifferences) -> AngleDifferences:
+    """The same measurements from image b to image a."""
+    t = one.t + one.lag
+    order = np.argsort(t, kind="stable")
+    return AngleDifferences(
+        t[order],
+        -one.lag[order],
+        -one.angles[order],
+        one.covariance[order],
+        (one.images[1], one.images[0]),
+        one.window,
+        None if one.patch is None else one.patch[order],
+    )
+
+
+def _joined(parts: Sequence[AngleDifferences]) -> AngleDifferences:
+    """Several sets of one pair as one, less what does not show every axis."""
+    t, lag, angles, covariance = (
+        np.concatenate([getattr(one, name) for one in parts]) for name in ("t", "lag", "angles", "covariance")
+    )
+    patches = [one.patch for one in parts if one.patch is not None]
+    patch = np.concatenate(patches) if len(patches) == len(parts) else None
+    variance = np.einsum("nii->ni", covariance)
+    finite = np.isfinite(covariance).all(axis=(1, 2))
+    usual = np.median(variance[finite], axis=0) if finite.any() else np.zeros(3)
+    seen = finite & (variance <= UNSEEN * usual).all(axis=1)
+    order = np.flatnonzero(seen)[np.argsort(t[seen], kind="stable")]
+    return AngleDifferences(
+        t[order],
+        lag[order],
+        angles[order],
+        covariance[order],
+        parts[0].images,
+        parts[0].window,
+        None if patch is None else patch[order],
+    )

@@ -182,7 +182,10 @@ class KnownContent:
 
 
 def angle_differences(
-    stars: Sequence[Star], post_px: Sequence[Array], estimate: JointEstimate
+    stars: Sequence[Star],
+    post_px: Sequence[Array],
+    estimate: JointEstimate,
+    relief_sigmas: tuple[float, float] = (0.0, 0.0),
 ) -> list[AngleDifferences]:
     """One difference of the three angles per row of windows and pair (S1 step b, about the present estimate).
 
@@ -193,6 +196,9 @@ def angle_differences(
         Residuals after the estimate.
     estimate : JointEstimate
         Its motion is added back, so that the differences are those of the whole motion.
+    relief_sigmas : (float, float)
+        m; of the mean height of a row of ground and of its slope at the field's edge, where neither is known:
+        the covariance owns what they move.
 
     Returns
     -------
@@ -204,7 +210,7 @@ def angle_differences(
     for star, post in zip(stars, post_px, strict=True):
         rows, _ = star.shape
         for k, image in enumerate(star.images):
-            part = _collapse(star, post, k)
+            part = _collapse(star, post, k, relief_sigmas)
             good = part.t_hub == part.t_hub
             if good.sum() < 8:
                 continue
@@ -233,7 +239,7 @@ class _Rows:
     covariance: Array
 
 
-def _collapse(star: Star, post: Array, k: int) -> _Rows:
+def _collapse(star: Star, post: Array, k: int, relief_sigmas: tuple[float, float]) -> _Rows:
     """Weighted least squares of the three angles per row of windows for pair k; NaN where too few."""
     rows, blocks = star.shape
     scale = star.correlation[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
@@ -253,6 +259,13 @@ def _collapse(star: Star, post: Array, k: int) -> _Rows:
     # an axis, or a mix of axes, that a row cannot see: what it says there is what was put in
     diagonal = inverse[:, [0, 1, 2], [0, 1, 2]]
     unseen = WEAK * (inverse**2).sum(axis=2) > 0.5 * diagonal
+    if any(relief_sigmas):
+        shapes = np.stack([np.ones(len(star.field)), star.field], axis=1) * relief_sigmas
+        height = np.nan_to_num(star.by_height[:, k].astype(float))[:, :, None] * shapes[:, None, :]
+        pushed = np.einsum("gca,gcd,gds->gas", j, weight, height).reshape(rows, blocks, 3, 2).sum(1)
+        moved = inverse @ pushed
+        inverse = inverse + moved @ np.swapaxes(moved, 1, 2)
+    diagonal = inverse[:, [0, 1, 2], [0, 1, 2]]
     inverse[:, [0, 1, 2], [0, 1, 2]] = np.where(unseen, np.inf, diagonal)
     with np.errstate(invalid="ignore", divide="ignore"):
         t_hub = np.where(count > 0, (w * star.t_hub.reshape(rows, blocks)).sum(1) / count, np.nan)

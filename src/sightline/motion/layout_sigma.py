@@ -141,7 +141,7 @@ def _open_places(candidates: Candidates, others: Array) -> Array:
 def smoother_sigma(
     positions: ArrayLike, noise: RowNoise, prior: Spectrum, duration: float, *, step: float | None = None
 ) -> tuple[Array, Array]:
-    """Posterior sigma along a strip, by the smoother that recovers real ones.
+    """Posterior sigma along a strip, by the banded smoother of one axis.
 
     Parameters
     ----------

@@ -100,6 +100,16 @@ def row_processes(
     return autoregressive(first, ORDER, grid.count), autoregressive(second, ORDER, grid.count)
 
 
+def row_sigmas(sigma: float, length: float, half_width: float) -> tuple[float, float]:
+    """Standard deviations (m) of the mean height of a row of terrain, and of its slope at the field's edge.
+
+    Parameters are those of `row_processes`.
+    """
+    x, mean, slope = _row_functionals()
+    k = sigma**2 * terrain_covariance(half_width * np.abs(np.subtract.outer(x, x)), length)
+    return math.sqrt(mean @ k @ mean), math.sqrt(slope @ k @ slope)
+
+
 def detrended_share(length: float, half_width: float) -> float:
     """Share of the terrain's variance left in a row after its mean and slope are taken out."""
     x, mean, slope = _row_functionals()

@@ -31,7 +31,7 @@ _NUMBER_AND_UNIT = re.compile(r"(\d) (px|Hz|s|µrad|mrad|%)")
 
 def sentences(result: LineOfSight, summary: Mapping[str, Any], tones: Sequence[DetectedTone]) -> list[str]:
     """The summary, a sentence or two per subject."""
-    said = [_what(result, summary), _how_well(result), _residuals(result)]
+    said = [_what(result, summary), _how_well(result), *_method(result), _residuals(result)]
     if len(result.motion.t) >= FEW_EPOCHS:
         said += [_tones(result, tones) + _hardly_seen(result, summary), _passbands(summary)]
     said.append(_hidden(result))
@@ -57,6 +57,21 @@ def axis_cards(result: LineOfSight, summary: Mapping[str, Any]) -> list[dict[str
             "seen": passband_words(summary["passbands"][axis]) if len(result.motion.t) >= FEW_EPOCHS else "",
         }
         for k, axis in enumerate(AXES)
+    ]
+
+
+def _method(result: LineOfSight) -> list[str]:
+    """Which estimator the motion is of, where it is not the joint one."""
+    if result.method is None:
+        return []
+    departure = np.sqrt((result.method.departure**2).mean(axis=0)) / result.scale
+    own = np.sqrt((result.method.stated_sigma**2).mean(axis=0)) / result.scale
+    sizes = ", ".join(f"{axis} {digits(departure[k], 2)} px" for k, axis in enumerate(AXES))
+    stated = ", ".join(f"{digits(value, 2)} px" for value in own)
+    return [
+        f"The motion is that of S1's method “{result.method.name}”, from the angular differences of pairs. "
+        f"It departs from the joint estimate by {sizes} rms; sigma is that of the joint estimate and this "
+        f"departure together. By itself the method states a sigma of {stated}."
     ]
 
 

@@ -8,7 +8,7 @@ The scene lies in the geometry of the image: without drift, stages are centred o
 and column. Line j, stage k, instant u sees the scene at column c - V tan(g) (k + u) - x(j + k + u) and at
 line j + (V - 1) k + V u + y(j + k + u): (x, y) is a motion beyond the drift.
 
-Not here: one column and one sinusoid (``tdi_column.py``), what is in the scene (``tdi_target.py``).
+Not here: what is in the scene (``tdi_target.py``).
 """
 
 from __future__ import annotations

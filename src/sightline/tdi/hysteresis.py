@@ -4,7 +4,7 @@ A cell may give up a share of its merit so that its neighbours keep one setting.
 that the choice refused for a cell is never taken for it. From line to line a bounded step may need some lines
 to get there; only wells are never overfilled for it.
 
-Not here: the free choice (``choose.py``), the order of measuring and setting (``simulate/tdi_lines.py``).
+Not here: the free choice (``choose.py``), settings of an image of signals (``line_settings.py``).
 """
 
 from __future__ import annotations

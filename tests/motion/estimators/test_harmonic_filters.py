@@ -5,9 +5,9 @@ from functools import partial
 import numpy as np
 import pytest
 
+from motion.estimators.s1_combinations import in_turn, max_band
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import Matern, Spectrum
-from sightline.motion.combine import in_turn, max_band
 from sightline.motion.differences import AngleDifferences
 from sightline.motion.estimators.inverse import inverse
 from sightline.motion.estimators.wiener import wiener

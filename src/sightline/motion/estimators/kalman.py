@@ -118,8 +118,8 @@ def kalman(
     Parameters
     ----------
     differences : sequence of AngleDifferences
-        One pair or several, each difference with its own time and lag; gaps do no harm. Their errors are
-        taken as independent, also those of pairs that share an image, and their windows as instants.
+        One pair or several, each difference with its own time and lag, and a mean over its window; gaps do no
+        harm. Their errors are taken as independent, also those of pairs that share an image.
     t : (N,)
         s; where the motion is wanted, inside the span of the differences' instants.
     prior : Spectrum or three of them
@@ -148,7 +148,7 @@ def kalman(
             f"`t` spans [{times[0]:.6g}, {times[-1]:.6g}] s, the differences [{first:.6g}, {last:.6g}] s; "
             "the Kalman smoother does not extrapolate: ask within the span"
         )
-    step = grid_step or _default_step(pairs, axes)
+    step = grid_step or default_step(pairs, axes)
     count = max(4, math.ceil((last - first) / step - 1e-9) + 1)
     epochs = np.asarray(first + step * np.arange(count), dtype=np.float64)
     rows = _rows(pairs, epochs)
@@ -160,8 +160,8 @@ def kalman(
     return Motion(times, angles, variance[:, :, None] * np.eye(3))
 
 
-def _default_step(pairs: Sequence[AngleDifferences], axes: Sequence[Spectrum]) -> float:
-    """Epochs fine enough for the lags, the differences and the tones."""
+def default_step(pairs: Sequence[AngleDifferences], axes: Sequence[Spectrum]) -> float:
+    """Step (s) of epochs fine enough for the lags, the differences and the tones."""
     shortest = min(float(np.abs(d.lag).min()) for d in pairs)
     step = min(0.25 * shortest, 0.25 * common_step(pairs))
     highest = max((tone.frequency for axis in axes for tone in axis.tones), default=0.0)
@@ -187,11 +187,14 @@ def _rows(pairs: Sequence[AngleDifferences], epochs: Array) -> _Rows:
     """``theta(t + lag) - theta(t)`` on the epochs."""
     begin = np.concatenate([d.t for d in pairs])
     end = np.concatenate([d.t + d.lag for d in pairs])
+    window = np.concatenate([np.full(len(d), d.window) for d in pairs])
+    points = 1 if not window.any() else 2 + math.ceil(float(window.max()) / float(epochs[1] - epochs[0]))
     taps, weights = [], []
     for when, sign in ((begin, -1.0), (end, 1.0)):
-        _, start, w = stencils(epochs, when)
-        taps.append(start[:, None] + np.arange(w.shape[1]))
-        weights.append(sign * w)
+        for p in range(points):
+            _, start, w = stencils(epochs, when + window * ((p + 0.5) / points - 0.5))
+            taps.append(start[:, None] + np.arange(w.shape[1]))
+            weights.append(sign * w / points)
     index, weight = np.concatenate(taps, axis=1), np.concatenate(weights, axis=1)
     # An epoch of weight zero is not waited for: on an even grid most rows touch two epochs only.
     touched = np.abs(weight) > 1e-9
@@ -349,4 +352,4 @@ def _forget(end: _Filter, epoch: int, adjoint: Array, information: Array) -> Non
     information[:, slot] = 0.0
 
 
-__all__: Sequence[str] = ("StateSpace", "kalman", "state_space")
+__all__: Sequence[str] = ("StateSpace", "default_step", "kalman", "state_space")

@@ -8,11 +8,11 @@ import pytest
 from sightline.errors import InputError
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.imaging.tdi_transfer import Exposure
-from sightline.simulate.tdi_lines import clairvoyant_loss, head_readings, set_lines
 from sightline.tdi.choose import choose_settings
 from sightline.tdi.hysteresis import LineHold, merit_factors, nearest_settings
 from sightline.tdi.merit import DriftMtf
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
+from tdi.causal_lines import clairvoyant_loss, head_readings, set_lines
 
 GROUPS = 6
 

@@ -1,7 +1,7 @@
 """A raw strip of one TDI detector, coded to 8 bits: a random scene, a noise law, a column pattern, and the
 pixels beside it that see nothing. What an estimate of the noise is tested on.
 
-Not here: motion (the scene is the image; ``tdi_column.py`` moves it).
+Not here: motion (the scene is the image).
 """
 
 from __future__ import annotations
