@@ -24,6 +24,7 @@ from sightline.errors import (
     SpanError,
     UnobservableBandWarning,
 )
+from sightline.io.names import printable
 from sightline.version import VERSION
 
 
@@ -118,6 +119,25 @@ def test_a_file_that_is_not_there_is_named(tmp_path, capsys):
     assert f"{missing}: no such file" in capsys.readouterr().err
     assert not out.exists()
     assert command.run(["check", str(missing)]) == 2
+
+
+def test_what_a_message_quotes_is_one_line_that_steers_no_terminal(tmp_path, capsys):
+    path = tmp_path / f"\x1b[2J\nsightline: error: forged\u202e{'n' * 200}"
+    assert command.run(["check", str(path)]) == 2 and command.run(["check", "--\x1b[2Jn\n"]) == 2
+    said = capsys.readouterr().err
+    assert printable(said.replace("\n", "")) == said.replace("\n", "") and len(said.splitlines()) == 2
+    assert "\\x1b[2J\\nsightline: error: forged\\u202ennn" in said
+
+
+def test_a_number_without_end_is_not_repeated_to_its_end(failing_with, capsys):
+    failing_with(FormatError(f"file.toml: line_period = {'9' * 5000} is not allowed; give less"))
+    command.run(["schema", "acquisition"])
+    said = capsys.readouterr().err
+    assert (
+        len(said) < 1100
+        and said.startswith("sightline: error: file.toml: line_period")
+        and "; give less" in said
+    )
 
 
 def test_an_output_folder_with_files_is_refused_before_any_work(tmp_path, capsys):

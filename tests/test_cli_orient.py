@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from tests.io.stereo_files import ARCSEC, MOUNT, TRUTH, scene, table
 
 from sightline.cli.main import run
+from sightline.io.names import toml_string
 
 FILES = (
     "attitude_1.aem attitude_2.aem cameras_corrected.csv colmap covariance.csv matches_used.csv "
@@ -423,29 +424,34 @@ height_sigma = 5.0
 """
 
 
-@pytest.fixture
-def strips(tmp_path):
+def write_strips(folder, names=("F", "A")):
     """Two looks of one satellite at the same ground, in closed form: it flies level, nothing is wrong."""
     rng = np.random.default_rng(3)
     for name in ("fore", "aft"):
-        np.save(tmp_path / f"{name}.npy", rng.normal(100.0, 10.0, (500, 400)).astype(np.float32))
-    (tmp_path / "acquisition.toml").write_text(ACQUISITION)
-    (tmp_path / "stereo.toml").write_text(STRIPS)
+        np.save(folder / f"{name}.npy", rng.normal(100.0, 10.0, (500, 400)).astype(np.float32))
+    (folder / "acquisition.toml").write_text(ACQUISITION)
+    text = STRIPS.replace('"F"', toml_string(names[0])).replace('"A"', toml_string(names[1]))
+    (folder / "stereo.toml").write_text(text)
     rows, known = [], []
     for point in range(60):
         east, height = rng.uniform(-500.0, 500.0), rng.normal(0.0, 5.0)
         north = 600e3 * np.tan(0.35) + rng.uniform(100.0, 1600.0)
         if point < 8:
             known.append([point, east, north, height, 1.0])
-        for name, angle, start in (("F", 0.35, 0.0), ("A", -0.35, 62.576)):
+        for name, angle, start in ((names[0], 0.35, 0.0), (names[1], -0.35, 62.576)):
             # the satellite is `reach` behind the point when a line that looks ahead by `angle` sees it
             reach = (600e3 - height) * np.tan(angle)
             line = ((north - reach) / 7000.0 - start) / 5e-4
             column = 199.5 - east / ((600e3 - height) * 5e-6)  # one focal plane, columns run to the left
             line, column = (v + rng.normal(0.0, 0.1) for v in (line, column))
             rows.append([name, point, float(line), float(column)])
-    table(tmp_path / "observations.csv", ["camera", "point", "line", "column"], rows)
-    table(tmp_path / "control.csv", ["point", "x", "y", "z", "sigma"], known)
+    table(folder / "observations.csv", ["camera", "point", "line", "column"], rows)
+    table(folder / "control.csv", ["point", "x", "y", "z", "sigma"], known)
+
+
+@pytest.fixture
+def strips(tmp_path):
+    write_strips(tmp_path)
     return tmp_path
 
 

@@ -11,6 +11,7 @@ from tests.motion.spinning import SpinningCamera, Texture
 from sightline.cli.main import run
 from sightline.errors import FormatError
 from sightline.io.acquisition import load_acquisition
+from sightline.io.names import toml_string
 from sightline.io.registered_frames import read_recovered_spin, register_frames
 
 FOCAL, LINES, COLUMNS, EXPOSURES, INTERVAL, TURN = 500.0, 64, 160, 4, 0.4, -0.08
@@ -46,34 +47,39 @@ passes = 1
 """
 
 
-@pytest.fixture(scope="module")
-def recovered(tmp_path_factory):
-    """A rendered acquisition on disk and what `recover` wrote for it."""
-    folder = tmp_path_factory.mktemp("spin")
-    departures = np.zeros((EXPOSURES, 3))
+def write_acquisition(folder, strips=tuple(AXIS_LINES), image="{}.npy"):
+    """A rendered acquisition on disk, whose strips and images have the names given."""
     truth = SpinningCamera(
         FOCAL,
         79.5,
         tuple(AXIS_LINES.values()),
         np.array([1.0, 1e-3, 0.0]),
         TURN + 3e-4,
-        departures,
+        np.zeros((EXPOSURES, 3)),
         np.eye(3),
     )
     sky, rng = Texture(11, FOCAL, 100), np.random.default_rng(12)
     line, column = np.meshgrid(np.arange(LINES), np.arange(COLUMNS), indexing="ij")
     text = HEAD
-    for k, (name, axis_line) in enumerate(AXIS_LINES.items()):
-        text += f'\n[[camera.strip]]\nname = "{name}"\nfirst_line = {k * LINES}\nlines = {LINES}\n'
+    for k, (name, axis_line) in enumerate(zip(strips, AXIS_LINES.values(), strict=True)):
+        text += f"\n[[camera.strip]]\nname = {toml_string(name)}\nfirst_line = {k * LINES}\nlines = {LINES}\n"
         text += f"axis_line = {axis_line}\naxis_line_sigma_px = 0.05\n"
     for exposure in range(EXPOSURES):
-        strips = [sky(truth.directions(exposure, strip, line, column)) for strip in range(3)]
-        pixels = np.concatenate(strips) + 0.02 * rng.normal(size=(3 * LINES, COLUMNS))
+        pixels = np.concatenate([sky(truth.directions(exposure, strip, line, column)) for strip in range(3)])
+        pixels += 0.02 * rng.normal(size=(3 * LINES, COLUMNS))
         # brightness of all directions is positive
-        np.save(folder / f"{exposure}.npy", (100.0 + 20.0 * pixels).astype(np.float32))
-        text += f'\n[[frame]]\nimage = "{exposure}.npy"\ntime = {INTERVAL * exposure}\n'
-    toml, out = folder / "acquisition.toml", folder / "result"
+        np.save(folder / image.format(exposure), (100.0 + 20.0 * pixels).astype(np.float32))
+        text += f"\n[[frame]]\nimage = {toml_string(image.format(exposure))}\ntime = {INTERVAL * exposure}\n"
+    toml = folder / "acquisition.toml"
     toml.write_text(text, encoding="utf-8")
+    return toml
+
+
+@pytest.fixture(scope="module")
+def recovered(tmp_path_factory):
+    """A rendered acquisition on disk and what `recover` wrote for it."""
+    folder = tmp_path_factory.mktemp("spin")
+    toml, out = write_acquisition(folder), folder / "result"
     assert run(["recover", str(toml), "--out", str(out)]) == 0
     return toml, out
 

@@ -8,7 +8,7 @@ import rasterio
 from rasterio.transform import Affine
 
 from sightline.io.images import open_image
-from sightline.io.registered import Grid, as_type, file_name, write_registered
+from sightline.io.registered import Grid, as_type, write_registered
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 SHAPE = (700, 560)
@@ -93,10 +93,3 @@ def test_a_failed_block_leaves_no_file(tmp_path, images):
     with pytest.raises(RuntimeError):
         write_registered([tmp_path / "a.tif"], [["a", "b"]], broken(), Grid(SHAPE, {}), [np.dtype("uint16")])
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("name", "file"), [("PAN", "PAN"), ("B 1/2", "B_1_2"), ("../x", "_x"), ("..", "band")]
-)
-def test_names_of_bands_as_names_of_files(name, file):
-    assert file_name(name) == file

@@ -163,3 +163,23 @@ def test_a_spectrum_is_read_by_axis(tmp_path):
     f, density = tables.read_psd(csv(tmp_path, "f,roll,pitch,yaw\n0,1,2,3\n50,4,5,6\n"))
     assert f.tolist() == [0.0, 50.0]
     assert density.tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+
+
+def test_names_of_any_text_come_back_from_a_table(tmp_path):
+    names = ["a, b", 'say "hello"', "two\nlines", "a\r\n\n# b", "#c", "=1+1", "plain"]
+    tables.write_columns(tmp_path / "n.csv", {"t": np.arange(7.0), "a, name": np.array(names)})
+    read = tables.read_columns(tmp_path / "n.csv", ("t", "a, name"), text=("a, name",))
+    assert read["a, name"] == names and read["t"].tolist() == list(range(7))
+    assert tables.line_of_row(tmp_path / "n.csv", 3) == 6  # the name before it has a line more
+
+
+def test_a_quote_that_is_never_closed_is_named_by_its_line(tmp_path):
+    path = csv(tmp_path, 't,x,y,z\n0,1,2,3\n1,"1,2,3\n2,1,2,3\n')
+    assert f"{path}: line 3 has 2 values, the header has 4" in message(tables.read_positions, path)
+    path = csv(tmp_path, 't,x,y,z\n0,1,2,"' + "3" * 200_000)
+    assert str(path) in message(tables.read_positions, path)
+
+
+def test_a_quote_within_a_cell_is_part_of_it(tmp_path):
+    path = csv(tmp_path, 'name,x\nlens of 2" ,1\n')
+    assert tables.read_columns(path, ("name", "x"), text=("name",))["name"] == ['lens of 2"']

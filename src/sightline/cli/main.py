@@ -7,6 +7,7 @@ What a command does is in its own file, named like it.
 
 from __future__ import annotations
 
+import io
 import signal
 import sys
 from types import FrameType
@@ -95,6 +96,9 @@ def main(arguments: list[str] | None = None) -> None:
     words = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in words
     _heed_signals()
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):  # a terminal without some letter shows its number
+            stream.reconfigure(errors="backslashreplace")
     sys.exit(run([word for word in words if word != "--debug"], debug=debug))
 
 

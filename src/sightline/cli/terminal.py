@@ -5,6 +5,7 @@ Nothing here decides anything; exit statuses are in ``main.py``.
 
 from __future__ import annotations
 
+import re
 import sys
 import threading
 import time
@@ -12,6 +13,8 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any, Protocol
+
+from sightline.io.names import printable, shortened
 
 
 class Progress(Protocol):
@@ -23,6 +26,8 @@ class Progress(Protocol):
 
 #: s between lines of a stage under way, and that a stage took at least of which a line is left, in a log.
 _EVERY, _WORTH_A_LINE = 30.0, 1.0
+#: Characters of a word of a message: numbers and names that a file holds have no end.
+_LONGEST_WORD = 1000
 
 
 class _Log:
@@ -131,7 +136,8 @@ def progress() -> Iterator[Progress]:
                 return Text("")
             return super().render(task).append(" left")
 
-    done_so_far = SpinnerColumn(finished_text="✓"), TextColumn("{task.description}"), TimeElapsedColumn()
+    words = TextColumn("{task.description}", markup=False)
+    done_so_far = SpinnerColumn(finished_text="✓"), words, TimeElapsedColumn()
     with Bars(*done_so_far, Bar(), Left(), console=Console(stderr=True), speed_estimate_period=120.0) as bars:
         running: dict[str, TaskID] = {}
 
@@ -143,7 +149,7 @@ def progress() -> Iterator[Progress]:
         def report(stage: str, done: int = 0, total: int | None = None) -> None:
             if stage not in running:
                 finish()
-                running[stage] = bars.add_task(stage, total=None)
+                running[stage] = bars.add_task(printable(stage), total=None)
             if total is not None:
                 bars.update(running[stage], completed=done, total=max(total, done))
 
@@ -164,12 +170,17 @@ def print_json(summary: Mapping[str, Any]) -> None:
 
 def say(text: str) -> None:
     """Print one line of the summary meant for people, on stdout."""
-    print(text)
+    print(_line(text))
 
 
 def complain(kind: str, message: str) -> None:
-    """Print one message on stderr: ``sightline: kind: message``."""
-    print(f"sightline: {kind}: {message}", file=sys.stderr)
+    """Print one message on stderr, on one line whatever it quotes: ``sightline: kind: message``."""
+    print(_line(f"sightline: {kind}: {message}"), file=sys.stderr)
+
+
+def _line(text: str) -> str:
+    """`text` as one line that a terminal only shows."""
+    return re.sub(r"\S+", lambda word: shortened(word[0], _LONGEST_WORD), printable(text))
 
 
 @contextmanager

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import FormatError, InputError
+from sightline.io.names import printable, shortened
 from sightline.io.tables import check_quaternions, check_times
 from sightline.writing import creation_date, whole
 
@@ -26,6 +27,8 @@ Array = NDArray[np.float64]
 EARTH_FIXED_FRAMES = ("EARTH_FIXED", "ECEF", "ITRF", "ITRS", "TDR", "WGS84", "EFG")
 #: Years in which images are taken: the oldest photographs of land from above are of 1858.
 FIRST_YEAR, LAST_YEAR = 1850, 2200
+#: Characters that a name in a message has at most.
+_LONGEST_NAME = 80
 #: Names for the axes of our body in an attitude message.
 BODY_FRAMES = ("SC_BODY", "BODY", "SC_BODY_1", "SPACECRAFT_BODY")
 
@@ -346,7 +349,7 @@ def write_aem(
         f"ORIGINATOR = {originator}",
         "",
         "META_START",
-        f"OBJECT_NAME = {object_name}",
+        f"OBJECT_NAME = {shortened(printable(object_name), _LONGEST_NAME)}",
         f"OBJECT_ID = {object_id}",
         f"REF_FRAME_A = {frame}",
         "REF_FRAME_B = SC_BODY_1",

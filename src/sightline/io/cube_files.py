@@ -20,7 +20,8 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.execution import silent
-from sightline.io.registered import TILE, file_name, optimise
+from sightline.io.names import file_stem
+from sightline.io.registered import TILE, optimise
 from sightline.products.cube_bands import BandLayout
 from sightline.products.cube_grid import CubeGrid
 from sightline.writing import must_fit, whole, whole_raster
@@ -236,7 +237,7 @@ def band_files(layout: BandLayout) -> list[str]:
     out = []
     for number, (name, nm) in enumerate(zip(layout.names, layout.wavelength_nm, strict=True)):
         text = f"{nm:.1f}nm" if np.isfinite(nm) else name.replace(" ", "-")
-        out.append(f"{number:0{digits}d}-{file_name(text)}")
+        out.append(f"{number:0{digits}d}-{file_stem(text)}")
     return out
 
 

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from sightline.errors import FormatError
 from sightline.io.ccsds import seconds_from_epoch
 from sightline.io.images import must_exist, raster_errors
+from sightline.io.names import toml_string
 from sightline.io.tables import write_positions
 
 Array = NDArray[np.float64]
@@ -213,8 +214,8 @@ def write_photo_acquisition(
     write_positions(folder / "positions.csv", t, positions)
     lines = [
         "[acquisition]",
-        f'name = "{paths[0].parent.name}"',
-        f'epoch = "{epoch}"',
+        f"name = {toml_string(paths[0].parent.name)}",
+        f"epoch = {toml_string(epoch)}",
         "[platform]",
         'kind = "ephemeris"',
         'positions = "positions.csv"',
@@ -232,9 +233,10 @@ def write_photo_acquisition(
     if body_from_camera is not None:
         lines.append(f"body_from_camera = {[float(value) for value in body_from_camera]}")
     for number, path in enumerate(paths):
-        lines += ["[[frame]]", f"image = '{path.resolve()}'", 'time = "exif"', f"time_sigma = {time_sigma}"]
+        image = toml_string(str(path.resolve()))
+        lines += ["[[frame]]", f"image = {image}", 'time = "exif"', f"time_sigma = {time_sigma}"]
         if masks is not None:
-            lines.append(f"mask = '{masks[number].resolve()}'")
+            lines.append(f"mask = {toml_string(str(masks[number].resolve()))}")
     toml = folder / "acquisition.toml"
     toml.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return toml

@@ -37,13 +37,10 @@ def write_hidden(folder: Path, t: Array, hidden: Array, names: Sequence[str]) ->
     hidden : (N, 3, H)
         rad, of any size; roll, pitch, yaw of each direction.
     names : sequence of str
-        One per direction, without a comma.
+        One per direction.
     """
-    if hidden.shape != (len(t), 3, len(names)) or any("," in name for name in names):
-        raise InputError(
-            f"`hidden` must have shape ({len(t)}, 3, {len(names)}) and names without a comma; "
-            f"got {hidden.shape} and {list(names)}"
-        )
+    if hidden.shape != (len(t), 3, len(names)):
+        raise InputError(f"`hidden` must have shape ({len(t)}, 3, {len(names)}); got {hidden.shape}")
     columns: dict[str, Array] = {"t": t}
     for k, name in enumerate(names):
         for axis in range(3):

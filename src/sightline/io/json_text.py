@@ -10,10 +10,12 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+from sightline.io.names import json_printable
+
 
 def json_text(summary: Mapping[str, Any]) -> str:
     """A summary as indented JSON, strictly by the standard."""
-    return json.dumps(plain(summary), indent=2, allow_nan=False, ensure_ascii=False)
+    return json_printable(json.dumps(plain(summary), indent=2, allow_nan=False, ensure_ascii=False))
 
 
 def plain(value: Any) -> Any:

@@ -23,6 +23,7 @@ from sightline.geometry.earth import from_geodetic
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.two_body import propagate, velocity_between
 from sightline.io.images import open_image
+from sightline.io.names import toml_string
 from sightline.io.tables import write_columns
 from sightline.motion.limb import LimbFit, attitude_from_limb
 
@@ -430,7 +431,7 @@ def _toml(
     ]
     parts = [
         "[acquisition]",
-        f'name = "{name}"',
+        f"name = {toml_string(name)}",
         *epoch,
         "",
         "[platform]",

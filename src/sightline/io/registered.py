@@ -22,6 +22,7 @@ from sightline.applications.registration import Registration
 from sightline.imaging.source import ImageSource
 from sightline.io.acquired import Acquisition
 from sightline.io.images import open_image, raster_errors
+from sightline.io.names import file_stems, printable
 from sightline.products.register_bands import line_blocks
 from sightline.writing import must_fit, whole_raster
 
@@ -127,7 +128,7 @@ def write_products(
     """
     names, every = acquisition.names, range(len(acquisition.bands))
     parts = [list(every)] if stack else [[k] for k in every]
-    files = ["registered.tif"] if stack else [f"{file_name(name)}.tif" for name in names]
+    files = ["registered.tif"] if stack else [f"{stem}.tif" for stem in file_stems(names)]
     dtypes = [pixel_type(acquisition, part, pixels) for part in parts]
     tell("resampling the bands")
     valid = write_registered(
@@ -148,11 +149,6 @@ def write_products(
         yield Written(tuple(files), before, after, tuple(valid), types)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
-
-
-def file_name(name: str) -> str:
-    """The name of a band as that of a file: what file systems dislike becomes ``_``."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name).lstrip(".") or "band"
 
 
 def _stored(folder: Path, registration: Registration) -> tuple[ImageSource, ...]:
@@ -247,7 +243,7 @@ def _profile(grid: Grid, count: int, dtype: np.dtype[Any]) -> dict[str, Any]:
 
 def _describe(target: Any, names: Sequence[str], grid: Grid) -> None:
     for number, name in enumerate(names, 1):
-        target.set_band_description(number, name)
+        target.set_band_description(number, printable(name))
     if "gcps" in grid.tags:
         target.gcps = (grid.tags["gcps"], grid.tags["crs"])
     if "rpcs" in grid.tags:

@@ -25,6 +25,7 @@ from sightline.geometry.earth import from_geodetic, local_axes, to_geodetic
 from sightline.io.angle_tables import OPK, YPR, AngleTable, opk_of_camera, write_angles, ypr_of_body
 from sightline.io.colmap import write_colmap_model
 from sightline.io.footprints import outlines, write_footprints
+from sightline.io.names import single_words
 from sightline.io.odm import write_geo
 from sightline.io.opensfm import write_opensfm
 from sightline.io.poses import (
@@ -175,10 +176,9 @@ def write_pose_exports(
 
 
 def picture_names(sequence: FrameSequence) -> tuple[str, ...]:
-    """Names of the images' files; of the frames, where two files have the same or one has a space."""
+    """Names of the images' files; of the frames, where two files have the same or one is not one word."""
     names = tuple(path.name for path in sequence.files)
-    usable = len(set(names)) == len(names) and not any(c.isspace() for name in names for c in name)
-    return names if usable else tuple("_".join(name.split()) for name in sequence.problem.frames)
+    return names if single_words(names) == names else single_words(sequence.problem.frames)
 
 
 def reconstruction_of(

@@ -101,9 +101,7 @@ def write_frames_used(path: Path, sequence: FrameSequence, found: SequencePoses)
         "subset": subset,
         "overlap": overlap,
         "parallax": parallax,
-        "reason": np.array(
-            [f'"{word.replace(chr(34), chr(39))}"' if word else "" for word in words], dtype=str
-        ),
+        "reason": np.array(words, dtype=str),
     }
     formats = dict.fromkeys(("residual_px", "sharpness", "overlap", "parallax"), "%.6g")
     write_columns(path, columns, formats | {"t": "%.17g"})

@@ -5,7 +5,6 @@ Not here: the tables of the result (``stereo_results.py``).
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +14,7 @@ from scipy.spatial.transform import Rotation
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
 from sightline.io.ccsds import write_aem
 from sightline.io.colmap import write_colmap_model
+from sightline.io.names import file_stems, single_words
 from sightline.io.reconstruction import Reconstruction, points_of
 from sightline.io.results import AEM_FRAMES
 from sightline.io.stereo import Stereo
@@ -59,13 +59,14 @@ def write_strip_attitudes(
 ) -> tuple[str, ...]:
     """``attitude_NAME.csv``: corrected attitude of each strip's body at every line; the same as an AEM."""
     messages = problem.epoch is not None and not stereo.another_body
-    for camera, name, angles in zip(problem.strips, problem.cameras, result.angles, strict=True):
+    stems = file_stems(problem.cameras)
+    for camera, name, stem, angles in zip(problem.strips, problem.cameras, stems, result.angles, strict=True):
         t = camera.times(np.arange(float(camera.lines)))
         attitude = (camera.trajectory.at(t).world_from_body * Rotation.from_rotvec(angles.copy())).as_quat()
-        write_attitudes(folder / f"attitude_{file_name(name)}.csv", t, attitude)
+        write_attitudes(folder / f"attitude_{stem}.csv", t, attitude)
         if messages:
             write_aem(
-                folder / f"attitude_{file_name(name)}.aem",
+                folder / f"attitude_{stem}.aem",
                 t,
                 attitude,
                 str(problem.epoch),
@@ -99,21 +100,16 @@ def write_corrected_cameras(path: Path, stereo: Stereo, result: StereoOrientatio
     write_columns(path, dict(zip(CAMERAS, values, strict=True)), dict.fromkeys(CAMERAS, "%.17g"))
 
 
-def file_name(camera: str) -> str:
-    """A camera's name as part of a file's."""
-    return re.sub(r"[^\w.-]+", "_", camera) or "_"
-
-
 def write_attitude_messages(folder: Path, stereo: Stereo, result: StereoOrientation) -> None:
     """``attitude_CAMERA.aem``: corrected attitudes of each camera's body."""
     problem, images = stereo.problem, stereo.problem.images
     if problem.epoch is None:
         return
     corrected = (images.world_from_body * corrections(problem, result)).as_quat()
-    for number, camera in enumerate(problem.cameras):
+    for number, (camera, stem) in enumerate(zip(problem.cameras, file_stems(problem.cameras), strict=True)):
         rows = np.flatnonzero(images.camera == number)
         write_aem(
-            folder / f"attitude_{file_name(camera)}.aem",
+            folder / f"attitude_{stem}.aem",
             images.t[rows],
             corrected[rows],
             problem.epoch,
@@ -163,4 +159,4 @@ def _picture_names(stereo: Stereo) -> tuple[str, ...]:
             told[row] = source.path.name
     if len(set(told)) < len(told):
         told = names
-    return tuple("_".join(name.split()) for name in told)
+    return single_words(told)

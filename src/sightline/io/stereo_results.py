@@ -17,9 +17,10 @@ from sightline.applications.stereo_heights import height_sigmas, heights_of
 from sightline.applications.stereo_orientation import CHI_SHARE, CHI_SIGMAS, StereoOrientation, StereoProblem
 from sightline.applications.stereo_prediction import Improvement, StereoPrediction
 from sightline.evaluation.direction_words import AXES, angle_names, direction_words
+from sightline.io.names import printable
 from sightline.io.results import peak_memory, write_json
 from sightline.io.stereo import Stereo
-from sightline.io.tables import write_columns
+from sightline.io.tables import csv_cell, write_columns
 from sightline.photogrammetry.triangulate import triangulate
 from sightline.version import VERSION
 from sightline.writing import whole
@@ -78,7 +79,7 @@ def write_orientation(path: Path, cameras: tuple[str, ...], angles: Array, sigma
 
 def write_covariance(path: Path, cameras: tuple[str, ...], covariance: Array) -> None:
     """``covariance.csv``: rad^2, rows and columns as the comment at its top names them."""
-    lines = ["# " + ",".join(angle_names(cameras))]
+    lines = ["# " + ",".join(csv_cell(printable(name)) for name in angle_names(cameras))]
     lines += [",".join(f"{value:.17g}" for value in row) for row in covariance]
     with whole(path) as draft:
         draft.write_text("\n".join(lines) + "\n", encoding="utf-8")

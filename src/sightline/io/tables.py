@@ -9,7 +9,8 @@ Not here: CCSDS messages (``ccsds.py``), sensor-model files (``isd.py``).
 from __future__ import annotations
 
 import csv
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -45,6 +46,10 @@ MOTION = (
     "observed",
 )
 SPECTRUM = ("frequency", *(f"{kind}_{axis}" for kind in ("psd", "error", "observed") for axis in ANGLES))
+
+_QUOTE = '"'
+#: What a cell in quotes alone can hold.
+_QUOTED = re.compile(r'[",\r\n]|^\s*#')
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,41 +178,69 @@ def read_long_columns(
 
 def header_of(path: Path) -> list[str]:
     """Names of the columns of a CSV file; FormatError where there is none."""
-    for _, line in _lines(path):
-        return [name.strip() for name in next(csv.reader([line]))]
-    raise FormatError(f"{path}: the file is empty; a header line and rows are expected")
+    return [name.strip() for name in _rows(path)[0][1]]
 
 
 def first_row(path: Path) -> dict[str, str]:
     """Cells of the first row of a CSV file by the names of their columns; none where there is no row."""
-    cells = [next(csv.reader([line])) for _, line in _lines(path)[:2]]
-    return {name.strip(): cell.strip() for name, cell in zip(*cells, strict=False)} if len(cells) > 1 else {}
+    rows = _rows(path)
+    if len(rows) < 2:
+        return {}
+    return {name.strip(): cell.strip() for name, cell in zip(rows[0][1], rows[1][1], strict=False)}
 
 
 def line_of_row(path: Path, row: int) -> int:
     """Line of a CSV file, as an editor counts, that holds row `row` (from 0) below the header."""
-    return _lines(path)[row + 1][0]
+    return _rows(path)[row + 1][0]
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Line number and cells of every row that is neither empty nor a comment."""
-    kept = _lines(path)
-    if not kept:
+    lines = _text_lines(path)
+    try:
+        rows = list(_records(lines))
+    except csv.Error as error:
+        raise FormatError(f"{path}: cannot be parted into cells ({error}); a CSV file is expected") from None
+    if not rows:
         raise FormatError(f"{path}: the file is empty; a header line and rows are expected")
-    return [(number, next(csv.reader([line]))) for number, line in kept]
+    return rows
+
+
+def _records(lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
+    """The rows; a cell in quotes may go on over several lines, whatever these hold."""
+    begun = 0  # line of the row at hand; 0 between rows
+
+    def fed() -> Iterator[str]:
+        nonlocal begun
+        for number, line in enumerate(lines, 1):
+            if begun or not _left_out(line):
+                begun = begun or number
+                yield line
+
+    for row in csv.reader(fed()):
+        yield begun, row
+        begun = 0
+
+
+def _left_out(line: str) -> bool:
+    """Whether a line is empty or a comment."""
+    return not line.strip() or line.lstrip().startswith("#")
 
 
 def _lines(path: Path) -> list[tuple[int, str]]:
     """Number and text of every line that is neither empty nor a comment."""
+    return [(number, line) for number, line in enumerate(_text_lines(path), 1) if not _left_out(line)]
+
+
+def _text_lines(path: Path) -> list[str]:
     note(path)
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
-            lines = [(number, line) for number, line in enumerate(stream, 1)]
+            return list(stream)
     except FileNotFoundError:
         raise FormatError(f"{path}: no such file; check the name in the TOML file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise FormatError(f"{path}: cannot be read as text ({error}); a CSV file is expected") from None
-    return [(number, line) for number, line in lines if line.strip() and not line.lstrip().startswith("#")]
 
 
 def _numbers(
@@ -441,21 +474,24 @@ def write_columns(
     for name, values in columns.items():
         array = np.asarray(values)
         if array.dtype.kind in "US":
-            cells.append([_quoted(str(word)) for word in array])
+            cells.append([csv_cell(str(word)) for word in array])
             continue
         if array.dtype.kind in "biu":
             cells.append([str(int(value)) for value in array])
             continue
         form = given.get(name, "%.17g" if name == "t" or name.startswith("t_") else "%.9g")
         cells.append([form % value for value in array.tolist()])
-    with whole(path) as draft, draft.open("w", newline="", encoding="utf-8") as stream:
-        stream.write(",".join(columns) + "\n")
+    with (
+        whole(path) as draft,
+        draft.open("w", newline="", encoding="utf-8", errors="backslashreplace") as stream,
+    ):
+        stream.write(",".join(map(csv_cell, columns)) + "\n")
         stream.writelines(",".join(row) + "\n" for row in zip(*cells, strict=True))
 
 
-def _quoted(word: str) -> str:
-    """A word as a cell; in quotes where it holds what parts cells or rows."""
-    return '"' + word.replace('"', '""') + '"' if any(c in word for c in ',"\r\n') else word
+def csv_cell(word: str) -> str:
+    """A word as a cell: in quotes where it would otherwise be several cells, several lines or a comment."""
+    return f'"{word.replace(_QUOTE, 2 * _QUOTE)}"' if _QUOTED.search(word) else word
 
 
 def write_differences(path: Path, differences: Sequence[AngleDifferences], names: Sequence[str]) -> None:

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight
@@ -81,14 +82,14 @@ def composite(result: LineOfSight, acquisition: Acquisition) -> Composite | None
     )
 
 
-def data_png(pixels: Pixels) -> str:
-    """An (lines, columns, 3) picture as a ``data:`` address of a PNG."""
+def data_png(pixels: Pixels) -> Markup:
+    """An (lines, columns, 3) picture as a ``data:`` address of a PNG, which a page takes as it is."""
     lines, columns, _ = pixels.shape
     rows = np.concatenate([np.zeros((lines, 1), np.uint8), pixels.reshape(lines, -1)], axis=1)
     header = struct.pack(">IIBBBBB", columns, lines, 8, 2, 0, 0, 0)
     parts = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 9)), (b"IEND", b""))
     body = b"".join(_chunk(kind, content) for kind, content in parts)
-    return "data:image/png;base64," + base64.b64encode(b"\x89PNG\r\n\x1a\n" + body).decode("ascii")
+    return Markup("data:image/png;base64," + base64.b64encode(b"\x89PNG\r\n\x1a\n" + body).decode("ascii"))
 
 
 def _chunk(kind: bytes, content: bytes) -> bytes:

@@ -20,7 +20,7 @@ from sightline.applications.focal_plane import (
     LayoutChoice,
 )
 from sightline.motion.layout_sigma import posterior_psd
-from sightline.report.style import AXIS_COLOURS, INK, MUTED, panels
+from sightline.report.style import AXIS_COLOURS, INK, MUTED, label, panels
 
 #: One colour and dash per layout that stands out; the user's and the published ones have their own.
 _LOOK = {
@@ -45,7 +45,7 @@ def information_figure(choice: LayoutChoice) -> go.Figure:
     low, high = choice.passband
     start, top = max(0.0, low - 0.3 * (high - low)), min(choice.highest, high + 0.3 * (high - low))
     shown = [*standing_out(choice), *(x for x in choice.compared if x.source == "published")]
-    titles = [f"{x.name} ({len(x.positions)} detectors)" for x in shown]
+    titles = [f"{label(x.name)} ({len(x.positions)} detectors)" for x in shown]
     figure = panels(
         len(shown), 90 + 128 * len(shown), gap_px=34, top=30, shared_xaxes=True, subplot_titles=titles
     )
@@ -56,7 +56,7 @@ def information_figure(choice: LayoutChoice) -> go.Figure:
         place: dict[str, Any] = {"row": row, "col": 1}
         figure.add_scatter(
             x=f, y=worth, mode="lines", line={"color": colour, "width": 1.4}, showlegend=False,
-            name=layout.name, **place,
+            name=label(layout.name), **place,
         )  # fmt: skip
         figure.add_scatter(
             x=[layout.worst_frequency], y=[layout.worst_images], mode="markers+text", showlegend=False,
@@ -82,8 +82,8 @@ def places_figure(choice: LayoutChoice) -> go.Figure:
     for layout in shown:
         colour = _line(choice, layout)["color"]
         figure.add_scatter(
-            x=1e3 * layout.positions, y=[layout.name] * len(layout.positions), mode="lines+markers",
-            line={"color": colour, "width": 1}, showlegend=False, name=layout.name,
+            x=1e3 * layout.positions, y=[label(layout.name)] * len(layout.positions), mode="lines+markers",
+            line={"color": colour, "width": 1}, showlegend=False, name=label(layout.name),
             marker={"symbol": "line-ns-open", "size": 18, "color": colour, "line": {"width": 3}},
         )  # fmt: skip
     figure.update_xaxes(title_text="time at which each detector sees the ground, after the first (ms)")
@@ -108,7 +108,7 @@ def span_figure(choice: LayoutChoice) -> go.Figure:
         values = (layout.worst_images, layout.harmonic_sigma_px)
         for row, value in enumerate(values, 1):
             figure.add_scatter(
-                x=[1e3 * layout.span], y=[value], mode="markers", marker=mark, name=layout.name,
+                x=[1e3 * layout.span], y=[value], mode="markers", marker=mark, name=label(layout.name),
                 legendgroup=layout.name, showlegend=row == 1, row=row, col=1,
             )  # fmt: skip
     figure.update_yaxes(title_text="worst case in the band (images' worth)", rangemode="tozero", row=1)
@@ -130,7 +130,7 @@ def remaining_figure(choice: LayoutChoice) -> go.Figure:
     for layout in standing_out(choice):
         left = posterior_psd(f, layout.positions, layout.noise, choice.prior)
         lowest.append(float(left.min()))
-        figure.add_scatter(x=f, y=left, name=layout.name, line=_line(choice, layout), mode="lines")
+        figure.add_scatter(x=f, y=left, name=label(layout.name), line=_line(choice, layout), mode="lines")
     figure.add_vrect(*choice.passband, fillcolor=_BAND, line_width=0, layer="below")
     figure.update_yaxes(
         type="log", exponentformat="power", title_text="unknown motion (px²/Hz)", dtick=1,

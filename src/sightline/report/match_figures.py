@@ -17,7 +17,7 @@ from sightline.applications.results import LineOfSight
 from sightline.matching.matches import KEPT, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.stars import StarRecord
 from sightline.report.reduce import cell_edges, cell_means, cell_modes
-from sightline.report.style import AFTER, BEFORE, INK, MUTED, panels
+from sightline.report.style import AFTER, BEFORE, INK, MUTED, label, labels, panels
 
 Array = NDArray[np.float64]
 
@@ -39,6 +39,8 @@ class PairView:
     ----------
     name : str
         ``"PAN – B1"``.
+    images : (str, str)
+        Its parts.
     index : int
         Of the star.
     partner : int
@@ -48,9 +50,15 @@ class PairView:
     """
 
     name: str
+    images: tuple[str, str]
     index: int
     partner: int
     kept: int
+
+    @property
+    def label(self) -> str:
+        """The name as text of a figure."""
+        return " – ".join(labels(self.images))
 
 
 def pair_views(result: LineOfSight) -> list[PairView]:
@@ -59,8 +67,10 @@ def pair_views(result: LineOfSight) -> list[PairView]:
     for index, record in enumerate(result.records):
         for k, image in enumerate(record.star.images):
             if (record.status[:, k] != OUTSIDE).any():
-                name = f"{result.image_names[record.star.hub]} – {result.image_names[image]}"
-                views.append(PairView(name, index, k, int(record.star.present[:, k].sum())))
+                images = result.image_names[record.star.hub], result.image_names[image]
+                views.append(
+                    PairView(" – ".join(images), images, index, k, int(record.star.present[:, k].sum()))
+                )
     return sorted(views, key=lambda view: -view.kept)
 
 
@@ -83,7 +93,7 @@ def residual_map_figure(result: LineOfSight, view: PairView) -> go.Figure:
             hovertemplate=_HOVER + "%{z:.3f} px<extra></extra>",
         )  # fmt: skip
         figure.update_yaxes(title_text="column (px)", row=row + 1)
-    figure.update_xaxes(title_text=f"line of {view.name.split(' – ')[0]} (px)", row=4)
+    figure.update_xaxes(title_text=f"line of {label(view.images[0])} (px)", row=4)
     return figure
 
 
@@ -126,7 +136,7 @@ def residual_histogram(result: LineOfSight) -> go.Figure:
 
 def status_figure(result: LineOfSight, views: list[PairView]) -> go.Figure:
     """Where the matches of each pair were kept, and why the others were not."""
-    titles = [view.name for view in views]
+    titles = [view.label for view in views]
     figure = panels(
         len(views), 94 + 110 * len(views), gap_px=30.0, shared_xaxes=True, subplot_titles=titles, top=70
     )

@@ -7,6 +7,7 @@ Not here: what the figures and sentences are (the other files of this folder).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from sightline.applications.results import LineOfSight
 from sightline.applications.spin_attitude import SpinAttitude
 from sightline.evaluation.observed import SEEN_TONE_PX, observed
 from sightline.io.acquired import Acquisition
+from sightline.io.names import printable, shortened
 from sightline.report import (
     match_figures,
     microvibration_figures,
@@ -36,6 +38,8 @@ from sightline.writing import whole
 
 #: Frequencies at which visibility is drawn.
 _FREQUENCIES = 2401
+#: Characters of a word on a page.
+LONGEST_WORD = 160
 
 
 @dataclass(frozen=True)
@@ -87,15 +91,26 @@ def write_page(path: Path, text: str) -> None:
 
 
 def render(template: str, **values: Any) -> str:
-    """A page of this folder as text; the drawing library is put in once."""
+    """A page of this folder as text; the drawing library is put in once.
+
+    All text is escaped, on one line, and its words have an end: whatever it holds is shown and does nothing.
+    """
     environment = Environment(
         loader=PackageLoader("sightline.report", "."),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
+        finalize=_shown,
     )
     return environment.get_template(template).render(library=Markup(get_plotlyjs()), **values)
+
+
+def _shown(value: Any) -> Any:
+    """Text as it can be shown, unless it is HTML already."""
+    if not isinstance(value, str) or isinstance(value, Markup):
+        return value
+    return re.sub(r"\S+", lambda word: shortened(word[0], LONGEST_WORD), printable(value))
 
 
 def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[str, Any]) -> str:

@@ -12,18 +12,14 @@ from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
-from jinja2 import Environment, PackageLoader, StrictUndefined
-from markupsafe import Markup
 from numpy.typing import NDArray
-from plotly.offline import get_plotlyjs
 
 from sightline.imaging.source import ImageSource
 from sightline.io.registered import Written
 from sightline.products.band_fit import WINDOW, BandFit
 from sightline.report.composite import CROP, colours, data_png
-from sightline.report.page import Section
+from sightline.report.page import Section, render, write_page
 from sightline.report.style import panels
-from sightline.writing import whole
 
 Array = NDArray[np.float64]
 
@@ -65,24 +61,16 @@ def write_register_report(
     summary : mapping
         As ``io.registration_summary`` gives it, with `wall_seconds`.
     """
-    environment = Environment(
-        loader=PackageLoader("sightline.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    html = environment.get_template("register.html.j2").render(
+    html = render(
+        "register.html.j2",
         summary=summary,
-        library=Markup(get_plotlyjs()),
         sentences=sentences(summary),
         pictures=pictures(written, before, summary),
         pairs=[_pair_row(pair) for pair in summary["pairs"]],
         sections=sections(before, after, summary),
         bands=_band_rows(summary),
     )
-    with whole(path) as draft:
-        draft.write_text(html, encoding="utf-8")
+    write_page(path, html)
 
 
 def sentences(summary: Mapping[str, Any]) -> list[str]:

@@ -18,7 +18,7 @@ from sightline.evaluation.observed import SEEN_SIGMAS, SEEN_TONE_PX, Observed
 from sightline.motion.observability import Passbands
 from sightline.motion.tones import DetectedTone, spectrum
 from sightline.report.reduce import envelope_rows
-from sightline.report.style import AXES, AXIS_COLOURS, AXIS_UNITS, BLIND, INK, MUTED, faint, panels
+from sightline.report.style import AXES, AXIS_COLOURS, AXIS_UNITS, BLIND, INK, MUTED, faint, labels, panels
 
 Array = NDArray[np.float64]
 
@@ -73,6 +73,7 @@ def visibility_figure(result: LineOfSight, seen: Observed, names: Sequence[str])
     once: dict[frozenset[int], tuple[int, int]] = {}
     for pair in seen.blind:
         once.setdefault(frozenset(pair), pair)
+    names = labels(names)
     pairs = {f"{names[a]} – {names[b]}": seen.blind[a, b] for a, b in once.values()}
     share = 0.10 + 0.04 * len(pairs)
     figure = panels(2, 400 + 24 * len(pairs), shared_xaxes=True, row_heights=[1.0 - share, share])

@@ -18,7 +18,7 @@ from sightline.evaluation.direction_words import AXES
 from sightline.geometry.units import ARCSEC
 from sightline.io.stereo import Stereo
 from sightline.io.stereo_strips import StripProblem
-from sightline.report.style import INK, MUTED, RULE, TEMPLATE, panels
+from sightline.report.style import INK, MUTED, RULE, TEMPLATE, labels, panels, wrapped
 from sightline.report.words import digits
 
 Array = NDArray[np.float64]
@@ -54,6 +54,7 @@ def ellipse_figure(result: StereoOrientation) -> go.Figure | None:
     covariance = np.asarray(result.covariance) / ARCSEC**2
     shown = range(min(len(result.cameras), DRAWN_CAMERAS))
     two = len(result.cameras) == 2
+    names = labels(result.cameras)
     titles = [f"{AXES[a]} and {AXES[b]} of each camera" for a, b in PAIRS]
     titles += [f"{axis} of both cameras" for axis in AXES] if two else []
     figure = panel_grid(1 + two, 3, 400 + 350 * two, titles, horizontal_spacing=0.09, vertical_spacing=0.16)
@@ -61,12 +62,12 @@ def ellipse_figure(result: StereoOrientation) -> go.Figure | None:
     for panel, (a, b) in enumerate(PAIRS, 1):
         for camera in shown:
             pair = [3 * camera + a, 3 * camera + b]
-            name = f"camera {result.cameras[camera]}"
+            name = f"camera {names[camera]}"
             drawn |= _ellipses(figure, covariance, pair, colour(camera), name, 3.6 / (camera + 1), 1, panel)
         _equal(figure, 1, panel, f"error of {AXES[a]} (arcsec)", f"error of {AXES[b]} (arcsec)")
     for k in range(3 if two else 0):
         drawn |= _ellipses(figure, covariance, [k, 3 + k], INK, "both cameras", 1.8, 2, k + 1)
-        first, second = result.cameras
+        first, second = names
         _equal(figure, 2, k + 1, f"{AXES[k]} of camera {first} (arcsec)", f"of camera {second} (arcsec)")
     figure.update_layout(legend={"y": 1.09 if two else 1.16})
     return figure if drawn else None
@@ -109,12 +110,12 @@ def direction_figure(entries: list[dict[str, Any]]) -> go.Figure:
     sigma = np.array([entry["sigma"] for entry in entries], dtype=np.float64) / ARCSEC
     known = np.isfinite(sigma)
     longest = 10.0 * sigma[known].max() if known.any() else 1.0
-    labels = [f"{k}. {entry['words']}" for k, entry in enumerate(entries, 1)]
+    words = [f"{k}. {wrapped(entry['words'])}" for k, entry in enumerate(entries, 1)]
     figure = panels(1, 90 + 44 * len(entries), top=20)
     for which, name, ink in ((known, "seen", "#2f6ca3"), (~known, "not observable", "#d69e2e")):
         if which.any():
             figure.add_bar(
-                y=[label for label, yes in zip(labels, which, strict=True) if yes],
+                y=[word for word, yes in zip(words, which, strict=True) if yes],
                 x=np.where(known, sigma, longest)[which], orientation="h", marker_color=ink, name=name,
                 text=[digits(s, 3) if np.isfinite(s) else "not observable" for s in sigma[which]],
                 textposition="outside", cliponaxis=False,
@@ -126,7 +127,7 @@ def direction_figure(entries: list[dict[str, Any]]) -> go.Figure:
         type="log", title_text="1 sigma, arcsec (logarithmic)", **_ticks(low, high),
         range=[np.log10(low), np.log10(high)],
     )  # fmt: skip
-    figure.update_yaxes(autorange="reversed", automargin=True, categoryorder="array", categoryarray=labels)
+    figure.update_yaxes(autorange="reversed", automargin=True, categoryorder="array", categoryarray=words)
     figure.update_layout(showlegend=False, margin_r=120)
     return figure
 
@@ -171,6 +172,7 @@ def residual_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure:
             RESIDUALS.get(result.method, "Residual of the kept points of each image, rms"), "Points rejected",
         ],
     )  # fmt: skip
+    cameras = labels(problem.cameras)
     mode = "lines+markers" if len(problem.shot_names) <= 200 else "lines"
     for camera in range(min(len(problem.cameras), DRAWN_CAMERAS)):
         rows = np.flatnonzero(images.camera == camera)
@@ -179,7 +181,7 @@ def residual_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure:
         for row, values, unit in ((1, rms, "px"), (2, share, "%")):
             figure.add_scatter(
                 x=x, y=values[rows], row=row, col=1, mode=mode, marker_size=5,
-                line={"color": colour(camera), "width": 1.4}, name=f"camera {problem.cameras[camera]}",
+                line={"color": colour(camera), "width": 1.4}, name=f"camera {cameras[camera]}",
                 legendgroup=str(camera), showlegend=row == 1,
                 hovertemplate=f"shot %{{x:.0f}}: %{{y:.3g}} {unit}<extra></extra>",
             )  # fmt: skip
@@ -224,7 +226,7 @@ def image_plane_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure |
     largest = max((float(np.hypot(*c[1].T).max()) for c in cells if len(c[0])), default=0.0)
     if largest == 0.0:
         return None
-    names = [f"Camera {problem.cameras[k]}" for k in shown]
+    names = [f"Camera {name}" for name in labels(problem.cameras)[: len(shown)]]
     columns = min(len(names), 2)
     rows = -(-len(names) // columns)
     figure = panel_grid(rows, columns, 60 + 420 * rows, names, horizontal_spacing=0.1)

@@ -15,7 +15,7 @@ from plotly.subplots import make_subplots
 
 from sightline.applications.stereo_prediction import Improvement, SigmaTable
 from sightline.geometry.units import ARCSEC
-from sightline.report.style import AXES, AXIS_COLOURS, INK, MUTED, TEMPLATE
+from sightline.report.style import AXES, AXIS_COLOURS, INK, MUTED, TEMPLATE, wrapped
 
 _METHODS = {
     "ml-track": ("points tracked through all shots", "solid"),
@@ -122,7 +122,7 @@ def improvements_figure(improvements: Sequence[Improvement]) -> go.Figure:
     figure = go.Figure()
     figure.update_layout(template=TEMPLATE, height=height, margin={"l": 330, "t": 50}, barmode="group")
     figure.update_layout(legend_traceorder="reversed")
-    words = [found.change for found in improvements][::-1]
+    words = [wrapped(found.change) for found in improvements][::-1]
     # plotly stacks the bars of a group upwards
     for k, axis in reversed(list(enumerate(AXES))):
         ratio = [_worst(found.ratio[k::3]) for found in improvements][::-1]

@@ -5,11 +5,15 @@ Not here: what is drawn (``motion_figures.py``, ``spectrum_figures.py``, ``match
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Iterable, Sequence
+from html import escape
 from typing import Any
 
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
+
+from sightline.io.names import numbered, printable, shortened
 
 AXES = ("roll", "pitch", "yaw")
 
@@ -22,6 +26,8 @@ INK, MUTED, RULE = "#24292f", "#6e7781", "#d8dee4"
 BLIND = "rgba(214, 158, 46, 0.22)"
 #: Before and after the estimate.
 BEFORE, AFTER = "#9aa4ae", "#2f6ca3"
+#: Characters of a name in a figure; of words that hold names, and of each of their lines.
+LABEL, _WORDS, _LINE = 28, 140, 52
 FONT = "system-ui, -apple-system, 'Segoe UI', 'DejaVu Sans', Arial, sans-serif"
 
 _AXIS: dict[str, Any] = {
@@ -98,9 +104,30 @@ def rules(figure: go.Figure, places: Sequence[float], numbers: Sequence[int] | N
     figure.update_layout(shapes=drawn)
 
 
+def labels(names: Iterable[str], longest: int = LABEL) -> list[str]:
+    """Names of the user as texts of a figure: literal, on one line, none too long, no two alike.
+
+    Plotly takes tags, entities and places of a template out of any text; those of a name are none.
+    """
+    short = numbered((shortened(printable(name), longest) for name in names), str)
+    return [escape(name, quote=False).replace("%", "&#37;") for name in short]
+
+
+def label(name: str, longest: int = LABEL) -> str:
+    """One name as `labels` has it."""
+    return labels([name], longest)[0]
+
+
+def wrapped(words: str) -> str:
+    """Words that may hold names, as a text of a figure of few short lines."""
+    lines = textwrap.wrap(shortened(printable(words), _WORDS), _LINE)
+    return "<br>".join(label(line, _LINE) for line in lines)
+
+
 def as_html(figure: go.Figure, name: str) -> str:
     """The figure as a piece of HTML named `name`; the page brings the drawing library."""
-    return str(figure.to_html(full_html=False, include_plotlyjs=False, config=CONFIG, div_id=name))
+    drawn = figure.to_html(full_html=False, include_plotlyjs=False, config=CONFIG, div_id=name)
+    return f'<div class="figure">{drawn}</div>'
 
 
 def faint(colour: str, opacity: float) -> str:
