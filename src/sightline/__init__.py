@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from sightline.io.sequence import load_sequence
     from sightline.io.stereo import load_stereo
     from sightline.io.tdi import load_tdi
+    from sightline.io.tdi_tags import read_tdi_tags
     from sightline.matching.match_images import match_images
     from sightline.matching.matches import Matches
     from sightline.matching.select import grid_points
@@ -65,6 +66,7 @@ if TYPE_CHECKING:
     from sightline.tdi.choose import TdiChoice
     from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
     from sightline.tdi.table import TdiTable
+    from sightline.tdi.tagging import TdiTags
 
 # Public name -> module that defines it, sorted; `tests/test_public_api.py` compares it with what is there.
 _MODULE_OF = {
@@ -128,6 +130,7 @@ _MODULE_OF = {
     "TdiProblem": "sightline.applications.tdi_choice",
     "TdiResult": "sightline.applications.tdi_choice",
     "TdiTable": "sightline.tdi.table",
+    "TdiTags": "sightline.tdi.tagging",
     "Trajectory": "sightline.geometry.trajectory",
     "UnobservableBandWarning": "sightline.errors",
     "assemble_cube": "sightline.applications.frame_cube",
@@ -146,6 +149,7 @@ _MODULE_OF = {
     "match_images": "sightline.matching.match_images",
     "orient": "sightline.applications.stereo_orientation",
     "predict_match": "sightline.motion.predict",
+    "read_tdi_tags": "sightline.io.tdi_tags",
     "recover_frame_attitude": "sightline.applications.frame_attitude",
     "recover_line_of_sight": "sightline.applications.line_of_sight",
     "recover_spin_attitude": "sightline.applications.spin_attitude",
@@ -217,6 +221,7 @@ __all__ = [
     "TdiProblem",
     "TdiResult",
     "TdiTable",
+    "TdiTags",
     "Trajectory",
     "UnobservableBandWarning",
     "assemble_cube",
@@ -235,6 +240,7 @@ __all__ = [
     "match_images",
     "orient",
     "predict_match",
+    "read_tdi_tags",
     "recover_frame_attitude",
     "recover_line_of_sight",
     "recover_spin_attitude",

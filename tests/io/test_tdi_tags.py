@@ -10,7 +10,7 @@ import pytest
 
 from sightline.errors import FormatError
 from sightline.imaging.tdi_transfer import Exposure
-from sightline.io.tdi_tags import read_tags, tags_as_bytes, write_tags
+from sightline.io.tdi_tags import read_tdi_tags, tags_as_bytes, write_tags
 from sightline.tdi.tagging import FIELDS, TdiTags
 
 
@@ -29,9 +29,9 @@ def some_tags(lines=50, groups=12):
 
 def test_what_is_written_is_read_bit_by_bit(tmp_path):
     tags, path = some_tags(), tmp_path / "tags.bin"
-    size = write_tags(path, tags)
+    size = write_tags(path, [tags], len(tags))
     assert path.stat().st_size == size and [p.name for p in tmp_path.iterdir()] == ["tags.bin"]
-    back = read_tags(path)
+    back = read_tdi_tags(path)
     for name, form in FIELDS.items():
         assert getattr(back, name).dtype == np.dtype(form)
         assert getattr(back, name).tobytes() == getattr(tags, name).tobytes()
@@ -43,17 +43,17 @@ def test_what_is_written_is_read_bit_by_bit(tmp_path):
 
 
 def test_no_lines_are_a_file_too(tmp_path):
-    write_tags(tmp_path / "t", some_tags(lines=0))
-    assert len(read_tags(tmp_path / "t")) == 0
+    write_tags(tmp_path / "t", [some_tags(lines=0)], 0)
+    assert len(read_tdi_tags(tmp_path / "t")) == 0
 
 
 def test_a_file_that_is_there_stays_whole_when_writing_fails(tmp_path, monkeypatch):
     path = tmp_path / "tags.bin"
-    write_tags(path, some_tags())
+    write_tags(path, [some_tags()], 50)
     before = path.read_bytes()
-    monkeypatch.setattr("sightline.io.tdi_tags.os.replace", lambda *_: (_ for _ in ()).throw(OSError("full")))
+    monkeypatch.setattr("sightline.writing.os.replace", lambda *_: (_ for _ in ()).throw(OSError("full")))
     with pytest.raises(OSError, match="full"):
-        write_tags(path, some_tags(20))
+        write_tags(path, [some_tags(20)], 20)
     assert path.read_bytes() == before
 
 
@@ -64,7 +64,7 @@ def test_one_flipped_bit_is_found(tmp_path, where):
     content[where] ^= 4
     path.write_bytes(content)
     with pytest.raises(FormatError, match=r"tags\.bin.*(check sum|version)"):
-        read_tags(path)
+        read_tdi_tags(path)
 
 
 @pytest.mark.parametrize(
@@ -74,16 +74,16 @@ def test_a_cut_file_is_refused(tmp_path, keep, says):
     path = tmp_path / "tags.bin"
     path.write_bytes(tags_as_bytes(some_tags())[:keep])
     with pytest.raises(FormatError, match=says):
-        read_tags(path)
+        read_tdi_tags(path)
 
 
 def test_other_files_are_refused(tmp_path):
     path = tmp_path / "motion.csv"
     path.write_text("t,roll,pitch,yaw\n" * 20)
     with pytest.raises(FormatError, match="not a file of TDI tags"):
-        read_tags(path)
+        read_tdi_tags(path)
     with pytest.raises(FormatError, match="no such file"):
-        read_tags(tmp_path / "none")
+        read_tdi_tags(tmp_path / "none")
 
 
 @pytest.mark.parametrize(
@@ -104,4 +104,4 @@ def test_a_header_that_does_not_fit_is_refused_though_its_sum_is_right(tmp_path,
     path = tmp_path / "tags.bin"
     path.write_bytes(bytes(content) + struct.pack("<I", zlib.crc32(content)))
     with pytest.raises(FormatError, match="does not fit its header"):
-        read_tags(path)
+        read_tdi_tags(path)

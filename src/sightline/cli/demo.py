@@ -82,7 +82,9 @@ def demo(
         (folder / "score.json").write_text(json_text(scored) + "\n", encoding="utf-8")
         (folder / "tdi.toml").write_text(TDI, encoding="utf-8")
         (folder / "tdi").mkdir()
-        settings = write_judged(folder / "tdi", judge(folder / "tdi.toml", result, report, pictures=True))
+        settings = write_judged(
+            folder / "tdi", judge(folder / "tdi.toml", result, report, pictures=True), report
+        )
     if as_json:
         both = {"score": scored, "summary": summary, "tdi": settings}
         print_json(both | {"report": out / "result" / "report.html"})

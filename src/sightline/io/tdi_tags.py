@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Iterable
+from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +18,7 @@ from numpy.typing import NDArray
 from sightline.errors import FormatError, InputError
 from sightline.imaging.tdi_transfer import ALIGNMENTS, Exposure
 from sightline.tdi.tagging import FIELDS, TdiTags, decode_field, encode_field
-from sightline.writing import whole
+from sightline.writing import scratch_folder, whole
 
 MAGIC = b"SLTDITAG"
 VERSION = 1
@@ -24,19 +26,13 @@ VERSION = 1
 _HEADER = struct.Struct("<8sHHIIIHHdd")
 _LENGTH = struct.Struct("<I")
 _ALIGN = tuple(ALIGNMENTS)
+#: Bytes of a field's code that its length can say; bytes copied at a time.
+MOST_CODE, _PIECE = 2**32 - 1, 1 << 20
 
 
 def tags_as_bytes(tags: TdiTags) -> bytes:
     """The content of a file of tags."""
-    exposure = tags.exposure
-    parts = [
-        _HEADER.pack(
-            MAGIC, VERSION, _ALIGN.index(exposure.align), len(tags), len(tags.first_column), tags.columns,
-            exposure.head_stages, len(tags.ratios), exposure.head_ratio, tags.signal_ratio,
-        ),
-        tags.first_column.astype("<u4").tobytes(),
-        tags.ratios.astype("<f8").tobytes(),
-    ]  # fmt: skip
+    parts = [_head(tags, len(tags))]
     for name in FIELDS:
         code = encode_field(getattr(tags, name))
         parts += [_LENGTH.pack(len(code)), code]
@@ -44,26 +40,97 @@ def tags_as_bytes(tags: TdiTags) -> bytes:
     return content + _LENGTH.pack(zlib.crc32(content))
 
 
-def write_tags(path: Path, tags: TdiTags) -> int:
-    """Write a file of tags, complete or not at all; gives its bytes."""
-    content = tags_as_bytes(tags)
-    with whole(path) as draft:
-        draft.write_bytes(content)
-    return len(content)
+def _head(tags: TdiTags, lines: int) -> bytes:
+    """All before the fields."""
+    exposure = tags.exposure
+    header = _HEADER.pack(
+        MAGIC, VERSION, _ALIGN.index(exposure.align), lines, len(tags.first_column), tags.columns,
+        exposure.head_stages, len(tags.ratios), exposure.head_ratio, tags.signal_ratio,
+    )  # fmt: skip
+    return header + tags.first_column.astype("<u4").tobytes() + tags.ratios.astype("<f8").tobytes()
 
 
-def read_tags(path: Path) -> TdiTags:
-    """The tags of a file.
+def write_tags(path: Path, blocks: Iterable[TdiTags], lines: int) -> int:
+    """Write a file of tags, complete or not at all; gives its bytes.
+
+    Parameters
+    ----------
+    path : Path
+    blocks : iterable of TdiTags
+        One after the other the tags of some lines, of the same groups and detector; only one is held at a
+        time. One block at least.
+    lines : int
+        Of all blocks.
+
+    Raises
+    ------
+    InputError
+        If a field is too long for the file.
+    """
+    with scratch_folder() as folder, ExitStack() as stack:
+        codes = {name: stack.enter_context((folder / name).open("w+b")) for name in FIELDS}
+        head, before, count = b"", dict[str, NDArray[Any]](), 0
+        for tags in blocks:
+            head, count = head or _head(tags, lines), count + len(tags)
+            for name, stream in codes.items():
+                values = getattr(tags, name)
+                stream.write(encode_field(values, before.get(name)))
+                if len(values):
+                    before[name] = values[-1]
+        if count != lines or not head:
+            raise InputError(f"{count} lines of tags were given; {lines} were announced")
+        with whole(path) as draft, draft.open("wb") as target:
+            check = _Checked(target)
+            check.write(head)
+            for name, stream in codes.items():
+                length = stream.tell()
+                if length > MOST_CODE:
+                    raise InputError(
+                        f"{path}: the tags `{name}` of {lines:,} lines take {length:,} bytes, more than the "
+                        f"{MOST_CODE:,} that the file can say; cut the image into shorter ones"
+                    )
+                check.write(_LENGTH.pack(length))
+                stream.seek(0)
+                while piece := stream.read(_PIECE):
+                    check.write(piece)
+            target.write(_LENGTH.pack(check.sum))
+            return target.tell()
+
+
+class _Checked:
+    """A file and the check sum of what was written to it."""
+
+    def __init__(self, target: BinaryIO) -> None:
+        self.target, self.sum = target, 0
+
+    def write(self, piece: bytes) -> None:
+        self.sum = zlib.crc32(piece, self.sum)
+        self.target.write(piece)
+
+
+def read_tdi_tags(path: str | Path) -> TdiTags:
+    """The tags that `sightline tdi --signals` wrote.
+
+    Parameters
+    ----------
+    path : path
+        Its ``tags.bin``.
+
+    Returns
+    -------
+    TdiTags
+        One record per line and column of the image of signals.
 
     Raises
     ------
     FormatError
         If the file is missing, is none of tags, is of a later version, or is damaged.
     """
+    path = Path(path)
     try:
         content = path.read_bytes()
     except FileNotFoundError:
-        raise FormatError(f"{path}: no such file; tags are written by `sightline tdi`") from None
+        raise FormatError(f"{path}: no such file; tags are written by `sightline tdi --signals`") from None
     except OSError as error:
         raise FormatError(f"{path}: cannot be read ({error})") from None
     if content[: len(MAGIC)] != MAGIC:

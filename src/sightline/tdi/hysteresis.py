@@ -4,7 +4,8 @@ A cell may give up a share of its merit so that its neighbours keep one setting.
 that the choice refused for a cell is never taken for it. From line to line a bounded step may need some lines
 to get there; only wells are never overfilled for it.
 
-Not here: the free choice (``choose.py``), settings of an image of signals (``line_settings.py``).
+Not here: the free choice (``choose.py``), settings of an image of signals
+(``applications/tdi_lines.py``).
 """
 
 from __future__ import annotations
@@ -280,6 +281,11 @@ class LineHold:
             float(self.hysteresis), len(self.choice.grid.ratios), self._step, lines, self.last, out,
         )  # fmt: skip
         return out.reshape(cells.shape)
+
+    def infeasible(self, signals: ArrayLike) -> Flags:
+        """Where no setting keeps all limits of the nearest signal; shapes as of a call."""
+        cell = signal_cells(signals, self.choice.signals)
+        return np.asarray(self.choice.infeasible[np.arange(len(self.choice.columns)), cell])
 
 
 def line_loss(factors: MeritFactors, choice: TdiChoice, setting: Index, signals: ArrayLike) -> Array:

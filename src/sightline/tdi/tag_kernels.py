@@ -26,13 +26,15 @@ def _put_count(out, at, number):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def encode_runs(values, width, size, out):  # type: ignore[no-untyped-def]
-    """Code of a table; gives its length.
+def encode_runs(values, begin, width, size, out):  # type: ignore[no-untyped-def]
+    """Code of a table from a place on; gives its length.
 
     Parameters
     ----------
     values : (n,) uint64
         Bit patterns, line after line.
+    begin : int
+        Values before it are coded already: 0, or `width` for lines that follow another.
     width : int
         Values of a line.
     size : int
@@ -40,7 +42,7 @@ def encode_runs(values, width, size, out):  # type: ignore[no-untyped-def]
     out : (m,) uint8
         Overwritten; 10 + `size` bytes per value always suffice.
     """
-    at, i, total = 0, 0, values.shape[0]
+    at, i, total = 0, begin, values.shape[0]
     while i < total:
         same = i + 1
         while same < total and values[same] == values[i]:

@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from sightline.errors import FormatError, InputError
 from sightline.imaging.tdi_noise import snr
 from sightline.imaging.tdi_transfer import Exposure
+from sightline.tdi.choose import CHUNK
 from sightline.tdi.merit import ColumnMtf, filled
 from sightline.tdi.setting import Array, Index, TdiDetector, TdiGrid
 from sightline.tdi.tag_kernels import decode_runs, encode_runs
@@ -118,6 +119,46 @@ class TdiTags:
         return np.repeat(np.arange(len(self.first_column)), np.diff([*self.first_column, self.columns]))
 
 
+class SystemMtf:
+    """MTF of the whole system by column and setting; those of some settings are found once and kept.
+
+    Parameters
+    ----------
+    model : ColumnMtf
+        Of the G columns.
+    settings : (U,) int
+        Settings that are kept, as the grid counts them; others are found each time.
+    """
+
+    def __init__(self, model: ColumnMtf, settings: Index) -> None:
+        self.model = model
+        count = len(model.columns)
+        self._kept = np.empty((count, len(settings), 2))
+        self._place: Index | None = None
+        for first in range(0, count, CHUNK):
+            part = slice(first, min(first + CHUNK, count))
+            found = self._system(np.arange(part.start, part.stop))
+            self._kept[part] = found[:, settings]
+            if self._place is None:
+                self._place = np.full(found.shape[1], -1, dtype=np.intp)
+                self._place[settings] = np.arange(len(settings))
+
+    def _system(self, columns: Index) -> Array:
+        """(c, P, 2) of some columns and all settings."""
+        static = self.model.columns.static_mtf[columns]
+        return self.model.central(columns) * static[:, None, :]
+
+    def __call__(self, setting: Index) -> Array:
+        """(L, G, 2) across and along, of settings (L, G)."""
+        assert self._place is not None  # there is a column
+        place = self._place[setting]
+        out = self._kept[np.arange(setting.shape[1]), place]
+        for group in np.flatnonzero((place < 0).any(axis=0)):
+            other = place[:, group] < 0
+            out[other, group] = self._system(np.array([group]))[0, setting[other, group]]
+        return out
+
+
 def tag_lines(
     model: ColumnMtf,
     setting: Index,
@@ -128,6 +169,8 @@ def tag_lines(
     first_column: ArrayLike,
     columns: int,
     table: int = 0,
+    system: SystemMtf | None = None,
+    step: float = 0.0,
 ) -> TdiTags:
     """The tags of lines from their settings and signals.
 
@@ -147,13 +190,19 @@ def tag_lines(
         Of the detector line.
     table : int
         Number of the table in use.
+    system : SystemMtf, optional
+        Of `model`, where more lines are tagged with it.
+    step : float
+        Above 0: signals are kept rounded (`rounded_signal`), and the SNR is that of the rounded ones.
     """
-    groups = np.arange(setting.shape[1])
     signal = np.asarray(np.broadcast_to(signals, setting.shape), dtype=np.float64)
     stages, ratio = grid.stages_of(setting), grid.ratio_of(setting)
-    system = model.central(slice(0, len(groups))) * model.columns.static_mtf[:, None, :]
-    mtf = system[groups, setting]
+    if system is None:
+        system = SystemMtf(model, np.unique(setting))
+    mtf = system(setting)
     line, total = filled(signal, stages, ratio, detector)
+    if step > 0.0:
+        signal = rounded_signal(signal, step)
     ones = np.ones_like(signal)
     return TdiTags(
         first_column=np.asarray(first_column),
@@ -184,12 +233,20 @@ def rounded_signal(signals: ArrayLike, step: float = 0.05) -> Array:
         return np.asarray(np.where(s > 0.0, np.exp(size * np.round(np.log(s) / size)), 0.0))
 
 
-def encode_field(values: NDArray[Any]) -> bytes:
-    """Run-length code of a field (L, G): runs of one value, and of values that stay from line to line."""
-    size = values.dtype.itemsize
-    patterns = np.ascontiguousarray(values).view(f"<u{size}").ravel().astype(np.uint64)
-    out = np.empty(len(patterns) * (10 + size), dtype=np.uint8)
-    length = encode_runs(patterns, values.shape[1], size, out)
+def encode_field(values: NDArray[Any], before: NDArray[Any] | None = None) -> bytes:
+    """Run-length code of a field (L, G): runs of one value, and of values that stay from line to line.
+
+    Parameters
+    ----------
+    values : (L, G)
+    before : (G,), optional
+        The line before, where these lines go on a field that is coded part by part.
+    """
+    size, width = values.dtype.itemsize, values.shape[1]
+    whole = values if before is None else np.concatenate([before[None], values])
+    patterns = np.ascontiguousarray(whole).view(f"<u{size}").ravel().astype(np.uint64)
+    out = np.empty(values.size * (10 + size), dtype=np.uint8)
+    length = encode_runs(patterns, 0 if before is None else width, width, size, out)
     return out[:length].tobytes()
 
 
