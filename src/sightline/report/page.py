@@ -136,12 +136,16 @@ def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[
 
 def sections(result: LineOfSight, summary: Mapping[str, Any]) -> list[Section]:
     """All figures in the order of the page."""
+    few = len(result.motion.t) < motion_figures.FEW_EPOCHS
+    band, narrower = (
+        ("bars are", "they are shorter than the dot") if few else ("band is", "it is narrower than the line")
+    )
     found = [
         Section(
             "attitude",
             "Attitude against time",
-            "Departure from the reference attitude, less what the images cannot see. The band is ± 1 sigma; "
-            "where it is narrower than the line, the motion is known better than the drawing shows.",
+            f"Departure from the reference attitude, less what the images cannot see. The {band} ± 1 sigma; where "
+            f"{narrower}, the motion is known better than the drawing shows.",
             motion_figures.attitude_figure(result),
         )
     ]

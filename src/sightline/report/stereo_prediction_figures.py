@@ -155,6 +155,6 @@ def prediction_rows(table: SigmaTable) -> tuple[list[str], list[list[str]]]:
         row = [_number(value * scale)]
         for m in range(len(table.methods)):
             sigmas = [*table.sigmas[m, v].reshape(-1, 3).max(axis=0), table.weakest[m, v]]
-            row += [f"{sigma / ARCSEC:.3g}" if np.isfinite(sigma) else "not observable" for sigma in sigmas]
+            row += [_number(sigma / ARCSEC) if np.isfinite(sigma) else "not observable" for sigma in sigmas]
         rows.append(row)
     return head, rows

@@ -241,7 +241,7 @@ def _how_well(result: LineOfSight) -> str:
         f"{axis} moved by {digits(motion[k], 3)} {AXIS_UNITS[k]} rms and is known to {digits(sigma[k], 2)} px"
         for k, axis in enumerate(AXES)
     ]
-    return _capital("; ".join(parts) + " (1-sigma, median over the lines).")
+    return _capital("; ".join(parts) + " (1-sigma, median over these instants).")
 
 
 def _residuals(result: LineOfSight) -> str:
