@@ -144,8 +144,8 @@ def sections(result: LineOfSight, summary: Mapping[str, Any]) -> list[Section]:
         Section(
             "attitude",
             "Attitude against time",
-            f"Departure from the reference attitude, less what the images cannot see. The {band} ± 1 sigma; where "
-            f"{narrower}, the motion is known better than the drawing shows.",
+            f"Departure from the reference attitude, less what the images cannot see. The {band} ± 1 sigma; "
+            f"where {narrower}, the motion is known better than the drawing shows.",
             motion_figures.attitude_figure(result),
         )
     ]
