@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
+import threading
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from sightline import execution
 from sightline.errors import InputError, SightlineError
 from sightline.execution import (
     available_processors,
     executor_from_name,
     in_threads,
+    machine_memory,
     one_blas_thread,
     process,
     serial,
@@ -133,3 +139,128 @@ def test_dask_gives_the_same_results():
     ):
         assert executor.workers == 2
         assert [result.tobytes() for result in executor.map(smoothed_noise, range(7))] == expected
+
+
+class ControlGroups:
+    """A system in files: what it says of this process, and the folders of its control groups."""
+
+    def __init__(self, base: Path, patch: pytest.MonkeyPatch) -> None:
+        self.base, self.tables = base / "a b", base / "proc"  # mount points may hold blanks
+        self.tables.mkdir(parents=True)
+        patch.setattr(execution, "_PROC", self.tables)
+        patch.setattr(os, "sched_getaffinity", lambda _: set(range(16)), raising=False)
+        patch.delenv("OMP_NUM_THREADS", raising=False)
+
+    def say(self, groups: str, *mounts: tuple[str, str, str, str]) -> None:
+        """Own groups, and mounts as (folder below the base, root, type, options)."""
+        execution._control_groups.cache_clear()
+        (self.tables / "cgroup").write_text(groups)
+        lines = ["21 1 252:1 / / rw,relatime shared:1 - ext4 /dev/vda1 rw,errors=remount-ro"]
+        for number, (folder, root, kind, options) in enumerate(mounts, 30):
+            place = str(self.base / folder).replace(" ", "\\040")
+            lines.append(
+                f"{number} 21 0:{number} {root} {place} rw,nosuid shared:9 - {kind} {kind} {options}"
+            )
+        (self.tables / "mountinfo").write_text("\n".join(lines) + "\n")
+
+    def limit(self, name: str, text: str) -> None:
+        path = self.base / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text + "\n")
+
+
+@pytest.fixture
+def groups(tmp_path, monkeypatch):
+    yield ControlGroups(tmp_path, monkeypatch)
+    execution._control_groups.cache_clear()
+
+
+def test_threads_and_memory_keep_within_every_control_group_of_version_2(groups):
+    groups.say("0::/user/job/step\n", ("two", "/", "cgroup2", "rw,nsdelegate"))
+    groups.limit("two/user/job/step/cpu.max", "max 100000")
+    groups.limit("two/user/job/cpu.max", "350000 100000")
+    groups.limit("two/user/cpu.max", "800000 100000")
+    groups.limit("two/user/other/cpu.max", "100000 100000")
+    groups.limit("two/user/job/step/memory.max", "max")
+    groups.limit("two/user/memory.max", "1048576")
+    assert available_processors() == 3
+    assert machine_memory() == 2.0**20
+
+
+def test_threads_and_memory_keep_within_every_control_group_of_version_1(groups):
+    groups.say(
+        "7:memory:/batch/job\n3:cpu,cpuacct:/batch/job\n1:name=systemd:/init\n0::/\n",
+        ("cpu", "/", "cgroup", "rw,cpu,cpuacct"),
+        ("memory", "/", "cgroup", "rw,memory"),
+        ("systemd", "/", "cgroup", "rw,name=systemd"),
+    )
+    groups.limit("cpu/cpu.cfs_quota_us", "-1")
+    groups.limit("cpu/cpu.cfs_period_us", "100000")
+    groups.limit("cpu/batch/job/cpu.cfs_quota_us", "100000")
+    groups.limit("cpu/batch/job/cpu.cfs_period_us", "50000")
+    groups.limit("memory/memory.limit_in_bytes", "9223372036854771712")
+    groups.limit("memory/batch/memory.limit_in_bytes", "2097152")
+    assert available_processors() == 2
+    assert machine_memory() == 2.0**21
+
+
+@pytest.mark.parametrize("own", ["/docker/b5", "/", "/../elsewhere"])
+def test_the_limit_of_a_container_is_found_where_its_group_is_mounted_as_the_whole_tree(groups, own):
+    root = "/docker/b5" if own.startswith("/docker") else "/"
+    groups.say(f"0::{own}\n", ("inside", root, "cgroup2", "rw"))
+    groups.limit("inside/cpu.max", "400000 100000")
+    groups.limit("inside/memory.max", "3145728")
+    assert available_processors() == 4
+    assert machine_memory() == 3.0 * 2.0**20
+
+
+@pytest.mark.parametrize(
+    ("quota", "processors"), [("50000 100000", 1), ("150000 100000", 1), ("-1 100000", 16), ("?", 16)]
+)
+def test_a_process_has_the_whole_processors_of_its_quota_and_one_at_least(groups, quota, processors):
+    groups.say("0::/\n", ("two", "/", "cgroup2", "rw"))
+    groups.limit("two/cpu.max", quota)
+    assert available_processors() == processors
+
+
+@pytest.mark.parametrize(
+    ("asked", "processors"),
+    [("1", 1), ("3", 3), (" 5 ", 5), ("4,2", 4), ("64", 16), ("0", 16), ("-2", 16), ("all", 16), ("", 16)],
+)
+def test_omp_num_threads_bounds_the_threads_and_a_word_without_a_number_does_not(
+    groups, monkeypatch, asked, processors
+):
+    groups.say("0::/\n", ("two", "/", "cgroup2", "rw"))
+    monkeypatch.setenv("OMP_NUM_THREADS", asked)
+    assert available_processors() == processors == process().workers
+
+
+def test_threads_are_as_many_as_the_processors_that_may_be_used(groups, monkeypatch):
+    groups.say("0::/\n", ("two", "/", "cgroup2", "rw"))
+    for asked in (1, 2, 3):
+        monkeypatch.setenv("OMP_NUM_THREADS", str(asked))
+        together = threading.Barrier(asked)  # broken unless so many wait at once
+
+        def work(_: int, together=together, names=(names := set())) -> None:
+            names.add(threading.get_ident())
+            together.wait(timeout=30.0)
+
+        in_threads(work, range(2 * asked))
+        assert len(names) == asked
+
+
+def test_a_system_that_says_nothing_of_itself_limits_nothing(groups):
+    execution._control_groups.cache_clear()
+    assert execution._control_groups("cpu") == [Path("/sys/fs/cgroup/cpu"), Path("/sys/fs/cgroup")]
+
+
+def test_a_command_takes_one_thread_for_linear_algebra():
+    ask = "import os, sys; sys.argv[1:] = ['version']\nfrom sightline.cli.main import main\n"
+    ask += "assert 'numpy' not in sys.modules\ntry:\n    main()\nexcept SystemExit:\n    pass\n"
+    ask += "import numpy, threadpoolctl\nnumpy.linalg.inv(numpy.eye(2))\n"
+    ask += "print({lib['num_threads'] for lib in threadpoolctl.threadpool_info()})"
+    environment = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    ran = subprocess.run(
+        [sys.executable, "-c", ask], env=environment, capture_output=True, text=True, check=True
+    )
+    assert ran.stdout.splitlines()[-1] == "{1}"

@@ -10,11 +10,14 @@ This file does not cut work into items: each caller knows its own.
 from __future__ import annotations
 
 import os
+import re
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from functools import wraps
+from contextlib import suppress
+from functools import cache, wraps
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, Self, TypeVar
 
@@ -29,6 +32,12 @@ Arguments = ParamSpec("Arguments")
 
 # Items submitted and not yet consumed, per worker: enough to keep all busy, few enough to bound memory.
 _IN_FLIGHT_PER_WORKER = 3
+
+#: What libraries of linear algebra read when they are loaded; more particular than OMP_NUM_THREADS.
+BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
+# What the system says of this process.
+_PROC = Path("/proc/self")
 
 
 class Executor(Protocol):
@@ -247,16 +256,13 @@ def one_blas_thread(function: Callable[Arguments, Result]) -> Callable[Arguments
 
 
 def machine_memory() -> float:
-    """Bytes of memory that this process may use; inf where the system does not tell."""
-    limits = []
-    try:
+    """Bytes of memory that this process may use; inf where the system does not say.
+
+    The least of the machine's and the limits of every control group it is in.
+    """
+    limits = _control_limits("memory", ("memory.max", "memory.limit_in_bytes"), float)
+    with suppress(AttributeError, OSError, ValueError):  # not a POSIX system
         limits.append(float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES")))
-    except (AttributeError, OSError, ValueError):
-        pass  # not a POSIX system
-    try:
-        limits.append(float(Path("/sys/fs/cgroup/memory.max").read_text()))
-    except (OSError, ValueError):
-        pass  # no container, or one without a limit ("max")
     return min(limits, default=float("inf"))
 
 
@@ -285,10 +291,71 @@ class CpuClock:
 
 
 def available_processors() -> int:
-    """Processors that this process may use."""
+    """Processors that this process may use, hence how many threads or processes it starts; at least 1.
+
+    The least of those that the system lets it run on, the whole ones within the quota of every control group
+    it is in (a container with 1.5 processors has 1), and ``OMP_NUM_THREADS``.
+    """
     if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
+        counts = [len(os.sched_getaffinity(0))]
+    else:
+        counts = [os.cpu_count() or 1]
+    counts += [int(quota) for quota in _control_limits("cpu", ("cpu.max", "cpu.cfs_quota_us"), _processors)]
+    asked = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()  # "4,2": two nested levels
+    if asked.isdecimal() and int(asked) > 0:
+        counts.append(int(asked))
+    return max(1, min(counts))
+
+
+def _processors(text: str) -> float:
+    """Processors of ``QUOTA PERIOD``, both in microseconds; inf for a quota of -1, which is none."""
+    quota, period = map(float, text.split())
+    return quota / period if quota > 0.0 < period else float("inf")
+
+
+def _control_limits(controller: str, names: tuple[str, str], parsed: Callable[[str], float]) -> list[float]:
+    """Finite limits of one controller on this process: of its control group and of all those around it.
+
+    `names` are those of the file with the limit in version 2 and in version 1 of control groups.
+    """
+    limits = []
+    for folder in _control_groups(controller):
+        for name in names:
+            with suppress(OSError, ValueError):  # no such file, or "max": no limit
+                text = (folder / name).read_text()
+                if name == "cpu.cfs_quota_us":  # its period is in a file of its own
+                    text += (folder / "cpu.cfs_period_us").read_text()
+                limits.append(parsed(text))
+    return [limit for limit in limits if isfinite(limit)]
+
+
+@cache
+def _control_groups(controller: str) -> list[Path]:
+    """Folders of the control groups that limit this process, of both versions, from inside to outside."""
+    top = Path("/sys/fs/cgroup")
+    folders = []
+    with suppress(OSError, ValueError, IndexError):  # not Linux
+        # lines "number:controllers:group"; the number is 0 and the controllers are none in version 2
+        groups = [line.split(":", 2)[1:] for line in (_PROC / "cgroup").read_text().splitlines()]
+        own = {name: group for names, group in groups for name in names.split(",")}
+        for line in (_PROC / "mountinfo").read_text().splitlines():
+            place, _, kind = line.partition(" - ")
+            root, mounted = (_unescaped(word) for word in place.split()[3:5])
+            system, _, options = kind.split(maxsplit=2)
+            name = {"cgroup2": "", "cgroup": controller}.get(system)
+            if name is None or name not in own or (name and name not in options.split(",")):
+                continue
+            # what is mounted may be a part of the tree that our group lies in, as in a container
+            group = Path("/", own[name])
+            inside = group.relative_to(root) if group.is_relative_to(root) else Path()
+            folders += [Path(mounted, part) for part in (inside, *inside.parents)]
+    # where the tables do not show them: the usual places
+    return list(dict.fromkeys([*folders, top / controller, top]))
+
+
+def _unescaped(word: str) -> str:
+    """A path of ``mountinfo``, whose blanks are written ``\\040``."""
+    return re.sub(r"\\([0-7]{3})", lambda found: chr(int(found[1], 8)), word)
 
 
 def in_threads(
@@ -320,7 +387,7 @@ def _limit_blas_of_this_process() -> None:
     """One thread for the linear algebra of a fresh process, whether numpy is loaded yet or not."""
     from threadpoolctl import threadpool_limits
 
-    for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    for variable in ("OMP_NUM_THREADS", *BLAS_THREADS):
         os.environ[variable] = "1"
     threadpool_limits(limits=1, user_api="blas")
 

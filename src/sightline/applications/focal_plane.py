@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.estimation.prior import Matern, Spectrum
+from sightline.execution import one_blas_thread
 from sightline.motion.layout_information import (
     BlindFrequency,
     CommonLags,
@@ -281,6 +282,7 @@ class LayoutChoice:
         return self.ranked[0]
 
 
+@one_blas_thread
 def choose_layout(
     focal_plane: FocalPlane,
     passband: Sequence[float],

@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sightline.errors import InputError
+from sightline.execution import one_blas_thread
 from sightline.tdi.choose import FREE, LIMITS, TdiChoice, choose_settings, merit_of
 from sightline.tdi.hysteresis import SteadyChoice, steady_choice
 from sightline.tdi.merit import (
@@ -197,6 +198,7 @@ class TdiResult:
     comparison: str | None = None
 
 
+@one_blas_thread
 def choose_tdi(problem: TdiProblem) -> TdiResult:
     """Choose the number of TDI stages and the integration ratio of every column and signal.
 

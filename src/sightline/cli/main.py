@@ -8,6 +8,7 @@ What a command does is in its own file, named like it.
 from __future__ import annotations
 
 import io
+import os
 import signal
 import sys
 from types import FrameType
@@ -32,6 +33,7 @@ from sightline.cli import (
 from sightline.cli.output import published
 from sightline.cli.terminal import Interrupted, complain, warnings_as_messages
 from sightline.errors import EstimationError, GeometryError, SightlineError
+from sightline.execution import BLAS_THREADS
 
 # Named through typer, because its newer versions carry a click of their own.
 _UsageError: Any = typer.BadParameter.__base__
@@ -99,6 +101,9 @@ def main(arguments: list[str] | None = None) -> None:
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without some letter shows its number
             stream.reconfigure(errors="backslashreplace")
+    # before numpy is loaded; why: docs/decisions/0006-one-thread-for-linear-algebra.md
+    for variable in BLAS_THREADS:
+        os.environ.setdefault(variable, "1")
     sys.exit(run([word for word in words if word != "--debug"], debug=debug))
 
 

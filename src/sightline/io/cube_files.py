@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.execution import silent
+from sightline.execution import available_processors, silent
 from sightline.io.names import file_stem
 from sightline.io.registered import TILE, optimise
 from sightline.products.cube_bands import BandLayout
@@ -133,7 +133,8 @@ class CubeFolder:
             written += self._write_tiffs(tell)
         if "zarr" in self.formats:
             tell("writing Zarr", 0, 1)
-            written.append(self._write_zarr())
+            with _zarr().config.set({"threading.max_workers": available_processors()}):
+                written.append(self._write_zarr())
         if "envi" in self.formats:
             tell("writing ENVI", 0, 1)
             written += self._write_envi()

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.registration import Registration
+from sightline.execution import available_processors
 from sightline.imaging.source import ImageSource
 from sightline.io.acquired import Acquisition
 from sightline.io.images import open_image, raster_errors
@@ -278,5 +279,5 @@ def optimise(draft: Path, path: Path, dtype: np.dtype[Any]) -> None:
     with whole_raster(path) as made:
         rasterio.shutil.copy(
             draft, made, driver="COG", COMPRESS="DEFLATE", LEVEL="1", PREDICTOR="YES", BLOCKSIZE=str(TILE),
-            BIGTIFF="IF_SAFER", OVERVIEW_RESAMPLING="AVERAGE", NUM_THREADS="ALL_CPUS",
+            BIGTIFF="IF_SAFER", OVERVIEW_RESAMPLING="AVERAGE", NUM_THREADS=str(available_processors()),
         )  # fmt: skip
