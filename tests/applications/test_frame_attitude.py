@@ -153,4 +153,7 @@ def test_the_command_recovers_frames_and_writes_one_row_per_frame(tmp_path):
     assert rows[0].startswith("t,roll,pitch,yaw,sigma_roll") and len(rows) == 6
     summary = json.loads((result / "summary.json").read_text())
     assert summary["residual_rms_px"] < 0.05
+    squares = [pair["kept"] * pair["rms_after_px"] ** 2 for pair in summary["pairs"] if pair["kept"]]
+    square = sum(squares) / summary["matches"]["kept"]
+    np.testing.assert_allclose(summary["residual_rms_px"] ** 2, square, rtol=1e-12)
     assert (result / "report.html").stat().st_size > 100_000

@@ -11,7 +11,7 @@ import numpy as np
 
 from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.io.hidden import read_hidden
-from sightline.io.results import _unused, on_another_body
+from sightline.io.results import _unused, on_another_body, summarize
 from sightline.io.tables import read_attitudes, read_motion
 from sightline.motion.sensors import AttitudeSensor
 
@@ -112,6 +112,32 @@ def test_the_summary_says_what_the_contract_asks_for(recovery):
     assert {"lag", "tried", "kept", "rejected", "rms_before_px", "rms_after_px"} <= set(summary["pairs"][0])
     assert {"value", "sigma", "prior_sigma", "unit"} <= set(summary["statics"][0])
     assert summary["wall_seconds"] > 0.0 and summary["peak_memory_bytes"] > 1e7 and summary["version"]
+
+
+def rms_of_pairs(summary: dict, name: str) -> float:
+    """Root mean square over all pairs, from that of each."""
+    squares = [pair["kept"] * pair[name] ** 2 for pair in summary["pairs"] if pair["kept"]]
+    return float(np.sqrt(sum(squares) / summary["matches"]["kept"]))
+
+
+def test_residuals_count_the_windows_kept_and_those_rejected_apart(recovery):
+    result, first = recovery.result, recovery.result.records[0]
+    both = zip(result.records, result.after_px, strict=True)
+    kept = [np.where(record.star.present[..., None], px, np.nan) for record, px in both]
+    none = summarize(replace(result, after_px=tuple(kept)), recovery.acquisition, wall_seconds=1.0)
+    assert none["residual_rms_rejected_px"] is None
+    # two windows that were found 3 and 4 px off, and therefore rejected
+    (a, b), weight = np.argwhere(first.star.present)[:2], first.star.weight.copy()
+    for place, size in ((tuple(a), 3.0), (tuple(b), 4.0)):
+        weight[place], kept[0][place] = 0.0, size
+    records = replace(first, star=replace(first.star, weight=weight)), *result.records[1:]
+    changed = replace(result, records=records, after_px=tuple(kept))
+    summary = summarize(changed, recovery.acquisition, wall_seconds=1.0)
+    np.testing.assert_allclose(summary["residual_rms_rejected_px"], np.sqrt((9.0 + 16.0) / 2.0), rtol=1e-12)
+    for key, name in (("residual_rms_px", "rms_after_px"), ("residual_rms_before_px", "rms_before_px")):
+        np.testing.assert_allclose(summary[key], rms_of_pairs(summary, name), rtol=1e-12)
+    assert summary["matches"]["kept"] == none["matches"]["kept"] - 2
+    assert summary["matches"]["tried"] == none["matches"]["tried"]
 
 
 def test_the_hashes_are_those_of_every_file_that_was_read(recovery):

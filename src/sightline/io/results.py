@@ -192,8 +192,9 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "median_sigma_px": _per_axis(np.median(result.sigma, axis=0) / result.scale),
         "max_sigma_px": _per_axis(result.sigma.max(axis=0) / result.scale),
         "observed_share": float(np.mean(result.observed)),
-        "residual_rms_px": _rms(result.after_px),
-        "residual_rms_before_px": _rms(result.before_px),
+        "residual_rms_px": _rms(result, result.after_px),
+        "residual_rms_before_px": _rms(result, result.before_px),
+        "residual_rms_rejected_px": _rms(result, result.after_px, rejected=True),
         "matches": _matches(result),
         "pairs": [_pair(result, k) for k in range(len(result.pairs))],
         "statics": [vars(static) for static in result.statics],
@@ -255,10 +256,16 @@ def _name(names: Sequence[str], pair: tuple[int, int]) -> str:
     return " - ".join(names[image] for image in pair)
 
 
-def _rms(residuals: tuple[Array, ...]) -> float | None:
-    """Root mean square of all finite residuals, px; None if there are none."""
-    finite = [part[np.isfinite(part)] for part in residuals]
-    values = np.concatenate(finite) if finite else np.empty(0)
+def _rms(result: LineOfSight, residuals: tuple[Array, ...], *, rejected: bool = False) -> float | None:
+    """Root mean square of residuals (px): of the windows kept, or of those matched and then rejected.
+
+    None where there are no such windows.
+    """
+    parts = []
+    for record, part in zip(result.records, residuals, strict=True):
+        chosen = part[~record.star.present if rejected else record.star.present]
+        parts.append(chosen[np.isfinite(chosen)])
+    values = np.concatenate(parts) if parts else np.empty(0)
     return float(np.sqrt(np.mean(values**2))) if len(values) else None
 
 
