@@ -38,6 +38,9 @@ def test_score_prints_errors_in_px_and_an_honest_nees_as_json(result, capsys):
     score = json.loads(capsys.readouterr().out)
     assert score["lines"] == 4000
     assert score["hidden_directions_removed"][3] == "drift yaw"
+    assert score["left_out"] == [
+        "constant roll", "constant pitch", "constant yaw", "drift yaw (with a parabola of roll)",
+    ]  # fmt: skip
     # 4000 white samples: rms and sigma to 1.1 % (4 sd: 5 %), NEES to 2.2 % (4 sd: 9 %).
     assert score["roll"]["rms"] == pytest.approx(0.01, rel=0.05)
     assert score["pitch"]["rms"] == pytest.approx(0.02, rel=0.05)

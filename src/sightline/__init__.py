@@ -47,6 +47,7 @@ if TYPE_CHECKING:
     from sightline.imaging.tdi_transfer import Exposure
     from sightline.io.acquired import Acquisition
     from sightline.io.acquisition import load_acquisition
+    from sightline.io.hidden import remove_hidden
     from sightline.io.instrument import load_instrument
     from sightline.io.junocam import write_junocam_acquisition
     from sightline.io.sequence import load_sequence
@@ -154,6 +155,7 @@ _MODULE_OF = {
     "recover_line_of_sight": "sightline.applications.line_of_sight",
     "recover_spin_attitude": "sightline.applications.spin_attitude",
     "register_bands": "sightline.applications.registration",
+    "remove_hidden": "sightline.io.hidden",
     "score_motion": "sightline.evaluation.score",
     "sequence_case": "sightline.simulate.sequence",
     "stereo_case": "sightline.simulate.stereo",
@@ -245,6 +247,7 @@ __all__ = [
     "recover_line_of_sight",
     "recover_spin_attitude",
     "register_bands",
+    "remove_hidden",
     "score_motion",
     "sequence_case",
     "stereo_case",

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import InputError, SpanError
-from sightline.evaluation.score import effective_samples, remove_directions, score_motion
+from sightline.evaluation.score import effective_samples, remove_directions, score_motion, words_of_hidden
 
 T = np.linspace(0.0, 2.0, 4001)
 
@@ -62,6 +62,27 @@ def test_a_hidden_direction_that_ties_two_axes_is_removed_from_both_together():
     alone[:, 0] = -along[:, 0]
     left = scored(alone, sigma, hidden=tied)
     assert left.roll.rms > 1.9 * 1e6 * np.std(along[:, 0])
+
+
+def test_hidden_directions_are_named_with_what_they_bring_on_other_axes():
+    rate = 6800.0 / 680e3  # V / H, 1/s
+    directions = np.zeros((4001, 3, 5))
+    directions[:, 0, 0] = 1.0
+    directions[:, 1, 0] = 1e-4 * np.sin(T)  # of no size beside the constant
+    directions[:, 2, 1], directions[:, 0, 1] = 1.0, -rate * T  # the crab angle: docs/theory/s1.md (21)
+    directions[:, 2, 2], directions[:, 0, 2] = T, -0.5 * rate * T**2  # (22)
+    directions[:, 1, 3], directions[:, 2, 3] = T - 1.0, 30.0 * np.sin(9.0 * T)
+    directions[:, 2, 4] = T
+    names = ("constant of roll", "constant of yaw", "drift of yaw", "drift of pitch", "drift of yaw")
+    said = words_of_hidden(names, T, directions, ifov=5e-6, half_field_px=500.0)
+    assert said == (
+        "constant of roll",
+        "constant of yaw (with a drift of roll)",
+        "drift of yaw (with a parabola of roll)",
+        "drift of pitch (with a curve of yaw)",
+        "drift of yaw",
+    )
+    assert words_of_hidden(("drift of yaw",), T[:2], directions[:2, :, 2:3]) == ("drift of yaw",)
 
 
 def test_the_truth_may_be_sampled_otherwise_than_the_result():

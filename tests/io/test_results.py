@@ -8,11 +8,15 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from sightline.cli.score import score_folder
+from sightline.errors import FormatError, InputError, SpanError
 from sightline.geometry.surface import Ellipsoid, Plane
-from sightline.io.hidden import read_hidden
+from sightline.geometry.trajectory import Motion
+from sightline.io.hidden import read_hidden, remove_hidden
 from sightline.io.results import _unused, on_another_body, summarize
-from sightline.io.tables import read_attitudes, read_motion
+from sightline.io.tables import read_attitudes, read_columns, read_motion
 from sightline.motion.sensors import AttitudeSensor
 
 HEADER = (
@@ -92,6 +96,55 @@ def test_the_hidden_directions_are_written_on_the_lines(recovery):
     hidden, names = read_hidden(recovery.folder, summary, 640)
     assert names == recovery.result.hidden_names
     np.testing.assert_allclose(hidden, recovery.result.hidden, rtol=1e-8, atol=1e-12)
+
+
+def test_what_was_left_out_is_named_and_given_beside_the_hidden_directions(recovery):
+    # offsets and rotations of the bands are free in this scene: docs/theory/s1.md, section 7
+    assert recovery.summary["hidden_directions"]["words"] == [
+        "constant of roll", "constant of pitch", "constant of yaw",
+        "drift of roll", "drift of pitch", "drift of yaw (with a parabola of roll)",
+    ]  # fmt: skip
+    columns = [f"left out {axis}" for axis in ("roll", "pitch", "yaw")]
+    table = read_columns(recovery.folder / "hidden.csv", columns)
+    left_out = np.column_stack([table[column] for column in columns])
+    motion, result = read_motion(recovery.folder / "motion.csv"), recovery.result
+    kept = remove_hidden(recovery.folder / "motion.csv", recovery.folder)
+    # nine digits of a direction are 5e-9 of it, and yaw holds two of about its own size
+    np.testing.assert_allclose(motion.angles - left_out, kept, atol=1e-8 * np.abs(motion.angles).max())
+    in_px = np.sqrt((kept**2).mean(axis=0)) / result.scale
+    np.testing.assert_allclose(in_px, list(recovery.summary["rms_motion_px"].values()), rtol=1e-6)
+
+
+def test_the_same_is_taken_from_a_truth_of_ones_own_as_score_takes(recovery):
+    folder, truth = recovery.folder, recovery.scene / "truth.csv"
+    found, true = remove_hidden(folder / "motion.csv", folder), remove_hidden(truth, folder)
+    error = (found - true) * [1.0 / 5e-6, 1.0 / 5e-6, 159.5]
+    scored = score_folder(folder, truth)
+    for k, axis in enumerate(("roll", "pitch", "yaw")):
+        np.testing.assert_allclose(np.sqrt(np.mean(error[:, k] ** 2)), scored[axis]["rms"], rtol=1e-6)
+    # the hidden part of the truth does not matter; a drift of yaw without its parabola of roll would
+    t, hidden = recovery.result.motion.t, recovery.result.hidden
+    table = read_motion(truth)
+    at_lines = Motion(table.t, table.angles).at(t)
+    moved = at_lines + hidden @ (1e-5 * np.arange(1.0, 7.0))
+    np.testing.assert_allclose(remove_hidden(moved, folder), true, atol=1e-12)
+    alone = at_lines + np.stack([0.0 * t, 0.0 * t, 1e-3 * t], axis=1)
+    # -(V / 2H) rate t^2 of roll, over 0.16 s to either side of the middle; the fit takes a part of it
+    parabola = 0.5 * 6800.0 / 680e3 * 1e-3 * 0.16**2
+    assert np.abs(remove_hidden(alone, folder) - true)[:, 0].max() > 0.25 * parabola
+    np.testing.assert_allclose(remove_hidden(Motion(table.t, table.angles), folder), true, rtol=1e-12)
+
+
+def test_a_motion_that_does_not_fit_the_result_is_refused(recovery, tmp_path):
+    t, angles = recovery.result.motion.t, recovery.result.motion.angles
+    with pytest.raises(InputError, match="`motion` must be 640 rows of three finite angles"):
+        remove_hidden(angles[:-1], recovery.folder)
+    with pytest.raises(InputError, match="three finite angles"):
+        remove_hidden(np.where(t[:, None] > t[5], np.nan, angles), recovery.folder)
+    with pytest.raises(SpanError, match="give a truth that covers every line of the result"):
+        remove_hidden(Motion(t[:-9], angles[:-9]), recovery.folder)
+    with pytest.raises(FormatError, match=r"motion\.csv"):
+        remove_hidden(angles, tmp_path)
 
 
 def test_the_summary_says_what_the_contract_asks_for(recovery):

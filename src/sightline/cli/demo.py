@@ -89,19 +89,19 @@ def demo(
         both = {"score": scored, "summary": summary, "tdi": settings}
         print_json(both | {"report": out / "result" / "report.html"})
     else:
-        _tell(out, scored)
+        _tell(out, scored, summary)
         say("TDI stages and integration time for a detector that moves like this strip did:")
         tell(settings)
         say(f"report  {out / 'tdi' / 'report.html'}")
 
 
-def _tell(out: Path, scored: dict[str, Any]) -> None:
+def _tell(out: Path, scored: dict[str, Any], summary: dict[str, Any]) -> None:
     """The score as a small table, and where to look next."""
     from sightline.cli.terminal import say
+    from sightline.report.words import grouped
 
-    removed = scored["hidden_directions_removed"]
-    kinds = " and ".join(dict.fromkeys(f"a {name.partition(' of ')[0]}" for name in removed))
-    say(f"against the truth, which the estimate never saw; {kinds} per axis, unseen by images, left out:")
+    say("against the truth, which the estimate never saw; left out, as images do not see it:")
+    say(f"  {grouped(summary['hidden_directions']['words'])}")
     for axis in ("roll", "pitch", "yaw"):
         found = scored[axis]
         say(

@@ -34,7 +34,9 @@ def recover(
     from sightline.applications.strip import RecoverOptions
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.io.hidden import TABLE
     from sightline.io.results import RESULT_FILES
+    from sightline.report.words import grouped
 
     RecoverOptions(method=method)  # a word that is none is refused before anything is read
     # a file of another acquisition beside this motion.csv would be taken for a part of the same result
@@ -52,9 +54,8 @@ def recover(
         motion, sigma = summary["rms_motion_px"][axis], summary["rms_sigma_px"][axis]
         say(f"{axis:5}  moved {motion:.4f} {unit} rms, known to {sigma:.4f} px (1-sigma)")
     if summary["hidden_directions"]:
-        names = summary["hidden_directions"]["names"]
-        kinds = list(dict.fromkeys(name.partition(" of ")[0] for name in names))
-        say(f"(after what the images cannot see is left out: {' and '.join(kinds)})")
+        words = grouped(summary["hidden_directions"]["words"])
+        say(f"(after what the images cannot see is left out, by {out / TABLE}: {words})")
     if method != "joint":
         departure = summary["method"]["rms_departure_from_joint_px"]
         apart = ", ".join(f"{axis} {value:.4f}" for axis, value in departure.items())

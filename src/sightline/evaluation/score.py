@@ -10,6 +10,7 @@ Not here: reading the files (``io/hidden.py``, ``io/tables.py``), printing (``cl
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -29,6 +30,10 @@ AXES = ("roll", "pitch", "yaw")
 
 #: Two-sided 95 % point of the normal distribution.
 Z95 = 1.959963984540054
+
+#: Part of a hidden direction from which what it brings on another axis is named; of its power that a straight
+#: line, or a parabola, must explain to be called so.
+NAMED_SHARE, CURVED_SHARE = 0.01, 0.95
 
 #: Autocorrelation is summed up to this many of its own correlation times (Sokal's rule).
 WINDOW_OF_CORRELATION = 5.0
@@ -76,8 +81,8 @@ class Score:
     roll, pitch, yaw : AxisScore
     lines : int
         Compared.
-    hidden : tuple of str
-        Names of the directions that were removed.
+    hidden, left_out : tuple of str
+        Names of the directions that were removed, and these with what each brings on other axes.
     absolute : dict
         Axis -> score of the whole angle against its absolute sigma, where that is finite.
     """
@@ -87,6 +92,7 @@ class Score:
     yaw: AxisScore
     lines: int
     hidden: tuple[str, ...]
+    left_out: tuple[str, ...]
     absolute: dict[str, AxisScore]
 
     @property
@@ -101,6 +107,7 @@ class Score:
         return {
             "lines": self.lines,
             "hidden_directions_removed": list(self.hidden),
+            "left_out": list(self.left_out),
             **numbers,
             "absolute": whole,
         }
@@ -151,24 +158,18 @@ def score_motion(
     same_length(times, "t", stated, "sigma")
     _check_numbers(estimate, stated)
     truth = Motion(as_times(truth_t, "truth_t"), as_points(truth_angles, "truth_angles"))
-    if truth.t[0] > times[0] + 1e-9 or truth.t[-1] < times[-1] - 1e-9:
-        raise SpanError(
-            f"the truth spans [{truth.t[0]:.6g}, {truth.t[-1]:.6g}] s, the result [{times[0]:.6g}, "
-            f"{times[-1]:.6g}] s; give a truth that covers every line of the result"
-        )
     directions, names = _directions(hidden, hidden_names, len(times))
     units = _units(ifov, half_field_px)
-    # The fit is unweighted in these units: in rad, the far larger yaw alone would decide it.
-    per_rad = np.array([factor for _, factor in units])
-    raw = estimate - truth.at(np.clip(times, truth.t[0], truth.t[-1]))
-    error = remove_directions(raw * per_rad, directions * per_rad[:, None]) / per_rad
+    raw = estimate - at_lines(truth, times)
+    error = less_hidden(raw, directions, ifov=ifov, half_field_px=half_field_px)
     scored = [_score_axis(error[:, x], stated[:, x], *units[x]) for x in range(3)]
     absolute = {}
     if absolute_sigma is not None:
         whole = np.asarray(absolute_sigma, dtype=np.float64)
         tied = [x for x in range(3) if np.isfinite(whole[:, x]).all()]
         absolute = {AXES[x]: _score_axis(raw[:, x], whole[:, x], *units[x]) for x in tied}
-    return Score(scored[0], scored[1], scored[2], len(times), names, absolute)
+    words = words_of_hidden(names, times, directions, ifov=ifov, half_field_px=half_field_px)
+    return Score(scored[0], scored[1], scored[2], len(times), names, words, absolute)
 
 
 def score_result(result: LineOfSight, truth_t: ArrayLike, truth_angles: ArrayLike) -> Score:
@@ -185,6 +186,77 @@ def score_result(result: LineOfSight, truth_t: ArrayLike, truth_angles: ArrayLik
         ifov=result.ifov,
         half_field_px=result.half_field / result.ifov,
     )
+
+
+def at_lines(truth: Motion, t: Array) -> Array:
+    """The true angles (N, 3) rad at the lines of a result, `t` (N,) s; SpanError unless it covers them."""
+    if truth.t[0] > t[0] + 1e-9 or truth.t[-1] < t[-1] - 1e-9:
+        raise SpanError(
+            f"the truth spans [{truth.t[0]:.6g}, {truth.t[-1]:.6g}] s, the result [{t[0]:.6g}, "
+            f"{t[-1]:.6g}] s; give a truth that covers every line of the result"
+        )
+    return np.asarray(truth.at(np.clip(t, truth.t[0], truth.t[-1])))
+
+
+def less_hidden(
+    angles: Array, directions: Array, *, ifov: float | None = None, half_field_px: float | None = None
+) -> Array:
+    """`angles` (N, 3) rad less their hidden part, a least-squares fit by `directions` (N, 3, H).
+
+    One fit over all lines, unweighted in px (yaw at the field's edge; without an `ifov` in rad): in rad, the
+    far larger yaw alone would decide it.
+    """
+    per_rad = np.array([factor for _, factor in _units(ifov, half_field_px)])
+    return np.asarray(remove_directions(angles * per_rad, directions * per_rad[:, None]) / per_rad)
+
+
+def words_of_hidden(
+    names: Sequence[str],
+    t: Array,
+    directions: Array,
+    *,
+    ifov: float | None = None,
+    half_field_px: float | None = None,
+) -> tuple[str, ...]:
+    """Hidden directions with what they bring on other axes: "drift of yaw (with a parabola of roll)".
+
+    Parameters
+    ----------
+    names : sequence of str
+        One per direction; each names the axis it is of.
+    t : (N,)
+        s; of the lines.
+    directions : (N, 3, H)
+        rad.
+    ifov, half_field_px : float, optional
+        As of `score_motion`.
+
+    Notes
+    -----
+    What changes along the strip on another axis is named where it is `NAMED_SHARE` or more of the direction,
+    in px: constants are hidden anyway.
+    """
+    per_rad = np.array([factor for _, factor in _units(ifov, half_field_px)])
+    words = []
+    for name, direction in zip(names, np.moveaxis(directions * per_rad[:, None], 2, 0), strict=True):
+        whole = np.sqrt((direction**2).mean(axis=0).max())
+        others = [x for x in range(3) if AXES[x] not in name and "axes" not in name]
+        changing = direction - direction.mean(axis=0)
+        tied = [x for x in others if np.sqrt((changing[:, x] ** 2).mean()) >= NAMED_SHARE * whole > 0.0]
+        brought = " and ".join(f"a {_shape(t, changing[:, x])} of {AXES[x]}" for x in tied)
+        words.append(f"{name} (with {brought})" if brought else name)
+    return tuple(words)
+
+
+def _shape(t: Array, values: Array) -> str:
+    """What a curve (N,) of mean zero is: "drift", "parabola", or "curve"."""
+    u = (t - t.mean()) / max(float(np.abs(t - t.mean()).max()), 1e-300)
+    degrees = np.polynomial.legendre.legvander(u, min(2, len(t) - 1))
+    basis, _ = np.linalg.qr(degrees)
+    power = (basis.T @ values)[1:] ** 2 / (values @ values)
+    if power.sum() < CURVED_SHARE:
+        return "curve"
+    return "parabola" if len(power) > 1 and power[1] > 1.0 - CURVED_SHARE else "drift"
 
 
 def remove_directions(values: Array, directions: Array) -> Array:

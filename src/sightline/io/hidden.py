@@ -3,7 +3,7 @@
 ``hidden.csv`` holds them on the lines of ``motion.csv``, three columns per direction; ``summary.json``
 names them. A result of another program may put them straight into its ``summary.json``.
 
-Not here: what they are for (``evaluation/score.py``) and where they come from (``motion/joint.py``).
+Not here: how they are removed (``evaluation/score.py``) and where they come from (``motion/joint.py``).
 """
 
 from __future__ import annotations
@@ -14,18 +14,71 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import FormatError, InputError
+from sightline.evaluation.score import at_lines, constant_directions, less_hidden
+from sightline.geometry.trajectory import Motion
 from sightline.io.inputs import note
-from sightline.io.tables import ANGLES, read_columns, write_columns
+from sightline.io.tables import ANGLES, read_columns, read_motion, write_columns
 
 Array = NDArray[np.float64]
 
 TABLE = "hidden.csv"
+#: Begins the names of the columns that hold the hidden part of ``motion.csv``.
+LEFT_OUT = "left out"
 
 
-def write_hidden(folder: Path, t: Array, hidden: Array, names: Sequence[str]) -> dict[str, Any]:
+def remove_hidden(motion: Motion | ArrayLike | str | Path, folder: str | Path) -> Array:
+    """A motion less what the images of a result cannot tell, as `sightline score` compares it.
+
+    Parameters
+    ----------
+    motion : Motion, (N, 3) or path
+        A motion that covers the lines of the result, the angles at these lines (rad; roll, pitch, yaw), or a
+        CSV file with the columns ``t,roll,pitch,yaw``: a truth, another estimate, or the result's own
+        ``motion.csv``.
+    folder : str or Path
+        Of the result, with its ``motion.csv``, ``summary.json`` and ``hidden.csv``.
+
+    Returns
+    -------
+    (N, 3)
+        rad; at the lines of ``motion.csv``. The hidden directions (constants, drifts, and what they bring on
+        other axes, such as the parabola of roll of a drift of yaw) are fitted to the motion over all lines,
+        by least squares in px (yaw at the field's edge), and taken off. The difference of two such motions
+        is the error that the sigmas of the result speak of.
+
+    Raises
+    ------
+    FormatError
+        If a file is missing or not of its form.
+    InputError
+        If an array does not have one row per line of the result.
+    SpanError
+        If the motion does not cover the lines of the result.
+    """
+    place = Path(folder)
+    t, summary = read_motion(place / "motion.csv").t, read_summary(place)
+    if isinstance(motion, str | Path):
+        table = read_motion(Path(motion))
+        motion = Motion(table.t, table.angles)
+    angles = at_lines(motion, t) if isinstance(motion, Motion) else np.asarray(motion, dtype=np.float64)
+    if angles.shape != (len(t), 3) or not np.isfinite(angles).all():
+        raise InputError(
+            f"`motion` must be {len(t)} rows of three finite angles, one per line of {place / 'motion.csv'}; "
+            f"got shape {angles.shape}; give a Motion if it is sampled otherwise"
+        )
+    hidden = read_hidden(place, summary, len(t))
+    directions = constant_directions(len(t)) if hidden is None else hidden[0]
+    return less_hidden(
+        angles, directions, ifov=summary.get("ifov"), half_field_px=summary.get("half_field_px")
+    )
+
+
+def write_hidden(
+    folder: Path, t: Array, hidden: Array, names: Sequence[str], left_out: Array | None = None
+) -> dict[str, Any]:
     """Write ``hidden.csv`` and give the value of ``hidden_directions`` for ``summary.json``.
 
     Parameters
@@ -38,6 +91,8 @@ def write_hidden(folder: Path, t: Array, hidden: Array, names: Sequence[str]) ->
         rad, of any size; roll, pitch, yaw of each direction.
     names : sequence of str
         One per direction.
+    left_out : (N, 3), optional
+        rad; what ``motion.csv`` holds of all directions together.
     """
     if hidden.shape != (len(t), 3, len(names)):
         raise InputError(f"`hidden` must have shape ({len(t)}, 3, {len(names)}); got {hidden.shape}")
@@ -45,7 +100,8 @@ def write_hidden(folder: Path, t: Array, hidden: Array, names: Sequence[str]) ->
     for k, name in enumerate(names):
         for axis in range(3):
             columns[f"{name} {ANGLES[axis]}"] = hidden[:, axis, k]
-    write_columns(folder / TABLE, columns)
+    own = {} if left_out is None else {f"{LEFT_OUT} {name}": left_out[:, k] for k, name in enumerate(ANGLES)}
+    write_columns(folder / TABLE, columns | own, dict.fromkeys(own, "%.12g"))
     return {"table": TABLE, "names": list(names)}
 
 

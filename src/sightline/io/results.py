@@ -22,7 +22,7 @@ from sightline.applications.results import LineOfSight
 from sightline.applications.spin_attitude import SpinAttitude
 from sightline.evaluation.error_spectrum import error_psd
 from sightline.evaluation.observed import observed
-from sightline.evaluation.score import remove_directions
+from sightline.evaluation.score import less_hidden, remove_directions, words_of_hidden
 from sightline.evaluation.tone_errors import judged_tones
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.earth import WGS84
@@ -96,7 +96,11 @@ def write_result(
     if isinstance(result, SpinAttitude):
         summary["spin"] = spin_summary(result, acquisition.chip.names)
     if result.hidden.shape[2]:
-        summary["hidden_directions"] = write_hidden(folder, motion.t, result.hidden, result.hidden_names)
+        field = {"ifov": result.ifov, "half_field_px": acquisition.half_field_px}
+        left_out = motion.angles - less_hidden(motion.angles, result.hidden, **field)
+        entry = write_hidden(folder, motion.t, result.hidden, result.hidden_names, left_out)
+        words = words_of_hidden(result.hidden_names, motion.t, result.hidden, **field)
+        summary["hidden_directions"] = entry | {"words": list(words)}
         if result.hidden_covariance is not None:
             summary["hidden_directions"]["covariance"] = result.hidden_covariance.tolist()
     _write_spectrum(folder / "spectrum.csv", result, summary["passbands"])

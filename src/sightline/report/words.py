@@ -17,6 +17,7 @@ from sightline.applications.results import LineOfSight
 from sightline.applications.spin_attitude import SpinAttitude
 from sightline.evaluation.band_words import passband_words
 from sightline.evaluation.observed import SEEN_TONE_PX
+from sightline.evaluation.score import words_of_hidden
 from sightline.geometry.camera import FrameCamera
 from sightline.motion.tones import DetectedTone, lowest_sought
 from sightline.report.motion_figures import FEW_EPOCHS, visible_motion_px
@@ -323,13 +324,24 @@ def _hidden(result: LineOfSight) -> str:
             unknown = "rate and axis of the spin and an unknown lens"
         imitated = f", and unknown {unknown} imitate the rest"
     return (
-        f"Images compared with each other cannot tell {_grouped(result.hidden_names)}: a constant changes "
+        f"Images compared with each other cannot tell {grouped(_left_out(result))}: a constant changes "
         f"nothing between them{imitated}; {known}. Figures and sigmas here are of the motion less "
         "this hidden part."
     )
 
 
-def _grouped(names: Sequence[str]) -> str:
+def _left_out(result: LineOfSight) -> tuple[str, ...]:
+    """Hidden directions of a result, each with what it brings on other axes."""
+    return words_of_hidden(
+        result.hidden_names,
+        result.motion.t,
+        result.hidden,
+        ifov=result.ifov,
+        half_field_px=result.half_field / result.ifov,
+    )
+
+
+def grouped(names: Sequence[str]) -> str:
     """Names such as ``constant of roll`` and ``constant of pitch`` as ``a constant of roll and pitch``."""
     groups: dict[str, list[str]] = {}
     for name in names:
