@@ -89,7 +89,7 @@ def _link(path, to):
     path.symlink_to(to, target_is_directory=True)
 
 
-@pytest.mark.parametrize("stages", [False, True], ids=["recover", "georeference"])
+@pytest.mark.parametrize("resume", [None, False, True], ids=["recover", "georeference", "--resume"])
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize(
     "lay",
@@ -113,14 +113,14 @@ def _link(path, to):
         "somebody's staging", "a pipe",
     ],
 )  # fmt: skip
-def test_what_was_not_made_by_us_is_neither_followed_nor_emptied(tmp_path, lay, overwrite, stages):
+def test_what_was_not_made_by_us_is_neither_followed_nor_emptied(tmp_path, lay, overwrite, resume):
     data, out = tmp_path / "data", tmp_path / "out"
     write(data, {"a.txt": "precious"})
     out.mkdir()
     lay(out, data)
     kept = {name: text for name, text in content(out).items()}
     try:
-        with output_folder(out, overwrite=overwrite, stages=stages, anew=overwrite) as staging:
+        with output_folder(out, overwrite=overwrite, resume=resume) as staging:
             write(staging, {"motion.csv": "new"})
     except InputError as error:
         assert ".partial" in str(error)
@@ -142,12 +142,12 @@ def test_a_command_without_stages_leaves_those_of_another_alone(tmp_path):
 
 def test_finished_stages_outlive_a_run_that_failed_and_end_with_one_that_did_not(tmp_path):
     folder = tmp_path / "out"
-    with pytest.raises(RuntimeError), output_folder(folder, stages=True) as staging:
+    with pytest.raises(RuntimeError), output_folder(folder, resume=False) as staging:
         write(stages_folder(folder), {"follow.stage.npz": "1", "poses.stage.npz.tmp": "half"})
         write(staging, {"poses.csv": "half"})
         raise RuntimeError
     assert names(folder) == [".partial"]
-    with output_folder(folder, stages=True) as staging:
+    with output_folder(folder, resume=False) as staging:
         assert "follow.stage.npz" in names(stages_folder(folder))
         write(staging, {"poses.csv": "whole"})
     assert content(folder) == {"poses.csv": "whole"}
@@ -155,10 +155,20 @@ def test_finished_stages_outlive_a_run_that_failed_and_end_with_one_that_did_not
 
 def test_overwriting_anew_forgets_finished_stages(tmp_path):
     write(stages_folder(tmp_path), {"follow.stage.npz": "1"})
-    with output_folder(tmp_path, overwrite=True, stages=True, anew=True) as staging:
+    with output_folder(tmp_path, overwrite=True, resume=False) as staging:
         assert not stages_folder(tmp_path).exists()
         write(staging, {"poses.csv": "whole"})
     assert content(tmp_path) == {"poses.csv": "whole"}
+
+
+def test_stages_of_inputs_that_changed_are_not_gone_on_from(tmp_path):
+    file, folder = tmp_path / "PAN.tif", tmp_path / "out"
+    file.write_text("first")
+    with pytest.raises(InputError, match="changed while it was read"), output_folder(folder, resume=False):
+        note(file)
+        write(stages_folder(folder), {"follow.stage.npz": "of both"})
+        file.write_text("second")
+    assert names(tmp_path) == ["PAN.tif"]
 
 
 def test_other_files_of_a_folder_that_is_written_anew_stay(tmp_path):

@@ -13,6 +13,7 @@ import struct
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import BinaryIO
@@ -34,7 +35,7 @@ _WHOLE_NUMBERS = {3: "H", 4: "L", 16: "Q"}
 #: How the raster library begins the line of its log that tells of an error.
 _GDAL_ERROR = "GDAL signalled an error"
 
-_scratch: list[Path] = []
+_scratch: ContextVar[Path | None] = ContextVar("_scratch", default=None)
 
 
 @contextmanager
@@ -205,18 +206,18 @@ def in_bytes(size: float) -> str:
 @contextmanager
 def scratch_in(folder: Path) -> Iterator[None]:
     """Scratch files of the block go below `folder`, unless the user says where by TMPDIR."""
-    _scratch.append(folder)
+    before = _scratch.set(folder)
     try:
         yield
     finally:
-        _scratch.pop()
+        _scratch.reset(before)
 
 
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
     """A folder for scratch files, removed at the end; errors of the system without a file name name it."""
     chosen = any(os.environ.get(name) for name in _SCRATCH_VARIABLES)
-    place = _scratch[-1] if _scratch and not chosen else None
+    place = None if chosen else _scratch.get()
     with tempfile.TemporaryDirectory(prefix="sightline-", dir=place) as folder:
         try:
             yield Path(folder)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -78,10 +76,10 @@ def georeference(
     from sightline.io.sequence import read_sequence
 
     begun = time.perf_counter()
-    place = output_folder(
-        out, overwrite=overwrite, earlier=earlier_cube, stages=True, anew=overwrite and not resume
-    )
-    with place as folder, stages_kept(stages_folder(out), asked=resume), progress() as report:
+    with (
+        output_folder(out, overwrite=overwrite, earlier=earlier_cube, resume=resume) as folder,
+        progress() as report,
+    ):
         stages = Stages(stages_folder(out), lambda text: complain("warning", text))
         report(f"reading {file}")
         sequence = read_sequence(file)
@@ -101,29 +99,6 @@ def georeference(
         complain("warning", warning)
     tell(sequence, found, summary)
     say(f"{out / 'poses.csv'}, {out / 'report.html'}")
-
-
-@contextmanager
-def stages_kept(folder: Path, *, asked: bool) -> Iterator[None]:
-    """Where a run ends early, say where its finished stages are and how to go on from them.
-
-    Where one goes on from those of another, say so unless it was `asked` for.
-    """
-    from sightline.cli.terminal import Interrupted, complain
-
-    if folder.is_dir() and not asked:
-        complain("note", f"goes on from the finished stages in {folder}; --overwrite would begin anew")
-    try:
-        yield
-    except BaseException as error:
-        kept = (
-            f"finished stages wait in {folder}; the same command, with --resume or without, goes on from them"
-        )
-        if isinstance(error, KeyboardInterrupt):
-            raise Interrupted(kept if folder.is_dir() else "no stage was finished") from error
-        if folder.is_dir():
-            complain("note", kept)
-        raise
 
 
 def write_georeferenced(

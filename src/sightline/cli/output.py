@@ -54,8 +54,7 @@ def output_folder(
     *,
     overwrite: bool = False,
     earlier: Callable[[Path], Iterable[str]] = _nothing,
-    stages: bool = False,
-    anew: bool = False,
+    resume: bool | None = None,
 ) -> Iterator[Path]:
     """Folder to write into, whose files appear in `folder` when the block ends without an exception.
 
@@ -71,11 +70,10 @@ def output_folder(
     earlier
         Names, below `folder`, of what an earlier result there is made of: of these, what is not written again
         goes too.
-    stages
-        The command keeps finished stages in ``stages_folder(folder)``, which end with the block if it ends
-        well.
-    anew
-        Those of a run that was stopped are removed first.
+    resume
+        Of a command that keeps finished stages in ``stages_folder(folder)``: whether ``--resume`` was given.
+        The block goes on from those of a run that was stopped, unless to overwrite was all that was asked
+        for; they are removed where it ends well, and where an input changed.
 
     Yields
     ------
@@ -89,32 +87,26 @@ def output_folder(
         another run writes into it; if a file that was read is not what it was any more, or would be replaced.
     """
     creation_date()  # one that is not valid would be met when all is done
+    published[:] = [other for other in published if other != folder]
     made = _make(folder)
     try:
         with _locked(folder, made):
             _clear_after_killed(folder)
             _refuse_content(folder, overwrite)
-            if stages:
-                _refuse_foreign_stages(folder)
-                if anew:
-                    remove_stages(folder)
-            with _staging(folder) as staging, noted(staging) as inputs, scratch_in(staging / _SCRATCH):
+            with (
+                _stages(folder, resume, overwrite=overwrite),
+                _staging(folder) as staging,
+                noted(staging) as inputs,
+                scratch_in(staging / _SCRATCH),
+            ):
                 try:
                     yield staging / _NEW
-                except Interrupted:
-                    raise
                 except Exception as error:
-                    exchanged = inputs.changed()
-                    if exchanged is not None:
-                        raise changed_error(exchanged) from error
+                    _refuse_changed(inputs, folder if resume is not None else None, error)
                     raise
-                exchanged = inputs.changed()
-                if exchanged is not None:
-                    raise changed_error(exchanged)
+                _refuse_changed(inputs, folder if resume is not None else None)
                 _publish(folder, staging, earlier(folder) if overwrite else (), inputs)
                 published.append(folder)
-            if stages:
-                remove_stages(folder)
     except OSError as error:
         refusal = _refusal(error, folder)
         if refusal is None:
@@ -131,7 +123,44 @@ def stages_folder(folder: Path) -> Path:
     return folder / PARTIAL / STAGES
 
 
-def remove_stages(folder: Path) -> None:
+@contextmanager
+def _stages(folder: Path, resume: bool | None, *, overwrite: bool) -> Iterator[None]:
+    """What becomes of finished stages, and what is said of them; nothing where `resume` is None."""
+    place = stages_folder(folder)
+    if resume is None:
+        yield
+        return
+    _refuse_foreign_stages(folder)
+    if overwrite and not resume:
+        _remove_stages(folder)
+    if place.is_dir() and not resume:
+        complain("note", f"goes on from the finished stages in {place}; --overwrite would begin anew")
+    try:
+        yield
+    except BaseException as error:
+        kept = f"finished stages wait in {place}; the same command goes on from them, also without --resume"
+        if folder not in published:
+            if isinstance(error, KeyboardInterrupt):
+                raise Interrupted(kept if place.is_dir() else "no stage was finished") from error
+            if place.is_dir():
+                complain("note", kept)
+        raise
+    _remove_stages(folder)
+
+
+def _refuse_changed(inputs: Inputs, stages: Path | None, error: Exception | None = None) -> None:
+    """InputError if a file that was read is another by now; `error` is what came of it.
+
+    Finished stages of the run into a folder `stages` go: they may hold what was read of either.
+    """
+    exchanged = inputs.changed()
+    if exchanged is not None:
+        if stages is not None:
+            _remove_stages(stages)
+        raise changed_error(exchanged) from error
+
+
+def _remove_stages(folder: Path) -> None:
     """Remove the finished stages of a run into `folder`; anything else there stays."""
     if _foreign(folder / PARTIAL) is None and stages_folder(folder).is_dir():
         for path in stages_folder(folder).iterdir():
