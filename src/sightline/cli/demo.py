@@ -100,8 +100,8 @@ def _tell(out: Path, scored: dict[str, Any], summary: dict[str, Any]) -> None:
     from sightline.cli.terminal import say
     from sightline.report.words import grouped
 
-    say("against the truth, which the estimate never saw; left out, as images do not see it:")
-    say(f"  {grouped(summary['hidden_directions']['words'])}")
+    unseen = grouped(summary["hidden_directions"]["words"])
+    say(f"against the truth, which the estimate never saw; {unseen}, unseen by images, left out:")
     for axis in ("roll", "pitch", "yaw"):
         found = scored[axis]
         say(
