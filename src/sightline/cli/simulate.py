@@ -33,7 +33,8 @@ def line_of_sight(
             "--case",
             metavar="CASE",
             help=f"One of: {', '.join(STRIP_CASES)}; over a real orbit: {', '.join(ORBIT_CASES)}; "
-            f"photographs of a matrix instrument: {FRAMES_CASE}.",
+            f"photographs of a matrix instrument: {FRAMES_CASE}. Made of real data, in the folder that "
+            "SIGHTLINE_DATA names: real, other-family.",
         ),
     ] = "nominal",
     seed: Seed = 0,

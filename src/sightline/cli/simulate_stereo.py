@@ -72,7 +72,8 @@ def stereo(
     relief: Annotated[Word, _option("--relief", "none, smooth, white, spectrum or dem.")] = None,
     relief_range: Annotated[Number, _option("--relief-range", "Metres from lowest to highest.")] = None,
     dem_file: Annotated[
-        Word, _option("--dem-file", "Raster of real heights for relief dem; else Mont Ventoux.")
+        Word,
+        _option("--dem-file", "Raster of heights for relief dem; else Mont Ventoux, from SIGHTLINE_DATA."),
     ] = None,
     dem_sigma: Annotated[
         Number, _option("--dem-sigma", "Metres; above 0 the relief is written as a DEM, that far wrong.")
