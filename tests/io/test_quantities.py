@@ -132,6 +132,7 @@ def test_what_is_allowed_is_said_with_its_unit():
     assert said_of(Annotated[int, Within(1, 1_000_000, "lines")], 0) == "1 to 1e6 lines are"
     assert said_of(Annotated[float, Within(0.0, 1.0, above=True, below=True)], 1) == "above 0 to below 1 are"
     assert said_of(Annotated[float, Within(0.0, 1.0)], "0.5") == "a number without quotation marks is"
+    assert said_of(Annotated[float, Within(0.0, 1.0)], "any") == "0 to 1 are"
     assert "latitude and longitude swapped?" in said_of(Latitude, 122.0)
 
 

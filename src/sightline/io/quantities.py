@@ -86,6 +86,8 @@ class Within:
 
     def number(self, value: Any) -> float:
         """`value` as a float within the bounds; a pydantic error otherwise."""
+        if isinstance(value, str) and not any(sign.isdigit() for sign in value):  # a word
+            raise _not_allowed(self.words())
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise _not_allowed(f"a number{' without quotation marks' if isinstance(value, str) else ''} is")
         try:
