@@ -14,8 +14,8 @@ SOURCE = ROOT / "src" / "sightline"
 
 # Each layer may import only itself and those before it.
 LAYERS = (
-    "version errors execution compiled writing geometry estimation imaging matching photogrammetry motion "
-    "products tdi simulate applications evaluation io report cli __main__"
+    "version errors inputs access execution compiled writing geometry estimation imaging matching "
+    "photogrammetry motion products tdi simulate applications evaluation io report cli __main__"
 ).split()
 
 # (who, what it never imports)

@@ -18,7 +18,7 @@ import pytest
 from sightline.cli import output
 from sightline.cli.output import output_folder, stages_folder
 from sightline.errors import FormatError, InputError
-from sightline.io.inputs import note
+from sightline.inputs import note
 
 
 def names(folder):

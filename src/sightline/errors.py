@@ -14,8 +14,24 @@
 Every message has the same form: what happened: what was given; what is allowed; what to do.
 A failure of one point is a NaN row in the result; an exception means that the whole call failed.
 
-This file holds no checks: those of array arguments are in ``geometry/checks.py``.
+What other libraries raise becomes one of these in `foreign_errors`, the only place that does so.
+
+This file holds no checks: those of array arguments are in ``geometry/checks.py``, those of files in
+``access.py``.
 """
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+_Given = ParamSpec("_Given")
+_Result = TypeVar("_Result")
+
+#: Characters of what another library said that a message repeats.
+_QUOTED = 200
 
 
 class SightlineError(Exception):
@@ -44,3 +60,87 @@ class FormatError(SightlineError):
 
 class UnobservableBandWarning(UserWarning):
     """The estimate is blind near some frequencies; the message names them."""
+
+
+@contextmanager
+def foreign_errors(
+    place: object, failed: str, advice: str, *, raises: type[SightlineError] = FormatError
+) -> Iterator[None]:
+    """Turn whatever another library raises in the block into one of our errors.
+
+    Parameters
+    ----------
+    place : object
+        File, or file and key, that the message begins with.
+    failed : str
+        What was tried, as ``"cannot be read as CSV"``.
+    advice : str
+        What is expected, or what to do.
+    raises : type
+        Class of the error.
+
+    Notes
+    -----
+    Our own errors and warnings pass as they are, and so do Ctrl-C and the end of the process. What was raised
+    stays the cause of the new error: ``--debug`` shows it. numpy does not warn in the block: what values
+    become is checked, and refused where it is no number.
+    """
+    import numpy as np
+
+    try:
+        with np.errstate(all="ignore"):
+            yield
+    except InputError as error:  # of a check that knows nothing of the file
+        if str(place) in str(error) or not issubclass(raises, FormatError):
+            raise
+        raise raises(f"{place}: {error}") from error
+    except (SightlineError, Warning):
+        raise
+    except Exception as error:
+        raise raises(f"{place}: {failed} ({said_by(error)}); {advice}") from error
+
+
+def reads(
+    what: str, advice: str = "the file is damaged, or another one is meant"
+) -> Callable[[Callable[_Given, _Result]], Callable[_Given, _Result]]:
+    """Make a function of a path raise FormatError for whatever it stumbles over in the file.
+
+    Parameters
+    ----------
+    what : str
+        What the file, the first argument of the function, is expected to be, as ``"a CSV table"``.
+    advice : str
+        What is expected, or what to do.
+    """
+
+    def decorated(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
+        @wraps(function)
+        def reader(*args: _Given.args, **kwargs: _Given.kwargs) -> _Result:
+            place = args[0] if args else next(iter(kwargs.values()), "")
+            with foreign_errors(place, f"cannot be read as {what}", advice):
+                return function(*args, **kwargs)
+
+        return reader
+
+    return decorated
+
+
+def said_by(error: BaseException) -> str:
+    """What an exception of another library means, on one line."""
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    if isinstance(error, RecursionError):
+        return "it is nested too deeply"
+    if isinstance(error, MemoryError):
+        return "it claims more than memory holds"
+    if isinstance(error, UnicodeDecodeError):
+        return f"byte {error.start} is no {error.encoding.upper()} text"
+    if type(error).__module__.startswith("rasterio"):  # it says what GDAL said in the cause
+        lines = str(error.__cause__ or error).strip().splitlines()
+        return (lines or [type(error).__name__])[0].rstrip(". ")
+    text = " ".join(str(error).split()).rstrip(".;: ")
+    if isinstance(error, KeyError):
+        return f"{text} is missing"
+    if len(text) > _QUOTED:
+        text = f"{text[:_QUOTED]}..."
+    return f"{type(error).__name__}: {text}" if text else type(error).__name__

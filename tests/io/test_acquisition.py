@@ -179,7 +179,7 @@ def test_a_control_point_in_an_unknown_image_is_refused(folder):
 
 def test_a_missing_image_names_the_file(folder):
     (folder.path / "XS.tif").unlink()
-    assert "XS.tif: no such file; check the name in the TOML file" in message(folder)
+    assert f"acquisition.toml: [[band]] 2 image: {folder.path / 'XS.tif'}: no such file" in message(folder)
 
 
 def test_columns_that_disagree_with_the_image_are_named(folder):

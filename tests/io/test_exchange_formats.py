@@ -361,7 +361,7 @@ BAD = {
     "angles: origin": (
         "a.csv", "# origin = 1,x,3\nframe,x,y,z,yaw,pitch,roll\n1,2,3,4,5,6,7\n", read_angles, "longitude",
     ),
-    "opensfm: no json": ("r.json", "{", read_opensfm, "cannot be read as JSON"),
+    "opensfm: no json": ("r.json", "{", read_opensfm, "not valid JSON"),
     "opensfm: empty": ("r.json", "[]", read_opensfm, "no reconstruction"),
     "opensfm: fisheye": (
         "r.json",

@@ -54,5 +54,5 @@ def test_a_table_of_another_length_is_refused(tmp_path):
 
 def test_a_summary_that_is_no_json_is_refused(tmp_path):
     (tmp_path / "summary.json").write_text("{")
-    with pytest.raises(FormatError, match=r"summary\.json: not JSON"):
+    with pytest.raises(FormatError, match=r"summary\.json: not valid JSON"):
         read_summary(tmp_path)

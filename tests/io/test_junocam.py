@@ -73,7 +73,7 @@ def test_spoilt_metadata_are_one_clear_error(metadata, spoil):
     content = dict(METADATA)
     spoil(content)
     metadata[0].write_text(json.dumps(content), encoding="utf-8")
-    with pytest.raises(FormatError, match="not a JunoCam metadata file"):
+    with pytest.raises(FormatError, match="not as in a JunoCam metadata file"):
         junocam.read_metadata(metadata[0])
 
 

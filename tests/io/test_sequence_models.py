@@ -157,7 +157,7 @@ BAD = {
     ),
     "OpenSfM without reference": ("lonlat", "opensfm", without_reference, "reference_lla"),
     "a placed model in a flat world": ("flat", "opensfm", nothing, r"give \[world\] origin = \[20, 70, 50\]"),
-    "no model": ("lonlat", "none", nothing, "no such file or folder"),
+    "no model": ("lonlat", "none", nothing, "poses: .*: no such file"),
     "an empty folder": ("lonlat", "empty", nothing, "no COLMAP model"),
     "quaternions": ("flat", "quaternions", nothing, "as positions and as attitudes"),
     "other names": ("lonlat", "names", nothing, "no row is of a frame"),

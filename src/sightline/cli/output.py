@@ -26,7 +26,7 @@ from pathlib import Path, PurePosixPath
 from sightline.cli.lock import LOCK, Lock, take
 from sightline.cli.terminal import Interrupted, complain
 from sightline.errors import InputError
-from sightline.io.inputs import Inputs, changed_error, noted
+from sightline.inputs import Inputs, changed_error, noted
 from sightline.writing import creation_date, in_bytes, scratch_in, whole
 
 #: In the folder: finished stages of a long run, kept until it has ended well.

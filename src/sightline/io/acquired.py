@@ -6,6 +6,8 @@ Not here: reading the file (``acquisition.py``).
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,13 +15,21 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sightline.access import (
+    allow_folders,
+    check_file,
+    current_access,
+    located,
+    refuse_network,
+    remote_name,
+)
+from sightline.errors import FormatError, SightlineError, foreign_errors
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.geometry.earth import local_axes
 from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
-from sightline.io.acquisition_schema import AcquisitionFile, WorldSection
-from sightline.io.inputs import note
+from sightline.io.acquisition_schema import AcquisitionFile, InputFile, WorldSection
 from sightline.motion.band import Band, ChipKnowledge, Frame, LensKnowledge
 from sightline.motion.hyper import KnownContent
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
@@ -125,7 +135,9 @@ def field_of_view(camera: PushbroomCamera | FrameCamera) -> tuple[float, float]:
 
 
 def sha256(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file, read in pieces."""
+    """Hexadecimal SHA-256 of a file, read in pieces; of what is read from servers, that it was."""
+    if remote_name(path) is not None:
+        return "read from a server"
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
@@ -148,21 +160,111 @@ class HasWorld(Protocol):
 
 
 class InputFolder:
-    """Paths relative to the TOML file, remembered as they are used."""
+    """Paths relative to the TOML file, remembered as they are used, with the keys that name them.
 
-    def __init__(self, toml: Path) -> None:
+    Parameters
+    ----------
+    toml : Path
+    config : InputFile, optional
+        Its content, for the names of keys.
+    """
+
+    def __init__(self, toml: Path, config: InputFile | None = None) -> None:
         """Start with the TOML file itself."""
         self.toml = toml
         self.used: list[Path] = [toml]
-        note(toml)
+        self._key_of: dict[str, str] = {}
+        self._place_of: dict[Path, str] = {}
+        if config is not None:
+            for where, name in _words(config.model_dump(exclude_unset=True), ()):
+                self._key_of.setdefault(name, _key(where))
 
-    def __call__(self, name: str) -> Path:
-        """The path behind a name in the file; it is listed among the inputs."""
-        path = self.toml.parent / name
+    def path(self, name: str) -> Path:
+        """The path behind a name in the file."""
+        return located(self.toml.parent, name)
+
+    def __call__(self, name: str, place: str = "", advice: str = "check the name") -> Path:
+        """The path behind a name in the file, or in a table (`place`); it is listed among the inputs.
+
+        Raises
+        ------
+        FormatError
+            If there is no such file, or it would be asked of a server unasked; names the key.
+        """
+        path = self.path(name)
+        place = place or f"{self.toml}: {self._key_of.get(name, name)}"
+        self._place_of[path] = place
         if path not in self.used:
             self.used.append(path)
-            note(path)
+        if remote_name(path) is None:
+            check_file(path, advice, place)
+        elif not current_access().network:
+            raise refuse_network(place, f"{name} is an address")
         return path
+
+    def allowed(self, config: InputFile) -> list[Path]:
+        """Folders to which the files that are named may refer."""
+        folders = [self.toml.parent / name for name in config.files.allow]
+        for folder in folders:
+            if not folder.is_dir():
+                raise FormatError(
+                    f"{self.toml}: [files] allow: {folder}: no such folder; correct or remove it"
+                )
+        return [self.toml.parent, *folders]
+
+    def placed(self, error: SightlineError) -> SightlineError:
+        """The same error with file and key in front where it does not name them."""
+        text = str(error)
+        for path, place in self._place_of.items():
+            if text.startswith(f"{path}: "):
+                return type(error)(f"{place}: {text}")
+        if any(str(path) in text for path in self.used):
+            return error
+        return type(error)(f"{self.toml}: {text}")
+
+
+@contextmanager
+def input_files(toml: Path, config: InputFile) -> Iterator[InputFolder]:
+    """The files that a TOML file names; whatever goes wrong with them in the block names file and key.
+
+    Parameters
+    ----------
+    toml : Path
+    config : InputFile
+        Its content; files may refer to what lies beside it and in the folders of ``[files] allow``.
+    """
+    files = InputFolder(toml, config)
+    failed = "what it says, and the files that it names, cannot be computed with"
+    advice = "look for values that are extreme or do not belong together; --debug shows where it failed"
+    with allow_folders(files.allowed(config)), foreign_errors(toml, failed, advice):
+        try:
+            yield files
+        except SightlineError as error:
+            placed = files.placed(error)
+            if placed is error:
+                raise
+            raise placed from error
+
+
+def _words(value: Any, where: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Places and texts of all words in tables and lists."""
+    if isinstance(value, str):
+        yield where, value
+    elif isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _words(inner, (*where, str(key)))
+    elif isinstance(value, list | tuple):
+        for number, inner in enumerate(value, 1):
+            yield from _words(inner, (*where, number))
+
+
+def _key(where: tuple[str | int, ...]) -> str:
+    """``("band", 2, "image")`` as ``[[band]] 2 image``."""
+    if len(where) == 1:
+        return str(where[0])
+    table = f"[[{where[0]}]] {where[1]}" if isinstance(where[1], int) else f"[{where[0]}]"
+    rest = where[2:] if isinstance(where[1], int) else where[1:]
+    return " ".join([table, ".".join(map(str, rest))])
 
 
 def world_kind(config: AcquisitionFile) -> str:

@@ -19,7 +19,7 @@ from sightline.errors import FormatError
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.io import tables
-from sightline.io.acquired import Acquisition, InputFolder, world_kind
+from sightline.io.acquired import Acquisition, InputFolder, input_files, world_kind
 from sightline.io.acquisition_schema import (
     AcquisitionFile,
     CameraModelPlatform,
@@ -71,7 +71,12 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
     """
     path = Path(path)
     config = read_acquisition(path)
-    files = InputFolder(path)
+    with input_files(path, config) as files:
+        return _acquisition(path, config, files, look=look)
+
+
+def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, look: bool) -> Acquisition:
+    """The file with everything that it names."""
     modelled = isinstance(config.platform, CameraModelPlatform)
     bands = (build_model_bands if modelled else build_bands)(config, files, look=look)
     frames = build_frames(config, files, look=look)

@@ -72,6 +72,24 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
 
 
+class FilesSection(Section):
+    """``[files]``: what the files that are named may refer to."""
+
+    allow: list[FileName] = Field(
+        default=[],
+        max_length=MOST_LISTED,
+        description="Folders, beside those of this file and of each raster, to which rasters may refer",
+    )
+
+
+class InputFile(Section):
+    """What every one of the TOML files may say."""
+
+    files: FilesSection = Field(
+        default=FilesSection(), description="What the files that are named here may refer to"
+    )
+
+
 class DatedSection(Section):
     """What every data set may say of itself: when t = 0 was."""
 
@@ -532,7 +550,7 @@ class MatchingSection(Section):
         return self
 
 
-class AcquisitionFile(Section):
+class AcquisitionFile(InputFile):
     """An ACQUISITION.toml: images of one strip (or frames), the instrument, the platform, the ground."""
 
     acquisition: HeaderSection = HeaderSection()

@@ -25,7 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import FormatError
+from sightline.access import read_text
+from sightline.errors import FormatError, reads
 from sightline.io.tables import header_of, read_columns, write_columns
 from sightline.writing import whole
 
@@ -96,6 +97,7 @@ def kind_of_angles(path: Path) -> tuple[str, str, str] | None:
     return next((kind for kind in (OPK, YPR) if set(kind) <= set(header)), None)
 
 
+@reads("a table of angles")
 def read_angles(path: Path) -> AngleTable:
     """An omega-phi-kappa or yaw-pitch-roll table; FormatError names file, row and column."""
     kind = kind_of_angles(path)
@@ -114,10 +116,11 @@ def read_angles(path: Path) -> AngleTable:
     )
 
 
+@reads("a table of angles")
 def origin_of_angles(path: Path) -> tuple[float, float, float] | None:
     """Longitude, latitude (degrees), height (m) of the comment at the top; None where there is none."""
-    with path.open(encoding="utf-8-sig") as stream:
-        match = _ORIGIN.fullmatch(stream.readline().strip())
+    first, _, _ = read_text(path, "a CSV table").partition("\n")
+    match = _ORIGIN.fullmatch(first.strip())
     if match is None:
         return None
     try:

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError, InputError
+from sightline.access import check_file, read_text
+from sightline.errors import FormatError, InputError, foreign_errors, reads
 from sightline.io.names import printable, shortened
 from sightline.io.tables import check_quaternions, check_times
 from sightline.writing import creation_date, whole
@@ -31,6 +32,8 @@ FIRST_YEAR, LAST_YEAR = 1850, 2200
 _LONGEST_NAME = 80
 #: Names for the axes of our body in an attitude message.
 BODY_FRAMES = ("SC_BODY", "BODY", "SC_BODY_1", "SPACECRAFT_BODY")
+#: Bytes in which the first line of a message is looked for.
+_HEAD = 65536
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,13 +130,13 @@ def need_epoch(path: Path, epoch: str | None) -> str:
 def is_ccsds(path: Path, kind: str) -> bool:
     """Whether the file is a CCSDS message of `kind` ("OEM", "AEM"); FormatError if it is of another kind.
 
-    A file that is not CCSDS at all (a CSV table, or no file) gives False.
+    A file that is not CCSDS at all (a CSV table) gives False.
     """
-    try:
-        with path.open(encoding="utf-8", errors="replace") as stream:
-            first = next((line.strip() for line in stream if line.strip()), "")
-    except OSError:
-        return False
+    check_file(path, "check the name in the TOML file")
+    with foreign_errors(path, "cannot be read", "a table or a CCSDS message is expected"):
+        with path.open("rb") as stream:
+            lines = stream.read(_HEAD).decode("utf-8", "replace").lstrip("\ufeff").splitlines()
+    first = next((line.strip() for line in lines if line.strip()), "")
     if not first.startswith("CCSDS_"):
         if first.startswith("<?xml"):
             raise FormatError(f"{path}: XML messages are not read; write it as KVN (keyword = value)")
@@ -146,10 +149,7 @@ def is_ccsds(path: Path, kind: str) -> bool:
 
 def _lines(path: Path) -> Iterator[tuple[int, str]]:
     """Numbered lines without comments and blank ones."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(f"{path}: cannot be read ({error}); a CCSDS message in KVN is expected") from None
+    text = read_text(path, "a CCSDS message in KVN")
     for number, line in enumerate(text.splitlines(), 1):
         stripped = line.strip()
         if stripped and not stripped.startswith("COMMENT"):
@@ -226,6 +226,7 @@ def _require(path: Path, meta: dict[str, str], key: str, allowed: tuple[str, ...
         raise FormatError(f"{path}: {key} = {given} is not handled; allowed: {', '.join(allowed)}; {hint}")
 
 
+@reads("a CCSDS OEM")
 def read_oem(path: Path, epoch: str) -> OrbitEphemeris:
     """Positions and velocities of an orbit ephemeris message.
 
@@ -255,6 +256,7 @@ def read_oem(path: Path, epoch: str) -> OrbitEphemeris:
     return OrbitEphemeris(t, state[:, :3] * 1e3, state[:, 3:] * 1e3)
 
 
+@reads("a CCSDS AEM")
 def read_aem(path: Path, epoch: str) -> AttitudeEphemeris:
     """Attitudes of an attitude ephemeris message.
 

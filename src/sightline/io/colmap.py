@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import FormatError, InputError
+from sightline.access import LARGE, read_bytes, read_text
+from sightline.errors import FormatError, InputError, reads, said_by
 from sightline.geometry.instrument import AreaDetector
 from sightline.io.reconstruction import Reconstruction, by_image
 from sightline.writing import whole
@@ -192,6 +193,7 @@ def _point_bytes(model: Reconstruction, tracks: list[NDArray[np.intp]]) -> Itera
         yield struct.pack("<Q", len(tracks[k])) + tracks[k].astype("<i4").tobytes()
 
 
+@reads("a COLMAP model")
 def read_colmap_model(folder: Path) -> Reconstruction:
     """The model in a folder: binary where both forms are there, as COLMAP does.
 
@@ -258,7 +260,7 @@ def _read_text(paths: Sequence[Path]) -> tuple[dict[int, AreaDetector], list[Any
             values = [float(word) for word in words[4:]]
             cameras[int(words[0])] = detector_of(path, words[0], words[1], shape, values)
         path = paths[1]
-        lines = [line for line in path.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+        lines = [line for line in _text_of(path).splitlines() if not line.startswith("#")]
         for head, tail in zip(lines[::2], [*lines[1::2], ""], strict=False):
             words = head.split()
             sights = np.array(tail.split(), dtype=np.float64).reshape(-1, 3)
@@ -269,13 +271,17 @@ def _read_text(paths: Sequence[Path]) -> tuple[dict[int, AreaDetector], list[Any
         path = paths[2]
         for words in _words(path):
             points.append((int(words[0]), [float(word) for word in words[1:4]], float(words[7])))
-    except (IndexError, ValueError) as error:
-        raise FormatError(f"{path}: not a COLMAP text file ({error}); write it anew") from None
+    except (IndexError, ValueError, OverflowError) as error:
+        raise FormatError(f"{path}: not a COLMAP text file ({said_by(error)}); write it anew") from error
     return cameras, images, points
 
 
+def _text_of(path: Path) -> str:
+    return read_text(path, "a COLMAP text file", most=LARGE)
+
+
 def _words(path: Path) -> Iterable[list[str]]:
-    for line in path.read_text(encoding="utf-8").splitlines():
+    for line in _text_of(path).splitlines():
         if line.strip() and not line.startswith("#"):
             yield line.split()
 
@@ -284,7 +290,7 @@ class _Bytes:
     """A binary file read from front to back."""
 
     def __init__(self, path: Path) -> None:
-        self.path, self.data, self.at = path, path.read_bytes(), 0
+        self.path, self.data, self.at = path, read_bytes(path, "a COLMAP binary file", most=LARGE), 0
 
     def take(self, form: str) -> tuple[Any, ...]:
         """Next values by a `struct` form."""
@@ -329,8 +335,8 @@ def _read_binary(paths: Sequence[Path]) -> tuple[dict[int, AreaDetector], list[A
             point, x, y, z, _r, _g, _b, residual = file.take("<Q3d3Bd")
             file.rows(np.dtype("<i8"), file.take("<Q")[0])
             points.append((point, (x, y, z), residual))
-    except (struct.error, ValueError) as error:
+    except (struct.error, ValueError, OverflowError) as error:
         raise FormatError(
-            f"{path}: not a COLMAP binary file, or cut short ({error}); write it anew"
-        ) from None
+            f"{path}: not a COLMAP binary file, or cut short ({said_by(error)}); write it anew"
+        ) from error
     return cameras, images, points

@@ -7,16 +7,18 @@ Not here: what the keys mean (``acquisition_schema.py``), opening the files they
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
 from collections.abc import Iterator, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from sightline.errors import FormatError
+from sightline.access import SMALL, read_text
+from sightline.errors import FormatError, foreign_errors
 from sightline.io.acquisition_schema import AcquisitionFile
-from sightline.io.inputs import note
 from sightline.io.instrument_schema import InstrumentFile
 from sightline.io.quantities import shown
 from sightline.io.sequence_schema import SequenceFile
@@ -46,6 +48,8 @@ COMMANDS = {
 _IN_MM = ("focal_length_mm", "focal_mm", "focal", "f_mm", "f")
 #: Keys that are listed in a message.
 _LISTED = 8
+#: Characters of a key that a message repeats.
+_LONGEST_KEY = 80
 
 #: Values of ``kind`` by table: pydantic names the one it tried in the place of a mistake.
 KINDS = {
@@ -87,19 +91,32 @@ def kind_of(path: Path) -> str:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The tables of a TOML file; FormatError names the file and the line of a mistake."""
-    note(path)
+    text = read_text(Path(path), "a TOML file", most=SMALL, advice="give the path of a TOML file")
     try:
-        text = path.read_bytes().decode("utf-8")
-    except FileNotFoundError:
-        raise FormatError(f"{path}: no such file; give the path of a TOML file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(
-            f"{path}: cannot be read as text ({error}); a TOML file in UTF-8 is expected"
-        ) from None
-    try:
-        return tomllib.loads(text)
+        return _parsed(text)
     except tomllib.TOMLDecodeError as error:
         raise FormatError(f"{path}: not valid TOML: {error}; correct it there") from None
+    except (ValueError, RecursionError) as error:
+        deep = isinstance(error, RecursionError)
+        what = "is nested too deeply" if deep else "holds a number that is none, or has too many digits"
+        place = _longest(text, r"[\[{]+" if deep else r"\d+")
+        raise FormatError(f"{path}: not valid TOML: {place} {what}; correct it there") from None
+
+
+@lru_cache(maxsize=2)
+def _parsed(text: str) -> dict[str, Any]:
+    # a file is asked for its kind before it is read; nothing writes into what was parsed
+    return tomllib.loads(text)
+
+
+def _longest(text: str, pattern: str) -> str:
+    """Line and key with the longest match, which is what a parser that gives up stumbles over."""
+    found = max(re.finditer(pattern, text), key=lambda match: len(match[0]), default=None)
+    if found is None:
+        return "it"
+    number = text.count("\n", 0, found.start())
+    key, equals, _ = text.split("\n")[number].partition("=")
+    return f"line {number + 1}" + (f": {key.strip()[:_LONGEST_KEY]}" if equals else "")
 
 
 def validate(model: type[Model], data: dict[str, Any], path: Path) -> Model:
@@ -118,6 +135,11 @@ def validate(model: type[Model], data: dict[str, Any], path: Path) -> Model:
     -------
     Model
     """
+    with foreign_errors(path, "its keys cannot be checked", "look for values that are very long or deep"):
+        return _validated(model, data, path)
+
+
+def _validated(model: type[Model], data: dict[str, Any], path: Path) -> Model:
     unknown = next(_unknown_keys(model, data, ()), None)
     if unknown is not None:
         raise FormatError(f"{path}: {_meant_for_another(model, data) or unknown}")
@@ -264,7 +286,7 @@ def _explain(error: Any) -> str:
         tag, allowed = str(context["tag"]), str(context["expected_tags"])
         options = [word.strip(" '") for word in allowed.split(",")]
         kinds = ", ".join(options)
-        return f"{_key((*where, 'kind'))} = {tag!r} is not known{_near(tag, options)}; allowed: {kinds}"
+        return f"{_key((*where, 'kind'))} = {shown(tag)} is not known{_near(tag, options)}; allowed: {kinds}"
     if kind == "value_error":
         place = f"{key}: " if key else ""
         return f"{place}{context['error']}"

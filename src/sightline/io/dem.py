@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError
+from sightline.errors import FormatError, reads
 from sightline.geometry.earth import WGS84
 from sightline.geometry.surface import Dem
-from sightline.io.images import must_exist, raster_errors
+from sightline.imaging.rasters import open_raster, raster_errors
 
 Array = NDArray[np.float64]
 
@@ -38,6 +38,7 @@ class Bounds:
     north: float
 
 
+@reads("a raster of heights")
 def read_dem(
     path: Path,
     *,
@@ -75,10 +76,7 @@ def read_dem(
     FormatError
         Names the file and what to do.
     """
-    import rasterio
-
-    must_exist(path)
-    with raster_errors(path), rasterio.open(path) as dataset:
+    with raster_errors(path), open_raster(path) as dataset:
         crs = _coordinate_system(path, dataset, local, radii)
         _check_unit(path, dataset)
         window = _window(dataset, bounds, crs)
@@ -199,9 +197,8 @@ def _geoid_on(
 
     if geoid is None:
         raise FormatError(f'{dem}: datum "geoid" needs geoid = a raster or a number in metres')
-    must_exist(geoid)
     out = np.full(shape, np.nan)
-    with raster_errors(geoid), rasterio.open(geoid) as dataset:
+    with raster_errors(geoid), open_raster(geoid) as dataset:
         if dataset.crs is None:
             raise FormatError(
                 f"{geoid}: has no coordinate system; a georeferenced raster of geoid heights is expected"

@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError
+from sightline.access import read_bytes
+from sightline.errors import FormatError, reads
 
 Array = NDArray[np.float64]
 
@@ -22,6 +23,7 @@ _NM = {"nanometer": 1.0, "nanometre": 1.0, "nm": 1.0, "unknown": 1.0, "": 1.0}
 _UM = dict.fromkeys(("micrometer", "micrometre", "micron", "um", "\u00b5m", "\u03bcm"), 1e3)
 
 
+@reads("an ENVI header")
 def read_envi_wavelengths(path: Path) -> Array:
     """Wavelengths (n,) nm, in the order of the header.
 
@@ -30,12 +32,8 @@ def read_envi_wavelengths(path: Path) -> Array:
     FormatError
         If the file is no ENVI header, has no wavelengths, or has them in a unit that is no length.
     """
-    try:
-        text = path.read_text(encoding="utf-8", errors="replace")
-    except FileNotFoundError:
-        raise FormatError(f"{path}: no such file; check [camera] wavelength_nm") from None
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error})") from None
+    content = read_bytes(path, "an ENVI header", advice="check [camera] wavelength_nm")
+    text = content.decode("utf-8", "replace")
     if not text.lstrip("\ufeff").startswith("ENVI"):
         raise FormatError(f"{path}: is no ENVI header (its first line is not ENVI)")
     found, unit = _LIST.search(text), _UNITS.search(text)

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError
+from sightline.errors import FormatError, reads
+from sightline.imaging.rasters import open_raster, raster_errors
 from sightline.io.ccsds import seconds_from_epoch
-from sightline.io.images import must_exist, raster_errors
 from sightline.io.names import toml_string
 from sightline.io.tables import write_positions
 
@@ -59,6 +59,7 @@ class Exif:
     above_ellipsoid: bool = False
 
 
+@reads("a photograph")
 def read_exif(path: Path) -> Exif:
     """Time and place of a photograph.
 
@@ -76,16 +77,8 @@ def read_exif(path: Path) -> Exif:
     FormatError
         If there is no time, or a value cannot be understood.
     """
-    import warnings
-
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning
-
-    must_exist(path)
-    with raster_errors(path), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path) as dataset:
-            tags: dict[str, str] = {**dataset.tags(), **dataset.tags(ns="EXIF")}
+    with raster_errors(path), open_raster(path) as dataset:
+        tags: dict[str, str] = {**dataset.tags(), **dataset.tags(ns="EXIF")}
     stamp = tags.get("EXIF_DateTimeOriginal") or tags.get("EXIF_DateTime")
     if stamp is None:
         raise FormatError(f"{path}: has no EXIF time; give time = seconds or a UTC instant in its [[frame]]")

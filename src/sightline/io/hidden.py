@@ -8,7 +8,6 @@ Not here: how they are removed (``evaluation/score.py``) and where they come fro
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,10 +15,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sightline.errors import FormatError, InputError
+from sightline.access import check_inside, read_json
+from sightline.errors import FormatError, InputError, foreign_errors
 from sightline.evaluation.score import at_lines, constant_directions, less_hidden
 from sightline.geometry.trajectory import Motion
-from sightline.io.inputs import note
+from sightline.inputs import note
 from sightline.io.tables import ANGLES, read_columns, read_motion, write_columns
 
 Array = NDArray[np.float64]
@@ -148,10 +148,7 @@ def read_summary(folder: Path) -> dict[str, Any]:
     note(path)
     if not path.is_file():
         return {}
-    try:
-        summary = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise FormatError(f"{path}: not JSON ({error}); write it anew with `sightline recover`") from None
+    summary = read_json(path, "the summary of a result", advice="run the command that wrote it again")
     if not isinstance(summary, dict):
         raise FormatError(f"{path}: holds {type(summary).__name__}; an object with named values is expected")
     return summary
@@ -159,7 +156,10 @@ def read_summary(folder: Path) -> dict[str, Any]:
 
 def _from_table(folder: Path, entry: Mapping[str, Any], lines: int) -> tuple[Array, tuple[str, ...]]:
     path = folder / str(entry.get("table", TABLE))
-    names = tuple(str(name) for name in entry.get("names", ()))
+    place = f"{folder / 'summary.json'}: `hidden_directions`"
+    with foreign_errors(place, "cannot be read", "names of directions are expected"):
+        check_inside(path, [folder.resolve()], folder / "summary.json")
+        names = tuple(str(name) for name in entry.get("names", ()))
     columns = [f"{name} {axis}" for name in names for axis in ANGLES]
     table = read_columns(path, columns)
     values = np.array([np.asarray(table[column]) for column in columns]).reshape(len(names), 3, -1)

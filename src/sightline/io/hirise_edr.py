@@ -18,8 +18,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.access import LARGE, read_bytes
 from sightline.applications.strip_noise import StripPixels
-from sightline.errors import FormatError, InputError
+from sightline.errors import FormatError, InputError, reads
 from sightline.imaging.noise_estimation import CodeTable
 
 Codes = NDArray[np.uint8]
@@ -108,6 +109,7 @@ class HiriseEdr:
         )
 
 
+@reads("a HiRISE EDR")
 def read_hirise_edr(path: Path) -> HiriseEdr:
     """A HiRISE EDR, the image and all that was read beside it.
 
@@ -116,10 +118,7 @@ def read_hirise_edr(path: Path) -> HiriseEdr:
     FormatError
         If it is not one, lacks what is needed, or is cut short.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error.strerror})") from None
+    content = read_bytes(path, "a HiRISE EDR", most=LARGE)
     label = _Label(path, content[:LABEL_BYTES].decode("latin-1"))
     table = _code_table(label)
     binning, stages = label.integer("MRO:BINNING"), label.integer("MRO:TDI")

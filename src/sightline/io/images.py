@@ -5,64 +5,28 @@ Not here: the ``ImageSource`` protocol (``imaging/source.py``), elevation raster
 
 from __future__ import annotations
 
-import os
 import threading
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError, InputError
-from sightline.io.inputs import note
+from sightline.access import check_file, current_access
+from sightline.errors import FormatError, InputError, foreign_errors
+from sightline.imaging.rasters import open_raster, raster_environment, raster_errors
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
 
-#: MiB of decoded raster blocks that GDAL may keep (its own choice, 5 % of the machine, would hold whole
-#: strips); an environment variable GDAL_CACHEMAX that is already set prevails.
-CACHE_MIB = 64
+#: Pixels of a line, of all bands together, beyond which a header is damaged: no detector has as many.
+MOST_COLUMNS = 1 << 24
 #: Lines read in each of the probes of `check_content`.
 PROBE_LINES = 16
 #: Share of pixels at the largest value met from which an image counts as saturated, whatever its bits.
 SATURATED_SHARE = 0.5
 #: Share of pixels at the smallest value met from which an image counts as empty.
 EMPTY_SHARE = 0.9
-
-
-# Filters of warnings belong to the process: only one thread at a time may change them.
-_OPENING = threading.Lock()
-
-
-@contextmanager
-def raster_errors(path: Path) -> Iterator[None]:
-    """Turn what the raster library raises into a FormatError that names the file."""
-    from rasterio.errors import RasterioError
-
-    try:
-        yield
-    except RasterioError as error:
-        cause = error.__cause__ or error
-        raise FormatError(
-            f"{path}: the pixels cannot be read ({_first_line(cause)}); the file is truncated, damaged or "
-            f"not a raster; "
-            "copy or make it again"
-        ) from None
-
-
-def _first_line(error: BaseException) -> str:
-    """What the library said, on one line."""
-    return (str(error).strip().splitlines() or [type(error).__name__])[0].rstrip(". ")
-
-
-def must_exist(path: Path) -> None:
-    """FormatError when there is no such file."""
-    note(path)
-    if not path.is_file():
-        raise FormatError(f"{path}: no such file; check the name in the TOML file")
 
 
 class RasterImage:
@@ -88,8 +52,8 @@ class RasterImage:
         self.path = Path(path)
         self._band = band
         self._extra_mask = mask
+        self.access = current_access()
         self._local = threading.local()
-        must_exist(self.path)
         dataset = self._dataset()
         count: int = dataset.count
         if isinstance(band, int) and not 1 <= band <= count:
@@ -101,6 +65,7 @@ class RasterImage:
         if self._type.kind not in "uif":
             raise FormatError(f"{self.path}: pixels are of type {self._type}; real numbers are expected")
         self._shape = (int(dataset.height), int(dataset.width))
+        _refuse_wide(self.path, self._shape, len(self._bands))
         self._all_valid = all(
             "all_valid" in [flag.name for flag in dataset.mask_flag_enums[k - 1]] for k in self._bands
         )
@@ -137,13 +102,7 @@ class RasterImage:
         """The handle of this thread."""
         dataset = getattr(self._local, "dataset", None)
         if dataset is None:
-            import rasterio
-            from rasterio.errors import NotGeoreferencedWarning
-
-            os.environ.setdefault("GDAL_CACHEMAX", str(CACHE_MIB))
-            with _OPENING, raster_errors(self.path), warnings.catch_warnings():
-                warnings.simplefilter("ignore", NotGeoreferencedWarning)
-                dataset = rasterio.open(self.path)
+            dataset = open_raster(self.path, self.access)
             self._local.dataset = dataset
         return dataset
 
@@ -157,7 +116,7 @@ class RasterImage:
     def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> Image:
         """Pixels of lines [first, last) and columns [first, last), float32, C order."""
         window = self._window(lines, columns)
-        with raster_errors(self.path):
+        with raster_errors(self.path), raster_environment(self.access):
             if len(self._bands) == 1:
                 data = self._dataset().read(self._bands[0], window=window)
             else:
@@ -169,7 +128,7 @@ class RasterImage:
         bad: Mask | None = None
         if not self._all_valid:
             window = self._window(lines, columns)
-            with raster_errors(self.path):
+            with raster_errors(self.path), raster_environment(self.access):
                 bad = (self._dataset().read_masks(self._bands, window=window) == 0).any(axis=0)
         if self._type.kind == "f":
             gaps = ~np.isfinite(self.read(lines, columns))
@@ -192,20 +151,21 @@ class NpyImage:
         """Map the file once to learn its shape."""
         self.path = Path(path)
         self._extra_mask = mask
-        must_exist(self.path)
         self._array = self._map()
+        _refuse_wide(self.path, self.shape)
         if mask is not None:
             _same_shape(self.path, self.shape, mask)
 
     def _map(self) -> NDArray[Any]:
         """The memory map, checked."""
-        try:
-            array = np.load(self.path, mmap_mode="r", allow_pickle=False)
-        except (OSError, ValueError) as error:
-            raise FormatError(
-                f"{self.path}: cannot be read as .npy ({_first_line(error)}); the file is truncated or "
-                f"damaged; make it again"
-            ) from None
+        check_file(self.path)
+        advice = "the file is truncated or damaged; make it again"
+        with foreign_errors(self.path, "cannot be read as .npy", advice):
+            array: Any = np.load(self.path, mmap_mode="r", allow_pickle=False)
+            if not isinstance(array, np.ndarray):
+                raise FormatError(
+                    f"{self.path}: is an archive of arrays (.npz); save one image with numpy.save"
+                )
         if array.ndim != 2 or array.dtype.kind not in "uifb":
             raise FormatError(
                 f"{self.path}: holds an array of shape {array.shape} and type {array.dtype}; "
@@ -262,6 +222,15 @@ class NpyImage:
 
 #: What `open_image` gives.
 Source = RasterImage | NpyImage
+
+
+def _refuse_wide(path: Path, shape: tuple[int, int], bands: int = 1) -> None:
+    """FormatError of a size that no image has: pixels are read by whole lines."""
+    if min(shape) < 1 or shape[1] * bands > MOST_COLUMNS:
+        raise FormatError(
+            f"{path}: claims {shape[0]} lines x {shape[1]} columns, {bands} of them; lines of 1 to "
+            f"{MOST_COLUMNS:,} pixels are read; is the header damaged?"
+        )
 
 
 def _check_window(

@@ -14,6 +14,7 @@ import numpy as np
 from sightline.applications.focal_plane import FocalPlane, NamedLayout
 from sightline.errors import FormatError, InputError
 from sightline.estimation.prior import Matern, Spectrum, Tone
+from sightline.io.acquired import input_files
 from sightline.io.config import read_toml, validate
 from sightline.io.instrument_schema import InstrumentFile, LayoutSection, PriorSection
 from sightline.motion.layout_information import blind_frequencies_of, common_lags
@@ -35,6 +36,12 @@ def load_instrument(path: str | Path) -> FocalPlane:
     """
     path = Path(path)
     file = validate(InstrumentFile, read_toml(path), path)
+    with input_files(path, file):
+        return _instrument(path, file)
+
+
+def _instrument(path: Path, file: InstrumentFile) -> FocalPlane:
+    """What the file says."""
     rate = 1.0 / file.line_period if file.ground_rate_px is None else file.ground_rate_px
     lines = np.arange(float(file.lines)) if isinstance(file.lines, int) else file.lines
     if lines is not None:

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from sightline.io.acquisition_schema import Section
+from sightline.io.acquisition_schema import InputFile, Section
 from sightline.io.quantities import (
     Duration,
     FocalLengthPx,
@@ -98,7 +98,7 @@ class LayoutSection(Section):
         return self
 
 
-class InstrumentFile(Section):
+class InstrumentFile(InputFile):
     """An INSTRUMENT.toml: what is known of an instrument before its detectors have places."""
 
     name: Title = Field(default="instrument", description="Title of the report")

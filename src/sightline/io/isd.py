@@ -10,7 +10,6 @@ Not here: frame cameras and writing.
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from sightline.errors import FormatError
+from sightline.access import read_json
+from sightline.errors import FormatError, reads
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.instrument import LineDetector
 from sightline.geometry.pointing import FixedMount
@@ -34,6 +34,14 @@ MODEL_NAME = "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
 DISTORTIONS = {"radial": 3, "lrolrocnac": 1}
 #: Numbers of the distortions in model states (others are refused).
 STATE_DISTORTIONS = {0: "radial", 4: "lrolrocnac"}
+#: Lines and samples beyond which a file is damaged: no line scanner makes such images.
+_MOST_LINES, _MOST_SAMPLES = 10_000_000, 1_000_000
+#: m in the units of ISDs.
+_UNITS = {"km": 1e3, "m": 1.0}
+#: Lists of a model state that hold rows one after the other, and the length of these.
+_FLAT = (("m_positions", 3), ("m_velocities", 3), ("m_quaternions", 4))
+#: Stands for no default.
+_NEEDED = object()
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +112,7 @@ class _Motion:
     world_from_sensor: Rotation
 
 
+@reads("a line-scan sensor model")
 def read_line_scan_model(path: Path, reference_et: float | None = None) -> LineScanModel:
     """A USGS CSM line-scan ISD or model state.
 
@@ -128,39 +137,97 @@ def read_line_scan_model(path: Path, reference_et: float | None = None) -> LineS
     Body axes are chosen by what the sensor does: z along its boresight, x across its row of pixels to
     the side it flies. Columns may then increase to the left or to the right.
     """
-    data = _load(path)
-    try:
-        if any(key.startswith("m_") for key in data):
-            return _assemble(
-                _state_motion(data, path), _state_plane(data, path), _state_timing(data), reference_et
-            )
-        return _assemble(_isd_motion(data, path), _isd_plane(data, path), _isd_timing(data), reference_et)
-    except (KeyError, IndexError, TypeError) as error:
-        raise FormatError(
-            f"{path}: the key {error} is missing or not of the expected form; "
-            f"a line-scan ISD or model state of {MODEL_NAME} is expected"
-        ) from None
+    data = _Keys(path, _load(path))
+    if any(key.startswith("m_") for key in data.values):
+        return _assemble(
+            _state_motion(data, path), _state_plane(data, path), _state_timing(data), reference_et
+        )
+    return _assemble(_isd_motion(data, path), _isd_plane(data, path), _isd_timing(data), reference_et)
 
 
 def _load(path: Path) -> dict[str, Any]:
     """The JSON of the file, checked to be of our model."""
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise FormatError(f"{path}: no such file; check the name in the TOML file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(
-            f"{path}: cannot be read as text ({error}); a JSON sensor model is expected"
-        ) from None
-    start = text.find("{")
-    try:
-        data = json.loads(text[max(start, 0) :])
-    except json.JSONDecodeError as error:
-        raise FormatError(f"{path}: not valid JSON ({error}); an ISD or model state is expected") from None
+    data = read_json(path, "an ISD or model state", advice="check the name in the TOML file", before="{")
     name = data.get("name_model", data.get("m_modelName")) if isinstance(data, dict) else None
     if name != MODEL_NAME:
         raise FormatError(f"{path}: is of model {name!r}; {MODEL_NAME} is read")
     return dict(data)
+
+
+@dataclass(frozen=True, eq=False)
+class _Keys:
+    """The values of the file, by names of keys with a dot between a table and its key."""
+
+    path: Path
+    values: dict[str, Any]
+
+    def refused(self, key: str, why: str) -> FormatError:
+        """The error of a key that is not as it should be."""
+        return FormatError(
+            f"{self.path}: the key {key!r} {why}; a line-scan ISD or model state of {MODEL_NAME} is expected"
+        )
+
+    def value(self, key: str, default: Any = _NEEDED) -> Any:
+        """What a key holds."""
+        inner: Any = self.values
+        names = key.split(".")
+        for depth, name in enumerate(names, 1):
+            if not isinstance(inner, dict) or name not in inner:
+                if default is _NEEDED:
+                    raise self.refused(".".join(names[:depth]), "is missing")
+                return default
+            inner = inner[name]
+        return inner
+
+    def array(self, key: str, *shape: int) -> Array:
+        """Finite numbers of a shape; -1 stands for any length of 1 or more."""
+        try:
+            array = np.array(self.value(key), dtype=np.float64)
+        except (TypeError, ValueError, OverflowError):
+            raise self.refused(key, "does not hold numbers, as many in every row") from None
+        if not np.isfinite(array).all():
+            raise self.refused(key, "holds what is no finite number")
+        fits = len(array.shape) == len(shape) and all(
+            size == want or (want < 0 and size > 0) for size, want in zip(array.shape, shape, strict=True)
+        )
+        if not fits:
+            wanted = " x ".join("n" if want < 0 else str(want) for want in shape) or "one number"
+            raise self.refused(key, f"is of shape {list(array.shape)}, not {wanted}")
+        return array
+
+    def number(self, key: str) -> float:
+        """A finite number."""
+        return float(self.array(key))
+
+    def positive(self, key: str) -> float:
+        """A number above 0."""
+        number = self.number(key)
+        if number <= 0.0:
+            raise self.refused(key, f"is {number:g}, not above 0")
+        return number
+
+    def count(self, key: str, least: int, most: int) -> int:
+        """A whole number."""
+        number = self.number(key)
+        if number != round(number) or not least <= number <= most:
+            raise self.refused(key, f"is {number:g}, no whole number from {least} to {most:,}")
+        return int(number)
+
+    def times(self, key: str) -> Array:
+        """Instants (n,) s that increase."""
+        t = self.array(key, -1)
+        if (np.diff(t) <= 0.0).any():
+            raise self.refused(key, "does not increase")
+        return t
+
+    def rows(self, table: str, key: str, width: int, times: Array) -> Array:
+        """Rows of a table, one for each of its instants."""
+        rows = self.array(f"{table}.{key}", -1, width)
+        if len(rows) != len(times):
+            raise self.refused(
+                f"{table}.{key}", f"has {len(rows)} rows, {table}.ephemeris_times {len(times)}"
+            )
+        return rows
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,82 +251,93 @@ class _Timing:
         return np.asarray(self.centre_et + start + period * (line - first + 0.5))
 
 
-def _isd_timing(data: dict[str, Any]) -> _Timing:
+def _isd_timing(data: _Keys) -> _Timing:
     """Timing of an ISD."""
-    radii = data["radii"]
-    unit = _metres(radii.get("unit", "km"))
+    unit = _metres(data, "radii.unit")
     return _Timing(
-        int(data["image_lines"]),
-        int(data["image_samples"]),
-        np.array(data["line_scan_rate"], dtype=np.float64),
-        float(data["center_ephemeris_time"]),
-        (radii["semimajor"] * unit, radii["semiminor"] * unit),
+        data.count("image_lines", 2, _MOST_LINES),
+        data.count("image_samples", 2, _MOST_SAMPLES),
+        data.array("line_scan_rate", -1, 3),
+        data.number("center_ephemeris_time"),
+        (data.positive("radii.semimajor") * unit, data.positive("radii.semiminor") * unit),
     )
 
 
-def _state_timing(data: dict[str, Any]) -> _Timing:
+def _state_timing(data: _Keys) -> _Timing:
     """Timing of a model state."""
-    rates = np.column_stack([data["m_intTimeLines"], data["m_intTimeStartTimes"], data["m_intTimes"]])
+    lines = data.array("m_intTimeLines", -1)
+    rates = [data.array(key, len(lines)) for key in ("m_intTimeStartTimes", "m_intTimes")]
     return _Timing(
-        int(data["m_nLines"]),
-        int(data["m_nSamples"]),
-        np.asarray(rates, dtype=np.float64),
-        float(data["m_centerEphemerisTime"]),
-        (float(data["m_majorAxis"]), float(data["m_minorAxis"])),
+        data.count("m_nLines", 2, _MOST_LINES),
+        data.count("m_nSamples", 2, _MOST_SAMPLES),
+        np.column_stack([lines, *rates]),
+        data.number("m_centerEphemerisTime"),
+        (data.positive("m_majorAxis"), data.positive("m_minorAxis")),
     )
 
 
-def _metres(unit: str) -> float:
-    """Metres in a unit of length."""
-    return 1e3 if unit.lower() == "km" else 1.0
+def _metres(data: _Keys, key: str) -> float:
+    """Metres in the unit of length that a key names."""
+    unit = data.value(key, "km")
+    if not isinstance(unit, str) or unit.lower() not in _UNITS:
+        raise data.refused(key, f"is {str(unit)[:40]!r}, none of {', '.join(_UNITS)}")
+    return _UNITS[unit.lower()]
 
 
-def _isd_plane(data: dict[str, Any], path: Path) -> _FocalPlane:
+def _isd_plane(data: _Keys, path: Path) -> _FocalPlane:
     """Focal plane of an ISD."""
-    distortion = data.get("optical_distortion") or {}
+    distortion = data.value("optical_distortion", None) or {}
+    if not isinstance(distortion, dict):
+        raise data.refused("optical_distortion", "is no table")
     name = next(iter(distortion), "none")
     if name != "none" and name not in DISTORTIONS:
         raise FormatError(
             f"{path}: optical_distortion {name!r} is not read; {', '.join(DISTORTIONS)} or none are"
         )
-    coefficients = np.atleast_1d(
-        np.asarray(distortion[name]["coefficients"] if name != "none" else [], dtype=float)
-    )
+    coefficients = np.empty(0)
+    if name != "none":
+        coefficients = _coefficients(data, f"optical_distortion.{name}.coefficients")
     _check_coefficients(path, name, coefficients)
     return _FocalPlane(
-        float(data["focal_length_model"]["focal_length"]),
-        (
-            np.array(data["focal2pixel_lines"], dtype=float),
-            np.array(data["focal2pixel_samples"], dtype=float),
-        ),
-        (float(data["detector_center"]["line"]), float(data["detector_center"]["sample"])),
-        (float(data["starting_detector_line"]), float(data["starting_detector_sample"])),
-        float(data["detector_sample_summing"]),
+        data.positive("focal_length_model.focal_length"),
+        (data.array("focal2pixel_lines", 3), data.array("focal2pixel_samples", 3)),
+        (data.number("detector_center.line"), data.number("detector_center.sample")),
+        (data.number("starting_detector_line"), data.number("starting_detector_sample")),
+        data.positive("detector_sample_summing"),
         name,
         coefficients,
     )
 
 
-def _state_plane(data: dict[str, Any], path: Path) -> _FocalPlane:
+def _coefficients(data: _Keys, key: str) -> Array:
+    """A number or a list of them, which may be empty."""
+    given = data.value(key)
+    if isinstance(given, list):
+        return data.array(key, len(given))
+    return np.atleast_1d(data.array(key))
+
+
+def _state_plane(data: _Keys, path: Path) -> _FocalPlane:
     """Focal plane of a model state."""
-    number = int(data["m_distortionType"])
-    coefficients = np.atleast_1d(np.asarray(data["m_opticalDistCoeffs"], dtype=float))
+    number = data.count("m_distortionType", 0, 1000)
     if number not in STATE_DISTORTIONS:
         raise FormatError(
             f"{path}: m_distortionType {number} is not read; "
             f"{', '.join(f'{n} ({name})' for n, name in STATE_DISTORTIONS.items())} are"
         )
+    coefficients = _coefficients(data, "m_opticalDistCoeffs")
     _check_coefficients(path, STATE_DISTORTIONS[number], coefficients)
-    if np.any(np.asarray(data.get("m_currentParameterValue", 0.0)) != 0.0):
+    adjusted = data.value("m_currentParameterValue", None) is not None
+    if adjusted and _coefficients(data, "m_currentParameterValue").any():
         raise FormatError(
             f"{path}: m_currentParameterValue holds adjustments, which are not read; apply them first"
         )
     return _FocalPlane(
-        float(data["m_focalLength"]),
-        (np.array(data["m_iTransL"], dtype=float), np.array(data["m_iTransS"], dtype=float)),
-        (float(data["m_detectorLineOrigin"]), float(data["m_detectorSampleOrigin"])),
-        (float(data["m_startingDetectorLine"]), float(data["m_startingDetectorSample"])),
-        float(data["m_detectorSampleSumming"]),
+        data.positive("m_focalLength"),
+        (data.array("m_iTransL", 3), data.array("m_iTransS", 3)),
+        (data.number("m_detectorLineOrigin"), data.number("m_detectorSampleOrigin")),
+        (data.number("m_startingDetectorLine"), data.number("m_startingDetectorSample")),
+        data.positive("m_detectorSampleSumming"),
         STATE_DISTORTIONS[number],
         coefficients,
     )
@@ -274,57 +352,61 @@ def _check_coefficients(path: Path, name: str, coefficients: Array) -> None:
         )
 
 
-def _scalar_first(table: dict[str, Any]) -> Rotation:
+def _scalar_first(data: _Keys, name: str, times: Array) -> Rotation:
     """Rotations of an ISD's table: scalar-first quaternions, then the constant rotation."""
-    turning = Rotation.from_quat(np.array(table["quaternions"], dtype=float), scalar_first=True)
-    if "constant_rotation" not in table:
+    quaternions = data.rows(name, "quaternions", 4, times)
+    if (np.linalg.norm(quaternions, axis=1) == 0.0).any():
+        raise data.refused(f"{name}.quaternions", "holds one of length 0")
+    turning = Rotation.from_quat(quaternions, scalar_first=True)
+    if data.value(f"{name}.constant_rotation", None) is None:
         return turning
-    return Rotation.from_matrix(np.array(table["constant_rotation"], dtype=float).reshape(3, 3)) * turning
+    constant = data.array(f"{name}.constant_rotation", 9).reshape(3, 3)
+    return Rotation.from_matrix(constant) * turning
 
 
-def _isd_motion(data: dict[str, Any], path: Path) -> _Motion:
+def _isd_motion(data: _Keys, path: Path) -> _Motion:
     """Positions and attitudes of an ISD, turned from J2000 into body-fixed axes.
 
     ``body_rotation`` is body-fixed from J2000, ``instrument_pointing`` sensor from J2000; the body turns
     evenly (slerp) between the instants given for it.
     """
-    body, pointing, place = data["body_rotation"], data["instrument_pointing"], data["instrument_position"]
-    for name, table in (
-        ("body_rotation", body),
-        ("instrument_pointing", pointing),
-        ("instrument_position", place),
-    ):
-        if table.get("reference_frame", 1) != 1:
-            raise FormatError(
-                f"{path}: {name} has reference_frame {table['reference_frame']}; 1 (J2000) is read"
-            )
-    t_body = np.array(body["ephemeris_times"], dtype=float)
-    fixed = _scalar_first(body)
+    for name in ("body_rotation", "instrument_pointing", "instrument_position"):
+        frame = data.value(f"{name}.reference_frame", 1)
+        if frame != 1:
+            raise FormatError(f"{path}: {name} has reference_frame {frame!r:.40}; 1 (J2000) is read")
+    t_body, t_pointing, t_place = (
+        data.times(f"{name}.ephemeris_times")
+        for name in ("body_rotation", "instrument_pointing", "instrument_position")
+    )
     if len(t_body) == 1:
         raise FormatError(f"{path}: body_rotation has one instant; two or more are needed")
+    fixed = _scalar_first(data, "body_rotation", t_body)
     turning = Slerp(t_body - t_body[0], fixed)
-    t_place = np.array(place["ephemeris_times"], dtype=float)
-    t_pointing = np.array(pointing["ephemeris_times"], dtype=float)
-    unit = _metres(place.get("unit", "km"))
-    inertial = unit * np.array(place["positions"], dtype=float)
-    inertial_rate = unit * np.array(place["velocities"], dtype=float)
+    unit = _metres(data, "instrument_position.unit")
+    inertial = unit * data.rows("instrument_position", "positions", 3, t_place)
+    inertial_rate = unit * data.rows("instrument_position", "velocities", 3, t_place)
     there = turning(np.clip(t_place - t_body[0], 0.0, t_body[-1] - t_body[0]))
     steps = (fixed[:-1].inv() * fixed[1:]).as_rotvec() / np.diff(t_body)[:, None]
     spin = steps[np.clip(np.searchsorted(t_body, t_place, side="right") - 1, 0, len(steps) - 1)]
     # fixed(t + dt) = fixed(t) * exp(spin dt): a point at rest in J2000 drifts by spin x in body axes
     velocity = there.apply(inertial_rate + np.cross(spin, inertial))
     then = turning(np.clip(t_pointing - t_body[0], 0.0, t_body[-1] - t_body[0]))
-    return _Motion(t_place, there.apply(inertial), velocity, t_pointing, then * _scalar_first(pointing).inv())
+    sensor = _scalar_first(data, "instrument_pointing", t_pointing)
+    return _Motion(t_place, there.apply(inertial), velocity, t_pointing, then * sensor.inv())
 
 
-def _state_motion(data: dict[str, Any], path: Path) -> _Motion:
+def _state_motion(data: _Keys, path: Path) -> _Motion:
     """Positions and attitudes of a model state: evenly spaced, body-fixed, quaternions scalar last."""
-    position = np.array(data["m_positions"], dtype=float).reshape(-1, 3)
-    velocity = np.array(data["m_velocities"], dtype=float).reshape(-1, 3)
-    quaternions = np.array(data["m_quaternions"], dtype=float).reshape(-1, 4)
-    centre = float(data["m_centerEphemerisTime"])
-    t_position = _evenly(centre + float(data["m_t0Ephem"]), float(data["m_dtEphem"]), len(position))
-    t_attitude = _evenly(centre + float(data["m_t0Quat"]), float(data["m_dtQuat"]), len(quaternions))
+    flat = [(key, size, data.array(key, -1)) for key, size in _FLAT]
+    for key, size, values in flat:
+        if len(values) % size:
+            raise data.refused(key, f"holds {len(values)} numbers, no rows of {size}")
+    position, velocity, quaternions = (values.reshape(-1, size) for _, size, values in flat)
+    if (np.linalg.norm(quaternions, axis=1) == 0.0).any():
+        raise data.refused("m_quaternions", "holds one of length 0")
+    centre = data.number("m_centerEphemerisTime")
+    t_position = _evenly(centre + data.number("m_t0Ephem"), data.positive("m_dtEphem"), len(position))
+    t_attitude = _evenly(centre + data.number("m_t0Quat"), data.positive("m_dtQuat"), len(quaternions))
     if len(position) != len(velocity):
         raise FormatError(
             f"{path}: {len(position)} positions and {len(velocity)} velocities; one of each is expected"

@@ -8,7 +8,6 @@ Not here: what is done with them (``applications/spin_attitude.py``).
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -18,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import FormatError
+from sightline.access import read_json
+from sightline.errors import FormatError, foreign_errors
 from sightline.geometry.earth import from_geodetic
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.two_body import propagate, velocity_between
@@ -58,6 +58,15 @@ DARK, AROUND = (14.0, 18.0, 18.0), 24
 BLIND, LEAST_LIT = 26, 1000
 #: A radiation hit stands out of its surroundings by so many sigmas, and so many levels.
 HIT_SIGMAS, HIT_LEVELS = 6.0, 6.0
+
+#: Numbers of a metadata file and where they lie: s, degrees, km.
+_EXPECTED = {
+    "INTERFRAME_DELAY": (1e-3, 60.0),
+    "SUB_SPACECRAFT_LATITUDE": (-90.0, 90.0),
+    "SUB_SPACECRAFT_LONGITUDE": (-360.0, 360.0),
+    "SPACECRAFT_ALTITUDE": (1.0, 1e8),
+}
+_NEEDED = f"PRODUCT_ID, START_TIME, {', '.join(_EXPECTED)} are needed"
 
 
 def companding_table() -> NDArray[np.float32]:
@@ -103,25 +112,17 @@ def read_metadata(path: Path) -> JunoMetadata:
     FormatError
         If it is not JSON or lacks a value.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        number = {
-            key: float(str(content[key]).split()[0])
-            for key in (
-                "INTERFRAME_DELAY",
-                "SUB_SPACECRAFT_LATITUDE",
-                "SUB_SPACECRAFT_LONGITUDE",
-                "SPACECRAFT_ALTITUDE",
-            )
-        }
+    content = read_json(path, "a JunoCam metadata file")
+    number: dict[str, float] = {}
+    for key, (low, high) in _EXPECTED.items():
+        with foreign_errors(f"{path}: {key}", "not as in a JunoCam metadata file", _NEEDED):
+            number[key] = float(str(content[key]).split()[0])
+        if not low <= number[key] <= high:
+            raise FormatError(f"{path}: {key} = {number[key]:g} is not from {low:g} to {high:g}; {_NEEDED}")
+    with foreign_errors(f"{path}: START_TIME", "not as in a JunoCam metadata file", _NEEDED):
         start = datetime.fromisoformat(content["START_TIME"]).replace(tzinfo=UTC)
+    with foreign_errors(f"{path}: PRODUCT_ID", "not as in a JunoCam metadata file", _NEEDED):
         product = str(content["PRODUCT_ID"])
-    except (OSError, UnicodeDecodeError, ValueError, KeyError, TypeError) as error:
-        raise FormatError(
-            f"{path}: not a JunoCam metadata file ({type(error).__name__}: {error}); PRODUCT_ID, START_TIME, "
-            "INTERFRAME_DELAY, SUB_SPACECRAFT_LATITUDE, SUB_SPACECRAFT_LONGITUDE and SPACECRAFT_ALTITUDE are "
-            "needed"
-        ) from None
     return JunoMetadata(
         product,
         start,

@@ -21,7 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError
+from sightline.access import read_text
+from sightline.errors import FormatError, reads
 from sightline.writing import whole
 
 Array = NDArray[np.float64]
@@ -71,6 +72,7 @@ class ControlList:
     names: tuple[str, ...]
 
 
+@reads("geo.txt of OpenDroneMap")
 def read_geo(path: Path) -> GeoPlaces:
     """Places of images; FormatError names file and line."""
     crs, rows = _rows(path, 3)
@@ -93,6 +95,7 @@ def read_geo(path: Path) -> GeoPlaces:
     )
 
 
+@reads("gcp_list.txt of OpenDroneMap")
 def read_gcp_list(path: Path) -> ControlList:
     """Control points and where they were seen; FormatError names file and line."""
     crs, rows = _rows(path, 6)
@@ -136,12 +139,7 @@ def write_geo(path: Path, names: Sequence[str], lonlat: Array, sigma: Array | No
 
 def _rows(path: Path, least: int) -> tuple[Any, list[tuple[int, list[str]]]]:
     """Coordinate system, and line number and cells of every row."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise FormatError(f"{path}: no such file; check the name in the TOML file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(f"{path}: cannot be read as text ({error})") from None
+    text = read_text(path, "a text file of OpenDroneMap", advice="check the name in the TOML file")
     lines = [(n, line.strip()) for n, line in enumerate(text.splitlines(), 1) if line.strip()]
     if not lines:
         raise FormatError(f"{path}: the file is empty; a coordinate system and rows are expected")

@@ -15,15 +15,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import FormatError
+from sightline.access import read_json
+from sightline.errors import FormatError, foreign_errors, reads
 from sightline.geometry.instrument import AreaDetector
 from sightline.io.reconstruction import Reconstruction
 from sightline.writing import whole
 
 #: Relative difference of the two focal lengths up to which pixels are square.
 _SQUARE = 1e-3
+#: m; heights of references beyond which they are none.
+_FARTHEST = 1e9
+
+Array = NDArray[np.float64]
 
 
 def write_opensfm(
@@ -90,6 +96,7 @@ def _camera(detector: AreaDetector) -> dict[str, Any]:
     }
 
 
+@reads("a reconstruction of OpenSfM")
 def read_opensfm(path: Path) -> tuple[Reconstruction, tuple[float, float, float] | None]:
     """The first reconstruction of a ``reconstruction.json``, and its reference as of `write_opensfm`.
 
@@ -98,43 +105,57 @@ def read_opensfm(path: Path) -> tuple[Reconstruction, tuple[float, float, float]
     FormatError
         If the file is none, or holds a camera that is not understood.
     """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise FormatError(f"{path}: no such file; give a reconstruction.json of OpenSfM") from None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise FormatError(f"{path}: cannot be read as JSON ({error})") from None
+    what = "a reconstruction.json of OpenSfM"
+    content = read_json(path, what, advice=f"give {what}")
     first = content[0] if isinstance(content, list) and content else content
     if not isinstance(first, dict) or not first.get("shots") or not first.get("cameras"):
         raise FormatError(f"{path}: no reconstruction with cameras and shots is in it")
-    try:
-        return _reconstruction(path, first), _reference(first)
-    except (KeyError, TypeError, ValueError) as error:
-        raise FormatError(f"{path}: not a reconstruction of OpenSfM: {error!r} is missing or wrong") from None
+    return _reconstruction(path, first), _reference(path, first)
 
 
-def _reference(content: dict[str, Any]) -> tuple[float, float, float] | None:
+def _reference(path: Path, content: dict[str, Any]) -> tuple[float, float, float] | None:
     place = content.get("reference_lla")
-    return None if place is None else (place["longitude"], place["latitude"], place["altitude"])
+    if place is None:
+        return None
+    with foreign_errors(f"{path}: reference_lla", "not as OpenSfM has it", "degrees and metres are expected"):
+        longitude, latitude, height = (float(place[key]) for key in ("longitude", "latitude", "altitude"))
+    if not (abs(longitude) <= 360.0 and abs(latitude) <= 90.0 and abs(height) < _FARTHEST):
+        raise FormatError(
+            f"{path}: reference_lla: longitude {longitude:g}, latitude {latitude:g}, altitude {height:g} is "
+            "no place; degrees and metres are expected"
+        )
+    return longitude, latitude, height
 
 
 def _reconstruction(path: Path, content: dict[str, Any]) -> Reconstruction:
     cameras = list(content["cameras"])
     shots = content["shots"]
-    camera_from_world = Rotation.from_rotvec(
-        np.array([shot["rotation"] for shot in shots.values()], dtype=float)
-    )
-    moves = np.array([shot["translation"] for shot in shots.values()], dtype=float)
-    points = [point["coordinates"] for point in content.get("points", {}).values()]
+    turns = _vectors(path, "shots", "rotation", shots)
+    camera_from_world = Rotation.from_rotvec(turns)
+    moves = _vectors(path, "shots", "translation", shots)
+    points = _vectors(path, "points", "coordinates", content.get("points", {}))
     return Reconstruction(
         tuple(shots),
         tuple(_detector(path, name, content["cameras"][name]) for name in cameras),
         np.array([cameras.index(shot["camera"]) for shot in shots.values()], dtype=np.intp),
         -camera_from_world.inv().apply(moves),
         camera_from_world.inv(),
-        np.array(points, dtype=float).reshape(-1, 3),
+        points,
         np.full(len(points), np.nan),
     )
+
+
+def _vectors(path: Path, table: str, key: str, entries: dict[str, Any]) -> Array:
+    """(n, 3) finite numbers of a key of all entries of a table."""
+    place = f"{path}: {table}: {key}"
+    with foreign_errors(place, "not as OpenSfM has it", "three numbers of each are expected"):
+        vectors = np.array([entry[key] for entry in entries.values()], dtype=np.float64).reshape(-1, 3)
+        if len(vectors) != len(entries):
+            raise FormatError(f"{place}: three numbers of each are expected")
+    if not np.isfinite(vectors).all():
+        name = list(entries)[int(np.argmin(np.isfinite(vectors).all(axis=1)))]
+        raise FormatError(f"{place} of {name!r} is not finite; remove it")
+    return vectors
 
 
 def _detector(path: Path, name: str, camera: dict[str, Any]) -> AreaDetector:

@@ -23,7 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import FormatError, InputError
+from sightline.access import read_arrays
+from sightline.errors import FormatError, InputError, foreign_errors, reads
 from sightline.geometry.checks import ReadOnlyArrays, frozen
 from sightline.geometry.earth import WGS84, from_geodetic, local_axes
 from sightline.io.acquisition_schema import WorldSection
@@ -101,6 +102,7 @@ def write_poses(path: Path, poses: FramePoseTable) -> None:
     write_columns(path, dict(zip(names, values, strict=True)), dict.fromkeys(TRUTH[1:], "%.17g"))
 
 
+@reads("a table of poses")
 def read_pose_table(path: Path) -> FramePoseTable:
     """``poses.csv``: FormatError names file, row and column; an infinite sigma is allowed."""
     table = read_columns(path, POSES, text=("frame", "source"), infinite=SIGMAS)
@@ -117,6 +119,7 @@ def read_pose_table(path: Path) -> FramePoseTable:
     return FramePoseTable(*_pose_columns(path, table), sigma, source)
 
 
+@reads("a table of poses")
 def read_pose_truth(path: Path) -> FramePoseTable:
     """``poses-truth.csv``."""
     return FramePoseTable(*_pose_columns(path, read_columns(path, TRUTH, text=("frame",))))
@@ -191,18 +194,15 @@ def write_pose_covariance(path: Path, given: PoseCovariance) -> None:
 
 def read_pose_covariance(path: Path) -> PoseCovariance:
     """``covariance.npz``; FormatError where something is missing or of the wrong shape."""
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            frames = tuple(str(word) for word in file["frame"])
-            arrays = [
-                np.asarray(file[k], dtype=np.float64) for k in ("covariance", "datum", "datum_covariance")
-            ]
-            focal = None
-            if "focal_length_px" in file:
-                row = np.asarray(file["focal_length_covariance"], dtype=np.float64)
-                focal = FocalLength(float(file["focal_length_px"]), frozen(row.reshape(7)))
-    except (OSError, KeyError, ValueError) as error:
-        raise FormatError(f"{path}: cannot be read as covariances of poses ({error})") from None
+    what, advice = "covariances of poses", "run `sightline georeference` again"
+    file = read_arrays(path, what, advice)
+    with foreign_errors(path, f"cannot be read as {what}", advice):
+        frames = tuple(str(word) for word in file["frame"])
+        arrays = [np.asarray(file[k], dtype=np.float64) for k in ("covariance", "datum", "datum_covariance")]
+        focal = None
+        if "focal_length_px" in file:
+            row = np.asarray(file["focal_length_covariance"], dtype=np.float64)
+            focal = FocalLength(float(file["focal_length_px"]), frozen(row.reshape(7)))
     shapes = [array.shape for array in arrays]
     if shapes != [(len(frames), 6, 6), (6,), (6, 6)]:
         raise FormatError(f"{path}: arrays of shapes {shapes} for {len(frames)} frames")

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError
+from sightline.errors import FormatError, reads
 from sightline.io.tables import header_of, read_columns
 
 Array = NDArray[np.float64]
@@ -22,6 +22,7 @@ QUALITY = ("column", "mtf_x", "mtf_y", "snr")
 LEAST = 0.02
 
 
+@reads("a table of quality")
 def read_match_sigma(path: Path, columns: int) -> Array:
     """(columns, 2) relative sigma along lines and columns of matches at every column; the best is 1.
 

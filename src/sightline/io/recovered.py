@@ -8,7 +8,6 @@ Not here: what is done with them (``applications/registration.py``).
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,11 +16,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError, InputError
+from sightline.access import read_arrays
+from sightline.errors import FormatError, InputError, foreign_errors
 from sightline.geometry.trajectory import Motion
+from sightline.inputs import note
 from sightline.io.acquired import Acquisition
 from sightline.io.hidden import read_summary
-from sightline.io.inputs import note
 from sightline.io.tables import read_motion
 
 Array = NDArray[np.float64]
@@ -110,14 +110,13 @@ def _prolonged(folder: Path, t: Array, angles: Array) -> tuple[Array, Array]:
     note(path)
     if not path.is_file():
         return t, angles
-    try:
-        with np.load(path, allow_pickle=False) as stored:
-            grid, values = stored["t"], stored["angles"]
-    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-        raise FormatError(
-            f"{path}: cannot be read ({error}); run `sightline recover` again, or delete it: lines outside "
-            "motion.csv are then left out"
-        ) from None
+    advice = "run `sightline recover` again, or delete it: lines outside motion.csv are then left out"
+    stored = read_arrays(path, "the covariance of a motion", advice)
+    with foreign_errors(path, "cannot be read as the covariance of a motion", advice):
+        grid = np.asarray(stored["t"], dtype=np.float64).reshape(-1)
+        values = np.asarray(stored["angles"], dtype=np.float64).reshape(len(grid), 3)
+    if not (np.isfinite(grid).all() and np.isfinite(values).all() and (np.diff(grid) > 0.0).all()):
+        raise FormatError(f"{path}: `t` does not increase, or holds no numbers as `angles` may not; {advice}")
     step = float(np.median(np.diff(t))) if len(t) > 1 else 0.0
     early, late = grid < t[0] - 0.5 * step, grid > t[-1] + 0.5 * step
     return (

@@ -20,9 +20,10 @@ from numpy.typing import NDArray
 
 from sightline.applications.registration import Registration
 from sightline.execution import available_processors
+from sightline.imaging.rasters import open_raster, raster_errors
 from sightline.imaging.source import ImageSource
 from sightline.io.acquired import Acquisition
-from sightline.io.images import open_image, raster_errors
+from sightline.io.images import open_image
 from sightline.io.names import file_stems, printable
 from sightline.products.register_bands import line_blocks
 from sightline.writing import must_fit, whole_raster
@@ -50,22 +51,17 @@ class Grid:
 
 def grid_of(acquisition: Acquisition, band: int) -> Grid:
     """The grid of a band's image, with the georeferencing of its file."""
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning
-
     image = acquisition.bands[band].image
     path, tags = getattr(image, "path", None), {}
     if path is not None and Path(path).suffix.lower() != ".npy":
-        with raster_errors(path), warnings.catch_warnings():
-            warnings.simplefilter("ignore", NotGeoreferencedWarning)
-            with rasterio.open(path) as source:
-                points, system = source.gcps
-                if points:
-                    tags = {"gcps": points, "crs": system}
-                elif not source.transform.is_identity:
-                    tags = {"transform": source.transform, "crs": source.crs}
-                if source.rpcs is not None:
-                    tags["rpcs"] = source.rpcs
+        with raster_errors(path), open_raster(path, getattr(image, "access", None)) as source:
+            points, system = source.gcps
+            if points:
+                tags = {"gcps": points, "crs": system}
+            elif not source.transform.is_identity:
+                tags = {"transform": source.transform, "crs": source.crs}
+            if source.rpcs is not None:
+                tags["rpcs"] = source.rpcs
     return Grid(image.shape, tags)
 
 

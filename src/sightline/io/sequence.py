@@ -21,7 +21,7 @@ from sightline.geometry.checks import read_only
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Surface
-from sightline.io.acquired import InputFolder, sha256
+from sightline.io.acquired import InputFolder, input_files, sha256
 from sightline.io.acquisition_schema import WorldSection
 from sightline.io.config import read_toml, validate
 from sightline.io.envi import read_envi_wavelengths
@@ -111,7 +111,13 @@ def load_sequence(path: str | Path) -> SequenceProblem:
 
 def read_sequence(path: Path) -> FrameSequence:
     """Everything a SEQUENCE.toml says; errors as of `load_sequence`."""
-    file, files = validate(SequenceFile, read_toml(path), path), InputFolder(path)
+    file = validate(SequenceFile, read_toml(path), path)
+    with input_files(path, file) as files:
+        return _sequence(path, file, files)
+
+
+def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequence:
+    """The file with everything that it names."""
     frames = read_frames(file, files)
     mount = mount_of(file.camera)
     start = starting_poses(file, files, frames, mount)

@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 FRAMES = ("frame", "t", "image")
 #: What a folder of frames may hold; further files in it are not looked at.
 SUFFIXES = (".tif", ".tiff", ".jpg", ".jpeg", ".png", ".jp2")
+_NAMED = "`frames` names a folder of photographs, or a table frame,t,image"
 #: s, and times the median step between frames, beyond which a pause may be one between two flights.
 PAUSE, PAUSE_STEPS = 60.0, 50.0
 
@@ -63,9 +64,11 @@ class FrameList:
 
 def read_frames(file: SequenceFile, files: InputFolder) -> FrameList:
     """Frames of a SEQUENCE.toml: of its table, or of the photographs in its folder."""
-    path = files.toml.parent / file.frames
+    path = files.path(file.frames)
     frames = (
-        _of_folder(path, file.sequence.epoch) if path.is_dir() else _of_table(files(file.frames), file, files)
+        _of_folder(path, file.sequence.epoch)
+        if path.is_dir()
+        else _of_table(files(file.frames, advice=_NAMED), file, files)
     )
     return frames if len(frames.t) < 3 else _with_pauses(frames)
 
@@ -80,7 +83,7 @@ def _of_table(path: Path, file: SequenceFile, files: InputFolder) -> FrameList:
     images = [str(word) for word in table["image"]]
     if "" in images:
         raise FormatError(f"{path}: row {images.index('') + 1} names no image")
-    return FrameList(path, names, t, tuple(files.toml.parent / name for name in images), epoch)
+    return FrameList(path, names, t, tuple(files.path(name) for name in images), epoch)
 
 
 def refuse_repeated(path: Path, names: Sequence[str]) -> None:

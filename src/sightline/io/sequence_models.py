@@ -37,6 +37,11 @@ ORIGIN_FILE = "origin.csv"
 GEODETIC, FLAT = ("longitude", "latitude", "height"), ("x", "y", "z")
 #: Polar radii of the body beyond which coordinates are counted from its centre.
 _EARTH_FIXED = 0.99
+#: What may be named.
+_NAMED = (
+    "`poses` names a folder with a COLMAP model, a reconstruction.json of OpenSfM, or a table "
+    "frame,x,y,z,omega,phi,kappa or ...,yaw,pitch,roll"
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +95,12 @@ def told_poses(
     """
     if file.poses is None:
         return None
-    path = files.toml.parent / file.poses
+    path = files.path(file.poses)
     if path.is_dir():
         model, position, attitude = _of_colmap(file, files, path)
     else:
-        model = _opensfm(files(file.poses)) if path.suffix == ".json" else _angles(files(file.poses), mount)
+        path = files(file.poses, advice=_NAMED)
+        model = _opensfm(path) if path.suffix == ".json" else _angles(path, mount)
         position, attitude = _to_world(file, path, model, model.place)
     frame, t = matched(path, frames, _names_of_files(model.names, frames), None)
     kept = frame >= 0
@@ -121,11 +127,6 @@ def _opensfm(path: Path) -> Model:
 
 
 def _angles(path: Path, mount: Rotation) -> Model:
-    if not path.is_file():
-        raise FormatError(
-            f"{path}: no such file or folder; `poses` names a folder with a COLMAP model, a "
-            "reconstruction.json of OpenSfM, or a table frame,x,y,z,omega,phi,kappa or ...,yaw,pitch,roll"
-        )
     if kind_of_angles(path) is None:
         raise FormatError(
             f"{path}: the header is {','.join(header_of(path))!r}; `poses` takes a table "

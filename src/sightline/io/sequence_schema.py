@@ -24,6 +24,7 @@ from sightline.io.acquisition_schema import (
     MOST_LISTED,
     ControlPointSection,
     DatedSection,
+    InputFile,
     Section,
     SurfaceSection,
     WorldSection,
@@ -220,7 +221,7 @@ class CubeSection(Section):
         return value
 
 
-class SequenceFile(Section):
+class SequenceFile(InputFile):
     """A SEQUENCE.toml: overlapping frames of one camera, and what is known of their poses."""
 
     sequence: SequenceHeader = SequenceHeader()

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError
+from sightline.errors import FormatError, reads
 from sightline.io.ccsds import seconds_from_epoch
 from sightline.io.tables import first_row, line_of_row, read_columns
 
@@ -27,6 +27,7 @@ def first_instant(path: Path) -> str | None:
     return word if _INSTANT.fullmatch(word) else None
 
 
+@reads("a CSV table")
 def read_timed(
     path: Path,
     columns: Sequence[str],

@@ -20,7 +20,7 @@ from sightline.geometry.earth import WGS84
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Surface
-from sightline.io.acquired import InputFolder, attitude_to_world, sha256
+from sightline.io.acquired import InputFolder, attitude_to_world, input_files, sha256
 from sightline.io.config import read_toml, validate
 from sightline.io.images import Source, check_content, open_image
 from sightline.io.platform import points_to_world
@@ -143,7 +143,13 @@ def read_stereo(path: Path, *, planned: bool = False) -> Stereo:
 
     With `planned`, points need not be there yet: a prediction lays them out.
     """
-    file, files = read_stereo_file(path), InputFolder(path)
+    file = read_stereo_file(path)
+    with input_files(path, file) as files:
+        return _stereo(path, file, files, planned=planned)
+
+
+def _stereo(path: Path, file: StereoFile, files: InputFolder, *, planned: bool) -> Stereo:
+    """The file with everything that it names."""
     if file.plan is not None:
         raise FormatError(
             f"{path}: [plan] is a pass not yet flown: ask for its bound with --predict, or give cameras = "
@@ -343,7 +349,8 @@ def _pictures(
     table = read_image_list(path, poses)
     sources = []
     for row, image, mask in zip(table.row, table.files, table.masks, strict=True):
-        source = open_image(files(image), 1, None if mask is None else files(mask))
+        place = f"{files.toml}: images: {path.name}"
+        source = open_image(files(image, place), 1, None if mask is None else files(mask, place))
         shape = detectors[poses.camera[row]].shape
         if source.shape != shape:
             raise FormatError(

@@ -15,8 +15,9 @@ from sightline.errors import FormatError, SightlineError
 from sightline.geometry.earth import WGS84
 from sightline.geometry.orbit_pair import OrbitPair
 from sightline.geometry.surface import Ellipsoid
-from sightline.io.acquired import sha256
+from sightline.io.acquired import input_files, sha256
 from sightline.io.stereo import camera_sections, detector_of, mount_of, read_stereo_file
+from sightline.io.stereo_schema import StereoFile
 from sightline.photogrammetry.point_priors import HeightPrior
 from sightline.photogrammetry.pose_noise import PoseNoise
 
@@ -60,6 +61,12 @@ def read_plan(path: Path) -> PlannedPass:
         Names file, key, value, what is allowed.
     """
     file = read_stereo_file(path)
+    with input_files(path, file):
+        return _plan(path, file)
+
+
+def _plan(path: Path, file: StereoFile) -> PlannedPass:
+    """The pass of the file."""
     if file.plan is None or file.camera is None:
         raise FormatError(f"{path}: has no [plan]; add it, with [camera] and [noise]")
     plan, radii = file.plan, file.surface.radii or WGS84

@@ -16,6 +16,7 @@ from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 from sightline.geometry.units import ARCSEC
 from sightline.io.acquisition_schema import (
     DatedSection,
+    InputFile,
     Section,
     SurfaceSection,
     WorldSection,
@@ -147,7 +148,7 @@ class PlanSection(Section):
     )
 
 
-class StereoFile(Section):
+class StereoFile(InputFile):
     """A STEREO.toml: cameras that image one scene together, points found in the images, what is known."""
 
     stereo: StereoHeader = StereoHeader()

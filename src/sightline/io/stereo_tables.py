@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError
+from sightline.errors import FormatError, reads
 from sightline.io.tables import check_quaternions, header_of, line_of_row, read_columns, read_long_columns
 
 Array = NDArray[np.float64]
@@ -119,6 +119,7 @@ def listed(names: Sequence[str]) -> str:
     return ", ".join(names[:LISTED]) + (f" and {more} more" if more > 0 else "")
 
 
+@reads("a CSV table")
 def read_poses(path: Path) -> PoseTable:
     """``camera,shot,t,x,y,z,qx,qy,qz,qw``: planned poses of every image."""
     table = read_long_columns(path, CAMERAS, text=("camera",))
@@ -247,6 +248,7 @@ class PointTable:
     pairs: int | None = None
 
 
+@reads("a CSV table")
 def read_matches(path: Path, poses: PoseTable, sigma_px: float | None) -> PointTable:
     """``shot,point,line_1,column_1,line_2,column_2[,sigma_px]`` of two cameras."""
     if len(poses.cameras) != 2:
@@ -271,6 +273,7 @@ def read_matches(path: Path, poses: PoseTable, sigma_px: float | None) -> PointT
     )
 
 
+@reads("a CSV table")
 def read_observations(
     path: Path, poses: PoseTable, sigma_px: float | None, *, strips: bool = False
 ) -> PointTable:
@@ -336,6 +339,7 @@ class ControlTable:
     seen: PointTable | None
 
 
+@reads("a CSV table")
 def read_control(path: Path, poses: PoseTable, sigma_px: float | None) -> ControlTable:
     """``x,y,z,sigma`` and ``point``, or ``camera,shot,line,column``, or ``image,line,column``."""
     header = header_of(path)
@@ -458,6 +462,7 @@ class ImageTable:
     masks: tuple[str | None, ...]
 
 
+@reads("a CSV table")
 def read_image_list(path: Path, poses: PoseTable) -> ImageTable:
     """``camera,shot,image[,mask]``: the picture of every pose that has one."""
     masked = "mask" in header_of(path)

@@ -9,6 +9,7 @@ Not here: CCSDS messages (``ccsds.py``), sensor-model files (``isd.py``).
 from __future__ import annotations
 
 import csv
+import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -18,8 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sightline.errors import FormatError, InputError
-from sightline.io.inputs import note
+from sightline.access import read_text
+from sightline.errors import FormatError, InputError, reads
 from sightline.io.quantities import QUATERNION_TOLERANCE
 from sightline.motion.differences import AngleDifferences
 from sightline.writing import whole
@@ -75,6 +76,7 @@ class MotionTable:
     observed: NDArray[np.bool_] | None = None
 
 
+@reads("a CSV table")
 def read_columns(
     path: Path, columns: Sequence[str], text: Sequence[str] = (), infinite: Sequence[str] = ()
 ) -> dict[str, list[str] | Array]:
@@ -126,6 +128,7 @@ def read_columns(
     return result
 
 
+@reads("a CSV table")
 def read_long_columns(
     path: Path, columns: Sequence[str], optional: Sequence[str] = (), text: Sequence[str] = ()
 ) -> dict[str, Any]:
@@ -154,7 +157,7 @@ def read_long_columns(
     rows = _lines(path)
     if not rows:
         raise FormatError(f"{path}: the file is empty; a header line and rows are expected")
-    header = [name.strip() for name in next(csv.reader([rows[0][1]]))]
+    header = [name.strip() for name in next(_records(path, [rows[0][1]]))[1]]
     names = [*columns, *(name for name in optional if name in header)]
     lines = [line for _, line in rows[1:]]
     commas = len(header) - 1
@@ -176,11 +179,13 @@ def read_long_columns(
     return table
 
 
+@reads("a CSV table")
 def header_of(path: Path) -> list[str]:
     """Names of the columns of a CSV file; FormatError where there is none."""
     return [name.strip() for name in _rows(path)[0][1]]
 
 
+@reads("a CSV table")
 def first_row(path: Path) -> dict[str, str]:
     """Cells of the first row of a CSV file by the names of their columns; none where there is no row."""
     rows = _rows(path)
@@ -196,17 +201,13 @@ def line_of_row(path: Path, row: int) -> int:
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Line number and cells of every row that is neither empty nor a comment."""
-    lines = _text_lines(path)
-    try:
-        rows = list(_records(lines))
-    except csv.Error as error:
-        raise FormatError(f"{path}: cannot be parted into cells ({error}); a CSV file is expected") from None
+    rows = list(_records(path, _text_lines(path)))
     if not rows:
         raise FormatError(f"{path}: the file is empty; a header line and rows are expected")
     return rows
 
 
-def _records(lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
+def _records(path: Path, lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
     """The rows; a cell in quotes may go on over several lines, whatever these hold."""
     begun = 0  # line of the row at hand; 0 between rows
 
@@ -217,9 +218,14 @@ def _records(lines: Sequence[str]) -> Iterator[tuple[int, list[str]]]:
                 begun = begun or number
                 yield line
 
-    for row in csv.reader(fed()):
-        yield begun, row
-        begun = 0
+    try:
+        for row in csv.reader(fed()):
+            yield begun, row
+            begun = 0
+    except csv.Error as error:
+        raise FormatError(
+            f"{path}: line {begun}: cannot be read as CSV ({error}); correct that line"
+        ) from error
 
 
 def _left_out(line: str) -> bool:
@@ -233,14 +239,8 @@ def _lines(path: Path) -> list[tuple[int, str]]:
 
 
 def _text_lines(path: Path) -> list[str]:
-    note(path)
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            return list(stream)
-    except FileNotFoundError:
-        raise FormatError(f"{path}: no such file; check the name in the TOML file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise FormatError(f"{path}: cannot be read as text ({error}); a CSV file is expected") from None
+    text = read_text(path, "a CSV table", advice="check the name in the TOML file")
+    return list(io.StringIO(text, newline=""))
 
 
 def _numbers(
@@ -289,6 +289,7 @@ def _matrix(table: Mapping[str, list[str] | Array], names: Sequence[str]) -> Arr
     return np.column_stack([np.asarray(table[name], dtype=np.float64) for name in names])
 
 
+@reads("a CSV table")
 def read_positions(path: Path) -> tuple[Array, Array]:
     """``t,x,y,z``: times (N,) s and positions (N, 3), in whatever axes ``[world]`` says."""
     table = read_columns(path, POSITIONS)
@@ -297,6 +298,7 @@ def read_positions(path: Path) -> tuple[Array, Array]:
     return t, _matrix(table, POSITIONS[1:])
 
 
+@reads("a CSV table")
 def read_attitudes(path: Path) -> tuple[Array, Array]:
     """``t,qx,qy,qz,qw``: times (N,) s and unit quaternions (N, 4), scalar last, world_from_body.
 
@@ -325,6 +327,7 @@ def check_quaternions(path: Path, quat_xyzw: Array) -> Array:
     return np.asarray(quat_xyzw / length[:, None])
 
 
+@reads("a CSV table")
 def read_star_tracker(path: Path) -> tuple[Array, Array, Array]:
     """``t,roll,pitch,yaw,sigma``: times (N,), angles (N, 3) rad, sigma (N,) rad."""
     table = read_columns(path, STAR_TRACKER)
@@ -333,6 +336,7 @@ def read_star_tracker(path: Path) -> tuple[Array, Array, Array]:
     return t, _matrix(table, ANGLES), _sigma(path, table)
 
 
+@reads("a CSV table")
 def read_gyro(path: Path) -> tuple[Array, Array, Array, Array]:
     """``t_start,t_end,roll,pitch,yaw,sigma``: starts, ends (N,) s, increments (N, 3) rad, sigma (N,) rad."""
     table = read_columns(path, GYRO)
@@ -358,6 +362,7 @@ def _sigma(path: Path, table: Mapping[str, list[str] | Array]) -> Array:
     return sigma
 
 
+@reads("a CSV table")
 def read_control_points(path: Path) -> tuple[Array, Array, list[str], Array]:
     """``x,y,z,sigma,image,line,column``: points (N, 3), sigma (N,) m, image names, pixels (N, 2)."""
     table = read_columns(path, CONTROL_POINTS, text=("image",))
@@ -365,6 +370,7 @@ def read_control_points(path: Path) -> tuple[Array, Array, list[str], Array]:
     return _matrix(table, "xyz"), _sigma(path, table), names, _matrix(table, ("line", "column"))
 
 
+@reads("a CSV table")
 def read_features(path: Path) -> tuple[list[str], Array]:
     """``image,line,column``: image names and pixels (N, 2) of known features."""
     table = read_columns(path, FEATURES, text=("image",))
@@ -373,6 +379,7 @@ def read_features(path: Path) -> tuple[list[str], Array]:
     return [str(name) for name in table["image"]], _matrix(table, ("line", "column"))
 
 
+@reads("a CSV table")
 def read_psd(path: Path) -> tuple[Array, Array]:
     """``f,roll,pitch,yaw``: frequencies (N,) Hz, one-sided spectra (N, 3) rad^2/Hz."""
     table = read_columns(path, PSD)
@@ -394,6 +401,7 @@ def read_psd(path: Path) -> tuple[Array, Array]:
     return f, density
 
 
+@reads("a CSV table")
 def read_directions(path: Path) -> Array:
     """``column,x,y,z``: unit viewing directions (columns, 3) in camera axes, one row per column from 0."""
     table = read_columns(path, DIRECTIONS)
@@ -409,6 +417,7 @@ def read_directions(path: Path) -> Array:
     return np.asarray(directions / length[:, None])
 
 
+@reads("a CSV table")
 def read_line_times(path: Path) -> Array:
     """``line,t``: the centre of exposure of every line from 0, (lines,) s, increasing."""
     table = read_columns(path, LINE_TIMES)
@@ -418,6 +427,7 @@ def read_line_times(path: Path) -> Array:
     return t
 
 
+@reads("a CSV table")
 def read_mirror_angles(path: Path) -> tuple[Array, Array]:
     """``t,angle``: times (N,) s, increasing, and angles of a scan mirror (N,) rad."""
     table = read_columns(path, MIRROR_ANGLES)
@@ -436,6 +446,7 @@ def _check_count(path: Path, name: str, values: Array) -> None:
         )
 
 
+@reads("a CSV table")
 def read_motion(path: Path) -> MotionTable:
     """A ``motion.csv`` or a ``truth.csv``: whichever columns it has beyond t, roll, pitch, yaw."""
     header = [name.strip() for name in _rows(path)[0][1]]

@@ -17,6 +17,7 @@ from sightline.applications.tdi_choice import TdiProblem, check_slip
 from sightline.errors import FormatError, InputError
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.imaging.tdi_transfer import Exposure
+from sightline.io.acquired import InputFolder, input_files
 from sightline.io.config import read_toml, validate
 from sightline.io.tables import header_of, read_columns
 from sightline.io.tdi_columns import columns_of_acquisition, optics_of, static_mtf
@@ -53,6 +54,12 @@ def load_tdi(path: str | Path, motion: str | Path | None = None) -> TdiProblem:
     """
     path = Path(path)
     file = validate(TdiFile, read_toml(path), path)
+    with input_files(path, file) as files:
+        return _problem(path, file, files, motion)
+
+
+def _problem(path: Path, file: TdiFile, files: InputFolder, motion: str | Path | None) -> TdiProblem:
+    """The file with everything that it names."""
     signals = np.array(file.signals.electrons)
     head, choice = file.head, file.choice
     detector = TdiDetector(
@@ -67,7 +74,7 @@ def load_tdi(path: str | Path, motion: str | Path | None = None) -> TdiProblem:
         _rules(choice, file),
     )
     if file.columns.acquisition is not None:
-        seen = columns_of_acquisition(file, path, None if motion is None else Path(motion))
+        seen = columns_of_acquisition(file, files, None if motion is None else Path(motion))
         columns, notes = seen.columns, seen.notes
         moved = seen.mtf(grid, detector.exposure, rules)
     elif motion is not None:
@@ -76,7 +83,7 @@ def load_tdi(path: str | Path, motion: str | Path | None = None) -> TdiProblem:
             "with [columns] acquisition = FILE in place of count or table"
         )
     else:
-        columns, notes, moved = _columns(file, path), (), None
+        columns, notes, moved = _columns(file, files), (), None
     if not (columns.static_mtf > 0.0).all():
         raise FormatError(
             f"{path}: optics, pixel and diffusion leave no contrast at mtf.frequencies = "
@@ -138,7 +145,7 @@ def _rules(choice: ChoiceSection, file: TdiFile) -> ChoiceRules:
     )
 
 
-def _columns(file: TdiFile, path: Path) -> ScanColumns:
+def _columns(file: TdiFile, files: InputFolder) -> ScanColumns:
     """Columns by their count, a table, or the cameras of an acquisition."""
     section = file.columns
     static = static_mtf(file.mtf)
@@ -149,7 +156,7 @@ def _columns(file: TdiFile, path: Path) -> ScanColumns:
             np.zeros(section.count),
         )
         return _with_sigmas(column, velocity, slip, np.tile(static, (section.count, 1)), file, {})
-    return _read_columns(path.parent / str(section.table), static, file)
+    return _read_columns(files(str(section.table)), static, file)
 
 
 def _read_columns(path: Path, static: Array, file: TdiFile) -> ScanColumns:

@@ -15,6 +15,7 @@ from sightline.applications.tdi_columns import band_camera, strip_span
 from sightline.errors import InputError
 from sightline.imaging.mtf import aperture_mtf, diffusion_mtf, optics_mtf
 from sightline.imaging.tdi_transfer import Exposure
+from sightline.io.acquired import InputFolder
 from sightline.io.acquisition import load_acquisition
 from sightline.io.motion_knowledge import read_motion_knowledge
 from sightline.io.tdi_schema import MtfSection, TdiFile
@@ -54,15 +55,15 @@ class SeenColumns:
         return MotionMtf(self.columns, self.geometry, self.knowledge, grid, exposure, rules, self.span)
 
 
-def columns_of_acquisition(file: TdiFile, path: Path, motion: Path | None) -> SeenColumns:
+def columns_of_acquisition(file: TdiFile, files: InputFolder, motion: Path | None) -> SeenColumns:
     """Velocity and slip of every column of a band, by its camera.
 
     Parameters
     ----------
     file : TdiFile
         With ``[columns] acquisition``.
-    path : Path
-        Of the TDI.toml, from which the acquisition is named.
+    files : InputFolder
+        Finds the acquisition.
     motion : Path or None
         Folder that ``recover`` wrote for it: motion, offset and rotation of the band are taken from there.
 
@@ -72,7 +73,7 @@ def columns_of_acquisition(file: TdiFile, path: Path, motion: Path | None) -> Se
         Files that are missing or damaged, or do not belong together.
     """
     section = file.columns
-    acquisition = load_acquisition(path.parent / str(section.acquisition))
+    acquisition = load_acquisition(files(str(section.acquisition)))
     if not acquisition.bands:
         raise InputError(
             f"{acquisition.path}: has no [[band]]: TDI needs a push-broom detector; name such an acquisition"

@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
-from sightline.io.acquisition_schema import Section
+from sightline.io.acquisition_schema import InputFile, Section
 from sightline.io.quantities import FileName, Name, ShareBelow1, ShareOrNone, Title, Within, shown
 from sightline.tdi.setting import MOST_RATIOS, MOST_STAGES, SLIP_LIMIT
 
@@ -331,7 +331,7 @@ class MotionSection(Section):
     integration_ratio: Share = Field(default=1.0, description="Integration ratio of those images")
 
 
-class TdiFile(Section):
+class TdiFile(InputFile):
     """A TDI.toml: a detector, its columns, its signals, and what is wanted of them."""
 
     name: Title = Field(default="TDI choice", description="Title of the report")

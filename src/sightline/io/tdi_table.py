@@ -9,6 +9,7 @@ import binascii
 import re
 from pathlib import Path
 
+from sightline.access import read_bytes
 from sightline.errors import FormatError, InputError
 from sightline.tdi.setting import MOST_RATIOS, RATIO_BITS, STAGE_BITS
 from sightline.tdi.table import (
@@ -382,9 +383,4 @@ def read_segments(path: str | Path) -> TdiTable:
 
 
 def _read(path: str | Path) -> bytes:
-    try:
-        return Path(path).read_bytes()
-    except OSError as error:
-        raise FormatError(
-            f"{path}: cannot be read ({error.strerror}); give a file `sightline tdi` wrote"
-        ) from None
+    return read_bytes(Path(path), "a table of TDI settings", advice="give a file `sightline tdi` wrote")

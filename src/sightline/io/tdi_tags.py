@@ -15,7 +15,8 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError, InputError
+from sightline.access import LARGE, read_bytes
+from sightline.errors import FormatError, said_by
 from sightline.imaging.tdi_transfer import ALIGNMENTS, Exposure
 from sightline.tdi.tagging import FIELDS, TdiTags, decode_field, encode_field
 from sightline.writing import scratch_folder, whole
@@ -127,12 +128,8 @@ def read_tdi_tags(path: str | Path) -> TdiTags:
         If the file is missing, is none of tags, is of a later version, or is damaged.
     """
     path = Path(path)
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise FormatError(f"{path}: no such file; tags are written by `sightline tdi --signals`") from None
-    except OSError as error:
-        raise FormatError(f"{path}: cannot be read ({error})") from None
+    advice = "tags are written by `sightline tdi --signals`"
+    content = read_bytes(path, "tags of TDI lines", most=LARGE, advice=advice)
     if content[: len(MAGIC)] != MAGIC:
         raise FormatError(f"{path}: not a file of TDI tags: it does not begin with {MAGIC.decode()!r}")
     if len(content) < _HEADER.size + _LENGTH.size:
@@ -144,8 +141,8 @@ def read_tdi_tags(path: str | Path) -> TdiTags:
         raise FormatError(f"{path}: the check sum differs; the file is cut off or damaged: fetch it again")
     try:
         return _parsed(header, content)
-    except (struct.error, ValueError, IndexError, MemoryError, FormatError, InputError) as error:
-        raise FormatError(f"{path}: the content does not fit its header ({error})") from None
+    except Exception as error:  # a right check sum over a content that nobody wrote
+        raise FormatError(f"{path}: the content does not fit its header ({said_by(error)})") from error
 
 
 def _parsed(header: tuple[Any, ...], content: bytes) -> TdiTags:

@@ -11,7 +11,6 @@ Not here: time and place (``exif.py``).
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.io.images import must_exist, raster_errors
+from sightline.imaging.rasters import open_raster, raster_errors
 
 Array = NDArray[np.float64]
 
@@ -76,15 +75,9 @@ def gimbal_attitude(gimbal_deg: Array) -> Rotation:
 
 def read_xmp(path: Path) -> Xmp | None:
     """XMP of a photograph; None where it has none, or none that is XML."""
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning
-
-    must_exist(path)
-    with raster_errors(path), warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        with rasterio.open(path) as dataset:
-            packet = next(iter(dataset.tags(ns="xml:XMP").values()), "")
-            tags = {**dataset.tags(), **dataset.tags(ns="EXIF")}
+    with raster_errors(path), open_raster(path) as dataset:
+        packet = next(iter(dataset.tags(ns="xml:XMP").values()), "")
+        tags = {**dataset.tags(), **dataset.tags(ns="EXIF")}
     return None if not packet else parse_xmp(packet, _px_per_mm(tags))
 
 

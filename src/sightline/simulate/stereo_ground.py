@@ -10,10 +10,11 @@ from pathlib import Path
 
 import numpy as np
 
-from sightline.errors import FormatError, InputError
+from sightline.errors import InputError
 from sightline.geometry.earth import from_geodetic, to_geodetic
 from sightline.geometry.orbit_pair import OrbitPair
 from sightline.geometry.surface import Dem, Ellipsoid
+from sightline.imaging.rasters import open_raster, raster_errors
 from sightline.simulate.measured import srtm_relief
 from sightline.simulate.scene import Extent, Relief, random_relief, relief_at
 from sightline.simulate.stereo_options import StereoOptions
@@ -78,28 +79,23 @@ def dem_relief(path: Path, size: float) -> Relief:
     A raster in degrees is laid out in metres by the scale at its middle. Raises FormatError where it cannot
     be read, InputError where it is too small or has voids.
     """
-    import rasterio
-    from rasterio.errors import RasterioError
     from rasterio.windows import Window
 
-    try:
-        with rasterio.open(path) as source:
-            dx, dy = abs(source.transform.a), abs(source.transform.e)
-            if source.crs is not None and source.crs.is_geographic:
-                metres = np.pi / 180.0 * 6371000.0
-                _, latitude = source.xy(source.height // 2, source.width // 2)
-                dx, dy = dx * metres * float(np.cos(np.radians(latitude))), dy * metres
-            rows, columns = int(np.ceil(size / dy)) + 3, int(np.ceil(size / dx)) + 3
-            if rows > source.height or columns > source.width:
-                across, down = 1e-3 * source.width * dx, 1e-3 * source.height * dy
-                raise InputError(
-                    f"{path}: covers {across:.1f} x {down:.1f} km, {size / 1e3:.1f} km square are needed; "
-                    "give a larger raster, or a smaller `scene_size` or `ground_size`"
-                )
-            window = Window((source.width - columns) // 2, (source.height - rows) // 2, columns, rows)
-            masked = source.read(1, window=window, masked=True)
-    except RasterioError as problem:
-        raise FormatError(f"{path}: cannot be read as a raster of heights: {problem}") from None
+    with raster_errors(path), open_raster(path) as source:
+        dx, dy = abs(source.transform.a), abs(source.transform.e)
+        if source.crs is not None and source.crs.is_geographic:
+            metres = np.pi / 180.0 * 6371000.0
+            _, latitude = source.xy(source.height // 2, source.width // 2)
+            dx, dy = dx * metres * float(np.cos(np.radians(latitude))), dy * metres
+        rows, columns = int(np.ceil(size / dy)) + 3, int(np.ceil(size / dx)) + 3
+        if rows > source.height or columns > source.width:
+            across, down = 1e-3 * source.width * dx, 1e-3 * source.height * dy
+            raise InputError(
+                f"{path}: covers {across:.1f} x {down:.1f} km, {size / 1e3:.1f} km square are needed; "
+                "give a larger raster, or a smaller `scene_size` or `ground_size`"
+            )
+        window = Window((source.width - columns) // 2, (source.height - rows) // 2, columns, rows)
+        masked = source.read(1, window=window, masked=True)
     heights = np.ma.filled(masked.astype(np.float64), np.nan)
     if not np.isfinite(heights).all():
         raise InputError(f"{path}: has voids in its middle {size / 1e3:.1f} km; fill them, or give another")

@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sightline.errors import FormatError, InputError
+from sightline.access import read_bytes
+from sightline.errors import FormatError, InputError, foreign_errors
 from sightline.tdi.setting import MOST_RATIOS, MOST_STAGES, RATIO_BITS, STAGE_BITS, Array, Index, TdiGrid
 from sightline.tdi.table_kernels import words_by_passes, words_by_signal
 
@@ -332,13 +333,9 @@ class TdiTable:
         file = Path(path)
         if file.is_dir():
             file = file / IMAGE_FILE
-        try:
-            image = file.read_bytes()
-        except OSError as error:
-            raise FormatError(
-                f"{file}: cannot be read ({error.strerror}); give the folder that `sightline tdi` wrote"
-            ) from None
-        return cls.from_bytes(image, str(file))
+        image = read_bytes(file, "a TDI table", advice="give the folder that `sightline tdi` wrote")
+        with foreign_errors(file, "cannot be read as a TDI table", "make it again with `sightline tdi`"):
+            return cls.from_bytes(image, str(file))
 
 
 def _array(given: ArrayLike, name: str) -> NDArray[Any]:
