@@ -39,7 +39,7 @@ NETWORK_DRIVERS = (
 _SCHEMES = {"http": "curl", "https": "curl", "ftp": "curl", "s3": "s3", "gs": "gs", "az": "az", "oss": "oss"}
 _VIRTUAL = ("curl", "s3", "gs", "az", "adls", "oss", "swift", "webhdfs")
 #: An address (its two slashes may have become one in a path), and a virtual path of GDAL.
-_ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/{1,2}(?!/)(.+)")
+_ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.+)")
 _VSI = re.compile(r"/vsi([a-z0-9]+?)(?:_streaming)?/.*", re.IGNORECASE)
 #: What is read for a mistake about the kind of a file, by its mode.
 _KINDS = {
@@ -273,8 +273,9 @@ def check_inside(path: Path, folders: Sequence[Path], owner: Path) -> None:
     real = path.resolve()
     if any(real.is_relative_to(folder) for folder in folders):
         return
+    link = f" (a link to {real})" if real != Path(os.path.abspath(path)) else ""
     raise FormatError(
-        f"{owner}: refers to {path}, which lies outside the folders that it may refer to "
+        f"{owner}: refers to {path}{link}, which lies outside the folders that it may refer to "
         f"({', '.join(map(str, folders))}); move it there, or name its folder in the TOML file: "
         f'[files] allow = ["{real.parent}"]'
     )

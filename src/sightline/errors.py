@@ -125,6 +125,42 @@ def reads(
     return decorated
 
 
+@contextmanager
+def failing_numbers(what: str) -> Iterator[None]:
+    """Turn arithmetic that fails in the block into EstimationError: what no finite input should do, data may.
+
+    Parameters
+    ----------
+    what : str
+        What is computed, or file and what: the message begins with it.
+    """
+    try:
+        yield
+    except Exception as error:
+        # scipy says so of what is singular, and of what is not finite
+        singular = type(error).__name__ == "LinAlgError" or "infs or NaNs" in str(error)
+        if isinstance(error, SightlineError) or not (isinstance(error, ArithmeticError) or singular):
+            raise
+        raise EstimationError(
+            f"{what}: cannot be computed from these data ({said_by(error)}); look for values that are "
+            "extreme, repeated, or do not belong together; --debug shows where it failed"
+        ) from error
+
+
+def computes(what: str) -> Callable[[Callable[_Given, _Result]], Callable[_Given, _Result]]:
+    """`failing_numbers` about a whole function."""
+
+    def decorated(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
+        @wraps(function)
+        def computed(*args: _Given.args, **kwargs: _Given.kwargs) -> _Result:
+            with failing_numbers(what):
+                return function(*args, **kwargs)
+
+        return computed
+
+    return decorated
+
+
 def said_by(error: BaseException) -> str:
     """What an exception of another library means, on one line."""
     if isinstance(error, OSError) and error.strerror:

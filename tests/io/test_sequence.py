@@ -424,7 +424,10 @@ def test_xmp_of_rtk_fixes_and_signs():
     assert tags.longitude_deg == -91.9 and tags.gimbal_deg is None
     nothing = parse_xmp(XMP.format(sigma.replace("0.012", "nan")))
     assert nothing.position_sigma is None
-    assert parse_xmp("<x:xmpmeta") is None and parse_xmp("<x:xmpmeta <</x:xmpmeta>") is None
+    assert parse_xmp("nothing of ours") is None
+    for damaged in ("<x:xmpmeta", "<x:xmpmeta <</x:xmpmeta>"):
+        with pytest.raises(FormatError, match=r"^p: its XMP cannot be read"):
+            parse_xmp(damaged, place="p")
     from sightline.io.exif import Exif
 
     place, turned = place_of(Exif("2026-01-01T00:00:00Z", 91.9, 46.8, None), tags)

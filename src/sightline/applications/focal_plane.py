@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import InputError
+from sightline.errors import InputError, computes
 from sightline.estimation.prior import Matern, Spectrum
 from sightline.execution import one_blas_thread
 from sightline.motion.layout_information import (
@@ -283,6 +283,7 @@ class LayoutChoice:
 
 
 @one_blas_thread
+@computes("layouts")
 def choose_layout(
     focal_plane: FocalPlane,
     passband: Sequence[float],

@@ -27,7 +27,7 @@ from sightline.applications.frame_passes import (
     start,
 )
 from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
-from sightline.errors import InputError
+from sightline.errors import InputError, computes
 from sightline.execution import one_blas_thread
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Surface
@@ -64,6 +64,7 @@ class FrameAttitude(LineOfSight):
 
 
 @one_blas_thread
+@computes("attitudes of the frames")
 def recover_frame_attitude(
     frames: Sequence[Frame],
     surface: Surface,

@@ -19,7 +19,7 @@ from sightline.applications.cube_ground import Ground, choose_ground, frame_outl
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import INTERPOLATED, SequencePoses
 from sightline.applications.sequence_solver import ground_distances
-from sightline.errors import InputError
+from sightline.errors import InputError, computes
 from sightline.execution import CpuClock, one_blas_thread, silent
 from sightline.geometry.checks import ReadOnlyArrays
 from sightline.imaging.source import ImageSource
@@ -187,6 +187,7 @@ class CubeSummary(ReadOnlyArrays):
 
 
 @one_blas_thread
+@computes("maps of the bands")
 def assemble_cube(
     problem: SequenceProblem,
     found: SequencePoses,

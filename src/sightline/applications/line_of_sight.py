@@ -30,7 +30,7 @@ from sightline.applications.strip_estimate import (
 from sightline.applications.strip_methods import by_method, check_method, strip_differences
 from sightline.applications.strip_warnings import observed_lines, strip_warnings
 from sightline.applications.wrong_sign import matches_backwards
-from sightline.errors import EstimationError
+from sightline.errors import EstimationError, computes
 from sightline.estimation.likelihood import WORK
 from sightline.execution import one_blas_thread
 from sightline.geometry.surface import Surface
@@ -77,6 +77,7 @@ MIN_KEPT_SHARE = 0.02
 
 
 @one_blas_thread
+@computes("the motion of the line of sight")
 def recover_line_of_sight(
     bands: Sequence[Band],
     surface: Surface,

@@ -11,7 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
-from sightline.errors import InputError
+from sightline.errors import InputError, computes
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
@@ -61,6 +61,7 @@ def recovered_cameras(
     return tuple(c for c in apply_statics(moved, parameters, values) if isinstance(c, PushbroomCamera))
 
 
+@computes("bands laid on one another")
 def register_bands(
     bands: Sequence[Band],
     surface: Surface,

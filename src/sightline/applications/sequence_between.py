@@ -13,13 +13,14 @@ import numpy as np
 
 from sightline.applications.sequence_poses import ESTIMATED, INTERPOLATED, SOLVED, SequencePoses
 from sightline.applications.sequence_solver import SequenceSolver, ground_distances
-from sightline.errors import EstimationError, InputError
+from sightline.errors import EstimationError, InputError, computes
 from sightline.geometry.checks import frozen
 from sightline.photogrammetry.pose_interpolation import WAYS, between_anchors, by_displacement
 
 __all__ = ["WAYS", "interpolate_between"]
 
 
+@computes("poses between those of the subset")
 def interpolate_between(found: SequencePoses, way: str) -> SequencePoses:
     """The same sequence by its subset alone.
 

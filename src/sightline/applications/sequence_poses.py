@@ -36,7 +36,7 @@ from sightline.applications.sequence_warnings import (
 )
 from sightline.applications.stages import Stages
 from sightline.applications.table_check import motion_warnings, table_warnings, unsolved_words
-from sightline.errors import EstimationError, InputError
+from sightline.errors import EstimationError, InputError, computes
 from sightline.execution import CpuClock, machine_memory, one_blas_thread, silent
 from sightline.geometry.checks import Array
 from sightline.matching.follow import Followed, FollowPlan, FollowState
@@ -116,6 +116,7 @@ class SequencePoses:
 
 
 @one_blas_thread
+@computes("poses of the frames")
 def georeference_sequence(
     problem: SequenceProblem,
     *,

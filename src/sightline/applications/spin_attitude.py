@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance
-from sightline.errors import EstimationError, InputError
+from sightline.errors import EstimationError, InputError, computes
 from sightline.execution import one_blas_thread
 from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Surface
@@ -102,6 +102,7 @@ class SpinAttitude(LineOfSight):
 
 
 @one_blas_thread
+@computes("attitudes of the spinning camera")
 def recover_spin_attitude(
     frames: Sequence[Frame],
     surface: Surface,

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import EstimationError, InputError
+from sightline.errors import EstimationError, InputError, computes
 from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
@@ -176,6 +176,7 @@ class StereoOrientation(ReadOnlyArrays):
 
 
 @one_blas_thread
+@computes("the orientation")
 def orient(
     problem: StereoProblem,
     method: str = "ml-track",

@@ -27,7 +27,7 @@ from sightline.applications.stereo_settings import (
     with_shots,
     with_window,
 )
-from sightline.errors import EstimationError, GeometryError, InputError
+from sightline.errors import EstimationError, GeometryError, InputError, computes
 from sightline.execution import one_blas_thread
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.units import ARCSEC
@@ -154,6 +154,7 @@ class _Sweep:
 
 
 @one_blas_thread
+@computes("the bound")
 def predict(problem: StereoProblem, method: str = "ml-track", *, tables: bool = True) -> StereoPrediction:
     """Bounds of a problem at its planned poses, with tables and what would better them.
 
@@ -176,6 +177,7 @@ def predict(problem: StereoProblem, method: str = "ml-track", *, tables: bool = 
 
 
 @one_blas_thread
+@computes("the bound")
 def predict_plan(plan: StereoPlan, method: str = "ml-track", *, tables: bool = True) -> StereoPrediction:
     """Bounds of a pass not yet flown, with tables and what would better them.
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sightline.errors import InputError
+from sightline.errors import InputError, computes
 from sightline.execution import one_blas_thread
 from sightline.tdi.choose import FREE, LIMITS, TdiChoice, choose_settings, merit_of
 from sightline.tdi.hysteresis import SteadyChoice, steady_choice
@@ -199,6 +199,7 @@ class TdiResult:
 
 
 @one_blas_thread
+@computes("the choice of TDI stages")
 def choose_tdi(problem: TdiProblem) -> TdiResult:
     """Choose the number of TDI stages and the integration ratio of every column and signal.
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from sightline.cli.options import Json
+from sightline.cli.options import AllowNetwork, Json
 
 
 def check(
@@ -16,9 +16,11 @@ def check(
         typer.Argument(metavar="FILE.toml", help="An ACQUISITION, INSTRUMENT, SEQUENCE, STEREO or TDI.toml."),
     ],
     as_json: Json = False,
+    allow_network: AllowNetwork = False,
 ) -> None:
     """Say what was understood of a file, what is missing, and what will be observable; run nothing."""
     from sightline.cli.terminal import print_json, say
+    from sightline.errors import failing_numbers
     from sightline.io.acquisition import load_acquisition
     from sightline.io.config import kind_of
     from sightline.io.describe import describe_acquisition
@@ -30,21 +32,22 @@ def check(
     from sightline.io.stereo_plan import describe_plan, has_plan, read_plan
     from sightline.io.tdi import describe_tdi, load_tdi
 
-    match kind_of(file):
-        case "instrument":
-            description = describe_instrument(load_instrument(file))
-        case "sequence":
-            description = describe_sequence(read_sequence(file))
-        case "stereo":
-            description = (
-                describe_plan(read_plan(file))
-                if has_plan(file)
-                else describe_stereo(read_stereo(file, planned=True))
-            )
-        case "tdi":
-            description = describe_tdi(load_tdi(file))
-        case _:
-            description = describe_acquisition(load_acquisition(file))
+    with failing_numbers(f"{file}"):
+        match kind_of(file):
+            case "instrument":
+                description = describe_instrument(load_instrument(file))
+            case "sequence":
+                description = describe_sequence(read_sequence(file))
+            case "stereo":
+                description = (
+                    describe_plan(read_plan(file))
+                    if has_plan(file)
+                    else describe_stereo(read_stereo(file, planned=True))
+                )
+            case "tdi":
+                description = describe_tdi(load_tdi(file))
+            case _:
+                description = describe_acquisition(load_acquisition(file))
     if as_json:
         print_json(description)
         return

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import Json, Out, Overwrite
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
 from sightline.cli.terminal import Progress
 
 if TYPE_CHECKING:
@@ -63,6 +63,7 @@ def georeference(
     ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
+    allow_network: AllowNetwork = False,
 ) -> None:
     """Find the pose of every frame of a sequence, with covariance, and lay all bands on a map."""
     import time

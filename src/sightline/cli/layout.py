@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import Json, Overwrite
+from sightline.cli.options import AllowNetwork, Json, Overwrite
 from sightline.cli.terminal import Progress
 
 if TYPE_CHECKING:
@@ -33,6 +33,7 @@ def layout(
     ] = 10,
     overwrite: Overwrite = False,
     as_json: Json = False,
+    allow_network: AllowNetwork = False,
 ) -> None:
     """Rank layouts of the focal plane by what they tell of the motion in a band, beside other layouts."""
     import time

@@ -11,11 +11,13 @@ import io
 import os
 import signal
 import sys
+from contextvars import copy_context
 from types import FrameType
 from typing import Annotated, Any
 
 import typer
 
+from sightline.access import shut_network
 from sightline.cli import (
     check,
     demo,
@@ -97,6 +99,8 @@ def main(arguments: list[str] | None = None) -> None:
     """
     words = sys.argv[1:] if arguments is None else arguments
     debug = "--debug" in words
+    if "--allow-network" not in words:
+        shut_network()
     _heed_signals()
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a terminal without some letter shows its number
@@ -137,7 +141,8 @@ def run(words: list[str], *, debug: bool = False) -> int:
     published.clear()
     try:
         with warnings_as_messages():
-            status = app(words, prog_name="sightline", standalone_mode=False)
+            # what a command lets be opened ends with it
+            status = copy_context().run(app, words, prog_name="sightline", standalone_mode=False)
         if status == INTERRUPTED:  # typer's word for an interruption inside a command
             raise KeyboardInterrupt
     except _ClickException as error:
@@ -145,13 +150,20 @@ def run(words: list[str], *, debug: bool = False) -> int:
         return WRONG_INPUT
     except Interrupted as kept:
         return _interrupted(f"; {kept}")
-    except (typer.Abort, KeyboardInterrupt):
+    except (typer.Abort, KeyboardInterrupt) as stopped:
+        if isinstance(stopped.__cause__, EOFError):  # of a file, which typer takes for Ctrl-D
+            return _failed(stopped.__cause__, debug)
         return _interrupted("")
     except Exception as error:
-        if debug:
-            raise
-        return _status_of(error)
+        return _failed(error, debug)
     return status if isinstance(status, int) else 0
+
+
+def _failed(error: Exception, debug: bool) -> int:
+    """Exit status of a command that failed, once what failed was said; its traceback with `debug`."""
+    if debug:
+        raise error
+    return _status_of(error)
 
 
 def _interrupted(kept: str) -> int:

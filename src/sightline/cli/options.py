@@ -27,6 +27,23 @@ SEQUENCE_CASES = (
     "lvf", "stepwise", "mosaic", "rgb", "pan", "small", "cube-60", "two-lines", "long", "aircraft", "cubesat",
 )  # fmt: skip
 
+
+def _let_network(allowed: bool) -> bool:
+    if allowed:
+        from sightline.access import let_network
+
+        let_network()
+    return allowed
+
+
+AllowNetwork = Annotated[
+    bool,
+    typer.Option(
+        "--allow-network",
+        help="Let rasters ask servers for their pixels; without it no request leaves the machine.",
+        callback=_let_network,
+    ),
+]
 Out = Annotated[
     Path,
     typer.Option("--out", metavar="DIR", help="Folder to write; made if missing, refused if it holds files."),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import Json, Out, Overwrite
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
 from sightline.cli.terminal import Progress
 from sightline.geometry.units import ARCSEC
 
@@ -61,6 +61,7 @@ def orient(
     ] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
+    allow_network: AllowNetwork = False,
 ) -> None:
     """Find the constant attitude errors of cameras from points they see together, with covariance."""
     from sightline.cli.output import output_folder

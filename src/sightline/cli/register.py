@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from sightline.cli.options import Json, Out, Overwrite
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
 from sightline.cli.terminal import Progress
 
 
@@ -39,6 +39,7 @@ def register(
     stack: Annotated[bool, typer.Option("--stack", help="One file of all bands, not one for each.")] = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
+    allow_network: AllowNetwork = False,
 ) -> None:
     """Lay the bands of a strip on one of them, or the frames of a spinning camera into one picture."""
     from sightline.cli.output import output_folder

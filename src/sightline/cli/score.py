@@ -7,6 +7,8 @@ from typing import Annotated, Any
 
 import typer
 
+from sightline.cli.options import AllowNetwork
+
 
 def score(
     result: Annotated[
@@ -26,6 +28,7 @@ def score(
     table: Annotated[
         bool, typer.Option("--table", help="Of poses: a table for people in place of JSON.")
     ] = False,
+    allow_network: AllowNetwork = False,
 ) -> None:
     """Print errors, NEES and coverage of a result against its truth, as JSON."""
     from sightline.cli.terminal import print_json, say

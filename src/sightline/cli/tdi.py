@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import Json, Out, Overwrite
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
 from sightline.cli.terminal import Progress
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ def tdi(
     ] = True,
     overwrite: Overwrite = False,
     as_json: Json = False,
+    allow_network: AllowNetwork = False,
 ) -> None:
     """Choose TDI stages and integration ratio per column and signal, as a table looked up at line rate."""
     from sightline.cli.output import output_folder

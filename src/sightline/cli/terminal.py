@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
+from sightline.errors import UnobservableBandWarning
 from sightline.io.names import printable, shortened
 
 
@@ -185,10 +186,14 @@ def _line(text: str) -> str:
 
 @contextmanager
 def warnings_as_messages() -> Iterator[None]:
-    """Show Python warnings as one line each on stderr, without the place in the code."""
+    """Show our own warnings as one line each on stderr, without the place in the code; no others.
 
-    def show(message: Warning | str, *_: Any, **__: Any) -> None:
-        complain("warning", str(message))
+    Those of other libraries speak of their arrays and functions, which are nobody's input.
+    """
+
+    def show(message: Warning | str, category: type[Warning], *_: Any, **__: Any) -> None:
+        if issubclass(category, UnobservableBandWarning):
+            complain("warning", str(message))
 
     with warnings.catch_warnings():
         warnings.showwarning = show

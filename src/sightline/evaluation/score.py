@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sightline.errors import InputError, SpanError
+from sightline.errors import InputError, SpanError, computes
 from sightline.geometry.checks import as_points, as_times, same_length
 from sightline.geometry.trajectory import Motion
 
@@ -113,6 +113,7 @@ class Score:
         }
 
 
+@computes("the score")
 def score_motion(
     t: ArrayLike,
     angles: ArrayLike,

@@ -82,8 +82,7 @@ def raster_errors(path: Path) -> AbstractContextManager[None]:
     return foreign_errors(
         path,
         "the pixels cannot be read",
-        "the file is truncated, damaged or not a raster; copy or make it again (of a format that only lists "
-        "files: name these, or make one GeoTIFF of it)",
+        "the file is truncated, damaged or not a raster; copy or make it again",
     )
 
 
@@ -124,8 +123,15 @@ def open_raster(path: Path, access: Access | None = None) -> Any:
     drivers: Sequence[str] = (*LOCAL_DRIVERS, *NETWORK_DRIVERS) if access.network else LOCAL_DRIVERS
     if remote is not None:
         return _opened(path, remote, drivers, access)
+    check_file(path)
     check = _References(path, access)
-    dataset = _opened(path, os.path.abspath(path), ("VRT",) if check.follow(path) else drivers, access)
+    try:
+        drivers = ("VRT",) if check.follow(path) else drivers
+    except FormatError as error:
+        if str(error).startswith(f"{path}: "):
+            raise
+        raise FormatError(f"{path}: {error}") from error
+    dataset = _opened(path, os.path.abspath(path), drivers, access)
     try:
         check.counted(dataset.files)
     except SightlineError:
@@ -135,13 +141,21 @@ def open_raster(path: Path, access: Access | None = None) -> Any:
 
 
 def _opened(path: Path, name: str, drivers: Sequence[str], access: Access) -> Any:
-    from rasterio.errors import NotGeoreferencedWarning
+    from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
     from rasterio.io import DatasetReader
 
     os.environ.setdefault("GDAL_CACHEMAX", str(CACHE_MIB))
     with _OPENING, raster_errors(path), raster_environment(access), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        return DatasetReader(name, driver=list(drivers), sharing=False)
+        try:
+            return DatasetReader(name, driver=list(drivers), sharing=False)
+        except RasterioIOError as error:
+            if "supported file format" not in str(error):
+                raise
+            raise FormatError(
+                f"{path}: is no raster, or of a format that only lists other files; name a file that holds "
+                "the pixels, or make a GeoTIFF of it (gdal_translate)"
+            ) from error
 
 
 class _Name(NamedTuple):

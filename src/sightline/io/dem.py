@@ -22,6 +22,10 @@ Array = NDArray[np.float64]
 
 #: Heights outside this range (m) are voids, whatever the file says: no ground of any known body lies there.
 HEIGHT_RANGE = (-15_000.0, 30_000.0)
+#: Values outside that mark voids: a raster has one, or a few where several were joined.
+MOST_MARKS = 16
+#: Cells that are read at most, as of 0.1 degrees of a survey at 1 m.
+MOST_CELLS = 250_000_000
 #: Elevation rasters up to this many cells are read whole; of larger ones only the part that is asked for.
 WHOLE_CELLS = 40_000_000
 #: Cells added around the part of a large raster.
@@ -80,6 +84,12 @@ def read_dem(
         crs = _coordinate_system(path, dataset, local, radii)
         _check_unit(path, dataset)
         window = _window(dataset, bounds, crs)
+        cells = dataset.width * dataset.height if window is None else window.width * window.height
+        if cells > MOST_CELLS:
+            raise FormatError(
+                f"{path}: {cells:,} cells of it would be read, {MOST_CELLS:,} at most are; cut it to the "
+                "ground that is seen, or make it coarser"
+            )
         heights = _heights(path, dataset, window)
         transform = dataset.window_transform(window) if window is not None else dataset.transform
     if datum == "geoid":
@@ -178,8 +188,15 @@ def _window(dataset: Any, bounds: Bounds | None, crs: str | None) -> Any:
 def _heights(path: Path, dataset: Any, window: Any) -> Array:
     """Heights in m, NaN where unknown."""
     heights: Array = dataset.read(1, window=window, masked=True).astype(np.float64).filled(np.nan)
-    with np.errstate(invalid="ignore"):
-        heights[(heights < HEIGHT_RANGE[0]) | (heights > HEIGHT_RANGE[1])] = np.nan
+    none = (heights < HEIGHT_RANGE[0]) | (heights > HEIGHT_RANGE[1])
+    marks = np.unique(heights[none])
+    if len(marks) > MOST_MARKS:
+        raise FormatError(
+            f"{path}: {int(none.sum())} cells hold {len(marks)} values from {marks[0]:.3g} to "
+            f"{marks[-1]:.3g}: no heights in metres, and too many to mark voids; is it damaged, or in "
+            "another unit?"
+        )
+    heights[none] = np.nan
     if not np.isfinite(heights).any():
         raise FormatError(
             f"{path}: no height between {HEIGHT_RANGE[0]:g} and {HEIGHT_RANGE[1]:g} m; is it a DEM in metres?"
@@ -199,9 +216,10 @@ def _geoid_on(
         raise FormatError(f'{dem}: datum "geoid" needs geoid = a raster or a number in metres')
     out = np.full(shape, np.nan)
     with raster_errors(geoid), open_raster(geoid) as dataset:
-        if dataset.crs is None:
+        if dataset.crs is None or dataset.transform.is_identity:
             raise FormatError(
-                f"{geoid}: has no coordinate system; a georeferenced raster of geoid heights is expected"
+                f"{geoid}: has no coordinate system, or no place in it; a georeferenced raster of geoid "
+                "heights is expected"
             )
         _check_unit(geoid, dataset)
         reproject(

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError, reads
-from sightline.imaging.rasters import open_raster, raster_errors
-from sightline.io.ccsds import seconds_from_epoch
+from sightline.errors import FormatError, foreign_errors, reads
+from sightline.imaging.rasters import open_raster
+from sightline.io.ccsds import parse_utc, seconds_from_epoch
 from sightline.io.names import toml_string
 from sightline.io.tables import write_positions
 
@@ -27,6 +27,14 @@ Array = NDArray[np.float64]
 
 #: GPSAltitudeRef: 0 above, 1 below sea level; since EXIF 3.0 2 above, 3 below the ellipsoid.
 _BELOW, _OF_ELLIPSOID = (1, 3), (2, 3)
+#: Digits beyond the second, by the names that libraries give them.
+_FRACTIONS = ("EXIF_SubSecTime_Original", "EXIF_SubSecTimeOriginal", "EXIF_SubSecTime")
+#: What is read: text in others, as of the artist, may be in any code.
+_TAGS = (
+    *_FRACTIONS, "EXIF_DateTimeOriginal", "EXIF_DateTime", "EXIF_GPSAltitude", "EXIF_GPSAltitudeRef",
+    "EXIF_GPSLatitude", "EXIF_GPSLatitudeRef", "EXIF_GPSLongitude", "EXIF_GPSLongitudeRef",
+    "EXIF_FocalLengthIn35mmFilm", "EXIF_FocalPlaneResolutionUnit", "EXIF_FocalPlaneXResolution",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -59,6 +67,10 @@ class Exif:
     above_ellipsoid: bool = False
 
 
+class NoExifTime(FormatError):
+    """A photograph that tells no time, as of a camera without a clock."""
+
+
 @reads("a photograph")
 def read_exif(path: Path) -> Exif:
     """Time and place of a photograph.
@@ -75,33 +87,44 @@ def read_exif(path: Path) -> Exif:
     Raises
     ------
     FormatError
-        If there is no time, or a value cannot be understood.
+        If a value cannot be understood; `NoExifTime` if there is no time.
     """
-    with raster_errors(path), open_raster(path) as dataset:
-        tags: dict[str, str] = {**dataset.tags(), **dataset.tags(ns="EXIF")}
+    tags = read_tags(path)
     stamp = tags.get("EXIF_DateTimeOriginal") or tags.get("EXIF_DateTime")
-    if stamp is None:
-        raise FormatError(f"{path}: has no EXIF time; give time = seconds or a UTC instant in its [[frame]]")
+    if stamp is None or not stamp.strip(" :0"):
+        raise NoExifTime(f"{path}: has no EXIF time; give time = seconds or a UTC instant in its [[frame]]")
     match = re.fullmatch(r"(\d{4}):(\d\d):(\d\d) (\d\d:\d\d:\d\d)", stamp.strip())
     if match is None:
         raise FormatError(
             f"{path}: the EXIF time {stamp!r} is not of the form YYYY:MM:DD hh:mm:ss; give time by hand"
         )
     year, month, day, clock = match.groups()
+    instant = _with_fraction(f"{year}-{month}-{day}T{clock}", tags)
+    parse_utc(instant, f"{path}: EXIF time")
     altitude = _numbers(tags.get("EXIF_GPSAltitude"))
     reference = _altitude_reference(tags.get("EXIF_GPSAltitudeRef", ""))
     focal = _numbers(tags.get("EXIF_FocalLengthIn35mmFilm"))
-    longitude = _degrees(tags, "EXIF_GPSLongitude", "W")
+    longitude, latitude = _degrees(tags, "EXIF_GPSLongitude", "W"), _degrees(tags, "EXIF_GPSLatitude", "S")
+    if abs(longitude or 0.0) > 180.0 or abs(latitude or 0.0) > 90.0:
+        raise FormatError(f"{path}: the EXIF place {longitude}, {latitude} (degrees east, north) is none")
     references = ("EXIF_GPSLongitudeRef", "EXIF_GPSLatitudeRef")
     return Exif(
-        _with_fraction(f"{year}-{month}-{day}T{clock}", tags),
+        instant,
         longitude,
-        _degrees(tags, "EXIF_GPSLatitude", "S"),
+        latitude,
         (-altitude[0] if reference in _BELOW else altitude[0]) if altitude else None,
         focal[0] if focal and focal[0] > 0.0 else None,
         longitude is not None and not all(tags.get(name, "").strip() for name in references),
         reference in _OF_ELLIPSOID,
     )
+
+
+def read_tags(path: Path) -> dict[str, str]:
+    """What EXIF has under the names that are used here, those that are there."""
+    with foreign_errors(path, "its EXIF cannot be read", "leave it out, or write it anew"):
+        with open_raster(path) as dataset:
+            found = {name: dataset.get_tag_item(name, "EXIF") or dataset.get_tag_item(name) for name in _TAGS}
+    return {name: value for name, value in found.items() if value is not None}
 
 
 def _altitude_reference(text: str) -> int:
@@ -113,8 +136,7 @@ def _altitude_reference(text: str) -> int:
 
 def _with_fraction(instant: str, tags: dict[str, str]) -> str:
     """The instant with the digits of the sub-second tag; some cameras count them back from the second."""
-    names = ("EXIF_SubSecTime_Original", "EXIF_SubSecTimeOriginal", "EXIF_SubSecTime")
-    digits = next((tags[name].strip() for name in names if tags.get(name, "").strip()), "")
+    digits = next((tags[name].strip() for name in _FRACTIONS if tags.get(name, "").strip()), "")
     if re.fullmatch(r"-\d+", digits) and float(digits):
         back = datetime.fromisoformat(instant) - timedelta(seconds=1)
         count = len(digits) - 1

@@ -87,6 +87,11 @@ class Probe:
     reason: str
 
 
+def reason_of(path: Path, error: FormatError) -> str:
+    """Why a frame is left out, without its path and what to do."""
+    return str(error).removeprefix(f"{path}: ").split("; ")[0]
+
+
 def probe(path: Path) -> Probe:
     """Open a file, look at its first, middle and last lines, and close it."""
     shape, bands = None, 0
@@ -95,6 +100,5 @@ def probe(path: Path) -> Probe:
         shape, bands = source.shape, source.bands if isinstance(source, RasterImage) else 1
         check_content(source)
     except FormatError as error:
-        reason = str(error).removeprefix(f"{path}: ").split("; ")[0]
-        return Probe(shape, bands, reason)
+        return Probe(shape, bands, reason_of(path, error))
     return Probe(shape, bands, "")

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from sightline.errors import FormatError
 from sightline.io.acquired import InputFolder
 from sightline.io.ccsds import seconds_from_epoch
-from sightline.io.exif import Exif, read_exif
-from sightline.io.frame_files import Probe, probe
+from sightline.io.exif import Exif, NoExifTime, read_exif
+from sightline.io.frame_files import Probe, probe, reason_of
 from sightline.io.sequence_schema import SequenceFile
 from sightline.io.sequence_times import first_instant, read_timed
 from sightline.io.tables import check_times
@@ -50,6 +50,8 @@ class FrameList:
         Of each photograph; empty for a table.
     xmp : tuple of Xmp or None
     warnings : tuple of str
+    broken : tuple of str
+        Why what each photograph tells of itself cannot be read, "" where it can; empty for a table.
     """
 
     path: Path
@@ -60,6 +62,7 @@ class FrameList:
     exif: tuple[Exif | None, ...] = ()
     xmp: tuple[Xmp | None, ...] = ()
     warnings: tuple[str, ...] = ()
+    broken: tuple[str, ...] = ()
 
 
 def read_frames(file: SequenceFile, files: InputFolder) -> FrameList:
@@ -100,18 +103,19 @@ def _of_folder(folder: Path, epoch: str | None) -> FrameList:
     paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
     if not paths:
         raise FormatError(f"{folder}: holds no images ({', '.join(SUFFIXES)}); check `frames`")
-    exif, xmp = zip(*(_tags(path) for path in paths), strict=True)
+    exif, xmp, broken = zip(*(_tags(path) for path in paths), strict=True)
     known = [k for k, tags in enumerate(exif) if tags is not None]
     if not known:
+        said = next((f" ({p.name}: {why})" for p, why in zip(paths, broken, strict=True) if why), "")
         raise FormatError(
-            f"{folder}: no image has a time in its EXIF; give frames = a table frame,t,image in place "
+            f"{folder}: no image has a time in its EXIF{said}; give frames = a table frame,t,image in place "
             "of the folder"
         )
     _refuse_rigs(folder, xmp)
     start = epoch or min(exif[k].time for k in known)
     t = np.array([seconds_from_epoch(exif[k].time, start, str(paths[k])) for k in known])
     warnings = []
-    lost = len(paths) - len(known)
+    lost = sum(tags is None and not why for tags, why in zip(exif, broken, strict=True))
     if lost:
         warnings.append(
             f"{lost} images have no time in their EXIF: taken as between their neighbours by name"
@@ -124,15 +128,19 @@ def _of_folder(folder: Path, epoch: str | None) -> FrameList:
     names = tuple(paths[k].name for k in order)
     chosen = tuple(paths[k] for k in order)
     tags = tuple(exif[k] for k in order), tuple(xmp[k] for k in order)
-    return FrameList(folder, names, t, chosen, start, *tags, tuple(warnings))
+    why = tuple(broken[k] for k in order)
+    return FrameList(folder, names, t, chosen, start, *tags, tuple(warnings), why)
 
 
-def _tags(path: Path) -> tuple[Exif | None, Xmp | None]:
-    """EXIF and XMP; None where the file cannot be read or has none."""
+def _tags(path: Path) -> tuple[Exif | None, Xmp | None, str]:
+    """EXIF and XMP, None where it has none, and why they cannot be read."""
     try:
-        return read_exif(path), read_xmp(path)
-    except FormatError:
-        return None, None
+        xmp = read_xmp(path)
+        return read_exif(path), xmp, ""
+    except NoExifTime:
+        return None, xmp, ""
+    except FormatError as error:
+        return None, None, reason_of(path, error)
 
 
 def _refuse_rigs(folder: Path, xmp: Sequence[Xmp | None]) -> None:
@@ -200,7 +208,8 @@ def excluded(
     FormatError
         If no frame is left.
     """
-    reasons = tuple(_reason(p, shape, channels) for p in probes)
+    broken = frames.broken or ("",) * len(probes)
+    reasons = tuple(why or _reason(p, shape, channels) for why, p in zip(broken, probes, strict=True))
     if all(reasons):
         common, count = Counter(reasons).most_common(1)[0]
         turned = all(p.shape == shape[::-1] for p in probes) and shape[0] != shape[1]

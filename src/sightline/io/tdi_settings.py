@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from sightline.access import check_file, remote_name
 from sightline.applications.tdi_lines import SignalLines
-from sightline.errors import FormatError
 from sightline.io.images import NpyImage, RasterImage, open_image
-from sightline.io.inputs import note
 from sightline.io.tdi_tags import write_tags
 from sightline.tdi.tagging import TdiTags
 from sightline.writing import whole_raster
@@ -33,11 +32,8 @@ def open_signals(path: Path) -> RasterImage | NpyImage:
     FormatError
         If it is missing, cannot be read, or holds no numbers.
     """
-    if not path.is_file():
-        raise FormatError(
-            f"{path}: no such file; --signals needs an image of the electrons of one line, a pixel per column"
-        )
-    note(path)
+    if remote_name(path) is None:
+        check_file(path, "--signals needs an image of the electrons of one line, a pixel per column")
     return open_image(path)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.access import LARGE, read_bytes
-from sightline.errors import FormatError, said_by
+from sightline.errors import FormatError, InputError, said_by
 from sightline.imaging.tdi_transfer import ALIGNMENTS, Exposure
 from sightline.tdi.tagging import FIELDS, TdiTags, decode_field, encode_field
 from sightline.writing import scratch_folder, whole

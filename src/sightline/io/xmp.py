@@ -19,7 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.imaging.rasters import open_raster, raster_errors
+from sightline.errors import foreign_errors
+from sightline.imaging.rasters import open_raster
+from sightline.io.exif import read_tags
 
 Array = NDArray[np.float64]
 
@@ -74,11 +76,11 @@ def gimbal_attitude(gimbal_deg: Array) -> Rotation:
 
 
 def read_xmp(path: Path) -> Xmp | None:
-    """XMP of a photograph; None where it has none, or none that is XML."""
-    with raster_errors(path), open_raster(path) as dataset:
-        packet = next(iter(dataset.tags(ns="xml:XMP").values()), "")
-        tags = {**dataset.tags(), **dataset.tags(ns="EXIF")}
-    return None if not packet else parse_xmp(packet, _px_per_mm(tags))
+    """XMP of a photograph; None where it has none, FormatError where it is damaged."""
+    with foreign_errors(path, "its XMP cannot be read", "leave it out, or write it anew"):
+        with open_raster(path) as dataset:
+            packet = next(iter(dataset.tags(ns="xml:XMP").values()), "")
+        return None if not packet else parse_xmp(packet, _px_per_mm(read_tags(path)), path)
 
 
 def _px_per_mm(tags: dict[str, str]) -> float | None:
@@ -88,15 +90,16 @@ def _px_per_mm(tags: dict[str, str]) -> float | None:
     return None if per is None or value is None or value <= 0.0 else value / per
 
 
-def parse_xmp(packet: str, px_per_mm: float | None = None) -> Xmp | None:
-    """The same from the text of the packet; lengths in mm need `px_per_mm` of the detector."""
+def parse_xmp(packet: str, px_per_mm: float | None = None, place: object = "the packet") -> Xmp | None:
+    """The same from the text of the packet; lengths in mm need `px_per_mm` of the detector.
+
+    None where it holds nothing; FormatError, which begins with `place`, where it is no XML.
+    """
     start, end = packet.find("<x:xmpmeta"), packet.rfind("</x:xmpmeta>")
-    if start < 0 or end < 0:
+    if start < 0 and end < 0:
         return None
-    try:
-        root = ElementTree.fromstring(packet[start : end + len("</x:xmpmeta>")])
-    except ElementTree.ParseError:
-        return None
+    with foreign_errors(place, "its XMP cannot be read", "leave it out, or write it anew"):
+        root = ElementTree.fromstring(packet[max(start, 0) : end + len("</x:xmpmeta>") if end >= 0 else None])
     values = dict(_entries(root))
 
     def dji(name: str) -> float | None:
