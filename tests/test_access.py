@@ -133,10 +133,10 @@ def test_mistakes_in_our_own_code_are_not_taken_for_the_data_s():
         estimate()
 
 
-def test_only_regular_files_of_bounded_size_are_read(tmp_path):
+def test_only_regular_files_of_bounded_size_are_read(tmp_path, monkeypatch):
     os.mkfifo(tmp_path / "pipe")
     listening = socket.socket(socket.AF_UNIX)
-    os.chdir(tmp_path)  # names of sockets are short
+    monkeypatch.chdir(tmp_path)  # names of sockets are short
     listening.bind("socket")
     with (tmp_path / "sparse").open("wb") as file:
         file.truncate(1 << 40)

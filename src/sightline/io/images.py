@@ -162,7 +162,7 @@ class NpyImage:
         advice = "the file is truncated or damaged; make it again"
         with foreign_errors(self.path, "cannot be read as .npy", advice):
             array: Any = np.load(self.path, mmap_mode="r", allow_pickle=False)
-            if not isinstance(array, np.ndarray):
+            if not isinstance(array, np.memmap):
                 raise FormatError(
                     f"{self.path}: is an archive of arrays (.npz); save one image with numpy.save"
                 )
