@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 from sightline.version import VERSION as __version__  # noqa: F401
 
 if TYPE_CHECKING:
+    from sightline.access import allow_network
     from sightline.applications.focal_plane import FocalPlane, LayoutChoice, choose_layout
     from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
     from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube
@@ -134,6 +135,7 @@ _MODULE_OF = {
     "TdiTags": "sightline.tdi.tagging",
     "Trajectory": "sightline.geometry.trajectory",
     "UnobservableBandWarning": "sightline.errors",
+    "allow_network": "sightline.access",
     "assemble_cube": "sightline.applications.frame_cube",
     "choose_layout": "sightline.applications.focal_plane",
     "choose_tdi": "sightline.applications.tdi_choice",
@@ -226,6 +228,7 @@ __all__ = [
     "TdiTags",
     "Trajectory",
     "UnobservableBandWarning",
+    "allow_network",
     "assemble_cube",
     "choose_layout",
     "choose_tdi",

@@ -153,8 +153,8 @@ def _opened(path: Path, name: str, drivers: Sequence[str], access: Access) -> An
             if "supported file format" not in str(error):
                 raise
             raise FormatError(
-                f"{path}: is no raster, or of a format that only lists other files; name a file that holds "
-                "the pixels, or make a GeoTIFF of it (gdal_translate)"
+                f"{path}: is no raster, a damaged one, or one that only lists other files; copy it again, or "
+                "name a file that holds the pixels (gdal_translate makes a GeoTIFF of most)"
             ) from error
 
 
