@@ -386,7 +386,7 @@ def test_an_error_that_an_exchanged_input_brings_is_explained_by_it(tmp_path):
 
 
 def test_an_input_that_a_backup_touches_or_a_network_numbers_anew_is_the_same(tmp_path, monkeypatch):
-    from sightline.io import inputs
+    from sightline import inputs
 
     file = tmp_path / "PAN.tif"
     file.write_text("first")
