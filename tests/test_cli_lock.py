@@ -82,6 +82,8 @@ def test_what_a_killed_run_left_is_taken_over_and_that_is_said(tmp_path, holder,
         ("\0\xff not json", "does not give its name"),
         (json.dumps({"pid": "\x1b[31m\n", "host": ["a"]}), "process ?[31m? on"),
     ],
+    # named, as the number of a process would make the name of the test another in every worker
+    ids=["elsewhere", "this process", "empty", "deep", "no json", "hostile"],
 )
 def test_a_lock_that_nobody_holds_is_taken_over(tmp_path, capsys, left, said):
     (tmp_path / LOCK).write_text(left, encoding="latin-1")
