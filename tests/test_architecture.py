@@ -117,6 +117,44 @@ def test_the_imports_have_no_cycle():
         visit(module, ())
 
 
+def names_in_annotations_only(tree: ast.Module) -> set[ast.AST]:
+    """Everything below ``if TYPE_CHECKING:``, which no program runs."""
+    return {
+        inner
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
+        for branch in node.body
+        for inner in ast.walk(branch)
+    }
+
+
+def test_every_module_is_reached_from_a_command_or_a_public_name():
+    # The command line begins in one module and names its commands there; public names are loaded by the root.
+    root = ast.literal_eval(
+        next(
+            node.value
+            for node in TREES["sightline"].body
+            if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "_MODULE_OF"
+        )
+    )
+    todo = ["sightline.__main__", *root.values()]
+    reached: set[str] = set()
+    while todo:
+        module = todo.pop()
+        if module in reached:
+            continue
+        reached.add(module)
+        skipped = {
+            node.lineno for node in names_in_annotations_only(TREES[module]) if hasattr(node, "lineno")
+        }
+        todo += [target for target, _, line in imports(module) if line not in skipped and target in FILES]
+    packages = {module for module in MODULES if FILES[module].name == "__init__.py"}
+    left = set(MODULES) - reached - packages
+    assert not left, (
+        f"no command and no public name reaches {sorted(left)}: give them a door, or take them out"
+    )
+
+
 @pytest.mark.parametrize("module", sorted(FILES))
 def test_every_public_name_has_a_docstring(module):
     tree = TREES[module]

@@ -17,7 +17,6 @@ ABOUT = {
     "iss_frames": "iss_astropi_a",
     "iss_stereo": "iss_astropi_a",
     "junocam_spin_scan": "junocam_spin_scan",
-    "tdi_noise": "hirise_edr_bg12",
 }
 
 
@@ -127,14 +126,3 @@ def test_the_table_of_the_readme_is_what_score_prints(tmp_path):
             numbers = [[float(n) for n in re.findall(r"[\d.]+", text[40:])] for text in (line, said)]
             # libraries of another version may change a pose by a hundredth of its sigma
             assert numbers[0] == pytest.approx(numbers[1], rel=0.03, abs=0.02)
-
-
-def test_the_noise_example_refuses_what_it_cannot_use(tmp_path):
-    script = str(ROOT / "examples" / "tdi_noise.py")
-    for arguments in (["out", "abc"], ["out", "-3"]):
-        done = subprocess.run(
-            [sys.executable, script, *arguments], capture_output=True, text=True, timeout=60, cwd=tmp_path
-        )
-        assert done.returncode == 2 and "Traceback" not in done.stderr and arguments[1] in done.stderr
-    assert "ELECTRONS_PER_DN" in run([script, "--help"], tmp_path)
-    assert not list(tmp_path.iterdir())

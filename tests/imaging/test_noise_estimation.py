@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from imaging.raw_strip import RawStripOptions, simulate_raw_strip, two_step_table
+from sightline.applications.detector_noise import detector_noise, strip_image_noise
 from sightline.applications.strip_noise import (
     EDGES,
     StripPixels,
@@ -13,7 +14,6 @@ from sightline.applications.strip_noise import (
     estimate_strip_noise,
     figures,
     gain_bound,
-    noise_law,
 )
 from sightline.errors import EstimationError, InputError
 from sightline.imaging.noise_estimation import (
@@ -30,16 +30,20 @@ OPTIONS = RawStripOptions(lines=2000, gain=4e-6)
 SEEDS = range(4)
 
 
+def pixels_of(s):
+    """What an estimate reads of a simulated strip."""
+    return StripPixels(
+        s.table, s.image, s.buffer, s.dark, s.reverse, s.reverse_buffer, s.reverse_dark, s.ramp
+    )
+
+
 @pytest.fixture(scope="module")
 def strips():
     """(strip, noise) by seed."""
     found = []
     for seed in SEEDS:
         s = simulate_raw_strip(seed, OPTIONS)
-        pixels = StripPixels(
-            s.table, s.image, s.buffer, s.dark, s.reverse, s.reverse_buffer, s.reverse_dark, s.ramp
-        )
-        found.append((s, estimate_strip_noise(pixels)))
+        found.append((s, estimate_strip_noise(pixels_of(s))))
     return found
 
 
@@ -85,17 +89,20 @@ def test_bounds_hold(strips):
 
 
 def test_a_law_in_electrons_is_that_of_the_sum(strips):
-    noise = strips[0][1]
-    law = noise_law(noise, 64, 20.0)
-    assert law.shot == 1.0 and law.read == 0.0
-    assert law.output == pytest.approx(20.0 * noise.buffer.pooled.value)
+    strip, noise = strips[0]
+    image = strip_image_noise("strip", pixels_of(strip), 64)
+    found = detector_noise([image], stages=64, electrons_per_dn=20.0)
+    assert found.law.shot == 1.0 and found.law.read == 0.0
+    # C by all that is known is within its sigma of that of the empty pixels
+    assert found.law.output == pytest.approx(20.0 * noise.buffer.pooled.value, rel=0.03)
     # 64 lines of s / 64 with a gain noise A each have 64 A (s / 64)^2: as A / 64 of the sum
-    assert law.gain / 64 == pytest.approx(gain_bound(noise, 20.0))
+    assert found.law.gain / 64 == pytest.approx(noise.law.estimate(0).value)
     printed = [str(f) for f in figures(noise, 64, 20.0)]
     assert all("+-" in line or "<=" in line or ">=" in line for line in printed)
+    assert [str(f) for f in figures(noise, 64)] == printed[:-4]
     for stages, conversion in ((0, 20.0), (64, 0.0), (64, np.nan)):
         with pytest.raises(InputError, match="above 0"):
-            noise_law(noise, stages, conversion)
+            detector_noise([image], stages=stages, electrons_per_dn=conversion)
 
 
 def test_noise_below_the_step_is_found_and_below_what_codes_show_refused():

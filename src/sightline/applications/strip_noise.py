@@ -3,7 +3,8 @@
 Figures come in digital numbers (DN), as far as the data carry them, and in electrons by a conversion gain
 that somebody else measured: one scene bounds it only.
 
-Not here: how each is estimated (``imaging/noise_estimation.py``), reading (``io/hirise_edr.py``).
+Not here: how each is estimated (``imaging/noise_estimation.py``), reading (``io/hirise_edr.py``), several
+images and plain ones (``detector_noise.py``).
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import InputError
 from sightline.imaging.noise_estimation import (
     SMOOTH,
     CodeTable,
@@ -30,7 +30,6 @@ from sightline.imaging.noise_estimation import (
     resting_noise,
     white_noise,
 )
-from sightline.imaging.tdi_noise import NoiseLaw
 
 Array = NDArray[np.float64]
 Codes = NDArray[np.uint8]
@@ -92,6 +91,8 @@ class StripNoise:
         1, 50 and 99 % of the image's signal.
     ceiling : float
         Largest signal that has a code.
+    level : (columns,) float64
+        Of each column without charge.
     """
 
     buffer: RestingNoise
@@ -106,6 +107,7 @@ class StripNoise:
     dark_shot: Estimate
     percentiles: Array
     ceiling: float
+    level: Array
 
 
 def estimate_strip_noise(pixels: StripPixels) -> StripNoise:
@@ -131,12 +133,14 @@ def estimate_strip_noise(pixels: StripPixels) -> StripNoise:
     rising = pixels.ramp[1:, use[1]]
     ramp = ramp_noise(table.values(rising) - level[use[1]], table.rounding(rising), buffer.pooled.value**2)
     charge = masked.level - _level(table, pixels.reverse_dark)[LIT:] - drift[:, None]
+    rows = law_rows(white, buffer.pooled, ramp)
     return StripNoise(
         buffer,
         masked,
         white,
         ramp,
-        *_laws(buffer.pooled, white, ramp),
+        rows.fit(),
+        rows.fit(gain=False),
         # less one level for all columns: that of each is known to some DN, as large as the pattern itself
         column_pattern((values - level.mean() - drift[:, None])[SETTLING:], edges=EDGES),
         _offsets(table, pixels.reverse, white.signal),
@@ -144,6 +148,7 @@ def estimate_strip_noise(pixels: StripPixels) -> StripNoise:
         _dark_shot(buffer.pooled, masked, charge),
         np.nanpercentile(signal[use], [1.0, 50.0, 99.0]),
         float(np.nanmax(table.upper) - level.mean()),
+        level,
     )
 
 
@@ -165,20 +170,42 @@ def _drift(pixels: StripPixels, buffer: RestingNoise) -> Array:
     return np.asarray(np.interp(lines, lines[known], np.nanmean(above[known], axis=1)))
 
 
-def _laws(resting: Estimate, white: WhiteNoise, ramp: RampNoise) -> tuple[LawFit, LawFit]:
+@dataclass(frozen=True, eq=False)
+class LawRows:
+    """What an image says of A, B and C^2: ``rows @ (A, B, C^2)`` is measured as `values`.
+
+    Attributes
+    ----------
+    rows : (m, 3)
+    values : (m,)
+    covariance : (m, m)
+    """
+
+    rows: Array
+    values: Array
+    covariance: Array
+
+    def fit(self, gain: bool = True) -> LawFit:
+        """A, B, C^2; without `gain` B and C^2 with A = 0."""
+        return fit_law(self.rows if gain else self.rows[:, 1:], self.values, self.covariance)
+
+
+def law_rows(white: WhiteNoise, resting: Estimate | None, ramp: RampNoise | None = None) -> LawRows:
+    """Rows of an image's white noise and its slope, and, where known, of the noise at rest and of a ramp."""
     s = white.signal
-    covariance = np.diag(
-        [
-            (2.0 * resting.value * resting.sigma) ** 2,
-            white.variance.sigma**2,
-            white.slope.sigma**2,
-            ramp.shot.sigma**2,
-        ]
-    )
-    covariance[1, 2] = covariance[2, 1] = white.covariance
-    rows = np.array([[0.0, 0.0, 1.0], [s * s, s, 1.0], [2.0 * s, 1.0, 0.0], [0.0, 1.0, 0.0]])
-    measured = [resting.value**2, white.variance.value, white.slope.value, ramp.shot.value]
-    return fit_law(rows, measured, covariance), fit_law(rows[:, 1:], measured, covariance)
+    rows = [[s * s, s, 1.0], [2.0 * s, 1.0, 0.0]]
+    values = [white.variance.value, white.slope.value]
+    sigmas = [white.variance.sigma, white.slope.sigma]
+    if resting is not None:
+        rows, values = [[0.0, 0.0, 1.0], *rows], [resting.value**2, *values]
+        sigmas = [2.0 * resting.value * resting.sigma, *sigmas]
+    if ramp is not None:
+        rows, values = [*rows, [0.0, 1.0, 0.0]], [*values, ramp.shot.value]
+        sigmas = [*sigmas, ramp.shot.sigma]
+    covariance = np.diag(np.square(sigmas))
+    at = 0 if resting is None else 1
+    covariance[at, at + 1] = covariance[at + 1, at] = white.covariance
+    return LawRows(np.array(rows), np.array(values), covariance)
 
 
 def _dark_signal(table: CodeTable, charge: Array) -> Estimate:
@@ -202,43 +229,32 @@ class Figure:
     Attributes
     ----------
     name, unit : str
-    said : str
-        Value and sigma, or "<=" or ">=" and the bound.
+    value : float
+        Or the bound.
+    sigma : float or None
+        None of a bound.
+    relation : str
+        ``"="``, or ``"<="`` or ``">="`` of a bound.
     how : str
     """
 
     name: str
     unit: str
-    said: str
+    value: float
+    sigma: float | None
+    relation: str
     how: str
+
+    @property
+    def said(self) -> str:
+        """Value and sigma, or the bound with its sign."""
+        if self.sigma is None:
+            return f"{self.relation} {self.value:.3g}"
+        return f"{self.value:.4g} +- {self.sigma:.2g}"
 
     def __str__(self) -> str:
         """One line of a table."""
         return f"{self.name:34} {self.said:>20} {self.unit:9} {self.how}"
-
-
-def noise_law(noise: StripNoise, stages: int, electrons_per_dn: float) -> NoiseLaw:
-    """The law of a TDI line in electrons, of a detector that sums charge and reads it once.
-
-    `gain` and `dark` are upper bounds (2 sigma), `shot` is 1 by the meaning of the conversion gain.
-
-    Parameters
-    ----------
-    noise : StripNoise
-    stages : int
-        That were summed.
-    electrons_per_dn : float
-    """
-    if stages < 1 or not electrons_per_dn > 0.0:
-        raise InputError(f"{stages} stages and {electrons_per_dn:g} electrons per DN; both are above 0")
-    return NoiseLaw(
-        gain=stages * gain_bound(noise, electrons_per_dn),
-        shot=1.0,
-        read=0.0,
-        dark=max(noise.dark_signal.upper(), 0.0) * electrons_per_dn / stages,
-        output=noise.buffer.pooled.value * electrons_per_dn,
-        column_fixed=max(noise.columns.variance.value, 0.0),
-    )
 
 
 def gain_bound(noise: StripNoise, electrons_per_dn: float) -> float:
@@ -253,49 +269,59 @@ def conversion_bound(noise: StripNoise) -> float:
     return noise.white.signal / (noise.white.bound.upper() - noise.buffer.pooled.value**2)
 
 
-def figures(noise: StripNoise, stages: int, electrons_per_dn: float) -> list[Figure]:
-    """Every figure with its sigma or as a bound of 2 sigma: of the sum in DN, then in electrons."""
-    signal, g, columns = noise.white.signal, electrons_per_dn, noise.columns
-    law = noise_law(noise, stages, electrons_per_dn)
+def figures(noise: StripNoise, stages: int, electrons_per_dn: float | None = None) -> list[Figure]:
+    """Every figure with its sigma or as a bound of 2 sigma: of the sum in DN, then in electrons if given."""
+    signal, columns = noise.white.signal, noise.columns
     least = conversion_bound(noise)
     read = noise.buffer.pooled
     fit = noise.law.covariance
     tied = float(fit[0, 1] / np.sqrt(fit[0, 0] * fit[1, 1]))
     left = max(columns.single - columns.variance.value, 0.0)
-    return [
-        _value("read noise C", "DN rms", read, "empty pixels, by lines on either side of codes' edges"),
-        _value("noise of masked columns", "DN rms", noise.dark.pooled, "the same; light leaks into them"),
-        _value(
+    in_dn = [
+        measured("read noise C", "DN rms", read, "empty pixels, by lines on either side of codes' edges"),
+        measured("noise of masked columns", "DN rms", noise.dark.pooled, "the same; light leaks into them"),
+        measured(
             f"image noise at {signal:.0f} DN", "DN^2", noise.white.variance, "high differences, no texture"
         ),
-        _bound("image noise", "DN^2", "<=", noise.white.bound.upper(), "high differences as they stand"),
-        _value("its slope with signal", "DN", noise.white.slope, "over the few per cent of the scene"),
-        _value("shot noise B, ramp", "DN", noise.ramp.shot, "photon transfer while the TDI fills"),
-        _value("shot noise B, masked columns", "DN", noise.dark_shot, "if what leaks into them is charge"),
-        _bound("shot noise B, image", "DN", "<=", 1.0 / least, "image noise is read and shot noise"),
-        _value("B, joint, if A = 0", "DN", noise.plain.estimate(0), "read noise, image and its slope, ramp"),
-        _value("B, joint", "DN", noise.law.estimate(1), "the same, A free"),
-        _value("A of the sum, joint", "1", noise.law.estimate(0), f"correlation with B {tied:.2f}"),
-        _bound("A of the sum", "1", "<=", 1.0 / (least * signal), "image noise if there is no shot noise"),
-        _bound("A of the sum", "1", "<=", law.gain / stages, f"if B is that of {g:.4g} e-/DN"),
-        _bound("conversion gain", "e-/DN", ">=", least, "by B of the image: Poisson"),
-        _value(
+        bound("image noise", "DN^2", "<=", noise.white.bound.upper(), "high differences as they stand"),
+        measured("its slope with signal", "DN", noise.white.slope, "over the few per cent of the scene"),
+        measured("shot noise B, ramp", "DN", noise.ramp.shot, "photon transfer while the TDI fills"),
+        measured("shot noise B, masked columns", "DN", noise.dark_shot, "if what leaks into them is charge"),
+        bound("shot noise B, image", "DN", "<=", 1.0 / least, "image noise is read and shot noise"),
+        measured(
+            "B, joint, if A = 0", "DN", noise.plain.estimate(0), "read noise, image and its slope, ramp"
+        ),
+        measured("B, joint", "DN", noise.law.estimate(1), "the same, A free"),
+        measured("A of the sum, joint", "1", noise.law.estimate(0), f"correlation with B {tied:.2f}"),
+        bound("A of the sum", "1", "<=", 1.0 / (least * signal), "image noise if there is no shot noise"),
+        bound("conversion gain", "e-/DN", ">=", least, "by B of the image: Poisson"),
+        measured(
             "column pattern A_col", "1", columns.variance, f"common to the strip, < {SMOOTH} columns wide"
         ),
-        _value("  parts less than half apart", "1", columns.near, "as the next if it is the detector's"),
-        _value("  parts half a strip apart", "1", columns.far, "or more"),
-        _bound("  offsets' share of it", "1", "<=", noise.offsets.upper(), "same, of lines without charge"),
-        _bound("  scene left in one part", "1", "<=", left, "not in A_col"),
-        _value("darkest masked columns", "DN", noise.dark_signal, "above their own level without charge"),
-        _value("C_out", "e- rms", read, f"at {g:.4g} e-/DN, whose own error is not known", g),
-        _bound("A of a stage", "1", "<=", law.gain, f"{stages} stages, each with a gain of its own"),
-        _bound("D", "e-/stage", "<=", law.dark, "integration ratio 1; leaked light included"),
+        measured("  parts less than half apart", "1", columns.near, "as the next if it is the detector's"),
+        measured("  parts half a strip apart", "1", columns.far, "or more"),
+        bound("  offsets' share of it", "1", "<=", noise.offsets.upper(), "same, of lines without charge"),
+        bound("  scene left in one part", "1", "<=", left, "not in A_col"),
+        measured("darkest masked columns", "DN", noise.dark_signal, "above their own level without charge"),
+    ]
+    if electrons_per_dn is None:
+        return in_dn
+    g = electrons_per_dn
+    of_sum, dark = gain_bound(noise, g), max(noise.dark_signal.upper(), 0.0) * g / stages
+    return [
+        *in_dn,
+        bound("A of the sum", "1", "<=", of_sum, f"if B is that of {g:.4g} e-/DN"),
+        measured("C_out", "e- rms", read, f"at {g:.4g} e-/DN, whose own error is not known", g),
+        bound("A of a stage", "1", "<=", stages * of_sum, f"{stages} stages, each with a gain of its own"),
+        bound("D", "e-/stage", "<=", dark, "integration ratio 1; leaked light included"),
     ]
 
 
-def _value(name: str, unit: str, estimate: Estimate, how: str, scale: float = 1.0) -> Figure:
-    return Figure(name, unit, f"{estimate.value * scale:.4g} +- {estimate.sigma * scale:.2g}", how)
+def measured(name: str, unit: str, estimate: Estimate, how: str, scale: float = 1.0) -> Figure:
+    """The figure of an estimate, `scale` times it."""
+    return Figure(name, unit, estimate.value * scale, estimate.sigma * scale, "=", how)
 
 
-def _bound(name: str, unit: str, relation: str, value: float, how: str) -> Figure:
-    return Figure(name, unit, f"{relation} {value:.3g}", how)
+def bound(name: str, unit: str, relation: str, value: float, how: str) -> Figure:
+    """The figure of a bound; `relation` is ``"<="`` or ``">="``."""
+    return Figure(name, unit, value, None, relation, how)

@@ -23,6 +23,7 @@ from sightline.cli import (
     demo,
     georeference,
     layout,
+    noise,
     orient,
     recover,
     register,
@@ -83,6 +84,7 @@ app.command("register")(register.register)
 app.command("orient")(orient.orient)
 app.command("georeference")(georeference.georeference)
 app.command("tdi")(tdi.tdi)
+app.command("noise")(noise.noise)
 app.command("score")(score.score)
 app.command("check")(check.check)
 app.command("schema")(schema.schema)

@@ -386,6 +386,38 @@ def white_noise(blocks: Blocks, parts: int = PARTS) -> WhiteNoise:
     return WhiteNoise(centre, variance, bound, slope, float(covariance[0, 1]))
 
 
+def shows_texture(blocks: Blocks) -> bool:
+    """Whether an image's squares show more than noise and slow shading (at 3 sigma)."""
+    known = blocks.texture[np.isfinite(blocks.texture)]
+    if known.size < 2:
+        return True
+    return bool(known.mean() > 3.0 * known.std(ddof=1) / np.sqrt(known.size))
+
+
+def even_noise(blocks: Blocks) -> WhiteNoise:
+    """Noise of an evenly lit image, all of whose high differences are noise.
+
+    Raises
+    ------
+    EstimationError
+        If there are fewer than 20 blocks.
+    """
+    use = np.isfinite(blocks.white)
+    if use.sum() < PARTS:
+        raise EstimationError(f"{use.sum()} blocks with values; {PARTS} are needed for an image's noise")
+    signal, white = blocks.signal[use], blocks.white[use]
+    centre = float(signal.mean())
+    design = np.stack([np.ones(len(white)), signal - centre], axis=1)
+    answer = np.linalg.lstsq(design, white, rcond=None)[0]
+    scatter = float(((white - design @ answer) ** 2).sum()) / (len(white) - 2)
+    covariance = scatter * np.linalg.pinv(design.T @ design)
+    sigma = np.sqrt(np.diag(covariance))
+    variance = Estimate(float(answer[0]), float(sigma[0]))
+    return WhiteNoise(
+        centre, variance, variance, Estimate(float(answer[1]), float(sigma[1])), float(covariance[0, 1])
+    )
+
+
 def _of_neighbours(field: Array) -> Array:
     """Mean of the four neighbours that hold a value; NaN where none does."""
     wide = np.pad(field, 1, constant_values=np.nan)
@@ -501,13 +533,23 @@ def column_pattern(
         Columns left out at either end.
     """
     lines, columns = signal.shape
-    inner = slice(edges[0], columns - edges[1])
     if lines < 4 * parts or columns - sum(edges) < 2 * smooth:
         raise InputError(
             f"the signal is {signal.shape}; {4 * parts} lines and {2 * smooth + sum(edges)} columns are "
             "needed"
         )
-    means = np.array([np.nanmean(part, axis=0) for part in np.array_split(signal, parts)])[:, inner]
+    means = np.array([np.nanmean(part, axis=0) for part in np.array_split(signal, parts)])
+    return pattern_of_means(means, smooth=smooth, edges=edges)
+
+
+def pattern_of_means(means: Array, *, smooth: int = SMOOTH, edges: tuple[int, int] = (0, 0)) -> ColumnPattern:
+    """Column fixed pattern from the mean signal (parts, columns) of each column in parts of a strip.
+
+    Other parameters are those of `column_pattern`.
+    """
+    parts, columns = means.shape
+    inner = slice(edges[0], columns - edges[1])
+    means = means[:, inner]
     relative = means / means.mean(axis=1, keepdims=True)
     kernel = -savgol_coeffs(smooth, 2)
     kernel[smooth // 2] += 1.0

@@ -109,6 +109,13 @@ class HiriseEdr:
         )
 
 
+def is_hirise(path: Path) -> bool:
+    """Whether a regular file begins with a PDS3 label of HiRISE."""
+    with path.open("rb") as stream:
+        head = stream.read(LABEL_BYTES)
+    return head.startswith(b"PDS_VERSION_ID") and b'"HIRISE"' in head
+
+
 @reads("a HiRISE EDR")
 def read_hirise_edr(path: Path) -> HiriseEdr:
     """A HiRISE EDR, the image and all that was read beside it.

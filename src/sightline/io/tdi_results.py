@@ -5,7 +5,6 @@ Not here: the table that is looked up (``tdi_table.py``), the page for people (`
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from sightline.applications.tdi_choice import OtherWay, TdiResult
+from sightline.io.acquired import sha256
 from sightline.io.results import write_json
 from sightline.tdi.choose import LIMITS, TdiChoice
 from sightline.tdi.hysteresis import SteadyChoice
@@ -95,7 +95,7 @@ def summarize_tdi(result: TdiResult, inputs: Iterable[Path], *, wall_seconds: fl
         "predicted_loss": None if result.predicted_loss is None else _predicted(result.predicted_loss),
         "warnings": list(result.warnings),
         "wall_seconds": wall_seconds,
-        "inputs": {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in inputs},
+        "inputs": {path.name: sha256(path) for path in inputs},
     }
 
 

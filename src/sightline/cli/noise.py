@@ -1,0 +1,201 @@
+"""``sightline noise``: the noise law and the columns of a detector, from its raw images."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
+from sightline.cli.terminal import Progress
+
+if TYPE_CHECKING:
+    from sightline.applications.detector_noise import DetectorNoise
+
+
+def noise(
+    raw: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="RAW...",
+            help="Raw images of one detector: HiRISE EDRs with what was read beside them, or plain rasters "
+            "or .npy files, neither resampled nor filtered.",
+        ),
+    ],
+    out: Out,
+    dark: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--dark",
+            metavar="FILE",
+            help="Frame without light, for plain images; may be given several times.",
+        ),
+    ] = None,
+    dark_level: Annotated[
+        float | None,
+        typer.Option(
+            "--dark-level", metavar="DN", help="In its place: the level without light of all columns."
+        ),
+    ] = None,
+    electrons_per_dn: Annotated[
+        float | None,
+        typer.Option(
+            "--electrons-per-dn",
+            metavar="GAIN",
+            help="The conversion gain, from somewhere else: noise in electrons. Without it, in DN.",
+        ),
+    ] = None,
+    stages: Annotated[
+        int | None,
+        typer.Option("--stages", metavar="N", help="TDI stages summed in plain images (1); EDRs say theirs."),
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    allow_network: AllowNetwork = False,
+) -> None:
+    """Estimate a detector's noise law and its columns from raw images, as the [noise] that `tdi` reads."""
+    import time
+
+    from sightline.cli.output import output_folder
+    from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.io.noise_results import NOISE_FILES, write_noise
+
+    _check(dark_level, electrons_per_dn, stages)
+    begun = time.perf_counter()
+    with (
+        output_folder(out, overwrite=overwrite, earlier=lambda _: NOISE_FILES) as folder,
+        progress() as report,
+    ):
+        found = estimate(raw, dark or [], report, dark_level, electrons_per_dn, stages)
+        inputs = [*raw, *(dark or [])]
+        summary = write_noise(folder, found, inputs, wall_seconds=time.perf_counter() - begun)
+    if as_json:
+        print_json(summary)
+        return
+    for warning in summary["warnings"]:
+        complain("warning", warning)
+    tell(found, summary)
+    say(f"{out / 'noise.toml'}, {out / 'columns.csv'}, {out / 'tdi.toml'}")
+
+
+def _check(dark_level: float | None, electrons_per_dn: float | None, stages: int | None) -> None:
+    """Refuse numbers that cannot be, before anything is read."""
+    import math
+
+    from sightline.errors import InputError
+
+    if dark_level is not None and not math.isfinite(dark_level):
+        raise InputError(f"--dark-level is {dark_level:g}; a number of DN is allowed")
+    if electrons_per_dn is not None and not 0.0 < electrons_per_dn < math.inf:
+        raise InputError(f"--electrons-per-dn is {electrons_per_dn:g}; a number above 0 is allowed")
+    if stages is not None and stages < 1:
+        raise InputError(f"--stages is {stages}; 1 or more are allowed")
+
+
+def estimate(
+    raw: list[Path],
+    dark: list[Path],
+    report: Progress,
+    dark_level: float | None = None,
+    electrons_per_dn: float | None = None,
+    stages: int | None = None,
+) -> DetectorNoise:
+    """The noise of the detector that `raw` are images of."""
+    from sightline.access import check_file
+    from sightline.errors import InputError
+    from sightline.io.hirise_edr import is_hirise
+
+    for path in (*raw, *dark):
+        check_file(path, "give raw images of the detector")
+    for number, path in enumerate(raw):
+        if path in raw[:number]:
+            raise InputError(f"{path} is given twice: the same noise would count as more of it")
+    edr = [is_hirise(path) for path in raw]
+    if not any(edr):
+        return _of_plain(raw, dark, report, dark_level, electrons_per_dn, stages or 1)
+    if not all(edr):
+        raise InputError(
+            f"{raw[edr.index(False)]} is no HiRISE EDR, {raw[edr.index(True)]} is one; give images of one "
+            "detector"
+        )
+    if dark or dark_level is not None or stages is not None:
+        raise InputError(
+            "--dark, --dark-level and --stages are for plain images; HiRISE EDRs say them: leave them out"
+        )
+    return _of_edrs(raw, report, electrons_per_dn)
+
+
+def _of_edrs(raw: list[Path], report: Progress, electrons_per_dn: float | None) -> DetectorNoise:
+    """Noise of HiRISE channels."""
+    from sightline.applications.detector_noise import detector_noise, strip_image_noise
+    from sightline.errors import InputError
+    from sightline.io.hirise_edr import read_hirise_edr
+
+    images, settings = [], {}
+    for number, path in enumerate(raw):
+        report("reading and estimating", number, len(raw))
+        edr = read_hirise_edr(path)
+        settings[edr.stages, edr.binning] = path
+        if len(settings) > 1:
+            said = "; ".join(f"{p}: {n} stages, binning {b}" for (n, b), p in settings.items())
+            raise InputError(f"the images are of different settings ({said}); give those of one at a time")
+        with _naming(path):
+            images.append(strip_image_noise(edr.product, edr.pixels(), edr.stages, electrons_per_dn))
+    ((number_of_stages, _),) = settings
+    return detector_noise(images, stages=number_of_stages, electrons_per_dn=electrons_per_dn)
+
+
+def _of_plain(
+    raw: list[Path],
+    dark: list[Path],
+    report: Progress,
+    dark_level: float | None,
+    electrons_per_dn: float | None,
+    stages: int,
+) -> DetectorNoise:
+    """Noise of plain images."""
+    from sightline.applications.detector_noise import dark_noise, detector_noise, plain_image_noise
+    from sightline.errors import InputError
+    from sightline.io.images import open_image
+
+    if dark and dark_level is not None:
+        raise InputError("--dark and --dark-level both say the level without light; give one of them")
+    frames = None
+    if dark:
+        report("frames without light")
+        with _naming(dark[0]):
+            frames = dark_noise([open_image(path) for path in dark])
+    images = []
+    for number, path in enumerate(raw):
+        report("reading and estimating", number, len(raw))
+        with _naming(path):
+            images.append(plain_image_noise(path.name, open_image(path), frames, dark_level))
+    return detector_noise(images, frames, stages=stages, electrons_per_dn=electrons_per_dn)
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Errors of what the data show begin with the file."""
+    from sightline.errors import EstimationError, InputError
+
+    try:
+        yield
+    except (EstimationError, InputError) as error:
+        raise type(error)(f"{path}: {error}") from None
+
+
+def tell(found: DetectorNoise, summary: dict[str, Any]) -> None:
+    """The law in a few lines."""
+    from sightline.cli.terminal import say
+
+    for figure in found.figures:
+        say(str(figure))
+    law = ", ".join(f"{key} {value:.4g}" for key, value in summary["noise"].items())
+    say(f"[noise] of a TDI line, signals in {found.unit}: {law}")
+    flagged = ", ".join(
+        f"{count} {name.replace('_', ' ')}" for name, count in summary["columns"]["flagged"].items() if count
+    )
+    say(f"{summary['columns']['count']} columns, {flagged or 'none flagged'}")
