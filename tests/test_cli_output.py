@@ -347,6 +347,28 @@ def test_a_date_that_is_none_is_refused_before_the_block(tmp_path, monkeypatch):
         raise AssertionError("the block was begun")
 
 
+def test_a_signal_after_the_result_has_its_names_is_told_as_that(tmp_path, monkeypatch, capsys):
+    from sightline.cli import main
+
+    def late(words, **options):
+        with output_folder(tmp_path / "out", resume=False) as staging:
+            write(staging, RESULT)
+
+    def signalled(staging):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(main, "app", late)
+    monkeypatch.setattr(output, "_remove", signalled)
+    assert main.run(["recover"]) == 130
+    said = capsys.readouterr().err
+    assert said == f"sightline: error: interrupted; the result is complete: {tmp_path / 'out'}\n"
+    monkeypatch.undo()
+    assert content(tmp_path / "out").items() >= PUBLISHED.items()
+    with output_folder(tmp_path / "out", overwrite=True):
+        pass
+    assert content(tmp_path / "out") == PUBLISHED
+
+
 # ---- inputs
 
 

@@ -78,7 +78,7 @@ def prepared(folder: Path) -> list[Case]:
     """The five commands, on small inputs that the package makes; each has two of the file to exchange."""
     scenes = folder / "scenes"
     for seed in ("1", "2"):
-        size = ("--lines", "640", "--columns", "320", "--seed", seed)
+        size = ("--lines", "420", "--columns", "320", "--seed", seed)
         done(("simulate", "line-of-sight", *size), scenes / f"strip{seed}")
         size = ("--case", "small", "--frames", "16", "--truth-bands", "0", "--seed", seed)
         done(("simulate", "frames", *size), scenes / f"flight{seed}")

@@ -58,16 +58,15 @@ def whole(path: Path) -> Iterator[Path]:
         If it cannot be written; carries `path`, also where the system's own error names no file.
     """
     draft = path.with_name(f".{path.name}.part{path.suffix}")
-    try:
-        # one that is a link must not lead elsewhere
-        draft.unlink(missing_ok=True)
-        yield draft
-        os.replace(draft, path)
-    except OSError as error:
-        raise unwritable(error, path) from error
-    finally:
-        if draft.exists():
-            draft.unlink()
+    with naming(path):
+        try:
+            # one that is a link must not lead elsewhere
+            draft.unlink(missing_ok=True)
+            yield draft
+            os.replace(draft, path)
+        finally:
+            if draft.exists():
+                draft.unlink()
 
 
 @contextmanager
@@ -165,9 +164,14 @@ def _gdal_errors() -> Iterator[list[str]]:
         logger.setLevel(level)
 
 
-def unwritable(error: OSError, path: Path) -> OSError:
-    """The same error with the file that it is about."""
-    return OSError(error.errno or errno.EIO, error.strerror or _first_line(error), str(path))
+@contextmanager
+def naming(path: Path) -> Iterator[None]:
+    """What the system refuses in the block carries `path`: of a write that fails it names no file itself."""
+    try:
+        yield
+    except OSError as error:
+        reason = error.strerror or _first_line(error)
+        raise OSError(error.errno or errno.EIO, reason, str(path)) from error
 
 
 def must_fit(folder: Path, size: int, what: str, advice: str) -> None:
@@ -224,7 +228,8 @@ def scratch_folder() -> Iterator[Path]:
         except OSError as error:
             if error.filename is not None:
                 raise
-            raise unwritable(error, Path(folder)) from error
+            with naming(Path(folder)):
+                raise
 
 
 def creation_date() -> datetime:

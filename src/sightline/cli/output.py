@@ -223,9 +223,10 @@ def _unusable(error: OSError, folder: Path) -> InputError:
         )
     if error.errno in _NO_ROOM:
         return InputError(f"no room on the disk of the output folder: {folder} {_advice(error, folder)}")
+    refused = "" if error.filename in (None, str(folder)) else f": {error.filename}"
     return InputError(
-        f"cannot write into the output folder: {folder} ({error.strerror}); give a folder you may write with "
-        "--out"
+        f"cannot write into the output folder: {folder} ({error.strerror}{refused}); give a folder you may "
+        "write with --out"
     )
 
 
@@ -519,16 +520,16 @@ def _refusal(error: OSError, folder: Path) -> InputError | None:
     if not (inside or short or error.errno in _NO_ROOM):
         return None
     what = folder if named is None else _final_name(named, folder)
-    return InputError(f"{what}: cannot be written {_advice(error, named or folder)}; nothing of it was kept")
+    return InputError(f"{what}: cannot be written {_advice(error, named or folder)}; no result was written")
 
 
 def _advice(error: OSError, path: Path) -> str:
-    """The system's reason, the room that is left, and what to do."""
-    reason = error.strerror or str(error)
+    """The system's reason, the room that there is without the run's own files, and what to do."""
+    words = f"({error.strerror or error})"
     place = next((p for p in (path, *path.parents) if os.path.exists(p)), Path())
     with suppress(OSError):
-        reason += f"; {in_bytes(shutil.disk_usage(place).free)} are free there"
-    return f"({reason}); make room, or give a folder on another disk with --out"
+        words += f"; without the files of this run {in_bytes(shutil.disk_usage(place).free)} are free there"
+    return f"{words}; make room, or give a folder on another disk with --out"
 
 
 def _final_name(path: Path, folder: Path) -> Path:
