@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from sightline.cli import output
+from sightline.cli import output, publish
 from sightline.cli.output import output_folder, stages_folder
 from sightline.errors import FormatError, InputError
 from sightline.inputs import note
@@ -502,9 +502,9 @@ def _as_killed_when_all_was_moved(folder):
             raise SystemExit
 
     with pytest.MonkeyPatch.context() as patch:
-        step = output._apply
-        patch.setattr(output, "_apply", last_step)
-        patch.setattr(output, "_roll_back", lambda *_: None)
+        step = publish._apply
+        patch.setattr(publish, "_apply", last_step)
+        patch.setattr(publish, "roll_back", lambda *_: None)
         with pytest.raises(SystemExit), output_folder(folder, overwrite=True) as staging:
             write(staging, RESULT)
             staged.append(staging.parent)

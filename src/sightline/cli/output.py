@@ -6,35 +6,33 @@ stops it in between, the next run puts everything back as it was. Of what lies i
 run made itself are touched, or that have the name of one of its results; no link is followed.
 
 This file writes no result itself: ``io`` and ``report`` do, into the folder given here. Not here: the lock
-(``lock.py``).
+(``lock.py``), the journal (``publish.py``).
 """
 
 from __future__ import annotations
 
 import errno
-import json
 import os
 import re
 import shutil
-import stat
 import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 from sightline.cli.lock import LOCK, Lock, take
+from sightline.cli.publish import JOURNAL, NEW, OLD, kind_of, publish, roll_back
 from sightline.cli.terminal import Interrupted, complain
 from sightline.errors import InputError
 from sightline.inputs import Inputs, changed_error, noted
-from sightline.writing import creation_date, in_bytes, scratch_in, whole
+from sightline.writing import creation_date, in_bytes, scratch_in
 
 #: In the folder: finished stages of a long run, kept until it has ended well.
 PARTIAL, STAGES = ".partial", "stages"
-#: Names of folders in which runs make their files, and what such a folder holds: a mark that it is one, the
-#: new files, earlier ones that they replace, scratch files, and while files are moved the journal.
+#: Names of folders in which runs make their files, and what such a folder holds besides them: a mark that it
+#: is one, and scratch files.
 _STAGING = re.compile(r"\.partial-[a-z0-9_]{8}")
-_MARK, _NEW, _OLD, _SCRATCH, _JOURNAL = "made-by-sightline", "new", "old", "scratch", "journal.json"
+_MARK, _SCRATCH = "made-by-sightline", "scratch"
 #: Files of stages (`applications.stages`), also one that was being written.
 _STAGE_FILE = re.compile(r"[A-Za-z0-9-]+\.stage\.npz(\.tmp)?")
 #: What the system says where there is no room.
@@ -100,12 +98,12 @@ def output_folder(
                 scratch_in(staging / _SCRATCH),
             ):
                 try:
-                    yield staging / _NEW
+                    yield staging / NEW
                 except Exception as error:
                     _refuse_changed(inputs, folder if resume is not None else None, error)
                     raise
                 _refuse_changed(inputs, folder if resume is not None else None)
-                _publish(folder, staging, earlier(folder) if overwrite else (), inputs)
+                publish(folder, staging, earlier(folder) if overwrite else (), inputs)
                 published.append(folder)
     except OSError as error:
         refusal = _refusal(error, folder)
@@ -264,7 +262,7 @@ def _foreign(partial: Path) -> str | None:
     if not os.path.lexists(partial):
         return None
     for path, allowed in ((partial, re.compile(STAGES)), (partial / STAGES, _STAGE_FILE)):
-        kind = _kind(path)
+        kind = kind_of(path)
         if kind == "":
             return None
         if kind != "folder":
@@ -272,21 +270,9 @@ def _foreign(partial: Path) -> str | None:
         for entry in sorted(path.iterdir()):
             if not allowed.fullmatch(entry.name):
                 return f"it holds {entry.relative_to(partial)}, which Sightline did not make"
-            if path != partial and _kind(entry) != "file":
-                return f"it holds {entry.relative_to(partial)}, a {_kind(entry)} that Sightline did not make"
+            if path != partial and kind_of(entry) != "file":
+                return f"it holds {entry.relative_to(partial)}, a {kind_of(entry)}, not made by Sightline"
     return None
-
-
-def _kind(path: Path) -> str:
-    """ "file", "folder", "link" or "special file"; "" where there is nothing. Links are not followed."""
-    try:
-        known = os.lstat(path)
-    except (FileNotFoundError, NotADirectoryError):
-        return ""
-    for is_kind, name in ((stat.S_ISLNK, "link"), (stat.S_ISDIR, "folder"), (stat.S_ISREG, "file")):
-        if is_kind(known.st_mode):
-            return name
-    return "special file"
 
 
 @contextmanager
@@ -296,11 +282,11 @@ def _staging(folder: Path) -> Iterator[Path]:
     staging = folder / Path(tempfile.mkdtemp(prefix=".partial-", dir=folder)).name
     try:
         (staging / _MARK).touch()
-        for name in (_NEW, _OLD, _SCRATCH):
+        for name in (NEW, OLD, _SCRATCH):
             (staging / name).mkdir()
         yield staging
     finally:
-        if not (staging / _JOURNAL).exists():
+        if not (staging / JOURNAL).exists():
             _remove(staging)
 
 
@@ -308,7 +294,7 @@ def _remove(staging: Path) -> None:
     """Remove a staging folder, its mark last: what is left of it is known to be ours at any moment."""
     with suppress(OSError):
         for entry in staging.iterdir():
-            if _kind(entry) == "folder":
+            if kind_of(entry) == "folder":
                 shutil.rmtree(entry, ignore_errors=True)
             elif entry.name != _MARK:
                 entry.unlink()
@@ -320,193 +306,15 @@ def _remove(staging: Path) -> None:
 def _clear_after_killed(folder: Path) -> None:
     """Put back what runs that were killed had begun to replace, and remove what they had made."""
     for staging in sorted(folder.iterdir()):
-        if not _STAGING.fullmatch(staging.name) or _kind(staging) != "folder":
+        if not _STAGING.fullmatch(staging.name) or kind_of(staging) != "folder":
             continue
-        if _kind(staging / _MARK) == "file":
-            _roll_back(folder, staging)
+        if kind_of(staging / _MARK) == "file":
+            roll_back(folder, staging)
             _remove(staging)
         else:
             # killed before it left its mark, or somebody else's
             with suppress(OSError):
                 staging.rmdir()
-
-
-# ---- the files to their names
-
-
-@dataclass(frozen=True)
-class _Move:
-    """One step of publishing a result.
-
-    Attributes
-    ----------
-    kind : str
-        "folder": made; "file": takes its name, and what had it goes to the old ones; "gone": goes there.
-    name : str
-        Below the output folder, with slashes.
-    size, mtime_ns : int
-        Of a file that takes its name, by which it is known again.
-    """
-
-    kind: str
-    name: str
-    size: int = -1
-    mtime_ns: int = -1
-
-    def at(self, folder: Path) -> Path:
-        """The place below a folder."""
-        return folder.joinpath(*PurePosixPath(self.name).parts)
-
-    def is_safe(self) -> bool:
-        """Whether it stays below the folder it is applied to."""
-        parts = PurePosixPath(self.name).parts
-        return bool(parts) and not self.name.startswith("/") and ".." not in parts and "\0" not in self.name
-
-
-def _publish(folder: Path, staging: Path, earlier: Iterable[str], inputs: Inputs) -> None:
-    """Move all new files to their names; if that fails, everything is as it was before."""
-    moves = _planned(folder, staging / _NEW, earlier, inputs)
-    if any(os.path.lexists(move.at(folder)) for move in moves if move.kind != "folder"):
-        # earlier results go: after a power cut either they or the new ones must be on the disk
-        for move in moves:
-            if move.kind == "file":
-                _to_disk(move.at(staging / _NEW))
-    with whole(staging / _JOURNAL) as draft:
-        draft.write_text(json.dumps([asdict(move) for move in moves]), encoding="utf-8")
-        _to_disk(draft)
-    try:
-        for move in moves:
-            _apply(move, folder, staging)
-    except BaseException:
-        _roll_back(folder, staging)
-        raise
-    # from here on the new result is what holds
-    (staging / _JOURNAL).unlink()
-
-
-def _planned(folder: Path, new: Path, earlier: Iterable[str], inputs: Inputs) -> list[_Move]:
-    """Every step, folders before what is in them."""
-    moves: list[_Move] = []
-    names, read = set(), inputs.places()
-    fresh = set()  # folders that are made, so that nothing is in the way in them
-    for place, folders, files in os.walk(new):
-        folders.sort()
-        inside = Path(place).relative_to(new)
-        for name in sorted(folders):
-            path = inside / name
-            kind = "" if inside in fresh else _kind(folder / path)
-            if kind != "folder":
-                fresh.add(path)
-                if kind:
-                    _refuse_replacing(folder / path, read)
-                    moves.append(_Move("gone", path.as_posix()))
-                moves.append(_Move("folder", path.as_posix()))
-            names.add(path.as_posix())
-        for name in sorted(files):
-            path = inside / name
-            if inside not in fresh:
-                _refuse_replacing(folder / path, read)
-            known = os.lstat(new / path)
-            moves.append(_Move("file", path.as_posix(), known.st_size, known.st_mtime_ns))
-            names.add(path.as_posix())
-    gone = sorted(
-        name
-        for name in set(earlier) - names
-        if _Move("gone", name).is_safe()
-        and _kind(folder / name) == "file"
-        and _unlinked(folder, name)
-        and os.path.realpath(folder / name) not in read
-    )
-    return moves + [_Move("gone", name) for name in gone]
-
-
-def _unlinked(folder: Path, name: str) -> bool:
-    """Whether no folder on the way to a name is a link."""
-    parents = list(PurePosixPath(name).parents)[:-1]
-    return not any((folder / parent).is_symlink() for parent in parents)
-
-
-def _refuse_replacing(final: Path, read: frozenset[str]) -> None:
-    """InputError if what has the name of a result was read for it, or is a folder that holds something."""
-    kind = _kind(final)
-    if kind == "folder" and any(final.iterdir()):
-        raise InputError(
-            f"{final}: is a folder that holds something, where a file of this name is to be written; move it "
-            "away, or give another --out"
-        )
-    if kind and os.path.realpath(final) in read:
-        raise InputError(
-            f"{final}: was read for the result and would be replaced by a file of it; give another --out"
-        )
-
-
-def _to_disk(path: Path) -> None:
-    """Wait until a file has reached the disk."""
-    descriptor = os.open(path, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-def _apply(move: _Move, folder: Path, staging: Path) -> None:
-    final, old = move.at(folder), move.at(staging / _OLD)
-    if move.kind == "folder":
-        final.mkdir()
-        return
-    if os.path.lexists(final):
-        old.parent.mkdir(parents=True, exist_ok=True)
-        os.rename(final, old)
-    if move.kind == "file":
-        os.rename(move.at(staging / _NEW), final)
-
-
-def _roll_back(folder: Path, staging: Path) -> None:
-    """Undo what a journal says was begun, if there is one."""
-    journal = staging / _JOURNAL
-    if _kind(journal) != "file":
-        return
-    for move in reversed(_read(journal)):
-        final, old, new = (move.at(place) for place in (folder, staging / _OLD, staging / _NEW))
-        if not _unlinked(folder, move.name):
-            raise _cannot_undo(final, staging)
-        if move.kind == "folder":
-            with suppress(OSError):
-                final.rmdir()
-            continue
-        if move.kind == "file" and not os.path.lexists(new) and os.path.lexists(final):
-            known = os.lstat(final)
-            if (known.st_size, known.st_mtime_ns) != (move.size, move.mtime_ns):
-                raise _cannot_undo(final, staging)
-            os.rename(final, new)
-        if os.path.lexists(old):
-            if os.path.lexists(final):
-                raise _cannot_undo(final, staging)
-            os.rename(old, final)
-    journal.unlink()
-
-
-def _read(journal: Path) -> list[_Move]:
-    """The steps of a journal; InputError where it is none of ours."""
-    try:
-        moves = [_Move(**entry) for entry in json.loads(journal.read_text(encoding="utf-8"))]
-        valid = all(isinstance(move.name, str) and move.is_safe() for move in moves)
-    except (OSError, ValueError, TypeError, RecursionError):
-        valid = False
-    if not valid:
-        raise InputError(
-            f"{journal}: cannot be read, but is what a run that was killed left to say which files it was "
-            f"moving; look for earlier files in {journal.parent / _OLD}, then remove {journal.parent}"
-        )
-    return moves
-
-
-def _cannot_undo(final: Path, staging: Path) -> InputError:
-    return InputError(
-        f"{final}: was changed after a run was killed that was replacing it; the earlier files are in "
-        f"{staging / _OLD}, those of that run in {staging / _NEW}: move those you want to keep, then remove "
-        f"{staging}"
-    )
 
 
 # ---- what the system refused
@@ -537,4 +345,4 @@ def _final_name(path: Path, folder: Path) -> Path:
     parts = path.relative_to(folder).parts if path.is_relative_to(folder) else ()
     if not parts or not _STAGING.fullmatch(parts[0]):
         return path
-    return folder.joinpath(*parts[2:]) if parts[1:2] == (_NEW,) else folder
+    return folder.joinpath(*parts[2:]) if parts[1:2] == (NEW,) else folder

@@ -9,9 +9,9 @@ import pytest
 
 from sightline.cli.main import run
 from sightline.errors import FormatError
+from sightline.inputs import noted
 from sightline.io.acquisition import load_acquisition
 from sightline.io.images import open_image
-from sightline.io.inputs import noted
 from sightline.io.instrument import load_instrument
 from sightline.io.recovered import read_recovered
 from sightline.io.sequence import read_sequence
