@@ -12,6 +12,10 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+PYTHON, TDI, STEREO, FLIGHTS = (
+    (ROOT / "docs" / f"{name}.md").read_text(encoding="utf-8")
+    for name in ("python", "tdi", "stereo", "flights")
+)
 #: The real data set that an example is about.
 ABOUT = {
     "iss_frames": "iss_astropi_a",
@@ -53,9 +57,10 @@ def test_an_example_is_short_and_says_which_folder_it_is_not_given(path):
 @pytest.mark.slow
 def test_the_python_of_the_readme_runs_and_prints_three_axes():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    blocks = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
-    assert len(blocks) == 4 and len([line for line in blocks[0].splitlines() if line.strip()]) <= 20
-    lines = run(["-c", blocks[0]]).splitlines()
+    (block,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
+    assert len([line for line in block.splitlines() if line.strip()]) <= 20
+    assert block in PYTHON
+    lines = run(["-c", block]).splitlines()
     assert [line.split()[0] for line in lines] == ["roll", "pitch", "yaw"]
     shown = re.search(r"```text\n(roll .*?)```", readme, re.DOTALL)
     assert shown is not None
@@ -66,16 +71,12 @@ def test_the_python_of_the_readme_runs_and_prints_three_axes():
 
 
 @pytest.mark.slow
-def test_the_tdi_files_and_python_of_the_readme_run_as_stated(tmp_path):
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    block = {
-        kind: re.findall(rf"```{kind}\n(.*?)```", readme, re.DOTALL)
-        for kind in ("toml", "csv", "python", "text")
-    }
-    (text,) = (toml for toml in block["toml"] if "[grid]" in toml)
-    (tmp_path / "tdi.toml").write_text(text, encoding="utf-8")
-    (tmp_path / "columns.csv").write_text(block["csv"][0], encoding="utf-8")
-    assert run(["-c", block["python"][1]], tmp_path) == block["text"][1]
+def test_the_tdi_files_and_python_of_the_pages_run_as_stated(tmp_path):
+    (toml,), (columns,) = (re.findall(rf"```{kind}\n(.*?)```", TDI, re.DOTALL) for kind in ("toml", "csv"))
+    (tmp_path / "tdi.toml").write_text(toml, encoding="utf-8")
+    (tmp_path / "columns.csv").write_text(columns, encoding="utf-8")
+    python, text = (re.findall(rf"```{kind}\n(.*?)```", PYTHON, re.DOTALL) for kind in ("python", "text"))
+    assert run(["-c", python[1]], tmp_path) == text[1]
 
 
 @pytest.mark.slow
@@ -91,10 +92,9 @@ def test_the_tdi_files_and_python_of_the_readme_run_as_stated(tmp_path):
     ],
     ids=["stereo", "sequence"],
 )
-def test_the_python_of_the_readme_on_what_is_simulated_runs_as_stated(tmp_path, number, stated_as, words):
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    python, text = (re.findall(rf"```{kind}\n(.*?)```", readme, re.DOTALL) for kind in ("python", "text"))
-    assert stated_as in readme
+def test_the_python_on_what_is_simulated_runs_as_stated(tmp_path, number, stated_as, words):
+    python, text = (re.findall(rf"```{kind}\n(.*?)```", PYTHON, re.DOTALL) for kind in ("python", "text"))
+    assert stated_as in STEREO + FLIGHTS
     words = ["simulate", *words[:-1], str(tmp_path / words[-1]), "--seed", "1"]
     run(["-c", f"import sys; from sightline.cli.main import run; sys.exit(run({words!r}))"])
     printed, stated = run(["-c", python[number]], tmp_path), text[number]
@@ -107,9 +107,8 @@ def test_the_python_of_the_readme_on_what_is_simulated_runs_as_stated(tmp_path, 
 
 
 @pytest.mark.slow
-def test_the_table_of_the_readme_is_what_score_prints(tmp_path):
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    (stated,) = re.findall(r"```console\n(frames .*?)```", readme, re.DOTALL)
+def test_the_table_of_the_page_of_flights_is_what_score_prints(tmp_path):
+    (stated,) = re.findall(r"```console\n(frames .*?)```", FLIGHTS, re.DOTALL)
     flight, located = str(tmp_path / "flight"), str(tmp_path / "located")
     for words in (
         ["simulate", "frames", "--case", "small", "--out", flight, "--seed", "1"],
