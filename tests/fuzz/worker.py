@@ -1,0 +1,406 @@
+"""A process in which cases are run, one after the other, and watched.
+
+``python -m tests.fuzz.worker`` imports the package once and forks a child that runs cases until it dies,
+hangs or has found a fault; then the next is forked. A case that brings the process down thus costs no import.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import pkgutil
+import resource
+import select
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from contextlib import suppress
+from importlib import import_module
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+#: Bytes of resident memory that no case may need.
+MOST_MEMORY = 2 << 30
+#: s of CPU that no case may need.
+MOST_SECONDS = 20.0
+_WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+
+
+# The parent's side ------------------------------------------------------------------------------------------
+
+
+class Worker:
+    """Runs cases in another process.
+
+    Parameters
+    ----------
+    folder : Path
+        Where it may keep files of its own.
+    more : str
+        Module with further readers, which its ``register`` adds; none by default.
+    """
+
+    def __init__(self, folder: Path, more: str = "") -> None:
+        self._folder, self._more = folder, more
+        folder.mkdir(parents=True, exist_ok=True)
+        self._log = folder / "worker.log"
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def run(self, reader: str, case: Path, patience: float) -> dict[str, Any]:
+        """What became of a case: see ``_watched``; ``died`` or ``hung`` where the process did not survive it.
+
+        A case that takes longer than `patience`, s on the clock, is ended.
+        """
+        if self._process is None or self._process.poll() is not None:
+            self._start()
+        assert self._process is not None and self._process.stdin is not None
+        self._process.stdin.write(
+            json.dumps({"reader": reader, "case": str(case), "patience": patience}).encode() + b"\n"
+        )
+        self._process.stdin.flush()
+        answer = self._answer(patience + 60.0)
+        if answer is None:
+            self.close()
+            return {"hung": True, "seconds": patience, "where": _tail(self._log)}
+        return answer
+
+    def _start(self) -> None:
+        with self._log.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-m", "tests.fuzz.worker", str(self._folder), self._more],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                env=os.environ | {"OMP_NUM_THREADS": "1", "TMPDIR": str(self._folder)},
+            )
+        if self._answer(300.0) != {"ready": True}:
+            raise RuntimeError(f"the worker of the fuzzer does not start: {_tail(self._log)}")
+
+    def _answer(self, seconds: float) -> dict[str, Any] | None:
+        assert self._process is not None and self._process.stdout is not None
+        if not select.select([self._process.stdout], [], [], seconds)[0]:
+            return None
+        line = self._process.stdout.readline()
+        return (
+            json.loads(line)
+            if line
+            else {"died": "the worker ended", "where": _tail(self._log), "seconds": 0.0}
+        )
+
+    def close(self) -> None:
+        """End the process."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+
+def _tail(path: Path) -> str:
+    """The end of a log, without faulthandler's list of modules."""
+    text = path.read_text(errors="replace") if path.is_file() else ""
+    return text.split("Extension modules:")[0][-3000:]
+
+
+# The side that forks ----------------------------------------------------------------------------------------
+
+
+def _serve(folder: Path, more: str) -> None:
+    """Fork a child, hand it the cases of stdin, replace it when it is gone."""
+    _prepare(more)
+    _say({"ready": True})
+    child: tuple[int, int, int] | None = None
+    for line in sys.stdin.buffer:
+        child = child or _fork(folder)
+        pid, ask, tell = child
+        os.write(ask, line)
+        begun = time.monotonic()
+        deadline = begun + json.loads(line)["patience"]
+        got = b""
+        while (
+            not got.endswith(b"\n")
+            and select.select([tell], [], [], max(0.0, deadline - time.monotonic()))[0]
+        ):
+            part = os.read(tell, 1 << 20)
+            if not part:
+                break
+            got += part
+        if got.endswith(b"\n"):
+            answer = json.loads(got)
+            if not answer.pop("last"):
+                _say(answer)
+                continue
+        else:
+            hung = time.monotonic() >= deadline
+            os.kill(pid, signal.SIGABRT)  # faulthandler says where
+            time.sleep(0.3)
+            answer = {"seconds": time.monotonic() - begun, "where": _tail(folder / "fault.log")}
+            answer |= {"hung": True} if hung else {}
+        with suppress(ProcessLookupError):
+            os.kill(pid, signal.SIGKILL)
+        _, status = os.waitpid(pid, 0)
+        if "status" not in answer and "hung" not in answer:
+            number = os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0
+            answer["died"] = signal.Signals(number).name if number else f"status {os.WEXITSTATUS(status)}"
+        os.close(ask)
+        os.close(tell)
+        child = None
+        _say(answer)
+
+
+def _say(answer: dict[str, Any]) -> None:
+    os.write(1, json.dumps(answer).encode() + b"\n")
+
+
+def _prepare(more: str) -> None:
+    """Everything that is imported sooner or later, once."""
+
+    import sightline
+
+    for module in pkgutil.walk_packages(sightline.__path__, "sightline."):
+        if not module.name.startswith(("sightline.cli.demo", "sightline.__main__")):
+            import_module(module.name)
+    import_module("rasterio.warp")
+    import_module("tests.fuzz.readers")
+    if more:
+        import_module(more).register()
+
+
+def _fork(folder: Path) -> tuple[int, int, int]:
+    there_in, there_out = os.pipe(), os.pipe()
+    pid = os.fork()
+    if pid:
+        os.close(there_in[0])
+        os.close(there_out[1])
+        return pid, there_in[1], there_out[0]
+    os.close(there_in[1])
+    os.close(there_out[0])
+    try:
+        _child(folder, there_in[0], there_out[1])
+    finally:
+        os._exit(3)
+
+
+# The child --------------------------------------------------------------------------------------------------
+
+
+def _child(folder: Path, ask: int, tell: int) -> None:
+    """Run the cases that come, until one has left traces."""
+    import faulthandler
+
+    fault = (folder / "fault.log").open("w+b")
+    faulthandler.enable(fault)
+    held = _bytes_of("VmSize")
+    resource.setrlimit(resource.RLIMIT_AS, (held + MOST_MEMORY, held + MOST_MEMORY))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    _stop_the_work()
+    seen = _Watch()
+    with os.fdopen(ask, "rb") as lines:
+        for line in lines:
+            fault.seek(0)
+            fault.truncate()
+            given = json.loads(line)
+            answer = _watched(given["reader"], Path(given["case"]), folder, seen)
+            # a failure may leave the process in a state of its own
+            answer["last"] = answer.get("status") not in (0, 1, 2) or answer["memory"] > MOST_MEMORY // 2
+            os.write(tell, json.dumps(answer).encode() + b"\n")
+
+
+def _watched(reader: str, case: Path, folder: Path, seen: _Watch) -> dict[str, Any]:
+    """Run one case.
+
+    Returns
+    -------
+    dict
+        ``status`` (what the command gave; of a Python reader that of its exception, 70 where it was none of
+        ours), ``error`` (its text), ``where`` (the innermost line of the package), ``said`` (all of stderr),
+        ``told`` (all of stdout), ``warned``, ``seconds`` (CPU), ``clock``, ``memory`` (largest resident
+        size), ``strayed`` (what it wrote, asked or started that it should not have).
+    """
+    import warnings
+
+    from tests.fuzz.readers import READERS
+
+    row = READERS[reader]
+    elsewhere = folder / "elsewhere"
+    elsewhere.mkdir(exist_ok=True)
+    os.chdir(elsewhere)
+    _forget_peak()
+    answer: dict[str, Any] = {"status": 0, "error": "", "where": "", "kind": ""}
+    begun, clock = time.process_time(), time.monotonic()
+    signal.setitimer(signal.ITIMER_PROF, 2.0 * MOST_SECONDS)
+    with _Captured() as captured, warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        seen.begin(case)
+        try:
+            status = row.call(case)
+            answer["status"] = 0 if status is None else status
+        except BaseException as error:
+            answer |= {"status": _status_of(error), "error": str(error), "kind": type(error).__name__}
+            answer["where"] = _where(error)
+        finally:
+            strayed = seen.end()
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+    answer["seconds"], answer["clock"] = time.process_time() - begun, time.monotonic() - clock
+    answer["memory"] = _bytes_of("VmHWM")
+    answer["said"], answer["told"] = captured.texts()
+    answer["warned"] = [f"{w.category.__name__}: {w.message}" for w in warned]
+    if row.words and answer["status"] not in (0, 1, 2):
+        answer["where"], answer["kind"] = _again(row.words, case)
+    answer["strayed"] = strayed + [f"left {path.name}" for path in elsewhere.iterdir()]
+    return answer
+
+
+def _again(words: tuple[str, ...], case: Path) -> tuple[str, str]:
+    """Where a command failed: the same once more, with the exception left to rise."""
+    from sightline.cli.main import run
+
+    with _Captured():
+        try:
+            run([word.replace("{}", str(case)) for word in words], debug=True)
+        except BaseException as error:
+            return _where(error), type(error).__name__
+    return "", ""
+
+
+def _status_of(error: BaseException) -> int:
+    from sightline.errors import EstimationError, GeometryError, SightlineError
+
+    if not isinstance(error, SightlineError):
+        return 70
+    return 1 if isinstance(error, EstimationError | GeometryError) or type(error) is SightlineError else 2
+
+
+def _where(error: BaseException) -> str:
+    """Innermost line of the package in a traceback, and the kind of the exception."""
+    place, step = "", error.__traceback__
+    while step is not None:
+        name = step.tb_frame.f_code.co_filename
+        if "/sightline/" in name:
+            place = f"{name.rsplit('/sightline/', 1)[1]}:{step.tb_lineno}"
+        step = step.tb_next
+    return place
+
+
+class _Captured:
+    """What a case says, from C libraries too."""
+
+    def __enter__(self) -> _Captured:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        self._files = [tempfile.TemporaryFile(), tempfile.TemporaryFile()]
+        self._kept = [os.dup(2), os.dup(1)]
+        for number, file in zip((2, 1), self._files, strict=True):
+            os.dup2(file.fileno(), number)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        for number, kept in zip((2, 1), self._kept, strict=True):
+            os.dup2(kept, number)
+            os.close(kept)
+        self._texts = []
+        for file in self._files:
+            file.seek(0)
+            self._texts.append(file.read(1 << 20).decode("utf-8", "replace"))
+            file.close()
+
+    def texts(self) -> list[str]:
+        return self._texts
+
+
+#: Audit events and how many of their arguments are paths that are changed; those that no case may raise.
+_PATHS = {
+    "os.remove": 1, "os.rename": 2, "os.mkdir": 1, "os.rmdir": 1, "os.symlink": 2, "os.link": 2,
+    "os.truncate": 1, "os.chmod": 1, "os.chown": 1, "os.utime": 1, "shutil.rmtree": 1, "shutil.move": 2,
+}  # fmt: skip
+_NEVER = (
+    "socket.connect", "socket.getaddrinfo", "subprocess.Popen", "os.system", "os.exec", "os.posix_spawn",
+    "pickle.find_class",
+)  # fmt: skip
+
+
+class _Watch:
+    """What is written outside a case, asked of the network, or started, as Python's audit events tell it."""
+
+    def __init__(self) -> None:
+        self._allowed: tuple[str, ...] | None = None
+        self._found: list[str] = []
+        self._cache = tuple(
+            filter(None, [os.environ.get("NUMBA_CACHE_DIR"), str(Path(tempfile.gettempdir())), "/dev/null"])
+        )
+        sys.addaudithook(self._event)
+
+    def begin(self, case: Path) -> None:
+        self._found, self._allowed = [], (str(case), *self._cache)
+
+    def end(self) -> list[str]:
+        self._allowed = None
+        return self._found
+
+    def _event(self, event: str, arguments: tuple[Any, ...]) -> None:
+        if self._allowed is None:
+            return
+        if event in _NEVER:
+            if not (event == "pickle.find_class" and _compiling()):
+                self._found.append(f"{event} {str(arguments)[:200]}")
+        elif event == "open":
+            path, _, flags = arguments
+            if isinstance(flags, int) and flags & _WRITES:
+                self._note(event, path)
+        elif event in _PATHS:
+            for path in arguments[: _PATHS[event]]:
+                self._note(event, path)
+
+    def _note(self, event: str, path: Any) -> None:
+        assert self._allowed is not None
+        if isinstance(path, int):
+            return
+        text = os.path.abspath(os.fsdecode(path))
+        if not text.startswith(self._allowed) and "__pycache__" not in text:
+            self._found.append(f"{event} {text}")
+
+
+def _compiling() -> bool:
+    """Whether numba, which keeps its compiled functions as pickles, is at work."""
+    frame: FrameType | None = sys._getframe()
+    while frame is not None:
+        if "/numba/" in frame.f_code.co_filename:
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _stop_the_work() -> None:
+    """Long work is left out of the commands: what they read before it is what is tried."""
+    from sightline.applications import line_of_sight, sequence_poses
+    from sightline.errors import EstimationError
+
+    def stop(*_: object, **__: object) -> None:
+        raise EstimationError("acquisition.toml, sequence.toml: read; the fuzzer goes no further")
+
+    for module, name in ((line_of_sight, "recover_line_of_sight"), (sequence_poses, "georeference_sequence")):
+        assert callable(getattr(module, name))
+        setattr(module, name, stop)
+
+
+def _bytes_of(name: str) -> int:
+    """A size of this process as Linux tells it; 0 elsewhere."""
+    with suppress(OSError):
+        for line in Path("/proc/self/status").read_text().splitlines():
+            if line.startswith(f"{name}:"):
+                return int(line.split()[1]) << 10
+    return 0
+
+
+def _forget_peak() -> None:
+    """Begin to count the largest resident size anew."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5")
+
+
+if __name__ == "__main__":
+    _serve(Path(sys.argv[1]), sys.argv[2])
