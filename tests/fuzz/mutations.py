@@ -74,10 +74,10 @@ JSON_ONLY = ["null", "NaN", "Infinity", "-Infinity", "1e400", '"\\ud800"', '{"a"
 DEPTHS = (50, 100_000)
 PATHS = [
     *"missing.csv . .. / /dev/zero /dev/null fifo loop dangling folder hole ~/x.tif - con".split(),
-    *"$HOME/x.tif ../outside.csv /etc/passwd /proc/self/mem /vsimem/x.tif /vsistdin/ GTIFF_DIR:1:x.tif".split(),
+    *"$HOME/x.tif ../outside.csv /etc/passwd /proc/self/mem /vsimem/x.tif /vsistdin/".split(),
     f"http://{SERVER}/x.tif", f"/vsicurl/http://{SERVER}/x.tif", f"https://{SERVER}/x.csv", f"file://{SERVER}/x",
     f"WMS:http://{SERVER}/", f"/vsizip//vsicurl/http://{SERVER}/x.zip/x.tif",
-    "", " ", "x.tif\n", "a\x00b", "x" * 300, "x/" * 3000, "\u00fc\u4e2d.tif",
+    "", " ", "GTIFF_DIR:1:x.tif", "x.tif\n", "a\x00b", "x" * 300, "x/" * 3000, "\u00fc\u4e2d.tif",
 ]  # fmt: skip
 #: What the names among `PATHS` that are no plain files stand for.
 COMPANIONS: dict[str, File] = {

@@ -293,6 +293,7 @@ command(
     "score oriented", "pair", "orientation-truth.csv result/*.csv", "score {}/result {}/orientation-truth.csv"
 )
 command("orient", "pair", "stereo.toml *.csv", "orient {}/stereo.toml --out {}/out")
+command("orient with a DEM", "simulated-pair", "*.csv dem.tif", "orient {}/stereo.toml --out {}/out")
 command("orient --predict", "plan", "stereo.toml", "orient {}/stereo.toml --predict --out {}/out")
 command("tdi", "tdi", "tdi.toml columns.csv", "tdi {}/tdi.toml --out {}/out")
 command("tdi --motion", "recovered", "tdi.toml result/*", "tdi {}/tdi.toml --motion {}/result --out {}/out")

@@ -6,20 +6,16 @@ The cases of the last test are the same in every run; ``make fuzz`` draws new on
 from __future__ import annotations
 
 import inspect
-import os
 import pkgutil
 import re
 import sys
-import time
 from importlib import import_module
-from pathlib import Path
 
 import pytest
-from tests.fuzz.hunt import Hunter, kept_case
+from tests.fuzz.hunt import kept_case
 from tests.fuzz.mutations import Case, Special
 from tests.fuzz.planted import FAULTS, PLANTED
 from tests.fuzz.readers import READERS, Reader
-from tests.fuzz.seeds import build
 
 import sightline.io
 
@@ -34,32 +30,6 @@ BY_CHECK = {
     "bands.open_band_image", "sequence_frames.probe_frames", "sequence_frames.read_frames",
 }  # fmt: skip
 SEED = 20260101
-
-
-@pytest.fixture(scope="session")
-def seeds(tmp_path_factory) -> Path:
-    """All seeds; made by the first process of a session that needs them."""
-    if "PYTEST_XDIST_WORKER" not in os.environ:
-        root = tmp_path_factory.mktemp("fuzz") / "seeds"
-        build(root)
-        return root
-    root = tmp_path_factory.getbasetemp().parent / "fuzz-seeds"
-    try:
-        root.with_suffix(".made").mkdir()
-    except FileExistsError:
-        while not root.is_dir():
-            time.sleep(0.2)
-    else:
-        build(root.with_suffix(".made"))
-        root.with_suffix(".made").rename(root)
-    return root
-
-
-@pytest.fixture(scope="module")
-def hunter(seeds, tmp_path_factory):
-    work = tmp_path_factory.mktemp("hunt")
-    with Hunter(seeds, work / "work", work / "failing", "tests.fuzz.planted") as made:
-        yield made
 
 
 @pytest.mark.parametrize("name", READERS)
