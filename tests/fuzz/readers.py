@@ -32,7 +32,7 @@ class Reader:
     words : tuple of str
         Of a command: the words after ``sightline``, with the folder as ``{}``.
     patience : float
-        s on the clock after which a case is ended, however little it computes: it may wait for a pipe.
+        s on the clock in which it may do nothing: it may wait for a pipe.
     """
 
     name: str
@@ -41,7 +41,7 @@ class Reader:
     call: Callable[[Path], int | None]
     covers: tuple[str, ...] = ()
     words: tuple[str, ...] = ()
-    patience: float = 30.0
+    patience: float = 20.0
 
     def targets_of(self, files: dict[str, bytes]) -> tuple[str, ...]:
         """The files that are changed."""
