@@ -394,6 +394,8 @@ def faults_of(
         faults["strayed"] = str((strayed + answer["strayed"])[:5])
     if asked:
         faults["asked the network"] = str(asked)
+    if answer.get("check") == 0:
+        faults["check passed what the run refuses"] = said[-1500:]
     if answer["status"] in (0, 1, 2):
         faults |= _faults_of_words(row, answer, case)
     return faults

@@ -5,7 +5,7 @@ and what the other commands read before they begin their work.
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -30,7 +30,9 @@ class Reader:
     covers : tuple of str
         Functions of ``sightline.io`` that it calls, as ``module.function``.
     words : tuple of str
-        Of a command: the words after ``sightline``, with the folder as ``{}``.
+        Of a command: the words after ``sightline``; those that begin with @ are of the folder.
+    check : str
+        Of a command: the TOML file that `check` must refuse too where the command calls it wrong; or empty.
     patience : float
         s on the clock in which it may do nothing: it may wait for a pipe.
     """
@@ -41,6 +43,7 @@ class Reader:
     call: Callable[[Path], int | None]
     covers: tuple[str, ...] = ()
     words: tuple[str, ...] = ()
+    check: str = ""
     patience: float = 20.0
 
     def targets_of(self, files: dict[str, bytes]) -> tuple[str, ...]:
@@ -71,16 +74,21 @@ def _row(place: str, seed: str, targets: list[str], call: Callable[[Path, Any], 
     READERS[name] = Reader(name, seed, tuple(targets), of_folder, (place,))
 
 
-def command(name: str, seed: str, targets: str, words: str) -> None:
+def spoken(words: Iterable[str], folder: Path) -> list[str]:
+    """The words of a command about the case in `folder`."""
+    return [f"{folder}/{word[1:]}" if word.startswith("@") else word for word in words]
+
+
+def command(name: str, seed: str, targets: str, words: str, check: str = "") -> None:
     """A row for a command line."""
 
     def of_folder(folder: Path) -> int:
         from sightline.cli.main import run
 
-        return run([word.replace("{}", str(folder)) for word in words.split()])
+        return run(spoken(words.split(), folder))
 
     assert name not in READERS, name
-    READERS[name] = Reader(name, seed, tuple(targets.split()), of_folder, (), tuple(words.split()))
+    READERS[name] = Reader(name, seed, tuple(targets.split()), of_folder, (), tuple(words.split()), check)
 
 
 # Tables -----------------------------------------------------------------------------------------------------
@@ -157,6 +165,14 @@ def _look(folder: Path, read: Any, name: str, **options: Any) -> None:
     check_content(read(folder / name, **options))
 
 
+def _packet(path: Path) -> str:
+    """The beginning of a file as text."""
+    if not path.is_file():
+        return ""
+    with path.open("rb") as stream:
+        return stream.read(1 << 20).decode("latin-1")
+
+
 _row("images.open_image", "level", ["PAN.tif"], lambda folder, read: _look(folder, read, "PAN.tif"))
 _row("images.open_image", "level", ["XS.npy"], lambda folder, read: _look(folder, read, "XS.npy"))
 _row(
@@ -179,7 +195,7 @@ _row(
 function("xmp.read_xmp", "photographs", "photos/p1.jpg")
 _row(
     "xmp.parse_xmp", "photographs", ["photos/p1.jpg"],
-    lambda folder, read: read((folder / "photos/p1.jpg").read_bytes().decode("latin-1"), 100.0),
+    lambda folder, read: read(_packet(folder / "photos/p1.jpg"), 100.0),
 )  # fmt: skip
 function("dem.read_dem", "orbit-csv", "dem.tif")
 _row(
@@ -280,35 +296,26 @@ for _seed, _toml in (
 ):  # fmt: skip
     _file = f"{_toml}.toml"
     # the TOML file itself as often as all it names
-    command(f"check {_seed}/{_file}", _seed, _file, f"check {{}}/{_file}")
+    command(f"check {_seed}/{_file}", _seed, _file, f"check @{_file}")
     if _seed not in ("plan", "instrument"):
         _more = {
             "modelled": f"frames.csv {_toml}* {'reconstruction.json' if _toml == 'opensfm' else ''}"
         }.get(_seed, "[!r]* fore/*")
-        command(f"check {_seed}/{_file}, what it names", _seed, _more, f"check {{}}/{_file}")
+        command(f"check {_seed}/{_file}, what it names", _seed, _more, f"check @{_file}")
 
-command("score recovered", "recovered", "truth.csv result/*", "score {}/result {}/truth.csv")
-command("score georeferenced", "georeferenced", "* result/*", "score {}/result {}/poses-truth.csv --table")
-command(
-    "score oriented", "pair", "orientation-truth.csv result/*.csv", "score {}/result {}/orientation-truth.csv"
-)
-command("orient", "pair", "stereo.toml *.csv", "orient {}/stereo.toml --out {}/out")
-command("orient with a DEM", "simulated-pair", "*.csv dem.tif", "orient {}/stereo.toml --out {}/out")
-command("orient --predict", "plan", "stereo.toml", "orient {}/stereo.toml --predict --out {}/out")
-command("tdi", "tdi", "tdi.toml columns.csv", "tdi {}/tdi.toml --out {}/out")
-command("tdi --motion", "recovered", "tdi.toml result/*", "tdi {}/tdi.toml --motion {}/result --out {}/out")
-command("layout", "instrument", "instrument.toml", "layout {}/instrument.toml --passband 40 150 --out {}/out")
-command("recover", "level", "*", "recover {}/acquisition.toml --out {}/out")
-command(
-    "register",
-    "recovered",
-    "acquisition.toml result/*",
-    "register {}/acquisition.toml --motion {}/result --out {}/out",
-)
-command(
-    "register frames",
-    "turning-frames",
-    "* result/*",
-    "register {}/acquisition.toml --motion {}/result --out {}/out",
-)
-command("georeference", "flown", "*", "georeference {}/sequence.toml --out {}/out")
+for _name, _seed, _targets, _words, _check in (
+    ("score recovered", "recovered", "truth.csv result/*", "score @result @truth.csv", ""),
+    ("score georeferenced", "georeferenced", "* result/*", "score @result @poses-truth.csv --table", ""),
+    ("score oriented", "pair", "orientation-truth.csv result/*", "score @result @orientation-truth.csv", ""),
+    ("orient", "pair", "stereo.toml *.csv", "orient @stereo.toml --out @out", "stereo.toml"),
+    ("orient with a DEM", "simulated-pair", "*.csv dem.tif", "orient @stereo.toml --out @out", "stereo.toml"),
+    ("orient --predict", "plan", "stereo.toml", "orient @stereo.toml --predict --out @out", "stereo.toml"),
+    ("tdi", "tdi", "tdi.toml columns.csv", "tdi @tdi.toml --out @out", "tdi.toml"),
+    ("tdi --motion", "recovered", "tdi.toml result/*", "tdi @tdi.toml --motion @result --out @out", ""),
+    ("layout", "instrument", "*", "layout @instrument.toml --passband 40 150 --out @out", "instrument.toml"),
+    ("recover", "level", "*", "recover @acquisition.toml --out @out", "acquisition.toml"),
+    ("register", "recovered", "a* result/*", "register @acquisition.toml --motion @result --out @out", ""),
+    ("register frames", "turning-frames", "*", "register @acquisition.toml --motion @result --out @out", ""),
+    ("georeference", "flown", "*", "georeference @sequence.toml --out @out", "sequence.toml"),
+):  # fmt: skip
+    command(_name, _seed, _targets, _words, _check)

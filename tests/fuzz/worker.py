@@ -244,11 +244,13 @@ def _watched(reader: str, case: Path, folder: Path, seen: _Watch, compiled: _Com
         ours), ``error`` (its text), ``where`` (innermost line of the package), ``said`` (all of stderr),
         ``told`` (all of stdout), ``warned``, ``seconds`` (CPU, without that of compiling kernels),
         ``memory`` (largest resident size), ``strayed`` (what it should not have written, asked
-        or started).
+        or started), ``check`` (status of `check` where the command called the input wrong).
     """
     import warnings
 
     from tests.fuzz.readers import READERS
+
+    from sightline.cli.main import run
 
     row = READERS[reader]
     elsewhere = folder / "elsewhere"
@@ -274,17 +276,22 @@ def _watched(reader: str, case: Path, folder: Path, seen: _Watch, compiled: _Com
     answer["warned"] = [f"{w.category.__name__}: {w.message}" for w in warned]
     if row.words and answer["status"] not in (0, 1, 2):
         answer["where"], answer["kind"] = _again(row.words, case)
+    if row.check and answer["status"] == 2:
+        with _Captured():
+            answer["check"] = run(["check", str(case / row.check)])
     answer["strayed"] = strayed + [f"left {path.name}" for path in elsewhere.iterdir()]
     return answer
 
 
 def _again(words: tuple[str, ...], case: Path) -> tuple[str, str]:
     """Where a command failed: the same once more, with the exception left to rise."""
+    from tests.fuzz.readers import spoken
+
     from sightline.cli.main import run
 
     with _Captured():
         try:
-            run([word.replace("{}", str(case)) for word in words], debug=True)
+            run(spoken(words, case), debug=True)
         except BaseException as error:
             return _where(error), type(error).__name__
     return "", ""
