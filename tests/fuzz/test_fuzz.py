@@ -100,6 +100,7 @@ def test_a_failing_case_is_kept_and_read_back(hunter, tmp_path):
 
 @pytest.mark.parametrize("part", range(8))
 def test_spoilt_inputs_end_with_one_clear_error(hunter, part):
+    hunter.findings.clear()
     for k, (name, row) in enumerate(READERS.items()):
         if k % 8 == part:
             hunter.hunt(name, inputs_of(row), SEED + k)
