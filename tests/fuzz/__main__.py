@@ -50,7 +50,9 @@ def main() -> int:
 
 def report(tallies: dict[str, Tally], findings: dict[tuple[str, str], Finding]) -> None:
     """Print what was tried and what became of it."""
-    print(f"{'reader':62} {'inputs':>7} {'taken':>7} {'ref. 1':>7} {'ref. 2':>7} {'worst s':>8} {'MiB':>6}")
+    print(
+        f"{'reader':62} {'inputs':>7} {'taken':>7} {'ref. 1':>7} {'ref. 2':>7} {'mean s':>7} {'worst s':>8} {'MiB':>6}"
+    )
     total, kinds = Tally(), Counter[str]()
     for name, tally in tallies.items():
         total.add(tally)
@@ -78,7 +80,8 @@ def report(tallies: dict[str, Tally], findings: dict[tuple[str, str], Finding]) 
 def _line(name: str, tally: Tally) -> str:
     refused = tally.refused
     return (
-        f"{name:62} {tally.inputs:7} {tally.accepted:7} {refused[1]:7} {refused[2]:7} {tally.worst:8.2f} "
+        f"{name:62} {tally.inputs:7} {tally.accepted:7} {refused[1]:7} {refused[2]:7} "
+        f"{tally.seconds / max(tally.inputs, 1):7.3f} {tally.worst:8.2f} "
         f"{tally.memory / 2**20:6.0f}"
     )
 

@@ -34,6 +34,7 @@ class Tally:
     inputs: int = 0
     accepted: int = 0
     refused: Counter[int] = field(default_factory=Counter)
+    seconds: float = 0.0
     worst: float = 0.0
     memory: int = 0
     edits: Counter[str] = field(default_factory=Counter)
@@ -43,6 +44,7 @@ class Tally:
         self.accepted += other.accepted
         self.refused += other.refused
         self.edits += other.edits
+        self.seconds += other.seconds
         self.worst, self.memory = max(self.worst, other.worst), max(self.memory, other.memory)
 
 
@@ -127,6 +129,7 @@ class Hunter:
                 shrinking["runs"] += 1
             answer, faults = self.judge(row, case)
             if not shrinking:
+                tally.seconds += answer.get("seconds", 0.0)
                 tally.worst = max(tally.worst, answer.get("seconds", 0.0))
                 tally.memory = max(tally.memory, answer.get("memory", 0))
                 status = answer.get("status")

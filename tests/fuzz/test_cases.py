@@ -105,17 +105,18 @@ def cut(name: str, keep: int) -> Spoil:
 
 
 def dem_of_noise(files: Files) -> None:
-    """Heights that no ground has: from cell to cell by kilometres, as after a fault of the disk."""
+    """Heights of whatever bits lay on a damaged disk."""
     from rasterio.io import MemoryFile
 
     held = files["dem.tif"]
     with MemoryFile(held) as memory, memory.open() as source:
-        profile, heights = source.profile, source.read()
-    heights[...] = np.random.default_rng(0).choice([-9e3, 9e3, np.nan], heights.shape)
-    profile.pop("nodata", None)
+        profile, shape = source.profile, source.shape
+    for name in ("nodata", "blockxsize", "blockysize"):
+        profile.pop(name, None)
+    bits = np.random.default_rng(0).bytes(8 * shape[0] * shape[1])
     with MemoryFile() as memory:
-        with memory.open(**profile) as target:
-            target.write(heights)
+        with memory.open(**profile | {"dtype": "float64"}) as target:
+            target.write(np.frombuffer(bits, dtype=np.float64).reshape(1, *shape))
         files["dem.tif"] = memory.read()
 
 
@@ -233,12 +234,6 @@ CASES: dict[str, tuple[str, Spoil, int, str]] = {
         2,
         r"line_period",
     ),
-    "a layout of 340,000 px": (
-        INSTRUMENT,
-        key("instrument.toml", "positions_px", "positions_px = [0, 60, 340000]"),
-        2,
-        r"positions_px",
-    ),
     "an integration ratio in steps of 1e-300": (
         "check tdi/tdi.toml",
         key(
@@ -259,7 +254,7 @@ CASES: dict[str, tuple[str, Spoil, int, str]] = {
         2,
         r"shots",
     ),
-    "a DEM that is damaged": ("orient with a DEM", dem_of_noise, 1, r"dem\.tif|stereo\.toml"),
+    "a DEM that is damaged": ("orient with a DEM", dem_of_noise, 2, r"dem\.tif"),
     "an empty value in metadata of JunoCam": (
         "io.junocam.read_metadata",
         entry("JNCE_30.json", "INTERFRAME_DELAY", value=""),
@@ -342,3 +337,9 @@ def test_is_left_out_and_named(hunter, sentence):
     answer = judged(hunter, name, spoil)
     assert answer["status"] == 0, answer["said"]
     assert re.search(pattern, f"{answer['told']}{answer['said']}"), answer["told"]
+
+
+def test_a_layout_of_340_000_px_is_described_in_little_time_and_memory(hunter):
+    spoil = key("instrument.toml", "positions_px", "positions_px = [0, 60, 340000]")
+    answer = judged(hunter, INSTRUMENT, spoil)
+    assert answer["status"] in (0, 2) and answer["memory"] < 400 << 20
