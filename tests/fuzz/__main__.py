@@ -50,9 +50,8 @@ def main() -> int:
 
 def report(tallies: dict[str, Tally], findings: dict[tuple[str, str], Finding]) -> None:
     """Print what was tried and what became of it."""
-    print(
-        f"{'reader':62} {'inputs':>7} {'taken':>7} {'ref. 1':>7} {'ref. 2':>7} {'mean s':>7} {'worst s':>8} {'MiB':>6}"
-    )
+    heads = ("inputs", "taken", "ref. 1", "ref. 2", "mean s")
+    print(f"{'reader':62}" + "".join(f" {head:>7}" for head in heads) + f" {'worst s':>8} {'MiB':>6}")
     total, kinds = Tally(), Counter[str]()
     for name, tally in tallies.items():
         total.add(tally)
