@@ -20,7 +20,7 @@ export NUMBA_CACHE_DIR ?= $(abspath $(VENV))/numba-cache
 # Figures on real data are made of these sets; nothing else looks for them (the tests do so themselves).
 validate bench: export SIGHTLINE_DATA ?= $(abspath ../shared/data)
 
-.PHONY: all check style test demo validate bench report-check constraints environment clean
+.PHONY: all check style test fuzz demo validate bench report-check constraints environment clean
 
 all: check test
 
