@@ -67,7 +67,9 @@ def _row(place: str, seed: str, targets: list[str], call: Callable[[Path, Any], 
     module, _, called = place.rpartition(".")
 
     def of_folder(folder: Path) -> None:
-        call(folder, getattr(import_module(f"sightline.io.{module}"), called))
+        call(
+            folder, getattr(import_module(f"sightline.{module if '.' in module else 'io.' + module}"), called)
+        )
 
     name = name or f"io.{place}" + (f" ({targets[0]})" if f"io.{place}" in READERS else "")
     assert name not in READERS, name
@@ -187,6 +189,7 @@ _row(
 )
 function("frame_files.probe", "flown", "f0.npy")
 function("frame_files.probe", "photographs", "photos/p0.jpg")
+function("exif.read_tags", "photographs", "photos/p0.jpg")
 function("exif.read_exif", "photographs", "photos/p0.jpg")
 _row(
     "exif.positions_from_exif", "photographs", ["photos/*.jpg"],
@@ -216,7 +219,8 @@ function("opensfm.read_opensfm", "modelled", "reconstruction.json")
 function("tdi_table.read_c_source", "tdi", "result/table.c")
 function("tdi_table.read_intel_hex", "tdi", "result/table.hex")
 function("tdi_table.read_segments", "tdi", "result/table_segments.bin")
-function("tdi_tags.read_tags", "tdi", "tags.bin")
+function("tdi_tags.read_tdi_tags", "tdi", "tags.bin")
+function("tdi_settings.open_signals", "tdi", "signals.npy")
 
 
 def _table(folder: Path) -> None:
@@ -311,6 +315,7 @@ for _name, _seed, _targets, _words, _check in (
     ("orient with a DEM", "simulated-pair", "*.csv dem.tif", "orient @stereo.toml --out @out", "stereo.toml"),
     ("orient --predict", "plan", "stereo.toml", "orient @stereo.toml --predict --out @out", "stereo.toml"),
     ("tdi", "tdi", "tdi.toml columns.csv", "tdi @tdi.toml --out @out", "tdi.toml"),
+    ("tdi --signals", "tdi", "tdi.toml *.csv signals.npy", "tdi @tdi.toml --signals @signals.npy --out @out", ""),
     ("tdi --motion", "recovered", "tdi.toml result/*", "tdi @tdi.toml --motion @result --out @out", ""),
     ("layout", "instrument", "*", "layout @instrument.toml --passband 40 150 --out @out", "instrument.toml"),
     ("recover", "level", "*", "recover @acquisition.toml --out @out", "acquisition.toml"),

@@ -964,7 +964,8 @@ def tdi(folder: Path) -> None:
         velocity=1.0 + 1e-3 * slow, slip=slow, signal=rng.lognormal(5.0, 1.0, shape), mtf_across=slow,
         mtf_along=slow**2, snr=20.0 * slow,
     )  # fmt: skip
-    write_tags(folder / "tags.bin", tags)
+    write_tags(folder / "tags.bin", [tags], len(tags))
+    (folder / "signals.npy").write_bytes(npy(noise(0, (20, 8))))
 
 
 @seed
