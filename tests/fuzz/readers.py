@@ -315,7 +315,7 @@ for _name, _seed, _targets, _words, _check in (
     ("orient with a DEM", "simulated-pair", "*.csv dem.tif", "orient @stereo.toml --out @out", "stereo.toml"),
     ("orient --predict", "plan", "stereo.toml", "orient @stereo.toml --predict --out @out", "stereo.toml"),
     ("tdi", "tdi", "tdi.toml columns.csv", "tdi @tdi.toml --out @out", "tdi.toml"),
-    ("tdi --signals", "tdi", "tdi.toml *.csv signals.npy", "tdi @tdi.toml --signals @signals.npy --out @out", ""),
+    ("tdi --signals", "tdi", "t*.toml s*", "tdi @tdi.toml --signals @signals.npy --out @out", ""),
     ("tdi --motion", "recovered", "tdi.toml result/*", "tdi @tdi.toml --motion @result --out @out", ""),
     ("layout", "instrument", "*", "layout @instrument.toml --passband 40 150 --out @out", "instrument.toml"),
     ("recover", "level", "*", "recover @acquisition.toml --out @out", "acquisition.toml"),
