@@ -31,8 +31,9 @@ from typing import ParamSpec, TypeVar
 _Given = ParamSpec("_Given")
 _Result = TypeVar("_Result")
 
-#: Characters of what another library said that a message repeats.
+#: Characters of what another library said that a message repeats, and what no user can read of it.
 _QUOTED = 200
+_OBJECT = re.compile(r":? ?<[\w.]+ object at 0x[0-9a-f]+>")
 
 
 #: Characters of a message that are kept; of a longer one, which repeats what a file holds, the middle goes.
@@ -199,7 +200,7 @@ def said_by(error: BaseException) -> str:
     if type(error).__module__.startswith("rasterio"):  # it says what GDAL said in the cause
         lines = str(error.__cause__ or error).strip().splitlines()
         return (lines or [type(error).__name__])[0].rstrip(". ")
-    text = " ".join(str(error).split()).rstrip(".;: ")
+    text = " ".join(_OBJECT.sub("", str(error)).split()).rstrip(".;: ")
     if isinstance(error, KeyError):
         return f"{text} is missing"
     if len(text) > _QUOTED:

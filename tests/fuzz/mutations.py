@@ -678,7 +678,8 @@ def _array_edit(draw, content: bytes) -> tuple[str, bytes]:
                 st.sampled_from(["i1", "u4", "f2", "f8", "c16", "?", "U4", "S3", "M8[s]", "V4", "f16", "i8"])
             )
             try:
-                array = array.astype(new)
+                with np.errstate(all="ignore"):
+                    array = array.astype(new)
             except (TypeError, ValueError):
                 array = np.zeros(array.shape, new)
         case "shape":

@@ -25,7 +25,9 @@ def names_nothing(folder: Path) -> None:
 
 
 def two_lines(folder: Path) -> None:
-    raise FormatError(f"{folder}/acquisition.toml: wrong\nhere")
+    error = FormatError()
+    error.args = (f"{folder}/acquisition.toml: wrong\nhere",)
+    raise error
 
 
 def leaks(folder: Path) -> None:

@@ -21,7 +21,7 @@ import sightline.io
 
 #: Functions of ``sightline.io`` with such names that take a path, or a part of a TOML file, open a file.
 OPENS = re.compile(
-    r"^(read|load|open|parse|probe|first|header|kind|is|has|line_of|origin_of|positions_from|score)(_|ed$|$)"
+    r"^(read|load|open|probe|first|header|kind|is|has|line_of|origin_of|positions_from|score)(_|ed$|$)"
 )
 #: Those that get a part of a TOML file: `check` calls them, and a seed below `check` must reach each.
 BY_CHECK = {
