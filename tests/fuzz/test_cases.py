@@ -291,6 +291,18 @@ CASES: dict[str, tuple[str, Spoil, int, str]] = {
         2,
         r"covariance\.npz",
     ),
+    "frames of which nothing is seen": (
+        "register frames",
+        content("e2.npy", npy(np.full((48, 60), np.inf))),
+        1,
+        r"acquisition\.toml",
+    ),
+    "an .npy whose header names no type": (
+        LEVEL,
+        content("XS.npy", npy(np.zeros((64, 40))).replace(b"'descr': '<f8'", b"'descr': float")),
+        2,
+        r"XS\.npy",
+    ),
     "a summary.json nested too deep": (
         "score recovered",
         content("result/summary.json", b"[" * 100_000),
