@@ -10,6 +10,7 @@ CORE := $(VENV)/.core-installed
 DEV := $(VENV)/.dev-installed
 DEMO ?= demo
 SEED ?= 1
+MINUTES ?= 30
 WORKERS ?= 2
 UV ?= uv
 
@@ -19,7 +20,7 @@ export NUMBA_CACHE_DIR ?= $(abspath $(VENV))/numba-cache
 # Figures on real data are made of these sets; nothing else looks for them (the tests do so themselves).
 validate bench: export SIGHTLINE_DATA ?= $(abspath ../shared/data)
 
-.PHONY: all check style test demo validate bench report-check constraints environment clean
+.PHONY: all check style test fuzz demo validate bench report-check constraints environment clean
 
 all: check test
 
@@ -54,6 +55,9 @@ check: style  ## style, types, architecture
 
 test: $(DEV)  ## all tests; what had to be left out is named at the end
 	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -q -n $(WORKERS) --dist worksteal $(ARGS)
+
+fuzz: $(DEV)  ## spoilt inputs for every reader, MINUTES long; a new seed each time unless SEED is given
+	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --minutes $(MINUTES) $(if $(filter command line environment,$(origin SEED)),--seed $(SEED)) $(ARGS)
 
 validate: $(DEV)  ## accuracy and honesty of sigma against truth: prints the tables of docs/validation.md
 	@missed=; for script in validation/*.py; do echo "== $$script"; $(BIN)/python $$script || missed="$$missed $$script"; done; \

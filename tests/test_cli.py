@@ -23,8 +23,8 @@ from sightline.errors import (
     SightlineError,
     SpanError,
     UnobservableBandWarning,
+    printable,
 )
-from sightline.io.names import printable
 from sightline.version import VERSION
 
 

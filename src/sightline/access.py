@@ -222,8 +222,9 @@ def read_bytes(path: Path, what: str, *, most: int = TABLE, advice: str = "check
     """
     check_file(path, advice, most=most)
     with foreign_errors(path, f"cannot be read as {what}", advice), path.open("rb") as stream:
-        content = stream.read(most + 1)  # no more, should it grow meanwhile
-    if len(content) > most:
+        size = min(os.fstat(stream.fileno()).st_size, most)
+        content = stream.read(size + 1)  # memory is taken for all that is asked for
+    if len(content) > size:
         raise FormatError(f"{path}: grows while it is read; give a file that is finished")
     return content
 

@@ -22,6 +22,7 @@ This file holds no checks: those of array arguments are in ``geometry/checks.py`
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -30,12 +31,37 @@ from typing import ParamSpec, TypeVar
 _Given = ParamSpec("_Given")
 _Result = TypeVar("_Result")
 
-#: Characters of what another library said that a message repeats.
+#: Characters of what another library said that a message repeats, and what no user can read of it.
 _QUOTED = 200
+_OBJECT = re.compile(r":? ?<[\w.]+ object at 0x[0-9a-f]+>")
+
+
+#: Characters of a message that are kept; of a longer one, which repeats what a file holds, the middle goes.
+_LONGEST = 2000
+#: Control characters, breaks of lines, marks that turn or hide text, halves of characters.
+STEERING = re.compile(
+    "[\x00-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]"
+)
+
+
+def printable(text: str) -> str:
+    """`text` on one line: characters that break, steer, turn or hide it as Python writes them (``\\x1b``)."""
+    return STEERING.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
+def shortened(text: str, longest: int) -> str:
+    """`text`, its middle left out where it has more than `longest` characters."""
+    if len(text) <= longest:
+        return text
+    tail = (longest - 1) // 3
+    return f"{text[: longest - 1 - tail]}…{text[len(text) - tail :]}"
 
 
 class SightlineError(Exception):
-    """Base of every exception that Sightline raises on purpose."""
+    """Base of every exception that Sightline raises on purpose; its message is one line of some length."""
+
+    def __init__(self, *said: object) -> None:
+        super().__init__(*(shortened(printable(s), _LONGEST) if isinstance(s, str) else s for s in said))
 
 
 class InputError(SightlineError, ValueError):
@@ -176,7 +202,7 @@ def said_by(error: BaseException) -> str:
     if type(error).__module__.startswith("rasterio"):  # it says what GDAL said in the cause
         lines = str(error.__cause__ or error).strip().splitlines()
         return (lines or [type(error).__name__])[0].rstrip(". ")
-    text = " ".join(str(error).split()).rstrip(".;: ")
+    text = " ".join(_OBJECT.sub("", str(error)).split()).rstrip(".;: ")
     if isinstance(error, KeyError):
         return f"{text} is missing"
     if len(text) > _QUOTED:

@@ -14,8 +14,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from typing import Any, Protocol
 
-from sightline.errors import UnobservableBandWarning
-from sightline.io.names import printable, shortened
+from sightline.errors import UnobservableBandWarning, printable, shortened
 
 
 class Progress(Protocol):

@@ -145,6 +145,7 @@ def _opened(path: Path, name: str, drivers: Sequence[str], access: Access) -> An
     from rasterio.io import DatasetReader
 
     os.environ.setdefault("GDAL_CACHEMAX", str(CACHE_MIB))
+    os.environ.setdefault("CPL_LOG", os.devnull)  # what GDAL warns of goes to stderr else
     with _OPENING, raster_errors(path), raster_environment(access), warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         try:

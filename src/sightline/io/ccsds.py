@@ -17,8 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.access import check_file, read_text
-from sightline.errors import FormatError, InputError, foreign_errors, reads
-from sightline.io.names import printable, shortened
+from sightline.errors import FormatError, InputError, foreign_errors, printable, reads, shortened
 from sightline.io.tables import check_quaternions, check_times
 from sightline.writing import creation_date, whole
 

@@ -29,6 +29,12 @@ SATURATED_SHARE = 0.5
 EMPTY_SHARE = 0.9
 
 
+def _as_image(pixels: NDArray[Any]) -> Image:
+    """Pixels as float32, C order; what is too large for it is infinite, and masked."""
+    with np.errstate(over="ignore"):
+        return np.ascontiguousarray(pixels, dtype=np.float32)
+
+
 class RasterImage:
     """One band of a raster file (any GDAL format), read in windows.
 
@@ -121,7 +127,7 @@ class RasterImage:
                 data = self._dataset().read(self._bands[0], window=window)
             else:
                 data = self._dataset().read(self._bands, window=window).mean(axis=0, dtype=np.float32)
-        return np.ascontiguousarray(data, dtype=np.float32)
+        return _as_image(data)
 
     def mask(self, lines: tuple[int, int], columns: tuple[int, int]) -> Mask | None:
         """True where a pixel is not to be used (no data, NaN, masked); None if all are good."""
@@ -200,7 +206,7 @@ class NpyImage:
         """Pixels of lines [first, last) and columns [first, last), float32, C order."""
         _check_window(self.path, self.shape, lines, columns)
         self._refuse_cut()
-        return np.ascontiguousarray(self._array[slice(*lines), slice(*columns)], dtype=np.float32)
+        return _as_image(self._array[slice(*lines), slice(*columns)])
 
     def _refuse_cut(self) -> None:
         """FormatError if the file has become shorter: the system would end a process that reads there."""

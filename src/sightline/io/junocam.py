@@ -143,13 +143,14 @@ def read_framelets(path: Path) -> Pixels:
     """
     image = open_image(path)
     lines, columns = image.shape
-    if columns != COLUMNS or lines % (LINES * len(STRIPS)):
+    if columns != COLUMNS or lines % (LINES * len(STRIPS)) or image.dtype != np.uint8:
         raise FormatError(
-            f"{path}: {lines} lines x {columns} columns; a raw JunoCam colour image has {COLUMNS} columns "
-            f"and a multiple of {LINES * len(STRIPS)} lines (blue, green, red framelets of {LINES} lines)"
+            f"{path}: {lines} lines x {columns} columns of {image.dtype}; a raw JunoCam colour image has "
+            f"{COLUMNS} columns and a multiple of {LINES * len(STRIPS)} lines of 8 bit (blue, green, red "
+            f"framelets of {LINES} lines)"
         )
     pixels = image.read((0, lines), (0, columns))
-    return np.rint(pixels).astype(np.uint8).reshape(-1, len(STRIPS), LINES, COLUMNS)
+    return pixels.astype(np.uint8).reshape(-1, len(STRIPS), LINES, COLUMNS)
 
 
 def radiation_hits(framelet: Pixels, dark: float) -> tuple[NDArray[np.bool_], NDArray[np.float32]]:

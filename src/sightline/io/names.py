@@ -2,7 +2,7 @@
 
 A name may hold anything: line breaks, codes that colour or clear a terminal, marks that turn the direction of
 writing, slashes, half a character of another encoding. It is kept as it is in tables and JSON, and made safe
-here where it is shown or becomes a path.
+here where it becomes a path, in ``errors.py`` where it is shown.
 """
 
 from __future__ import annotations
@@ -12,32 +12,17 @@ import re
 import unicodedata
 from collections.abc import Callable, Iterable
 
-#: Control characters, breaks of lines, marks that turn or hide text, halves of characters.
-_STEERING = re.compile(
-    "[\x00-\x1f\x7f-\x9f\u061c\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ud800-\udfff]"
-)
+from sightline.errors import STEERING, printable
+
 #: Bytes of UTF-8 that the name of a file made of a name has at most: endings and drafts add to it.
 _LONGEST_FILE = 120
 #: What Windows takes for a device, whatever its ending.
 _DEVICES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\.|$)", re.IGNORECASE)
 
 
-def printable(text: str) -> str:
-    """`text` on one line: characters that break, steer, turn or hide it as Python writes them (``\\x1b``)."""
-    return _STEERING.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
-
-
 def json_printable(text: str) -> str:
     """JSON, indented or not, that says the same and in which nothing steers a terminal."""
-    return _STEERING.sub(lambda found: found[0] if found[0] == "\n" else f"\\u{ord(found[0]):04x}", text)
-
-
-def shortened(text: str, longest: int) -> str:
-    """`text`, its middle left out where it has more than `longest` characters."""
-    if len(text) <= longest:
-        return text
-    tail = (longest - 1) // 3
-    return f"{text[: longest - 1 - tail]}…{text[len(text) - tail :]}"
+    return STEERING.sub(lambda found: found[0] if found[0] == "\n" else f"\\u{ord(found[0]):04x}", text)
 
 
 def toml_string(text: str) -> str:

@@ -19,12 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.registration import Registration
+from sightline.errors import printable
 from sightline.execution import available_processors
 from sightline.imaging.rasters import open_raster, raster_errors
 from sightline.imaging.source import ImageSource
 from sightline.io.acquired import Acquisition
 from sightline.io.images import open_image
-from sightline.io.names import file_stems, printable
+from sightline.io.names import file_stems
 from sightline.products.register_bands import line_blocks
 from sightline.writing import must_fit, naming, whole_raster
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError
+from sightline.errors import EstimationError, FormatError
 from sightline.geometry.camera import FrameCamera
 from sightline.io.acquired import Acquisition
 from sightline.io.hidden import read_summary
@@ -138,6 +138,11 @@ def register_frames(folder: Path, acquisition: Acquisition, motion: Path) -> dic
         heights=recovered.heights,
         masked=False,
     )
+    if not _lit(mosaic.pixels).any():
+        raise EstimationError(
+            f"{acquisition.path}: no place of the picture is seen by every strip and lit; look at the images "
+            "and at what was recovered of them: the frames must overlap, and show more than sky"
+        )
     cut = without_margin(mosaic)
     write_values(folder / "picture.tif", cut)
     write_colours(folder / "picture.png", cut)

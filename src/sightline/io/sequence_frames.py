@@ -114,10 +114,11 @@ def _of_folder(folder: Path, epoch: str | None) -> FrameList:
     start = epoch or min(exif[k].time for k in known)
     t = np.array([seconds_from_epoch(exif[k].time, start, str(paths[k])) for k in known])
     warnings = []
-    lost = sum(tags is None and not why for tags, why in zip(exif, broken, strict=True))
+    lost = [p.name for p, tags, why in zip(paths, exif, broken, strict=True) if tags is None and not why]
     if lost:
         warnings.append(
-            f"{lost} images have no time in their EXIF: taken as between their neighbours by name"
+            f"{len(lost)} images have no time in their EXIF (the first is {lost[0]}): taken as between their "
+            "neighbours by name"
         )
     t = np.interp(np.arange(len(paths)), known, t)
     order = np.argsort(t, kind="stable")

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from sightline.applications.stereo_heights import height_sigmas, heights_of
 from sightline.applications.stereo_orientation import CHI_SHARE, CHI_SIGMAS, StereoOrientation, StereoProblem
 from sightline.applications.stereo_prediction import Improvement, StereoPrediction
+from sightline.errors import printable
 from sightline.evaluation.direction_words import AXES, angle_names, direction_words
-from sightline.io.names import printable
 from sightline.io.results import peak_memory, write_json
 from sightline.io.stereo import Stereo
 from sightline.io.tables import csv_cell, write_columns

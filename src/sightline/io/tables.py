@@ -197,7 +197,10 @@ def first_row(path: Path) -> dict[str, str]:
 
 def line_of_row(path: Path, row: int) -> int:
     """Line of a CSV file, as an editor counts, that holds row `row` (from 0) below the header."""
-    return _rows(path)[row + 1][0]
+    rows = _rows(path)
+    if row + 1 >= len(rows):
+        raise FormatError(f"{path}: has {len(rows) - 1} rows below its header, row {row + 1} is asked for")
+    return rows[row + 1][0]
 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:

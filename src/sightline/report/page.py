@@ -21,9 +21,9 @@ from plotly.offline import get_plotlyjs
 
 from sightline.applications.results import LineOfSight
 from sightline.applications.spin_attitude import SpinAttitude
+from sightline.errors import printable, shortened
 from sightline.evaluation.observed import SEEN_TONE_PX, observed
 from sightline.io.acquired import Acquisition
-from sightline.io.names import printable, shortened
 from sightline.report import (
     match_figures,
     microvibration_figures,

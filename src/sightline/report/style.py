@@ -13,7 +13,8 @@ from typing import Any
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from sightline.io.names import numbered, printable, shortened
+from sightline.errors import printable, shortened
+from sightline.io.names import numbered
 
 AXES = ("roll", "pitch", "yaw")
 

@@ -1,0 +1,314 @@
+"""What is fuzzed: all functions of ``sightline.io`` that open files, ``check`` of every TOML file, ``score``,
+and what the other commands read before they begin their work.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+EPOCH = "2026-01-01T00:00:00Z"
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One row of the table.
+
+    Attributes
+    ----------
+    name : str
+    seed : str
+        Folder of ``seeds.py`` that it reads.
+    targets : tuple of str
+        Patterns of the files that are changed.
+    call : callable
+        Of the folder of a case; gives None, or the exit status of a command.
+    covers : tuple of str
+        Functions of ``sightline.io`` that it calls, as ``module.function``.
+    words : tuple of str
+        Of a command: the words after ``sightline``; those that begin with @ are of the folder.
+    check : str
+        Of a command: the TOML file that `check` must refuse too where the command calls it wrong; or empty.
+    patience : float
+        s on the clock in which it may do nothing: it may wait for a pipe.
+    """
+
+    name: str
+    seed: str
+    targets: tuple[str, ...]
+    call: Callable[[Path], int | None]
+    covers: tuple[str, ...] = ()
+    words: tuple[str, ...] = ()
+    check: str = ""
+    patience: float = 20.0
+
+    def targets_of(self, files: dict[str, bytes]) -> tuple[str, ...]:
+        """The files that are changed."""
+        found = [name for name in files if any(fnmatch.fnmatch(name, pattern) for pattern in self.targets)]
+        assert found, f"{self.name}: no file of {self.seed} is like {self.targets}"
+        return tuple(sorted(found))
+
+
+READERS: dict[str, Reader] = {}
+
+
+def function(place: str, seed: str, targets: str, *more: Any, **options: Any) -> None:
+    """A row for `place`, "module.function" of ``sightline.io``, called with a target and `more`."""
+    _row(
+        place, seed, targets.split(), lambda folder, read: read(folder / targets.split()[0], *more, **options)
+    )
+
+
+def _row(place: str, seed: str, targets: list[str], call: Callable[[Path, Any], Any], name: str = "") -> None:
+    module, _, called = place.rpartition(".")
+
+    def of_folder(folder: Path) -> None:
+        call(
+            folder, getattr(import_module(f"sightline.{module if '.' in module else 'io.' + module}"), called)
+        )
+
+    name = name or f"io.{place}" + (f" ({targets[0]})" if f"io.{place}" in READERS else "")
+    assert name not in READERS, name
+    READERS[name] = Reader(name, seed, tuple(targets), of_folder, (place,))
+
+
+def spoken(words: Iterable[str], folder: Path) -> list[str]:
+    """The words of a command about the case in `folder`."""
+    return [f"{folder}/{word[1:]}" if word.startswith("@") else word for word in words]
+
+
+def command(name: str, seed: str, targets: str, words: str, check: str = "") -> None:
+    """A row for a command line."""
+
+    def of_folder(folder: Path) -> int:
+        from sightline.cli.main import run
+
+        return run(spoken(words.split(), folder))
+
+    assert name not in READERS, name
+    READERS[name] = Reader(name, seed, tuple(targets.split()), of_folder, (), tuple(words.split()), check)
+
+
+# Tables -----------------------------------------------------------------------------------------------------
+
+function("tables.read_columns", "level", "gyro.csv", ("t_start", "roll"), ("roll",), ("sigma",))
+function(
+    "tables.read_long_columns", "pair", "matches.csv", ("shot", "point", "line_1"), ("sigma_px",), ("shot",)
+)
+function("tables.header_of", "level", "stars.csv")
+function("tables.first_row", "level", "stars.csv")
+_row("tables.line_of_row", "level", ["stars.csv"], lambda folder, read: read(folder / "stars.csv", 0))
+function("tables.read_positions", "orbit-csv", "positions.csv")
+function("tables.read_attitudes", "orbit-csv", "attitudes.csv")
+function("tables.read_star_tracker", "level", "stars.csv")
+function("tables.read_gyro", "level", "gyro.csv")
+function("tables.read_control_points", "level", "control.csv")
+function("tables.read_features", "level", "features.csv")
+function("tables.read_psd", "level", "psd.csv")
+function("tables.read_directions", "level", "directions.csv")
+function("tables.read_line_times", "level", "times.csv")
+function("tables.read_mirror_angles", "mirror", "mirror.csv")
+function("tables.read_motion", "recovered", "result/motion.csv")
+function("quality.read_match_sigma", "level", "quality.csv", 40)
+function("platform.read_positions", "orbit-ccsds", "orbit.oem", EPOCH)
+function("platform.read_attitudes", "orbit-ccsds", "attitude.aem", EPOCH)
+function("ccsds.read_oem", "orbit-ccsds", "orbit.oem", EPOCH)
+function("ccsds.read_aem", "orbit-ccsds", "attitude.aem", EPOCH)
+function("ccsds.is_ccsds", "orbit-ccsds", "attitude.aem", "AEM")
+function("sequence_times.first_instant", "flown-lonlat", "frames.csv")
+function(
+    "sequence_times.read_timed",
+    "flown-lonlat",
+    "frames.csv",
+    ("frame", "t", "image"),
+    EPOCH,
+    ("frame", "image"),
+)
+function("angle_tables.kind_of_angles", "modelled", "opk.csv")
+function("angle_tables.origin_of_angles", "modelled", "ypr.csv")
+function("angle_tables.read_angles", "modelled", "ypr.csv")
+function("odm.read_geo", "flown-lonlat", "geo.txt")
+function("odm.read_gcp_list", "flown-lonlat", "gcp_list.txt")
+function("envi.read_envi_wavelengths", "flown", "filter.hdr")
+function("poses.read_pose_table", "georeferenced", "result/poses.csv")
+function("poses.read_pose_truth", "georeferenced", "poses-truth.csv")
+function("poses.read_pose_covariance", "georeferenced", "result/covariance.npz")
+
+
+def _with_poses(place: str, targets: str, *more: Any) -> None:
+    def call(folder: Path, read: Any) -> None:
+        from sightline.io.stereo_tables import read_poses
+
+        read(folder / targets, read_poses(folder / "cameras.csv"), *more)
+
+    _row(place, "pictures" if "image" in place else "pair", [targets], call)
+
+
+function("stereo_tables.read_poses", "pair", "cameras.csv")
+_with_poses("stereo_tables.read_matches", "matches.csv", 0.1)
+_with_poses("stereo_tables.read_control", "control.csv", 0.1)
+_with_poses("stereo_tables.read_image_list", "images.csv")
+_with_poses("stereo_tables.read_observations", "observations.csv", 0.1)
+function("stereo_score.read_orientation", "pair", "result/orientation.csv")
+function("stereo_score.read_orientation_truth", "pair", "orientation-truth.csv", ("1", "2"))
+function("stereo_score.read_covariance", "pair", "result/covariance.csv", 6)
+
+
+# Images and what instruments deliver ------------------------------------------------------------------------
+
+
+def _look(folder: Path, read: Any, name: str, **options: Any) -> None:
+    from sightline.io.images import check_content
+
+    check_content(read(folder / name, **options))
+
+
+_row("images.open_image", "level", ["PAN.tif"], lambda folder, read: _look(folder, read, "PAN.tif"))
+_row("images.open_image", "level", ["XS.npy"], lambda folder, read: _look(folder, read, "XS.npy"))
+_row(
+    "images.open_image", "level", ["mask.tif", "PAN.tif"],
+    lambda folder, read: _look(folder, read, "PAN.tif", mask=folder / "mask.tif"),
+)  # fmt: skip
+_row(
+    "frame_files.opened",
+    "frames",
+    ["f0.tif"],
+    lambda folder, read: _look(folder, lambda path: read(path, "luminance"), "f0.tif"),
+)
+function("frame_files.probe", "flown", "f0.npy")
+function("frame_files.probe", "photographs", "photos/p0.jpg")
+function("exif.read_tags", "photographs", "photos/p0.jpg")
+function("exif.read_exif", "photographs", "photos/p0.jpg")
+_row(
+    "exif.positions_from_exif", "photographs", ["photos/*.jpg"],
+    lambda folder, read: read(sorted((folder / "photos").iterdir()), EPOCH, 0.0),
+)  # fmt: skip
+function("xmp.read_xmp", "photographs", "photos/p1.jpg")
+function("dem.read_dem", "orbit-csv", "dem.tif")
+_row(
+    "dem.read_dem", "orbit-csv", ["geoid.tif", "dem.tif"],
+    lambda folder, read: read(folder / "dem.tif", datum="geoid", geoid=folder / "geoid.tif"),
+)  # fmt: skip
+function("isd.read_line_scan_model", "sensor-model", "isd.json")
+function("isd.read_line_scan_model", "sensor-model", "state.json")
+function("hirise_edr.read_hirise_edr", "hirise", "raw.IMG")
+function("junocam.read_metadata", "juno", "JNCE_30.json")
+function("junocam.read_framelets", "juno", "JNCE_30.png")
+_row("colmap.read_colmap_model", "modelled", ["text/*"], lambda folder, read: read(folder / "text"))
+_row("colmap.read_colmap_model", "modelled", ["binary/*"], lambda folder, read: read(folder / "binary"))
+function("opensfm.read_opensfm", "modelled", "reconstruction.json")
+
+# TDI tables -------------------------------------------------------------------------------------------------
+
+function("tdi_table.read_c_source", "tdi", "result/table.c")
+function("tdi_table.read_intel_hex", "tdi", "result/table.hex")
+function("tdi_table.read_segments", "tdi", "result/table_segments.bin")
+function("tdi_tags.read_tdi_tags", "tdi", "tags.bin")
+function("tdi_settings.open_signals", "tdi", "signals.npy")
+
+
+def _table(folder: Path) -> None:
+    from sightline import TdiTable
+
+    TdiTable.read(folder / "result")
+
+
+READERS["TdiTable.read"] = Reader("TdiTable.read", "tdi", ("result/table.bin",), _table)
+
+# TOML files and what they name ------------------------------------------------------------------------------
+
+function("config.read_toml", "level", "acquisition.toml")
+function("config.kind_of", "flown", "sequence.toml")
+function("acquisition.read_acquisition", "level", "acquisition.toml")
+function("acquisition.load_acquisition", "orbit-csv", "acquisition.toml *", look=False)
+function("instrument.load_instrument", "instrument", "instrument.toml")
+function("sequence.load_sequence", "flown-lonlat", "sequence.toml *")
+function("sequence.read_sequence", "modelled", "opensfm.toml reconstruction.json frames.csv")
+function("stereo.read_stereo_file", "pair", "stereo.toml")
+function("stereo.read_stereo", "pair", "stereo.toml *.csv", planned=True)
+function("stereo.load_stereo", "simulated-pair", "stereo.toml *.csv dem.tif")
+function("stereo_plan.has_plan", "plan", "stereo.toml")
+function("stereo_plan.read_plan", "plan", "stereo.toml")
+function("tdi.load_tdi", "tdi", "tdi.toml columns.csv")
+_row("tdi.tdi_inputs", "tdi", ["tdi.toml"], lambda folder, read: read(folder / "tdi.toml"))
+
+# Results ----------------------------------------------------------------------------------------------------
+
+
+def _of_acquisition(place: str, seed: str, targets: str, folder_name: str) -> None:
+    def call(folder: Path, read: Any) -> None:
+        from sightline.io.acquisition import load_acquisition
+
+        read(folder / folder_name, load_acquisition(folder / "acquisition.toml"))
+
+    _row(place, seed, targets.split(), call)
+
+
+def _hidden(folder: Path, read: Any) -> None:
+    from sightline.io.hidden import read_summary
+
+    read(folder / "result", read_summary(folder / "result"), 64)
+
+
+_row(
+    "hidden.read_summary", "recovered", ["result/summary.json"], lambda folder, read: read(folder / "result")
+)
+_row("hidden.read_hidden", "recovered", ["result/hidden.csv", "result/summary.json"], _hidden)
+_of_acquisition("recovered.read_recovered", "recovered", "result/*", "result")
+_of_acquisition("motion_knowledge.read_motion_knowledge", "recovered", "result/*", "result")
+_of_acquisition("registered_frames.read_recovered_spin", "turning-frames", "result/summary.json", "result")
+_row(
+    "pose_score.score_pose_folder", "georeferenced", ["result/*", "*.csv"],
+    lambda folder, read: read(folder / "result", folder / "poses-truth.csv"),
+)  # fmt: skip
+_row(
+    "stereo_score.score_orientation_folder", "pair", ["result/orientation.csv", "result/covariance.csv",
+    "orientation-truth.csv"],
+    lambda folder, read: read(folder / "result", folder / "orientation-truth.csv"),
+)  # fmt: skip
+
+# Commands ---------------------------------------------------------------------------------------------------
+
+for _seed, _toml in (
+    ("level", "acquisition"), ("orbit-csv", "acquisition"), ("orbit-ccsds", "acquisition"), ("sensor-model",
+    "acquisition"),
+    ("mirror", "acquisition"), ("spin", "acquisition"), ("turning-frames", "acquisition"), ("frames",
+    "acquisition"),
+    ("photographs", "acquisition"), ("photographs", "sequence"), ("flown", "sequence"), ("flown-lonlat",
+    "sequence"),
+    ("modelled", "text"), ("modelled", "binary"), ("modelled", "opensfm"), ("modelled", "opk"), ("pair",
+    "stereo"),
+    ("pair", "observations"), ("pictures", "stereo"), ("simulated-pair", "stereo"), ("strips", "stereo"),
+    ("plan", "stereo"),
+    ("tdi", "tdi"), ("recovered", "tdi"), ("instrument", "instrument"),
+):  # fmt: skip
+    _file = f"{_toml}.toml"
+    # the TOML file itself as often as all it names
+    command(f"check {_seed}/{_file}", _seed, _file, f"check @{_file}")
+    if _seed not in ("plan", "instrument"):
+        _more = {
+            "modelled": f"frames.csv {_toml}* {'reconstruction.json' if _toml == 'opensfm' else ''}"
+        }.get(_seed, "[!r]* fore/*")
+        command(f"check {_seed}/{_file}, what it names", _seed, _more, f"check @{_file}")
+
+for _name, _seed, _targets, _words, _check in (
+    ("score recovered", "recovered", "truth.csv result/*", "score @result @truth.csv", ""),
+    ("score georeferenced", "georeferenced", "* result/*", "score @result @poses-truth.csv --table", ""),
+    ("score oriented", "pair", "orientation-truth.csv result/*", "score @result @orientation-truth.csv", ""),
+    ("orient", "pair", "stereo.toml *.csv", "orient @stereo.toml --out @out", "stereo.toml"),
+    ("orient with a DEM", "simulated-pair", "*.csv dem.tif", "orient @stereo.toml --out @out", "stereo.toml"),
+    ("orient --predict", "plan", "stereo.toml", "orient @stereo.toml --predict --out @out", "stereo.toml"),
+    ("tdi", "tdi", "tdi.toml columns.csv", "tdi @tdi.toml --out @out", "tdi.toml"),
+    ("tdi --signals", "tdi", "t*.toml s*", "tdi @tdi.toml --signals @signals.npy --out @out", ""),
+    ("tdi --motion", "recovered", "tdi.toml result/*", "tdi @tdi.toml --motion @result --out @out", ""),
+    ("layout", "instrument", "*", "layout @instrument.toml --passband 40 150 --out @out", ""),
+    ("recover", "level", "*", "recover @acquisition.toml --out @out", "acquisition.toml"),
+    ("register", "recovered", "a* result/*", "register @acquisition.toml --motion @result --out @out", ""),
+    ("register frames", "turning-frames", "*", "register @acquisition.toml --motion @result --out @out", ""),
+    ("georeference", "flown", "*", "georeference @sequence.toml --out @out", "sequence.toml"),
+):  # fmt: skip
+    command(_name, _seed, _targets, _words, _check)
