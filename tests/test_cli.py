@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 import json
+import os
 import re
+import subprocess
 import sys
 import time
 import warnings
@@ -80,6 +82,15 @@ def test_a_defect_of_ours_asks_for_a_report(failing_with, capsys):
     failing_with(ZeroDivisionError("division by zero"))
     command.run(["version"])
     assert "ZeroDivisionError: division by zero; this is a fault of Sightline" in capsys.readouterr().err
+
+
+def test_output_that_nobody_reads_any_more_is_no_fault_of_the_data():
+    reader, writer = os.pipe()
+    os.close(reader)
+    words = [sys.executable, "-m", "sightline", "schema", "acquisition"]
+    ran = subprocess.run(words, stdout=writer, stderr=subprocess.PIPE, text=True)
+    os.close(writer)
+    assert ran.returncode == 141 and "Traceback" not in ran.stderr
 
 
 def test_an_interruption_is_no_error_of_anybody(failing_with, capsys):

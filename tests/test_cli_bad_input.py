@@ -155,6 +155,10 @@ def image_is_no_raster(folder):
     (folder / "B1.tif").write_text("not a raster")
 
 
+def ifov_of_other_units(folder):
+    edit(folder, "ifov = 5e-06", "ifov = 5e-08")
+
+
 BAD = [
     (image_missing, 2, r"B1\.tif.*no such file"),
     (image_is_no_raster, 2, r"B1\.tif"),
@@ -173,6 +177,7 @@ BAD = [
     (wrong_kind, 2, r"'level-fligth' is not known; did you mean level-flight\?"),
     (not_toml, 2, r"not valid TOML.*line"),
     (pairs_brought_together_otherwise, 2, r"matching\.hybridise = 'both'.*iterative"),
+    (ifov_of_other_units, 2, r"pixels 0\.034 m wide; these cannot belong together; check ifov"),
     (negative_altitude, 2, r"platform\.altitude = -680000\.0"),
 ]
 

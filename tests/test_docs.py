@@ -106,7 +106,7 @@ def test_the_readme_links_the_documents_it_names_and_states_every_exit_status():
     assert not bare, f"named without a link: {bare}"
     stated = text[text.index("Exit status:") :].split("\n\n")[0]
     statuses = {0, main.DATA_CANNOT_ANSWER, main.WRONG_INPUT, main.DEFECT, main.INTERRUPTED}
-    statuses |= {main.TERMINATED, main.HUNG_UP}
+    statuses |= {main.TERMINATED, main.HUNG_UP, main.UNREAD}
     assert {int(number) for number in re.findall(r"\b\d+\b", stated)} == statuses
 
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import FormatError, GeometryError, SpanError
+from sightline.errors import FormatError, GeometryError, InputError, SpanError
 from sightline.io import tables
 from sightline.io.acquisition import load_acquisition
+from sightline.io.describe import describe_acquisition
+from sightline.io.ground import sampling_doubts
 
 from .conftest import COLUMNS, LINES, noise, write_tif
 
@@ -261,7 +263,7 @@ def test_bands_that_see_all_at_the_same_time_are_refused(folder):
 
 
 def test_units_that_cannot_belong_together_are_refused(folder):
-    said = message(folder.replace("altitude = 700e3", "altitude = 700.0"), GeometryError)
+    said = message(folder.replace("altitude = 700e3", "altitude = 700.0"), InputError)
     assert "lines are 3.5 m apart on the ground and pixels 0.0035 m wide" in said
 
 
@@ -273,3 +275,39 @@ def test_a_table_of_line_times_of_another_length_is_refused(folder):
 def test_a_mount_that_is_not_a_rotation_is_refused(folder):
     said = message(folder.add("[camera]\nbody_from_camera = [1.0, 1.0, 0.0, 0.0]\n"))
     assert "has length 1.41421; a unit quaternion [x, y, z, w], scalar last, is expected" in said
+
+
+@pytest.mark.parametrize(("ifov", "width"), [("5e-8", 0.035), ("5e-4", 350.0)])
+def test_an_ifov_that_is_not_that_of_these_lines_is_wrong_input_and_named(folder, ifov, width):
+    said = message(folder.replace("ifov = 5e-6", f"ifov = {ifov}"), InputError)
+    assert f"pixels {width:.4g} m wide" in said and "check ifov (a tangent" in said
+
+
+@pytest.mark.parametrize(("ifov", "width"), [("5e-7", 0.35), ("5e-5", 35.0)])
+def test_an_ifov_ten_times_too_small_or_large_is_doubted_aloud(folder, ifov, width):
+    acquisition = load_acquisition(folder.replace("ifov = 5e-6", f"ifov = {ifov}").write())
+    (said,) = sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
+    assert said.startswith(f"all bands: lines are 3.5 m apart on the ground and pixels {width:.4g} m wide")
+    assert said in describe_acquisition(acquisition)["missing"]
+
+
+def test_lines_and_pixels_of_about_one_size_are_not_doubted(folder):
+    acquisition = load_acquisition(folder.write())
+    assert sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names) == ()
+    said = describe_acquisition(acquisition)["understood"]
+    assert "on the ground lines are 3.5 m apart and pixels 3.5 m wide" in said
+
+
+def test_a_field_that_reaches_past_the_ground_on_both_sides_is_wrong_input_and_not_the_attitudes(folder):
+    # 120 columns of 0.05 reach 3 to either side, 71 degrees; from 700 km the ground ends at 64
+    t = np.linspace(-1.0, 2.0, 7)
+    geodetic = np.column_stack([10.0 + 0.0 * t, 45.0 + 0.06 * t, 700e3 + 0.0 * t])
+    tables.write_positions(folder.path / "p.csv", t, geodetic)
+    folder.replace(
+        'kind = "level-flight"\naltitude = 700e3\nground_speed = 7000.0',
+        'kind = "ephemeris"\npositions = "p.csv"',
+    ).add('[world]\nframe = "lonlat"\n')
+    assert load_acquisition(folder.write()).platform == "ephemeris"
+    said = message(folder.replace("ifov = 5e-6", "ifov = 0.05"), InputError)
+    assert "sees the ground in its middle and past it on all sides: 120 columns reach over 143" in said
+    assert "check ifov" in said and "attitudes" not in said

@@ -1,7 +1,8 @@
 """The ``sightline`` command: gathers the commands, one file each, and turns errors into one clear message.
 
 Exit status: 0 done; 1 the data cannot give the answer; 2 wrong input or usage; 70 a defect of Sightline;
-130 interrupted, 143 and 129 ended by SIGTERM and SIGHUP (128 and the number of the signal).
+130 interrupted, 143 and 129 ended by SIGTERM and SIGHUP, 141 as nobody reads the output any more (128 and the
+number of the signal).
 What a command does is in its own file, named like it.
 """
 
@@ -46,8 +47,8 @@ DATA_CANNOT_ANSWER = 1
 WRONG_INPUT = 2
 DEFECT = 70
 INTERRUPTED = 130
-#: 128 and the number of SIGTERM, of SIGHUP.
-TERMINATED, HUNG_UP = 143, 129
+#: 128 and the number of SIGTERM, of SIGHUP, of SIGPIPE.
+TERMINATED, HUNG_UP, UNREAD = 143, 129, 141
 
 app = typer.Typer(
     name="sightline",
@@ -150,6 +151,8 @@ def run(words: list[str], *, debug: bool = False) -> int:
     except _ClickException as error:
         _say_usage(error)
         return WRONG_INPUT
+    except SystemExit:  # what click makes of a pipe that nobody reads any more, with a status of 1
+        return UNREAD
     except Interrupted as kept:
         return _interrupted(f"; {kept}")
     except (typer.Abort, KeyboardInterrupt) as stopped:

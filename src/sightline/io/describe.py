@@ -17,7 +17,7 @@ from sightline.evaluation.band_words import passband_words
 from sightline.geometry.camera import PushbroomCamera
 from sightline.io.acquired import Acquisition
 from sightline.io.describe_spin import describe_spin, ground_words
-from sightline.io.ground import shared_ground
+from sightline.io.ground import ground_steps, sampling_doubts, shared_ground
 from sightline.motion.observability import Passbands, blind_frequencies, passbands
 
 # Lines and columns at which a pair is looked for, as parts of the image: the middle first; staggered
@@ -159,6 +159,9 @@ def _understood(acquisition: Acquisition) -> list[str]:
     lines.append(
         f"one pixel is {ifov:.4g} urad; the field reaches {acquisition.half_field_px:.0f} px from its middle"
     )
+    along, across = ground_steps(acquisition.cameras[0], acquisition.surface)
+    if np.isfinite(along):
+        lines.append(f"on the ground lines are {along:.3g} m apart and pixels {across:.3g} m wide")
     lines.append(
         f"ground: {ground_words(acquisition.surface)}, height known to {acquisition.height_sigma:g} m"
     )
@@ -198,6 +201,7 @@ def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
         for pair in pairs
         if pair.lag == 0.0
     ]
+    lines += sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
     names = [("focal length", acquisition.lens.focal_length_sigma_px, "px")]
     names += [("principal point", acquisition.lens.principal_point_sigma_px, "px")]
     names += [("distortion k1", acquisition.lens.distortion_sigma, "")]

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import GeometryError
+from sightline.errors import GeometryError, InputError
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.geometry.earth import WGS84, to_geodetic
 from sightline.geometry.surface import Dem, Ellipsoid, Infinity, Plane, Surface
@@ -28,8 +28,15 @@ GRID = 9
 UNCOVERED_SHARE = 0.02
 #: The same for a spinning camera or a scan mirror, whose sweeps begin and end beyond the limb.
 LIMB_SHARE = 0.75
-#: Largest ratio between the ground step of a line and the ground size of a pixel (either way).
-LARGEST_STEP_RATIO = 100.0
+#: Largest ratio between the ground step of a line and the ground size of a pixel, either way: what is off by
+#: a factor of a hundred is refused whatever the instrument.
+LARGEST_STEP_RATIO = 50.0
+#: The same, from which on it is asked whether that is meant.
+DOUBTFUL_STEP_RATIO = 4.0
+_SAMPLING_KEYS = (
+    "ifov (a tangent, pixel pitch / focal length, about 1e-5) or directions, line_period (s), altitude (m), "
+    "ground_speed (m/s)"
+)
 #: Lines and columns of the grid with which common ground is looked for.
 OVERLAP_GRID = (65, 5)
 #: Heights (m) between which the ground of a large DEM is looked for.
@@ -157,6 +164,8 @@ def check_coverage(
     ------
     GeometryError
         Names the uncovered share and both extents.
+    InputError
+        If the field is wider than the ground.
     """
     base = base_surface(surface)
     local = isinstance(base, Plane)
@@ -164,6 +173,7 @@ def check_coverage(
     missed = [float(np.mean(~np.isfinite(p[:, 0]))) for p in points]
     worst = int(np.argmax(missed))
     if missed[worst] > (LIMB_SHARE if sweeps else UNCOVERED_SHARE):
+        _refuse_wide_field(path, base, cameras[worst], worst + 1)
         raise GeometryError(
             f"{path}: {100 * missed[worst]:.0f} % of image number {worst + 1} looks past the ground; check "
             f"the attitudes "
@@ -182,6 +192,27 @@ def check_coverage(
             f"the DEM {_extent(_horizontal(raster_corners(surface), local, radii), local)}; "
             "give a larger DEM or crop the images"
         )
+
+
+def _refuse_wide_field(path: Path, surface: Surface, camera: MovingCamera, number: int) -> None:
+    """InputError where the middle of an image sees the ground and neither of its sides does."""
+    lines, columns = camera.shape
+    middle, end = (lines - 1) / 2.0, columns - 1.0
+    sides = np.array([[middle, 0.0], [middle, end]])
+    keys = "ifov (a tangent, pixel pitch / focal length, about 1e-5) or directions, and columns"
+    if isinstance(camera, FrameCamera):
+        sides = np.array([[0.0, 0.0], [lines - 1.0, end], [0.0, end], [lines - 1.0, 0.0]])
+        keys = "focal_length_px, shape and distortion of [camera]"
+    inside = np.isfinite(camera.locate(np.array([[middle, end / 2.0]]), surface)).all()
+    if not inside or np.isfinite(camera.locate(sides, surface)[:, 0]).any():
+        return
+    first, last = camera.rays(sides[:2]).directions
+    angle = np.degrees(np.arccos(np.clip(first @ last, -1.0, 1.0)))
+    field = f"{angle:.3g} degrees" if np.isfinite(angle) else "more than its distortion allows"
+    raise InputError(
+        f"{path}: image number {number} sees the ground in its middle and past it on all sides: {columns} "
+        f"columns reach over {field}; check {keys}"
+    )
 
 
 def base_surface(surface: Surface) -> Surface:
@@ -234,30 +265,51 @@ def check_sampling(
 
     Raises
     ------
-    GeometryError
+    InputError
         If the ground step between lines is beyond `LARGEST_STEP_RATIO` times the ground size of a pixel.
     """
     for camera, name in zip(cameras, names, strict=True):
-        if not isinstance(camera, PushbroomCamera):
-            continue
-        line, column = (camera.lines - 1) / 2.0, (camera.columns - 1) / 2.0
-        spots = np.array([[line, column], [line + 1.0, column], [line, column + 1.0]])
-        here, ahead, aside = camera.locate(spots, base_surface(surface))
-        # square to the line of sight: near the limb of a planet the ground itself is stretched without end
-        look = camera.rays(spots[:1]).directions[0]
-        along, across = (
-            float(np.linalg.norm(step - look * (look @ step))) for step in (ahead - here, aside - here)
-        )
-        if isinstance(surface, Infinity) or not np.isfinite(along + across):
-            continue
-        if not 1.0 / LARGEST_STEP_RATIO < along / across < LARGEST_STEP_RATIO:
-            raise GeometryError(
-                f"{path}: band {name}: lines are {along:.4g} m apart on the ground and pixels {across:.4g} "
-                f"m wide; "
-                "these cannot belong together; check line_period (s), ifov (a tangent, about 1e-5), "
-                "altitude (m), "
-                "ground_speed (m/s)"
+        along, across = ground_steps(camera, surface)
+        # the ratio itself may be beyond numbers
+        if along >= LARGEST_STEP_RATIO * across or across >= LARGEST_STEP_RATIO * along:
+            raise InputError(
+                f"{path}: band {name}: lines are {along:.4g} m apart on the ground and pixels {across:.4g} m "
+                f"wide; these cannot belong together; check {_SAMPLING_KEYS}"
             )
+
+
+def sampling_doubts(
+    surface: Surface, cameras: Sequence[MovingCamera], names: Sequence[str]
+) -> tuple[str, ...]:
+    """What to say of bands whose lines and pixels are of very unlike size on the ground."""
+    steps = {name: ground_steps(camera, surface) for name, camera in zip(names, cameras, strict=True)}
+    unlike = [name for name, (a, b) in steps.items() if max(a, b) >= DOUBTFUL_STEP_RATIO * min(a, b)]
+    if not unlike:
+        return ()
+    along, across = steps[unlike[0]]
+    of = "all bands" if len(unlike) == len(steps) else ", ".join(unlike)
+    return (
+        f"{of}: lines are {along:.4g} m apart on the ground and pixels {across:.4g} m wide; if that is not "
+        f"meant, check {_SAMPLING_KEYS}: with a wrong ifov every angle is wrong by as much",
+    )
+
+
+def ground_steps(camera: MovingCamera, surface: Surface) -> tuple[float, float]:
+    """How far apart lines are on the ground, and how wide pixels (m), in the middle of an image.
+
+    NaN for a photograph, in the sky, and where the camera looks past the ground.
+    """
+    if not isinstance(camera, PushbroomCamera) or isinstance(surface, Infinity):
+        return float("nan"), float("nan")
+    line, column = (camera.lines - 1) / 2.0, (camera.columns - 1) / 2.0
+    spots = np.array([[line, column], [line + 1.0, column], [line, column + 1.0]])
+    here, ahead, aside = camera.locate(spots, base_surface(surface))
+    # square to the line of sight: near the limb of a planet the ground itself is stretched without end
+    look = camera.rays(spots[:1]).directions[0]
+    along, across = (
+        float(np.linalg.norm(step - look * (look @ step))) for step in (ahead - here, aside - here)
+    )
+    return (along, across) if np.isfinite(along + across) else (float("nan"), float("nan"))
 
 
 def check_seen(path: Path, surface: Surface, cameras: Sequence[MovingCamera]) -> None:
@@ -295,11 +347,10 @@ def check_overlap(
                 moving = True
                 break
         if not lags:
-            raise GeometryError(
-                f"{path}: {names[k]} shares no ground with any other image; check first_line_time, "
-                f"look_ahead "
-                "(forward positive) and the times of the frames"
-            )
+            keys = "first_line_time, look_ahead (forward positive) and ifov"
+            if isinstance(camera, FrameCamera):
+                keys = "the times of the frames, altitude and speed, and focal_length_px"
+            raise GeometryError(f"{path}: {names[k]} shares no ground with any other image; check {keys}")
     if not moving:
         raise GeometryError(
             f"{path}: all images see the same ground at the same time (lag 0), so motion cannot be seen; "

@@ -30,6 +30,7 @@ from sightline.geometry.rotations import to_quat_xyzw
 from sightline.geometry.surface import Dem, Ellipsoid, Surface
 from sightline.io.acquired import Acquisition
 from sightline.io.ccsds import write_aem
+from sightline.io.ground import sampling_doubts
 from sightline.io.hidden import write_hidden
 from sightline.io.json_text import json_text
 from sightline.io.microvibration import microvibration_summary, write_smear
@@ -206,7 +207,7 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "absolute_sigma_px": _per_axis(np.sqrt((result.absolute_sigma**2).mean(axis=0)) / result.scale),
         "hidden_directions": None,
         "changes": list(result.changes),
-        "warnings": [*result.warnings, *_unused(acquisition)],
+        "warnings": [*result.warnings, *_unused(acquisition), *_doubts(acquisition)],
         "wall_seconds": wall_seconds,
         "peak_memory_bytes": peak_memory(),
         "inputs": acquisition.input_hashes(),
@@ -243,6 +244,11 @@ def _method(result: LineOfSight) -> dict[str, Any]:
         for values in (used.departure, used.stated_sigma)
     )
     return {"name": used.name, "rms_departure_from_joint_px": departure, "rms_stated_sigma_px": stated}
+
+
+def _doubts(acquisition: Acquisition) -> tuple[str, ...]:
+    """What was given and is hardly meant."""
+    return sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
 
 
 def _by_axis(tones: Sequence[DetectedTone]) -> dict[str, list[dict[str, Any]]]:
