@@ -311,3 +311,62 @@ def test_a_simulated_strip_can_be_checked(tmp_path, capsys):
     assert blind[0] == pytest.approx(1.0 / 0.0074, rel=1e-3)
     assert command.run(["check", str(scene / "acquisition.toml")]) == 0
     assert "blind at" in capsys.readouterr().out
+
+
+def test_a_file_that_ends_too_early_is_no_interruption(monkeypatch, capsys):
+    def fails(*_, **__):
+        raise EOFError("No data left in file")
+
+    monkeypatch.setattr("sightline.cli.check.kind_of", fails, raising=False)
+    monkeypatch.setattr("sightline.io.config.kind_of", fails)
+    assert command.run(["check", "a.toml"]) == 70
+    assert "EOFError: No data left in file" in capsys.readouterr().err
+
+
+def test_warnings_of_other_libraries_are_not_shown(monkeypatch, capsys):
+    def warns(words, **options):
+        for category in (RuntimeWarning, UserWarning, DeprecationWarning, FutureWarning):
+            warnings.warn("invalid value encountered in sqrt", category, stacklevel=2)
+
+    monkeypatch.setattr(command, "app", warns)
+    assert command.run(["version"]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_what_a_command_lets_be_opened_ends_with_it(tmp_path, monkeypatch):
+    from sightline.access import current_access
+
+    met = []
+    monkeypatch.setattr("sightline.io.config.kind_of", lambda file: met.append(current_access().network))
+    command.run(["check", "a.toml", "--allow-network"])
+    command.run(["check", "a.toml"])
+    assert met == [True, False] and not current_access().network
+
+
+READING = ("check", "georeference", "layout", "noise", "orient", "recover", "register", "score", "tdi")
+
+
+@pytest.mark.parametrize("name", READING)
+def test_every_command_that_reads_can_be_let_ask_servers(name, capsys):
+    command.run([name, "--help"])
+    assert "--allow-network" in capsys.readouterr().out
+
+
+def test_a_command_takes_from_gdal_and_proj_what_asks_servers():
+    code = (
+        "import os, sys\n"
+        "from sightline.cli.main import main\n"
+        "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
+        "import rasterio, pyproj\n"
+        "with rasterio.Env() as environment:\n    drivers = environment.drivers()\n"
+        "print(*(name in drivers for name in ('WMS', 'HTTP', 'GTiff')), pyproj.network.is_network_enabled())\n"
+    )
+    environment = {**os.environ, "PROJ_NETWORK": "ON"}
+    for words, said in (
+        (["version"], "False False True False"),
+        (["version", "--allow-network"], "True True True True"),
+    ):
+        run = subprocess.run(
+            [sys.executable, "-c", code, *words], capture_output=True, text=True, env=environment, timeout=120
+        )
+        assert run.stdout.splitlines()[-1] == said, run.stderr

@@ -311,3 +311,65 @@ def test_a_field_that_reaches_past_the_ground_on_both_sides_is_wrong_input_and_n
     said = message(folder.replace("ifov = 5e-6", "ifov = 0.05"), InputError)
     assert "sees the ground in its middle and past it on all sides: 120 columns reach over 143" in said
     assert "check ifov" in said and "attitudes" not in said
+
+
+def vrt_of(name: str) -> str:
+    return (
+        '<VRTDataset rasterXSize="120" rasterYSize="200"><VRTRasterBand dataType="UInt16" band="1">'
+        f'<SimpleSource><SourceFilename relativeToVRT="1">{name}</SourceFilename><SourceBand>1</SourceBand>'
+        "</SimpleSource></VRTRasterBand></VRTDataset>"
+    )
+
+
+def test_images_refer_to_what_lies_beside_them_or_where_files_allow_says(folder):
+    elsewhere = folder.path.parent / f"{folder.path.name}-elsewhere"
+    elsewhere.mkdir()
+    (folder.path / "PAN.tif").rename(elsewhere / "a.tif")
+    (folder.path / "PAN.tif").write_text(vrt_of(f"../{elsewhere.name}/a.tif"))
+    said = message(folder)
+    assert "acquisition.toml: [[band]] 1 image: " in said and "outside the folders" in said
+    assert f'[files] allow = ["{elsewhere}"]' in said
+    folder.add(f'[files]\nallow = ["../{elsewhere.name}"]\n')
+    image = load_acquisition(folder.write()).bands[0].image
+    assert image.read((0, 4), (0, 4)).min() >= 100.0
+
+
+def test_a_folder_that_files_allow_names_must_be_there(folder):
+    folder.add('[files]\nallow = ["none"]\n')
+    assert f"acquisition.toml: [files] allow: {folder.path / 'none'}: no such folder" in message(folder)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key"),
+    [
+        (
+            'image = "XS.tif"',
+            'image = "http://127.0.0.1:9/XS.tif"',
+            "[[band]] 2 image: http://127.0.0.1:9/XS.tif is an",
+        ),
+        ('image = "XS.tif"', 'image = "."', "[[band]] 2 image: "),
+        ('image = "XS.tif"', 'image = "XS.tif"\nmask = "none.tif"', "[[band]] 2 mask: "),
+        ("line_period = 5e-4", 'line_period = 5e-4\ndirections = "none.csv"', "[instrument] directions: "),
+    ],
+)
+def test_what_cannot_be_opened_is_named_with_its_key(folder, old, new, key):
+    folder.replace(old, new)
+    assert f"acquisition.toml: {key}" in message(folder)
+
+
+def test_what_is_wrong_in_a_file_is_named_with_its_key(folder):
+    (folder.path / "d.csv").write_text("column,x,y,z\n0,0,0,1\n")
+    folder.replace("ifov = 5e-6", 'directions = "d.csv"')
+    assert f"acquisition.toml: [instrument] directions: {folder.path / 'd.csv'}: has 1 columns" in message(
+        folder
+    )
+
+
+def test_values_that_no_computation_takes_are_one_error_that_names_the_file(folder, monkeypatch):
+    def fails(*_, **__):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr("sightline.io.acquisition.build_surface", fails)
+    assert "acquisition.toml: what it says, and the files that it names, cannot be computed with" in message(
+        folder
+    )

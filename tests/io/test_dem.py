@@ -175,3 +175,20 @@ def test_a_geographic_dem_that_lies_elsewhere_names_both_places(folder):
     said = str(caught.value)
     assert "100 % of it lies outside" in said
     assert "the strip spans longitude 9.99" in said and "the DEM longitude 5.0000 to 5.8000" in said
+
+
+def test_heights_of_a_damaged_file_are_no_voids(tmp_path):
+    heights = np.random.default_rng(0).normal(300.0, 50.0, (40, 40))
+    shifted = np.roll(np.frombuffer(heights.astype("<f8").tobytes(), np.uint8), 3).view("<f8").reshape(40, 40)
+    path = georeferenced(tmp_path / "d.tif", shifted, **LONLAT)
+    with pytest.raises(
+        FormatError, match=r"d\.tif: \d+ cells hold \d+ values from .* too many to mark voids"
+    ):
+        read_dem(path)
+
+
+def test_a_raster_larger_than_memory_is_refused_unread(tmp_path, monkeypatch):
+    monkeypatch.setattr("sightline.io.dem.MOST_CELLS", 1000)
+    path = georeferenced(tmp_path / "d.tif", grid(shape=(40, 40)), **LONLAT)
+    with pytest.raises(FormatError, match=r"d\.tif: 1,600 cells of it would be read, 1,000 at most"):
+        read_dem(path)

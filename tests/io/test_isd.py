@@ -199,6 +199,50 @@ def test_a_missing_key_of_the_model_is_named(isds, tmp_path):
     )
 
 
+def with_one_more(table, key):
+    return lambda data: data[table][key].append(data[table][key][-1])
+
+
+WRONG = {
+    "a time too many": (with_one_more("body_rotation", "ephemeris_times"), "body_rotation.ephemeris_times"),
+    "a place too many": (with_one_more("instrument_position", "positions"), "instrument_position.positions"),
+    "rows of other lengths": (
+        lambda data: data["instrument_pointing"]["quaternions"][3].pop(),
+        "instrument_pointing.quaternions",
+    ),
+    "a word": (
+        lambda data: data["instrument_position"]["velocities"][2].__setitem__(1, "fast"),
+        "instrument_position.velocities",
+    ),
+    "no number": (lambda data: data.update(center_ephemeris_time=float("nan")), "center_ephemeris_time"),
+    "too large": (lambda data: data.update(image_lines=10**400), "image_lines"),
+    "half a line": (lambda data: data.update(image_lines=400.5), "image_lines"),
+    "no lines": (lambda data: data.update(image_lines=0), "image_lines"),
+    "a list": (lambda data: data.update(image_samples=[5056]), "image_samples"),
+    "no table": (lambda data: data.update(radii=3396.0), "radii.semimajor"),
+    "another unit": (lambda data: data["radii"].update(unit="miles"), "radii.unit"),
+    "no rates": (lambda data: data.update(line_scan_rate=[]), "line_scan_rate"),
+    "turned times": (
+        lambda data: data["instrument_position"]["ephemeris_times"].reverse(),
+        "instrument_position.ephemeris_times",
+    ),
+    "no turn": (
+        lambda data: data["instrument_pointing"]["quaternions"].__setitem__(0, [0.0, 0.0, 0.0, 0.0]),
+        "instrument_pointing.quaternions",
+    ),
+    "no focal length": (
+        lambda data: data["focal_length_model"].update(focal_length=0.0),
+        "focal_length_model.focal_length",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_a_key_that_is_not_as_it_should_be_is_named(isds, tmp_path, case):
+    change, key = WRONG[case]
+    assert f"m.json: the key '{key}' " in spoiled(isds, tmp_path, change)
+
+
 def test_text_that_is_not_json_is_refused(tmp_path):
     (tmp_path / "m.json").write_text("{ not json")
     with pytest.raises(FormatError, match=r"m\.json: not valid JSON"):

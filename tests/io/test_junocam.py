@@ -67,6 +67,8 @@ def test_metadata_are_read_with_their_units(metadata):
         lambda content: content.pop("START_TIME"),
         lambda content: content.update(SPACECRAFT_ALTITUDE="high"),
         lambda content: content.update(START_TIME="yesterday"),
+        lambda content: content.update(INTERFRAME_DELAY=""),
+        lambda content: content.update(PRODUCT_ID={}, START_TIME=["2022"]),
     ],
 )
 def test_spoilt_metadata_are_one_clear_error(metadata, spoil):
@@ -74,6 +76,20 @@ def test_spoilt_metadata_are_one_clear_error(metadata, spoil):
     spoil(content)
     metadata[0].write_text(json.dumps(content), encoding="utf-8")
     with pytest.raises(FormatError, match="not as in a JunoCam metadata file"):
+        junocam.read_metadata(metadata[0])
+
+
+def test_numbers_that_cannot_be_of_a_flight_past_jupiter_are_refused_by_name(metadata):
+    for key, value in {
+        "SUB_SPACECRAFT_LATITUDE": "97",
+        "SPACECRAFT_ALTITUDE": "nan",
+        "INTERFRAME_DELAY": "-1",
+    }.items():
+        metadata[0].write_text(json.dumps(METADATA | {key: value}), encoding="utf-8")
+        with pytest.raises(FormatError, match=rf"{key} = \S+ is not from"):
+            junocam.read_metadata(metadata[0])
+    metadata[0].write_text("[]", encoding="utf-8")
+    with pytest.raises(FormatError, match="INTERFRAME_DELAY: not as in a JunoCam metadata file"):
         junocam.read_metadata(metadata[0])
 
 

@@ -206,3 +206,57 @@ def test_nothing_to_start_from_is_told(tmp_path, every, words):
 def test_an_empty_folder_is_told(tmp_path):
     with pytest.raises(FormatError, match="holds no images"):
         load_sequence(photographs(tmp_path, []))
+
+
+@pytest.mark.parametrize(
+    ("spoilt", "said"),
+    [
+        ({"EXIF_DateTimeOriginal": "2026:13:01 10:00:02"}, "EXIF time"),
+        ({"EXIF_DateTimeOriginal": "yesterday"}, "the EXIF time 'yesterday' is not of the form"),
+        ({"EXIF_GPSLatitude": "(146) (50) (33.4)"}, "the EXIF place"),
+        (GIMBAL.format(10.0, -90.0)[:-30], "its XMP cannot be read"),
+        (GIMBAL.format(10.0, -90.0).encode()[:-40] + b"\xa2" + b"</x:xmpmeta>", "its XMP cannot be read"),
+    ],
+)
+def test_a_photograph_with_broken_tags_is_left_out_and_named_and_the_flight_goes_on(tmp_path, spoilt, said):
+    every = [tags(k, 46.84 + 1e-4 * k) for k in range(5)]
+    toml = photographs(tmp_path, every, [GIMBAL.format(10.0, -90.0)] * 5)
+    if isinstance(spoilt, dict):
+        photograph(tmp_path / "photos" / "p2.tif", every[2] | spoilt, 2)
+    else:
+        text = spoilt if isinstance(spoilt, str) else spoilt.decode("latin-1")
+        photograph(tmp_path / "photos" / "p2.tif", every[2], 2, text)
+        if isinstance(spoilt, bytes):
+            path = tmp_path / "photos" / "p2.tif"
+            held = path.read_bytes()
+            assert "\u00a2".encode() in held
+            path.write_bytes(held.replace("\u00a2".encode(), b"\xa2 "))
+    problem = load_sequence(toml)
+    at = problem.frames.index("p2.tif")
+    assert [bool(reason) for reason in problem.excluded] == [k == at for k in range(5)]
+    assert problem.excluded[at].startswith(said)
+    assert any("p2.tif" in words and said in words for words in problem.warnings)
+
+
+@pytest.mark.parametrize("stamp", [None, "0000:00:00 00:00:00", "    :  :     :  :  "])
+def test_a_camera_without_a_clock_breaks_no_photograph(tmp_path, stamp):
+    every = [tags(k, 46.84 + 1e-4 * k) for k in range(4)]
+    every[1]["EXIF_DateTimeOriginal"] = stamp
+    problem = load_sequence(photographs(tmp_path, [{k: v for k, v in e.items() if v} for e in every]))
+    assert not any(problem.excluded)
+    assert problem.t[1] == pytest.approx(1.0)
+
+
+def test_words_of_the_artist_may_be_in_any_code(tmp_path):
+    photograph(tmp_path / "p.tif", tags(7, EXIF_Artist="J?rgen", EXIF_Copyright="J?rgen"))
+    held = (tmp_path / "p.tif").read_bytes()
+    (tmp_path / "p.tif").write_bytes(held.replace(b"J?rgen", b"J\xfcrgen"))
+    assert read_exif(tmp_path / "p.tif").time == "2026-05-01T10:00:07Z"
+
+
+def test_where_all_photographs_are_broken_the_first_is_named(tmp_path):
+    toml = photographs(tmp_path, [tags(k, EXIF_DateTimeOriginal="yesterday") for k in range(3)])
+    with pytest.raises(
+        FormatError, match=r"no image has a time in its EXIF \(p0\.tif: the EXIF time 'yesterday'"
+    ):
+        load_sequence(toml)

@@ -64,6 +64,34 @@ def test_covariances_round_trip(tmp_path):
         np.testing.assert_array_equal(getattr(read, name), getattr(given, name))
 
 
+def test_covariances_that_are_damaged_are_refused_by_name(tmp_path):
+    path = tmp_path / "covariance.npz"
+    write_pose_covariance(path, covariances(poses()))
+    whole = path.read_bytes()
+    negative = covariances(poses())
+    negative = PoseCovariance(
+        negative.frames, -negative.covariance, negative.datum, negative.datum_covariance
+    )
+    for said, content in {
+        "cannot be read": whole[:300],
+        "no such": None,
+        "BadZipFile": b"",
+        "KeyError": None,
+    }.items():
+        if said == "no such":
+            path.unlink()
+        elif said == "KeyError":
+            np.savez(path, frame=np.array(["a"]))
+            said = "'covariance' is missing|covariance is not a file"
+        else:
+            path.write_bytes(content)
+        with pytest.raises(FormatError, match=rf"covariance\.npz: .*({said})"):
+            read_pose_covariance(path)
+    write_pose_covariance(path, negative)
+    with pytest.raises(FormatError, match="holds a variance that is not above 0"):
+        read_pose_covariance(path)
+
+
 def test_poses_are_written_in_the_axes_of_the_world():
     origin = (11.0, 48.0, 500.0)
     world = WorldSection(frame="local", origin=origin)

@@ -32,10 +32,11 @@ def score(
 ) -> None:
     """Print errors, NEES and coverage of a result against its truth, as JSON."""
     from sightline.cli.terminal import print_json, say
-    from sightline.errors import InputError
+    from sightline.errors import InputError, failing_numbers
     from sightline.io.pose_score import pose_score_lines
 
-    scored = score_folder(result, truth)
+    with failing_numbers(f"{result}"):
+        scored = score_folder(result, truth)
     if not table:
         print_json(scored)
         return

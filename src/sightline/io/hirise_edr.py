@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sightline.access import LARGE, read_bytes
 from sightline.applications.strip_noise import StripPixels
-from sightline.errors import FormatError, InputError, reads
+from sightline.errors import FormatError, InputError, foreign_errors, reads
 from sightline.imaging.noise_estimation import CodeTable
 
 Codes = NDArray[np.uint8]
@@ -111,7 +111,7 @@ class HiriseEdr:
 
 def is_hirise(path: Path) -> bool:
     """Whether a regular file begins with a PDS3 label of HiRISE."""
-    with path.open("rb") as stream:
+    with foreign_errors(path, "cannot be read", "check the name"), path.open("rb") as stream:
         head = stream.read(LABEL_BYTES)
     return head.startswith(b"PDS_VERSION_ID") and b'"HIRISE"' in head
 

@@ -111,4 +111,11 @@ def _hidden(
             f"{folder / 'summary.json'}: `hidden_directions.covariance` must be {len(names)} rows of "
             f"{len(names)} finite numbers; run `sightline recover` again"
         )
+    # rounding leaves variances of combinations a little below 0
+    least, size = float(np.linalg.eigvalsh(covariance)[0]), float(np.trace(covariance))
+    if not np.allclose(covariance, covariance.T) or least < -1e-9 * size:
+        raise FormatError(
+            f"{folder / 'summary.json'}: `hidden_directions.covariance` is none: it is not symmetric, or a "
+            "variance in it is negative; run `sightline recover` again"
+        )
     return prolonged(t, directions, motion.t), covariance, ()

@@ -207,6 +207,11 @@ def read_pose_covariance(path: Path) -> PoseCovariance:
     if shapes != [(len(frames), 6, 6), (6,), (6, 6)]:
         raise FormatError(f"{path}: arrays of shapes {shapes} for {len(frames)} frames")
     covariance, datum, datum_covariance = (frozen(array) for array in arrays)
+    variances = [covariance[:, range(6), range(6)].ravel(), datum_covariance.diagonal()]
+    if focal is not None:
+        variances.append(focal.covariance[6:])
+    if (np.concatenate(variances) < 0.0).any() or (focal is not None and not focal.covariance[6] > 0.0):
+        raise FormatError(f"{path}: holds a variance that is not above 0; {advice}")
     return PoseCovariance(frames, covariance, datum, datum_covariance, focal)
 
 

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError
+from sightline.access import read_text
+from sightline.errors import FormatError, foreign_errors
 from sightline.evaluation.direction_words import AXES
 from sightline.evaluation.score_orientation import score_orientation
 from sightline.io.stereo_results import ORIENTATION
@@ -57,16 +58,18 @@ def read_orientation_truth(path: Path, cameras: tuple[str, ...]) -> Array:
 
 def read_covariance(path: Path, count: int) -> Array:
     """``covariance.csv`` (count, count), rad^2; a line with names is a comment."""
-    try:
-        covariance = np.loadtxt(path, delimiter=",", ndmin=2, encoding="utf-8")
-    except (OSError, ValueError) as problem:
-        raise FormatError(f"{path}: cannot be read as a table of numbers ({problem})") from None
+    text = read_text(path, "a table of numbers", advice="run `sightline orient` again")
+    rows = [line for line in text.splitlines() if line.strip() and not line.lstrip().startswith("#")]
+    with foreign_errors(path, "cannot be read as a table of numbers", "run `sightline orient` again"):
+        covariance = np.array([line.split(",") for line in rows], dtype=np.float64, ndmin=2)
     if covariance.shape != (count, count):
         raise FormatError(
             f"{path}: {covariance.shape[0]} rows x {covariance.shape[1]} columns; {count} x {count} are "
             "expected: "
             "roll, pitch, yaw of every camera of orientation.csv"
         )
+    if (np.diagonal(covariance) < 0.0).any():
+        raise FormatError(f"{path}: holds a negative variance; run `sightline orient` again")
     return np.asarray(covariance)
 
 

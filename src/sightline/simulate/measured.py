@@ -14,7 +14,9 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError
+from sightline.access import read_json, read_text
+from sightline.errors import FormatError, foreign_errors, reads
+from sightline.imaging.rasters import open_raster, raster_errors
 from sightline.simulate.scene import Relief
 from sightline.simulate.texture import Array
 
@@ -63,13 +65,15 @@ def hirise_curve(folder: Path | None = None) -> tuple[Array, Array]:
         measured about yaw, the line column played backwards
     """
     path = data_file("hirise_jitter_psp008469/mroJitter.txt", folder)
-    table = np.loadtxt(path, comments="#")
+    with foreign_errors(path, "cannot be read", "three columns of numbers (sample, line, time) are expected"):
+        table = np.loadtxt(read_text(path, "a table of jitter").splitlines(), comments="#")
     if table.ndim != 2 or table.shape[1] != 3:
         raise FormatError(f"{path}: expected three columns (sample, line, time), got shape {table.shape}")
     curves = np.column_stack([table[:, 0], table[:, 1], table[::-1, 1]])
     return table[:, 2] - table[0, 2], curves
 
 
+@reads("an ISD with `instrument_pointing` times and quaternions")
 def isd_attitude_curve(path: Path, degree: int = 3) -> tuple[Array, Array]:
     """What the attitudes of a USGS line-scan ISD have beyond a polynomial: real small motions.
 
@@ -85,16 +89,11 @@ def isd_attitude_curve(path: Path, degree: int = 3) -> tuple[Array, Array]:
     t : (N,) s from the first quaternion
     angles : (N, 3) rad about the instrument's axes, relative to the middle attitude, polynomial removed
     """
-    import json
-
     from scipy.spatial.transform import Rotation
 
-    try:
-        pointing = json.loads(path.read_text())["instrument_pointing"]
-        t = np.asarray(pointing["ephemeris_times"], dtype=np.float64)
-        quat_wxyz = np.asarray(pointing["quaternions"], dtype=np.float64)
-    except (OSError, ValueError, KeyError) as error:
-        raise FormatError(f"{path}: not an ISD with `instrument_pointing` times and quaternions") from error
+    pointing = read_json(path, "an ISD")["instrument_pointing"]
+    t = np.asarray(pointing["ephemeris_times"], dtype=np.float64)
+    quat_wxyz = np.asarray(pointing["quaternions"], dtype=np.float64)
     # ALE writes scalar first, from inertial to instrument axes
     instrument_from_inertial = Rotation.from_quat(np.roll(quat_wxyz, -1, axis=1))
     middle = instrument_from_inertial[t.size // 2]
@@ -159,12 +158,11 @@ def landsat_bands(folder: Path | None = None) -> NDArray[np.uint8]:
 
     Turned so that the longer side runs along the lines' direction (rows).
     """
-    import rasterio
-
     names = ("LE71400412000304SGS00_B4.tif", "LE71400412000304SGS00_RGB.tif")
     layers = []
     for name in names:
-        with rasterio.open(data_file(f"landsat7_everest/{name}", folder)) as source:
+        path = data_file(f"landsat7_everest/{name}", folder)
+        with raster_errors(path), open_raster(path) as source:
             layers.append(source.read())
     bands = np.concatenate(layers).transpose(0, 2, 1)
     return cast(NDArray[np.uint8], np.ascontiguousarray(bands))
@@ -185,9 +183,8 @@ def srtm_relief(centre: tuple[float, float], size: tuple[float, float], folder: 
     Relief
         Heights less their mean over the cut, m; posts three arc seconds apart, as in the tile.
     """
-    import rasterio
-
-    with rasterio.open(data_file("srtm_n44e005/N44E005.hgt", folder)) as source:
+    path = data_file("srtm_n44e005/N44E005.hgt", folder)
+    with raster_errors(path), open_raster(path) as source:
         tile = source.read(1).astype(np.float64)
         row, column = (int(v) for v in source.index(5.28, 44.18))
     tile[tile <= -32768.0] = np.nan

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline.errors import InputError
+from sightline.imaging.rasters import open_raster, raster_errors
 from sightline.simulate.measured import data_file, landsat_bands
 from sightline.simulate.texture import Array, Array32
 
@@ -120,18 +121,12 @@ def real_bands(name: str, folder: Path | None = None) -> tuple[Array, Array32]:
 
 
 def _rededge(folder: Path | None) -> Array32:
-    import warnings
-
-    import rasterio
-    from rasterio.errors import NotGeoreferencedWarning
-
     right, down = (max(shift[axis] for shift in _REDEDGE_SHIFTS) for axis in (0, 1))
     bands = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotGeoreferencedWarning)
-        for number, (x, y) in enumerate(_REDEDGE_SHIFTS, start=1):
-            with rasterio.open(data_file(f"rededge_capture/IMG_0001_{number}.tif", folder)) as source:
-                image = source.read(1).astype(np.float32) - np.float32(_REDEDGE_BLACK)
-            rows, columns = image.shape
-            bands.append(image[y : rows - down + y, x : columns - right + x])
+    for number, (x, y) in enumerate(_REDEDGE_SHIFTS, start=1):
+        path = data_file(f"rededge_capture/IMG_0001_{number}.tif", folder)
+        with raster_errors(path), open_raster(path) as source:
+            image = source.read(1).astype(np.float32) - np.float32(_REDEDGE_BLACK)
+        rows, columns = image.shape
+        bands.append(image[y : rows - down + y, x : columns - right + x])
     return np.maximum(np.stack(bands), 1.0)
