@@ -177,7 +177,7 @@ BAD = [
     (wrong_kind, 2, r"'level-fligth' is not known; did you mean level-flight\?"),
     (not_toml, 2, r"not valid TOML.*line"),
     (pairs_brought_together_otherwise, 2, r"matching\.hybridise = 'both'.*iterative"),
-    (ifov_of_other_units, 2, r"pixels 0\.034 m wide; these cannot belong together; check ifov"),
+    (ifov_of_other_units, 2, r"pixels 0\.03\d* m wide; these cannot belong together; check ifov"),
     (negative_altitude, 2, r"platform\.altitude = -680000\.0"),
 ]
 
