@@ -87,8 +87,10 @@ def whole_raster(path: Path) -> Iterator[Path]:
     with whole(path) as draft, _gdal_errors() as said:
         try:
             yield draft
-        except (RasterioError, CPLE_BaseError) as error:
-            words = said[0] if said else _first_line(error)
+        except (RasterioError, CPLE_BaseError, SystemError) as error:
+            # the last is what the library raises where GDAL fails without a word
+            words = "GDAL could not finish it" if isinstance(error, SystemError) else _first_line(error)
+            words = said[0] if said else words
             raise OSError(errno.EIO, words, str(path)) from error
         if said or not is_complete(draft):
             words = said[0] if said else "the file was cut short"
