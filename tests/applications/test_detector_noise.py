@@ -109,6 +109,18 @@ def test_a_scene_of_one_signal_gives_shot_noise_beside_the_read_noise(dark):
     assert found.law.gain == 0.0 and by_name["A of the sum"].relation == "<="
 
 
+def test_without_anything_at_rest_one_signal_bounds_the_shot_noise():
+    scene = plain_image_noise("scene", image(20, 2000.0, lines=1600, contrast=0.05), dark_level=LEVEL)
+    found = detector_noise([scene])
+    by_name = {figure.name: figure for figure in found.figures}
+    assert (by_name["B"].relation, by_name["conversion gain 1 / B"].relation) == ("<=", ">=")
+    # B s + C^2 over s
+    assert SHOT < by_name["B"].value < (SHOT + READ**2 / 2000.0) * 1.3
+    assert "C^2 of the sum" not in by_name and "taken for shot noise" in found.warnings[-1]
+    larger = detector_noise([scene], electrons_per_dn=10.0)
+    assert not any("are given; the noise of the images asks" in said for said in larger.warnings)
+
+
 def test_columns_come_back_and_bad_ones_are_flagged(dark):
     images = [plain_image_noise(str(k), image(30 + k, 4000.0), dark) for k in range(3)]
     found = detector_noise(images, dark)

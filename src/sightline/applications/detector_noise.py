@@ -55,6 +55,8 @@ Flags = NDArray[np.uint8]
 GAIN_UNKNOWN, OFFSET_UNKNOWN, DEAD, OUTLYING = 1, 2, 4, 8
 #: A column departs where it does so by so many robust sigmas of all.
 OUTLIER_SIGMAS = 6.0
+#: Pixels that are worked on at once.
+AT_ONCE = 1 << 22
 #: Share of the pixels at the largest (smallest) value from which it is where they are cut off.
 CLIPPED_SHARE = 1e-3
 #: And it holds so many times the pixels of the value next to it.
@@ -201,7 +203,8 @@ def dark_noise(frames: Sequence[ImageSource]) -> DarkNoise:
         _must_be_large(frame)
         found = _values(frame)
         steps.append(found.step)
-        means, blocks = _means_and_blocks((found.usable(raw) for raw in _parts(frame)), found.step)
+        chunks = ((part, found.usable(raw)) for part, raw in _chunks(frame))
+        means, blocks = _means_and_blocks(chunks, found.step, frame.shape[1])
         levels.append(np.average(means, axis=0, weights=[len(part) for part in _ranges(frame)]))
         known = blocks.white[np.isfinite(blocks.white)]
         variances.append(float(known.mean()))
@@ -259,8 +262,8 @@ def plain_image_noise(
     level = dark.level if dark is not None else np.full(columns, dark_level or 0.0)
     if len(level) != columns:
         raise InputError(f"frames without light have {len(level)} columns, the image {columns}; give its own")
-    parts = (found.usable(raw) - level for raw in _parts(image))
-    means, blocks = _means_and_blocks(parts, found.step)
+    chunks = ((part, found.usable(raw) - level) for part, raw in _chunks(image))
+    means, blocks = _means_and_blocks(chunks, found.step, columns)
     white = white_noise(blocks) if shows_texture(blocks) else even_noise(blocks)
     pattern = _pattern(means)
     warnings = list(dark.warnings) if dark is not None else []
@@ -330,22 +333,37 @@ def detector_noise(
     gain_noise, shot, rest = _law(images, dark)
     pattern = _weighted([one.columns.variance for one in images])
     unit, scale = ("DN", 1.0) if electrons_per_dn is None else ("e-", electrons_per_dn)
-    read = float(np.sqrt(max(rest.value, 0.0)))
     how = f"all of {len(images)} image{'s' if len(images) > 1 else ''} and what stands beside"
     conversion = Estimate(1.0 / shot.value, shot.sigma / shot.value**2)
+    warnings = [said for one in images for said in one.warnings]
+    known = rest is not None
+    if rest is None:
+        rest, at_rest = Estimate(0.0, 0.0), "if there is no other noise"
+        of_law = [
+            bound("B", "DN", "<=", shot.upper(), at_rest),
+            bound("conversion gain 1 / B", "e-/DN", ">=", 1.0 / shot.upper(), at_rest),
+        ]
+        warnings.append(
+            "all of the noise is taken for shot noise: images of one signal do not part it from read noise; "
+            "give frames without light (--dark), or images of other signals"
+        )
+    else:
+        of_law = [
+            measured("B", "DN", shot, how),
+            measured("conversion gain 1 / B", "e-/DN", conversion, "if shot noise is that of electrons"),
+            measured("C^2 of the sum", "DN^2", rest, how),
+        ]
     told = [
         *(dark.figures if dark is not None else ()),
         _gain_bound(images, rest) if gain_noise is None else measured("A of the sum", "1", gain_noise, how),
-        measured("B", "DN", shot, how),
-        measured("conversion gain 1 / B", "e-/DN", conversion, "if shot noise is that of electrons"),
-        measured("C^2 of the sum", "DN^2", rest, how),
+        *of_law,
         measured("A_col", "1", pattern, f"columns, finer than {SMOOTH} of them"),
     ]
-    warnings = [said for one in images for said in one.warnings]
     gain = gain_noise.value if gain_noise is not None else 0.0
     if electrons_per_dn is not None:
         apart = abs(shot.value - 1.0 / scale)
-        if apart > CONTRADICTS * shot.sigma:
+        # where B is a bound, a larger conversion gain contradicts nothing
+        if apart > CONTRADICTS * shot.sigma and (known or 1.0 / scale > shot.value):
             warnings.append(
                 f"{scale:g} electrons per DN are given; the noise of the images asks for "
                 f"{conversion.value:.4g} +- {conversion.sigma:.2g}"
@@ -359,7 +377,7 @@ def detector_noise(
         shot=shot.value if electrons_per_dn is None else 1.0,
         # its noise: of electrons, their number
         dark=dark_current * (shot.value if electrons_per_dn is None else scale) / stages,
-        output=read * scale,
+        output=float(np.sqrt(max(rest.value, 0.0))) * scale,
         column_fixed=max(pattern.value, 0.0),
     )
     ceilings = [one.ceiling for one in images if one.ceiling is not None]
@@ -385,8 +403,10 @@ def detector_noise(
     )
 
 
-def _law(images: Sequence[ImageNoise], dark: DarkNoise | None) -> tuple[Estimate | None, Estimate, Estimate]:
-    """A (None: not told apart from B), B and C^2 of the sum, DN."""
+def _law(
+    images: Sequence[ImageNoise], dark: DarkNoise | None
+) -> tuple[Estimate | None, Estimate, Estimate | None]:
+    """A, B and C^2 of the sum, DN; None where A, or C^2 too, is not told apart from B."""
     parts = [one.rows for one in images]
     if dark is not None and dark.resting is not None:
         read = dark.resting
@@ -407,7 +427,7 @@ def _law(images: Sequence[ImageNoise], dark: DarkNoise | None) -> tuple[Estimate
         found = {term: fit.estimate(place) for place, term in enumerate(terms)}
         shot = found[1]
         if min(one.value for one in found.values()) >= 0.0 and shot.sigma <= KNOWN * shot.value:
-            return found.get(0), shot, found.get(2, Estimate(0.0, 0.0))
+            return found.get(0), shot, found.get(2)
     raise EstimationError(
         "the images show no noise that grows with their signal: give images of other signals, frames without "
         "light, or a brighter scene; images that were resampled or compressed have lost theirs"
@@ -466,31 +486,34 @@ def _ranges(image: ImageSource) -> list[range]:
     return [range(a, b) for a, b in pairwise(ends)]
 
 
-def _parts(image: ImageSource) -> Iterator[Array]:
-    """Part after part of an image, along its lines, NaN where a pixel is not to be used."""
-    for part in _ranges(image):
-        window = (part.start, part.stop), (0, image.shape[1])
-        values = image.read(*window).astype(np.float64)
-        unusable = image.mask(*window)
-        yield values if unusable is None else np.where(unusable, np.nan, values)
+def _chunks(image: ImageSource) -> Iterator[tuple[int, Array]]:
+    """Some lines of an image after the other, with the number of their part; NaN where not to be used."""
+    size = max(AT_ONCE // image.shape[1], 2 * BLOCK + 2 * ORDER)
+    for number, part in enumerate(_ranges(image)):
+        for first in range(part.start, part.stop, size):
+            window = (first, min(first + size, part.stop)), (0, image.shape[1])
+            values = image.read(*window).astype(np.float64)
+            unusable = image.mask(*window)
+            yield number, values if unusable is None else np.where(unusable, np.nan, values)
 
 
-def _means_and_blocks(parts: Iterable[Array], step: float) -> tuple[Array, Blocks]:
+def _means_and_blocks(chunks: Iterable[tuple[int, Array]], step: float, columns: int) -> tuple[Array, Blocks]:
     """Mean of each column in each part (parts, columns), and the squares of all lines together."""
-    means, blocks, waiting = [], [], list[Array]()
-    for values in parts:
+    total, count = np.zeros((PARTS, columns)), np.zeros((PARTS, columns))
+    blocks, waiting = [], list[Array]()
+    for part, values in chunks:
         known = np.isfinite(values)
-        count = known.sum(axis=0)
-        total = np.where(known, values, 0.0).sum(axis=0)
-        means.append(np.divide(total, count, out=np.full(values.shape[1], np.nan), where=count > 0))
+        count[part] += known.sum(axis=0)
+        total[part] += np.where(known, values, 0.0).sum(axis=0)
         waiting.append(values)
         # of too few lines no square is whole
         if sum(map(len, waiting)) >= 2 * BLOCK + 2 * ORDER:
             lines = np.concatenate(waiting)
             blocks.append(measure_blocks(lines, np.full(lines.shape, step**2 / 12.0)))
             waiting = []
+    means = np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0)
     names = [field.name for field in fields(Blocks)]
-    return np.array(means), Blocks(*(np.concatenate([getattr(b, name) for b in blocks]) for name in names))
+    return means, Blocks(*(np.concatenate([getattr(b, name) for b in blocks]) for name in names))
 
 
 @dataclass(frozen=True, eq=False)
@@ -531,7 +554,7 @@ def _values(image: ImageSource) -> _Values:
     least, most = np.full(columns, np.inf), np.full(columns, -np.inf)
     histogram: Counter[float] = Counter()
     whole = True
-    for values in _parts(image):
+    for _, values in _chunks(image):
         least = np.fmin(least, np.fmin.reduce(values))
         most = np.fmax(most, np.fmax.reduce(values))
         known = values[np.isfinite(values)]

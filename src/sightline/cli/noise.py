@@ -104,16 +104,17 @@ def estimate(
     stages: int | None = None,
 ) -> DetectorNoise:
     """The noise of the detector that `raw` are images of."""
-    from sightline.access import check_file
+    from sightline.access import check_file, remote_name
     from sightline.errors import InputError
     from sightline.io.hirise_edr import is_hirise
 
     for path in (*raw, *dark):
-        check_file(path, "give raw images of the detector")
+        if remote_name(path) is None:
+            check_file(path, "give raw images of the detector")
     for number, path in enumerate(raw):
         if path in raw[:number]:
             raise InputError(f"{path} is given twice: the same noise would count as more of it")
-    edr = [is_hirise(path) for path in raw]
+    edr = [remote_name(path) is None and is_hirise(path) for path in raw]
     if not any(edr):
         return _of_plain(raw, dark, report, dark_level, electrons_per_dn, stages or 1)
     if not all(edr):
