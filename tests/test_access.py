@@ -42,6 +42,8 @@ def spoil(what):
             np.linalg.inv(np.zeros((2, 2)))
         case "OverflowError":
             float(10**400)
+        case "UnicodeEncodeError":
+            "\udcff.tif".encode()
         case "ValueError":
             int("9" * 5000)
         case "struct.error":
@@ -61,6 +63,7 @@ def spoil(what):
 FOREIGN = {
     "RecursionError": "it is nested too deeply",
     "UnicodeDecodeError": "byte 0 is no UTF-8 text",
+    "UnicodeEncodeError": "to be renamed: its path holds bytes that are no UTF-8 text",
     "EOFError": "",
     "BadZipFile": "not a zip file",
     "LinAlgError": "Singular matrix",

@@ -578,3 +578,9 @@ def test_files_that_may_not_grow_are_one_clear_error(tmp_path):
     assert f"{tmp_path / 'scene' / 'PAN.tif'}: cannot be written" in done.stderr
     assert not names(tmp_path)
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] == resource.RLIM_INFINITY
+
+
+def test_a_folder_whose_name_is_no_text_is_refused_before_the_work(tmp_path):
+    with pytest.raises(InputError, match="is no UTF-8 text"), output_folder(tmp_path / "\udcff"):
+        pytest.fail("the work has begun")
+    assert list(tmp_path.iterdir()) == []

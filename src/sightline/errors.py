@@ -169,6 +169,8 @@ def said_by(error: BaseException) -> str:
         return "it is nested too deeply"
     if isinstance(error, MemoryError):
         return "it claims more than memory holds"
+    if isinstance(error, UnicodeEncodeError):  # of a path; the system's own calls take such bytes
+        return "to be renamed: its path holds bytes that are no UTF-8 text"
     if isinstance(error, UnicodeDecodeError):
         return f"byte {error.start} is no {error.encoding.upper()} text"
     if type(error).__module__.startswith("rasterio"):  # it says what GDAL said in the cause

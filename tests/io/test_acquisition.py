@@ -182,6 +182,18 @@ def test_a_missing_image_names_the_file(folder):
     assert f"acquisition.toml: [[band]] 2 image: {folder.path / 'XS.tif'}: no such file" in message(folder)
 
 
+def test_an_image_is_that_of_one_band(folder):
+    said = message(folder.replace("XS.tif", "./PAN.tif"))
+    assert "band[1].image and band[2].image are the same, './PAN.tif'" in said and "image_band" in said
+    with pytest.raises(FormatError, match="band 2 is asked for"):
+        load_acquisition(folder.replace('"./PAN.tif"', '"./PAN.tif"\nimage_band = 2').write())
+
+
+def test_a_level_flight_is_above_its_ground(folder):
+    said = message(folder.add("[surface]\nheight = 700e3\n"))
+    assert "surface.height = 700000 m is not below platform.altitude = 700000 m" in said
+
+
 def test_columns_that_disagree_with_the_image_are_named(folder):
     said = message(folder.replace("columns = 120", "columns = 1000"))
     assert "[[band]] number 1 (PAN): PAN.tif has 120 columns (200 lines), columns = 1000" in said

@@ -28,6 +28,16 @@ def test_an_unknown_key_without_a_near_one_lists_those_allowed(folder):
     assert "unknown key 'platform.colour'; [platform] takes: kind, altitude, ground_speed" in said
 
 
+def test_a_key_of_another_kind_names_that_kind(folder):
+    said = message(folder.replace('"level-flight"', '"spin"'))
+    assert "'platform.altitude'; it belongs to kind = \"level-flight\"; [platform] takes: kind, pos" in said
+
+
+def test_a_number_in_place_of_a_list_is_told_how_a_list_is_written(folder):
+    said = message(folder.replace("offset_sigma_px = 0.0", "offset_px = 0.0"))
+    assert "band[1].offset_px = 0.0 is not allowed: a list is, its values in brackets, as [1.0, 2.0]" in said
+
+
 def test_an_unknown_table_is_named_with_the_nearest_one(folder):
     assert "unknown key 'surfaces'; did you mean surface?" in message(
         folder.add("[surfaces]\nheight = 0.0\n")

@@ -570,6 +570,7 @@ BAD = {
     "gcp in a flat world": (top('gcp_list = "a"'), "hold map coordinates"),
     "columns of frames": (header("frames", "frame,t,file"), "column 'image' is missing"),
     "no image": (cell("frames", 2, 2, ""), "row 3 names no image"),
+    "image twice": (cell("frames", 2, 2, "./f1.npy"), "rows 2 and 3 name the same image, './f1.npy'"),
     "frame twice": (cell("frames", 2, 0, 1), "frame '1' has 2 rows"),
     "no name": (cell("frames", 2, 0, ""), "row 3 has no frame"),
     "time twice": (cell("frames", 2, 1, 0.5), "duplicate times"),

@@ -145,10 +145,10 @@ def test_every_export_read_back_is_the_same_flight(adjusted, tmp_path):
 
 def test_files_of_one_name_and_names_with_spaces_are_told_apart(tmp_path):
     made = flight(3)
-    (tmp_path / "a").mkdir()
-    made.images = {f"a/f{k}.npy": content for k, content in enumerate(made.images.values())}
-    made.frames = [[f"frame {k}", 0.5 * k, "a/f0.npy"] for k in range(3)]
+    made.images = {f"{k}/f.npy": content for k, content in enumerate(made.images.values())}
+    made.frames = [[f"frame {k}", 0.5 * k, f"{k}/f.npy"] for k in range(3)]
     for k in range(3):
+        (tmp_path / str(k)).mkdir()
         made.positions[k][0] = made.attitudes[k][0] = f"frame {k}"
     from sightline.io.sequence_exports import picture_names
 

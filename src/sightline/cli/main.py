@@ -188,7 +188,8 @@ def _say_usage(error: Any) -> None:
             print(message, file=sys.stderr)
     else:
         command = context.command_path if context else "sightline"
-        complain("error", f"{message.rstrip('.')}; see: {command} --help")
+        said = message.rstrip(".").replace(": Value error, ", ": ")
+        complain("error", f"{said}; see: {command} --help")
 
 
 def _status_of(error: Exception) -> int:

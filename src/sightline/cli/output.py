@@ -175,6 +175,10 @@ def _remove_stages(folder: Path) -> None:
 
 def _make(folder: Path) -> list[Path]:
     """Make a folder; gives those that were not there, outermost first."""
+    if any("\ud800" <= letter <= "\udfff" for letter in str(folder)):
+        raise InputError(
+            f"cannot write into the output folder: {folder} is no UTF-8 text; give another --out"
+        )
     missing = [folder, *folder.parents]
     missing = missing[: next((n for n, path in enumerate(missing) if os.path.exists(path)), len(missing))]
     if not missing and not os.path.isdir(folder):

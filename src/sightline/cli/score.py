@@ -69,8 +69,9 @@ def score_folder(result: Path, truth: Path) -> dict[str, Any]:
     kind = next((name for name in _RESULTS if (result / name).is_file()), None)
     if kind is None:
         raise FormatError(
-            f"{result}: DIR must be a folder that `recover`, `orient` or `georeference` wrote (motion.csv, "
-            "orientation.csv or poses.csv is missing)"
+            f"{result}: DIR must be a folder that `recover`, `orient` or `georeference` wrote ("
+            + ("it is a file" if result.is_file() else "motion.csv, orientation.csv or poses.csv is missing")
+            + "); the truth is named after it"
         )
     if not truth.is_file():
         form, name = _RESULTS[kind]

@@ -8,6 +8,7 @@ Not here: reading the file (``config.py``), opening what it names (``acquisition
 
 from __future__ import annotations
 
+import posixpath
 from datetime import datetime
 from typing import Annotated, Literal
 
@@ -56,6 +57,7 @@ from sightline.io.quantities import (
     UnitQuaternion,
     Within,
     WorldRate,
+    shown,
 )
 
 Estimate = Literal["estimate"]
@@ -651,4 +653,27 @@ class AcquisitionFile(InputFile):
         repeated = sorted({name for name in names if names.count(name) > 1})
         if repeated:
             raise ValueError(f"two bands are called {repeated[0]!r}; every [[band]] needs a name of its own")
+        self._every_image_is_another()
+        self._ground_is_below()
         return self
+
+    def _every_image_is_another(self) -> None:
+        """An image compared with itself matches perfectly, and says that the ground stands still."""
+        met: dict[tuple[str, int | str], int] = {}
+        table = "frame" if self.frame else "band"
+        items: list[FrameSection | BandSection] = [*self.frame, *self.band]
+        for number, item in enumerate(items, 1):
+            first = met.setdefault((posixpath.normpath(item.image), item.image_band), number)
+            if first != number:
+                raise ValueError(
+                    f"{table}[{first}].image and {table}[{number}].image are the same, {shown(item.image)}; "
+                    "name the image of each, or by image_band which band of the file it is"
+                )
+
+    def _ground_is_below(self) -> None:
+        height, flight = self.surface.height, self.platform
+        if isinstance(flight, LevelFlight) and height is not None and height >= flight.altitude:
+            raise ValueError(
+                f"surface.height = {height:g} m is not below platform.altitude = {flight.altitude:g} m, from "
+                "where the ground is seen; both are in m above the same height 0"
+            )

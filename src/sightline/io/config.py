@@ -9,9 +9,10 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, TypeVar, get_args
 
 from pydantic import BaseModel, ValidationError
@@ -204,9 +205,12 @@ def _near(word: str, allowed: Sequence[str] | dict[str, Any]) -> str:
 
 
 def _unknown_keys(
-    model: type[BaseModel], data: dict[str, Any], where: tuple[str | int, ...]
+    model: type[BaseModel],
+    data: dict[str, Any],
+    where: tuple[str | int, ...],
+    others: Mapping[str, str] = MappingProxyType({}),
 ) -> Iterator[str]:
-    """Every key of `data` that `model` does not have, in words."""
+    """Every key of `data` that `model` does not have, in words; `others` names the kind that has it."""
     fields = {field.alias or name: field for name, field in model.model_fields.items()}
     for key, value in data.items():
         if key not in fields:
@@ -215,6 +219,8 @@ def _unknown_keys(
                 yield f"unknown key {_key((*where, key))!r}; {_focal_hint(value)}"
                 continue
             hint = _near(key, list(fields)) or ";"
+            if key in others:
+                hint = f"; it belongs to {others[key]};"
             yield f"unknown key {_key((*where, key))!r}{hint} {owner} takes: {', '.join(fields)}"
             continue
         items = value if isinstance(value, list) else [value]
@@ -223,7 +229,16 @@ def _unknown_keys(
                 inner = _model_of(fields[key].annotation, item)
                 if inner is not None:
                     place = (*where, key, index) if isinstance(value, list) else (*where, key)
-                    yield from _unknown_keys(inner, item, place)
+                    yield from _unknown_keys(inner, item, place, _other_kinds(fields[key].annotation))
+
+
+def _other_kinds(annotation: Any) -> dict[str, str]:
+    """Keys of a table that comes in several kinds, with a kind that has them."""
+    models = list(dict.fromkeys(_models_in(annotation)))
+    if len(models) < 2:
+        return {}
+    kinds = {model: get_args(model.model_fields["kind"].annotation)[0] for model in models}
+    return {key: f'kind = "{kinds[model]}"' for model in models for key in model.model_fields}
 
 
 def _focal_hint(value: Any) -> str:
@@ -301,6 +316,8 @@ def _explain(error: Any) -> str:
         )
     if kind == "literal_error":
         return f"{key} = {shown(given)} is not known; allowed: {context['expected']}"
+    if kind in ("tuple_type", "list_type"):
+        return f"{key} = {shown(given)} is not allowed: a list is, its values in brackets, as [1.0, 2.0]"
     if kind == "too_long":
         return f"{key} holds more values than the {context['max_length']} that are allowed; leave some out"
     return f"{key} = {shown(given)} is not allowed: {error['msg'][0].lower()}{error['msg'][1:]}"

@@ -93,6 +93,8 @@ def separation(problem: StereoProblem) -> tuple[float, float] | None:
 def _missing(stereo: Stereo) -> list[str]:
     problem = stereo.problem
     said = []
+    if stereo.pictures is None and not len(problem.tracks):
+        said.append("matches, observations or images: without points only the bound (--predict) can be had")
     if problem.epoch is None:
         said.append("[stereo] epoch: without it no attitude message (AEM) is written")
     if problem.heights is None and problem.control is None:

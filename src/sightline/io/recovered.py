@@ -64,7 +64,8 @@ def read_recovered(folder: Path, acquisition: Acquisition) -> Recovered:
         If the result is of another acquisition, or an input was changed since.
     """
     if not (folder / "motion.csv").is_file():
-        raise FormatError(f"{folder}: DIR must be a folder that `recover` wrote (motion.csv is missing)")
+        lacking = "it is a file" if folder.is_file() else "motion.csv is missing"
+        raise FormatError(f"{folder}: --motion must be a folder that `recover` wrote ({lacking})")
     summary = read_summary(folder)
     _check_hashes(folder, summary, acquisition)
     table = read_motion(folder / "motion.csv")

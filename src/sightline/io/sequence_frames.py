@@ -20,7 +20,7 @@ from sightline.io.exif import Exif, NoExifTime, read_exif
 from sightline.io.frame_files import Probe, probe, reason_of
 from sightline.io.sequence_schema import SequenceFile
 from sightline.io.sequence_times import first_instant, read_timed
-from sightline.io.tables import check_times
+from sightline.io.tables import check_images, check_times
 from sightline.io.xmp import Xmp, read_xmp
 
 Array = NDArray[np.float64]
@@ -84,8 +84,7 @@ def _of_table(path: Path, file: SequenceFile, files: InputFolder) -> FrameList:
     t = np.asarray(table["t"], dtype=np.float64)
     check_times(path, t)
     images = [str(word) for word in table["image"]]
-    if "" in images:
-        raise FormatError(f"{path}: row {images.index('') + 1} names no image")
+    check_images(path, images)
     return FrameList(path, names, t, tuple(files.path(name) for name in images), epoch)
 
 

@@ -16,7 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import FormatError, reads
-from sightline.io.tables import check_quaternions, header_of, line_of_row, read_columns, read_long_columns
+from sightline.io.tables import (
+    check_images,
+    check_quaternions,
+    header_of,
+    line_of_row,
+    read_columns,
+    read_long_columns,
+)
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -477,7 +484,6 @@ def read_image_list(path: Path, poses: PoseTable) -> ImageTable:
             f"{path}: rows {twice[0] + 1} and {twice[1] + 1} are the same shot of the same camera; remove one"
         )
     files = tuple(str(word) for word in table["image"])
-    if "" in files:
-        raise FormatError(f"{path}: row {files.index('') + 1} names no image")
+    check_images(path, files)
     masks = tuple(str(word) or None for word in table["mask"]) if masked else (None,) * len(files)
     return ImageTable(row, files, masks)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import csv
 import io
+import posixpath
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -21,7 +22,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sightline.access import read_text
 from sightline.errors import FormatError, InputError, reads
-from sightline.io.quantities import QUATERNION_TOLERANCE
+from sightline.io.quantities import QUATERNION_TOLERANCE, shown
 from sightline.motion.differences import AngleDifferences
 from sightline.writing import whole
 
@@ -267,6 +268,20 @@ def _numbers(
             "finite numbers are expected; remove the row or supply the value"
         )
     return values
+
+
+def check_images(path: Path, images: Sequence[str]) -> None:
+    """FormatError where a row names no image, or that of another row: it would match itself perfectly."""
+    met: dict[str, int] = {}
+    for row, image in enumerate(images):
+        if not image:
+            raise FormatError(f"{path}: row {row + 1} names no image")
+        first = met.setdefault(posixpath.normpath(image), row)
+        if first != row:
+            raise FormatError(
+                f"{path}: rows {first + 1} and {row + 1} name the same image, {shown(image)}; each has "
+                "another one"
+            )
 
 
 def check_times(path: Path, t: Array, name: str = "t") -> None:

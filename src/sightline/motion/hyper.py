@@ -315,7 +315,10 @@ def fit_prior_model(
     """
     differences = angle_differences(stars, post_px, estimate)
     if not differences:
-        raise EstimationError("no row of windows is seen by any pair; check that the bands overlap")
+        raise EstimationError(
+            "no row of windows is seen by any pair; check that the bands overlap, and by more than the "
+            "[matching] window"
+        )
 
     def fitted(
         axis: int,
