@@ -195,6 +195,7 @@ _row(
 )  # fmt: skip
 function("isd.read_line_scan_model", "sensor-model", "isd.json")
 function("isd.read_line_scan_model", "sensor-model", "state.json")
+function("hirise_edr.is_hirise", "hirise", "raw.IMG")
 function("hirise_edr.read_hirise_edr", "hirise", "raw.IMG")
 function("junocam.read_metadata", "juno", "JNCE_30.json")
 function("junocam.read_framelets", "juno", "JNCE_30.png")
