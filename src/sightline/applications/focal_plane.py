@@ -26,9 +26,16 @@ from sightline.motion.layout_information import (
     checked_passband,
     common_lags,
     information,
+    listed_up_to,
     worst_case,
 )
-from sightline.motion.layout_search import Candidates, Found, choices, polished, search_layouts
+from sightline.motion.layout_search import (
+    Candidates,
+    Found,
+    choices,
+    polished,
+    search_layouts,
+)
 from sightline.motion.layout_sigma import harmonic_sigma, least_sigma, smoother_sigma
 
 Array = NDArray[np.float64]
@@ -47,6 +54,10 @@ SAME = 0.25
 LISTED_SPANS = 6
 #: Epochs of the smoother's grid per period of the upper end, and the work (n b^2) up to which it is asked.
 EPOCHS_PER_PERIOD, SMOOTHER_WORK = 10.0, 2.0e9
+#: The same of a node and of a row of a pair, which take 3 kB and 100 bytes: 2 GB at most.
+_NODE_WORK, _ROW_WORK = 3000.0, 100.0
+#: Periods of the band's width that a layout to be judged may span: stereo cameras look a minute apart.
+MOST_PERIODS = 100_000
 #: A motion to judge by where none is given: px, s, and a corner at the band's upper end.
 DRIFT, BROADBAND = Matern(2.0, 1.0, "5/2"), 0.1
 #: Names of the layouts that stand out.
@@ -356,6 +367,13 @@ def _checked_band(plane: FocalPlane, passband: Sequence[float]) -> tuple[float, 
             f"the focal plane is {span * high:.0f} periods of {high:g} Hz long, the search holds "
             f"{MOST_PLACES / LEAST_STEPS:.0f} at most; lower the band, shorten the span or give step_px"
         )
+    for own in plane.layouts:
+        periods = float(np.ptp(own.positions)) * (high - low)
+        if periods > MOST_PERIODS:
+            raise InputError(
+                f"[[layout]] {own.name!r} spans {np.ptp(own.positions):.4g} s, {periods:.3g} periods of the "
+                f"band's width; {MOST_PERIODS:,} are allowed: are its positions, and ground_rate_px, right?"
+            )
     if high > 0.5 * plane.row_rate:
         raise InputError(
             f"the pass-band ends at {high:g} Hz, but rows of matches every {1e3 / plane.row_rate:g} ms "
@@ -399,6 +417,7 @@ class _Judge:
         self.plane, self.passband, self.prior, self.duration = plane, passband, prior, duration
         self.highest = min(2.0 * passband[1], 0.5 * plane.row_rate)
         self.endless: dict[str, list[str]] = {}
+        self.cut: list[str] = []
 
     @property
     def warnings(self) -> list[str]:
@@ -406,7 +425,7 @@ class _Judge:
         return [
             f"sigma leaves out the ends, a strip of {self.duration:g} s being too {why}: {', '.join(names)}"
             for why, names in self.endless.items()
-        ]
+        ] + self.cut
 
     def __call__(
         self, name: str, source: str, positions: Array, order: Sequence[int] | None = None
@@ -417,6 +436,12 @@ class _Judge:
         noise = replace(noise, sigma_px=tuple(noise.sigma_px[k] for k in along))
         worst, at = worst_case(positions, self.passband, noise)
         harmonic = harmonic_sigma(positions, noise, self.prior, self.duration)
+        listed = listed_up_to(positions, self.highest)
+        if listed < self.highest:
+            self.cut.append(
+                f"blind frequencies of {name or 'a layout'} are listed up to {listed:.4g} Hz: beyond, its lags "
+                "hold too many periods to be read"
+            )
         return JudgedLayout(
             name=name,
             source=source,
@@ -429,8 +454,8 @@ class _Judge:
             sigma_px=self._smoothed(name, positions, noise, harmonic),
             harmonic_sigma_px=harmonic,
             band_sigma_px=harmonic_sigma(positions, noise, self.prior, self.duration, passband=self.passband),
-            blind=blind_frequencies_of(positions, self.highest),
-            common=common_lags(positions, self.highest),
+            blind=blind_frequencies_of(positions, listed),
+            common=common_lags(positions, listed),
         )
 
     def _smoothed(self, name: str, positions: Array, noise: RowNoise, harmonic: float) -> float:
@@ -438,7 +463,9 @@ class _Judge:
         wanted, span = 1.0 / (EPOCHS_PER_PERIOD * self.passband[1]), float(np.ptp(positions))
         whole = noise.period / wanted  # nodes between rows, or rows between nodes
         step = noise.period / math.ceil(whole) if whole > 1.0 else noise.period * math.floor(1.0 / whole)
-        if self.duration <= 2.0 * span or self.duration / step * (span / step) ** 2 > SMOOTHER_WORK:
+        nodes, rows = self.duration / step, (self.duration + span) / noise.period
+        work = max(nodes * (span / step) ** 2, _NODE_WORK * nodes, _ROW_WORK * rows * len(positions) ** 2)
+        if self.duration <= 2.0 * span or work > SMOOTHER_WORK:
             why = "short for their span" if self.duration <= 2.0 * span else "long for the smoother"
             self.endless.setdefault(why, []).append(name or f"{1e3 * span:.4g} ms of span")
             return harmonic

@@ -30,6 +30,11 @@ Array = NDArray[np.float64]
 PER_PERIOD = 40
 #: A frequency is called blind where J is below this share of its mean over all frequencies.
 BLIND_SHARE = 0.05
+#: Hz; of pass-bands.
+LOWEST, HIGHEST = 1e-9, 1e8
+#: Whole periods in all lags together up to which blind frequencies and common lags are listed: a focal plane
+#: half a second long has 10,000 up to a kilohertz, and nobody reads more.
+MOST_PERIODS = 20_000
 #: A lag counts as whole periods of a frequency where it is no further from them than this part of one: there
 #: its pair has a tenth of its largest information at most.
 NEAR = 0.05
@@ -140,6 +145,20 @@ class BlindFrequency:
     share: float
 
 
+def listed_up_to(positions: ArrayLike, upper: float, most: int = MOST_PERIODS) -> float:
+    """Hz, at most `upper`, up to which blind frequencies and common lags of a layout can be listed.
+
+    Examples
+    --------
+    >>> listed_up_to([0.0, 0.01, 0.03], 150.0), listed_up_to([0.0, 170.0], 1000.0)
+    (150.0, 117.6470588235294)
+    """
+    t = np.sort(np.asarray(positions, dtype=np.float64))
+    # each place is the end of as many lags as stand before it, the beginning of as many as follow
+    together = float(t @ (2.0 * np.arange(len(t)) - len(t) + 1.0))
+    return min(upper, most / max(together, 1e-300))
+
+
 def blind_frequencies_of(positions: ArrayLike, upper: float) -> tuple[BlindFrequency, ...]:
     """Frequencies up to `upper` (Hz), the constant apart, at which all pairs of equal images go blind.
 
@@ -205,15 +224,16 @@ def common_lags(positions: ArrayLike, upper: float) -> tuple[CommonLags, ...]:
             if found is not None and found.frequency <= upper * (1.0 + 1e-9):
                 groups.append(found)
     groups.sort(key=lambda group: (-len(group.pairs), group.mismatch))
+    number, near = {pair: k for k, pair in enumerate(pairs)}, NEAR / float(lags.min())
     kept: list[CommonLags] = []
+    frequency, held = np.empty(len(groups)), np.zeros((len(groups), len(pairs)), dtype=bool)
     for group in groups:
-        near = NEAR / float(lags.min())
-        covered = any(
-            abs(group.frequency - other.frequency) < near and set(group.pairs) <= set(other.pairs)
-            for other in kept
-        )
-        if not covered:
-            kept.append(group)
+        alike = np.flatnonzero(np.abs(frequency[: len(kept)] - group.frequency) < near)
+        if held[np.ix_(alike, [number[pair] for pair in group.pairs])].all(axis=1).any():
+            continue
+        frequency[len(kept)] = group.frequency
+        held[len(kept), [number[pair] for pair in group.pairs]] = True
+        kept.append(group)
     return tuple(sorted(kept, key=lambda group: group.frequency))
 
 
@@ -241,6 +261,11 @@ def checked_passband(passband: Sequence[float]) -> tuple[float, float]:
         raise InputError(
             f"`passband` must rise from a positive frequency, got {low:g} to {high:g} Hz; a constant is "
             "never seen, and the lower end comes first"
+        )
+    if low < LOWEST or high > HIGHEST:
+        raise InputError(
+            f"`passband` is {low:g} to {high:g} Hz; {LOWEST:g} (a swing in thirty years) to {HIGHEST:g} Hz "
+            "are allowed"
         )
     return low, high
 

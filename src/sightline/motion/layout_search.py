@@ -12,9 +12,8 @@ Not here: what information is (``layout_information.py``).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import permutations
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,10 +28,14 @@ Index = NDArray[np.int64]
 
 #: Choices up to which all are gone through (some seconds).
 EXHAUSTIVE = 1_000_000_000
+#: Orders of unlike images up to which each is gone through by itself.
+MOST_ORDERS = 10_000
 #: Frequencies per 1 / span in the search; the layouts found are judged more finely afterwards.
 PER_PERIOD = 24
 #: Most phasors (places x frequencies) held, and the frequencies per 1 / span that they must still allow.
 MOST_CELLS, LEAST_PER_PERIOD = 16_000_000, 6
+#: Most places that still leave a frequency or sixteen.
+MOST_PLACES = MOST_CELLS // 16
 #: Good layouts kept for ranking.
 KEPT = 4000
 #: Starts of the search that is not exhaustive, and how many of their results are improved by pairs.
@@ -63,7 +66,12 @@ class Candidates:
 
     @classmethod
     def even_grid(cls, span: float, step: float, min_spacing: float) -> Candidates:
-        """Multiples of `step` (s) from 0 to `span`."""
+        """Multiples of `step` (s) from 0 to `span`; InputError where they are too many to search."""
+        if span / step > MOST_PLACES:
+            raise InputError(
+                f"multiples of {step:.6g} s over {span:.6g} s are {span / step:.3g} places; the search holds "
+                f"{MOST_PLACES} at most: give a longer step_px or a shorter span"
+            )
         count = math.floor(span / step * (1.0 + 1e-9)) + 1
         return cls(step * np.arange(count, dtype=np.float64), min_spacing, True)
 
@@ -136,7 +144,7 @@ def search_layouts(
     n = len(noise.sigma_px)
     check_room(candidates, n)
     if exhaustive is None:
-        exhaustive = choices(candidates, noise) <= EXHAUSTIVE
+        exhaustive = choices(candidates, noise) <= EXHAUSTIVE and _orders(noise.sigma_px) <= MOST_ORDERS
     tables = _Tables.of(candidates, noise, passband)
     if exhaustive:
         orders = distinct_orders(noise.sigma_px, mirrored=candidates.even)
@@ -144,25 +152,55 @@ def search_layouts(
     return _joined([_improve(tables, candidates, noise, seed)], False)
 
 
+def expected_trials(candidates: Candidates, noise: RowNoise) -> float:
+    """How many layouts a search judges, about: all, or what improving them from many starts comes to.
+
+    By starts that move a detector some three times, and pairs of detectors that move once or twice.
+    """
+    if choices(candidates, noise) <= EXHAUSTIVE and _orders(noise.sigma_px) <= MOST_ORDERS:
+        return choices(candidates, noise)
+    places, n = len(candidates.t), len(noise.sigma_px)
+    work = 0.5 * places**2 * 0.5 * n * (n - 1)
+    pairs = float(np.clip(PAIR_WORK / work, 1, IMPROVED)) * work
+    return 3.0 * n * places * (STARTS + SPANS * SPAN_STARTS) + 1.5 * pairs
+
+
 def choices(candidates: Candidates, noise: RowNoise) -> float:
     """How many layouts there are, orders of unlike images included, mirrored ones once, of any spacing."""
     places, n = len(candidates.t), len(noise.sigma_px)
-    alike = [noise.sigma_px.count(sigma) for sigma in set(noise.sigma_px)]
-    orders = math.factorial(n) / math.prod(math.factorial(count) for count in alike)
-    if candidates.even:
-        return math.comb(places - 1, n - 1) * orders / (2.0 if n > 2 else 1.0)
-    return math.comb(places, n) * orders
+    ways = math.comb(places - 1, n - 1) if candidates.even else math.comb(places, n)
+    try:
+        return ways * _orders(noise.sigma_px) / (2.0 if candidates.even and n > 2 else 1.0)
+    except OverflowError:  # 64 of 100,000 places are more than a float counts
+        return math.inf
+
+
+def _orders(sigma: Sequence[float]) -> int:
+    """In how many orders images that are alike or not can stand."""
+    return math.factorial(len(sigma)) // math.prod(math.factorial(sigma.count(s)) for s in set(sigma))
 
 
 def distinct_orders(sigma: Sequence[float], *, mirrored: bool) -> Index:
     """Orders of images along the track that differ in their noise, (M, n); one of two mirrored ones."""
     kinds = {value: k for k, value in enumerate(dict.fromkeys(sigma))}
     seen: dict[tuple[int, ...], tuple[int, ...]] = {}
-    for order in permutations(range(len(sigma))) if len(kinds) > 1 else [tuple(range(len(sigma)))]:
+    for order in _arranged(list(range(len(sigma))), sigma):
         key = tuple(kinds[sigma[k]] for k in order)
-        if key not in seen and not (mirrored and key[::-1] in seen):
+        if not (mirrored and key[::-1] in seen):
             seen[key] = order
     return np.array(list(seen.values()), dtype=np.int64)
+
+
+def _arranged(images: list[int], sigma: Sequence[float]) -> Iterator[tuple[int, ...]]:
+    """Every order of images that differs in their noise, once: those alike stay in the order of their numbers."""
+    if not images:
+        yield ()
+    tried = set()
+    for k, image in enumerate(images):
+        if sigma[image] not in tried:
+            tried.add(sigma[image])
+            for rest in _arranged(images[:k] + images[k + 1 :], sigma):
+                yield (image, *rest)
 
 
 def polished(
