@@ -15,6 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.applications.expected_cost import layout_cost
 from sightline.errors import InputError, computes
 from sightline.estimation.prior import Matern, Spectrum
 from sightline.execution import one_blas_thread
@@ -337,6 +338,7 @@ def choose_layout(
     if count < 1:
         raise InputError(f"`count` must be 1 or more, got {count}")
     prior, duration, warnings = _believed(focal_plane, low, high)
+    layout_cost(focal_plane, (low, high)).check()
     candidates, noise = focal_plane.candidates(high), focal_plane.noise
     progress(f"seeking among {choices(candidates, noise):.3g} layouts")
     found = search_layouts(candidates, noise, (low, high), exhaustive=exhaustive)
@@ -439,8 +441,8 @@ class _Judge:
         listed = listed_up_to(positions, self.highest)
         if listed < self.highest:
             self.cut.append(
-                f"blind frequencies of {name or 'a layout'} are listed up to {listed:.4g} Hz: beyond, its lags "
-                "hold too many periods to be read"
+                f"blind frequencies of {name or 'a layout'} are listed up to {listed:.4g} Hz: beyond, its "
+                "lags hold too many periods to be read"
             )
         return JudgedLayout(
             name=name,

@@ -128,6 +128,23 @@ def recover_line_of_sight(
     """
     options = options or RecoverOptions()
     tell = progress or (lambda text: None)
+    strip = ready_strip(bands, surface, sensors, control_points, known, options)
+    strip, state, result = joint_line_of_sight(strip, options, height_sigma, tell)
+    if options.method == "joint":
+        return result
+    tell(f"from the angular differences to the motion: {options.method}")
+    return by_method(strip, state, result, options.method)
+
+
+def ready_strip(
+    bands: Sequence[Band],
+    surface: Surface,
+    sensors: Sequence[AttitudeSensor],
+    control_points: ControlPoints | None,
+    known: KnownContent | None,
+    options: RecoverOptions,
+) -> Strip:
+    """What `recover_line_of_sight` begins with; its errors, as far as files and geometry tell them."""
     strip = replace(
         prepared(bands, surface, options),
         sensors=tuple(sensors),
@@ -136,11 +153,7 @@ def recover_line_of_sight(
     )
     strip = checked(strip, options)
     check_method(options.method, strip)
-    strip, state, result = joint_line_of_sight(strip, options, height_sigma, tell)
-    if options.method == "joint":
-        return result
-    tell(f"from the angular differences to the motion: {options.method}")
-    return by_method(strip, state, result, options.method)
+    return strip
 
 
 def joint_line_of_sight(

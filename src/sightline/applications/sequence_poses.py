@@ -50,6 +50,7 @@ from sightline.photogrammetry.reconstruct import (
     Reconstruction,
     RefinedModel,
     check_modelling,
+    check_positions,
     filter_pairs,
     looking_down,
     reconstruct,
@@ -115,6 +116,32 @@ class SequencePoses:
     problem: SequenceProblem | None = None
 
 
+def check_flight(problem: SequenceProblem, *, photogrammetry: bool | None = None) -> None:
+    """What `georeference_sequence` refuses before an image is looked at.
+
+    Parameters
+    ----------
+    problem : SequenceProblem
+    photogrammetry : bool, optional
+        Of the same name there.
+
+    Raises
+    ------
+    InputError
+        Fewer than two frames can be used; neither attitudes nor three positions are told.
+    """
+    usable = int(problem.usable.sum())
+    if not usable:
+        raise InputError("no frame of the sequence can be used; see why each was excluded")
+    if usable == 1:
+        raise InputError(
+            f"1 of {len(problem)} frames can be used: poses are told by what frames share; give two or more "
+            "that overlap"
+        )
+    if photogrammetry or (photogrammetry is None and not np.isfinite(problem.known.attitude).any()):
+        check_positions(problem.known.along_world())
+
+
 @one_blas_thread
 @computes("poses of the frames")
 def georeference_sequence(
@@ -155,6 +182,7 @@ def georeference_sequence(
         If no two frames are alike.
     """
     run = _Run(progress or silent, stages or Stages())
+    check_flight(problem, photogrammetry=photogrammetry)
     if photogrammetry is None:
         photogrammetry = not np.isfinite(problem.known.attitude).any()
     if photogrammetry:
@@ -326,14 +354,6 @@ def follow_sequence(
     if problem.mosaic_nm is not None:
         plan = replace(plan, reduction=problem.filter_period)
     sources = [s if not why else None for s, why in zip(problem.sources, problem.excluded, strict=True)]
-    usable = sum(source is not None for source in sources)
-    if not usable:
-        raise InputError("no frame of the sequence can be used; see why each was excluded")
-    if usable == 1:
-        raise InputError(
-            f"1 of {len(sources)} frames can be used: poses are told by what frames share; give two or more "
-            "that overlap"
-        )
 
     def report(done: int) -> None:
         if progress is not None:

@@ -37,7 +37,7 @@ from sightline.motion.spin_frames import (
     solve_spin,
     spin_statics,
 )
-from sightline.motion.spin_matches import SpinPlan, match_strips, strip_pairs
+from sightline.motion.spin_matches import SpinPlan, StripPair, match_strips, strip_pairs
 from sightline.motion.spin_report import SpinFindings, findings
 from sightline.motion.stars import StarRecord
 
@@ -152,12 +152,7 @@ def recover_spin_attitude(
     options = options or SpinOptions()
     tied = attitude_sigma or AttitudeSigma(0.1, 0.1)
     unknowns = _prepare(frames, surface, spin, lens or LensKnowledge(), chip, tied, parallax_sigma)
-    pairs = strip_pairs(unknowns.frames)
-    if not pairs:
-        raise EstimationError(
-            "no strip sees again what another has seen: the spin carries the ground out of view within one "
-            "exposure; check rate, axis and the places of the strips"
-        )
+    pairs = seen_again(unknowns.frames)
     tell("first pass: wide search")
     plan = SpinPlan(options.window, options.first_search_px)
     cameras = [frame.camera for frame in frames]
@@ -176,6 +171,17 @@ def recover_spin_attitude(
         if changes[-1] < options.tolerance:
             break
     return _result(stars, estimate, surface, changes)
+
+
+def seen_again(frames: Sequence[Frame]) -> list[StripPair]:
+    """Strips that see the same ground exposures apart; EstimationError where there are none."""
+    pairs = strip_pairs(frames)
+    if not pairs:
+        raise EstimationError(
+            "no strip sees again what another has seen: the spin carries the ground out of view within one "
+            "exposure; check rate, axis and the places of the strips"
+        )
+    return pairs
 
 
 def _prepare(

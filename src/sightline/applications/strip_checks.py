@@ -10,12 +10,18 @@ from dataclasses import replace
 import numpy as np
 
 from sightline.applications.strip import RecoverOptions, Strip
-from sightline.errors import InputError
+from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import TabulatedPsd
 from sightline.motion.hyper import KnownContent
+from sightline.motion.stars import hub_windows
+from sightline.motion.windows import WindowGrid, predict_windows
 
 #: Tones nearer than this share of the lowest frequency that a strip holds are one.
 SAME_TONE = 0.1
+#: Windows of the first pass that must find their ground in another image.
+FEWEST_WINDOWS = 20
+#: Rows of windows that are asked where they lie: evenly spread, of however long a strip.
+ROWS_ASKED = 200
 #: rad; angles of the motion are small: control points further from where the cameras see them are mistakes.
 FARTHEST = 0.1
 
@@ -28,8 +34,11 @@ def checked(strip: Strip, options: RecoverOptions) -> Strip:
     InputError
         Names the key, its value and what is allowed: tones or a spectrum that these lines cannot hold,
         windows that do not fit in the images, listed features that lie outside, control points out of place.
+    EstimationError
+        If too few windows see the same ground in two images, or none has a neighbour in its row.
     """
     _check_windows(strip, options)
+    _check_common_ground(strip, options)
     _check_features(strip, options)
     _check_control(strip)
     return replace(strip, known=known_content(strip))
@@ -76,6 +85,40 @@ def _check_windows(strip: Strip, options: RecoverOptions) -> None:
             )
     if options.step > shape[0]:
         raise InputError(f"`step` of [matching] is {options.step}; {size}: at most {shape[0]} is allowed")
+
+
+def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
+    """Windows of the first pass lie on ground that another image sees too: enough, and two side by side."""
+    plan = strip.plan(options, options.first_window, 2 * options.first_window[0])
+    shapes = [(band.image.shape[0], band.image.shape[1]) for band in strip.bands]
+    hubs = hub_windows(strip.nominal, strip.surface, shapes, strip.order, plan, strip.views)
+    common, side_by_side = 0.0, 0
+    for hub, partners, grid in hubs:
+        asked = grid.lines[np.linspace(0, len(grid.lines) - 1, min(len(grid.lines), ROWS_ASKED)).astype(int)]
+        some = WindowGrid(grid.window, asked, grid.columns)
+        seen = np.zeros(len(some.centres), dtype=bool)
+        for image, found in zip(
+            partners, predict_windows(strip.nominal, hub, partners, strip.surface, some), strict=True
+        ):
+            with np.errstate(invalid="ignore"):
+                seen |= ((found.b >= 0.0) & (found.b <= np.array(shapes[image]) - 1.0)).all(axis=1)
+        common += float(seen.sum()) * len(grid.lines) / len(asked)
+        side_by_side = max(side_by_side, int(seen.reshape(some.shape).sum(axis=1).max(initial=0)))
+    if common < FEWEST_WINDOWS:
+        height, width = options.first_window
+        raise EstimationError(
+            f"the images have too little ground in common: {common:.0f} windows of {height} x "
+            f"{min(width, shapes[0][1])} px, {FEWEST_WINDOWS} are needed; give longer images (more lines "
+            "than the longest lag), or smaller windows: [matching] first_window"
+        )
+    if side_by_side < 2:
+        name, columns = min(((b.name, b.image.shape[1]) for b in strip.bands), key=lambda entry: entry[1])
+        (height, width), half = options.first_window, max(columns // 2, 3)
+        raise EstimationError(
+            f"{name} has {columns} columns, and no row holds two windows of {width} columns side by side, "
+            f"which yaw is told by: {2 * width} columns in common are needed, or narrower windows: "
+            f"[matching] first_window = [{height}, {half}], window = [{options.window[0]}, {half}]"
+        )
 
 
 def _check_features(strip: Strip, options: RecoverOptions) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -19,10 +19,28 @@ def check(
     allow_network: AllowNetwork = False,
 ) -> None:
     """Say what was understood of a file, what is missing, and what will be observable; run nothing."""
-    from sightline.cli.terminal import print_json, say
+    from sightline.cli.terminal import complain, print_json, say
     from sightline.errors import failing_numbers
-    from sightline.io.acquisition import load_acquisition
+
+    with failing_numbers(f"{file}"):
+        description = describe(file)
+    if as_json:
+        print_json(description)
+        return
+    for warning in description["warnings"]:
+        complain("warning", warning)
+    for title in ("understood", "missing", "observable"):
+        say(f"{title}:")
+        for line in description[title] or ["nothing"]:
+            say(f"  {line}")
+
+
+def describe(file: Path) -> dict[str, Any]:
+    """A file in words, with what its run will take; refused for what the run would refuse it for."""
+    from sightline.applications.expected_cost import layout_cost, orientation_cost, prediction_cost, tdi_cost
+    from sightline.io.acquisition import load_acquisition, ready_to_recover
     from sightline.io.config import kind_of
+    from sightline.io.cube_summary import ready_to_georeference
     from sightline.io.describe import describe_acquisition
     from sightline.io.describe_sequence import describe_sequence
     from sightline.io.describe_stereo import describe_stereo
@@ -32,26 +50,29 @@ def check(
     from sightline.io.stereo_plan import describe_plan, has_plan, read_plan
     from sightline.io.tdi import describe_tdi, load_tdi
 
-    with failing_numbers(f"{file}"):
-        match kind_of(file):
-            case "instrument":
-                description = describe_instrument(load_instrument(file))
-            case "sequence":
-                description = describe_sequence(read_sequence(file))
-            case "stereo":
-                description = (
-                    describe_plan(read_plan(file))
-                    if has_plan(file)
-                    else describe_stereo(read_stereo(file, planned=True))
-                )
-            case "tdi":
-                description = describe_tdi(load_tdi(file))
-            case _:
-                description = describe_acquisition(load_acquisition(file))
-    if as_json:
-        print_json(description)
-        return
-    for title in ("understood", "missing", "observable"):
-        say(f"{title}:")
-        for line in description[title] or ["nothing"]:
-            say(f"  {line}")
+    match kind_of(file):
+        case "instrument":
+            plane = load_instrument(file)
+            description, cost = describe_instrument(plane), layout_cost(plane)
+        case "sequence":
+            sequence = read_sequence(file)
+            cost = ready_to_georeference(sequence)
+            description = describe_sequence(sequence)
+        case "stereo" if has_plan(file):
+            planned = read_plan(file)
+            plan = planned.plan
+            description = describe_plan(planned)
+            cost = prediction_cost(plan.pair.cameras, plan.shots, plan.points)
+        case "stereo":
+            stereo = read_stereo(file, planned=True)
+            description, cost = describe_stereo(stereo), orientation_cost(stereo.problem)
+        case "tdi":
+            problem = load_tdi(file)
+            description, cost = describe_tdi(problem), tdi_cost(problem)
+        case _:
+            acquired = load_acquisition(file)
+            cost = ready_to_recover(acquired)
+            description = describe_acquisition(acquired)
+    description["understood"].append(f"the run will take {cost.words}")
+    expected = {"seconds": cost.seconds, "bytes": cost.bytes, "of": cost.of}
+    return {**description, "expected": expected, "warnings": list(cost.warnings)}

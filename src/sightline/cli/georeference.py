@@ -72,8 +72,8 @@ def georeference(
     from sightline.applications.sequence_poses import georeference_sequence
     from sightline.applications.stages import Stages
     from sightline.cli.output import output_folder, stages_folder
-    from sightline.cli.terminal import complain, print_json, progress, say
-    from sightline.io.cube_summary import check_cube, earlier_cube
+    from sightline.cli.terminal import announce, complain, print_json, progress, say
+    from sightline.io.cube_summary import check_cube, earlier_cube, ready_to_georeference
     from sightline.io.sequence import read_sequence
 
     begun = time.perf_counter()
@@ -84,6 +84,7 @@ def georeference(
         stages = Stages(stages_folder(out), lambda text: complain("warning", text))
         report(f"reading {file}")
         sequence = read_sequence(file)
+        announce(ready_to_georeference(sequence, maps=not poses_only))
         if not poses_only:
             check_cube(sequence)  # maps that cannot be made are refused before hours of work, not after
         found = georeference_sequence(sequence.problem, stride=stride, progress=report, stages=stages)

@@ -29,7 +29,8 @@ def layout(
         ),
     ] = None,
     count: Annotated[
-        int, typer.Option("--count", min=1, help="Best layouts listed, besides those that stand out.")
+        int,
+        typer.Option("--count", min=1, max=1000, help="Best layouts listed, besides those that stand out."),
     ] = 10,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -39,16 +40,19 @@ def layout(
     import time
     from contextlib import nullcontext
 
+    from sightline.applications.expected_cost import layout_cost
     from sightline.applications.focal_plane import choose_layout
     from sightline.cli.output import output_folder
-    from sightline.cli.terminal import complain, print_json, progress
+    from sightline.cli.terminal import announce, complain, print_json, progress
     from sightline.io.instrument import load_instrument
     from sightline.io.layouts import summarize_layouts
+    from sightline.motion.layout_information import checked_passband
 
     begin = time.perf_counter()
     place = nullcontext() if out is None else output_folder(out, overwrite=overwrite)
     with place as folder, progress() as report:
         plane = load_instrument(instrument)
+        announce(layout_cost(plane, checked_passband(passband)))
         choice = choose_layout(plane, passband, count=count, progress=report)
         if folder is None:
             summary = summarize_layouts(choice, instrument, wall_seconds=time.perf_counter() - begin)

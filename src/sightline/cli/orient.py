@@ -113,8 +113,10 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
     """The orientation of a STEREO.toml."""
     import time
 
+    from sightline.applications.expected_cost import orientation_cost
     from sightline.applications.stereo_orientation import orient as solve
     from sightline.applications.stereo_orientation import orient_pushbroom
+    from sightline.cli.terminal import announce
     from sightline.errors import InputError
     from sightline.io.stereo import read_stereo
     from sightline.io.stereo_strips import StripProblem
@@ -124,6 +126,7 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
     begun = time.perf_counter()
     report(f"reading {file}")
     stereo = read_stereo(file)
+    announce(orientation_cost(stereo.problem))
     if stereo.pictures is not None:
         report(f"finding points in {len(stereo.pictures.sources)} pictures")
         stereo = with_points_found(stereo)
@@ -196,7 +199,9 @@ def foretell(file: Path, method: Method, folder: Path, report: Progress) -> dict
     """The bound of a STEREO.toml, in files; gives the summary."""
     import time
 
+    from sightline.applications.expected_cost import prediction_cost
     from sightline.applications.stereo_prediction import predict, predict_plan
+    from sightline.cli.terminal import announce
     from sightline.errors import InputError
     from sightline.io.stereo import read_stereo
     from sightline.io.stereo_plan import has_plan, read_plan
@@ -209,6 +214,8 @@ def foretell(file: Path, method: Method, folder: Path, report: Progress) -> dict
     problem: Stereo | PlannedPass
     if has_plan(file):
         problem = read_plan(file)
+        plan = problem.plan
+        announce(prediction_cost(plan.pair.cameras, plan.shots, plan.points))
         predicted = predict_plan(problem.plan, method.value)
     else:
         problem = read_stereo(file, planned=True)

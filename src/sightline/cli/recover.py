@@ -71,13 +71,15 @@ def recover_into(
     """Recover the strip of `acquisition`, write every file of the result into `folder`, give the summary."""
     import time
 
-    from sightline.io.acquisition import load_acquisition
+    from sightline.cli.terminal import announce
+    from sightline.io.acquisition import load_acquisition, ready_to_recover
     from sightline.io.results import write_result
     from sightline.report.page import write_report
 
     begin = time.perf_counter()
     report("reading the acquisition")
     acquired = load_acquisition(acquisition)
+    announce(ready_to_recover(acquired, method))
     result = recover_acquisition(acquired, report, method=method)
     report("writing the result and its report")
     summary = write_result(folder, result, acquired, wall_seconds=time.perf_counter() - begin)

@@ -99,8 +99,10 @@ def judge(
     import time
     from dataclasses import replace
 
+    from sightline.applications.expected_cost import tdi_cost
     from sightline.applications.tdi_choice import choose_tdi
     from sightline.applications.tdi_lines import SignalLines, check_columns
+    from sightline.cli.terminal import announce
     from sightline.errors import InputError
     from sightline.evaluation.tdi_pictures import strip_pictures
     from sightline.io.tdi import load_tdi, tdi_inputs
@@ -111,6 +113,7 @@ def judge(
     problem = load_tdi(file, motion)
     if image is not None:
         check_columns(image, problem.columns)
+    announce(tdi_cost(problem))
     report(f"choosing among {len(problem.grid)} settings")
     result = choose_tdi(problem)
     target = None

@@ -12,9 +12,12 @@ import time
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from sightline.errors import UnobservableBandWarning, printable, shortened
+
+if TYPE_CHECKING:
+    from sightline.applications.expected_cost import Cost
 
 
 class Progress(Protocol):
@@ -171,6 +174,12 @@ def print_json(summary: Mapping[str, Any]) -> None:
 def say(text: str) -> None:
     """Print one line of the summary meant for people, on stdout."""
     print(_line(text))
+
+
+def announce(cost: Cost) -> None:
+    """Warn of a run of an hour, or of half of the memory, before it is begun."""
+    for words in cost.warnings:
+        complain("warning", words)
 
 
 def complain(kind: str, message: str) -> None:

@@ -15,7 +15,12 @@ from typing import Any
 
 import numpy as np
 
-from sightline.errors import FormatError
+from sightline.applications.expected_cost import Cost, frames_cost, strip_cost
+from sightline.applications.frame_passes import FrameOptions
+from sightline.applications.line_of_sight import ready_strip
+from sightline.applications.spin_attitude import SpinOptions, seen_again
+from sightline.applications.strip import RecoverOptions
+from sightline.errors import EstimationError, FormatError, InputError
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.io import tables
@@ -38,7 +43,7 @@ from sightline.matching.select import Selection
 from sightline.motion.hyper import KnownContent
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
 
-__all__ = ["Acquisition", "load_acquisition", "read_acquisition"]
+__all__ = ["Acquisition", "load_acquisition", "read_acquisition", "ready_to_recover"]
 
 
 def read_acquisition(path: Path) -> AcquisitionFile:
@@ -115,6 +120,44 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         parallax_sigma=config.surface.parallax_sigma,
         inputs=tuple(files.used),
     )
+
+
+def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:
+    """What ``recover`` refuses before it matches anything, and what it will take.
+
+    Parameters
+    ----------
+    acquired : Acquisition
+    method : str
+        One of ``RecoverOptions.method``.
+
+    Raises
+    ------
+    InputError, EstimationError
+        As the recovery itself, with the file named.
+    """
+    frames, given = acquired.frames, acquired.matching
+    try:
+        if frames and acquired.spin is not None:
+            spun = SpinOptions.from_matching(given)
+            lags = max((pair.lag for pair in seen_again(frames)), default=1)
+            lines, columns = frames[0].image.shape
+            cost = frames_cost(frames, lines * columns / float(np.prod(spun.window)), lags)
+        elif frames:
+            plan = FrameOptions.from_matching(given)
+            lines, columns = frames[0].image.shape
+            windows = plan.windows if plan.step is None else lines * columns / float(plan.step) ** 2
+            cost = frames_cost(frames, windows, len(plan.lags))
+        else:
+            options = RecoverOptions(**given, method=method)
+            cost = strip_cost(acquired.bands, options)
+            cost.check()
+            known, sensors, control = acquired.known_motion, acquired.sensors, acquired.control_points
+            ready_strip(acquired.bands, acquired.surface, sensors, control, known, options)
+        cost.check()
+    except (InputError, EstimationError) as error:
+        raise type(error)(f"{acquired.path}: {error}") from None
+    return cost
 
 
 def read_sensor(entry: SensorSection, files: InputFolder) -> AttitudeSensor:

@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from sightline.applications.cube_outlook import expected_cube
+from sightline.applications.expected_cost import Cost, flight_cost, maps_cost
 from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube, choose_bands
-from sightline.applications.sequence_poses import SequencePoses
+from sightline.applications.sequence_poses import SequencePoses, check_flight
 from sightline.errors import InputError
 from sightline.io.cube_files import ZARR, CubeFolder, check_formats, crs_wkt, is_zarr_file
 from sightline.io.sequence import FrameSequence
@@ -25,6 +27,43 @@ def cube_plan(section: CubeSection) -> CubePlan:
     """The plan that a ``[cube]`` asks for."""
     bands = tuple(section.bands) if isinstance(section.bands, list) else section.bands
     return CubePlan(section.gsd, bands, section.surface, section.fill_nm, section.flatten)
+
+
+def ready_to_georeference(sequence: FrameSequence, *, maps: bool = True) -> Cost:
+    """What ``georeference`` refuses before an image is looked at, and what it will take, maps included.
+
+    Raises
+    ------
+    InputError
+        If too few frames can be used; if ``[cube]`` asks for bands that the camera does not see, or for maps
+        that this machine cannot hold.
+    """
+    problem = sequence.problem
+    try:
+        check_flight(problem)
+        cost = flight_cost(problem)
+        if maps and sequence.cube.make:
+            check_bands(sequence)
+            cost = cost.then(_cost_of_maps(sequence))
+        cost.check()
+    except InputError as error:
+        raise InputError(_of_file(sequence, error)) from None
+    return cost
+
+
+def _of_file(sequence: FrameSequence, error: InputError) -> str:
+    """A message with the file it is about, once."""
+    return str(error) if str(error).startswith(str(sequence.path)) else f"{sequence.path}: {error}"
+
+
+def _cost_of_maps(sequence: FrameSequence) -> Cost:
+    """By the rough poses; nothing where they do not tell the size."""
+    problem = sequence.problem
+    try:
+        grid, layout = expected_cube(problem, cube_plan(sequence.cube))
+    except InputError:
+        return Cost(0.0, 0.0, "")
+    return maps_cost(len(problem), problem.detector.shape, grid.shape, len(layout))
 
 
 def check_cube(sequence: FrameSequence) -> None:

@@ -26,6 +26,9 @@ from sightline.io.sequence import FrameSequence
 
 #: Share of a frame that successive frames have to share for displacements to be told.
 LEAST_OVERLAP = 0.5
+#: The same below which frames are not surely followed, and features link them: of rendered flights all frames
+#: were followed at 75 %, nine in ten at 70 %, two thirds at 65 %, few at 60 %.
+LEAST_FOLLOWED = 0.75
 #: m/s; of drones that hardly move, and of orbits, beyond which units may be wrong.
 SLOWEST, FASTEST = 0.1, 12e3
 #: Gaps and stretches that are named in a message.
@@ -157,8 +160,8 @@ def program_words(sequence: FrameSequence) -> list[str]:
     why = []
     if not np.isfinite(problem.known.attitude).any():
         why.append("no attitudes are told")
-    if overlap is not None and overlap.usual < LEAST_OVERLAP:
-        why.append("successive frames share little")
+    if overlap is not None and overlap.usual < LEAST_FOLLOWED:
+        why.append(f"successive frames share {overlap.usual:.0%}, where they cannot be followed")
     if why and find_spec("pycolmap") is None:
         said.append(f"pycolmap, which is needed as {' and '.join(why)}: run `pip install pycolmap`")
     if sequence.cube.make and "zarr" in sequence.cube.formats and find_spec("zarr") is None:

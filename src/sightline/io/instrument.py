@@ -17,11 +17,20 @@ from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.io.acquired import input_files
 from sightline.io.config import read_toml, validate
 from sightline.io.instrument_schema import InstrumentFile, LayoutSection, PriorSection
-from sightline.motion.layout_information import blind_frequencies_of, common_lags
+from sightline.motion.layout_information import (
+    MOST_PERIODS,
+    blind_frequencies_of,
+    common_lags,
+    listed_up_to,
+)
 from sightline.motion.layout_search import check_room
 
 #: Relative bandwidth of a tone that gives none.
 _BANDWIDTH = 0.01
+#: Blind frequencies, and groups of lags that share one, named of a layout.
+_NAMED = 6
+#: Focal lengths from the first to the last detector beyond which a layout is doubted: 62 degrees.
+_WIDE = 1.2
 #: Synchronism of ground and lines below which nothing is said of it.
 _SYNCHRONOUS = 0.05
 
@@ -138,6 +147,14 @@ def _missing(plane: FocalPlane) -> list[str]:
         lines.append("[[prior]]: sigmas will be for a drift and a broadband jitter that nobody asked for")
     if not plane.layouts:
         lines.append("[[layout]]: a layout of your own to compare with")
+    for own in plane.layouts:
+        span = float(np.ptp(own.positions)) * plane.ground_rate_px
+        if span > _WIDE * plane.focal_length_px:
+            view = 2.0 * math.degrees(math.atan(0.5 * span / plane.focal_length_px))
+            lines.append(
+                f"suspicious: {own.name} spans {span:.6g} px, {view:.3g} degrees by focal_length_px = "
+                f"{plane.focal_length_px:.6g}: are its positions, and ground_rate_px, right?"
+            )
     synchronism = plane.ground_rate_px * plane.line_period
     if abs(synchronism - 1.0) > _SYNCHRONOUS:
         lines.append(
@@ -149,14 +166,21 @@ def _missing(plane: FocalPlane) -> list[str]:
 def _observable(plane: FocalPlane) -> list[str]:
     upper = 0.5 * plane.row_rate
     lines = [f"rows of windows sample motion up to {upper:.5g} Hz: the pass-band must end below"]
+    most = MOST_PERIODS // max(len(plane.layouts), 1)
     for own in plane.layouts:
-        blind = [f"{b.frequency:.4g}" for b in blind_frequencies_of(own.positions, upper)]
-        named = ", ".join(blind[:6]) + (", ..." if len(blind) > 6 else "")
-        lines.append(f"{own.name}: all pairs blind at {named} Hz" if blind else f"{own.name}: nowhere blind")
-        for common in common_lags(own.positions, upper):
-            if len(common.pairs) > 2:
-                ratio = " : ".join(str(p) for p in common.periods)
-                lines.append(
-                    f"{own.name}: {len(common.pairs)} lags as {ratio}, blind at {common.frequency:.4g} Hz"
-                )
+        listed = listed_up_to(own.positions, upper, most)
+        reach = f" up to {listed:.4g} Hz" if listed < upper else ""
+        blind = [f"{b.frequency:.4g}" for b in blind_frequencies_of(own.positions, listed)]
+        named = ", ".join(blind[:_NAMED]) + (", ..." if len(blind) > _NAMED else "")
+        lines.append(
+            f"{own.name}: all pairs blind at {named} Hz" if blind else f"{own.name}: nowhere blind{reach}"
+        )
+        several = [common for common in common_lags(own.positions, listed) if len(common.pairs) > 2]
+        for common in several[:_NAMED]:
+            ratio = " : ".join(str(p) for p in common.periods)
+            lines.append(
+                f"{own.name}: {len(common.pairs)} lags as {ratio}, blind at {common.frequency:.4g} Hz"
+            )
+        if len(several) > _NAMED:
+            lines.append(f"{own.name}: and {len(several) - _NAMED} more such frequencies")
     return lines

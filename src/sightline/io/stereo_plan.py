@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.applications.expected_cost import prediction_cost
 from sightline.applications.stereo_settings import SIGMA_PX, StereoPlan
 from sightline.errors import FormatError, SightlineError
 from sightline.geometry.earth import WGS84
@@ -71,6 +72,7 @@ def _plan(path: Path, file: StereoFile) -> PlannedPass:
         raise FormatError(f"{path}: has no [plan]; add it, with [camera] and [noise]")
     plan, radii = file.plan, file.surface.radii or WGS84
     try:
+        prediction_cost(plan.cameras, plan.shots, plan.points).check()
         pair = OrbitPair(
             altitude=plan.altitude,
             inclination=float(np.radians(plan.inclination_deg)),

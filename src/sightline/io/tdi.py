@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.applications.expected_cost import tdi_cost
 from sightline.applications.tdi_choice import TdiProblem, check_slip
 from sightline.errors import FormatError, InputError
 from sightline.imaging.tdi_noise import NoiseLaw
@@ -107,6 +108,7 @@ def _problem(path: Path, file: TdiFile, files: InputFolder, motion: str | Path |
     try:
         check_slip(problem.columns, problem.rules)
         check_words_fit(grid)
+        tdi_cost(problem).check()
     except InputError as error:
         raise FormatError(f"{path}: {error}") from None
     return problem

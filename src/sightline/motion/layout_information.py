@@ -229,10 +229,11 @@ def common_lags(positions: ArrayLike, upper: float) -> tuple[CommonLags, ...]:
     frequency, held = np.empty(len(groups)), np.zeros((len(groups), len(pairs)), dtype=bool)
     for group in groups:
         alike = np.flatnonzero(np.abs(frequency[: len(kept)] - group.frequency) < near)
-        if held[np.ix_(alike, [number[pair] for pair in group.pairs])].all(axis=1).any():
+        own = np.array([number[pair] for pair in group.pairs])
+        if held[alike[:, None], own].all(axis=1).any():
             continue
         frequency[len(kept)] = group.frequency
-        held[len(kept), [number[pair] for pair in group.pairs]] = True
+        held[len(kept), own] = True
         kept.append(group)
     return tuple(sorted(kept, key=lambda group: group.frequency))
 

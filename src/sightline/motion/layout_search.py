@@ -192,7 +192,7 @@ def distinct_orders(sigma: Sequence[float], *, mirrored: bool) -> Index:
 
 
 def _arranged(images: list[int], sigma: Sequence[float]) -> Iterator[tuple[int, ...]]:
-    """Every order of images that differs in their noise, once: those alike stay in the order of their numbers."""
+    """Every order of images that differs in their noise, once: alike ones in the order of their numbers."""
     if not images:
         yield ()
     tried = set()

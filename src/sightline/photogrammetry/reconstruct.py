@@ -143,6 +143,16 @@ def _may_meet(first: int, frames: Index, position: Array | None, reach: Array | 
     return np.asarray(far <= reach[frames] + reach[first])
 
 
+def check_positions(sigma: Array) -> None:
+    """InputError where fewer than three positions are told; `sigma` as of `check_modelling`."""
+    told = int(np.isfinite(sigma.sum(axis=1)).sum())
+    if told < 3:
+        raise InputError(
+            f"a model of the frames is brought to the world by three positions or more, {told} are told; "
+            "give positions or attitudes of the frames"
+        )
+
+
 def check_modelling(sigma: Array) -> Any:
     """pycolmap, if a model can be made and brought to the world.
 
@@ -156,12 +166,7 @@ def check_modelling(sigma: Array) -> Any:
     InputError
         If pycolmap is not installed, or fewer than three positions are told.
     """
-    told = int(np.isfinite(sigma.sum(axis=1)).sum())
-    if told < 3:
-        raise InputError(
-            f"a model of the frames is brought to the world by three positions or more, {told} are told; "
-            "give positions or attitudes of the frames"
-        )
+    check_positions(sigma)
     try:
         import pycolmap
     except ImportError:

@@ -1,0 +1,245 @@
+"""What a run will take, by sizes alone: seconds of a processor and bytes of memory, before it is begun.
+
+Rates were measured; each stands beside the run that it is from. They tell a minute from a day, not one
+minute from two: texture, noise and the number of passes do the rest.
+
+Not here: what single keys may hold (``io/quantities.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from sightline.errors import InputError
+from sightline.execution import machine_memory
+
+if TYPE_CHECKING:
+    from sightline.applications.focal_plane import FocalPlane
+    from sightline.applications.frame_sequence import SequenceProblem
+    from sightline.applications.stereo_orientation import StereoProblem
+    from sightline.applications.strip import RecoverOptions
+    from sightline.applications.tdi_choice import TdiProblem
+    from sightline.motion.band import Band, Frame
+
+#: Bytes that Python and the libraries take before anything is read (runs of the smallest cases).
+BASE_BYTES = 0.35e9
+#: s from which a run is warned of, and share of the memory.
+LONG, LARGE = 3600.0, 0.5
+#: s beyond which a run is refused: nobody waits for a year.
+ENDLESS = 365.0 * 86400.0
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a run takes.
+
+    Attributes
+    ----------
+    seconds : float
+        Of one processor.
+    bytes : float
+        Of memory, at most at one time.
+    of : str
+        What it is so much for, with the keys that say so.
+    """
+
+    seconds: float
+    bytes: float
+    of: str
+
+    def then(self, other: Cost) -> Cost:
+        """Of one after the other."""
+        parts = [part for part in (self.of, other.of) if part]
+        return Cost(self.seconds + other.seconds, max(self.bytes, other.bytes), " and ".join(parts))
+
+    @property
+    def words(self) -> str:
+        """``"some 3 min of a processor and 0.6 GB of memory, for 30,000 columns x ..."``."""
+        time, size = time_words(self.seconds), size_words(self.bytes)
+        return f"some {time} of a processor and {size} of memory, for {self.of}"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What to know before an hour, or half of the memory, is spent; none for a smaller run."""
+        there, said = machine_memory(), []
+        if self.seconds > LONG:
+            said.append(f"this will take some {time_words(self.seconds)} of a processor, for {self.of}")
+        if self.bytes > LARGE * there:
+            said.append(
+                f"this will take some {size_words(self.bytes)} of the {size_words(there)} of memory that may "
+                f"be used, for {self.of}"
+            )
+        return tuple(said)
+
+    def check(self) -> None:
+        """InputError for what this machine cannot hold, and nobody can wait for."""
+        there = machine_memory()
+        if self.bytes > there:
+            raise InputError(
+                f"{self.of} would take {size_words(self.bytes)} of memory, {size_words(there)} may be used; "
+                "give less at once, or use a larger machine"
+            )
+        if self.seconds > ENDLESS:
+            raise InputError(
+                f"{self.of} would take {time_words(self.seconds)} of a processor; give less at once"
+            )
+
+
+def time_words(seconds: float) -> str:
+    """A duration in the unit in which it is read."""
+    for unit, size in (("years", 365.25 * 86400.0), ("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * size:
+            return (
+                f"{seconds / size:,.2g} {unit}" if seconds < 1000 * size else f"{seconds / size:,.0f} {unit}"
+            )
+    return f"{max(math.ceil(seconds), 1)} s"
+
+
+def size_words(size: float) -> str:
+    """A number of bytes in the unit in which it is read."""
+    if size >= 1e12:
+        return f"{size / 1e12:,.3g} TB"
+    return f"{size / 1e9:.2g} GB" if size >= 1e8 else f"{max(size / 1e6, 1.0):.0f} MB"
+
+
+def layout_cost(plane: FocalPlane, passband: tuple[float, float] | None = None) -> Cost:
+    """Of ``choose_layout``; without a pass-band, of the widest that the rows of matches can sample.
+
+    Some 4 million layouts a second are judged where each is improved (8 and 16 detectors on 961 places, 8 on
+    4001), a hundred million where all are gone through.
+    """
+    from sightline.motion.layout_search import EXHAUSTIVE, MOST_CELLS, choices, expected_trials
+
+    candidates = plane.candidates(0.5 * plane.row_rate if passband is None else passband[1])
+    trials = expected_trials(candidates, plane.noise)
+    rate = 1e8 if choices(candidates, plane.noise) <= EXHAUSTIVE else 4e6
+    return Cost(
+        20.0 + trials / rate,
+        BASE_BYTES + 16.0 * MOST_CELLS,
+        f"{plane.detectors} detectors on {len(candidates.t):,} places (detectors, span, step_px, lines)",
+    )
+
+
+def tdi_cost(problem: TdiProblem) -> Cost:
+    """Of ``choose_tdi`` and its files.
+
+    1,000 columns x 16 signals x 620 settings took 8 s and 0.48 GB; 30,000 x 64 x 2,520 50 s and 1.03 GB;
+    100,000 x 64 x 620 52 s and 1.05 GB; 20,000 x 500 x 620 62 s and 1.09 GB.
+    """
+    columns, signals, settings = len(problem.columns), len(problem.signals), len(problem.grid)
+    cells = float(columns) * signals
+    return Cost(
+        8.0 + 6e-9 * cells * settings + 2e-6 * cells,
+        BASE_BYTES + 0.1e9 + 6.0 * columns * settings + 48.0 * cells,
+        f"[columns] {columns:,} x [signals] {signals:,} x [grid] {settings:,} settings",
+    )
+
+
+def strip_cost(bands: Sequence[Band], options: RecoverOptions) -> Cost:
+    """Of ``recover_line_of_sight`` and its files.
+
+    Four bands of 6,000 columns took 58 s and 0.68 GiB for 3,000 lines, 168 s and 1.25 GiB for 12,000
+    (``docs/validation.md``): 0.39 us and 1.9 bytes for a pixel of a pair.
+    """
+    lines, columns = (max(band.image.shape[axis] for band in bands) for axis in (0, 1))
+    pairs = len(options.pairs) or len(bands) * (len(bands) - 1) // 2
+    pixels = float(lines) * columns * pairs
+    (height, width), usual = options.window, 4.0
+    rows = height / (usual * max(options.step / usual, 0.25))
+    # the window of the first pass with its search, over the pixels that it stands for
+    first = (options.first_window[0] + 2 * options.search_px[0]) * (
+        options.first_window[1] + 2 * options.search_px[1]
+    )
+    searched = first / (2.0 * options.first_window[0] * options.first_window[1]) / 1.5
+    windows = 100.0 / width * usual / options.step
+    return Cost(
+        10.0 + 0.39e-6 * pixels * (0.9 * max(rows, 0.1) + 0.1 * searched),
+        BASE_BYTES + 0.2e9 + 1.9 * pixels * max(windows, 0.05) + 200.0 * first,
+        f"{len(bands)} bands of {lines:,} lines x {columns:,} columns in {pairs:,} pairs",
+    )
+
+
+def frames_cost(frames: Sequence[Frame], windows: float, lags: int) -> Cost:
+    """Of ``recover_frame_attitude`` or ``recover_spin_attitude`` with so many windows a frame, and lags.
+
+    5 frames of 768 x 1024 px (190 windows, lags of 1 to 5) took 21 s, 20 of them 19 s and 0.38 GB: half a
+    millisecond for a window at a lag, and less.
+    """
+    matches = float(len(frames)) * windows * min(lags, len(frames) - 1)
+    lines, columns = frames[0].image.shape
+    return Cost(
+        12.0 + 5e-4 * matches,
+        BASE_BYTES + 100.0 * float(lines) * columns + 1000.0 * matches,
+        f"{len(frames):,} frames of {lines:,} lines x {columns:,} columns",
+    )
+
+
+def orientation_cost(problem: StereoProblem) -> Cost:
+    """Of ``orient`` and its files.
+
+    64 shots of 300 points by two cameras took 12 s and 0.34 GB, of 20,000 points 73 s and 1.8 GB; 256 of
+    3,000 42 s and 3.2 GB; 512 of 1,500 24 s and 1.7 GB; 1,024 of 300 9 s and 0.63 GB.
+    """
+    sightings = len(problem.tracks)
+    return Cost(
+        8.0 + 2.5e-5 * sightings,
+        BASE_BYTES + 1000.0 * sightings,
+        f"{sightings:,} sightings in {len(problem.images):,} images",
+    )
+
+
+def prediction_cost(cameras: int, shots: int, points: int) -> Cost:
+    """Of ``predict_plan``, which asks for some ninety bounds of up to four times as many shots or points.
+
+    32 shots of 300 points took 6 s and 0.32 GB, of 3,000 points 58 s and 0.74 GB.
+    """
+    from sightline.applications.stereo_prediction import MOST_POINTS, MOST_SHOTS
+
+    sightings = float(cameras) * shots * points
+    more = max(min(4.0, MOST_SHOTS / shots), min(4.0, MOST_POINTS / points), 1.0)
+    return Cost(
+        6.0 + 2.7e-4 * sightings,
+        BASE_BYTES + 1000.0 * sightings * more,
+        f"[plan] {shots:,} shots x {points:,} points x {cameras:,} cameras",
+    )
+
+
+def flight_cost(problem: SequenceProblem) -> Cost:
+    """Of ``georeference_sequence``, maps left out.
+
+    10,000 frames of 160 x 200 px took 151 s and 0.34 GB (``docs/validation.md``): 15 ms and 8 kB a frame,
+    27 ms and 115 kB up to a thousand, which are solved at once; reading adds 20 ns a pixel, four times over.
+    """
+    frames, pixels = len(problem), float(problem.detector.shape[0]) * problem.detector.shape[1]
+    each = 0.015 if frames >= 1000 else 0.027
+    return Cost(
+        8.0 + frames * (each + 8e-8 * pixels),
+        BASE_BYTES + (115e3 * min(frames, 1000) + 8e3 * frames) + 60.0 * pixels,
+        f"{frames:,} frames of {problem.detector.shape[0]:,} lines x {problem.detector.shape[1]:,} columns",
+    )
+
+
+#: Values of all maps together, 4 bytes each before compression: a country at ten centimetres has so many.
+MOST_MAPPED = 1e12
+
+
+def maps_cost(frames: int, shape: tuple[int, int], grid: tuple[int, int], bands: int) -> Cost:
+    """Of the maps of a flight: `frames` of `shape` px laid on a map of `grid` px in so many bands.
+
+    200 frames of 480 x 320 px took 47 ms each and 9 s besides (``docs/validation.md``): 0.3 us for a pixel of
+    a frame, as much again for one of the maps, written and compressed.
+    """
+    seen, made = float(frames) * shape[0] * shape[1], float(grid[0]) * grid[1] * bands
+    if made > MOST_MAPPED:
+        raise InputError(
+            f"[cube] {bands:,} maps of {grid[0]:,} rows x {grid[1]:,} columns are {size_words(4.0 * made)} "
+            "before compression; give a larger gsd (m), fewer bands, or correct positions and heights"
+        )
+    return Cost(
+        3e-7 * (seen + made),
+        BASE_BYTES + 0.3e9,
+        f"[cube] {bands:,} maps of {grid[0]:,} rows x {grid[1]:,} columns (gsd)",
+    )
