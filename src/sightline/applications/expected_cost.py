@@ -243,3 +243,11 @@ def maps_cost(frames: int, shape: tuple[int, int], grid: tuple[int, int], bands:
         BASE_BYTES + 0.3e9,
         f"[cube] {bands:,} maps of {grid[0]:,} rows x {grid[1]:,} columns (gsd)",
     )
+
+
+def rendering_cost(pixels: float, of: str) -> Cost:
+    """Of a simulated strip or flight whose ground has so many pixels.
+
+    XXX
+    """
+    return Cost(2.0 + 6e-6 * pixels, BASE_BYTES + 40.0 * pixels, of)

@@ -39,7 +39,7 @@ from sightline.applications.table_check import motion_warnings, table_warnings, 
 from sightline.errors import EstimationError, InputError, computes
 from sightline.execution import CpuClock, machine_memory, one_blas_thread, silent
 from sightline.geometry.checks import Array
-from sightline.matching.follow import Followed, FollowPlan, FollowState
+from sightline.matching.follow import Followed, FollowPlan, FollowState, check_followable
 from sightline.photogrammetry.cross_links import link_stretches
 from sightline.photogrammetry.descent import DivergedError
 from sightline.photogrammetry.frame_poses import FramePoses
@@ -116,19 +116,21 @@ class SequencePoses:
     problem: SequenceProblem | None = None
 
 
-def check_flight(problem: SequenceProblem, *, photogrammetry: bool | None = None) -> None:
-    """What `georeference_sequence` refuses before an image is looked at.
+def check_flight(
+    problem: SequenceProblem, plan: FollowPlan | None = None, *, photogrammetry: bool | None = None
+) -> None:
+    """What `georeference_sequence` refuses before an image is looked at; parameters as there.
 
     Parameters
     ----------
     problem : SequenceProblem
+    plan : FollowPlan, optional
     photogrammetry : bool, optional
-        Of the same name there.
 
     Raises
     ------
     InputError
-        Fewer than two frames can be used; neither attitudes nor three positions are told.
+        Fewer than two frames can be used, or they are too small; neither attitudes nor three positions are told.
     """
     usable = int(problem.usable.sum())
     if not usable:
@@ -138,8 +140,15 @@ def check_flight(problem: SequenceProblem, *, photogrammetry: bool | None = None
             f"1 of {len(problem)} frames can be used: poses are told by what frames share; give two or more "
             "that overlap"
         )
+    check_followable(problem.detector.shape, follow_plan(problem, plan))
     if photogrammetry or (photogrammetry is None and not np.isfinite(problem.known.attitude).any()):
         check_positions(problem.known.along_world())
+
+
+def follow_plan(problem: SequenceProblem, plan: FollowPlan | None = None) -> FollowPlan:
+    """How windows are followed: a mosaic filter is averaged over its period first."""
+    plan = FollowPlan() if plan is None else plan
+    return plan if problem.mosaic_nm is None else replace(plan, reduction=problem.filter_period)
 
 
 @one_blas_thread
@@ -182,7 +191,7 @@ def georeference_sequence(
         If no two frames are alike.
     """
     run = _Run(progress or silent, stages or Stages())
-    check_flight(problem, photogrammetry=photogrammetry)
+    check_flight(problem, plan, photogrammetry=photogrammetry)
     if photogrammetry is None:
         photogrammetry = not np.isfinite(problem.known.attitude).any()
     if photogrammetry:
@@ -350,9 +359,7 @@ def follow_sequence(
     keep, states
         As of `follow_windows`.
     """
-    plan = FollowPlan() if plan is None else plan
-    if problem.mosaic_nm is not None:
-        plan = replace(plan, reduction=problem.filter_period)
+    plan = follow_plan(problem, plan)
     sources = [s if not why else None for s, why in zip(problem.sources, problem.excluded, strict=True)]
 
     def report(done: int) -> None:

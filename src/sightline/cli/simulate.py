@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -14,6 +14,10 @@ from sightline.cli.output import output_folder
 from sightline.cli.simulate_frames import frames
 from sightline.cli.simulate_stereo import stereo
 from sightline.cli.terminal import print_json, say
+from sightline.cli.usable import MOST_COLUMNS, MOST_LINES, refuse_useless_scene, refuse_useless_strip
+
+if TYPE_CHECKING:
+    from sightline.geometry.camera import PushbroomCamera
 
 app = typer.Typer(help="Render a scene whose truth is known.", no_args_is_help=True)
 app.command("stereo")(stereo)
@@ -39,10 +43,14 @@ def line_of_sight(
     ] = "nominal",
     seed: Seed = 0,
     lines: Annotated[
-        int | None, typer.Option("--lines", min=16, help="Lines of every band.", show_default=_LINES)
+        int | None,
+        typer.Option("--lines", min=16, max=MOST_LINES, help="Lines of every band.", show_default=_LINES),
     ] = None,
     columns: Annotated[
-        int | None, typer.Option("--columns", min=16, help="Columns of every band.", show_default=_COLUMNS)
+        int | None,
+        typer.Option(
+            "--columns", min=16, max=MOST_COLUMNS, help="Columns of every band.", show_default=_COLUMNS
+        ),
     ] = None,
     motion: Annotated[
         str | None, typer.Option("--motion", metavar="NAME", help=f"In place of the case's: {_MOTIONS}.")
@@ -56,10 +64,12 @@ def line_of_sight(
     star_tracker: Annotated[bool, typer.Option("--star-tracker", help="Also write its table.")] = False,
     gyro: Annotated[bool, typer.Option("--gyro", help="Also write its table.")] = False,
     control_points: Annotated[
-        int, typer.Option("--control-points", min=0, help="Also write so many, known to a metre.")
+        int,
+        typer.Option("--control-points", min=0, max=100_000, help="Also write so many, known to a metre."),
     ] = 0,
     count: Annotated[
-        int | None, typer.Option("--count", min=2, help="Frames, of case frames.", show_default="10")
+        int | None,
+        typer.Option("--count", min=2, max=10_000, help="Frames, of case frames.", show_default="10"),
     ] = None,
     interval: Annotated[
         float | None,
@@ -80,8 +90,10 @@ def line_of_sight(
 ) -> None:
     """Bands of one pushbroom strip: ACQUISITION.toml for `recover`, and truth.csv for `score`."""
     from sightline.errors import InputError
+    from sightline.geometry.surface import Plane
     from sightline.simulate.files import write_strip
-    from sightline.simulate.scenarios import line_of_sight_case
+    from sightline.simulate.scenarios import line_of_sight_case, planned_cameras
+    from sightline.simulate.strip_options import CASE_OPTIONS, StripOptions
 
     begin = time.perf_counter()
     cases = (*STRIP_CASES, *ORBIT_CASES, FRAMES_CASE)
@@ -112,7 +124,14 @@ def line_of_sight(
         return
     if off_nadir is not None:
         raise InputError(f"--off-nadir is not for case {case!r}; it is for: {', '.join(ORBIT_CASES)}")
+    defaults = StripOptions(**CASE_OPTIONS[case])
+    size = lines or defaults.lines, columns or defaults.columns
+
+    def cameras_of(lines: int, columns: int) -> tuple[PushbroomCamera, ...]:
+        return planned_cameras(case, seed, lines=lines, columns=columns)
+
     with output_folder(out, overwrite=overwrite) as folder:
+        refuse_useless_strip(cameras_of, Plane(0.0), size)
         scenario = line_of_sight_case(case, seed, **given)
         written = write_strip(
             scenario, folder, dem=dem, star_tracker=star_tracker, gyro=gyro, control_points=control_points
@@ -123,10 +142,19 @@ def line_of_sight(
 
 def _instrument(case: str, seed: int, given: dict[str, Any], out: Path, overwrite: bool) -> list[str]:
     """Render a strip of one of the instruments over a real orbit; the names of its files."""
+    from sightline.geometry.earth import WGS84
+    from sightline.geometry.surface import Ellipsoid
     from sightline.simulate.instrument_files import write_instrument
-    from sightline.simulate.instruments import instrument_case
+    from sightline.simulate.instruments import INSTRUMENT_OPTIONS, InstrumentOptions, instrument_case
+
+    options = InstrumentOptions(**{**INSTRUMENT_OPTIONS[case], **given})
+
+    def cameras_of(lines: int, columns: int) -> tuple[PushbroomCamera, ...]:
+        return instrument_case(case, seed, **{**given, "lines": lines, "columns": columns}).nominal_cameras
 
     with output_folder(out, overwrite=overwrite) as folder:
+        size = options.lines, options.columns
+        refuse_useless_strip(cameras_of, Ellipsoid(*WGS84, 0.0), size, options.pairs)
         return list(write_instrument(instrument_case(case, seed, **given), folder))
 
 
@@ -138,7 +166,10 @@ def _photographs(
     from sightline.simulate.frames import frames_case
 
     with output_folder(out, overwrite=overwrite) as folder:
-        return list(write_frames(frames_case(seed, **given), folder, estimate_camera=estimate_camera))
+        written = write_frames(frames_case(seed, **given), folder, estimate_camera=estimate_camera)
+        asked = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in given.items())
+        refuse_useless_scene(folder / "acquisition.toml", asked or "these options")
+        return list(written)
 
 
 def _refuse(asked: dict[str, bool], case: str) -> None:

@@ -111,6 +111,16 @@ class FollowPlan:
             )
 
 
+def check_followable(shape: tuple[int, int], plan: FollowPlan) -> None:
+    """InputError for frames of `shape` (lines, columns) px that are too small to be followed."""
+    least = 2 * (plan.window + 2 * _RIM) * plan.reduction
+    if min(shape) < least:
+        raise InputError(
+            f"frames of {shape[0]} lines x {shape[1]} columns are too small to be followed; {least} x {least} "
+            "are needed"
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Followed(ReadOnlyArrays):
     """Windows followed through M frames.
@@ -269,9 +279,7 @@ class _Reader:
             raise InputError(f"frames of one size are needed, got {sorted(shapes)}; leave out the others")
         lines, columns = shapes.pop()
         shape = (lines // self._plan.reduction, columns // self._plan.reduction)
-        least = self._plan.window + 2 * _RIM
-        if min(shape) < 2 * least:
-            raise InputError(f"frames of {shape} px are too small to be followed; {2 * least} are needed")
+        check_followable((lines, columns), self._plan)
         return shape
 
     def _pixels(self, number: int) -> tuple[Array32, Flags | None] | None:

@@ -133,10 +133,7 @@ class StripScenario(RenderedStrip):
     @cached_property
     def nominal_cameras(self) -> tuple[PushbroomCamera, ...]:
         """The cameras as written in the ACQUISITION file: no motion, nominal detectors."""
-        return tuple(
-            PushbroomCamera(band.nominal, self.reference, FixedMount(), 0.0, self.options.lines)
-            for band in self.bands
-        )
+        return _nominal_cameras(self.bands, self.reference, self.options)
 
     def chunks(self, band: int) -> Iterator[tuple[int, NDArray[np.uint16]]]:
         """Image of one band as (first line, block of lines), top to bottom; again alike at every call."""
@@ -220,13 +217,7 @@ def line_of_sight_case(
     >>> scenario.image(0).shape
     (64, 64)
     """
-    if case not in CASE_OPTIONS:
-        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(CASES)}")
-    known = {field.name for field in dataclasses.fields(StripOptions)}
-    unknown = sorted(set(overrides) - known)
-    if unknown:
-        raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
-    options = StripOptions(**{**CASE_OPTIONS[case], **overrides})
+    options = _options_of(case, overrides)
     streams = _streams(seed)
     motion, body = _draw_motion(options, profile or motion_profile(options.motion, data), streams["motion"])
     return StripScenario(
@@ -240,6 +231,29 @@ def line_of_sight_case(
         _draw_scene(options, streams, data),
         Radiometry(snr=options.snr),
     )
+
+
+def _options_of(case: str, overrides: dict[str, Any]) -> StripOptions:
+    if case not in CASE_OPTIONS:
+        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(CASES)}")
+    known = {field.name for field in dataclasses.fields(StripOptions)}
+    unknown = sorted(set(overrides) - known)
+    if unknown:
+        raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
+    return StripOptions(**{**CASE_OPTIONS[case], **overrides})
+
+
+def planned_cameras(case: str = "nominal", seed: int = 0, **overrides: Any) -> tuple[PushbroomCamera, ...]:
+    """The nominal cameras of `line_of_sight_case`, nothing of its scene drawn; parameters as there."""
+    options = _options_of(case, overrides)
+    bands = _draw_bands(options, _streams(seed)["detectors"])
+    return _nominal_cameras(bands, _reference(options), options)
+
+
+def _nominal_cameras(
+    bands: tuple[BandTruth, ...], reference: Trajectory, options: StripOptions
+) -> tuple[PushbroomCamera, ...]:
+    return tuple(PushbroomCamera(band.nominal, reference, FixedMount(), 0.0, options.lines) for band in bands)
 
 
 def motion_profile(name: str, data: Path | None = None) -> JitterProfile:

@@ -1,0 +1,134 @@
+"""Whether a scene that is asked for is one that its command can use: refused before it is rendered.
+
+Geometry alone decides, by what the command itself refuses first; the message says the least that works.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from sightline.geometry.camera import PushbroomCamera
+    from sightline.geometry.surface import Surface
+
+#: px; up to which sizes are tried.
+MOST_LINES, MOST_COLUMNS = 1_000_000, 100_000
+
+
+@dataclass(frozen=True)
+class _Unread:
+    """An image of which only the size is known."""
+
+    shape: tuple[int, int]
+
+    def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> Any:
+        """Never asked for."""
+        raise NotImplementedError
+
+    def mask(self, lines: tuple[int, int], columns: tuple[int, int]) -> Any:
+        """Never asked for."""
+        raise NotImplementedError
+
+
+def refuse_useless_strip(
+    cameras_of: Callable[[int, int], tuple[PushbroomCamera, ...]],
+    surface: Surface,
+    size: tuple[int, int],
+    pairs: tuple[tuple[str, str], ...] = (),
+) -> None:
+    """InputError for a strip of `size` (lines, columns) that ``recover`` could not use, or that is too large.
+
+    Parameters
+    ----------
+    cameras_of : callable
+        Nominal cameras of a strip of so many lines and columns.
+    surface : Surface
+    size : (lines, columns)
+    pairs : tuple of (str, str)
+        Those that the acquisition will name; empty: all.
+    """
+    from sightline.applications.expected_cost import rendering_cost
+    from sightline.cli.terminal import announce
+    from sightline.errors import InputError
+
+    lines, columns = size
+    cost = rendering_cost(float(lines) * columns, f"--lines {lines:,} --columns {columns:,}")
+    cost.check()
+    announce(cost)
+
+    def why(lines: int, columns: int) -> str:
+        return _why_useless(cameras_of(lines, columns), surface, pairs)
+
+    reason = why(lines, columns)
+    if not reason:
+        return
+    wide = max(columns, 256)
+    least_lines = _least(lambda n: not why(n, wide), lines, MOST_LINES)
+    if least_lines is None:
+        raise InputError(
+            f"--lines {lines} --columns {columns}: `recover` could not use such a strip: {reason}"
+        )
+    least_columns = _least(lambda n: not why(least_lines, n), columns, wide) or wide
+    raise InputError(
+        f"--lines {lines} --columns {columns} make a strip that `recover` could not use: {reason}; the least "
+        f"that works is --lines {least_lines} --columns {least_columns}"
+    )
+
+
+def _why_useless(
+    cameras: tuple[PushbroomCamera, ...], surface: Surface, pairs: tuple[tuple[str, str], ...]
+) -> str:
+    """Why a strip of these cameras cannot be recovered; "" where it can."""
+    from sightline.applications.line_of_sight import ready_strip
+    from sightline.applications.strip import RecoverOptions
+    from sightline.errors import SightlineError
+    from sightline.io.ground import check_overlap
+    from sightline.motion.band import Band
+
+    names = [camera.detector.name for camera in cameras]
+    bands = [
+        Band(name, _Unread((camera.lines, camera.columns)), camera)
+        for name, camera in zip(names, cameras, strict=True)
+    ]
+    try:
+        check_overlap(Path("acquisition.toml"), surface, cameras, names)
+        ready_strip(bands, surface, (), None, None, RecoverOptions(pairs=pairs))
+    except SightlineError as error:
+        return str(error).removeprefix("acquisition.toml: ")
+    return ""
+
+
+def _least(works: Callable[[int], bool], first: int, most: int) -> int | None:
+    """The least number from `first` to `most` that works, taken to go on working beyond; None: none does."""
+    low, high = first - 1, first
+    while not works(high):
+        if high >= most:
+            return None
+        low, high = high, min(2 * high, most)
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (low, middle) if works(middle) else (middle, high)
+    return high
+
+
+def refuse_useless_scene(file: Path, asked: str) -> None:
+    """InputError for a scene just written whose own command would refuse it; `asked` are its options.
+
+    Parameters
+    ----------
+    file : Path
+        The TOML file of the scene, in the folder that is not yet published.
+    asked : str
+        How the user asked for it.
+    """
+    from sightline.cli.check import describe
+    from sightline.errors import InputError, SightlineError
+
+    try:
+        describe(file)
+    except SightlineError as error:
+        reason = str(error).replace(f"{file.parent}/", "")
+        raise InputError(f"{asked} make a scene that could not be used: {reason}") from None
