@@ -130,7 +130,8 @@ def check_flight(
     Raises
     ------
     InputError
-        Fewer than two frames can be used, or they are too small; neither attitudes nor three positions are told.
+        Fewer than two frames can be used, or they are too small; neither attitudes nor three positions are
+        told.
     """
     usable = int(problem.usable.sum())
     if not usable:

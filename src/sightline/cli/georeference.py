@@ -40,6 +40,7 @@ def georeference(
         typer.Option(
             "--stride",
             min=1,
+            max=1_000_000,
             help="Subset for photogrammetry and --method: every so many frames, whatever overlap is wanted.",
         ),
     ] = None,

@@ -56,4 +56,6 @@ Overwrite = Annotated[
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON on stdout.")]
-Seed = Annotated[int, typer.Option("--seed", min=0, help="Same seed, same scene, bit for bit.")]
+Seed = Annotated[
+    int, typer.Option("--seed", min=0, max=2**63 - 1, help="Same seed, same scene, bit for bit.")
+]

@@ -11,6 +11,7 @@ import typer
 from sightline.cli.options import SEQUENCE_CASES, Json, Out, Overwrite, Seed
 from sightline.cli.output import output_folder
 from sightline.cli.terminal import print_json, progress, say
+from sightline.cli.usable import refuse_useless_flight, refuse_useless_scene
 
 #: Options in degrees on the command line.
 _DEGREES = ("jitter", "attitude_sigma", "attitude_bias_sigma")
@@ -116,7 +117,7 @@ def frames(
     ] = False,
     image_format: Annotated[str, typer.Option("--format", help="Of the images: tif or png.")] = "tif",
     truth_bands: Annotated[
-        int, typer.Option("--truth-bands", min=0, help="Bands of truth-bands.tif; 0: not written.")
+        int, typer.Option("--truth-bands", min=0, max=200, help="Bands of truth-bands.tif; 0: not written.")
     ] = 5,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -126,7 +127,7 @@ def frames(
     own = ("out", "case", "seed", "dem", "image_format", "truth_bands", "overwrite", "as_json")
     options = {name: _parsed(name, value) for name, value in given.items() if name not in own}
     from sightline.errors import InputError
-    from sightline.simulate.sequence import sequence_case
+    from sightline.simulate.sequence import sequence_case, sequence_options
     from sightline.simulate.sequence_files import FORMATS, write_sequence
 
     if image_format not in FORMATS:
@@ -134,11 +135,14 @@ def frames(
     begin = time.perf_counter()
     with output_folder(out, overwrite=overwrite) as folder, progress() as report:
         report("drawing the flight and the ground")
+        refuse_useless_flight(sequence_options(case, **options))
         scenario = sequence_case(case, seed, **options)
         report(f"rendering {len(scenario.frames)} frames, and the truth")
         written = write_sequence(
             scenario, folder, image_format=image_format, dem=dem, truth_bands=truth_bands
         )
+        if scenario.options.position_sigma > 0.0:  # else it is the user who will add control points
+            refuse_useless_scene(folder / "sequence.toml", "these options")
     seconds = time.perf_counter() - begin
     if as_json:
         print_json({"folder": out, "files": list(written), "wall_seconds": round(seconds, 3)})

@@ -11,6 +11,7 @@ import typer
 from sightline.cli.options import STEREO_CASES, Json, Out, Overwrite, Seed
 from sightline.cli.output import output_folder
 from sightline.cli.terminal import print_json, say
+from sightline.cli.usable import refuse_useless_pass, refuse_useless_scene
 from sightline.geometry.units import ARCSEC
 
 _DEGREE = math.pi / 180.0
@@ -79,7 +80,8 @@ def stereo(
         Number, _option("--dem-sigma", "Metres; above 0 the relief is written as a DEM, that far wrong.")
     ] = None,
     control_points: Annotated[
-        int, typer.Option("--control-points", min=0, help="Also write so many, known to a metre.")
+        int,
+        typer.Option("--control-points", min=0, max=100_000, help="Also write so many, known to a metre."),
     ] = 0,
     sigma_px: Annotated[Number, _option("--sigma-px", "Noise of matches.")] = None,
     sigma_position: Annotated[Number, _option("--sigma-position", "Metres.")] = None,
@@ -120,15 +122,17 @@ def stereo(
     given = {name: value for name, value in locals().items() if value is not None}
     own = ("out", "case", "seed", "control_points", "images", "overwrite", "as_json")
     options = {name: _si(name, value) for name, value in given.items() if name not in own}
-    from sightline.simulate.stereo import stereo_case
+    from sightline.simulate.stereo import stereo_case, stereo_options
     from sightline.simulate.stereo_files import write_stereo
 
     begin = time.perf_counter()
     if images:
         options.setdefault("ground_size", _FRAMED_GROUND)
     with output_folder(out, overwrite=overwrite) as folder:
+        refuse_useless_pass(stereo_options(case, **options), images=images)
         scenario = stereo_case(case, seed, **options)
         names = list(write_stereo(scenario, folder, control_points=control_points, images=images))
+        refuse_useless_scene(folder / "stereo.toml", "these options")
     seconds = time.perf_counter() - begin
     if as_json:
         print_json({"folder": out, "files": names, "wall_seconds": round(seconds, 3)})

@@ -13,9 +13,13 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from sightline.geometry.camera import PushbroomCamera
     from sightline.geometry.surface import Surface
+    from sightline.simulate.sequence_options import SequenceOptions
+    from sightline.simulate.stereo_options import StereoOptions
 
 #: px; up to which sizes are tried.
 MOST_LINES, MOST_COLUMNS = 1_000_000, 100_000
+#: px; sides of frames in which points are found.
+LEAST_MATCHED = 128
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,9 @@ def refuse_useless_strip(
     from sightline.errors import InputError
 
     lines, columns = size
-    cost = rendering_cost(float(lines) * columns, f"--lines {lines:,} --columns {columns:,}")
+    bands = len(cameras_of(64, 64))
+    rendered, ground = float(lines) * columns * bands, (lines + 1000.0) * (columns + 128.0)
+    cost = rendering_cost(rendered, ground, f"--lines {lines:,} --columns {columns:,} of {bands} bands")
     cost.check()
     announce(cost)
 
@@ -67,15 +73,11 @@ def refuse_useless_strip(
         return
     wide = max(columns, 256)
     least_lines = _least(lambda n: not why(n, wide), lines, MOST_LINES)
+    said = f"--lines {lines} --columns {columns} make a strip that `recover` could not use: {reason}"
     if least_lines is None:
-        raise InputError(
-            f"--lines {lines} --columns {columns}: `recover` could not use such a strip: {reason}"
-        )
+        raise InputError(said)
     least_columns = _least(lambda n: not why(least_lines, n), columns, wide) or wide
-    raise InputError(
-        f"--lines {lines} --columns {columns} make a strip that `recover` could not use: {reason}; the least "
-        f"that works is --lines {least_lines} --columns {least_columns}"
-    )
+    raise InputError(f"{said}; the least that works is --lines {least_lines} --columns {least_columns}")
 
 
 def _why_useless(
@@ -112,6 +114,54 @@ def _least(works: Callable[[int], bool], first: int, most: int) -> int | None:
         middle = (low + high) // 2
         low, high = (low, middle) if works(middle) else (middle, high)
     return high
+
+
+def refuse_useless_flight(options: SequenceOptions) -> None:
+    """InputError for a flight of frames that ``georeference`` could not follow, or that is too large."""
+    from sightline.applications.expected_cost import rendering_cost
+    from sightline.cli.terminal import announce
+    from sightline.errors import InputError
+    from sightline.matching.follow import FollowPlan, check_followable
+
+    lines, columns = options.shape
+    frames, flown = options.total_frames, options.frames * (1.0 - options.overlap) + 1.0
+    wide = columns * (1.0 + (options.flight_lines + options.cross_lines) * (1.0 - options.side_overlap))
+    cost = rendering_cost(
+        float(frames) * lines * columns,
+        flown * lines * wide,
+        f"{frames:,} frames of --shape {lines} {columns}",
+    )
+    cost.check()
+    announce(cost)
+    try:
+        check_followable(
+            options.shape, FollowPlan(reduction=options.pattern if options.filter == "mosaic" else 1)
+        )
+    except InputError as error:
+        raise InputError(
+            f"--shape {lines} {columns} make frames that `georeference` could not use: {error}"
+        ) from None
+
+
+def refuse_useless_pass(options: StereoOptions, *, images: bool) -> None:
+    """InputError for a pass of cameras that is too large, or whose frames are too small to be matched."""
+    from sightline.applications.expected_cost import orientation_cost_of, rendering_cost
+    from sightline.cli.terminal import announce
+    from sightline.errors import InputError
+
+    lines, columns = options.frame
+    of = f"--cameras {options.cameras:,} --shots {options.shots:,} --points {options.points:,}"
+    cost = orientation_cost_of(float(options.cameras) * options.shots * options.points, of)
+    if images:
+        pixels = float(options.cameras) * options.shots * lines * columns
+        cost = cost.then(rendering_cost(pixels, 4.0 * lines * columns, f"frames of {lines} x {columns} px"))
+        if min(lines, columns) < LEAST_MATCHED:
+            raise InputError(
+                f"--lines {lines} --columns {columns} make frames that `orient` could not find points in; "
+                f"the least that works is --lines {LEAST_MATCHED} --columns {LEAST_MATCHED}"
+            )
+    cost.check()
+    announce(cost)
 
 
 def refuse_useless_scene(file: Path, asked: str) -> None:

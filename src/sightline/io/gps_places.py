@@ -25,6 +25,9 @@ _LEAST_OFF = 0.05
 _CLEAR = 2.0
 #: Quantile of the distances from their middle that is the spread: a wild value or two do not count.
 _SPREAD = 0.9
+#: Degrees between two tables of one flight beyond which they cannot both be right, and share of that distance
+#: that exchanged coordinates leave.
+_FAR_APART, _TOGETHER = 0.5, 0.1
 #: Share of its distance from its neighbours in time that a mirrored value is left with, once turned back.
 _BACK = 0.2
 
@@ -77,6 +80,27 @@ def places(t: Array, lonlat: Array, names: Sequence[str], table: str, warnings: 
             f"{middle[1]:.5g}): left out; is a reference W or S missing?"
         )
     return good & ~wrong
+
+
+def exchanged(place: Array, other: Array) -> bool:
+    """Whether two places are far apart as they are, and together once longitude and latitude are exchanged.
+
+    Parameters
+    ----------
+    place, other : (2,)
+        Longitude, latitude (degrees).
+    """
+    if abs(float(wrapped(place[:1])[0])) > 90.0:
+        return False  # no latitude
+    as_told, turned = _apart(place, other), _apart(place[::-1], other)
+    return as_told > _FAR_APART and turned < _TOGETHER * as_told
+
+
+def _apart(place: Array, other: Array) -> float:
+    """Degrees on a sphere between two places (longitude, latitude; degrees)."""
+    (lon, lat), (lon2, lat2) = np.radians(place), np.radians(other)
+    half = np.sin(0.5 * (lat2 - lat)) ** 2 + np.cos(lat) * np.cos(lat2) * np.sin(0.5 * (lon2 - lon)) ** 2
+    return float(np.degrees(2.0 * np.arcsin(np.sqrt(np.clip(half, 0.0, 1.0)))))
 
 
 def _middle(degrees: Array) -> float:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import GeometryError, InputError
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
-from sightline.geometry.earth import WGS84, to_geodetic
+from sightline.geometry.earth import WGS84, from_geodetic, to_geodetic
 from sightline.geometry.surface import Dem, Ellipsoid, Infinity, Plane, Surface
 from sightline.io.acquired import InputFolder, world_kind
 from sightline.io.acquisition_schema import AcquisitionFile, CameraModelPlatform, SurfaceSection
@@ -190,7 +190,7 @@ def check_coverage(
             f"{path}: the DEM does not cover the strip: {100 * outside:.0f} % of it lies outside; "
             f"the strip spans {_extent(_horizontal(ground, local, radii), local)}, "
             f"the DEM {_extent(_horizontal(raster_corners(surface), local, radii), local)}; "
-            "give a larger DEM or crop the images"
+            f"give a larger DEM or crop the images{exchanged_words(surface, ground)}"
         )
 
 
@@ -229,6 +229,21 @@ def inside_raster(dem: Dem, points: Array) -> NDArray[np.bool_]:
     return solid.covers(points)
 
 
+def exchanged_words(dem: Dem, points: Array) -> str:
+    """A doubt, to end a refusal, where points (N, 3) beside a raster would lie on it with coordinates
+    swapped."""
+    if dem.crs is None or not len(points):
+        return ""
+    place = to_geodetic(points, dem.radii)
+    lon, lat = (float(np.median(place[:, k])) for k in (0, 1))
+    if abs(lon) > 0.5 * np.pi or not inside_raster(dem, from_geodetic([[lat, lon, 0.0]], dem.radii)).all():
+        return ""
+    return (
+        f"; with longitude and latitude exchanged ({np.degrees(lat):.4f}, {np.degrees(lon):.4f}) it would "
+        "lie on the DEM: are they swapped in [world] origin, or in a table?"
+    )
+
+
 def raster_corners(dem: Dem) -> Array:
     """The four corners of a raster as points (4, 3) of the world, at height 0."""
     rows, columns = dem.heights.shape
@@ -237,8 +252,6 @@ def raster_corners(dem: Dem) -> Array:
     x, y = a * column + b * row + c, d * column + e * row + f
     if dem.crs is None:
         return np.column_stack([x, y, np.zeros(4)])
-    from sightline.geometry.earth import from_geodetic
-
     if dem.crs != "lonlat":
         from pyproj import CRS, Transformer
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -18,20 +19,24 @@ from scipy.spatial.transform import Rotation
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.errors import FormatError, GeometryError
 from sightline.geometry.checks import read_only
+from sightline.geometry.earth import to_geodetic
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
-from sightline.geometry.surface import Surface
+from sightline.geometry.surface import Dem, Surface
 from sightline.io.acquired import InputFolder, input_files, sha256
 from sightline.io.acquisition_schema import WorldSection
 from sightline.io.config import read_toml, validate
 from sightline.io.envi import read_envi_wavelengths
 from sightline.io.frame_files import FrameFile
-from sightline.io.ground import surface_of
+from sightline.io.gps_places import exchanged
+from sightline.io.ground import exchanged_words, raster_corners, surface_of
 from sightline.io.sequence_control import control_of, placed_by_control
 from sightline.io.sequence_frames import FrameList, excluded, probe_frames, read_frames, shape_of
 from sightline.io.sequence_poses import check_places, starting_poses
+from sightline.io.sequence_positions import place_of
 from sightline.io.sequence_schema import LEAST_NM, CubeSection, SequenceCamera, SequenceFile, WavelengthRange
 from sightline.io.sequence_told import is_local, radii_of
+from sightline.photogrammetry.point_priors import ControlPoints
 from sightline.photogrammetry.sightings import Images
 
 Array = NDArray[np.float64]
@@ -161,11 +166,57 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
         control_tracks=tracks,
         radii=radii_of(file),
         epoch=frames.epoch,
-        warnings=(*frames.warnings, *lens_words, *start.warnings, *ground_words, *_lost(frames, reasons)),
+        warnings=(
+            *frames.warnings,
+            *lens_words,
+            *start.warnings,
+            *_exchanged_words(file, frames, start.images, control, surface),
+            *ground_words,
+            *_lost(frames, reasons),
+        ),
     )
     return FrameSequence(
         path, file.sequence.name, problem, file.world, file.cube, frames.files, tuple(files.used)
     )
+
+
+def _exchanged_words(
+    file: SequenceFile,
+    frames: FrameList,
+    images: Images,
+    control: ControlPoints | None,
+    surface: Surface,
+) -> tuple[str, ...]:
+    """A doubt where what tells of the place disagrees by what exchanging latitude and longitude explains."""
+    radii = radii_of(file)
+    if radii is None:
+        return ()
+    told: dict[str, Array] = {}
+    if file.world.frame == "local" and file.world.origin is not None:
+        told["[world] origin"] = np.array(file.world.origin[:2])
+    elif np.isfinite(images.position).all(axis=1).any():
+        told["the positions"] = _place(images.position, radii)
+    gps = np.array([place_of(exif, xmp)[0] for exif, xmp in zip(frames.exif, frames.xmp, strict=True)])
+    if len(gps) and np.isfinite(gps[:, :2]).all(axis=1).any():
+        told["GPS of the photographs"] = np.nanmedian(gps[:, :2], axis=0)
+    if control is not None:
+        told["the control points"] = _place(control.position, radii)
+    if isinstance(surface, Dem) and surface.crs is not None:
+        told["the dem"] = _place(raster_corners(surface), surface.radii)
+    for (name, place), (other, there) in combinations(told.items(), 2):
+        if exchanged(place, there):
+            return (
+                f"{name} (longitude {place[0]:.5g}, latitude {place[1]:.5g}) and {other} (longitude "
+                f"{there[0]:.5g}, latitude {there[1]:.5g}) lie far apart, and together once latitude and "
+                "longitude are exchanged: are they swapped in one of them?",
+            )
+    return ()
+
+
+def _place(points: Array, radii: tuple[float, float]) -> Array:
+    """Longitude and latitude (degrees) of the middle of points (N, 3) of the world."""
+    known = points[np.isfinite(points).all(axis=1)]
+    return np.degrees(to_geodetic(np.median(known, axis=0)[None], radii)[0, :2])
 
 
 def _lost(frames: FrameList, reasons: Sequence[str]) -> tuple[str, ...]:
@@ -311,6 +362,7 @@ def _ground(
             "away from it, or lie beside the dem; check z of the positions against [surface] height"
             + ("" if _told_height(file) else " (not told: 0 m is taken)")
             + ", [world], and the mount"
+            + (exchanged_words(surface, origins) if isinstance(surface, Dem) else "")
         )
     words = []
     if not _told_height(file):

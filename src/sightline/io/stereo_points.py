@@ -15,7 +15,7 @@ from sightline.errors import FormatError, GeometryError
 from sightline.geometry.earth import WGS84
 from sightline.geometry.surface import Dem, Surface
 from sightline.io.acquired import InputFolder
-from sightline.io.ground import inside_raster, surface_of
+from sightline.io.ground import exchanged_words, inside_raster, surface_of
 from sightline.io.platform import points_to_world
 from sightline.io.stereo_checks import check_directions, check_enough, meet
 from sightline.io.stereo_schema import StereoFile
@@ -201,5 +201,5 @@ def _check_dem(path: Path, dem: Dem, points: Array) -> None:
     if beside > UNCOVERED_SHARE:
         raise GeometryError(
             f"{path}: the DEM does not cover the points: {100 * beside:.0f} % of them lie outside it; give a "
-            "larger DEM, or check its coordinate system and the poses"
+            f"larger DEM, or check its coordinate system and the poses{exchanged_words(dem, found)}"
         )

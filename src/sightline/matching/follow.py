@@ -116,8 +116,8 @@ def check_followable(shape: tuple[int, int], plan: FollowPlan) -> None:
     least = 2 * (plan.window + 2 * _RIM) * plan.reduction
     if min(shape) < least:
         raise InputError(
-            f"frames of {shape[0]} lines x {shape[1]} columns are too small to be followed; {least} x {least} "
-            "are needed"
+            f"frames of {shape[0]} lines x {shape[1]} columns are too small to be followed; {least} x "
+            f"{least} are needed"
         )
 
 

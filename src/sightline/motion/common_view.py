@@ -62,17 +62,20 @@ def common_views(
     out = {}
     for a, camera in enumerate(cameras):
         lines, columns = image_shape(camera)
-        places = np.linspace(0.0, lines - 1.0, _LINES + 2)[1:-1]
-        pixels = np.stack(np.meshgrid(places, np.arange(float(columns)), indexing="ij"), axis=-1)
-        ground: Array | None = None
-        for b, other in enumerate(cameras):
-            if a == b or (allowed is not None and frozenset((a, b)) not in allowed):
-                continue
-            if ground is None:
-                ground = camera.locate(pixels.reshape(-1, 2), surface)
-            there = other.project(ground)[:, 1].reshape(len(places), columns)
-            with np.errstate(invalid="ignore"):
-                seen = np.flatnonzero(((there >= 0) & (there <= image_shape(other)[1] - 1)).any(axis=0))
+        others = [
+            b for b in range(len(cameras)) if a != b and (allowed is None or frozenset((a, b)) in allowed)
+        ]
+        shown = np.zeros((len(others), columns), dtype=np.bool_)
+        # line by line: detectors of a hundred thousand columns are wide enough
+        for place in np.linspace(0.0, lines - 1.0, _LINES + 2)[1:-1] if others else ():
+            pixels = np.column_stack([np.full(columns, place), np.arange(float(columns))])
+            ground = camera.locate(pixels, surface)
+            for row, b in enumerate(others):
+                there = cameras[b].project(ground)[:, 1]
+                with np.errstate(invalid="ignore"):
+                    shown[row] |= (there >= 0) & (there <= image_shape(cameras[b])[1] - 1)
+        for row, b in enumerate(others):
+            seen = np.flatnonzero(shown[row])
             if len(seen) >= LEAST_COLUMNS:
                 out[a, b] = int(seen[0]), int(seen[-1])
     return out

@@ -182,13 +182,7 @@ def sequence_case(case: str = "lvf", seed: int = 0, **overrides: Any) -> Sequenc
     >>> flight.image(2).shape
     (1, 32, 48)
     """
-    if case not in CASE_OPTIONS:
-        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(CASE_OPTIONS)}")
-    known = {field.name for field in dataclasses.fields(SequenceOptions)}
-    unknown = sorted(set(overrides) - known)
-    if unknown:
-        raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
-    options = SequenceOptions(**{**CASE_OPTIONS[case], **overrides})
+    options = sequence_options(case, **overrides)
     flight = draw_flight(options, np.random.SeedSequence(seed, spawn_key=(_FLIGHT,)))
     ground = draw_ground(options, _seen(options, flight), np.random.SeedSequence(seed, spawn_key=(_GROUND,)))
     ground = dataclasses.replace(ground, water=_water(options))
@@ -198,6 +192,17 @@ def sequence_case(case: str = "lvf", seed: int = 0, **overrides: Any) -> Sequenc
         "frame", options.shape, options.focal_length_px, options.centre_px, options.distortion, by_line
     )
     return SequenceScenario(case, seed, options, detector, flight, layout, ground)
+
+
+def sequence_options(case: str = "lvf", **overrides: Any) -> SequenceOptions:
+    """The options of `sequence_case`, nothing drawn; parameters as there."""
+    if case not in CASE_OPTIONS:
+        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(CASE_OPTIONS)}")
+    known = {field.name for field in dataclasses.fields(SequenceOptions)}
+    unknown = sorted(set(overrides) - known)
+    if unknown:
+        raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
+    return SequenceOptions(**{**CASE_OPTIONS[case], **overrides})
 
 
 def _reach(options: SequenceOptions, flight: Flight) -> float:

@@ -28,6 +28,9 @@ ANCHOR_STRIDE = 20
 REFERENCE_RATE = 25.0
 """Frames per second at which the frequencies of the jitter are those given."""
 
+#: px; sides of frames: aerial cameras have 20,000.
+MOST_PIXELS = 40_000
+
 
 @dataclass(frozen=True)
 class SequenceOptions:
@@ -159,7 +162,12 @@ class SequenceOptions:
         check_least(self, 0, "attitude_sigma", "attitude_bias_sigma", "cross_lines", "contrast", "blur_px")
         for name, low, high in (
             ("overlap", 0.0, 0.999), ("side_overlap", 0.0, 0.95), ("relief", 0.0, 0.2),
-            ("mtf_nyquist", 1e-3, 0.9), ("bits", 4, 16), ("jitter", 0.0, 0.02),
+            ("mtf_nyquist", 1e-3, 0.9), ("bits", 4, 16), ("jitter", 0.0, 0.02), ("contrast", 0.0, 10.0),
+            ("focal_length_px", 10.0, 1e7), ("altitude", 1.0, 1e7), ("frame_rate", 1e-4, 1e5),
+            ("relief_scale", 1e-3, 100.0), ("fwhm_nm", 0.1, 500.0), ("snr", 0.1, 1e5), ("blur_px", 0.0, 50.0),
+            ("position_jitter", 0.0, 1e4), ("position_sigma", 0.0, 1e5), ("position_bias_sigma", 0.0, 1e5),
+            ("attitude_sigma", 0.0, 0.5), ("attitude_bias_sigma", 0.0, 0.5), ("frames", 2, 1_000_000),
+            ("flight_lines", 1, 1000), ("cross_lines", 0, 1000),
         ):  # fmt: skip
             check_within(self, name, low, high)
         if not abs(self.focal_error) < 0.5:
@@ -171,8 +179,11 @@ class SequenceOptions:
             )
 
     def _check_filter(self) -> None:
-        if min(self.shape) < 16:
-            raise InputError(f"`shape` must be 16 x 16 or more, got {self.shape[0]} x {self.shape[1]}")
+        if min(self.shape) < 16 or max(self.shape) > MOST_PIXELS:
+            raise InputError(
+                f"`shape` must be from 16 x 16 to {MOST_PIXELS} x {MOST_PIXELS}, got {self.shape[0]} x "
+                f"{self.shape[1]}"
+            )
         low, high = self.wavelengths_nm
         if not 400.0 <= low < high <= 1000.0:
             raise InputError(

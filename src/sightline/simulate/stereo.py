@@ -177,6 +177,17 @@ class StereoScenario(ReadOnlyArrays):
         }
 
 
+def stereo_options(case: str = "A_paper_T6_K64", **overrides: Any) -> StereoOptions:
+    """The options of `stereo_case`, nothing drawn; parameters as there."""
+    if case not in CASE_OPTIONS:
+        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(CASE_OPTIONS)}")
+    known = {field.name for field in dataclasses.fields(StereoOptions)}
+    unknown = sorted(set(overrides) - known)
+    if unknown:
+        raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
+    return StereoOptions(**{**CASE_OPTIONS[case], **overrides})
+
+
 def stereo_case(case: str = "A_paper_T6_K64", seed: int = 0, **overrides: Any) -> StereoScenario:
     """A pass of one of the named cases.
 
@@ -195,13 +206,7 @@ def stereo_case(case: str = "A_paper_T6_K64", seed: int = 0, **overrides: Any) -
     >>> len(pass_over.images), len(pass_over.tracks)
     (6, 60)
     """
-    if case not in CASE_OPTIONS:
-        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(CASE_OPTIONS)}")
-    known = {field.name for field in dataclasses.fields(StereoOptions)}
-    unknown = sorted(set(overrides) - known)
-    if unknown:
-        raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
-    options = StereoOptions(**{**CASE_OPTIONS[case], **overrides})
+    options = stereo_options(case, **overrides)
     scene = options.scene_seed if options.scene_seed >= 0 else seed
     relief_seed, point_seed, sign_seed = np.random.SeedSequence(scene, spawn_key=(0,)).spawn(3)
     pair = orbit_pair(options)

@@ -168,8 +168,15 @@ class StereoOptions:
         check_positive(self, "fov", "scene_size", "sigma_px", "jitter_frequency")
         check_least(self, 0, "relief_range", "ground_size", "dem_sigma", "sigma_position", "sigma_attitude")
         check_least(self, 0, "noise_scale", "lines")
-        check_least(self, 1, "points", "shots")
-        check_least(self, 16, "columns")
+        for name, low, high in (
+            ("points", 1, 1_000_000), ("shots", 1, 100_000), ("cameras", 2, 1000), ("columns", 16, 40_000),
+            ("lines", 0, 40_000), ("scene_size", 1.0, 1e6), ("ground_size", 0.0, 5e5),
+            ("sigma_px", 1e-6, 100.0),
+            ("sigma_position", 0.0, 1e6), ("sigma_attitude", 0.0, 0.05), ("dem_sigma", 0.0, 1e4),
+            ("noise_scale", 0.0, 100.0), ("jitter_frequency", 1e-6, 1e4), ("relief_range", 0.0, 1e5),
+            ("fov", 1e-6, 2.1), ("window", 0.0, 1e5), ("separation", 0.0, 1e5),
+        ):  # fmt: skip
+            check_within(self, name, low, high)
         if 0 < self.lines < 16:
             raise InputError(f"`lines` must be 16 or more, or 0 for as many as columns, got {self.lines}")
         if not self.fov < np.radians(120.0):
