@@ -22,11 +22,11 @@ from sightline.applications.strip_noise import (
     Figure,
     LawRows,
     StripPixels,
-    bound,
+    bounded_figure,
     estimate_strip_noise,
     figures,
     law_rows,
-    measured,
+    measured_figure,
 )
 from sightline.errors import EstimationError, InputError
 from sightline.imaging.noise_estimation import (
@@ -227,7 +227,7 @@ def dark_noise(frames: Sequence[ImageSource]) -> DarkNoise:
     root = float(np.sqrt(variance))
     resting = Estimate(root, sigma / (2.0 * root))
     how = f"high differences of {len(frames)} frame{'s' if len(frames) > 1 else ''} without light"
-    return DarkNoise(level, resting, (measured("read noise C", "DN rms", resting, how),))
+    return DarkNoise(level, resting, (measured_figure("read noise C", "DN rms", resting, how),))
 
 
 def plain_image_noise(
@@ -290,10 +290,12 @@ def plain_image_noise(
         float(np.nanmedian(means)),
         float(found.high - level[~found.dead].mean()) if np.isfinite(found.high) else None,
         (
-            measured(at, "DN^2", white.variance, "high differences, no texture"),
-            bound("image noise", "DN^2", "<=", white.bound.upper(), "high differences as they stand"),
-            measured("its slope with signal", "DN", white.slope, "over the signals of the scene"),
-            measured("column pattern A_col", "1", pattern.variance, finer),
+            measured_figure(at, "DN^2", white.variance, "high differences, no texture"),
+            bounded_figure(
+                "image noise", "DN^2", "<=", white.bound.upper(), "high differences as they stand"
+            ),
+            measured_figure("its slope with signal", "DN", white.slope, "over the signals of the scene"),
+            measured_figure("column pattern A_col", "1", pattern.variance, finer),
         ),
         tuple(warnings),
     )
@@ -340,8 +342,8 @@ def detector_noise(
     if rest is None:
         rest, at_rest = Estimate(0.0, 0.0), "if there is no other noise"
         of_law = [
-            bound("B", "DN", "<=", shot.upper(), at_rest),
-            bound("conversion gain 1 / B", "e-/DN", ">=", 1.0 / shot.upper(), at_rest),
+            bounded_figure("B", "DN", "<=", shot.upper(), at_rest),
+            bounded_figure("conversion gain 1 / B", "e-/DN", ">=", 1.0 / shot.upper(), at_rest),
         ]
         warnings.append(
             "all of the noise is taken for shot noise: images of one signal do not part it from read noise; "
@@ -349,15 +351,19 @@ def detector_noise(
         )
     else:
         of_law = [
-            measured("B", "DN", shot, how),
-            measured("conversion gain 1 / B", "e-/DN", conversion, "if shot noise is that of electrons"),
-            measured("C^2 of the sum", "DN^2", rest, how),
+            measured_figure("B", "DN", shot, how),
+            measured_figure(
+                "conversion gain 1 / B", "e-/DN", conversion, "if shot noise is that of electrons"
+            ),
+            measured_figure("C^2 of the sum", "DN^2", rest, how),
         ]
     told = [
         *(dark.figures if dark is not None else ()),
-        _gain_bound(images, rest) if gain_noise is None else measured("A of the sum", "1", gain_noise, how),
+        _gain_bound(images, rest)
+        if gain_noise is None
+        else measured_figure("A of the sum", "1", gain_noise, how),
         *of_law,
-        measured("A_col", "1", pattern, f"columns, finer than {SMOOTH} of them"),
+        measured_figure("A_col", "1", pattern, f"columns, finer than {SMOOTH} of them"),
     ]
     gain = gain_noise.value if gain_noise is not None else 0.0
     if electrons_per_dn is not None:
@@ -441,7 +447,7 @@ def _gain_left(white: WhiteNoise, rest: Estimate, shot: float) -> float:
 
 def _gain_bound(images: Sequence[ImageNoise], rest: Estimate) -> Figure:
     least = min(_gain_left(one.white, rest, 0.0) for one in images)
-    return bound("A of the sum", "1", "<=", least, "image noise if there is no shot noise")
+    return bounded_figure("A of the sum", "1", "<=", least, "image noise if there is no shot noise")
 
 
 def _weighted(estimates: Sequence[Estimate]) -> Estimate:

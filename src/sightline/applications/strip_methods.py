@@ -26,7 +26,7 @@ from sightline.estimation.prior import TabulatedPsd
 from sightline.geometry.trajectory import Motion
 from sightline.motion.differences import AngleDifferences, by_pair
 from sightline.motion.estimators.inverse import inverse
-from sightline.motion.estimators.kalman import default_step, kalman
+from sightline.motion.estimators.kalman import epoch_step, kalman
 from sightline.motion.estimators.polynomial import polynomial
 from sightline.motion.estimators.wiener import wiener
 from sightline.motion.hyper import angle_differences
@@ -135,7 +135,7 @@ def _estimated(method: str, differences: Sequence[AngleDifferences], t: Array, s
     scale = np.sqrt(np.array(state.model.noise_scale))
     grown = [replace(one, covariance=one.covariance * np.outer(scale, scale)) for one in differences]
     longest = max(float(np.abs(one.lag).max()) for one in differences)
-    step = max(default_step(grown, state.model.spectra), longest / MOST_EPOCHS)
+    step = max(epoch_step(grown, state.model.spectra), longest / MOST_EPOCHS)
     return kalman(grown, t, prior=state.model.spectra, grid_step=step)
 
 

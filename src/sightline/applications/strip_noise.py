@@ -278,31 +278,49 @@ def figures(noise: StripNoise, stages: int, electrons_per_dn: float | None = Non
     tied = float(fit[0, 1] / np.sqrt(fit[0, 0] * fit[1, 1]))
     left = max(columns.single - columns.variance.value, 0.0)
     in_dn = [
-        measured("read noise C", "DN rms", read, "empty pixels, by lines on either side of codes' edges"),
-        measured("noise of masked columns", "DN rms", noise.dark.pooled, "the same; light leaks into them"),
-        measured(
+        measured_figure(
+            "read noise C", "DN rms", read, "empty pixels, by lines on either side of codes' edges"
+        ),
+        measured_figure(
+            "noise of masked columns", "DN rms", noise.dark.pooled, "the same; light leaks into them"
+        ),
+        measured_figure(
             f"image noise at {signal:.0f} DN", "DN^2", noise.white.variance, "high differences, no texture"
         ),
-        bound("image noise", "DN^2", "<=", noise.white.bound.upper(), "high differences as they stand"),
-        measured("its slope with signal", "DN", noise.white.slope, "over the few per cent of the scene"),
-        measured("shot noise B, ramp", "DN", noise.ramp.shot, "photon transfer while the TDI fills"),
-        measured("shot noise B, masked columns", "DN", noise.dark_shot, "if what leaks into them is charge"),
-        bound("shot noise B, image", "DN", "<=", 1.0 / least, "image noise is read and shot noise"),
-        measured(
+        bounded_figure(
+            "image noise", "DN^2", "<=", noise.white.bound.upper(), "high differences as they stand"
+        ),
+        measured_figure(
+            "its slope with signal", "DN", noise.white.slope, "over the few per cent of the scene"
+        ),
+        measured_figure("shot noise B, ramp", "DN", noise.ramp.shot, "photon transfer while the TDI fills"),
+        measured_figure(
+            "shot noise B, masked columns", "DN", noise.dark_shot, "if what leaks into them is charge"
+        ),
+        bounded_figure("shot noise B, image", "DN", "<=", 1.0 / least, "image noise is read and shot noise"),
+        measured_figure(
             "B, joint, if A = 0", "DN", noise.plain.estimate(0), "read noise, image and its slope, ramp"
         ),
-        measured("B, joint", "DN", noise.law.estimate(1), "the same, A free"),
-        measured("A of the sum, joint", "1", noise.law.estimate(0), f"correlation with B {tied:.2f}"),
-        bound("A of the sum", "1", "<=", 1.0 / (least * signal), "image noise if there is no shot noise"),
-        bound("conversion gain", "e-/DN", ">=", least, "by B of the image: Poisson"),
-        measured(
+        measured_figure("B, joint", "DN", noise.law.estimate(1), "the same, A free"),
+        measured_figure("A of the sum, joint", "1", noise.law.estimate(0), f"correlation with B {tied:.2f}"),
+        bounded_figure(
+            "A of the sum", "1", "<=", 1.0 / (least * signal), "image noise if there is no shot noise"
+        ),
+        bounded_figure("conversion gain", "e-/DN", ">=", least, "by B of the image: Poisson"),
+        measured_figure(
             "column pattern A_col", "1", columns.variance, f"common to the strip, < {SMOOTH} columns wide"
         ),
-        measured("  parts less than half apart", "1", columns.near, "as the next if it is the detector's"),
-        measured("  parts half a strip apart", "1", columns.far, "or more"),
-        bound("  offsets' share of it", "1", "<=", noise.offsets.upper(), "same, of lines without charge"),
-        bound("  scene left in one part", "1", "<=", left, "not in A_col"),
-        measured("darkest masked columns", "DN", noise.dark_signal, "above their own level without charge"),
+        measured_figure(
+            "  parts less than half apart", "1", columns.near, "as the next if it is the detector's"
+        ),
+        measured_figure("  parts half a strip apart", "1", columns.far, "or more"),
+        bounded_figure(
+            "  offsets' share of it", "1", "<=", noise.offsets.upper(), "same, of lines without charge"
+        ),
+        bounded_figure("  scene left in one part", "1", "<=", left, "not in A_col"),
+        measured_figure(
+            "darkest masked columns", "DN", noise.dark_signal, "above their own level without charge"
+        ),
     ]
     if electrons_per_dn is None:
         return in_dn
@@ -310,18 +328,20 @@ def figures(noise: StripNoise, stages: int, electrons_per_dn: float | None = Non
     of_sum, dark = gain_bound(noise, g), max(noise.dark_signal.upper(), 0.0) * g / stages
     return [
         *in_dn,
-        bound("A of the sum", "1", "<=", of_sum, f"if B is that of {g:.4g} e-/DN"),
-        measured("C_out", "e- rms", read, f"at {g:.4g} e-/DN, whose own error is not known", g),
-        bound("A of a stage", "1", "<=", stages * of_sum, f"{stages} stages, each with a gain of its own"),
-        bound("D", "e-/stage", "<=", dark, "integration ratio 1; leaked light included"),
+        bounded_figure("A of the sum", "1", "<=", of_sum, f"if B is that of {g:.4g} e-/DN"),
+        measured_figure("C_out", "e- rms", read, f"at {g:.4g} e-/DN, whose own error is not known", g),
+        bounded_figure(
+            "A of a stage", "1", "<=", stages * of_sum, f"{stages} stages, each with a gain of its own"
+        ),
+        bounded_figure("D", "e-/stage", "<=", dark, "integration ratio 1; leaked light included"),
     ]
 
 
-def measured(name: str, unit: str, estimate: Estimate, how: str, scale: float = 1.0) -> Figure:
+def measured_figure(name: str, unit: str, estimate: Estimate, how: str, scale: float = 1.0) -> Figure:
     """The figure of an estimate, `scale` times it."""
     return Figure(name, unit, estimate.value * scale, estimate.sigma * scale, "=", how)
 
 
-def bound(name: str, unit: str, relation: str, value: float, how: str) -> Figure:
+def bounded_figure(name: str, unit: str, relation: str, value: float, how: str) -> Figure:
     """The figure of a bound; `relation` is ``"<="`` or ``">="``."""
     return Figure(name, unit, value, None, relation, how)

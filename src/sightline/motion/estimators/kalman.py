@@ -148,7 +148,7 @@ def kalman(
             f"`t` spans [{times[0]:.6g}, {times[-1]:.6g}] s, the differences [{first:.6g}, {last:.6g}] s; "
             "the Kalman smoother does not extrapolate: ask within the span"
         )
-    step = grid_step or default_step(pairs, axes)
+    step = grid_step or epoch_step(pairs, axes)
     count = max(4, math.ceil((last - first) / step - 1e-9) + 1)
     epochs = np.asarray(first + step * np.arange(count), dtype=np.float64)
     rows = _rows(pairs, epochs)
@@ -160,7 +160,7 @@ def kalman(
     return Motion(times, angles, variance[:, :, None] * np.eye(3))
 
 
-def default_step(pairs: Sequence[AngleDifferences], axes: Sequence[Spectrum]) -> float:
+def epoch_step(pairs: Sequence[AngleDifferences], axes: Sequence[Spectrum]) -> float:
     """Step (s) of epochs fine enough for the lags, the differences and the tones."""
     shortest = min(float(np.abs(d.lag).min()) for d in pairs)
     step = min(0.25 * shortest, 0.25 * common_step(pairs))
@@ -352,4 +352,4 @@ def _forget(end: _Filter, epoch: int, adjoint: Array, information: Array) -> Non
     information[:, slot] = 0.0
 
 
-__all__: Sequence[str] = ("StateSpace", "default_step", "kalman", "state_space")
+__all__: Sequence[str] = ("StateSpace", "epoch_step", "kalman", "state_space")
