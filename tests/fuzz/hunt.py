@@ -108,7 +108,7 @@ class Hunter:
         """Try `count` cases of a reader, drawn from seed `number`."""
         row, tally = READERS[name], Tally()
         files = self.files_of(row.seed)
-        drawn = cases(files, row.targets_of(files))
+        drawn = cases(files, row.targets_of(files), row.options)
         turn = 0
         while tally.inputs < count:
             self._round(row, drawn, tally, count - tally.inputs, number + 1_000_003 * turn)
@@ -187,7 +187,7 @@ class Hunter:
             except OSError:  # a name that no system takes
                 return {"status": 2, "seconds": 0.0}, {}
             before = _listing(folder)
-            answer = self._worker.run(row.name, folder, row.patience)
+            answer = self._worker.run(row.name, folder, case.words, row.patience)
             strayed = [f"changed or made {name}" for name in _changed(folder, before, row)]
             strayed += [f"beside the case: {path.name}" for path in folder.parent.iterdir() if path != folder]
             asked = self._server.asked()
@@ -238,6 +238,7 @@ class Hunter:
             "fault": fault,
             "detail": detail,
             "edits": case.edits,
+            "words": case.words,
             "changed": [f for f in case.files if case.files[f] != self.files_of(row.seed).get(f)],
             "gone": [f for f in self.files_of(row.seed) if f not in case.files],
             "special": {file: [held.kind, held.target] for file, held in special.items()},
@@ -316,7 +317,7 @@ def kept_case(folder: Path) -> tuple[Reader, Case]:
         str(p.relative_to(root)): p.read_bytes() for p in sorted(root.rglob("*")) if p.is_file()
     }
     files |= {name: Special(*held) for name, held in about["special"].items()}
-    return READERS[about["reader"]], Case(files, about["edits"])
+    return READERS[about["reader"]], Case(files, about["edits"], about["words"])
 
 
 def _size(case: Case) -> int:
@@ -444,6 +445,7 @@ def _faults_of_words(row: Reader, answer: dict[str, Any], case: Case) -> dict[st
 
 
 def _names_a_file(message: str, case: Case) -> bool:
-    """Whether a message names a file of the case, or a path that stands in one."""
+    """Whether a message names a file of the case, a path that stands in one, or an option."""
     names = {part for name in case.files for part in (name.rsplit("/", 1)[-1], name.split("/")[0])}
-    return any(name in message for name in names) or "/case" in message
+    options = {word.partition("=")[0] for word in case.words if word.startswith("--")}
+    return any(name in message for name in names | options) or "/case" in message

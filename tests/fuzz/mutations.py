@@ -40,14 +40,15 @@ File = bytes | Special
 
 @dataclass
 class Case:
-    """Files of a case and the kinds of its edits."""
+    """Files of a case, the kinds of its edits, and options that are added to a command."""
 
     files: dict[str, File]
     edits: list[str] = field(default_factory=list)
+    words: list[str] = field(default_factory=list)
 
     def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
         """Short: hypothesis prints what fails."""
-        printer.text(f"<{len(self.files)} files after {', '.join(self.edits)}>")
+        printer.text(f"<{len(self.files)} files after {', '.join(self.edits)}; {' '.join(self.words)[:200]}>")
 
 
 class Raw(str):
@@ -75,8 +76,8 @@ DEPTHS = (50, 100_000)
 PATHS = [
     *"missing.csv . .. / /dev/zero /dev/null fifo loop dangling folder hole ~/x.tif - con".split(),
     *"$HOME/x.tif ../outside.csv /etc/passwd /proc/self/mem /vsimem/x.tif /vsistdin/".split(),
-    f"http://{SERVER}/x.tif", f"/vsicurl/http://{SERVER}/x.tif", f"https://{SERVER}/x.csv", f"file://{SERVER}/x",
-    f"WMS:http://{SERVER}/", f"/vsizip//vsicurl/http://{SERVER}/x.zip/x.tif",
+    f"http://{SERVER}/x.tif", f"/vsicurl/http://{SERVER}/x.tif", f"https://{SERVER}/x.csv",
+    f"file://{SERVER}/x", f"WMS:http://{SERVER}/", f"/vsizip//vsicurl/http://{SERVER}/x.zip/x.tif",
     "", " ", "GTIFF_DIR:1:x.tif", "x.tif\n", "a\x00b", "x" * 300, "x/" * 3000, "\u00fc\u4e2d.tif",
 ]  # fmt: skip
 #: What the names among `PATHS` that are no plain files stand for.
@@ -512,8 +513,8 @@ WMS = (
     + SERVER
     + "/${{z}}/${{x}}/${{y}}.png</ServerUrl></Service><DataWindow>"
     "<UpperLeftX>0</UpperLeftX><UpperLeftY>0</UpperLeftY><LowerRightX>64</LowerRightX>"
-    "<LowerRightY>700</LowerRightY><TileLevel>0</TileLevel><SizeX>{columns}</SizeX><SizeY>{lines}</SizeY></DataWindow>"
-    "<BlockSizeX>64</BlockSizeX><BlockSizeY>64</BlockSizeY><BandsCount>1</BandsCount></GDAL_WMS>"
+    "<LowerRightY>700</LowerRightY><TileLevel>0</TileLevel><SizeX>{columns}</SizeX><SizeY>{lines}</SizeY>"
+    "</DataWindow><BlockSizeX>64</BlockSizeX><BlockSizeY>64</BlockSizeY><BandsCount>1</BandsCount></GDAL_WMS>"
 )
 #: Of a map: none, cells far too small or large, turned, not a number, degenerate, upside down, elsewhere.
 TRANSFORMS = [
@@ -874,10 +875,36 @@ def _edit(draw, name: str, files: dict[str, File]) -> str:
     return kind
 
 
+#: Values of options: none that is a lot of work and may well be asked for.
+VALUES = [
+    *"-1 0 1 2 3 0.5 nan inf -inf 1e300 -1e300 1e-300 x 1,2 nan,nan 1e300,1e300 -5,-5 40-20 3,4 0-1".split(),
+    "../x", "1" + "0" * 18, "-1" + "0" * 18, f"{10**18},{10**18}", "9" * 5000, "", " ", "\u00e9", "a\nb",
+    "{{7*7}}", "@missing", "@folder", "@fifo", "/dev/zero", "x" * 300,
+]  # fmt: skip
+
+
+def _option(draw, options: tuple[tuple[str, int, bool], ...], case: Case) -> str:
+    """Add an option with a value; gives the kind."""
+    name, count, flag = draw(st.sampled_from(options))
+    values = [] if flag else [draw(st.sampled_from([*VALUES, *words_of_schemas()])) for _ in range(count)]
+    for value in values:
+        if value.removeprefix("@") in COMPANIONS:
+            case.files[value[1:]] = COMPANIONS[value[1:]]
+    # a value that begins with a dash is one of the option, not another
+    case.words += [f"{name}={values[0]}"] if count == 1 and not flag else [name, *values]
+    return f"option {name}"
+
+
 @st.composite
-def cases(draw, files: dict[str, bytes], targets: tuple[str, ...]) -> Case:
-    """A case of up to three edits, mostly of one, of files among `targets`."""
+def cases(
+    draw, files: dict[str, bytes], targets: tuple[str, ...], options: tuple[tuple[str, int, bool], ...] = ()
+) -> Case:
+    """A case of up to three edits, mostly of one: of files among `targets`, or further options."""
     case = Case(dict(files))
+    if options:
+        for _ in range(draw(st.sampled_from([1, 1, 2, 3]))):
+            case.edits.append(_option(draw, options, case))
+        return case
     for _ in range(draw(st.sampled_from([1, 1, 1, 2, 3]))):
         there = [name for name in targets if name in case.files]
         if there:

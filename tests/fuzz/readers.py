@@ -5,7 +5,8 @@ and what the other commands read before they begin their work.
 from __future__ import annotations
 
 import fnmatch
-from collections.abc import Callable, Iterable
+import re
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -31,6 +32,9 @@ class Reader:
         Functions of ``sightline.io`` that it calls, as ``module.function``.
     words : tuple of str
         Of a command: the words after ``sightline``; those that begin with @ are of the folder.
+    options : tuple of (str, int, bool)
+        Of a command whose options are changed in place of files: their names, how many values each takes,
+        whether it is a flag.
     check : str
         Of a command: the TOML file that `check` must refuse too where the command calls it wrong; or empty.
     patience : float
@@ -43,11 +47,14 @@ class Reader:
     call: Callable[[Path], int | None]
     covers: tuple[str, ...] = ()
     words: tuple[str, ...] = ()
+    options: tuple[tuple[str, int, bool], ...] = ()
     check: str = ""
     patience: float = 20.0
 
     def targets_of(self, files: dict[str, bytes]) -> tuple[str, ...]:
         """The files that are changed."""
+        if self.options:
+            return ()
         found = [name for name in files if any(fnmatch.fnmatch(name, pattern) for pattern in self.targets)]
         assert found, f"{self.name}: no file of {self.seed} is like {self.targets}"
         return tuple(sorted(found))
@@ -78,19 +85,35 @@ def _row(place: str, seed: str, targets: list[str], call: Callable[[Path, Any], 
 
 def spoken(words: Iterable[str], folder: Path) -> list[str]:
     """The words of a command about the case in `folder`."""
-    return [f"{folder}/{word[1:]}" if word.startswith("@") else word for word in words]
+    return [re.sub("(^|=)@", rf"\g<1>{folder}/", word) for word in words]
+
+
+def options_of(words: Sequence[str]) -> tuple[tuple[str, int, bool], ...]:
+    """Options of a command but for those that say where to write or let it ask servers."""
+    import typer.main
+
+    from sightline.cli.main import app
+
+    here = typer.main.get_command(app)
+    for word in words:
+        here = getattr(here, "commands", {}).get(word, here)
+    never = {"--out", "--overwrite", "--resume", "--help", "--allow-network", "--workers"}
+    given = [p for p in here.params if p.opts[0].startswith("--") and p.opts[0] not in never]
+    return tuple((option.opts[0], option.nargs, bool(option.is_flag)) for option in given)
 
 
 def command(name: str, seed: str, targets: str, words: str, check: str = "") -> None:
     """A row for a command line."""
 
-    def of_folder(folder: Path) -> int:
+    def of_folder(folder: Path, more: Sequence[str] = ()) -> int:
         from sightline.cli.main import run
 
-        return run(spoken(words.split(), folder))
+        return run(spoken([*words.split(), *more], folder))
 
     assert name not in READERS, name
-    READERS[name] = Reader(name, seed, tuple(targets.split()), of_folder, (), tuple(words.split()), check)
+    said = tuple(words.split())
+    options = () if targets else options_of(said)
+    READERS[name] = Reader(name, seed, tuple(targets.split()), of_folder, (), said, options, check)
 
 
 # Tables -----------------------------------------------------------------------------------------------------
@@ -313,3 +336,23 @@ for _name, _seed, _targets, _words, _check in (
     ("georeference", "flown", "*", "georeference @sequence.toml --out @out", "sequence.toml"),
 ):  # fmt: skip
     command(_name, _seed, _targets, _words, _check)
+
+# Options of commands ----------------------------------------------------------------------------------------
+
+for _seed, _words in (
+    ("plan", "simulate line-of-sight --lines 64 --columns 32 --out @out"),
+    ("plan", "simulate line-of-sight --case mirror-leo --lines 64 --columns 32 --out @out"),
+    ("plan", "simulate line-of-sight --case frames --count 2 --out @out"),
+    ("plan", "simulate stereo --shots 2 --points 10 --out @out"),
+    ("plan", "simulate frames --frames 3 --shape 24 32 --out @out"),
+    ("level", "recover @acquisition.toml --out @out"),
+    ("recovered", "register @acquisition.toml --motion @result --out @out"),
+    ("pair", "orient @stereo.toml --out @out"),
+    ("flown", "georeference @sequence.toml --out @out"),
+    ("tdi", "tdi @tdi.toml --out @out"),
+    ("instrument", "layout @instrument.toml --passband 40 150"),
+    ("recovered", "score @result @truth.csv"),
+    ("level", "check @acquisition.toml"),
+    ("hirise", "noise @raw.IMG --out @out"),
+):
+    command(f"options of {_words.split(' @')[0]}", _seed, "", _words)

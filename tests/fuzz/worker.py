@@ -52,7 +52,7 @@ class Worker:
         self._log = folder / "worker.log"
         self._process: subprocess.Popen[bytes] | None = None
 
-    def run(self, reader: str, case: Path, patience: float) -> dict[str, Any]:
+    def run(self, reader: str, case: Path, more: list[str], patience: float) -> dict[str, Any]:
         """What became of a case: see ``_watched``; ``died`` or ``hung`` where the process did not survive it.
 
         A case that does nothing for `patience` s on the clock is ended.
@@ -61,7 +61,8 @@ class Worker:
             self._start()
         assert self._process is not None and self._process.stdin is not None
         self._process.stdin.write(
-            json.dumps({"reader": reader, "case": str(case), "patience": patience}).encode() + b"\n"
+            json.dumps({"reader": reader, "case": str(case), "more": more, "patience": patience}).encode()
+            + b"\n"
         )
         self._process.stdin.flush()
         answer = self._answer(3600.0)
@@ -228,13 +229,15 @@ def _child(folder: Path, ask: int, tell: int, compiling: mmap.mmap) -> None:
             fault.seek(0)
             fault.truncate()
             given = json.loads(line)
-            answer = _watched(given["reader"], Path(given["case"]), folder, seen, compiled)
+            answer = _watched(given["reader"], given["more"], Path(given["case"]), folder, seen, compiled)
             # a failure may leave the process in a state of its own
             answer["last"] = answer.get("status") not in (0, 1, 2) or answer["memory"] > MOST_MEMORY // 2
             os.write(tell, json.dumps(answer).encode() + b"\n")
 
 
-def _watched(reader: str, case: Path, folder: Path, seen: _Watch, compiled: _Compiled) -> dict[str, Any]:
+def _watched(
+    reader: str, more: list[str], case: Path, folder: Path, seen: _Watch, compiled: _Compiled
+) -> dict[str, Any]:
     """Run one case.
 
     Returns
@@ -263,7 +266,7 @@ def _watched(reader: str, case: Path, folder: Path, seen: _Watch, compiled: _Com
         warnings.simplefilter("always")
         seen.begin(case)
         try:
-            status = row.call(case)
+            status = row.call(case, *([more] if more else []))
             answer["status"] = 0 if status is None else status
         except BaseException as error:
             answer |= {"status": _status_of(error), "error": str(error), "kind": type(error).__name__}
@@ -275,7 +278,7 @@ def _watched(reader: str, case: Path, folder: Path, seen: _Watch, compiled: _Com
     answer["said"], answer["told"] = captured.texts()
     answer["warned"] = [f"{w.category.__name__}: {w.message}" for w in warned]
     if row.words and answer["status"] not in (0, 1, 2):
-        answer["where"], answer["kind"] = _again(row.words, case)
+        answer["where"], answer["kind"] = _again([*row.words, *more], case)
     if row.check and answer["status"] == 2:
         with _Captured():
             answer["check"] = run(["check", str(case / row.check)])
@@ -283,7 +286,7 @@ def _watched(reader: str, case: Path, folder: Path, seen: _Watch, compiled: _Com
     return answer
 
 
-def _again(words: tuple[str, ...], case: Path) -> tuple[str, str]:
+def _again(words: list[str], case: Path) -> tuple[str, str]:
     """Where a command failed: the same once more, with the exception left to rise."""
     from tests.fuzz.readers import spoken
 
