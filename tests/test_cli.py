@@ -295,7 +295,7 @@ def test_progress_with_a_total_shows_the_time_left(monkeypatch):
 
 def test_a_simulated_strip_can_be_checked(tmp_path, capsys):
     scene = tmp_path / "scene"
-    size = ["--lines", "400", "--columns", "64"]
+    size = ["--lines", "400", "--columns", "200"]
     assert command.run(["simulate", "line-of-sight", *size, "--out", str(scene), "--json"]) == 0
     written = json.loads(capsys.readouterr().out)["files"]
     assert sorted(entry.name for entry in scene.iterdir()) == sorted(written)

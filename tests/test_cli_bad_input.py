@@ -12,7 +12,7 @@ from tests.terminal_lines import PROGRESS, WARNING
 
 from sightline.cli.main import run
 
-LINES, COLUMNS = 420, 64
+LINES, COLUMNS = 420, 200
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +166,7 @@ BAD = [
     (image_of_nan, 2, r"B1.*(NaN|not a number|no usable)"),
     (image_constant, 2, r"B1.*(constant|same value)"),
     (image_saturated, 2, r"B1.*(saturated|constant|same value)"),
-    (image_too_narrow, 2, r"B1.*60.*64"),
+    (image_too_narrow, 2, r"B1.*196.*200"),
     (times_backwards, 2, r"times\.csv.*(increas|order)"),
     (times_twice, 2, r"times\.csv.*(increas|twice|duplicate)"),
     (only_one_band, 2, r"add a \[\[band\]\]"),

@@ -32,7 +32,18 @@ def test_the_demo_says_which_cases_are_not_its_own(tmp_path, capsys):
 
 def test_an_instrument_is_rendered_and_checked(tmp_path, capsys):
     folder = tmp_path / "scene"
-    arguments = ["--case", "spin-geo", "--off-nadir", "3", "--lines", "240", "--out", str(folder)]
+    arguments = [
+        "--case",
+        "spin-geo",
+        "--off-nadir",
+        "3",
+        "--lines",
+        "240",
+        "--columns",
+        "200",
+        "--out",
+        str(folder),
+    ]
     assert run([*COMMAND, *arguments]) == 0
     assert {"acquisition.toml", "positions.csv", "PAN.tif", "truth.csv"} <= {p.name for p in folder.iterdir()}
     capsys.readouterr()
@@ -58,7 +69,7 @@ def test_what_photographs_do_not_have_is_refused(tmp_path, capsys, arguments):
 
 def test_check_finds_the_few_columns_that_staggered_detectors_share(tmp_path, capsys):
     folder = tmp_path / "scene"
-    arguments = ["--case", "staggered", "--lines", "400", "--out", str(folder)]
+    arguments = ["--case", "staggered", "--lines", "520", "--out", str(folder)]
     assert run(["simulate", "line-of-sight", *arguments]) == 0
     capsys.readouterr()
     assert run(["check", str(folder / "acquisition.toml")]) == 0

@@ -572,7 +572,7 @@ def test_files_that_may_not_grow_are_one_clear_error(tmp_path):
         from sightline.cli.main import run
         sys.exit(run(sys.argv[1:]))
     """)
-    words = ["simulate", "line-of-sight", "--lines", "400", "--columns", "128", "--out", tmp_path / "scene"]
+    words = ["simulate", "line-of-sight", "--lines", "400", "--columns", "200", "--out", tmp_path / "scene"]
     done = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True)
     assert done.returncode == 2, done.stderr
     assert f"{tmp_path / 'scene' / 'PAN.tif'}: cannot be written" in done.stderr

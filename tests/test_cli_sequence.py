@@ -10,7 +10,7 @@ from sightline.io.poses import read_pose_truth
 from sightline.io.sequence import read_sequence
 
 CASES = {
-    "lvf": "64 wavelengths",
+    "lvf": "122 wavelengths",
     "mosaic": "a mosaic",
     "rgb": "in the bands of each image",
     "two-lines": "rolling",
@@ -20,7 +20,8 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_what_is_simulated_is_understood(tmp_path, capsys, case):
     out = tmp_path / "flight"
-    size = ["--frames", "12", "--shape", "64", "80", "--overlap", "0.9", "--truth-bands", "0"]
+    shape = ["488", "496"] if case == "mosaic" else ["122", "136"]  # the least that can be followed
+    size = ["--frames", "12", "--shape", *shape, "--overlap", "0.9", "--truth-bands", "0"]
     bad = ["--missing", "4", "--unreadable", "7"]
     assert run(["simulate", "frames", "--case", case, *size, *bad, "--out", str(out)]) == 0
     capsys.readouterr()
@@ -41,12 +42,12 @@ def test_what_is_simulated_is_understood(tmp_path, capsys, case):
 
 def test_check_is_read_by_people_too(tmp_path, capsys):
     out = tmp_path / "flight"
-    size = ["--frames", "6", "--shape", "64", "80", "--truth-bands", "0"]
+    size = ["--frames", "6", "--shape", "128", "144", "--truth-bands", "0"]
     assert run(["simulate", "frames", *size, "--out", str(out)]) == 0
     capsys.readouterr()
     assert run(["check", str(out / "sequence.toml")]) == 0
     said = capsys.readouterr().out
-    assert "understood:" in said and "6 frames of 64 lines x 80 columns" in said and "observable:" in said
+    assert "understood:" in said and "6 frames of 128 lines x 144 columns" in said and "observable:" in said
     (out / "frames.csv").write_text("frame,t,image\n0,nan,frames/frame-00000.tif\n")
     assert run(["check", str(out / "sequence.toml")]) == 2
     assert "column 't' is nan" in capsys.readouterr().err

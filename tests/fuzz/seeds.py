@@ -24,7 +24,7 @@ Maker = Callable[[Path], None]
 SEEDS: dict[str, Maker] = {}
 
 #: Bytes of the largest file of a seed: every case is written anew, thousands of times.
-MOST_BYTES = 40_000
+MOST_BYTES = 60_000
 
 
 def seed(make: Maker) -> Maker:
@@ -384,9 +384,9 @@ def mirror(folder: Path) -> None:
         "--case",
         "mirror-leo",
         "--lines",
-        200,
+        124,
         "--columns",
-        64,
+        224,
         "--out",
         folder,
         "--overwrite",
@@ -401,9 +401,9 @@ def spin(folder: Path) -> None:
         "--case",
         "spin-leo",
         "--lines",
-        200,
+        124,
         "--columns",
-        64,
+        224,
         "--out",
         folder,
         "--overwrite",

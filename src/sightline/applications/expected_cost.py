@@ -15,14 +15,16 @@ from typing import TYPE_CHECKING
 
 from sightline.errors import InputError
 from sightline.execution import machine_memory
+from sightline.motion.layout_search import EXHAUSTIVE, MOST_CELLS, choices, expected_trials
 
 if TYPE_CHECKING:
-    from sightline.applications.focal_plane import FocalPlane
     from sightline.applications.frame_sequence import SequenceProblem
     from sightline.applications.stereo_orientation import StereoProblem
     from sightline.applications.strip import RecoverOptions
     from sightline.applications.tdi_choice import TdiProblem
     from sightline.motion.band import Band, Frame
+    from sightline.motion.layout_information import RowNoise
+    from sightline.motion.layout_search import Candidates
 
 #: Bytes that Python and the libraries take before anything is read (runs of the smallest cases).
 BASE_BYTES = 0.35e9
@@ -105,21 +107,18 @@ def size_words(size: float) -> str:
     return f"{size / 1e9:.2g} GB" if size >= 1e8 else f"{max(size / 1e6, 1.0):.0f} MB"
 
 
-def layout_cost(plane: FocalPlane, passband: tuple[float, float] | None = None) -> Cost:
-    """Of ``choose_layout``; without a pass-band, of the widest that the rows of matches can sample.
+def search_cost(candidates: Candidates, noise: RowNoise) -> Cost:
+    """Of a search for layouts.
 
     Some 4 million layouts a second are judged where each is improved (8 and 16 detectors on 961 places, 8 on
     4001), a hundred million where all are gone through.
     """
-    from sightline.motion.layout_search import EXHAUSTIVE, MOST_CELLS, choices, expected_trials
-
-    candidates = plane.candidates(0.5 * plane.row_rate if passband is None else passband[1])
-    trials = expected_trials(candidates, plane.noise)
-    rate = 1e8 if choices(candidates, plane.noise) <= EXHAUSTIVE else 4e6
+    trials = expected_trials(candidates, noise)
+    rate = 1e8 if choices(candidates, noise) <= EXHAUSTIVE else 4e6
     return Cost(
         20.0 + trials / rate,
         BASE_BYTES + 16.0 * MOST_CELLS,
-        f"{plane.detectors} detectors on {len(candidates.t):,} places (detectors, span, step_px, lines)",
+        f"{len(noise.sigma_px)} detectors on {len(candidates.t):,} places (detectors, span, step_px, lines)",
     )
 
 

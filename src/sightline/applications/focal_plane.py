@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.expected_cost import layout_cost
+from sightline.applications.expected_cost import Cost, search_cost
 from sightline.errors import InputError, computes
 from sightline.estimation.prior import Matern, Spectrum
 from sightline.execution import one_blas_thread
@@ -338,8 +338,8 @@ def choose_layout(
     if count < 1:
         raise InputError(f"`count` must be 1 or more, got {count}")
     prior, duration, warnings = _believed(focal_plane, low, high)
-    layout_cost(focal_plane, (low, high)).check()
     candidates, noise = focal_plane.candidates(high), focal_plane.noise
+    search_cost(candidates, noise).check()
     progress(f"seeking among {choices(candidates, noise):.3g} layouts")
     found = search_layouts(candidates, noise, (low, high), exhaustive=exhaustive)
     judge = _Judge(focal_plane, (low, high), prior, duration)
@@ -358,6 +358,13 @@ def choose_layout(
         focal_plane, (low, high), prior, duration, tuple(ranked), tuple(compared), spans, worst, sigma,
         judge.highest, found.tried, found.exhaustive, tuple(warnings + judge.warnings),
     )  # fmt: skip
+
+
+def layout_cost(plane: FocalPlane, passband: tuple[float, float] | None = None) -> Cost:
+    """Of ``choose_layout``; without a pass-band, of the widest that the rows of matches can sample."""
+    return search_cost(
+        plane.candidates(0.5 * plane.row_rate if passband is None else passband[1]), plane.noise
+    )
 
 
 def _checked_band(plane: FocalPlane, passband: Sequence[float]) -> tuple[float, float]:

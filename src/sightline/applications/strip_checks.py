@@ -13,13 +13,13 @@ from sightline.applications.strip import RecoverOptions, Strip
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import TabulatedPsd
 from sightline.motion.hyper import KnownContent
-from sightline.motion.stars import hub_windows
+from sightline.motion.stars import hub_windows, within_image
 from sightline.motion.windows import WindowGrid, predict_windows
 
 #: Tones nearer than this share of the lowest frequency that a strip holds are one.
 SAME_TONE = 0.1
-#: Windows of the first pass that must find their ground in another image.
-FEWEST_WINDOWS = 20
+#: Windows of the first pass that must lie in another image: 20 must match, and at edges some do not.
+FEWEST_WINDOWS = 24
 #: Rows of windows that are asked where they lie: evenly spread, of however long a strip.
 ROWS_ASKED = 200
 #: rad; angles of the motion are small: control points further from where the cameras see them are mistakes.
@@ -96,13 +96,14 @@ def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
     for hub, partners, grid in hubs:
         asked = grid.lines[np.linspace(0, len(grid.lines) - 1, min(len(grid.lines), ROWS_ASKED)).astype(int)]
         some = WindowGrid(grid.window, asked, grid.columns)
-        seen = np.zeros(len(some.centres), dtype=bool)
+        seen, whole = np.zeros((2, len(some.centres)), dtype=bool)
         for image, found in zip(
             partners, predict_windows(strip.nominal, hub, partners, strip.surface, some), strict=True
         ):
             with np.errstate(invalid="ignore"):
                 seen |= ((found.b >= 0.0) & (found.b <= np.array(shapes[image]) - 1.0)).all(axis=1)
-        common += float(seen.sum()) * len(grid.lines) / len(asked)
+            whole |= within_image(found.b, shapes[image], grid.window)
+        common += float(whole.sum()) * len(grid.lines) / len(asked)
         side_by_side = max(side_by_side, int(seen.reshape(some.shape).sum(axis=1).max(initial=0)))
     if common < FEWEST_WINDOWS:
         height, width = options.first_window

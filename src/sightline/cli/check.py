@@ -37,7 +37,8 @@ def check(
 
 def describe(file: Path) -> dict[str, Any]:
     """A file in words, with what its run will take; refused for what the run would refuse it for."""
-    from sightline.applications.expected_cost import layout_cost, orientation_cost, prediction_cost, tdi_cost
+    from sightline.applications.expected_cost import orientation_cost, prediction_cost, tdi_cost
+    from sightline.applications.focal_plane import layout_cost
     from sightline.io.acquisition import load_acquisition, ready_to_recover
     from sightline.io.config import kind_of
     from sightline.io.cube_summary import ready_to_georeference

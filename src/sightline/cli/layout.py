@@ -40,8 +40,7 @@ def layout(
     import time
     from contextlib import nullcontext
 
-    from sightline.applications.expected_cost import layout_cost
-    from sightline.applications.focal_plane import choose_layout
+    from sightline.applications.focal_plane import choose_layout, layout_cost
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import announce, complain, print_json, progress
     from sightline.io.instrument import load_instrument

@@ -270,7 +270,7 @@ def match_star(
         turn = predicted[j].affine[good]
         residual[good, j] = np.einsum("nij,nj->ni", turn, matches.b[good] - grid.centres[good])
         covariance[good, j] = turn @ matches.covariance_px[good] @ np.swapaxes(turn, 1, 2)
-        beyond = ~_within(predicted[j].b, images[partner].shape, grid.window)
+        beyond = ~within_image(predicted[j].b, images[partner].shape, grid.window)
         status[:, j] = np.where(beyond & (matches.status == MASKED), OUTSIDE, matches.status)
         status[seen[j] & ~chosen, j] = NOT_CHOSEN
         if plan.weighting != "covariance" and good.any():
@@ -384,7 +384,7 @@ def pair_whitening(
         return None
 
 
-def _within(pixels: Array, shape: tuple[int, int], window: tuple[int, int]) -> NDArray[np.bool_]:
+def within_image(pixels: Array, shape: tuple[int, int], window: tuple[int, int]) -> NDArray[np.bool_]:
     """Windows about `pixels` that lie in an image of `shape`; False for NaN."""
     half = (np.array(window) - 1) / 2.0
     with np.errstate(invalid="ignore"):
