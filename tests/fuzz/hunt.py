@@ -447,5 +447,6 @@ def _faults_of_words(row: Reader, answer: dict[str, Any], case: Case) -> dict[st
 def _names_a_file(message: str, case: Case) -> bool:
     """Whether a message names a file of the case, a path that stands in one, or an option."""
     names = {part for name in case.files for part in (name.rsplit("/", 1)[-1], name.split("/")[0])}
-    options = {word.partition("=")[0] for word in case.words if word.startswith("--")}
-    return any(name in message for name in names | options) or "/case" in message
+    # an option by its name, or by what was given for it
+    given = {part for word in case.words for part in word.lstrip("-").split("=") if part}
+    return any(name in message for name in names | given) or "/case" in message

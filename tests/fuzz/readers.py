@@ -273,9 +273,11 @@ def _of_acquisition(place: str, seed: str, targets: str, folder_name: str) -> No
 
 
 def _hidden(folder: Path, read: Any) -> None:
+    from tests.fuzz.seeds import LINES
+
     from sightline.io.hidden import read_summary
 
-    read(folder / "result", read_summary(folder / "result"), 64)
+    read(folder / "result", read_summary(folder / "result"), LINES)
 
 
 _row(
@@ -340,11 +342,11 @@ for _name, _seed, _targets, _words, _check in (
 # Options of commands ----------------------------------------------------------------------------------------
 
 for _seed, _words in (
-    ("plan", "simulate line-of-sight --lines 64 --columns 32 --out @out"),
-    ("plan", "simulate line-of-sight --case mirror-leo --lines 64 --columns 32 --out @out"),
+    ("plan", "simulate line-of-sight --lines 302 --columns 200 --out @out"),
+    ("plan", "simulate line-of-sight --case mirror-leo --lines 124 --columns 224 --out @out"),
     ("plan", "simulate line-of-sight --case frames --count 2 --out @out"),
     ("plan", "simulate stereo --shots 2 --points 10 --out @out"),
-    ("plan", "simulate frames --frames 3 --shape 24 32 --out @out"),
+    ("plan", "simulate frames --frames 3 --shape 122 122 --out @out"),
     ("level", "recover @acquisition.toml --out @out"),
     ("recovered", "register @acquisition.toml --motion @result --out @out"),
     ("pair", "orient @stereo.toml --out @out"),
@@ -353,6 +355,6 @@ for _seed, _words in (
     ("instrument", "layout @instrument.toml --passband 40 150"),
     ("recovered", "score @result @truth.csv"),
     ("level", "check @acquisition.toml"),
-    ("hirise", "noise @raw.IMG --out @out"),
+    ("level", "noise @PAN.tif --out @out"),
 ):
     command(f"options of {_words.split(' @')[0]}", _seed, "", _words)

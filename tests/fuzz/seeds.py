@@ -17,14 +17,14 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from tests.io.sequence_files import NORTH, flight, npy
+from tests.io.sequence_files import NORTH, Flight, flight, npy
 from tests.io.stereo_files import scene
 
 Maker = Callable[[Path], None]
 SEEDS: dict[str, Maker] = {}
 
 #: Bytes of the largest file of a seed: every case is written anew, thousands of times.
-MOST_BYTES = 60_000
+MOST_BYTES = 64_000
 
 
 def seed(make: Maker) -> Maker:
@@ -87,7 +87,9 @@ def table(path: Path, header: str, rows) -> None:
 
 # Acquisitions ---------------------------------------------------------------------------------------------
 
-LINES, COLUMNS, PERIOD, IFOV, ALTITUDE, SPEED = 64, 40, 5e-4, 5e-6, 700e3, 7000.0
+LINES, COLUMNS, PERIOD, IFOV, ALTITUDE, SPEED = 120, 40, 5e-4, 5e-6, 700e3, 7000.0
+#: Windows that so small a strip holds enough of.
+WINDOWS = "first_window = [4, 12]\nwindow = [4, 12]"
 BANDS = """
 [instrument]
 ifov = 5e-6
@@ -184,7 +186,7 @@ column = 19.5
 psd = "psd.csv"
 
 [matching]
-window = [12, 20]
+{WINDOWS}
 step = 4
 passes = 2
 pairs = [["PAN", "XS"]]
@@ -256,6 +258,8 @@ attitudes = "attitudes.csv"
 dem = "dem.tif"
 datum = "geoid"
 geoid = "geoid.tif"
+[matching]
+{WINDOWS}
 """
     )
 
@@ -276,6 +280,8 @@ attitudes = "attitude.aem"
 [surface]
 height = 100.0
 radii = [6378137.0, 6356752.3]
+[matching]
+{WINDOWS}
 """
     )
 
@@ -352,7 +358,7 @@ def sensor_model(folder: Path) -> None:
         "m_iTransL": isd["focal2pixel_lines"],
         "m_iTransS": isd["focal2pixel_samples"],
         "m_detectorLineOrigin": 10.0,
-        "m_detectorSampleOrigin": samples / 2,
+        "m_detectorSampleOrigin": samples / 2 - 35.0,  # as far as the body turns between centre and epoch
         "m_startingDetectorLine": 0.0,
         "m_startingDetectorSample": 0.0,
         "m_detectorSampleSumming": 1.0,
@@ -361,7 +367,9 @@ def sensor_model(folder: Path) -> None:
     (folder / "state.json").write_text(f"{isd['name_model']}\n{json.dumps(state)}")
     bands(folder)
     (folder / "acquisition.toml").write_text(
-        """
+        f"""
+[matching]
+{WINDOWS}
 [platform]
 kind = "camera-model"
 [[band]]
@@ -554,7 +562,7 @@ XMP = """<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:RDF xmlns:rdf="http://www.w3.o
  drone-dji:GpsLatitude="46.840000" drone-dji:GpsLongitude="-91.990000" drone-dji:RtkStdLon="0.012"
  drone-dji:RtkStdLat="0.013" drone-dji:RtkStdHgt="0.030">
 <Camera:CentralWavelength>668</Camera:CentralWavelength><Camera:RigCameraIndex>0</Camera:RigCameraIndex>
-<Camera:PerspectiveFocalLength>40.5</Camera:PerspectiveFocalLength>
+<Camera:PerspectiveFocalLength>205.9</Camera:PerspectiveFocalLength>
 <Camera:PerspectiveFocalLengthUnits>px</Camera:PerspectiveFocalLengthUnits>
 <Camera:PrincipalPoint>2.4,1.8</Camera:PrincipalPoint>
 <Camera:PerspectiveDistortion>-0.1,0.01,0.0,0.001,-0.001</Camera:PerspectiveDistortion>
@@ -566,9 +574,22 @@ def degrees(value: float) -> list[float]:
     return [value // 1.0, minutes // 1.0, 60.0 * (minutes % 1.0)]
 
 
+#: Lines and columns of frames: few that can be followed, of a mosaic twice as many.
+FRAME, MOSAIC = (122, 162), (244, 250)
+
+
+def seen(shape: tuple[int, int] = FRAME) -> Flight:
+    """Six frames of `shape` that see what those of `flight` see."""
+    made, scale = flight(6), shape[0] / 24
+    made.toml = made.toml.replace("[24, 32]", str(list(shape))).replace("40.0", f"{40.0 * scale:.6g}")
+    for k in range(6):
+        made.images[f"f{k}.npy"] = npy(noise(k, shape, 255).astype(np.uint8))
+    return made
+
+
 def photograph(path: Path, second: int, latitude: float, xmp: str = XMP) -> None:
     """A JPEG with EXIF and XMP."""
-    write_tif(path, noise(second, (24, 32), 255).astype(np.uint8), driver="JPEG")
+    write_tif(path, noise(second, FRAME, 255).astype(np.uint8), driver="JPEG")
     exif = exif_of(
         {0x010F: "Maker", 0x0110: "Model", 0x0112: 1},
         {
@@ -625,8 +646,8 @@ positions = "positions.csv"
 [world]
 frame = "lonlat"
 [camera]
-focal_length_px = 40.0
-focal_length_sigma_px = 0.4
+focal_length_px = 203.0
+focal_length_sigma_px = 2.0
 {frames}"""
     )
 
@@ -637,18 +658,20 @@ focal_length_sigma_px = 0.4
 @seed
 def flown(folder: Path) -> None:
     """Frames, positions and attitudes as tables, control points, wavelengths of an ENVI header, maps."""
-    made = flight(6)
+    made = seen()
     made.toml = made.toml.replace(
         'frames = "frames.csv"', 'frames = "frames.csv"\ncontrol_points = "control.csv"'
     )
     made.toml = made.toml.replace("[camera]", '[camera]\nwavelength_nm = "filter.hdr"\nreadout_time = 0.01')
     made.toml += '\n[subset]\noverlap = 0.8\n\n[cube]\ngsd = 5.0\nbands = 3\nformats = ["tif", "envi"]\n'
     made.extra["control.csv"] = (
-        "x,y,z,sigma,image,line,column\n0,5,0,0.1,0,9.5,15.5\n0,5,0,0.1,1,11.5,15.5\n"
-        "10,20,0,0.1,4,11.5,11.5\n"
+        "x,y,z,sigma,image,line,column\n0,5,0,0.1,0,50.3,80.5\n0,5,0,0.1,1,60.5,80.5\n"
+        "10,20,0,0.1,4,60.5,60.2\n"
     )
-    waves = ", ".join(str(450 + 15 * k) for k in range(24))
-    made.extra["filter.hdr"] = f"ENVI\nbands = 24\nwavelength units = Nanometers\nwavelength = {{{waves}}}\n"
+    waves = ", ".join(str(450 + 3 * k) for k in range(FRAME[0]))
+    made.extra["filter.hdr"] = (
+        f"ENVI\nbands = {FRAME[0]}\nwavelength units = Nanometers\nwavelength = {{{waves}}}\n"
+    )
     made.write(folder)
 
 
@@ -657,15 +680,15 @@ def flown_lonlat(folder: Path) -> None:
     """Places by geo.txt and control points by gcp_list.txt, times as UTC, a DEM of the ground."""
     from rasterio.transform import Affine
 
-    made = flight(6)
+    made = seen(MOSAIC)
     names = [f"f{k}.npy" for k in range(6)]
     latitude = [50.0 + 4.5e-5 * k for k in range(6)]
     geo = [f"{name} 20.0 {lat} 150.0" for name, lat in zip(names, latitude, strict=True)]
     made.extra["geo.txt"] = "\n".join(["EPSG:4326", *geo]) + "\n"
     made.extra["gcp_list.txt"] = (
-        "EPSG:4326\n20.0 50.00005 50.0 15.5 11.5 f1.npy a\n20.0001 50.0001 50.0 15.5 11.5 f2.npy b\n"
+        "EPSG:4326\n20.0 50.00005 50.0 124.5 121.5 f1.npy a\n20.0001 50.0001 50.0 124.5 121.5 f2.npy b\n"
     )
-    made.toml = """
+    made.toml = f"""
 frames = "frames.csv"
 geo = "geo.txt"
 gcp_list = "gcp_list.txt"
@@ -674,8 +697,8 @@ epoch = "2026-01-01T00:00:00Z"
 [world]
 frame = "lonlat"
 [camera]
-shape = [24, 32]
-focal_length_px = 40.0
+shape = {list(MOSAIC)}
+focal_length_px = 406.7
 mosaic_nm = [[450, 550], [650, 750]]
 [surface]
 dem = "dem.tif"
@@ -698,11 +721,11 @@ def modelled(folder: Path) -> None:
     from sightline.io.opensfm import write_opensfm
     from sightline.io.reconstruction import Reconstruction
 
-    made = flight(6)
+    made = seen()
     names = tuple(f"f{k}.npy" for k in range(6))
     position = np.array([[0.0, 5.0 * k, 100.0] for k in range(6)])
     camera = Rotation.from_matrix([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
-    detector = AreaDetector("camera", (24, 32), 40.0, (11.5, 15.5))
+    detector = AreaDetector("camera", FRAME, 203.0, (60.5, 80.5))
     points = np.array([[x, y, 0.0] for x in (-5.0, 0.0, 5.0) for y in (0.0, 10.0, 20.0)])
     model = Reconstruction(
         names,
@@ -723,14 +746,14 @@ def modelled(folder: Path) -> None:
         (folder / f"{name}.csv").write_text(
             "\n".join(["# origin = 20.0,50.0,50.0", f"frame,x,y,z,{header}", *rows]) + "\n"
         )
-    rest = """
+    rest = f"""
 position_sigma = 0.5
 attitude_sigma = 0.002
 [world]
 frame = "lonlat"
 [camera]
-shape = [24, 32]
-focal_length_px = 40.0
+shape = {list(FRAME)}
+focal_length_px = 203.0
 [surface]
 height = 50.0
 """
@@ -978,6 +1001,7 @@ def recovered(folder: Path) -> None:
     bands(folder)
     (folder / "acquisition.toml").write_text(
         f'[platform]\nkind = "level-flight"\naltitude = {ALTITUDE}\nground_speed = {SPEED}\n{BANDS}'
+        f"[matching]\n{WINDOWS}\n"
     )
     (folder / "tdi.toml").write_text(
         TDI.replace('table = "columns.csv"', 'acquisition = "acquisition.toml"\nband = "PAN"')

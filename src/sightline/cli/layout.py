@@ -43,6 +43,7 @@ def layout(
     from sightline.applications.focal_plane import choose_layout, layout_cost
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import announce, complain, print_json, progress
+    from sightline.errors import InputError
     from sightline.io.instrument import load_instrument
     from sightline.io.layouts import summarize_layouts
     from sightline.motion.layout_information import checked_passband
@@ -51,8 +52,12 @@ def layout(
     place = nullcontext() if out is None else output_folder(out, overwrite=overwrite)
     with place as folder, progress() as report:
         plane = load_instrument(instrument)
-        announce(layout_cost(plane, checked_passband(passband)))
-        choice = choose_layout(plane, passband, count=count, progress=report)
+        checked_passband(passband)
+        try:
+            announce(layout_cost(plane, passband))
+            choice = choose_layout(plane, passband, count=count, progress=report)
+        except InputError as error:  # of what the file asks for in this band
+            raise InputError(f"{instrument}: {error}") from None
         if folder is None:
             summary = summarize_layouts(choice, instrument, wall_seconds=time.perf_counter() - begin)
         else:
