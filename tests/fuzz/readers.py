@@ -355,6 +355,6 @@ for _seed, _words in (
     ("instrument", "layout @instrument.toml --passband 40 150"),
     ("recovered", "score @result @truth.csv"),
     ("level", "check @acquisition.toml"),
-    ("level", "noise @PAN.tif --out @out"),
+    ("level", "noise @flat.npy --out @out"),
 ):
     command(f"options of {_words.split(' @')[0]}", _seed, "", _words)

@@ -114,4 +114,4 @@ def test_spoilt_inputs_end_with_one_clear_error(hunter, part):
 
 def inputs_of(row: Reader) -> int:
     """Commands take longer than functions."""
-    return 10 if row.words else 20
+    return 4 if row.words else 10
