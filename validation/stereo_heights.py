@@ -18,9 +18,9 @@ Ends with an error if ml-track's trend or its multi-view heights are beyond 5 m 
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import dataclass, replace
 
+import gates
 import numpy as np
 
 from sightline.applications.stereo_heights import heights_of, stereo_heights
@@ -126,13 +126,8 @@ def main() -> None:
         )
     if given.figure:
         draw(given.figure)
-    missed = [
-        f"{what} of ml-track {value:.2f} m"
-        for what, value in zip(("trend", "multi-view"), rms["ml-track"], strict=True)
-        if not value <= TARGET
-    ]
-    if missed:
-        sys.exit(f"missed {TARGET:g} m: {', '.join(missed)}")
+    for what, value in zip(("trend", "multi-view"), rms["ml-track"], strict=True):
+        gates.check(f"{what} of ml-track, m", value, 0.0, TARGET)
 
 
 def draw(path: str) -> None:
@@ -193,4 +188,4 @@ def _band(figure, shot, mean, sigma, colour, fill, row, col) -> None:  # type: i
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)
