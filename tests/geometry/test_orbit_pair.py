@@ -141,3 +141,12 @@ def test_a_point_below_the_horizon_is_refused():
     for window, shots in ((0.0, 3), (64.0, 0)):
         with pytest.raises(InputError):
             pair.shot_times(window, shots)
+
+
+def test_cameras_that_meet_in_a_single_shot_are_refused():
+    pair = OrbitPair(separation=70.0)
+    t = pair.shot_times(64.0, 3)
+    places = np.array(pair.positions(t))
+    places[1, 1] = places[0, 1]
+    with pytest.raises(GeometryError, match="no baseline"):
+        pair.world_from_body(t, places)

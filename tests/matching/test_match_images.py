@@ -261,3 +261,20 @@ def test_whitening_that_cannot_be_estimated_says_why():
 def test_no_points_give_no_matches():
     image = ArrayImage(np.ones((50, 200)))
     assert len(match_images(image, image, np.zeros((0, 2)), np.zeros((0, 2)), whitening=None)) == 0
+
+
+@pytest.mark.parametrize(
+    ("search", "off"), [((6, 2), (5.3, -1.2)), ((2, 6), (1.2, -5.3))], ids=["lines", "columns"]
+)
+def test_a_search_reaches_as_far_along_each_axis_as_it_is_given(pairs, search, off):
+    a, b, whitening = pairs()
+    points = inner_points((16, 40))
+    found = match_images(
+        a, b, points, points + SHIFT + off, window=(16, 40), whitening=whitening, search_px=search
+    )
+    assert found.kept.mean() > 0.95
+    assert np.abs(errors(found, points)).max() < 0.1
+    short = match_images(
+        a, b, points, points + SHIFT + off, window=(16, 40), whitening=whitening, search_px=search[::-1]
+    )
+    assert short.kept.mean() < 0.05
