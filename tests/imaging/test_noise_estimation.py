@@ -65,9 +65,10 @@ def test_every_estimate_is_as_good_as_its_sigma_says(strips):
             ("A_col", noise.columns.variance, truth),
         ):
             errors.setdefault(name, []).append((estimate.value - true) / estimate.sigma)
-    # mean square of 4 standard normal numbers: above 3.7 once in 200 tries, and there are 8 names
+    # mean square of 4 standard normal numbers: above 3.7 once in 200 tries, below 0.016 as rarely, and there
+    # are 8 names; validation/real_noise.py pools 30 strips
     nees = {name: float(np.mean(np.square(z))) for name, z in errors.items()}
-    assert max(nees.values()) < 3.7, nees
+    assert 0.016 < min(nees.values()) and max(nees.values()) < 3.7, nees
     # and of all 32 (correlated in groups) neither far above 1 nor far below
     assert 0.3 < np.mean(list(nees.values())) < 2.0, nees
 
