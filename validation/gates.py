@@ -75,7 +75,8 @@ def check(
     what: str, value: float, least: float = -math.inf, most: float = math.inf, form: str = ".4g"
 ) -> bool:
     """Note a figure and its bounds, allowed themselves; True within them, where NaN is not."""
-    ends = (f">= {least:.4g}" if least > -math.inf else "", f"<= {most:.4g}" if most < math.inf else "")
+    from_below = least > -math.inf and (least != 0.0 or most == math.inf)
+    ends = (f">= {least:.4g}" if from_below else "", f"<= {most:.4g}" if most < math.inf else "")
     wanted = f"{least:.4g}" if least == most else ", ".join(filter(None, ends))
     return note(what, f"{value:{form}}", wanted, least <= value <= most)
 
@@ -127,7 +128,7 @@ def run(main: Callable[[], object], file: str) -> None:
     print("\n" + table(_figures), flush=True)
     name, missed = Path(file).stem, [figure for figure in _figures if not figure.met]
     if len(sys.argv) == 1:
-        write_block(name, tidy(both.kept.getvalue()) + "\n" + table(_figures))
+        write_block(name, f"{tidy(both.kept.getvalue())}\n{table(_figures)}".lstrip())
     if not _figures:
         sys.exit("no figure was checked")
     print(f"{len(missed)} of {len(_figures)} figures missed")

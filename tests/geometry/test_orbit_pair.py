@@ -150,3 +150,11 @@ def test_cameras_that_meet_in_a_single_shot_are_refused():
     places[1, 1] = places[0, 1]
     with pytest.raises(GeometryError, match="no baseline"):
         pair.world_from_body(t, places)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_elevations_are_those_of_the_closed_form(case):
+    pair, t = pair_and_times(case)
+    for places, found in zip(s2_scene.camera_places(shots=9, **case)[0], pair.elevations(t), strict=True):
+        zenith = places[:, 2] / np.sqrt(places[:, 0] ** 2 + places[:, 1] ** 2 + places[:, 2] ** 2)
+        np.testing.assert_allclose(np.sin(found), zenith, atol=1e-6)
