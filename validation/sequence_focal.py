@@ -54,6 +54,8 @@ HEADS = (
     "frames inside 95 %: x y z roll pitch yaw", "sigma of z, m", "refused",
 )  # fmt: skip
 Row = tuple[float, float, float, np.ndarray, float]
+#: Squared errors of focal lengths over variances, of all kinds together.
+squares: list[float] = []
 
 
 def told(seed: int, setting: Told) -> Flight:
@@ -105,6 +107,7 @@ def row(name: str, flights: int) -> str:
     cells = [100.0 * np.median(sigma), 100.0 * np.sqrt((error**2).mean())]
     over = error / sigma
     if np.isfinite(sigma).all():
+        squares.extend(over**2)
         gates.check(
             f"{name}: NEES of the focal length", float((over**2).mean()), *gates.nees_bounds(len(found))
         )
@@ -127,6 +130,9 @@ def main(flights: int) -> None:
     print("|" + " --- |" * len(HEADS))
     for name in KINDS:
         print(row(name, flights), flush=True)
+    gates.check(
+        "all kinds: NEES of the focal length", float(np.mean(squares)), *gates.nees_bounds(len(squares))
+    )
     print(f"{flights} flights each, {time.process_time() - began:.0f} CPU s")
 
 

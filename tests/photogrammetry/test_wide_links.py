@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sightline.photogrammetry.wide_links import fit_affine
+from sightline.imaging.source import ArrayImage
+from sightline.photogrammetry.wide_links import _sharpness, fit_affine
 
 
 def test_an_affine_map_is_that_of_most_of_the_points():
@@ -19,3 +20,11 @@ def test_an_affine_map_is_that_of_most_of_the_points():
     assert (
         np.abs(found[0] + 100.0 * found[1:].sum(axis=0) - true[0] - 100.0 * true[1:].sum(axis=0)).max() < 0.15
     )
+
+
+def test_white_noise_is_eight_times_as_sharp_as_its_means_of_eight_pixels():
+    pixels = 500.0 + 20.0 * np.random.default_rng(1).standard_normal((400, 640))
+    sharpness, contrast = _sharpness(ArrayImage(pixels))
+    # a pixel less half of two others: sqrt(1.5) of the noise; 4000 means of eight by eight tell theirs to 2 %
+    assert abs(contrast / (np.sqrt(1.5) * 20.0 / 500.0) - 1.0) < 0.01
+    assert abs(sharpness / 8.0 - 1.0) < 0.08
