@@ -57,12 +57,12 @@ def test_a_recovery_scores_well_against_its_truth(recovery, capsys):
     ("error", "status"), [(KeyboardInterrupt(), 130), (MemoryError(), 1), (ValueError("x"), 70)]
 )
 def test_what_fails_in_the_last_step_leaves_nothing(quick, tmp_path, capsys, monkeypatch, error, status):
-    from sightline.report import page
+    from sightline.report.page import Page
 
     def fails(*_):
         raise error
 
-    monkeypatch.setattr(page, "write_report", fails)
+    monkeypatch.setattr(Page, "write", fails)
     out = tmp_path / "result"
     assert run([*quick, str(out)]) == status
     said = capsys.readouterr()
