@@ -27,7 +27,7 @@ BAND_NAME = "95 % interval of the absolute value"
 #: Sigmas that hold one number 95 times in 100.
 SIGMA_95 = 1.96
 #: Dots of one cloud at most: a page of many thousand frames stays small.
-CLOUD_POINTS = 800
+CLOUD_POINTS = 400
 #: Length of a pause as drawn over what was flown; ticks along time; pauses up to which each has a rule.
 _GAP, _TICKS, MOST_RULES = 0.03, 8, 30
 #: Largest over smallest value that a logarithmic axis shows at least.
