@@ -264,7 +264,7 @@ def test_no_points_give_no_matches():
 
 
 @pytest.mark.parametrize(
-    ("search", "off"), [((6, 2), (5.3, -1.2)), ((2, 6), (1.2, -5.3))], ids=["lines", "columns"]
+    ("search", "off"), [((12, 2), (11.3, -1.2)), ((2, 12), (1.2, -11.3))], ids=["lines", "columns"]
 )
 def test_a_search_reaches_as_far_along_each_axis_as_it_is_given(pairs, search, off):
     a, b, whitening = pairs()
