@@ -180,28 +180,32 @@ def test_lines_are_as_bright_as_their_filter_makes_them():
 
 
 def test_each_cell_of_a_mosaic_is_read_where_it_lies():
-    # of band b of four, on a plane of its own: resampling a plane is exact, so that a cell taken for its
+    # bands of six cells, each on a plane of its own: resampling a plane is exact, a cell taken for its
     # neighbour shows as the slope times a pixel
     def plane(band, line, column):
         return 1000.0 * band + 7.0 * line + 3.0 * column
 
-    phase = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
-    line, column = np.meshgrid(np.arange(80.0), np.arange(90.0), indexing="ij")
-    image = np.empty((80, 90), dtype=np.float32)
+    phase = np.array([[0, 0], [0, 1], [0, 2], [1, 0], [1, 1], [1, 2]])
+    line, column = np.meshgrid(np.arange(100.0), np.arange(150.0), indexing="ij")
+    image = np.empty((100, 150), dtype=np.float32)
     for band, (down, right) in enumerate(phase):
-        cells = (slice(down, None, 2), slice(right, None, 2))
+        cells = (slice(down, None, 2), slice(right, None, 3))
         image[cells] = plane(band, line[cells], column[cells])
-    corner = np.array([10.0, 20.0])
-    pixels = corner + np.array([[39.3, 41.0], [40.0, 47.6], [37.75, 44.2]])
-    out = np.full((4, 3), np.nan, dtype=np.float32)
+    bad = np.zeros(image.shape, dtype=bool)
+    bad[41, 74] = True  # of the last band, beside the second place
+    corner = np.array([10.0, 21.0])
+    pixels = corner + np.array([[49.3, 71.0], [40.0, 73.6], [57.75, 64.2]])
+    out = np.full((6, 3), np.nan, dtype=np.float32)
     fill_bands(
-        np.arange(3, dtype=np.int32), pixels, image, np.zeros(image.shape, dtype=bool), corner,
-        np.array([2, 2]), np.array([0, 4]), np.arange(4), phase, np.ones(4, dtype=np.float32),
-        place_weights(), 0.02, out,
+        np.arange(3, dtype=np.int32), pixels, image, bad, corner, np.array([2, 3]), np.array([0, 6]),
+        np.arange(6), phase, np.ones(6, dtype=np.float32), place_weights(), 0.02, out,
     )  # fmt: skip
-    found = np.array([plane(band, *(pixels - corner).T) for band in range(4)])
+    found = np.array([plane(band, *(pixels - corner).T) for band in range(6)])
+    spoiled = np.zeros((6, 3), dtype=bool)
+    spoiled[5, 1] = True
+    np.testing.assert_array_equal(np.isnan(out), spoiled)
     # weights of 16 taps in 32 bits, over values of some thousands
-    assert out == pytest.approx(found, abs=0.05)
+    assert out[~spoiled] == pytest.approx(found[~spoiled], abs=0.05)
 
 
 def test_a_rolling_shutter_sees_a_place_by_the_pose_of_its_own_line():
