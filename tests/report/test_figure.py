@@ -177,6 +177,14 @@ def test_a_map_runs_as_its_axes_do(downward):
     assert found.tolist() == (rows if downward else rows[::-1])
 
 
+@pytest.mark.parametrize("height", [60, 235, 600])
+def test_the_scale_beside_a_map_stays_on_the_drawing(height):
+    figure = Figure(height=height)
+    figure[0].add(Map(x=[0.0, 1.0], y=[0.0, 1.0], z=np.eye(2), high=0.5, bar="merit lost (%)"))
+    texts = [text for text in drawn(figure).iter("text") if text.text == "merit lost (%)"]
+    assert [float(text.get("x")) < 1080.0 - 4.0 for text in texts] == [True]
+
+
 def test_cells_of_a_logarithmic_axis_are_as_wide_as_they_are():
     figure = Figure(height=300)
     figure[0].y.log = figure[0].y.tight = True

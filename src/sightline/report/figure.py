@@ -166,7 +166,7 @@ class Figure:
         ends = [[(self._x_range(r, c), row[c].y_range()) for c in columns] for r, row in enumerate(self.rows)]
         every = list(zip(self.rows, ends, self.height, strict=True))
         left = [max(_left(row[c], end[c][1], height) for row, end, height in every) for c in columns]
-        right = [max(_right(row[c]) for row in self.rows) for c in columns]
+        right = [max(_right(row[c], height) for row, _, height in every) for c in columns]
         room = (WIDTH - GAP * (len(columns) - 1) - sum(left) - sum(right)) / len(columns)
         top, out = 0.0, []
         for r, (row, end, height) in enumerate(every):
@@ -233,10 +233,10 @@ def _left(panel: Panel, ends: tuple[float, float], height: float) -> float:
     return max((text_width(text, 12.0) for text in texts), default=0.0) + 12.0 + title
 
 
-def _right(panel: Panel) -> float:
+def _right(panel: Panel, height: float) -> float:
     """px at the right of a panel."""
     if panel.bar is not None:
-        return 26.0 + max(text_width(text, 12.0) for _, text in _bar_ticks(panel.bar, 180.0)) + LINE + 10.0
+        return 26.0 + max(text_width(text, 12.0) for _, text in _bar_ticks(panel.bar, height)) + LINE + 10.0
     return 14.0 if panel.right is None else 58.0
 
 
