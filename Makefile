@@ -59,8 +59,8 @@ test: $(DEV)  ## all tests; what had to be left out is named at the end
 fuzz: $(DEV)  ## spoilt inputs for every reader, MINUTES long; a new seed each time unless SEED is given
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --minutes $(MINUTES) $(if $(filter command line environment,$(origin SEED)),--seed $(SEED)) $(ARGS)
 
-validate: $(DEV)  ## accuracy and honesty of sigma against truth: prints the tables of docs/validation.md
-	@missed=; for script in validation/*.py; do echo "== $$script"; $(BIN)/python $$script || missed="$$missed $$script"; done; \
+validate: $(DEV)  ## accuracy and honesty of sigma against truth: refreshes docs/validation.md, ends with 1 for a missed figure
+	@missed=; for script in $(filter-out %/gates.py %/point_flights.py,$(wildcard validation/*.py)); do echo "== $$script"; $(BIN)/python $$script || missed="$$missed $$script"; done; \
 		test -z "$$missed" || { echo "figures missed, or not printed, by:$$missed"; exit 1; }
 
 bench: $(DEV)  ## speed and memory beside rivals, in one run

@@ -45,7 +45,8 @@ def errors_of(scenario: SequenceScenario, found: SequencePoses, rows: slice = sl
 
 
 def assert_covered(scenario: SequenceScenario, found: SequencePoses, rows: slice = slice(None)) -> None:
-    """Every frame's error is within its covariance at one in a thousand; those of a flight err alike."""
+    """Every frame's error is within its covariance at one in a thousand; a flight's err alike: one draw."""
     error, covariance = errors_of(scenario, found, rows), found.poses.covariance[rows]
     squares = np.einsum("ki,ki->k", error, np.linalg.solve(covariance, error[..., None])[..., 0])
     assert squares.max() < chi2.ppf(0.999, 6)
+    assert squares.mean() > chi2.ppf(1e-3, 6)

@@ -64,7 +64,7 @@ def test_the_table_holds_what_the_summary_says(done):
 def test_the_page_opens_without_an_error_and_asks_nobody_for_anything(done, open_page):
     opened, problems = open_page(done / "report.html")
     opened.wait_for_timeout(300)
-    assert problems == [] and opened.locator(".js-plotly-plot").count() == 4
+    assert problems == [] and opened.locator("svg.drawn").count() == 4
     for width in (1200, 700):
         opened.set_viewport_size({"width": width, "height": 900})
         opened.wait_for_timeout(400)

@@ -263,7 +263,7 @@ def test_three_cameras_with_unequal_shots(tmp_path, capsys):
         "residual_px",
         "rejected",
     ]
-    assert 'id="figure-heights"' in (out / "report.html").read_text(encoding="utf-8")
+    assert 'aria-labelledby="figure-heights-title"' in (out / "report.html").read_text(encoding="utf-8")
 
 
 def test_the_page_asks_no_network_and_escapes_names(done):
@@ -271,7 +271,7 @@ def test_the_page_asks_no_network_and_escapes_names(done):
     assert "&lt;b&gt;two&lt;/b&gt; spacecraft" in page and "<b>two</b>" not in page.replace("&lt;b&gt;", "")
     assert "<script src=" not in page and "<link href=" not in page
     for name in ("directions", "ellipses", "residuals", "frame", "heights"):
-        assert f'id="figure-{name}"' in page
+        assert f'aria-labelledby="figure-{name}-title"' in page
     assert "an elevation model of 10 m" in page and "5 control points of 1 m" in page
 
 
@@ -469,7 +469,7 @@ def test_strips_of_push_broom_cameras(strips, capsys):
         "attitude_A.aem", "attitude_A.csv", "attitude_F.aem", "attitude_F.csv",
     ]  # fmt: skip
     assert len(rows_of(out / "attitude_F.csv")) == 500
-    assert 'id="figure-residuals"' in (out / "report.html").read_text(encoding="utf-8")
+    assert 'aria-labelledby="figure-residuals-title"' in (out / "report.html").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
@@ -519,7 +519,8 @@ def test_a_prediction_is_the_bound_of_the_estimate(given, done, tmp_path, capsys
     assert {table["quantity"] for table in summary["tables"]} >= {"baseline", "window", "shots", "points"}
     assert {row["method"] for row in rows_of(out / "tables.csv")} == {"ml-track", "ml-pair"}
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "nothing was estimated" in page and 'id="figure-tables"' in page and "<b>two</b>" not in page
+    assert "nothing was estimated" in page and "<b>two</b>" not in page
+    assert 'aria-labelledby="figure-tables-title"' in page
 
 
 def test_a_prediction_lays_points_out_where_there_are_none(tmp_path, capsys):

@@ -55,7 +55,7 @@ def test_the_page_opens_without_asking_anybody(registered, open_page):
     assert not problems
     assert page.locator("#pairs tbody tr").count() == 6
     assert page.locator("#pictures img").count() == 2
-    assert page.locator("#misfit .plotly").count() >= 1
+    assert page.locator("#misfit svg.drawn").count() == 1
 
 
 def test_onto_type_and_stack(recovery, tmp_path, capsys):

@@ -16,7 +16,7 @@ import pytest
 import sightline
 from sightline.version import VERSION
 
-HEAVY = ["scipy", "numba", "rasterio", "plotly", "pandas", "dask", "distributed", "xarray", "pyproj"]
+HEAVY = ["scipy", "numba", "rasterio", "jinja2", "pandas", "dask", "distributed", "xarray", "pyproj"]
 
 
 def loaded_after(code: str) -> set[str]:

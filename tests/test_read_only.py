@@ -17,7 +17,9 @@ def elsewhere():
         pytest.skip("not applicable: validation/ is not part of this copy")
     spec = importlib.util.spec_from_file_location("read_only", SCRIPT)
     module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(SCRIPT.parent)  # scripts import their helper beside them
+        spec.loader.exec_module(module)
     refused = module.cannot()
     if refused:
         pytest.skip(f"not applicable: a read-only package cannot be tried here, {refused}")

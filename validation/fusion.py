@@ -12,9 +12,9 @@ rms, too.
 from __future__ import annotations
 
 import argparse
-import sys
 from dataclasses import dataclass
 
+import gates
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import toeplitz
@@ -216,8 +216,8 @@ def run(
     )
 
 
-def main() -> int:
-    """Print the table; exit status 1 if a target is missed."""
+def main() -> None:
+    """Print the table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n", 1)[0])
     parser.add_argument("--trials", type=int, default=40, help="simulated axes per case")
     parser.add_argument("--cases", nargs="+", help="some of them, by name")
@@ -228,7 +228,6 @@ def main() -> int:
     columns = "| bound | stated | rms | NEES "
     print(f"| case | absolute: prototype {columns}| relative: prototype {columns}|")
     print("|---|---|---|---|---|---|---|---|---|---|---|")
-    missed = 0
     cases = [case for case in _cases() if not given.cases or case.name in given.cases]
     for case in cases:
         best = bound(case, body, instrument)
@@ -242,11 +241,15 @@ def main() -> int:
             flush=True,
         )
         if prototype is not None:
-            missed += not abs(sigma_a / prototype - 1.0) <= 0.1
-        missed += not sigma_r <= 1.1 * case.prototype[1]
-    print(f"\n{missed} of {2 * len(cases)} figures miss (absolute within 10 %, relative at most 10 % above)")
-    return int(missed > 0)
+            gates.check(f"{case.name}: absolute sigma over the prototype's", sigma_a / prototype, 0.9, 1.1)
+        gates.check(
+            f"{case.name}: relative sigma over the prototype's", sigma_r / case.prototype[1], 0.9, 1.1
+        )
+        gates.check(f"{case.name}: stated sigma over the bound", sigma_r / best[1], 0.98, 1.15)
+        if case.images is not None:
+            # sensors alone rest on 17 fixes: theirs scatters too much to show anything
+            gates.check(f"{case.name}: NEES, relative", nees_r, 0.8, 1.25)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    gates.run(main, __file__)

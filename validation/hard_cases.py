@@ -13,6 +13,7 @@ import argparse
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import gates
 import numpy as np
 from numpy.typing import NDArray
 
@@ -111,8 +112,8 @@ def recover(case: Case, scenario: StripScenario, seed: int) -> LineOfSight:
     return recover_line_of_sight(bands, Plane(0.0), sensors=sensors)
 
 
-def report(case: Case, seed: int) -> bool:
-    """Print the rows of one case; False if a figure misses."""
+def report(case: Case, seed: int) -> list[float]:
+    """Print the rows of one case; NEES of the axes."""
     scenario = line_of_sight_case("nominal", seed, **{**SIZE, **case.options})
     result = recover(case, scenario, seed)
     scale = result.scale
@@ -125,7 +126,7 @@ def report(case: Case, seed: int) -> bool:
         # ground that the first band sees then, the last sees a lag later: both instants lose their partner
         lags = [(b.lag - scenario.bands[0].lag) / scenario.options.line_period for b in scenario.bands]
         outside[case.gap[0] : case.gap[1] + int(max(lags))] = False
-    good = True
+    squares = []
     for axis, name in enumerate(("roll", "pitch", "yaw")):
         e, s = error[outside, axis], sigma[outside, axis]
         rms, stated, nees = np.sqrt(np.mean(e**2)), np.sqrt(np.mean(s**2)), np.mean((e / s) ** 2)
@@ -136,13 +137,20 @@ def report(case: Case, seed: int) -> bool:
             worst = sigma[~outside, axis].max()
             share = np.mean(np.abs(error[~outside, axis]) < 1.96 * sigma[~outside, axis])
             inside = f"{worst:.3f} of {prior:.2f}, {100 * share:.0f} % within 1.96 sigma"
-            good &= worst <= prior
-        good &= rms <= 1.25 * stated and 0.7 <= nees <= 1.5
+            gates.check(
+                f"{case.name}, {seed}, {name}: largest sigma in the gap over the prior's",
+                worst / prior,
+                0.0,
+                1.0,
+            )
+        gates.check(f"{case.name}, {seed}, {name}: rms over sigma", rms / stated, 0.8, 1.25)
+        gates.check(f"{case.name}, {seed}, {name}: NEES", nees, 0.7, 1.5)
+        squares.append(float(nees))
         print(
             f"| {case.name} | {seed} | {name} | {rms:.4f} | {stated:.4f} | {nees:.2f} | {inside} |",
             flush=True,
         )
-    return bool(good)
+    return squares
 
 
 def main() -> None:
@@ -159,8 +167,8 @@ def main() -> None:
     results = [
         report(case, seed) for case in CASES if case.name in arguments.cases for seed in arguments.seeds
     ]
-    print(f"\n{results.count(False)} of {len(results)} strips miss: rms <= 1.25 sigma, NEES 0.7 to 1.5")
+    gates.check("all strips: NEES", float(np.mean(results)), 0.85, 1.2)
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

@@ -18,6 +18,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import gates
 import numpy as np
 
 from sightline.cli.recover import recover_acquisition
@@ -58,8 +59,8 @@ def run(case: str, off_nadir: float, seed: int) -> tuple[dict[str, AxisScore], t
     return score.axes, result.warnings, seconds
 
 
-def show(case: str, off_nadir: float, axis: str, scores: list[AxisScore]) -> None:
-    """One line of the table."""
+def show(case: str, off_nadir: float, axis: str, scores: list[AxisScore], *, gate: bool = True) -> None:
+    """One line of the table, by itself or with its gates."""
     rms = float(np.sqrt(np.mean([s.rms**2 for s in scores])))
     sigma = float(np.sqrt(np.mean([s.sigma**2 for s in scores])))
     nees = float(np.mean([s.nees for s in scores]))
@@ -72,6 +73,10 @@ def show(case: str, off_nadir: float, axis: str, scores: list[AxisScore]) -> Non
         f"NEES {nees:.2f} +- {error:.2f} samples {samples:.0f}",
         flush=True,
     )
+    if gate:
+        label = f"{case} {off_nadir:g} deg, {axis}"
+        gates.check(f"{label}: rms over sigma", rms / sigma, 0.8, 1.2)
+        gates.check(f"{label}: NEES", nees, 0.8, 1.25)
 
 
 def main() -> None:
@@ -92,11 +97,11 @@ def main() -> None:
                 found.append(scores)
                 if arguments.verbose:
                     for axis in AXES:
-                        show(f"{case} {seed}", off_nadir, axis, [scores[axis]])
+                        show(f"{case} {seed}", off_nadir, axis, [scores[axis]], gate=False)
                     print(f"    {seconds:.0f} s", *warnings, sep="\n    ", flush=True)
             for axis in AXES:
                 show(case, off_nadir, axis, [scores[axis] for scores in found])
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

@@ -35,6 +35,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import gates
+
 TDI = """
 [grid]
 stages = { from = 3, to = 64 }
@@ -57,6 +59,7 @@ aperture_y = 0.9
 diffusion_sigma_px = 0.2
 optics_mtf = 0.35
 """
+MEASURES = ("sightline.inputs", "sightline.writing", "sightline.cli.output", "sightline.cli.lock")
 #: Keys of summaries that hold measured times or memory.
 MEASURED = {
     "wall_seconds", "peak_memory_bytes", "solve_seconds", "stages", "taken_over", "seconds",
@@ -364,10 +367,9 @@ def main() -> None:
         print("left out: read-only disks, as this user may mount none; full disks were limits of file sizes")
     stopped = sum(n for (what, _, came), n in account.counts.items() if "SIG" in what and "stopped" in came)
     print(f"\n{stopped} runs stopped by SIGKILL or SIGTERM and run again; seed {given.seed}")
-    for wrong in account.wrong:
-        print(f"WRONG: {wrong}")
-    sys.exit(1 if account.wrong else 0)
+    gates.check("runs stopped by a signal and run again", stopped, 1)
+    gates.check("runs that ended otherwise than they should", len(account.wrong), 0, 0)
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

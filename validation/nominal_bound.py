@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 
+import gates
 import numpy as np
 
 from sightline.applications.line_of_sight import recover_line_of_sight
@@ -78,6 +79,10 @@ def main() -> None:
         result = recover_line_of_sight(scenario.as_told(), Plane(0.0))
         truth = scenario.truth
         score = score_result(result, truth[:, 0], truth[:, 1:])
+        for name, axis in score.axes.items():
+            # nothing may be better than the bound, but by the chance of one strip
+            gates.check(f"seed {seed}, {name}: rms over bound", axis.rms / bound[name], 0.95, 1.5)
+            gates.check(f"seed {seed}, {name}: NEES", axis.nees, 0.75, 1.3)
         cells = [
             f"{axis.rms:.4f} = {axis.rms / bound[name]:.2f} x, NEES {axis.nees:.2f}"
             for name, axis in score.axes.items()
@@ -86,4 +91,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

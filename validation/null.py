@@ -24,6 +24,7 @@ import os
 import warnings
 from pathlib import Path
 
+import gates
 import numpy as np
 
 from sightline.applications.line_of_sight import recover_line_of_sight
@@ -128,11 +129,9 @@ def print_one(result: LineOfSight) -> None:
         size = tone.amplitude / result.scale[AXES.index(tone.axis)]
         print(f"tone in {tone.axis}: {tone.name}, {size:.4f} px, false alarm {tone.false_alarm:.1e}")
     share, median = 100 * float(beyond.mean()), float(np.median(sigma, axis=0).max())
-    good = share <= 7.0 and not found and median <= 0.02
-    print(
-        f"all axes: {share:.1f} % of lines beyond 2 sigma (7 asked for), {len(found)} tones (none), "
-        f"largest median sigma {median:.4f} px (0.02): {'within' if good else 'NOT within'}"
-    )
+    gates.check("lines beyond 2 sigma, all axes, %", share, 0.0, 7.0)
+    gates.check("tones", len(found), 0, 0)
+    gates.check("largest median sigma of an axis, px", median, 0.0, 0.02)
 
 
 def print_layouts(mask: bool) -> None:
@@ -154,10 +153,9 @@ def print_layouts(mask: bool) -> None:
                 f"{nees[0]:10.2f} {nees[1]:5.2f} {nees[2]:5.2f} {found:5d}",
                 flush=True,
             )
-    print(
-        f"all: {np.mean(shares):.1f} % of lines beyond 2 sigma, mean (error/sigma)^2 {np.mean(squares):.2f}, "
-        f"{tones} tones in {3 * len(shares)} series"
-    )
+    gates.check("twelve layouts: lines beyond 2 sigma, %", float(np.mean(shares)), 0.0, 7.0)
+    gates.check("twelve layouts: mean (error / sigma)^2", float(np.mean(squares)), 0.5, 1.5)
+    gates.check("twelve layouts: tones", tones, 0, 0)
 
 
 def main() -> None:
@@ -180,4 +178,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

@@ -8,6 +8,7 @@ written out here; nothing is shared with the estimator but the types it is told 
 
 from __future__ import annotations
 
+import os
 import tempfile
 import warnings
 from dataclasses import dataclass, replace
@@ -319,6 +320,8 @@ def loaded(
                 home / "frame.tif", "w", "GTiff", *SHAPE[::-1], count=1, dtype="uint8"
             ) as file:
                 file.write(pixels, 1)
+            for k in range(len(t)):
+                os.link(home / "frame.tif", home / f"frame-{k}.tif")
             problem = _read(kind, t, places, quats, home)
     return replace(problem, excluded=excluded)
 
@@ -327,7 +330,7 @@ def _read(kind: Kind, t: np.ndarray, places: np.ndarray, quats: np.ndarray, home
     """The problem, its files written into a folder."""
     turn = [str(float(np.radians(v))) for v in kind.turn]
     rows = {
-        "frames": [["frame.tif"]] * len(t),
+        "frames": [[f"frame-{k}.tif"] for k in range(len(t))],
         "positions": [[*map(repr, map(float, p)), *map(str, kind.place)] for p in places],
         "attitudes": [[*map(repr, map(float, q)), *turn] for q in quats],
     }

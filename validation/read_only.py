@@ -18,6 +18,9 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 
+import gates
+
+MEASURES = ("sightline.compiled", "sightline.access", "sightline.writing", "sightline.cli.output")
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "sightline"
 #: Owner of nothing.
 NOBODY = 65534
@@ -143,12 +146,10 @@ def kernels(temporary: Path) -> dict[str, int]:
     return {str(path.relative_to(temporary)): path.stat().st_mtime_ns for path in files}
 
 
-def main() -> int:
+def main() -> None:
     refused = cannot()
     if refused:
-        print(f"left out: {refused}")
-        return 0
-    missed = 0
+        sys.exit(f"left out: {refused}")
     with tempfile.TemporaryDirectory() as name:
         base = Path(name)
         base.chmod(0o755)
@@ -166,15 +167,18 @@ def main() -> int:
             notes = [line for line in ran.stderr.splitlines() if ": note: " in line]
             said = notes[0].partition(": note: ")[2].partition(",")[0] if notes else "nothing"
             same = bool(found) and found == first
-            missed += (ran.returncode != 0) + (not same) + (len(notes) != 1) + (not after)
-            missed += bool(new) != (label == "first")
+            gates.check(f"{label}: exit status", ran.returncode, 0, 0)
+            gates.note(f"{label}: same bits as the first", str(same), "True", same)
+            gates.check(f"{label}: notes of where kernels are kept", len(notes), 1, 1)
+            kept = bool(after) and bool(new) == (label == "first")
+            gates.note(
+                f"{label}: kernels kept, new", f"{len(after)}, {len(new)}", "new in the first alone", kept
+            )
             print(f"| {label} | {ran.returncode} | {len(after)} ({len(new)}) | {same} | {said} |", flush=True)
             if ran.returncode:
                 print(ran.stderr)
             before = after
-    print("all of it works" if not missed else f"{missed} of it does not work")
-    return 1 if missed else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    gates.run(main, __file__)

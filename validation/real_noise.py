@@ -15,6 +15,7 @@ import os
 import sys
 from pathlib import Path
 
+import gates
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -72,6 +73,8 @@ def estimates(
 
 def simulated(seeds: list[int]) -> None:
     """The table of all scenes."""
+    squares: dict[str, list[float]] = {}
+    kept: list[bool] = []
     for place, (label, change) in enumerate(SCENES.items()):
         found, held = [], []
         for seed in seeds:
@@ -86,11 +89,22 @@ def simulated(seeds: list[int]) -> None:
         for name in found[0]:
             error = np.array([one[name][0].value - one[name][1] for one in found])
             sigma = np.array([one[name][0].sigma for one in found])
+            squares.setdefault(name, []).extend((error / sigma) ** 2)
             print(
                 f"  {name:14} true {found[0][name][1]:10.4g}  mean error {error.mean():10.3g}"
                 f"  sigma {sigma.mean():9.3g}  rms error/sigma {np.sqrt((error**2 / sigma**2).mean()):5.2f}"
             )
+        kept += [held_ for bounds in held for held_ in bounds.values()]
         print("  bounds held:", ", ".join(f"{k} {sum(b[k] for b in held)}/{len(held)}" for k in held[0]))
+    gate(squares, kept)
+
+
+def gate(squares: dict[str, list[float]], kept: list[bool]) -> None:
+    """No sigma is too small by more than the chance of so many strips, none is twice too large."""
+    for name, values in squares.items():
+        gates.check(f"{name}: NEES", float(np.mean(values)), 0.25, gates.nees_bounds(len(values))[1])
+    gates.check("all: NEES", float(np.mean(np.concatenate(list(squares.values())))), 0.4, 1.2)
+    gates.check("bounds of 2 sigma that held, %", 100.0 * float(np.mean(kept)), 95.0)
 
 
 def main() -> None:
@@ -98,7 +112,9 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2, 3, 4])
     simulated(parser.parse_args().seeds)
     if not IMAGE.is_file():
-        print(f"no {IMAGE.name} in {DATA}; set SIGHTLINE_DATA to the folder of real data")
+        gates.note(
+            f"{IMAGE.name} (set SIGHTLINE_DATA to the folder of real data)", "not found", "found", False
+        )
         return
     edr = read_hirise_edr(IMAGE)
     print(f"{edr.product}, {edr.stages} stages, binning {edr.binning}")
@@ -108,4 +124,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 
+import gates
 import numpy as np
 
 from sightline.applications.line_of_sight import recover_line_of_sight
@@ -59,13 +60,22 @@ def main() -> None:
             half += 10.0 * image.mean() / scenario.options.snr * rng.standard_normal(half.shape)
             images.append(image)
         bands = scenario.as_told(images)
+        rms: dict[str, float] = {}
         for name, options in choices(scenario).items():
             result = recover_line_of_sight(bands, Plane(0.0), options=options)
             truth = scenario.truth
             score = score_result(result, truth[:, 0], truth[:, 1:])
+            rms[name] = float(np.sqrt(np.mean([axis.rms**2 for axis in score.axes.values()])))
+            nees = float(np.mean([axis.nees for axis in score.axes.values()]))
+            gates.check(f"{name}, seed {seed}: NEES, mean of the axes", nees, 0.6, 1.5)
             axes = " | ".join(f"{axis.rms:.4f} ({axis.nees:.2f})" for axis in score.axes.values())
             print(f"| {name} | {seed} | {axes} | {sum(p.kept for p in result.pairs)} |", flush=True)
+        best = rms["all windows, whitened, weighted"]
+        gates.check(f"seed {seed}: rms not weighted over weighted", rms["not weighted"] / best, 1.5)
+        gates.check(
+            f"seed {seed}: rms of images as they are over whitened", rms["images as they are"] / best, 1.2
+        )
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import sys
 import time
 
+import gates
 import numpy as np
 from sequence_poses import problem_of
 
@@ -42,6 +43,9 @@ def main(frames: int, block: int, seed: int) -> None:
     )
     print("        apart, sigma rms   largest   ratio of sigmas, mean   least   largest")
     for k, name in enumerate(NAMES):
+        # the rest of a solution is some tenths of a sigma in the weakest direction
+        gates.check(f"{name}: apart, sigma rms", float(np.sqrt((apart[:, k] ** 2).mean())), 0.0, 0.3)
+        gates.check(f"{name}: ratio of sigmas, mean", float(ratio[:, k].mean()), 0.98, 1.02)
         print(
             f"{name:>6s} {np.sqrt((apart[:, k] ** 2).mean()):16.3f} {np.abs(apart[:, k]).max():9.3f} "
             f"{ratio[:, k].mean():18.4f} {ratio[:, k].min():13.4f} {ratio[:, k].max():9.4f}"
@@ -50,4 +54,4 @@ def main(frames: int, block: int, seed: int) -> None:
 
 if __name__ == "__main__":
     numbers = [int(argument) for argument in sys.argv[1:]]
-    main(*(numbers + [400, 130, 0][len(numbers) :]))
+    gates.run(lambda: main(*(numbers + [400, 130, 0][len(numbers) :])), __file__)

@@ -13,6 +13,7 @@ import sys
 import time
 from dataclasses import dataclass, field, replace
 
+import gates
 import numpy as np
 from point_flights import FOCAL, Flight, Kind, draw
 from sequence_covariance import INSIDE, errors, scaled_errors
@@ -53,6 +54,8 @@ HEADS = (
     "frames inside 95 %: x y z roll pitch yaw", "sigma of z, m", "refused",
 )  # fmt: skip
 Row = tuple[float, float, float, np.ndarray, float]
+#: Squared errors of focal lengths over variances, of all kinds together.
+squares: list[float] = []
 
 
 def told(seed: int, setting: Told) -> Flight:
@@ -94,11 +97,23 @@ def row(name: str, flights: int) -> str:
     """Of a kind of flight, one row of the table."""
     each = [solved(seed, KINDS[name]) for seed in range(3000, 3000 + flights)]
     found = [result for result in each if result is not None]
+    gates.note(f"{name}: flights refused", str(len(each) - len(found)), *(
+        (f"{flights}: perspective alone tells too little", not found) if name.startswith("free, flat")
+        else ("<= 5 %", len(each) - len(found) <= 0.05 * flights)
+    ))  # fmt: skip
     if not found:
         return f"| {name} | - | - | - | - | - | - | - | {flights} |"
     error, sigma, nees, share, height = (np.array(column) for column in zip(*found, strict=True))
     cells = [100.0 * np.median(sigma), 100.0 * np.sqrt((error**2).mean())]
     over = error / sigma
+    if np.isfinite(sigma).all():
+        squares.extend(over**2)
+        gates.check(
+            f"{name}: NEES of the focal length", float((over**2).mean()), *gates.nees_bounds(len(found))
+        )
+    # of six parameters whose datum is one draw a flight
+    low, high = gates.nees_bounds(6 * len(found))
+    gates.check(f"{name}: squared error of poses over covariance", float(nees.mean()), 6.0 * low, 6.0 * high)
     said = "- | - | - | - | "
     if np.isfinite(sigma).all():
         sizes = f"{np.sqrt((over**2).mean()):.2f}, {1.4826 * np.median(np.abs(over)):.2f}"
@@ -115,8 +130,11 @@ def main(flights: int) -> None:
     print("|" + " --- |" * len(HEADS))
     for name in KINDS:
         print(row(name, flights), flush=True)
+    gates.check(
+        "all kinds: NEES of the focal length", float(np.mean(squares)), *gates.nees_bounds(len(squares))
+    )
     print(f"{flights} flights each, {time.process_time() - began:.0f} CPU s")
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 40)
+    gates.run(lambda: main(int(sys.argv[1]) if len(sys.argv) > 1 else 60), __file__)

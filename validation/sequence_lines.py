@@ -12,6 +12,7 @@ import sys
 import time
 import tracemalloc
 
+import gates
 import numpy as np
 from sequence_poses import problem_of
 
@@ -58,12 +59,18 @@ def main(lines: int, cross: int, frames: int) -> None:
     )
     frame_poses.solving_order = as_one_band
     told = one_band(len(problem), found.tracks).memory / 1e6
+    linked_memory = memory
     whole, seconds, memory = solved(solver, found)
+    gates.check("memory line by line over that of one band", linked_memory / memory, 0.0, 0.5)
     print(f"one band:     {seconds:.1f} CPU s, {memory:.0f} MB (told beforehand: {told:.0f} MB)")
     sigma = np.sqrt(np.einsum("kii->ki", whole.covariance))
     turn = (whole.world_from_body.inv() * linked.world_from_body).as_rotvec()
     apart = np.concatenate([linked.position - whole.position, turn], axis=1) / sigma
     unit = sigma[:, :, None] * sigma[:, None, :]
+    # the same equations, in another order: rounding alone
+    gates.check("poses apart, sigma, largest", float(np.abs(apart).max()), 0.0, 1e-6)
+    between = np.abs((linked.covariance - whole.covariance) / unit).max()
+    gates.check("covariances apart, of sigmas squared, largest", float(between), 0.0, 1e-5)
     print(
         f"poses apart by {np.abs(apart).max():.1e} sigma at most, covariances by "
         f"{np.abs((linked.covariance - whole.covariance) / unit).max():.1e} of sigmas squared"
@@ -72,4 +79,4 @@ def main(lines: int, cross: int, frames: int) -> None:
 
 if __name__ == "__main__":
     numbers = [int(argument) for argument in sys.argv[1:]]
-    main(*(numbers + [4, 0, 250][len(numbers) :]))
+    gates.run(lambda: main(*(numbers + [4, 0, 250][len(numbers) :])), __file__)

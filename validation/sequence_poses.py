@@ -10,6 +10,7 @@ from __future__ import annotations
 import sys
 import time
 
+import gates
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -87,12 +88,18 @@ def main(case: str, seed: int) -> None:
     print(f"{case}, seed {seed}: {len(t)} frames, {seconds:.1f} CPU s")
     for stage, took in found.seconds.items():
         print(f"  {stage:28s} {took:6.1f} s")
+    left = {}
     for name, place, turn in rows:
-        print(f"  {name:28s} {between_px(ground_px(scenario, place, turn)):7.3f} px between anchors")
+        left[name] = between_px(ground_px(scenario, place, turn))
+        print(f"  {name:28s} {left[name]:7.3f} px between anchors")
+    ours = left.pop("all frames adjusted")
+    gates.check("all frames adjusted: px between anchors", ours, 0.0, 1.0)
+    gates.check("that over the best of the others", ours / min(left.values()), 0.0, 0.5)
     error = np.degrees((attitude.inv() * found.poses.world_from_body).as_rotvec())
     print("  angles about their mean, deg rms", error.std(axis=0).round(4))
     print("  1-sigma of the bow, deg", np.degrees(found.poses.bow).round(4).tolist())
 
 
 if __name__ == "__main__":
-    main(sys.argv[1] if len(sys.argv) > 1 else "small", int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+    given = (*sys.argv[1:], *("small", "0")[len(sys.argv) - 1 :])
+    gates.run(lambda: main(given[0], int(given[1])), __file__)

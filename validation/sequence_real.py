@@ -20,6 +20,7 @@ import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import gates
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -162,6 +163,9 @@ def report(solved: Solved, less: FramePoses, whole: FramePoses, frames: Array, w
     rms = np.sqrt((d[frames] ** 2).mean(axis=0)) * unit
     px = np.sqrt(np.mean([image_px(solved, less, whole, int(k)) ** 2 for k in frames]))
     share = f"{within.sum()} of {within.size} = {within.mean():.1%}"
+    gates.check(
+        f"{solved.problem.frames[0]} and others, {words}: within 2 sigma, %", 100.0 * within.mean(), 90.0
+    )
     print(f"    rms {_row(rms)}, {px:.2f} px; within 2 sigma: {share}")
 
 
@@ -200,6 +204,7 @@ def brighton() -> None:
             yaw = (level.inv() * poses.world_from_body).as_euler("ZYX")[k, 0]
             yaws[k, n] = np.degrees((yaw - told[k] + np.pi) % (2.0 * np.pi) - np.pi)
             sigmas[k, n] = np.degrees(np.sqrt(poses.covariance[k, 5, 5]))
+    gates.check("Brighton, (a): within 2 sigma, %", 100.0 * float(np.mean(within)), 90.0)
     print(f"  (a) beside the solution on all: within 2 sigma {np.mean(within):.1%} of {np.size(within)}")
     print("  yaw less the gimbal's, deg: on all frames; (a) left out, its image looked at; (b) interpolated")
     for k in range(count):
@@ -210,11 +215,13 @@ def brighton() -> None:
         print(f"    line of {solved.problem.frames[line[0]]}: median {_row(middle)}, scatter {_row(spread)}")
 
 
+def main() -> None:
+    """Both sets, or those named."""
+    for name in sys.argv[1:] or ["iss", "brighton"]:
+        {"iss": iss, "brighton": brighton}[name]()
+
+
 if __name__ == "__main__":
     if not (DATA / "iss_astropi_a").is_dir():
         sys.exit(f"no photographs in {DATA}; set SIGHTLINE_DATA to the folder of real data")
-    wanted = sys.argv[1:] or ["iss", "brighton"]
-    if "iss" in wanted:
-        iss()
-    if "brighton" in wanted:
-        brighton()
+    gates.run(main, __file__)

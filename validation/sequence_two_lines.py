@@ -13,6 +13,7 @@ from __future__ import annotations
 import sys
 import time
 
+import gates
 import numpy as np
 from sequence_poses import SIDE, between_px, ground_px, problem_of
 
@@ -45,6 +46,7 @@ def bows(scenario: SequenceScenario, found: SequencePoses) -> np.ndarray:
 
 def main(flights: int, frames: int) -> None:
     """Print the table."""
+    every = []
     print(f"two lines of {frames} frames, rolling shutter of 20 ms")
     print("  seed  between anchors px  lines apart px  bow over sigma: roll pitch yaw  squared error  CPU s")
     for seed in range(300, 300 + flights):
@@ -65,12 +67,20 @@ def main(flights: int, frames: int) -> None:
         turn = (attitude.inv() * poses.world_from_body).as_rotvec()
         error = np.concatenate([poses.position - position, turn], axis=1)
         squared = np.einsum("ki,ki->k", error, np.linalg.solve(poses.covariance, error[..., None])[..., 0])
+        gates.check(f"seed {seed}: px between anchors", float(between), 0.0, 1.0)
+        gates.check(f"seed {seed}: lines apart, px", float(np.hypot(*apart)), 0.0, 0.5)
+        gates.check(f"seed {seed}: largest bow over its sigma", float(bow.max()), 0.0, 2.0)
+        every.append(float(squared.mean()))
         print(
             f"  {seed:4d}  {between:18.3f}  {np.hypot(*apart):14.3f}"
             f"  {bow[0]:20.2f} {bow[1]:5.2f} {bow[2]:3.2f}  {squared.mean():13.1f}  {seconds:5.0f}",
             flush=True,
         )
+    # the datum of a flight is one draw of six numbers
+    low, high = gates.nees_bounds(6 * flights)
+    gates.check("squared error over covariance, mean", float(np.mean(every)), 6.0 * low, 6.0 * high)
 
 
 if __name__ == "__main__":
-    main(int(sys.argv[1]) if len(sys.argv) > 1 else 5, int(sys.argv[2]) if len(sys.argv) > 2 else 100)
+    given = [int(number) for number in sys.argv[1:]]
+    gates.run(lambda: main(*(given + [5, 100][len(given) :])), __file__)

@@ -19,11 +19,11 @@ Truth comes from the renderer's rays and from projecting through true poses.
 from __future__ import annotations
 
 import argparse
-import sys
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
+import gates
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
@@ -179,6 +179,8 @@ def main() -> None:
                 sigma = np.median([run.bound for run in runs], axis=0)[:3] / ARCSEC
                 count = np.mean([run.tracks for run in runs])
                 noise, stated, window = (rms([run[k] for run in runs]) for k in range(3))
+                row = f"{convergence:g} deg, relief {relief}, platform {platform}"
+                gates.check(f"{row}: match noise over stated sigma", stated, 0.9, 1.1)
                 print(
                     f"{convergence:7.0f} deg {relief:>7} {platform:>8} {count:9.0f} {noise:8.4f} px "
                     f"{stated:8.3f} {window:8.3f} {ratio:12.3f}   "
@@ -187,10 +189,9 @@ def main() -> None:
                 )
     # six angles of which about three are independent: sqrt(2 x 3 x seeds) of chance
     limit = 1.2 + 2.0 / np.sqrt(6.0 * options.seeds)
-    missed = [ratio for ratio in worst if ratio > limit]
-    print(f"rms over all {rms(worst):.3f} (<= 1.2); each <= {limit:.2f} with chance: {len(missed)} missed")
-    sys.exit(bool(missed) or rms(worst) > 1.2)
+    gates.check("RMSE / bound, rms over all", rms(worst), 0.75, 1.2)
+    gates.check("RMSE / bound, largest of a row", max(worst), 0.0, limit)
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

@@ -16,6 +16,8 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
+import gates
+
 from photogrammetry.stereo_scene import (
     ARCSEC,
     QUIET,
@@ -213,6 +215,10 @@ def noise_products(trials: int) -> None:
             clean.append((found.angles - our_angles(TRUTH))[:, 1] / -ARCSEC)
             said.append(found.bias[:, 1] / -ARCSEC)
             raw.append(clean[-1] + said[-1])
+        # a mean of `trials` scatters by their own scatter; three of these, of both cameras together
+        wide = 3.0 * float(np.sqrt(np.mean(np.var(raw, axis=0)) / trials))
+        off = float(np.abs(np.mean(said, axis=0) - np.mean(raw, axis=0)).max())
+        gates.check(f"pitch bias of (13), {what}: predicted less found, largest", off, 0.0, wide + 1e-3)
         means = [" / ".join(f"{v:+.1f}" for v in np.mean(of, axis=0)) for of in (raw, said, clean)]
         rms = ", ".join(f"{np.sqrt(np.mean(np.square(of))):.1f}" for of in (raw, clean))
         print(f"| {what} | {means[0]} | {means[1]} | {means[2]} | {rms} |", flush=True)
@@ -241,4 +247,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

@@ -20,6 +20,7 @@ import argparse
 import sys
 from pathlib import Path
 
+import gates
 import numpy as np
 from scipy.optimize import minimize_scalar
 
@@ -101,6 +102,8 @@ def against_brute_force(cases: int, seed: int) -> None:
     ):
         e = np.array(errors[name])
         row(what, f"{np.abs(e).max():.1e} {np.sqrt((e**2).mean()):.1e} {e.mean():+.1e}", target)
+        if target.startswith("<="):
+            gates.check(f"MTF, {what}: largest error", float(np.abs(e).max()), 0.0, 1e-3)
 
 
 def limits() -> None:
@@ -119,6 +122,8 @@ def limits() -> None:
             lambda x, power=power: -(x**power) * drift(x),
             bounds=(0.1, 0.9), method="bounded", options={"xatol": 1e-10},
         )  # fmt: skip
+        gates.check(f"{what}: best N phi", float(best.x), place - 1e-4, place + 1e-4)
+        gates.check(f"{what}: its MTF", drift(best.x), left - 1e-4, left + 1e-4)
         row(
             f"{what}: best N phi, and its MTF", f"{best.x:.4f} {drift(best.x):.4f}", f"{place:.4f} {left:.4f}"
         )
@@ -127,12 +132,14 @@ def limits() -> None:
         bounds=(0.1, 1.0), method="bounded", options={"xatol": 1e-10},
     )  # fmt: skip
     row("photon-limited: best Kt at half a cycle along", f"{best.x:.4f}", "0.742")
+    gates.check("best Kt at half a cycle along", float(best.x), 0.7415, 0.7425)
     worst = 0.0
     for n, beta, f in ((20, 1.0 / 1.02, 0.5), (64, 1.0 / 0.997, 0.31), (7, 1.0 / 1.1, 0.2)):
         step = f * (1.0 / beta - 1.0)
         johnson = np.sinc(f / beta) * np.sin(np.pi * n * step) / (n * np.sin(np.pi * step))
         found = abs(drift_transfer(n, 1.0, 1.0 / beta, 0.0, 0.0, f))
         worst = max(worst, abs(float(found) - abs(float(johnson))))
+    gates.check("Kt = 1 less Johnson's synchronism MTF", worst, 0.0, 1e-12)
     row("Kt = 1 less Johnson's synchronism MTF (pyBSM tdi_OTF, one phase)", f"{worst:.0e}", "0")
 
 
@@ -148,11 +155,9 @@ def examples() -> None:
         drift = DriftMtf(columns, grid, detector.exposure, rules)
         found = choose_settings(drift, np.array([400.0]), grid, detector, rules)
         merit = "" if model == "patent" else f" {found.merit[0, 0]:.5f}"
-        row(
-            f"slip {slip:g} deg, {model}",
-            f"{found.stages[0, 0]} {found.integration_ratio[0, 0]:.1f}{merit}",
-            target,
-        )
+        said = f"{found.stages[0, 0]} {found.integration_ratio[0, 0]:.1f}{merit}"
+        row(f"slip {slip:g} deg, {model}", said, target)
+        gates.note(f"slip {slip:g} deg, {model}: N, Kt, merit", said, target, said == target)
 
 
 def one_for_all() -> None:
@@ -189,6 +194,10 @@ def one_for_all() -> None:
     ):
         loss = lost(chosen, guard)
         row(what, f"{100 * loss.mean():.1f} % {100 * loss.max():.1f} %", target)
+    own = lost(choice.setting[:, middle][:, None], True)
+    gates.check("each its own, one signal for all: mean loss", float(own.mean()), 0.0, 0.02)
+    one = lost(setting, True)
+    gates.check("setting of the centre for all: mean loss", float(one.mean()), 0.43, 0.45)
     # the single setting with the least mean loss, had one known all columns
     at_middle = mtf * by_signal[middle] * by_column.in_lobe
     losses = 1.0 - at_middle / choice.merit[:, middle][:, None]
@@ -213,4 +222,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

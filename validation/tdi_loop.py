@@ -16,6 +16,7 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import gates
 import numpy as np
 from numpy.typing import NDArray
 
@@ -98,12 +99,21 @@ def main() -> None:
         images = smeared(scenario, slip, np.random.default_rng([seed, 9]))
         sigma = predicted_sigma(slip)
         bands = [replace(band, match_sigma=sigma) for band in scenario.as_told(images)]
+        rms: dict[str, float] = {}
         for weighting in ("none", "predicted", "covariance"):
             result = recover_line_of_sight(bands, Plane(0.0), options=RecoverOptions(weighting=weighting))
             score = score_result(result, scenario.truth[:, 0], scenario.truth[:, 1:])
+            rms[weighting] = float(np.sqrt(np.mean([axis.rms**2 for axis in score.axes.values()])))
+            if weighting != "none":
+                nees = float(np.mean([axis.nees for axis in score.axes.values()]))
+                gates.check(f"seed {seed}, {weighting}: NEES, mean of the axes", nees, 0.8, 1.3)
             axes = " | ".join(f"{axis.rms:.4f} ({axis.nees:.2f})" for axis in score.axes.values())
             print(f"| {weighting} | {seed} | {axes} | {sum(p.kept for p in result.pairs)} |", flush=True)
+        for weighting in ("predicted", "covariance"):
+            gates.check(
+                f"seed {seed}: rms by {weighting} over that of none", rms[weighting] / rms["none"], 0.0, 0.75
+            )
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

@@ -29,6 +29,7 @@ import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import gates
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
@@ -210,6 +211,7 @@ def seen_through_tdi(seed: int, stages: int, ratio: float = 0.8) -> None:
         worth.append((of(merit, choice), choice.stages[1, 1]))
     best, chosen = worth[0]
     ratios = [float((each / best).min()) for each, _ in worth[1:]]
+    gates.check(f"seed {seed}, {stages} stages, restored: worst merit ratio", ratios[1], 0.98)
     print(
         f"   seed {seed}, images of {stages:3d} stages, restored to {highest:.0f} Hz: stages {chosen} by the "
         f"truth; {worth[1][1]} as seen, merit ratio at worst {ratios[0]:.4f}; {worth[2][1]} restored, "
@@ -234,6 +236,11 @@ def main() -> None:
             f"true motion: worst cell {min(r.worst for r in rows):.4f}, "
             f"mean {np.mean([r.mean for r in rows]):.4f}"
         )
+        worst, least = min(r.worst for r in rows), 0.99 if free else 0.999
+        if arguments.snr >= 100.0:
+            gates.check(
+                f"offsets {'free' if free else 'known'}: worst merit over that by the truth", worst, least
+            )
     print("== motion shown by TDI images, without other errors")
     for seed in arguments.seeds:
         for stages in (16, 64):
@@ -241,4 +248,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 
+import gates
 import numpy as np
 from numpy.typing import NDArray
 
@@ -109,6 +110,13 @@ def _flat(seeds: list[int], lines: int, errors: bool) -> None:
             f"{np.sqrt(np.mean(np.square(z))):10.2f}", f"{np.max(np.abs(z)):10.2f}", f"{pixel:10.3f}",
             f"{rms / pixel:10.5f}",
         ]  # fmt: skip
+        if not errors:
+            # steps at the borders share a group each: about half of them are independent
+            bounds = gates.nees_bounds(0.5 * len(seeds) * (GROUPS - 1))
+            gates.check(
+                f"signal {signal:g}: squared step over its variance", float(np.mean(np.square(z))), *bounds
+            )
+            gates.check(f"signal {signal:g}: rms step over the noise of a pixel", rms / pixel, 0.0, 0.02)
         if errors:
             sigma_ratio, sigma_head = RATIO_ERROR * tags.ratios, RATIO_ERROR * DETECTOR.exposure.head_ratio
             seam = (
@@ -148,6 +156,7 @@ def _nees(seeds: list[int], lines: int) -> None:
                 found.append(float(np.mean(error**2 - noise**2)))
                 stated = float(np.sqrt(np.mean(systematic**2)))
         of_mean = np.std(squares) / np.sqrt(len(squares))
+        gates.check(f"signal {signal:g}: NEES of the stated uncertainty", float(np.mean(squares)), 0.8, 1.25)
         # over the mean square, noise taken off; below 0 where noise is all
         rms = 1e2 * np.sqrt(max(np.mean(found), 0.0))
         print(f"{signal:7g} {1e2 * stated:9.4f} {rms:9.4f} {np.mean(squares):6.3f} {of_mean:5.3f}")
@@ -168,4 +177,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

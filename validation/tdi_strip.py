@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 
+import gates
 import numpy as np
 
 from sightline.evaluation.tdi_pictures import (
@@ -83,6 +84,13 @@ def main() -> None:
             off = error.mean(axis=0) / (error.std(axis=0, ddof=1) / np.sqrt(given.draws))
             noiseless = read_strip(exposed, settings, choice.detector, given.signal).radiance
             still = measured_quality(noiseless, choice.rules.frequencies).mtf
+            off_still = float(np.abs(np.array(still) - expected[:2]).max())
+            gates.check(
+                f"column {place}, {'own' if own else 'of the centre'}: MTF without noise, off",
+                off_still,
+                0.0,
+                1e-3,
+            )
             label = f"  column {place:3d}: N {group.stages:3d}, Kt {group.ratio:.2f}"
             cells = (
                 f"{expected[k]:.4f}  {still[k]:.4f}  {mean[k]:.4f}  {off[k]:+4.1f}" if k < 2
@@ -90,8 +98,11 @@ def main() -> None:
             )  # fmt: skip
             print(f"{label:32}" + "".join(f"{cell:>34}" for cell in cells), flush=True)
     rms = np.sqrt((np.concatenate(claimed) ** 2).mean(axis=0))
+    bounds = gates.nees_bounds(2 * len(PLACES) * given.draws)
+    for name, value in zip(("MTF across", "MTF along", "SNR"), rms, strict=True):
+        gates.check(f"{name}: NEES of what is measured", float(value) ** 2, *bounds)
     print(f"{'rms of error / claimed 1-sigma':32}" + "".join(f"{value:34.2f}" for value in rms))
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

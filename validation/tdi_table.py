@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import time
 
+import gates
 import numpy as np
 
 from sightline.imaging.tdi_noise import NoiseLaw
@@ -60,6 +61,11 @@ def main() -> None:
             begin = time.process_time()
             table, certificate = build_table(model, choice, asked)
             seconds = time.process_time() - begin
+            gates.check(
+                f"{merit}, {100 * asked:g} %: certified over asked", certificate.loss / asked, 0.0, 1.0
+            )
+            if asked == 0.006:
+                gates.check(f"{merit}, 0.6 %: bytes", certificate.bytes, 0, 2400)
             size = min((b for b, loss in uniform.items() if loss <= asked), default=None)
             other = "none" if size is None else f"{size} B at {100 * uniform[size]:.2g} %"
             print(
@@ -71,4 +77,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import argparse
 
+import gates
 import numpy as np
 
 from sightline.applications.line_of_sight import recover_line_of_sight
@@ -52,26 +53,28 @@ def map_error(scenario: StripScenario, first: MovingCamera, weak: MovingCamera) 
     return error[np.isfinite(error).all(axis=1)]
 
 
-def show(label: str, error: np.ndarray, more: str = "") -> None:
+def show(label: str, error: np.ndarray, more: str = "") -> float:
+    """Print a row; px rms, along and across together."""
     along, across = np.sqrt((error**2).mean(axis=0))
     print(
         f"    {label:18} along {along:8.4f}  across {across:8.4f}  both {np.hypot(along, across):8.4f}"
         f"  largest {np.abs(error).max():7.3f}{more}",
         flush=True,
     )
+    return float(np.hypot(along, across))
 
 
-def recovered(scenario: StripScenario, bands: list[Band], label: str, hybridise: str) -> None:
+def recovered(scenario: StripScenario, bands: list[Band], label: str, hybridise: str) -> float:
     """Error of the map after a recovery from `bands`, of which the first is PAN and the last NIR."""
     try:
         result = recover_line_of_sight(bands, GROUND, options=RecoverOptions(hybridise=hybridise))
     except EstimationError as error:
         print(f"    {label:18} refused: {str(error).split(':')[0]}")
-        return
-    show(label, map_error(scenario, result.cameras[0], result.cameras[-1]))
+        return float("inf")
+    return show(label, map_error(scenario, result.cameras[0], result.cameras[-1]))
 
 
-def direct(scenario: StripScenario, bands: list[Band], window: tuple[int, int]) -> None:
+def direct(scenario: StripScenario, bands: list[Band], window: tuple[int, int]) -> float:
     """Error of single windows of NIR matched with PAN."""
     first, weak = bands[0], bands[-1]
     points = window_grid(first.image.shape, window, window[0]).centres
@@ -85,9 +88,11 @@ def direct(scenario: StripScenario, bands: list[Band], window: tuple[int, int]) 
     wrong = float((np.abs(error) > 1.0).any(axis=1).mean()) if len(error) else np.nan
     label = f"windows {window[0]} x {window[1]}"
     if len(error):
-        show(label, error, f"  kept {100 * found.kept.mean():5.1f} %, off by > 1 px {100 * wrong:5.1f} %")
-    else:
-        print(f"    {label:18} none kept")
+        return show(
+            label, error, f"  kept {100 * found.kept.mean():5.1f} %, off by > 1 px {100 * wrong:5.1f} %"
+        )
+    print(f"    {label:18} none kept")
+    return float("inf")
 
 
 def main() -> None:
@@ -106,12 +111,18 @@ def main() -> None:
             )  # fmt: skip
             bands = scenario.as_told()
             show("nominal cameras", map_error(scenario, bands[0].camera, bands[-1].camera))
-            for window in WINDOWS:
-                direct(scenario, bands, window)
-            recovered(scenario, [bands[0], bands[-1]], "pair", "global")
-            recovered(scenario, bands, "global", "global")
-            recovered(scenario, bands, "iterative", "iterative")
+            matched = min(direct(scenario, bands, window) for window in WINDOWS)
+            pair = recovered(scenario, [bands[0], bands[-1]], "pair", "global")
+            for way in ("global", "iterative"):
+                px, what = (
+                    recovered(scenario, bands, way, way),
+                    f"coherence {coherence:g}, seed {seed}, {way}",
+                )
+                if coherence >= 0.4:
+                    gates.check(f"{what}: px rms", px, 0.0, 0.02)
+                gates.check(f"{what}: over windows matched directly", px / matched, 0.0, 0.2)
+                gates.check(f"{what}: over the pair alone", px / pair, 0.0, 0.6)
 
 
 if __name__ == "__main__":
-    main()
+    gates.run(main, __file__)

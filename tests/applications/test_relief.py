@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from consistency import bounds
 from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.applications.strip import RecoverOptions
 from sightline.evaluation.score import score_result
@@ -43,7 +44,10 @@ def test_relief_left_out_must_be_owned_by_the_sigma(strip):
     # the score's own 95 % bounds for so many independent samples
     for name in ("roll", "yaw"):
         assert getattr(ignored, name).nees > getattr(ignored, name).nees_high
-        assert getattr(owned, name).nees < getattr(owned, name).nees_high
-    assert owned.pitch.nees < owned.pitch.nees_high
+        assert (
+            0.5 * getattr(owned, name).nees_low < getattr(owned, name).nees < getattr(owned, name).nees_high
+        )
+    # pitch beside unknown relief rests on some four slow numbers
+    assert bounds(4)[0] < owned.pitch.nees < owned.pitch.nees_high
     # a mean height that drifts by 300 m in a second imitates pitch: the sigma owns it
     assert owned.pitch.sigma > 1.5 * ignored.pitch.sigma

@@ -10,6 +10,7 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 from tests.photogrammetry.stereo_scene import ARCSEC, TRUTH, Noise, Plan, ground, our_angles, shoot
 
+from consistency import assert_consistent, assert_possible
 from sightline.applications.stereo_orientation import METHODS, StereoProblem, orient, orient_pushbroom
 from sightline.errors import InputError, SightlineError
 from sightline.geometry.camera import PushbroomCamera
@@ -76,7 +77,8 @@ def test_points_come_with_the_angles_by_every_method():
         height = found.points[:, 2] - points[:, 2]
         sigma = np.sqrt(found.point_covariance[:, 2, 2])
         assert np.isfinite(height).all()
-        assert np.sqrt(np.mean((height / sigma) ** 2)) < 4.0
+        # all heights share the error of pitch: one draw
+        assert_possible(np.mean((height / sigma) ** 2), 1)
 
 
 @pytest.mark.parametrize("method", ["epipolar", "plane"])
@@ -223,7 +225,7 @@ def with_mismatches(given, seed, share):
 @pytest.mark.parametrize("method", ["ml-track", "ml-pair"])
 def test_mismatches_in_a_small_block_do_no_harm(method):
     nees, lost = [], []
-    for seed in range(8):
+    for seed in range(50):
         given, bad = with_mismatches(problem(seed)[0], 100 + seed, 0.05)
         found = orient(given, method)
         error = (found.angles - our_angles(TRUTH)).ravel()
@@ -232,7 +234,7 @@ def test_mismatches_in_a_small_block_do_no_harm(method):
         wrong = bad[half:]  # a pair loses both its sightings
         lost.append((found.rejected[half:] & ~wrong).mean())
     assert np.mean(lost) < 2e-3
-    assert np.mean(nees) < 6.0 + 4.0 * np.sqrt(12.0 / 8.0)
+    assert_consistent(nees, 6)
 
 
 @pytest.mark.parametrize("method", METHODS)

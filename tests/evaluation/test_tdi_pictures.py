@@ -10,7 +10,7 @@ from sightline.evaluation.tdi_pictures import column_group, flat_snr, strip_pict
 from sightline.imaging.mtf import aperture_mtf
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.imaging.tdi_transfer import Exposure
-from sightline.report.tdi_pictures import WHITE, grey, tdi_pictures_html
+from sightline.report.tdi_page import WHITE, grey, pictures_section
 from sightline.tdi.choose import choose_settings
 from sightline.tdi.merit import DriftMtf
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
@@ -87,7 +87,7 @@ class TestPage:
         assert picture.shape == (1, 5, 3)
 
     def test_the_page_says_what_was_measured_and_predicted(self, pictures):
-        html = str(tdi_pictures_html(pictures))
+        html = "".join(map(str, pictures_section(pictures).parts))
         assert html.count('<img src="data:image/png;base64,') == 8
         crop = pictures.chosen[0]
         for words in (

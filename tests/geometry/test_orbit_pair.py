@@ -141,3 +141,20 @@ def test_a_point_below_the_horizon_is_refused():
     for window, shots in ((0.0, 3), (64.0, 0)):
         with pytest.raises(InputError):
             pair.shot_times(window, shots)
+
+
+def test_cameras_that_meet_in_a_single_shot_are_refused():
+    pair = OrbitPair(separation=70.0)
+    t = pair.shot_times(64.0, 3)
+    places = np.array(pair.positions(t))
+    places[1, 1] = places[0, 1]
+    with pytest.raises(GeometryError, match="no baseline"):
+        pair.world_from_body(t, places)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_elevations_are_those_of_the_closed_form(case):
+    pair, t = pair_and_times(case)
+    for places, found in zip(s2_scene.camera_places(shots=9, **case)[0], pair.elevations(t), strict=True):
+        zenith = places[:, 2] / np.sqrt(places[:, 0] ** 2 + places[:, 1] ** 2 + places[:, 2] ** 2)
+        np.testing.assert_allclose(np.sin(found), zenith, atol=1e-6)

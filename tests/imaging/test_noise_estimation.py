@@ -17,8 +17,10 @@ from sightline.applications.strip_noise import (
 )
 from sightline.errors import EstimationError, InputError
 from sightline.imaging.noise_estimation import (
+    Blocks,
     CodeTable,
     column_pattern,
+    even_noise,
     fit_law,
     measure_blocks,
     ramp_noise,
@@ -63,9 +65,10 @@ def test_every_estimate_is_as_good_as_its_sigma_says(strips):
             ("A_col", noise.columns.variance, truth),
         ):
             errors.setdefault(name, []).append((estimate.value - true) / estimate.sigma)
-    # mean square of 4 standard normal numbers: above 3.7 once in 200 tries, and there are 8 names
+    # mean square of 4 standard normal numbers: above 3.7 once in 200 tries, below 0.016 as rarely, and there
+    # are 8 names; validation/real_noise.py pools 30 strips
     nees = {name: float(np.mean(np.square(z))) for name, z in errors.items()}
-    assert max(nees.values()) < 3.7, nees
+    assert 0.016 < min(nees.values()) and max(nees.values()) < 3.7, nees
     # and of all 32 (correlated in groups) neither far above 1 nor far below
     assert 0.3 < np.mean(list(nees.values())) < 2.0, nees
 
@@ -178,3 +181,36 @@ def test_evenly_rough_ground_is_refused_or_owned():
         assert "roughness" in str(error)
     else:
         assert abs(found.variance.value - 225.0) < 4.0 * found.variance.sigma
+
+
+def test_an_evenly_lit_image_gives_its_law_and_slope():
+    rng = np.random.default_rng(8)
+    signal = rng.uniform(1000.0, 3000.0, (40, 50))
+    # squares of some 500 degrees of freedom each, about 200 + 0.05 signal
+    white = (200.0 + 0.05 * signal) * rng.chisquare(500, signal.shape) / 500
+    found = even_noise(Blocks(signal, white, np.zeros(signal.shape)))
+    assert found.slope.value == pytest.approx(0.05, abs=4.0 * found.slope.sigma)
+    assert found.variance.value == pytest.approx(200.0 + 0.05 * found.signal, abs=4.0 * found.variance.sigma)
+    # 300 +- 19 each, 2000 of them; the slope over signals of 577 rms
+    assert found.variance.sigma == pytest.approx(19.0 / np.sqrt(2000), rel=0.1)
+    assert found.slope.sigma == pytest.approx(19.0 / np.sqrt(2000) / 577.0, rel=0.1)
+
+
+def test_roughness_that_does_not_last_from_block_to_block_is_refused():
+    rng = np.random.default_rng(9)
+    white, texture = rng.chisquare(20, (2, 60, 60))
+    with pytest.raises(EstimationError, match="does not last"):
+        white_noise(Blocks(np.full((60, 60), 1000.0), white, texture))
+
+
+def test_lines_without_values_before_the_first_change_no_noise():
+    rng = np.random.default_rng(10)
+    edges = 18.0 * np.arange(60)
+    table = CodeTable(np.append(np.nan, edges[:-1]), np.append(np.nan, edges[1:]))  # code 0 is no value
+    level = 500.0 + 40.0 * np.linspace(0.0, 1.0, 4000)[:, None] + 9.0 * rng.standard_normal((4000, 6))
+    codes = (1 + np.floor(level / 18.0)).astype(np.uint8)
+    found = resting_noise(codes, table)
+    late = resting_noise(np.concatenate([np.zeros((3000, 6), np.uint8), codes]), table)
+    assert found.pooled.value == pytest.approx(9.0, abs=4.0 * found.pooled.sigma)
+    assert late.pooled.value == pytest.approx(found.pooled.value, rel=1e-6)
+    assert late.level[3000:] == pytest.approx(found.level, rel=1e-6)

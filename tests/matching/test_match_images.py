@@ -261,3 +261,34 @@ def test_whitening_that_cannot_be_estimated_says_why():
 def test_no_points_give_no_matches():
     image = ArrayImage(np.ones((50, 200)))
     assert len(match_images(image, image, np.zeros((0, 2)), np.zeros((0, 2)), whitening=None)) == 0
+
+
+@pytest.mark.parametrize(
+    ("search", "off"), [((12, 2), (11.3, -1.2)), ((2, 12), (1.2, -11.3))], ids=["lines", "columns"]
+)
+def test_a_search_reaches_as_far_along_each_axis_as_it_is_given(pairs, search, off):
+    a, b, whitening = pairs()
+    points = inner_points((16, 40))
+    found = match_images(
+        a, b, points, points + SHIFT + off, window=(16, 40), whitening=whitening, search_px=search
+    )
+    assert found.kept.mean() > 0.95
+    assert np.abs(errors(found, points)).max() < 0.1
+    short = match_images(
+        a, b, points, points + SHIFT + off, window=(16, 40), whitening=whitening, search_px=search[::-1]
+    )
+    assert short.kept.mean() < 0.05
+
+
+def test_windows_are_kept_up_to_the_largest_sigma_of_any_direction(pairs):
+    a, b, whitening = pairs(snr=30.0)
+    points = inner_points((16, 40))
+    free = match_images(a, b, points, points + SHIFT, window=(16, 40), whitening=whitening)
+    largest = np.sqrt(np.linalg.eigvalsh(free.covariance_px[free.kept])[:, 1])
+    most = float(np.median(largest))
+    held = match_images(a, b, points, points + SHIFT, window=(16, 40), whitening=whitening, max_sigma_px=most)
+    # common factors of the covariance are learned from those that are kept: they may change by as much as
+    # half of some hundred windows tell, a few per cent
+    clear = np.abs(largest / most - 1.0) > 0.05
+    np.testing.assert_array_equal(held.kept[free.kept][clear], (largest <= most)[clear])
+    assert (largest[clear] <= most).mean() == pytest.approx(0.5, abs=0.2)

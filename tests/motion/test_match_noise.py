@@ -210,3 +210,11 @@ class TestRowWeights:
     def test_rows_too_narrow_to_judge_keep_their_weight(self, blocks):
         star = plain_star(50, blocks, 1, SIGMA)
         assert_allclose(row_weights(star, drawn(star, 21)), 1.0)
+
+
+def test_the_start_value_is_the_correlation_of_differences_that_share_an_image():
+    rng = np.random.default_rng(1)
+    hub, *partners = rng.standard_normal((4, 2, 40_000))  # errors of four images, two axes
+    differences = np.concatenate([partner - hub for partner in partners])
+    # correlations of 40 000 draws scatter by 0.005
+    assert_allclose(np.corrcoef(differences), shared_image_correlation(3), atol=0.025)

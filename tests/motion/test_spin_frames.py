@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 from tests.motion.spinning import SpinningCamera, turn
 
+from consistency import assert_possible
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.pointing import FixedMount
@@ -135,7 +136,7 @@ def test_layers_of_clouds_are_told_apart(solved):
     found = change @ estimate.x[rows]
     covariance = change @ estimate.covariance[np.ix_(rows, rows)] @ change.T
     error = found - change @ HEIGHTS
-    assert error @ np.linalg.solve(covariance, error) < chi2.ppf(1 - 1e-4, 2)
+    assert_possible(error @ np.linalg.solve(covariance, error), 2)
     # 0.05 px of 1000 px at 1.2e8 m is 6 km for a window at the limb; hundreds of them leave below one
     assert np.sqrt(np.diag(covariance)).max() < 2e3
 
@@ -147,7 +148,9 @@ def test_departures_lie_within_their_sigma(solved):
     # their mean and slope are taken by attitude and rate
     t = np.arange(EXPOSURES) - (EXPOSURES - 1) / 2.0
     left = error - error.mean() - t * (t @ error) / (t @ t)
-    assert ((left / sigma) ** 2).sum() < chi2.ppf(1 - 1e-4, EXPOSURES)
+    square = ((left / sigma) ** 2).sum()
+    # sigma holds mean and slope too, of which the error is free here: it may be a few times too large
+    assert 0.1 * chi2.ppf(1e-4, EXPOSURES - 2) < square < chi2.ppf(1 - 1e-4, EXPOSURES)
     size = estimate.unknowns.departure_sigma[0]
     # of ten numbers of 3e-5: chi-square of 8 to one in a thousand
     assert 3e-5 * np.sqrt(chi2.ppf(1e-3, 8) / 8) < size < 3e-5 * np.sqrt(chi2.ppf(1 - 1e-3, 8) / 8)

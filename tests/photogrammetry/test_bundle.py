@@ -20,6 +20,7 @@ from tests.photogrammetry.stereo_scene import (
     shoot,
 )
 
+from consistency import assert_consistent
 from sightline.errors import InputError
 from sightline.geometry.surface import Plane
 from sightline.photogrammetry.bundle import adjust, bound
@@ -69,7 +70,6 @@ def test_swapped_cameras_give_swapped_angles():
 @pytest.mark.parametrize("aimed", [False, True])
 @pytest.mark.parametrize("pairs", [False, True])
 def test_errors_are_as_large_as_the_covariance_says(pairs, aimed):
-    # mean of 50 NEES of 6: 6 +- sqrt(12/50); four sigmas either side
     nees = []
     noise = PoseNoise(7.5, 1.8 * ARCSEC, np.zeros(3) if aimed else None)
     for seed in range(50):
@@ -77,19 +77,19 @@ def test_errors_are_as_large_as_the_covariance_says(pairs, aimed):
         found = adjust(shooting.sightings(), noise, new_points_per_shot=pairs)
         error = miss(found)
         nees.append(error @ np.linalg.solve(found.covariance, error))
-    assert abs(np.mean(nees) - 6.0) < 4.0 * np.sqrt(12.0 / 50.0)
+    assert_consistent(nees, 6)
 
 
 def test_the_points_are_as_good_as_their_covariance_says():
-    # one pass: 60 points share poses, so their chi-squares are not independent; the mean over 20 passes is
+    # one pass: its points share poses, so that their chi-squares are not independent; those of passes are
     nees = []
-    for seed in range(20):
+    for seed in range(100):
         shooting, points = measure(seed)
         found = adjust(shooting.sightings(), NOISE)
         error = found.points - points
         nees.append(np.einsum("ni,nij,nj->n", error, np.linalg.inv(found.point_covariance), error).mean())
-    # correlated entirely within a pass at worst: variance of a mean of 20 chi-squares of 3
-    assert abs(np.mean(nees) - 3.0) < 4.0 * np.sqrt(6.0 / 20.0)
+    # correlated entirely within a pass at worst
+    assert_consistent(nees, 3)
 
 
 def random_equations(rng, sightings, unknowns):

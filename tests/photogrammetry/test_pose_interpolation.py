@@ -111,3 +111,22 @@ def test_bad_input_is_refused():
         between_anchors(T, ANCHORS, np.zeros((3, 3)), Rotation.identity(3), "linear")
     with pytest.raises(InputError, match="two anchors"):
         between_anchors(T, ANCHORS[:1], np.zeros((1, 3)), Rotation.identity(1))
+
+
+def test_turns_about_the_line_of_sight_are_carried_with_their_sign():
+    # yaw jitter of 2 deg; where frames show two places of the ground, by the pinhole written out above
+    rng = np.random.default_rng(4)
+    place = np.column_stack([0.0 * T, 0.0 * T, np.full(21, 100.0)])
+    turn = LEVEL * Rotation.from_rotvec(np.outer(np.radians(rng.normal(0.0, 2.0, 21)), [0.0, 0.0, 1.0]))
+    ground = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
+    rays = [(turn[k] * NADIR_MOUNT).inv().apply(ground - place[k]) for k in range(21)]
+    seen = np.array([[pixels_of(ray) for ray in both] for both in rays])
+    across = (seen[:, 1] - seen[:, 0]) @ [1.0, 1.0j]  # its angle counts from line towards column
+    followed = steady(21, 0.0)
+    motion = np.zeros((21, 4))
+    motion[1:, 2] = np.angle(across[1:] / across[:-1])
+    known = (T, ANCHORS, place[ANCHORS], turn[ANCHORS])
+    found = by_displacement(*known, replace(followed, motion=motion), DETECTOR, NADIR_MOUNT, 100.0)
+    slerp = (turn.inv() * between_anchors(*known)[1]).magnitude()
+    assert (turn.inv() * found[1]).magnitude().max() < 1e-9
+    assert slerp.max() > np.radians(1.0)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
 
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.earth import WGS84, from_geodetic
@@ -11,7 +13,7 @@ from sightline.imaging.source import ArrayImage
 from sightline.products.cube_bands import frame_bands, line_bands
 from sightline.products.cube_fit import error_map, fit_pairs, pairs_of
 from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
-from sightline.products.cube_kernels import PHASES, place_weights
+from sightline.products.cube_kernels import PHASES, fill_bands, place_weights, see_places
 from sightline.products.frame_cube import line_gain
 from sightline.products.ground_model import fit_ground
 from sightline.products.resample import BEFORE, TAPS, delay_weights
@@ -175,3 +177,74 @@ def test_lines_are_as_bright_as_their_filter_makes_them():
     # 1200 pixels of 10 % contrast each
     assert line_gain([[None, *frames]], 24)[0] == pytest.approx(level, rel=0.012)
     assert line_gain([[None, None]], 24).tolist() == [[1.0] * 24]
+
+
+def test_each_cell_of_a_mosaic_is_read_where_it_lies():
+    # bands of six cells, each on a plane of its own: resampling a plane is exact, a cell taken for its
+    # neighbour shows as the slope times a pixel
+    def plane(band, line, column):
+        return 1000.0 * band + 7.0 * line + 3.0 * column
+
+    phase = np.array([[0, 0], [0, 1], [0, 2], [1, 0], [1, 1], [1, 2]])
+    line, column = np.meshgrid(np.arange(100.0), np.arange(150.0), indexing="ij")
+    image = np.empty((100, 150), dtype=np.float32)
+    for band, (down, right) in enumerate(phase):
+        cells = (slice(down, None, 2), slice(right, None, 3))
+        image[cells] = plane(band, line[cells], column[cells])
+    bad = np.zeros(image.shape, dtype=bool)
+    bad[41, 74] = True  # of the last band, beside the second place
+    corner = np.array([10.0, 21.0])
+    pixels = corner + np.array([[49.3, 71.0], [40.0, 73.6], [57.75, 64.2]])
+    out = np.full((6, 3), np.nan, dtype=np.float32)
+    fill_bands(
+        np.arange(3, dtype=np.int32), pixels, image, bad, corner, np.array([2, 3]), np.array([0, 6]),
+        np.arange(6), phase, np.ones(6, dtype=np.float32), place_weights(), 0.02, out,
+    )  # fmt: skip
+    found = np.array([plane(band, *(pixels - corner).T) for band in range(6)])
+    spoiled = np.zeros((6, 3), dtype=bool)
+    spoiled[5, 1] = True
+    np.testing.assert_array_equal(np.isnan(out), spoiled)
+    # weights of 16 taps in 32 bits, over values of some thousands
+    assert out[~spoiled] == pytest.approx(found[~spoiled], abs=0.05)
+
+
+def test_a_rolling_shutter_sees_a_place_by_the_pose_of_its_own_line():
+    rng = np.random.default_rng(3)
+    turns = Rotation.from_rotvec(np.array([[0.0, 0.0, 0.0], [0.02, -0.01, 0.03], [0.05, -0.03, 0.02]]))
+    matrices = np.ascontiguousarray((turns * Rotation.from_rotvec([np.pi, 0.0, 0.0])).as_matrix())
+    positions = np.array([[0.0, 0.0, 100.0], [3.0, 1.0, 100.5], [7.0, 1.5, 101.5]])
+    lines, focal, principal = 200, 400.0, (99.5, 149.5)
+    lens = np.array([focal, *principal])
+    world = np.column_stack([rng.uniform(-15.0, 15.0, (20, 2)), rng.uniform(-2.0, 2.0, 20)])
+
+    def miss(line, point):
+        # parabola through the first, middle and last pose, as a matrix of Vandermonde has it
+        weight = np.linalg.solve(
+            np.vander([0.0, 0.5, 1.0], 3).T, [(line / (lines - 1)) ** 2, line / (lines - 1), 1]
+        )
+        ray = np.tensordot(weight, matrices, 1) @ (point - weight @ positions)
+        seen = np.array(principal) + focal * ray[[1, 0]] / ray[2]
+        return seen[0] - line, seen
+
+    pixels = np.empty((20, 2))
+    see_places(
+        world,
+        np.arange(20, dtype=np.int32),
+        matrices,
+        positions,
+        lens,
+        np.zeros(5),
+        10.0,
+        (lines, 300),
+        pixels,
+    )
+    for point, found in zip(world, pixels, strict=True):
+        line = brentq(lambda x, point=point: miss(x, point)[0], -200.0, 400.0)
+        assert found == pytest.approx(miss(line, point)[1], abs=0.01)
+    # and it matters: by the pose of the middle line alone they would lie pixels away
+    still = np.empty((20, 2))
+    see_places(
+        world, np.arange(20, dtype=np.int32), matrices[1:2], positions[1:2], lens, np.zeros(5), 10.0,
+        (lines, 300), still,
+    )  # fmt: skip
+    assert np.abs(still - pixels).max() > 2.0

@@ -8,7 +8,8 @@ import warnings
 import numpy as np
 import rasterio
 
-from sightline.report.composite import MISSING, colours, composite, data_png
+from sightline.report.composite import MISSING, colours, composite
+from sightline.report.raster import data_png
 
 
 def decoded(address):

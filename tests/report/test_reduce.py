@@ -4,19 +4,29 @@ from __future__ import annotations
 
 import numpy as np
 
-from sightline.report.reduce import cell_edges, cell_means, cell_modes, envelope_rows, runs
+from sightline.report.reduce import cell_edges, cell_means, cell_modes, outline_rows, runs
 
 
 def test_the_outline_of_a_long_curve_keeps_every_spike():
-    x = np.sin(np.linspace(0.0, 3000.0, 100_000))
-    x[[777, 50_001]] = 9.0, -9.0
-    rows = envelope_rows(x, 2000)
-    assert len(rows) <= 2002 and (np.diff(rows) > 0).all()
+    y = np.sin(np.linspace(0.0, 3000.0, 100_000))
+    y[[777, 50_001]] = 9.0, -9.0
+    rows = outline_rows(np.linspace(0.0, 900.0, 100_000), y)
+    assert len(rows) <= 2 * 901 + 2 and (np.diff(rows) > 0).all()
     assert {0, 777, 50_001, 99_999} <= set(rows.tolist())
 
 
-def test_a_short_curve_is_left_whole():
-    assert envelope_rows(np.zeros(50), 2000).tolist() == list(range(50))
+def test_the_outline_keeps_gaps_and_what_is_between_them():
+    y = np.zeros(5000)
+    y[2000:2003] = np.nan
+    y[2001] = 7.0
+    rows = outline_rows(np.linspace(0.0, 100.0, 5000), y)
+    assert {2000, 2001, 2002} <= set(rows.tolist())
+
+
+def test_a_short_curve_and_one_that_turns_back_are_left_whole():
+    assert outline_rows(np.arange(50.0), np.zeros(50)).tolist() == list(range(50))
+    turn = np.linspace(0.0, 6.0, 5000)
+    assert len(outline_rows(np.cos(turn), np.sin(turn))) == 5000
 
 
 def test_cells_share_all_rows_between_them():

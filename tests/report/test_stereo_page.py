@@ -11,7 +11,7 @@ from sightline.io.stereo_results import summarize_orientation
 from sightline.report import stereo_words as words
 from sightline.report.stereo_figures import image_noise, residual_figure, residual_vectors
 from sightline.report.stereo_height_figure import height_figure, point_heights
-from sightline.report.stereo_page import stereo_html
+from sightline.report.stereo_page import stereo_page
 from sightline.simulate.stereo import stereo_case
 from sightline.simulate.stereo_files import write_stereo
 
@@ -53,7 +53,7 @@ def test_drift_and_focal_length_are_said_with_their_sigmas(refined):
     assert value == pytest.approx(100.0 * result.stretch[0], abs=sigma) and 0.0 < sigma < 0.1
     told = stereo.problem.detectors[0].focal_length_px
     assert float(length.split()[0]) - told == pytest.approx(float(longer.split()[0]), abs=0.2)
-    page = stereo_html(stereo, result, summary)
+    page = stereo_page(stereo, result, summary).html
     assert "roll (arcsec/s)" in page and "The errors drift (arcsec/s): camera 1 roll" in page
     assert f"Focal length: of camera 1 {percent} % from that of the file" in page
 
@@ -113,11 +113,12 @@ def test_points_known_poorly_are_crosses_and_in_no_mean(tmp_path):
     change = np.delete(heights.after - heights.before, 3)
     assert heights.change == pytest.approx(change.mean())
     figure = height_figure(heights)
-    assert f"mean of {heights.change:+.3g} m" in figure.layout.annotations[2].text
-    discs, cross = (trace for trace in figure.data if trace.hovertemplate.startswith("After less"))
-    assert len(discs.x) == 49 and len(cross.x) == 1 and cross.marker.symbol == "x"
-    assert np.mean(discs.marker.color) == pytest.approx(0.0, abs=1e-6)
-    assert discs.marker.cmax <= np.abs(change - change.mean()).max()
+    panel = figure[1, 0]
+    assert f"mean of {heights.change:+.3g} m" in panel.title
+    discs, cross = panel.marks
+    assert len(discs.x) == 49 and len(cross.x) == 1 and cross.symbol == "cross"
+    assert np.mean(discs.values) == pytest.approx(0.0, abs=1e-6)
+    assert discs.high <= np.abs(change - change.mean()).max()
 
 
 @pytest.mark.parametrize(
@@ -131,9 +132,9 @@ def test_points_known_poorly_are_crosses_and_in_no_mean(tmp_path):
 def test_residuals_are_called_what_they_are(tmp_path, method, title, share):
     stereo, result, _ = oriented(tmp_path, method, shots=6)
     figure = residual_figure(stereo, result)
-    assert title in figure.layout.annotations[0].text
+    assert title in figure[0].title
     noise = image_noise(stereo.problem, method)
     # case A states 0.1 px
     assert noise is None if share is None else noise == pytest.approx(0.1 * np.sqrt(share))
-    assert any(trace.name == "as sigma_px says" for trace in figure.data) == (share is not None)
-    assert figure.layout.xaxis2.dtick == 1
+    assert any(mark.name == "as sigma_px says" for mark in figure.marks) == (share is not None)
+    assert [text for _, text in figure[1].x.ticks] == list("012345")

@@ -24,24 +24,23 @@ def table(quantity="baseline", unit="m", planned=500e3):
 
 def test_every_table_has_a_panel_in_its_own_units():
     figure = prediction_figure([table(), table("shots", "", 64), table("attitude noise", "rad", 10 * ARCSEC)])
-    titles = [note.text for note in figure.layout.annotations]
-    assert titles[:3] == [
-        "baseline, planned 500 km", "shots, planned 64", "attitude noise, planned 10 arcsec",
+    assert [panel.title for panel in figure.panels] == [
+        "baseline, planned 500 km", "shots, planned 64", "attitude noise, planned 10 arcsec", "",
     ]  # fmt: skip
-    # three axes and the weakest direction, by two estimators, in each of three panels
-    assert len(figure.data) == 3 * 8
-    roll = figure.data[0]
-    assert "roll" in roll.name and roll.showlegend
+    # three axes and the weakest direction, by two estimators, and where the plan is
+    assert [len(panel.marks) for panel in figure.panels] == [9, 9, 9, 0]
+    roll = figure[0, 0].marks[0]
+    assert "roll" in roll.name and len(figure.keys()) == 9
     np.testing.assert_allclose(roll.x, [250.0, 500.0, 1000.0])
     np.testing.assert_allclose(roll.y, [4.0, 10.0, 16.0])  # the worse of both cameras, arcsec
-    assert figure.layout.xaxis.type == figure.layout.yaxis.type == "log"
-    assert figure.layout.xaxis.title.text == "baseline (km)"
-    assert sum(bool(trace.showlegend) for trace in figure.data) == 8
+    panel = figure[0, 0]
+    assert panel.x.log and panel.y.log and panel.x.title == "baseline (km)"
+    assert figure.html("figure-a").count('class="panel"') == 3
 
 
 def test_what_is_not_observable_is_a_gap_and_a_word():
     figure = prediction_figure([table()])
-    yaw = next(trace for trace in figure.data if trace.name.startswith("yaw, points new"))
+    yaw = next(mark for mark in figure.marks if mark.name.startswith("yaw, points new"))
     assert np.isnan(yaw.y[0]) and np.isfinite(yaw.y[1:]).all()
     head, rows = prediction_rows(table())
     assert head[0] == "baseline (km)" and len(head) == 1 + 2 * 4
@@ -54,7 +53,7 @@ def test_changes_are_bars_relative_to_now():
         "half the noise", np.arange(1.0, 7.0) * ARCSEC, np.array([0.5, 0.6, np.nan, 0.7, 0.4, np.nan])
     )
     figure = improvements_figure([change])
-    assert [trace.name for trace in figure.data] == ["yaw", "pitch", "roll"]
-    ratios = [trace.x[0] for trace in figure.data]
-    assert np.isnan(ratios[0]) and ratios[1:] == [0.6, 0.7]
-    assert figure.data[2].text == ("4″",)
+    roll, pitch, yaw, now = figure.marks
+    assert [mark.name for mark in (roll, pitch, yaw, now)] == ["roll", "pitch", "yaw", "now"]
+    assert roll.length[0] == 0.7 and pitch.length[0] == 0.6 and np.isnan(yaw.length[0])
+    assert roll.texts == ["4″"]

@@ -76,7 +76,7 @@ def demo(
         report(f"rendering a strip of 4 bands, case {case}, seed {seed}")
         scenario = line_of_sight_case(case, seed, lines=LINES, columns=COLUMNS)
         write_strip(scenario, scene, star_tracker=True, gyro=True)
-        summary = recover_into(result, scene / "acquisition.toml", report)
+        summary = recover_into(result, scene / "acquisition.toml", report, truth=scene / "truth.csv")
         report("scoring against the truth")
         scored = score_folder(result, scene / "truth.csv")
         (folder / "score.json").write_text(json_text(scored) + "\n", encoding="utf-8")

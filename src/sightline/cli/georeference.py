@@ -122,7 +122,7 @@ def write_georeferenced(
     from sightline.io.cube_summary import cube_summary, remove_cube, write_cube
     from sightline.io.sequence_results import write_sequence_result
     from sightline.report.sequence_cube import cube_view
-    from sightline.report.sequence_page import write_sequence_report
+    from sightline.report.sequence_page import sequence_page
 
     more: dict[str, Any] = {"method": method.value, "cube": None}
     view = None
@@ -138,7 +138,7 @@ def write_georeferenced(
     report("writing")
     seconds = time.perf_counter() - begun
     summary = write_sequence_result(folder, sequence, found, wall_seconds=seconds, **more)
-    write_sequence_report(folder / "report.html", sequence.problem, found, summary, cube=view)
+    sequence_page(sequence.problem, found, summary, cube=view).write(folder / "report.html")
     return summary
 
 

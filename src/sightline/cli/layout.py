@@ -77,11 +77,11 @@ def _write(
     import time
 
     from sightline.io.layouts import write_layouts
-    from sightline.report.layout_page import write_layout_report
+    from sightline.report.layout_page import layout_page
 
     report("writing the layouts and their report")
     summary = write_layouts(folder, choice, instrument, wall_seconds=time.perf_counter() - begin)
-    write_layout_report(folder / "report.html", choice, summary)
+    layout_page(choice, summary).write(folder / "report.html")
     return summary
 
 

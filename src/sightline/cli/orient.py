@@ -183,7 +183,7 @@ def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str,
 
     from sightline.io.stereo_exports import write_exports
     from sightline.io.stereo_results import write_stereo_result
-    from sightline.report.stereo_page import write_stereo_report
+    from sightline.report.stereo_page import stereo_page
 
     report("writing")
     notes = write_exports(folder, found.stereo, found.result)
@@ -191,7 +191,7 @@ def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str,
     summary = write_stereo_result(
         folder, found.stereo, found.result, found.better, wall_seconds=seconds, export_notes=list(notes)
     )
-    write_stereo_report(folder / "report.html", found.stereo, found.result, summary)
+    stereo_page(found.stereo, found.result, summary).write(folder / "report.html")
     return summary
 
 
@@ -207,7 +207,7 @@ def foretell(file: Path, method: Method, folder: Path, report: Progress) -> dict
     from sightline.io.stereo_plan import has_plan, read_plan
     from sightline.io.stereo_predicted import write_prediction
     from sightline.io.stereo_strips import StripProblem
-    from sightline.report.stereo_prediction_page import write_prediction_report
+    from sightline.report.stereo_prediction_page import prediction_page
 
     begun = time.perf_counter()
     report("bounds")
@@ -227,7 +227,7 @@ def foretell(file: Path, method: Method, folder: Path, report: Progress) -> dict
         predicted = predict(problem.problem, method.value, tables=tables)
     seconds = time.perf_counter() - begun
     summary = write_prediction(folder, problem, predicted, wall_seconds=seconds)
-    write_prediction_report(folder / "report.html", predicted, summary)
+    prediction_page(predicted, summary).write(folder / "report.html")
     return summary
 
 

@@ -66,15 +66,24 @@ def recover(
 
 
 def recover_into(
-    folder: Path, acquisition: Path, report: Progress, *, method: str = "joint"
+    folder: Path,
+    acquisition: Path,
+    report: Progress,
+    *,
+    method: str = "joint",
+    truth: Path | None = None,
 ) -> dict[str, Any]:
-    """Recover the strip of `acquisition`, write every file of the result into `folder`, give the summary."""
+    """Recover the strip of `acquisition`, write every file of the result into `folder`, give the summary.
+
+    The `truth` (a ``truth.csv``) is read after the estimate, to be drawn over it in the report.
+    """
     import time
 
     from sightline.cli.terminal import announce
     from sightline.io.acquisition import load_acquisition, ready_to_recover
     from sightline.io.results import write_result
-    from sightline.report.page import write_report
+    from sightline.io.tables import read_motion
+    from sightline.report.line_of_sight_page import line_of_sight_page
 
     begin = time.perf_counter()
     report("reading the acquisition")
@@ -83,7 +92,8 @@ def recover_into(
     result = recover_acquisition(acquired, report, method=method)
     report("writing the result and its report")
     summary = write_result(folder, result, acquired, wall_seconds=time.perf_counter() - begin)
-    write_report(folder / "report.html", result, acquired, summary)
+    true = None if truth is None else read_motion(truth)
+    line_of_sight_page(result, acquired, summary, true).write(folder / "report.html")
     return summary
 
 

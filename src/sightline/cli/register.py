@@ -96,7 +96,7 @@ def register_into(
     from sightline.io.registered_frames import register_frames
     from sightline.io.registration_summary import summarize_registration
     from sightline.io.results import write_json
-    from sightline.report.register_page import write_register_report
+    from sightline.report.register_page import register_page
 
     begin = time.perf_counter()
     report("reading the acquisition and what was recovered of it")
@@ -126,6 +126,6 @@ def register_into(
         summary = summarize_registration(acquired, registration, recovered, written, before, after)
         summary["wall_seconds"] = time.perf_counter() - begin
         report("writing the report")
-        write_register_report(folder / "report.html", written, before, after, summary)
+        register_page(written, before, after, summary).write(folder / "report.html")
     write_json(folder / "summary.json", summary)
     return summary

@@ -138,7 +138,7 @@ def write_judged(folder: Path, chosen: Judged, report: Progress) -> dict[str, An
     from sightline.io.tdi_results import write_choice, write_tdi_summary
     from sightline.io.tdi_settings import write_signal_lines
     from sightline.io.tdi_table import write_table
-    from sightline.report.tdi_page import write_tdi_report
+    from sightline.report.tdi_page import tdi_page
 
     write_choice(folder / "choice.csv", chosen.result.choice)
     write_table(folder, chosen.result.table)
@@ -153,7 +153,7 @@ def write_judged(folder: Path, chosen: Judged, report: Progress) -> dict[str, An
     summary = write_tdi_summary(
         folder / "summary.json", chosen.result, chosen.inputs, wall_seconds=seconds, warnings=warnings, **more
     )
-    write_tdi_report(folder / "report.html", chosen.result, summary, chosen.pictures)
+    tdi_page(chosen.result, summary, chosen.pictures).write(folder / "report.html")
     return summary
 
 

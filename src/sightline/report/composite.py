@@ -7,19 +7,16 @@ Not here: registered bands as a product.
 
 from __future__ import annotations
 
-import base64
-import struct
-import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from markupsafe import Markup
 from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight
 from sightline.io.acquired import Acquisition
 from sightline.motion.stars import laid_on
+from sightline.report.raster import data_png
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.uint8]
@@ -28,6 +25,8 @@ Pixels = NDArray[np.uint8]
 CROP = (130, 176)
 #: Part of the pixels left black and left white by the stretch, percent.
 CLIPPED = 1.0
+#: Bits of a tone that are kept: nobody sees the others, and a page is a quarter smaller without them.
+TONES = 0xFC
 #: Where one of the images has no value: a light grey, so that it is taken neither for misfit nor for ground.
 MISSING = 225
 
@@ -80,20 +79,6 @@ def composite(result: LineOfSight, acquisition: Acquisition) -> Composite | None
         data_png(pictures[0]),
         data_png(pictures[1]),
     )
-
-
-def data_png(pixels: Pixels) -> Markup:
-    """An (lines, columns, 3) picture as a ``data:`` address of a PNG, which a page takes as it is."""
-    lines, columns, _ = pixels.shape
-    rows = np.concatenate([np.zeros((lines, 1), np.uint8), pixels.reshape(lines, -1)], axis=1)
-    header = struct.pack(">IIBBBBB", columns, lines, 8, 2, 0, 0, 0)
-    parts = ((b"IHDR", header), (b"IDAT", zlib.compress(rows.tobytes(), 9)), (b"IEND", b""))
-    body = b"".join(_chunk(kind, content) for kind, content in parts)
-    return Markup("data:image/png;base64," + base64.b64encode(b"\x89PNG\r\n\x1a\n" + body).decode("ascii"))
-
-
-def _chunk(kind: bytes, content: bytes) -> bytes:
-    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
 
 def _worst_pair(result: LineOfSight) -> tuple[int, int] | None:
@@ -152,6 +137,6 @@ def colours(bands: Sequence[Array]) -> Pixels:
         low, high = np.percentile(finite, [CLIPPED, 100.0 - CLIPPED])
         grey = np.nan_to_num(255.0 * np.clip((values - low) / max(high - low, 1e-9), 0.0, 1.0))
         for channel in own:
-            out[..., channel] = grey.astype(np.uint8)
+            out[..., channel] = grey.astype(np.uint8) & TONES
     out[~np.isfinite(bands).all(axis=0)] = MISSING
     return out

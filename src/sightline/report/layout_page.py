@@ -1,4 +1,4 @@
-"""The report of a choice of layouts: one HTML page that asks no network for anything.
+"""The page of a choice of layouts.
 
 Not here: its figures (``layout_figures.py``).
 """
@@ -6,7 +6,6 @@ Not here: its figures (``layout_figures.py``).
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from sightline.applications.focal_plane import (
@@ -17,38 +16,78 @@ from sightline.applications.focal_plane import (
     LayoutChoice,
 )
 from sightline.report import layout_figures
-from sightline.report.page import Section, render, write_page
+from sightline.report.page import Page, Section, Table, inputs, resources
 from sightline.report.words import digits
 
 #: Groups of lags that are blind together shown per layout, the largest first.
 _GROUPS = 8
 
 
-def write_layout_report(path: Path, choice: LayoutChoice, summary: Mapping[str, Any]) -> None:
-    """Write ``report.html``, complete or not at all.
+def layout_page(choice: LayoutChoice, summary: Mapping[str, Any]) -> Page:
+    """The page of a choice of layouts.
 
     Parameters
     ----------
-    path : Path
-        Of the page.
     choice : LayoutChoice
     summary : mapping
-        As ``io.layouts.write_layouts`` gives it.
+        As ``write_layouts`` gives it.
     """
-    write_page(path, layout_html(choice, summary))
-
-
-def layout_html(choice: LayoutChoice, summary: Mapping[str, Any]) -> str:
-    """The page as text; parameters as of `write_layout_report`."""
-    return render(
-        "layout.html.j2",
-        summary=summary,
+    low, high = summary["passband"]
+    unlike = ["images"] if len(set(choice.focal_plane.image_sigma_px)) > 1 else []
+    judged = ["worst case", "at (Hz)", "sigma (px)", "in band (px)", "blind (Hz)"]
+    ranked = Table(
+        ["rank", "name", "places (ms)", "places (px)", *unlike, *judged],
+        layout_rows(choice.ranked, summary["ranked"], numbered=True),
+        [1, 2, 3, *([4] if unlike else [])],
+    )
+    compared = Table(
+        ["name", "places (ms)", *judged], layout_rows(choice.compared, summary["compared"]), [0, 1]
+    )
+    common = Table(
+        ["layout", "frequency (Hz)", "pairs", "lags (ms)", "whole periods", "mismatch"],
+        common_rows([*layout_figures.standing_out(choice), *_published(choice)]),
+        [0, 3, 4],
+    )
+    return Page(
+        heading=summary["name"],
+        what="layouts of the focal plane",
+        about=f"Layouts of the focal plane for {low:g} to {high:g} Hz by Sightline {summary['version']}"
+        f"{resources(summary)}",
         sentences=sentences(choice),
-        sections=sections(choice),
-        ranked=layout_rows(choice.ranked, summary["ranked"], numbered=True),
-        compared=layout_rows(choice.compared, summary["compared"]),
-        unlike=len(set(choice.focal_plane.image_sigma_px)) > 1,
-        common=common_rows([*layout_figures.standing_out(choice), *_published(choice)]),
+        warnings=summary["warnings"],
+        sections=[
+            Section(
+                "ranked",
+                "Layouts found",
+                [
+                    "By their worst case in the band, in images' worth. Sigma is what remains unknown of "
+                    "the whole motion less its mean, ends of the strip included; “in band” the part of it "
+                    "within the pass-band. Blind: where all pairs are, up to "
+                    f"{summary['highest_frequency']:.4g} Hz.",
+                    ranked,
+                ],
+            ),
+            Section(
+                "compared",
+                "Yours and published ones, judged alike",
+                ["With the same error per image.", compared],
+            ),
+            *sections(choice),
+            Section(
+                "common-lags",
+                "Lags that go blind together",
+                [
+                    "Lags that are nearly whole periods of one frequency, so nearly in the ratio of small "
+                    "whole numbers: at that frequency and its multiples none of them sees anything. "
+                    "“Mismatch” is how far the worst is from whole. Where it says all, the layout is blind "
+                    "there.",
+                    common,
+                ],
+            ),
+            inputs(summary),
+        ],
+        footer="One image's worth: what a row of windows of one image would observe if the ground were "
+        "known. Files beside this page: layouts.csv, summary.json.",
     )
 
 
@@ -62,31 +101,39 @@ def sections(choice: LayoutChoice) -> list[Section]:
         Section(
             "information",
             "Information against frequency",
-            "How much each layout tells of a steady motion, in units of what one image knows of its own "
-            "place: at most the number of images. The pass-band is shaded, the worst frequency in it marked; "
-            "where a curve touches zero, all pairs of the layout are blind together.",
-            layout_figures.information_figure(choice),
+            [
+                "How much each layout tells of a steady motion, in units of what one image knows of its own "
+                "place: at most the number of images. The pass-band is shaded, the worst frequency in it "
+                "marked; where a curve touches zero, all pairs of the layout are blind together.",
+                layout_figures.information_figure(choice),
+            ],
         ),
         Section(
             "places",
             "Where the detectors stand",
-            "One mark per detector. Close ones see fast motion, distant ones slow motion.",
-            layout_figures.places_figure(choice),
+            [
+                "One mark per detector. Close ones see fast motion, distant ones slow motion.",
+                layout_figures.places_figure(choice),
+            ],
         ),
         Section(
             "span",
             "What a longer focal plane brings",
-            "For every span the layout whose worst frequency in the band is seen best (above), and what "
-            "remains unknown with it of the whole motion, slow drift included (below). The best layout for "
-            "the band alone is often short; a longer one gains slow motion for a little of the band.",
-            layout_figures.span_figure(choice),
+            [
+                "For every span the layout whose worst frequency in the band is seen best (above), and what "
+                "remains unknown with it of the whole motion, slow drift included (below). The best layout "
+                "for the band alone is often short; a longer one gains slow motion for a little of the band.",
+                layout_figures.span_figure(choice),
+            ],
         ),
         Section(
             "remaining",
             "What remains unknown",
-            "Spectrum of the motion that is expected, and of the error that each layout leaves of it. Peaks "
-            "are frequencies that the layout hardly sees.",
-            layout_figures.remaining_figure(choice),
+            [
+                "Spectrum of the motion that is expected, and of the error that each layout leaves of it. "
+                "Peaks are frequencies that the layout hardly sees.",
+                layout_figures.remaining_figure(choice),
+            ],
         ),
     ]
 

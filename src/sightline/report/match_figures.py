@@ -5,30 +5,28 @@ Not here: the matching itself (``matching/``), the images themselves (``composit
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from sightline.applications.results import LineOfSight
 from sightline.matching.matches import KEPT, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.stars import StarRecord
+from sightline.report.figure import Figure
+from sightline.report.marks import Bars, Line, Map
 from sightline.report.reduce import cell_edges, cell_means, cell_modes
-from sightline.report.style import AFTER, BEFORE, INK, MUTED, label, labels, panels
+from sightline.report.style import AFTER, BEFORE, label, labels
 
 Array = NDArray[np.float64]
-
 #: One colour per status code of a match, in the order of ``STATUS_NAMES``.
 STATUS_COLOURS = (
     "#7fa8cc", "#f3f4f6", "#b8bec5", "#e3b34c", "#8f5aa8", "#c1502e", "#e08a64", "#7a1f1f",
     "#dfe3e8",
 )  # fmt: skip
-_HOVER = "line %{x:.0f}, column %{y:.0f}: "
 COMPONENTS = ("along (lines)", "across (columns)")
-DIVERGING = "RdBu_r"
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,117 +72,74 @@ def pair_views(result: LineOfSight) -> list[PairView]:
     return sorted(views, key=lambda view: -view.kept)
 
 
-def residual_map_figure(result: LineOfSight, view: PairView) -> go.Figure:
+def residual_map_figure(result: LineOfSight, view: PairView) -> Figure:
     """Residuals of one pair over the image, before and after, along and across."""
     record = result.records[view.index]
-    figure = panels(4, 640, shared_xaxes=True, gap_px=34.0, subplot_titles=_map_titles())
-    for row, (residual, component) in enumerate(
-        (residual, component)
-        for residual in (result.before_px[view.index], result.after_px[view.index])
-        for component in (0, 1)
-    ):
-        values = np.where(record.star.present[:, view.partner], residual[:, view.partner, component], np.nan)
-        lines, columns, mean = _as_map(record, values)
-        both = result.before_px if row < 2 else result.after_px
-        reach = _reach(both[view.index][:, view.partner][record.star.present[:, view.partner]])
-        figure.add_heatmap(
-            x=lines, y=columns, z=mean.T, zmin=-reach, zmax=reach, colorscale=DIVERGING, row=row + 1, col=1,
-            colorbar=_colour_bar(row), showscale=row % 2 == 0,
-            hovertemplate=_HOVER + "%{z:.3f} px<extra></extra>",
-        )  # fmt: skip
-        figure.update_yaxes(title_text="column (px)", row=row + 1)
-    figure.update_xaxes(title_text=f"line of {label(view.images[0])} (px)", row=4)
+    kept = record.star.present[:, view.partner]
+    maps = []
+    for residual in (result.before_px[view.index], result.after_px[view.index]):
+        own = residual[:, view.partner]
+        reach = _reach(own[kept])
+        maps += [(*_as_map(record, np.where(kept, own[:, k], np.nan)), reach) for k in (0, 1)]
+    return offset_maps(maps, f"line of {label(view.images[0])} (px)")
+
+
+def offset_maps(maps: Sequence[tuple[Array, Array, Array, float]], title: str) -> Figure:
+    """Offsets before and after, along and across: lines, columns, px (lines, columns), end of the scale."""
+    figure = Figure(4, height=125)
+    for row, (lines, columns, values, reach) in enumerate(maps):
+        panel = figure[row]
+        panel.title = f"{('before', 'after')[row // 2]}, {COMPONENTS[row % 2]}"
+        panel.add(Map(x=lines, y=columns, z=values.T, palette="diverging", low=-reach, high=reach, bar="px"))
+        panel.y.title, panel.y.tight = "column (px)", True
+    figure[0].x.title = title
     return figure
 
 
-def residual_histogram(result: LineOfSight) -> go.Figure:
+def residual_histogram(result: LineOfSight) -> Figure:
     """Histograms of all residuals before and after, and what the error model expects of the latter."""
-    from plotly.subplots import make_subplots
-
-    from sightline.report.style import TEMPLATE
-
-    figure = make_subplots(rows=1, cols=2, horizontal_spacing=0.09)
-    figure.update_layout(template=TEMPLATE, height=340, bargap=0.0)
+    figure = Figure(1, 2, height=240)
     before, after, sigma = _all_residuals(result)
     for column, (values, name, colour) in enumerate(
         ((before, "before: against the nominal cameras", BEFORE), (after, "after the estimate", AFTER))
     ):
-        reach = _reach(values, 99.8)
+        panel, reach = figure[0, column], _reach(values, 99.8)
         counts, edges = np.histogram(values, bins=81, range=(-reach, reach))
-        density = counts / (len(values) * np.diff(edges))
+        step = edges[1] - edges[0]
         middle = 0.5 * (edges[1:] + edges[:-1])
-        figure.add_bar(
-            x=middle, y=density, width=np.diff(edges), marker_color=colour, name=name, row=1, col=column + 1
+        panel.add(
+            Bars(place=middle, length=counts / (len(values) * step), thick=step, colour=colour, name=name)
         )
-        figure.update_xaxes(title_text=f"residual {('before', 'after')[column]} (px)", row=1, col=column + 1)
-        figure.update_yaxes(title_text="share per px", row=1, col=column + 1)
+        panel.x.title = f"residual {('before', 'after')[column]} (px)"
+        panel.y.title, panel.y.from_zero = "share per px", True
         if column == 1:
             sample = sigma[:: max(1, len(sigma) // 2000)]
             shape = np.exp(-0.5 * (middle[:, None] / sample) ** 2) / (np.sqrt(2.0 * np.pi) * sample)
-            line = {"color": INK, "width": 1.6}
-            figure.add_scatter(
-                x=middle,
-                y=shape.mean(axis=1),
-                line=line,
-                mode="lines",
-                name="expected from the matches' own sigma",
-                row=1,
-                col=2,
+            panel.add(
+                Line(x=middle, y=shape.mean(axis=1), width=1.6, name="expected from the matches' own sigma")
             )
     return figure
 
 
-def status_figure(result: LineOfSight, views: list[PairView]) -> go.Figure:
+def status_figure(result: LineOfSight, views: list[PairView]) -> Figure:
     """Where the matches of each pair were kept, and why the others were not."""
-    titles = [view.label for view in views]
-    figure = panels(
-        len(views), 94 + 110 * len(views), gap_px=30.0, shared_xaxes=True, subplot_titles=titles, top=70
-    )
+    figure = Figure(len(views), height=80)
     kinds = len(STATUS_NAMES)
-    scale = [[(k + side) / kinds, STATUS_COLOURS[k]] for k in range(kinds) for side in (0, 1)]
-    met = set()
-    for row, view in enumerate(views):
+    drawn = []
+    for view in views:
         record = result.records[view.index]
-        codes = _status(record, view.partner).astype(np.uint8)
-        met |= set(np.unique(codes).tolist())
-        shape = record.star.shape
-        edges = cell_edges(shape[0])
-        modes = cell_modes(codes.reshape(shape), edges, kinds)
-        lines, columns = _places(record, edges)
-        words = np.array(STATUS_NAMES)[modes].T
-        figure.add_heatmap(
-            x=lines, y=columns, z=modes.T, zmin=-0.5, zmax=kinds - 0.5, colorscale=scale, showscale=False,
-            text=words, hovertemplate=_HOVER + "%{text}<extra></extra>", row=row + 1, col=1,
-        )  # fmt: skip
-        figure.update_yaxes(title_text="column (px)", row=row + 1)
-    pixels = np.concatenate([record.star.pixels for record in result.records])
-    figure.update_xaxes(range=[0.0, float(pixels[:, 0].max())])
-    figure.update_xaxes(title_text="line of the first image of the pair (px)", row=len(views))
-    for kind in sorted(met):
-        name = "no common ground" if kind == OUTSIDE else STATUS_NAMES[kind]
-        mark = {
-            "size": 11,
-            "symbol": "square",
-            "color": STATUS_COLOURS[kind],
-            "line": {"width": 1, "color": MUTED},
-        }
-        figure.add_scatter(x=[None], y=[None], mode="markers", marker=mark, name=name)
+        codes, edges = _status(record, view.partner).astype(np.uint8), cell_edges(record.star.shape[0])
+        drawn.append((*_places(record, edges), cell_modes(codes.reshape(record.star.shape), edges, kinds)))
+    met = np.unique(np.concatenate([modes.ravel() for _, _, modes in drawn]))
+    names = [
+        ("no common ground" if kind == OUTSIDE else STATUS_NAMES[kind], STATUS_COLOURS[kind]) for kind in met
+    ]
+    for panel, view, (lines, columns, modes) in zip(figure.panels, views, drawn, strict=True):
+        panel.title = view.label
+        panel.add(Map(x=lines, y=columns, z=np.searchsorted(met, modes).T, names=names))
+        panel.y.title, panel.y.tight = "column (px)", True
+    figure[0].x.title, figure[0].x.low = "line of the first image of the pair (px)", 0.0
     return figure
-
-
-def _map_titles() -> list[str]:
-    return [f"{when}, {component}" for when in ("before", "after") for component in COMPONENTS]
-
-
-def _colour_bar(row: int) -> dict[str, Any]:
-    return {
-        "title": {"text": "px"},
-        "len": 0.46,
-        "y": 0.99 if row < 2 else 0.45,
-        "yanchor": "top",
-        "thickness": 12,
-        "outlinewidth": 0,
-    }
 
 
 def _as_map(record: StarRecord, values: Array) -> tuple[Array, Array, Array]:

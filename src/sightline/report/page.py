@@ -1,6 +1,4 @@
-"""The report of a recovery: one HTML page that asks no network for anything.
-
-The drawing library is inside the page, once; figures are drawn by the reader's browser.
+"""A report: one HTML page that asks no network for anything. All reports have this form.
 
 Not here: what the figures and sentences are (the other files of this folder).
 """
@@ -8,102 +6,128 @@ Not here: what the figures and sentences are (the other files of this folder).
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import plotly.graph_objects as go
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
-from plotly.offline import get_plotlyjs
 
-from sightline.applications.results import LineOfSight
-from sightline.applications.spin_attitude import SpinAttitude
 from sightline.errors import printable, shortened
-from sightline.evaluation.observed import SEEN_TONE_PX, observed
-from sightline.io.acquired import Acquisition
-from sightline.report import (
-    match_figures,
-    microvibration_figures,
-    motion_figures,
-    spectrum_figures,
-    style,
-    words,
-)
-from sightline.report.composite import composite
-from sightline.report.spin_words import spin_section
+from sightline.report.figure import Figure
 from sightline.writing import whole
 
-#: Frequencies at which visibility is drawn.
-_FREQUENCIES = 2401
 #: Characters of a word on a page.
 LONGEST_WORD = 160
+_NOTHING = Markup("")
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of texts under their heads.
+
+    Attributes
+    ----------
+    heads, rows : sequence
+    left : sequence of int
+        Columns of words, which begin at the left.
+    folded : str
+        Words that unfold a long table; "" for one that is open.
+    """
+
+    heads: Sequence[str]
+    rows: Sequence[Sequence[Any]]
+    left: Sequence[int] = (0,)
+    folded: str = ""
 
 
 @dataclass(frozen=True)
 class Section:
-    """A figure with its heading and how to read it.
+    """A part of a page with its heading.
 
     Attributes
     ----------
     name : str
-        Anchor of the section.
-    title, caption : str
-    figure : Figure
-        Of plotly.
+        Anchor of the section, and its word at the head of the page.
+    title : str
+    parts : sequence of str, list of str, Table, Figure or Markup
+        Text, points, and what is shown, in their order.
     """
 
     name: str
     title: str
-    caption: str
-    figure: go.Figure
+    parts: Sequence[str | list[str] | Table | Figure | Markup]
 
     @property
-    def html(self) -> Markup:
-        """The figure as a piece of the page."""
-        return Markup(style.as_html(self.figure, f"figure-{self.name}"))
+    def figure(self) -> Figure:
+        """The one figure of the section."""
+        return next(part for part in self.parts if isinstance(part, Figure))
 
 
-def write_report(
-    path: Path, result: LineOfSight, acquisition: Acquisition, summary: Mapping[str, Any]
-) -> None:
-    """Write ``report.html``, complete or not at all.
+@dataclass(frozen=True)
+class Page:
+    """A page.
 
-    Parameters
+    Attributes
     ----------
-    path : Path
-        Of the page.
-    result : LineOfSight
-    acquisition : Acquisition
-        What it was recovered from.
-    summary : mapping
-        As ``io.results.write_result`` gives it.
+    heading : str
+        Name of what was worked on.
+    what : str
+        What the page says of it, for the title of the window.
+    about : str
+        One line under the heading.
+    sentences, warnings : sequence of str
+    sections : sequence of Section
+    footer : str
+    mind : str
+        Words above the warnings.
+    cards : Markup
+        Main numbers, under the sentences.
     """
-    write_page(path, report_html(result, acquisition, summary))
 
+    heading: str
+    what: str
+    about: str
+    sentences: Sequence[str]
+    warnings: Sequence[str]
+    sections: Sequence[Section]
+    footer: str
+    mind: str = "Mind before using the numbers"
+    cards: Markup = _NOTHING
 
-def write_page(path: Path, text: str) -> None:
-    """Write a page, complete or not at all."""
-    with whole(path) as draft:
-        draft.write_text(text, encoding="utf-8")
+    @property
+    def title(self) -> str:
+        """Of the window."""
+        return f"{self.heading}: {self.what}"
 
+    def section(self, name: str) -> Section:
+        """The section of a name."""
+        return next(section for section in self.sections if section.name == name)
 
-def render(template: str, **values: Any) -> str:
-    """A page of this folder as text; the drawing library is put in once.
+    @property
+    def html(self) -> str:
+        """The page as text.
 
-    All text is escaped, on one line, and its words have an end: whatever it holds is shown and does nothing.
-    """
-    environment = Environment(
-        loader=PackageLoader("sightline.report", "."),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-        finalize=_shown,
-    )
-    return environment.get_template(template).render(library=Markup(get_plotlyjs()), **values)
+        All text is escaped, on one line, and its words have an end: whatever it holds is shown and does
+        nothing.
+        """
+        environment = Environment(
+            loader=PackageLoader("sightline.report", "."),
+            autoescape=True,
+            undefined=StrictUndefined,
+            trim_blocks=True,
+            lstrip_blocks=True,
+            finalize=_shown,
+        )
+        environment.filters["is_html"] = lambda value: isinstance(value, Markup)
+        return environment.get_template("page.html.j2").render(page=self)
+
+    def write(self, path: Path) -> None:
+        """Write the page, complete or not at all."""
+        text = self.html
+        with whole(path) as draft:
+            draft.write_text(text, encoding="utf-8")
 
 
 def _shown(value: Any) -> Any:
@@ -113,135 +137,22 @@ def _shown(value: Any) -> Any:
     return re.sub(r"\S+", lambda word: shortened(word[0], LONGEST_WORD), printable(value))
 
 
-def report_html(result: LineOfSight, acquisition: Acquisition, summary: Mapping[str, Any]) -> str:
-    """The page as text; parameters as of `write_report`."""
-    tones = spectrum_figures.tones_of(summary["tones"])
-    spin = spin_section(result, acquisition.chip.names) if isinstance(result, SpinAttitude) else None
-    return render(
-        "page.html.j2",
-        summary=summary,
-        sentences=words.sentences(result, summary, tones),
-        cards=words.axis_cards(result, summary),
-        sections=sections(result, summary),
-        overlay=composite(result, acquisition),
-        tones=words.tone_rows(result, tones, spectrum_figures.tones_of(summary["tones_hardly_seen"])),
-        statics=words.static_rows(result),
-        sensors=words.sensor_rows(result),
-        close=words.close_rows(summary),
-        above=words.above_band(summary),
-        pairs=[] if spin else words.pair_rows(result),
-        spin=spin,
+def pictures(shown: Iterable[tuple[str, str, str | Markup]], kind: str = "") -> Markup:
+    """Pictures beside each other, each an address, what it is for who cannot see it, and a caption."""
+    one = Markup('<figure><img src="{}" alt="{}"><figcaption>{}</figcaption></figure>')
+    inner = Markup("").join(
+        one.format(address, _shown(alternative), _shown(said)) for address, alternative, said in shown
     )
+    return Markup('<div class="pictures {}">{}</div>').format(kind, inner)
 
 
-def sections(result: LineOfSight, summary: Mapping[str, Any]) -> list[Section]:
-    """All figures in the order of the page."""
-    few = len(result.motion.t) < motion_figures.FEW_EPOCHS
-    band, narrower = (
-        ("bars are", "they are shorter than the dot") if few else ("band is", "it is narrower than the line")
-    )
-    found = [
-        Section(
-            "attitude",
-            "Attitude against time",
-            f"Departure from the reference attitude, less what the images cannot see. The {band} ± 1 sigma; "
-            f"where {narrower}, the motion is known better than the drawing shows.",
-            motion_figures.attitude_figure(result),
-        )
-    ]
-    close = motion_figures.close_figure(result)
-    if close is not None:
-        caption = "The same over a few lines where roll and pitch are fastest; one mark per image line."
-        found.append(Section("close", "A closer look at the jitter", caption, close))
-    caption = (
-        "How well each axis is known at every instant. It grows at the ends and where matches are missing."
-    )
-    found.append(Section("sigma", "Sigma against time", caption, motion_figures.sigma_figure(result)))
-    return (
-        found
-        + _frequency_sections(result, summary)
-        + _microvibration_sections(result, summary)
-        + _match_sections(result)
-    )
+def resources(summary: Mapping[str, Any]) -> str:
+    """Time and memory that a result took, as the end of a sentence."""
+    peak = summary.get("peak_memory_bytes")
+    return f"; {summary['wall_seconds']:.0f} s" + (f", {peak / 2**30:.2f} GiB" if peak else "")
 
 
-def _frequency_sections(result: LineOfSight, summary: Mapping[str, Any]) -> list[Section]:
-    """Figures against frequency; none for a few frames."""
-    if len(result.motion.t) < motion_figures.FEW_EPOCHS:
-        return []
-    highest = float(summary["highest_frequency"])
-    seen = observed(result, np.linspace(0.0, highest, _FREQUENCIES))
-    tones = spectrum_figures.tones_of(summary["tones"])
-    return [
-        Section(
-            "spectrum",
-            "Spectrum of the motion",
-            "Power spectral density of the recovered motion, with tones named. The dotted curve is the error "
-            "that remains: where the motion lies below it, it is believed, not measured. Where it is shaded, "
-            f"a steady tone of {SEEN_TONE_PX:g} px would not stand out.",
-            spectrum_figures.spectrum_figure(result, summary["passbands"], tones, highest),
-        ),
-        Section(
-            "seen",
-            "What could be seen, frequency by frequency",
-            "Amplitude of a steady tone that would stand out by 5 sigma. One pair of images alone is blind "
-            "at the multiples of 1/lag marked below; pairs of several lags fill each other's gaps. Shown up "
-            f"to {highest:.4g} Hz: beyond, a window of several lines averages the motion away.",
-            spectrum_figures.visibility_figure(result, seen, result.image_names),
-        ),
-    ]
-
-
-def _microvibration_sections(result: LineOfSight, summary: Mapping[str, Any]) -> list[Section]:
-    """Tones through time and the smear of the lines; none for frames."""
-    found = summary["microvibration"]
-    if found is None:
-        return []
-    out = []
-    tones = microvibration_figures.tone_figure(found)
-    if tones is not None:
-        caption = (
-            "Amplitude of each tone in short pieces of the strip, ± 1 sigma. “Varies”: a steady tone would "
-            "scatter so much less than once in a thousand strips."
-        )
-        out.append(Section("tones", "Tones through the strip", caption, tones))
-    smear = found["smear_px"]
-    caption = (
-        "How far the image moves during one line period beside the nominal scan. It multiplies the MTF at "
-        f"half a cycle per pixel by {smear['roll']['mtf_at_nyquist']:.4f} across and "
-        f"{smear['pitch']['mtf_at_nyquist']:.4f} along, on average over the lines."
-    )
-    smeared = microvibration_figures.smear_figure(result, found)
-    out.append(Section("smear", "Smear of each line", caption, smeared))
-    return out
-
-
-def _match_sections(result: LineOfSight) -> list[Section]:
-    """Figures of the matches; none where there is no pair."""
-    views = match_figures.pair_views(result)
-    if not views:
-        return []
-    return [
-        Section(
-            "residuals",
-            f"Residuals over the image, before and after ({views[0].name})",
-            "Measured minus predicted place of every window: red where it was found at a later line (a "
-            "larger column) than predicted. Before: by the nominal cameras. After: what the recovered motion "
-            "does not explain; stripes would be motion left over, patches relief, clouds or false matches. "
-            "The scales of before and after differ.",
-            match_figures.residual_map_figure(result, views[0]),
-        ),
-        Section(
-            "histogram",
-            "Residuals of all pairs, before and after",
-            "If the sigmas of the matches are true, the bars on the right follow the curve.",
-            match_figures.residual_histogram(result),
-        ),
-        Section(
-            "matches",
-            "Where matches were kept, and why others were not",
-            "One cell per window, or the most frequent answer of several. A later image is first of a pair "
-            "only for ground that no earlier one has seen.",
-            match_figures.status_figure(result, views[:6]),
-        ),
-    ]
+def inputs(summary: Mapping[str, Any], *before: Table) -> Section:
+    """Which files were read."""
+    files = Table(["file", "SHA-256"], list(summary["inputs"].items()), [0, 1])
+    return Section("inputs", "Inputs", [*before, files])

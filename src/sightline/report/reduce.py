@@ -5,35 +5,34 @@ Not here: how they are drawn.
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-#: Most points of one curve, and most cells of a map along the strip.
-POINTS, CELLS = 3000, 400
+#: Points of a curve up to which it is drawn whole; most cells of a map along the strip.
+POINTS, CELLS = 1000, 400
 
 
-def envelope_rows(values: Array, points: int = POINTS) -> NDArray[np.intp]:
-    """Rows of `values` (N,) that keep its outline: the smallest and the largest of every short piece.
+def outline_rows(x: Array, y: Array) -> NDArray[np.intp]:
+    """Points of a curve (px) that keep its outline: the lowest and the highest in each px of x.
 
     Returns
     -------
     (M,) int
-        Increasing; all rows where there are no more than `points`.
+        Increasing; all points where they are few, or where x turns back.
     """
-    n = len(values)
-    if n <= points:
+    n = len(x)
+    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    if n <= POINTS or (np.diff(x[known]) < 0.0).any():
         return np.arange(n)
-    edges = np.linspace(0, n, points // 2 + 1).astype(int)
-    rows = [
-        start + extreme
-        for start, stop in pairwise(edges)
-        for extreme in (int(np.argmin(values[start:stop])), int(np.argmax(values[start:stop])))
-    ]
-    return np.unique(np.append(rows, [0, n - 1]))
+    column = np.floor(x[known])
+    order = np.lexsort((y[known], column))
+    start = np.flatnonzero(np.diff(column[order], prepend=-np.inf))
+    stop = np.append(start[1:], len(order)) - 1
+    # the gaps stay: a curve is not drawn across what is missing
+    gaps = np.flatnonzero(~(np.isfinite(x) & np.isfinite(y)))
+    return np.unique(np.concatenate([known[order[start]], known[order[stop]], gaps, [0, n - 1]]))
 
 
 def cell_edges(rows: int, cells: int = CELLS) -> NDArray[np.intp]:

@@ -1,59 +1,39 @@
 """The report of ``register``: bands before and after in colour, how well every pair fits, maps of misfit.
 
-Not here: the images (``products/``), the page of a recovery (``page.py``).
+Not here: the images (``products/``), the page of a recovery (``line_of_sight_page.py``).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from sightline.imaging.source import ImageSource
 from sightline.io.registered import Written
 from sightline.products.band_fit import WINDOW, BandFit
-from sightline.report.composite import CROP, colours, data_png
-from sightline.report.page import Section, render, write_page
-from sightline.report.style import panels
+from sightline.report.composite import CROP, colours
+from sightline.report.figure import Figure
+from sightline.report.match_figures import offset_maps
+from sightline.report.page import Page, Section, Table, inputs, pictures, resources
+from sightline.report.raster import data_png
 
 Array = NDArray[np.float64]
-
-DIVERGING = "RdBu_r"
 #: How a band came to its place, in words.
 _PLACED = {"matches": "its own matches", "motion": "the recovered motion alone"}
 #: Places tried for the pictures until one has no gap.
 CROPS_TRIED = 12
 
 
-@dataclass(frozen=True)
-class Pictures:
-    """A crop of up to three bands in colour, before and after, as ``data:`` addresses of PNG pictures."""
-
-    legend: str
-    lines: tuple[int, int]
-    columns: tuple[int, int]
-    before: str
-    after: str
-
-
-def write_register_report(
-    path: Path,
-    written: Written,
-    before: Sequence[BandFit],
-    after: Sequence[BandFit],
-    summary: Mapping[str, Any],
-) -> None:
-    """Write ``report.html``, complete or not at all.
+def register_page(
+    written: Written, before: Sequence[BandFit], after: Sequence[BandFit], summary: Mapping[str, Any]
+) -> Page:
+    """The page of registered bands.
 
     Parameters
     ----------
-    path : Path
-        Of the page.
     written : Written
         The images.
     before, after : sequence of BandFit
@@ -61,16 +41,38 @@ def write_register_report(
     summary : mapping
         As ``io.registration_summary`` gives it, with `wall_seconds`.
     """
-    html = render(
-        "register.html.j2",
-        summary=summary,
-        sentences=sentences(summary),
-        pictures=pictures(written, before, summary),
-        pairs=[_pair_row(pair) for pair in summary["pairs"]],
-        sections=sections(before, after, summary),
-        bands=_band_rows(summary),
+    lines, columns = summary["shape"]
+    fits = (
+        "Every pair matched on windows of its own, not those of the recovery; only windows on which both "
+        "bands have values are tried, and false matches are left out. rms is along / across, px; “match "
+        "noise” is what the matches' own sigma makes of it: where rms and noise agree, no misfit is left to "
+        "be seen."
     )
-    write_page(path, html)
+    heads = "pair|before: rms (px)|after: rms (px)|match noise (px)|mean after (px)|windows|kept".split("|")
+    made = Table("band|pixels with a value|placed by|type|file".split("|"), _band_rows(summary), [0, 2, 3, 4])
+    taps = summary["kernel"]["taps"]
+    return Page(
+        heading=f"{summary['name']}: registered bands",
+        what="registered bands",
+        about=f"{len(summary['bands'])} bands on the grid of {summary['onto']} ({lines} lines × {columns} "
+        f"columns) by Sightline {summary['version']}{resources(summary)}",
+        sentences=sentences(summary),
+        warnings=summary["warnings"],
+        mind="Mind before using the images",
+        sections=[
+            *_pictures(written, before, summary),
+            Section(
+                "pairs",
+                "How well the bands fit",
+                [fits, Table(heads, list(map(_pair_row, summary["pairs"])))],
+            ),
+            *sections(before, after, summary),
+            Section("bands", "What was written", [made]),
+            inputs(summary),
+        ],
+        footer=f"Images are in the sensor geometry of {summary['onto']}; kernel of {taps} × {taps} pixels. "
+        f"Files beside this page: {', '.join(summary['files'])}, summary.json.",
+    )
 
 
 def sentences(summary: Mapping[str, Any]) -> list[str]:
@@ -105,13 +107,11 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
     return out
 
 
-def pictures(written: Written, before: Sequence[BandFit], summary: Mapping[str, Any]) -> Pictures | None:
-    """Colour crops where the pair that was furthest apart was so most; None without a match."""
-    # pairs with a few false matches only would be the furthest apart of all
-    fits = [fit for fit in before if fit.known] or [fit for fit in before if len(fit.points)]
-    if not fits:
-        return None
-    fit = max(fits, key=lambda one: float((one.offset_px**2).mean()))
+def _pictures(written: Written, before: Sequence[BandFit], summary: Mapping[str, Any]) -> list[Section]:
+    """Colour crops where the pair that was furthest apart was so most; none without a match."""
+    fit = _furthest(before)
+    if fit is None:
+        return []
     others = [k for k in range(len(written.after)) if k not in fit.images]
     shown = sorted([*fit.images, *others[:1]])
     lines, columns = _busiest_crop(
@@ -119,12 +119,29 @@ def pictures(written: Written, before: Sequence[BandFit], summary: Mapping[str, 
     )
     names = [summary["bands"][k]["name"] for k in shown]
     hues = ("red", "green", "blue") if len(shown) == 3 else ("red", "cyan")
-    legend = ", ".join(f"{name} in {hue}" for name, hue in zip(names, hues, strict=True))
     drawn = [
         data_png(colours([_crop(images[k], lines, columns) for k in shown]))
         for images in (written.before, written.after)
     ]
-    return Pictures(legend, lines, columns, drawn[0], drawn[1])
+    caption = (
+        f"{', '.join(f'{name} in {hue}' for name, hue in zip(names, hues, strict=True))}; lines {lines[0]}–"
+        f"{lines[1] - 1}, columns {columns[0]}–{columns[1] - 1}, where the nominal cameras fit badly. Each "
+        "band is stretched by itself. Coloured rims are misfit; colours of whole areas are those of the "
+        "ground. Flat light grey: a band has no value there."
+    )
+    both = [
+        (drawn[0], "Colour composite by the nominal cameras", "Before: by the nominal cameras"),
+        (drawn[1], "Colour composite of the registered bands", "After: by the recovered line of sight"),
+    ]
+    return [Section("pictures", "The same ground in colour, before and after", [caption, pictures(both)])]
+
+
+def _furthest(before: Sequence[BandFit]) -> BandFit | None:
+    """The pair of bands that was furthest apart; None where nothing matched."""
+    # pairs with a few false matches only would be the furthest apart of all
+    fits = [fit for fit in before if fit.known] or list(before)
+    fits = [fit for fit in fits if len(fit.points)]
+    return max(fits, key=lambda one: float((one.offset_px**2).mean()), default=None)
 
 
 def _busiest_crop(fit: BandFit, images: Sequence[ImageSource]) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -158,72 +175,50 @@ def sections(
     before: Sequence[BandFit], after: Sequence[BandFit], summary: Mapping[str, Any]
 ) -> list[Section]:
     """Maps of misfit of the pair that was furthest apart; none without matches."""
-    # of the pairs whose fit is known, if there is one: a few false matches would be the furthest apart of all
-    some = [fit.known for fit in before] if any(fit.known for fit in before) else [True] * len(before)
-    sizes = [
-        float((fit.offset_px**2).mean()) if ok and len(fit.points) else -1.0
-        for fit, ok in zip(before, some, strict=True)
-    ]
-    if not sizes or max(sizes) < 0.0:
+    fit = _furthest(before)
+    if fit is None:
         return []
-    worst = int(np.argmax(sizes))
-    label = " – ".join(summary["pairs"][worst]["images"])
-    return [
-        Section(
-            "misfit",
-            f"Misfit over the image, before and after ({label})",
-            f"Where {summary['pairs'][worst]['images'][1]} shows a window, less where the other does: red is "
-            "a later line (a larger column). Stripes are motion, slopes a rotation, patches relief or false "
-            "matches. The scales of before and after differ.",
-            misfit_figure(before[worst], after[worst], summary["shape"]),
-        )
-    ]
+    worst = next(k for k, one in enumerate(before) if one is fit)
+    names = summary["pairs"][worst]["images"]
+    said = (
+        f"Where {names[1]} shows a window, less where the other does: red is a later line (a larger "
+        "column). Stripes are motion, slopes a rotation, patches relief or false matches. The scales of "
+        "before and after differ."
+    )
+    title = f"Misfit over the image, before and after ({' – '.join(names)})"
+    return [Section("misfit", title, [said, misfit_figure(fit, after[worst], summary["shape"])])]
 
 
-def misfit_figure(before: BandFit, after: BandFit, shape: Sequence[int]) -> go.Figure:
+def misfit_figure(before: BandFit, after: BandFit, shape: Sequence[int]) -> Figure:
     """Offsets of one pair over the image, before and after, along and across."""
-    titles = [
-        f"{when}, {axis}" for when in ("before", "after") for axis in ("along (lines)", "across (columns)")
-    ]
-    figure = panels(4, 640, shared_xaxes=True, gap_px=34.0, subplot_titles=titles)
-    seen_lines, seen_columns = (_seen_range([before, after], axis, shape[axis]) for axis in (0, 1))
-    for row, (fit, component) in enumerate((fit, k) for fit in (before, after) for k in (0, 1)):
-        lines, columns, table = _table(fit, component)
+    maps = []
+    for fit in (before, after):
         reach = float(np.percentile(np.abs(fit.offset_px), 99.0)) if len(fit.points) else 1.0
-        figure.add_heatmap(
-            x=_cells(lines, 0), y=_cells(columns, 1), z=table.T, zmin=-reach, zmax=reach,
-            colorscale=DIVERGING, row=row + 1, col=1,
-            colorbar={
-                "title": {"text": "px", "side": "right"},
-                "len": 0.5, "y": 0.77 if row < 2 else 0.23, "thickness": 12,
-            },
-            showscale=row % 2 == 0,
-            hovertemplate="line %{x:.0f}, column %{y:.0f}: %{z:.3f} px<extra></extra>",
-        )  # fmt: skip
-        figure.update_yaxes(title_text="column (px)", range=seen_columns, row=row + 1)
-    figure.update_xaxes(title_text="line (px)", range=seen_lines, row=4)
+        maps += [(*_table(fit, component), reach) for component in (0, 1)]
+    figure = offset_maps(maps, "line (px)")
+    # narrow overlaps fill the map
+    for axes, axis in (([figure[0].x], 0), ([panel.y for panel in figure.panels], 1)):
+        for one in axes:
+            one.low, one.high = _seen_range([before, after], axis, shape[axis])
     return figure
 
 
-def _seen_range(fits: Sequence[BandFit], axis: int, size: int) -> list[float]:
+def _seen_range(fits: Sequence[BandFit], axis: int, size: int) -> tuple[float, float]:
     """First and last line (axis 0) or column (axis 1) of the windows kept: narrow overlaps fill the map."""
     places = np.concatenate([fit.points[:, axis] for fit in fits])
     if not len(places):
-        return [0.0, float(size)]
+        return 0.0, float(size)
     half = 0.5 * WINDOW[axis]
-    return [max(float(places.min()) - half, 0.0), min(float(places.max()) + half, float(size))]
-
-
-def _cells(centres: Array, axis: int) -> Array:
-    """Centres of windows as they are drawn; the two ends of a single one, else a pixel wide."""
-    half = 0.5 * WINDOW[axis]
-    return centres if len(centres) != 1 else np.array([centres[0] - half, centres[0] + half])
+    return max(float(places.min()) - half, 0.0), min(float(places.max()) + half, float(size))
 
 
 def _table(fit: BandFit, component: int) -> tuple[Array, Array, Array]:
     """Offsets on the grid of their windows, NaN where none was kept."""
     lines, row = np.unique(fit.points[:, 0], return_inverse=True)
     columns, column = np.unique(fit.points[:, 1], return_inverse=True)
+    if not len(lines):
+        return np.zeros(1), np.zeros(1), np.full((1, 1), np.nan)
+    # windows that no cell of this grid holds leave it empty
     table = np.full((len(lines), len(columns)), np.nan)
     table[row, column] = fit.offset_px[:, component]
     return lines, columns, table

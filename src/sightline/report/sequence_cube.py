@@ -8,21 +8,22 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-import plotly.graph_objects as go
+from markupsafe import Markup
 from numpy.typing import NDArray
 
 from sightline.applications.frame_cube import CubeSummary
 from sightline.errors import InputError
 from sightline.geometry.checks import ReadOnlyArrays
-from sightline.report.composite import colours, data_png
-from sightline.report.sequence_figures import small
-from sightline.report.style import AFTER, BEFORE, TEMPLATE, panels
+from sightline.report.composite import colours
+from sightline.report.figure import Figure
+from sightline.report.marks import Line, Map, Points
+from sightline.report.raster import data_png
+from sightline.report.style import AFTER, BEFORE, DOUBT
 from sightline.report.words import digits
 
 Array = NDArray[np.float64]
-
 #: Pixels of the overview at most, sides (rows, columns) of the detail at most, cells of a map at most.
-OVERVIEW, DETAIL, MAP_CELLS = 260_000, (200, 330), 60_000
+OVERVIEW, DETAIL, MAP_CELLS = 60_000, (150, 250), 60_000
 #: Pairs of bands that are drawn at most.
 PAIRS = 3000
 #: Pairs from which on large dots would hide each other.
@@ -49,7 +50,7 @@ class CubeView(ReadOnlyArrays):
     pixel_size : float
         m, side of a pixel of `after`.
     before : (rows, columns, 3) or None
-        The same by the told poses.
+        The same by the given poses.
     error_px : (r, c) or None
         Band-to-band error over the same ground, px, rms over the pairs compared; NaN where not known.
     pair_nm : (P,)
@@ -57,7 +58,7 @@ class CubeView(ReadOnlyArrays):
     pair_rms_px : (P,)
         px rms of each pair, by the poses found.
     pair_before_px : (P,) or None
-        By the told poses.
+        By the given poses.
     pair_noise_px : (P,) or None
         What the comparison itself errs by, as far as it is known.
     notes : tuple of str
@@ -147,6 +148,31 @@ class Slider:
     width: int
     height: int
 
+    @property
+    def html(self) -> Markup:
+        """As a piece of a page; ``page.js`` moves the handle."""
+        wide = round(680 * self.width / self.height)
+        image = '<img{}src="{}" width="{}" height="{}" alt="Three bands by the {} poses">'
+        after = Markup(image).format(" ", self.after, self.width, self.height, "estimated")
+        handle = Markup("")
+        if self.before is not None:
+            top = Markup(image).format(Markup(' class="top" '), self.before, self.width, self.height, "given")
+            handle = top + Markup(
+                '<div class="rule"></div><span class="left">before: given poses</span>'
+                '<span class="right">after: estimated poses</span>'
+                '<input type="range" min="0" max="100" step="0.1" value="50" '
+                'aria-label="Share of the picture drawn by the given poses">'
+            )
+        begin = Markup('<div class="slider {}" style="max-width: {}px">').format(self.name, wide)
+        return begin + after + handle + Markup("</div>")
+
+    @property
+    def said(self) -> str:
+        """The caption, and what the handle does."""
+        drag = " Drag the handle: left of it by the given poses, right of it by the estimated poses."
+        grey = " Flat light grey: at least one of the three bands has no value there."
+        return self.caption + (drag if self.before is not None else "") + grey
+
 
 def sliders(cube: CubeView) -> list[Slider]:
     """The whole picture reduced, and a detail pixel by pixel; none where the three bands never meet."""
@@ -230,31 +256,23 @@ def _busiest(cube: CubeView) -> tuple[int, int]:
     return chosen
 
 
-def error_map_figure(cube: CubeView) -> go.Figure | None:
+def error_map_figure(cube: CubeView) -> Figure | None:
     """Band-to-band error over the ground; None where none is known."""
     if cube.error_px is None or not np.isfinite(cube.error_px).any():
         return None
-    every = max(int(np.ceil(np.sqrt(cube.error_px.size / MAP_CELLS))), 1)
-    shown = _block_rms(cube.error_px, every)
+    shown = _block_rms(cube.error_px, max(int(np.ceil(np.sqrt(cube.error_px.size / MAP_CELLS))), 1))
     size = _map_size(cube)
     down, along = ((np.arange(n) + 0.5) / n * whole for n, whole in zip(shown.shape, size, strict=True))
     names = ("from the first column (m)", "from the first row (m)")
     x, y, tall = along, down, float(size[0] / size[1])
     if _turned(cube):
         x, y, shown, names, tall = down, along, shown.T, names[::-1], 1.0 / tall
-    figure = go.Figure()
-    height = int(np.clip(110 + 900 * tall, 240, 720))
-    figure.update_layout(template=TEMPLATE, height=height, margin_t=30)
-    figure.add_heatmap(
-        x=small(x), y=small(y), z=small(shown), colorscale="Cividis", zmin=0.0,
-        zmax=float(np.nanpercentile(shown, 99.0)),
-        colorbar={"title": {"text": "px rms", "side": "right"}, "thickness": 12, "outlinewidth": 0},
-        hovertemplate="%{x:.4g} m, %{y:.4g} m: %{z:.3f} px<extra></extra>",
-    )  # fmt: skip
-    figure.update_xaxes(title_text=names[0], constrain="domain")
+    figure = Figure(height=float(np.clip(900 * tall, 120, 620)))
+    panel, most = figure[0], float(np.nanpercentile(shown, 99.0))
+    panel.add(Map(x=x, y=y, z=shown, palette="cividis", high=most or 1.0, bar="px rms"))
     # as in the picture: rows run down, or the first column is at the bottom where it is turned
-    direction = True if _turned(cube) else "reversed"
-    figure.update_yaxes(title_text=names[1], autorange=direction, scaleanchor="x", constrain="domain")
+    panel.x.title, panel.y.title, panel.y.tight = *names, True
+    panel.y.downward, panel.equal = not _turned(cube), True
     return figure
 
 
@@ -267,50 +285,44 @@ def _block_rms(values: Array, every: int) -> Array:
     return np.asarray(np.sqrt(np.where(count, total.sum(axis=(1, 3)), np.nan) / np.maximum(count, 1)))
 
 
-def pair_figure(cube: CubeView) -> go.Figure | None:
+def pair_figure(cube: CubeView) -> Figure | None:
     """Band-to-band rms against how far apart wavelengths are; None without pairs."""
     if not len(cube.pair_nm):
         return None
-    figure = panels(1, 380, top=48)
+    figure = Figure(height=270)
+    panel = figure[0]
     rows = np.unique(np.linspace(0, len(cube.pair_nm) - 1, min(len(cube.pair_nm), PAIRS)).astype(np.intp))
-    clouds = (
-        (cube.pair_before_px, "by the told poses", BEFORE),
-        (cube.pair_rms_px, "by the poses found", AFTER),
-        (cube.pair_noise_px, "noise of the comparison itself", "#d69e2e"),
-    )
-    for values, name, colour in clouds:
+    size = 5.0 if len(rows) > _MANY_PAIRS else 8.0
+    for values, name, colour in (
+        (cube.pair_before_px, "by the given poses", BEFORE),
+        (cube.pair_rms_px, "by the estimated poses", AFTER),
+        (cube.pair_noise_px, "noise of the comparison itself", DOUBT),
+    ):
         if values is not None:
-            figure.add_scatter(
-                x=small(cube.pair_nm[rows]), y=small(values[rows]), mode="markers", name=name,
-                marker={"size": 5 if len(rows) > _MANY_PAIRS else 8, "color": colour, "opacity": 0.7},
-                hovertemplate=f"{name}<br>%{{x:.0f}} nm apart: %{{y:.3f}} px rms<extra></extra>",
-            )  # fmt: skip
-    figure.update_xaxes(title_text="distance of the two bands (nm)", rangemode="tozero")
-    if cube.pair_before_px is None:
-        figure.update_yaxes(title_text="error between the bands (px rms)", rangemode="tozero")
-    else:
-        ticks = [m * 10.0**k for k in range(-4, 5) for m in (1, 2, 5)]
-        figure.update_yaxes(
-            title_text="error between the bands (px rms, logarithmic)", type="log", tickvals=ticks,
-            ticktext=[f"{tick:g}" for tick in ticks],
-        )  # fmt: skip
+            panel.add(
+                Points(x=cube.pair_nm[rows], y=values[rows], name=name, colour=colour, size=size, opacity=0.8)
+            )
+    panel.x.title, panel.x.from_zero, panel.x.tight = "distance of the two bands (nm)", True, False
+    panel.y.log = cube.pair_before_px is not None
+    panel.y.title, panel.y.from_zero = (
+        f"error between the bands (px rms{', logarithmic' * panel.y.log})",
+        not panel.y.log,
+    )
     return figure
 
 
-def coverage_figure(cube: CubeView) -> go.Figure | None:
+def coverage_figure(cube: CubeView) -> Figure | None:
     """Share of the ground with a value, band by band; None where no ground could have one in every band."""
     if not np.isfinite(cube.coverage).any():
         return None
-    figure = panels(1, 320, top=30)
-    figure.add_scatter(
-        x=cube.wavelength_nm, y=100.0 * cube.coverage, mode="lines+markers", showlegend=False,
-        line={"color": AFTER, "width": 1}, marker={"size": 6},
-        hovertemplate="%{x:.1f} nm: %{y:.2f} %<extra></extra>",
-    )  # fmt: skip
-    low = float(np.floor(100.0 * np.nanmin(cube.coverage, initial=1.0) - 0.5))
-    low = low if low > 80.0 else 0.0
-    figure.update_yaxes(title_text="ground with a value (%)", range=[low, 100.0 + 0.03 * (100.0 - low)])
-    figure.update_xaxes(title_text="wavelength (nm)")
+    figure = Figure(height=220)
+    panel = figure[0]
+    x, y = cube.wavelength_nm, 100.0 * cube.coverage
+    panel.add(Line(x=x, y=y, name="coverage", key=False, colour=AFTER, width=1.0, dotted=6.0))
+    low = float(np.floor(np.nanmin(y, initial=100.0) - 0.5))
+    panel.y.low = low if low > 80.0 else 0.0
+    panel.y.high = 100.0 + 0.03 * (100.0 - panel.y.low)
+    panel.x.title, panel.y.title, panel.x.tight = "wavelength (nm)", "ground with a value (%)", False
     return figure
 
 
@@ -343,6 +355,6 @@ def cube_sentences(cube: CubeView) -> list[str]:
         )
         if cube.pair_before_px is not None:
             before = float(np.sqrt(np.mean(cube.pair_before_px**2)))
-            said += f"; by the told poses all would have {digits(before, 2)} px rms"
+            said += f"; by the given poses all would have {digits(before, 2)} px rms"
         out.append(said + ".")
     return [*out, *cube.notes]

@@ -10,33 +10,30 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 from numpy.typing import NDArray
-from plotly.subplots import make_subplots
 
-from sightline.report.reduce import envelope_rows
+from sightline.report.figure import Figure, Panel
+from sightline.report.marks import Band, Line, Note, Points, Rules, broken
 from sightline.report.sequence_view import PARAMETERS, SequenceView
-from sightline.report.style import AXIS_COLOURS, INK, MUTED, TEMPLATE, faint, panels, rules
+from sightline.report.style import AXIS_COLOURS, BEFORE, DOUBT, INK, MUTED
 
 Array = NDArray[np.float64]
-Array32 = NDArray[np.float32]
 Index = NDArray[np.intp]
-
 #: Colour and name of how a pose came about, in the order of `sequence_view.KINDS`.
-KIND_COLOURS = ("#c1502e", "#2f6ca3", "#d69e2e")
+KIND_COLOURS = ("#c1502e", "#2f6ca3", DOUBT)
 KIND_NAMES = ("solved (subset)", "estimated", "interpolated: no image evidence")
-TOLD = "#9aa4ae"
+GIVEN = BEFORE
+BAND_NAME = "95 % interval of the absolute value"
 #: Sigmas that hold one number 95 times in 100.
 SIGMA_95 = 1.96
-#: Most points of one curve, dots of one cloud: a page of many thousand frames stays small.
-CURVE_POINTS, CLOUD_POINTS = 1600, 800
-#: A first panel's title and the legend above it.
-_TOP = 76
+#: Dots of one cloud at most: a page of many thousand frames stays small.
+CLOUD_POINTS = 400
 #: Length of a pause as drawn over what was flown; ticks along time; pauses up to which each has a rule.
 _GAP, _TICKS, MOST_RULES = 0.03, 8, 30
 #: Largest over smallest value that a logarithmic axis shows at least.
 _LEAST_RANGE = 4.0
-_IDLE = {"size": 8, "color": KIND_COLOURS[2], "symbol": "x"}
+#: As frames without evidence are marked.
+IDLE: dict[str, Any] = {"size": 9.0, "colour": KIND_COLOURS[2], "symbol": "cross"}
 _LONG_NAMES = {
     "east": "East", "north": "North", "up": "Up",
     "roll": "Roll (about body x, forward)", "pitch": "Pitch (about body y, right)",
@@ -56,28 +53,9 @@ def dot_size(marked: NDArray[np.bool_]) -> float:
     return 6.0 if marked.sum() <= 60 else 3.0
 
 
-def small(values: Array) -> Array32:
-    """Numbers of a curve in half the room."""
-    return np.asarray(values, dtype=np.float32)
-
-
-def line_rows(view: SequenceView, values: Array, points: int = CURVE_POINTS) -> Index:
-    """Frames that keep the outline of a curve, -1 where its line breaks between stretches."""
-    groups = view.of_stretches()
-    share = max(points // len(groups), 8)
-    parts: list[Index] = []
-    for rows in groups:
-        # extremes among what is finite; the rest breaks the line where it is
-        shown = np.where(np.isfinite(values[rows]), values[rows], np.inf)
-        kept = rows[envelope_rows(shown, share)]
-        parts += [kept, np.array([-1])]
-    return np.concatenate(parts[:-1])
-
-
-def at(values: Array, rows: Index) -> Array32:
-    """Values of rows, NaN for rows of -1 and where they are not finite."""
-    out = np.where(rows >= 0, values[rows], np.nan)
-    return small(np.where(np.isfinite(out), out, np.nan))
+def by_stretch(view: SequenceView, values: Array) -> Array:
+    """Values of frames as one curve that breaks between stretches."""
+    return broken(*(values[rows] for rows in view.of_stretches()))
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,228 +110,112 @@ def _nice(value: float) -> float:
     return float(next(m * decade for m in (1.0, 2.0, 5.0, 10.0) if m * decade >= value * (1.0 - 1e-9)))
 
 
-def _draw_axis(figure: go.Figure, axis: TimeAxis, rows: int, columns: int = 1) -> None:
+def _draw_axis(figure: Figure, axis: TimeAxis) -> None:
     """The same times under all panels, and a rule in every pause."""
     rim = 0.015 * (float(np.ptp(axis.x)) or 1.0)
-    figure.update_xaxes(
-        range=[float(axis.x.min()) - rim, float(axis.x.max()) + rim], tickvals=axis.ticks,
-        ticktext=axis.labels, showticklabels=False,
-    )  # fmt: skip
-    for column in range(1, columns + 1):
-        figure.update_xaxes(title_text=axis.title, showticklabels=True, row=rows, col=column)
-    if len(axis.breaks) <= MOST_RULES:
-        rules(figure, axis.breaks)
+    for panel in figure.panels:
+        panel.x.title, panel.x.ticks = axis.title, list(zip(axis.ticks, axis.labels, strict=True))
+        panel.x.low, panel.x.high = float(axis.x.min()) - rim, float(axis.x.max()) + rim
+        if axis.breaks and len(axis.breaks) <= MOST_RULES:
+            panel.marks.insert(0, Rules(x=axis.breaks, colour=MUTED))
 
 
 def _line(
-    figure: go.Figure, view: SequenceView, axis: TimeAxis, values: Array, row: int, name: str, colour: str,
-    unit: str, **options: Any,
-) -> None:  # fmt: skip
+    panel: Panel, view: SequenceView, axis: TimeAxis, values: Array, name: str, colour: str, **look: Any
+) -> None:
     """A curve against time, broken between stretches."""
-    rows = line_rows(view, values)
-    group, width = options.pop("group", name), options.pop("width", 1.4)
-    figure.add_scatter(
-        x=at(axis.x, rows), y=at(values, rows), row=row, col=options.pop("col", 1), mode="lines", name=name,
-        line={"color": colour, "width": width, "dash": options.pop("dash", "solid")}, legendgroup=group,
-        hovertemplate=f"{name}: %{{y:.3g}} {unit}<extra></extra>", **options,
-    )  # fmt: skip
+    panel.add(Line(x=by_stretch(view, axis.x), y=by_stretch(view, values), name=name, colour=colour, **look))
 
 
 def _dots(
-    figure: go.Figure, view: SequenceView, axis: TimeAxis, which: Index, values: Array, row: int, name: str,
-    **options: Any,
-) -> None:  # fmt: skip
+    panel: Panel, view: SequenceView, axis: TimeAxis, which: Index, values: Array, name: str, **look: Any
+) -> None:
     """Some frames as dots against time."""
     rows = thinned(which[np.isfinite(values[which])])
-    if not len(rows):
-        return
-    unit = options.pop("unit")
-    figure.add_scatter(
-        x=small(axis.x[rows]), y=small(values[rows]), row=row, col=options.pop("col", 1), mode="markers",
-        name=name, legendgroup=name, marker=options.pop("marker"),
-        customdata=np.column_stack([rows, small(view.t[rows])]),
-        hovertemplate=f"{name}<br>frame no. %{{customdata[0]:.0f}}, t = %{{customdata[1]:.6g}} s: "
-        f"%{{y:.3g}} {unit}<extra></extra>",
-        **options,
-    )  # fmt: skip
+    if len(rows):
+        says = [f"frame no. {row}, t = {view.t[row]:.6g} s" for row in rows]
+        panel.add(Points(x=axis.x[rows], y=values[rows], name=name, says=says, **look))
 
 
-def residual_figure(view: SequenceView, epoch: str | None) -> go.Figure:
+def residual_figure(view: SequenceView, epoch: str | None) -> Figure:
     """Reprojection error, good sightings and share rejected of every frame."""
-    figure = panels(
-        3, 640, gap_px=46.0, top=_TOP, shared_xaxes=True,
-        subplot_titles=[
-            "Reprojection error of the sightings kept, rms per coordinate of each frame",
-            "Sightings kept in each frame",
-            "Share of the sightings rejected as gross errors",
-        ],
-    )  # fmt: skip
+    figure = Figure(3, height=150)
     every, axis = np.arange(len(view.t)), time_axis(view, epoch)
     tried = view.rejected + view.sightings
     share = np.where(tried > 0, 100.0 * view.rejected / np.maximum(tried, 1), np.nan)
-    curves = ((view.rms_px, "px"), (view.sightings.astype(np.float64), "sightings"), (share, "%"))
-    for row, (values, unit) in enumerate(curves, 1):
-        first = row == 1
-        _line(figure, view, axis, values, row, "all frames", KIND_COLOURS[1], unit, showlegend=first)
-        _dots(
-            figure, view, axis, every[view.in_subset], values, row, KIND_NAMES[0], showlegend=first,
-            unit=unit, marker={"size": dot_size(view.in_subset), "color": KIND_COLOURS[0]},
-        )  # fmt: skip
-        _dots(
-            figure, view, axis, every[view.kind == 2], np.nan_to_num(values), row, KIND_NAMES[2],
-            showlegend=first, unit=unit, marker=_IDLE, cliponaxis=False,
-        )  # fmt: skip
-        figure.update_yaxes(title_text=unit if row != 2 else "number", row=row)
-        top = float(np.nanmax(values)) if np.isfinite(values).any() else 1.0
-        if row == 1 and np.isfinite(view.noise_px).any():
-            top = max(top, float(np.nanmax(view.noise_px)))
-        figure.update_yaxes(range=[0.0, 1.08 * top if top > 0.0 else 1.0], row=row)
-    _line(
-        figure, view, axis, view.noise_px, 1, "matching noise, as the matcher states it", MUTED, "px",
-        dash="dot",
-    )  # fmt: skip
-    _draw_axis(figure, axis, 3)
-    return figure
-
-
-def departure_figure(view: SequenceView, epoch: str | None) -> go.Figure:
-    """Six parameters less an even path: beside what tables told of them, with 95 % bands; and enlarged."""
-    titles = [
-        text
-        for name in PARAMETERS
-        for text in (f"{_LONG_NAMES[name]}, from an even path", "the line by itself")
-    ]
-    height, gap = 1180, 36.0
-    figure = make_subplots(
-        6, 2, horizontal_spacing=0.1, vertical_spacing=gap / (height - 130), subplot_titles=titles
-    )
-    figure.update_layout(template=TEMPLATE, height=height, margin_t=_TOP, legend_y=1.02)
-    figure.update_annotations(font_size=12)
-    every, axis = np.arange(len(view.t)), time_axis(view, epoch)
-    for k in range(6):
-        unit, colour, first = ("m" if k < 3 else "deg"), AXIS_COLOURS[k % 3], k == 0
-        values = view.departure[:, k]
-        _dots(
-            figure, view, axis, every, view.told_departure[:, k], k + 1, "told by the tables",
-            showlegend=first, unit=unit, marker={"size": 4, "color": TOLD, "opacity": 0.8},
-        )  # fmt: skip
-        rows = line_rows(view, values)
-        _band(figure, at(axis.x, rows), at(values, rows), at(view.sigma[:, k], rows), k + 1, colour)
-        for column in (1, 2):
-            shown = first and column == 1
-            _line(figure, view, axis, values, k + 1, "found", colour, unit, showlegend=shown, col=column)
-            _dots(
-                figure, view, axis, every[view.kind == 2], values, k + 1, KIND_NAMES[2], showlegend=shown,
-                unit=unit, marker=_IDLE, col=column,
-            )  # fmt: skip
-        figure.update_yaxes(
-            title_text=unit, row=k + 1, zeroline=True, zerolinecolor="#d8dee4", exponentformat="power"
-        )
-    figure.add_scatter(
-        x=[None], y=[None], mode="lines", line={"color": faint(AXIS_COLOURS[0], 0.35), "width": 10},
-        name="95 % interval of the absolute value",
-    )  # fmt: skip
-    _draw_axis(figure, axis, 6, 2)
-    return figure
-
-
-def _band(
-    figure: go.Figure, x: Array32, y: Array32, sigma: Array32,
-    row: int, colour: str,
-) -> None:  # fmt: skip
-    """95 % of a curve, one polygon per unbroken piece."""
-    good = np.isfinite(x) & np.isfinite(y) & np.isfinite(sigma)
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], good.astype(np.int8), [0]])))
-    outline_x: list[Array32] = []
-    outline_y: list[Array32] = []
-    gap = np.full(1, np.nan, dtype=np.float32)
-    for start, stop in zip(ends[::2], ends[1::2], strict=True):
-        piece = slice(start, stop)
-        half = SIGMA_95 * sigma[piece]
-        outline_x += [x[piece], x[piece][::-1], gap]
-        outline_y += [y[piece] + half, (y[piece] - half)[::-1], gap]
-    if outline_x:
-        figure.add_scatter(
-            x=np.concatenate(outline_x), y=np.concatenate(outline_y), row=row, col=1, mode="lines",
-            line={"width": 0}, fill="toself", fillcolor=faint(colour, 0.18), hoverinfo="skip",
-            showlegend=False,
-        )  # fmt: skip
-
-
-def sigma_figure(view: SequenceView, epoch: str | None) -> go.Figure:
-    """1-sigma of six parameters and of the ground under each frame, against time, logarithmic."""
-    figure = panels(
-        3, 760, gap_px=46.0, top=_TOP + 20, shared_xaxes=True,
-        subplot_titles=[
-            "1-sigma of the position", "1-sigma of the angles",
-            "1-sigma of where the middle of each frame meets the ground",
-        ],
-    )  # fmt: skip
-    axis = time_axis(view, epoch)
-    worst, best = view.ground_sigma_px.T
-    drawn: list[list[Array]] = [[], [], [worst, best]]
-    for k, name in enumerate(PARAMETERS):
-        row, unit, group = (
-            1 + k // 3,
-            "m" if k < 3 else "deg",
-            f"{PARAMETERS[k % 3]}, {PARAMETERS[k % 3 + 3]}",
-        )
-        colour = AXIS_COLOURS[k % 3]
-        # curves of one value lie on each other: the lower ones look out
-        options = {"group": group, "showlegend": False, "width": (4.2, 2.6, 1.2)[k % 3]}
-        _line(figure, view, axis, view.sigma[:, k], row, name, colour, unit, **options)
-        drawn[row - 1].append(view.sigma[:, k])
-        if np.isfinite(view.told_sigma[:, k]).any():
-            label = f"{name}, a single row of the tables"
-            _line(
-                figure, view, axis, view.told_sigma[:, k], row, label, faint(colour, 0.7), unit, dash="dot",
-                **(options | {"width": 1.4}),
-            )  # fmt: skip
-            drawn[row - 1].append(view.told_sigma[:, k])
-        if k < 3:
-            _key(figure, group, colour, group=group)
-    for values, name, colour in (
-        (worst, "ground, worst direction", INK),
-        (best, "ground, best direction", MUTED),
+    subset = {"size": dot_size(view.in_subset), "colour": KIND_COLOURS[0]}
+    for panel, values, unit, title in zip(
+        figure.panels,
+        (view.rms_px, view.sightings.astype(np.float64), share),
+        ("px", "number", "%"),
+        (
+            "Reprojection error of the sightings kept, rms per coordinate of each frame",
+            "Sightings kept in each frame",
+            "Share of the sightings rejected as gross errors",
+        ),
+        strict=True,
     ):
-        _line(figure, view, axis, values, 3, name, colour, "px")
-    if np.isfinite(view.told_sigma).any():
-        _key(figure, "dotted: a single row of the tables", MUTED, dash="dot")
-    idle = np.flatnonzero(view.kind == 2)
-    for row, marked in enumerate([*drawn[:2], [worst]], 1):
-        _dots(
-            figure, view, axis, idle, marked[0], row, KIND_NAMES[2], unit="", marker=_IDLE,
-            showlegend=row == 3,
-        )  # fmt: skip
-    for row, (unit, values) in enumerate(zip(("m", "deg", "px"), drawn, strict=True), 1):
-        _log_axis(figure, row, unit, values)
-    _draw_axis(figure, axis, 3)
+        _line(panel, view, axis, values, "all frames", KIND_COLOURS[1])
+        _dots(panel, view, axis, every[view.in_subset], values, KIND_NAMES[0], **subset)
+        _dots(panel, view, axis, every[view.kind == 2], np.nan_to_num(values), KIND_NAMES[2], **IDLE)
+        panel.title, panel.y.title, panel.y.from_zero = title, unit, True
+        if not np.nanmax(values, initial=0.0) > 0.0:
+            panel.y.high = 1.0
+    noise = "matching noise, as the matcher states it"
+    _line(figure[0], view, axis, view.noise_px, noise, MUTED, dash="dot")
+    _draw_axis(figure, axis)
     return figure
 
 
-def _key(figure: go.Figure, name: str, colour: str, dash: str = "solid", group: str = "") -> None:
-    """An entry of the legend without a curve of its own."""
-    figure.add_scatter(
-        x=[None], y=[None], mode="lines", line={"color": colour, "dash": dash, "width": 1.6}, name=name,
-        legendgroup=group or name,
-    )  # fmt: skip
+def departure_figure(view: SequenceView, epoch: str | None) -> Figure:
+    """Six parameters less an even path: beside what tables gave of them, with 95 % bands; and enlarged."""
+    figure = Figure(6, 2, height=130)
+    every, axis = np.arange(len(view.t)), time_axis(view, epoch)
+    for k, name in enumerate(PARAMETERS):
+        values, colour = view.departure[:, k], AXIS_COLOURS[k % 3]
+        first, second = figure[k, 0], figure[k, 1]
+        first.title, second.title = f"{_LONG_NAMES[name]}, from an even path", "the line by itself"
+        _dots(
+            first, view, axis, every, view.told_departure[:, k], "given by the tables", size=4.0, colour=GIVEN
+        )
+        half = np.where(np.isfinite(view.sigma[:, k]), SIGMA_95 * view.sigma[:, k], np.nan)
+        x, low, high = (by_stretch(view, v) for v in (axis.x, values - half, values + half))
+        first.add(Band(x=x, low=low, high=high, colour=colour, opacity=0.2, name=BAND_NAME, key=k == 0))
+        for panel in (first, second):
+            _line(panel, view, axis, values, "found", colour)
+            _dots(panel, view, axis, every[view.kind == 2], values, KIND_NAMES[2], **IDLE)
+            panel.y.title = "m" if k < 3 else "deg"
+    _draw_axis(figure, axis)
+    return figure
 
 
-def _log_axis(figure: go.Figure, row: int, unit: str, values: list[Array]) -> None:
-    """Logarithmic ordinate of half a decade at least; 1, 2 and 5 of each decade where they are few."""
-    whole = np.concatenate(values)
-    finite = whole[np.isfinite(whole) & (whole > 0.0)]
-    low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.1, 1.0)
-    spread = max(_LEAST_RANGE / (high / low), 1.0) ** 0.5 * 1.15
-    low, high = low / spread, high * spread
-    ticks = [m * 10.0**k for k in range(-9, 10) for m in (1, 2, 5)]
-    ticks = ticks[::3] if high > 300.0 * low else ticks
-    figure.update_yaxes(
-        type="log", title_text=f"{unit} (logarithmic)", row=row, tickvals=ticks,
-        ticktext=[f"{tick:.15g}" for tick in ticks], range=[np.log10(low), np.log10(high)],
-    )  # fmt: skip
-    if not len(finite):
-        figure.add_annotation(
-            text="not known: nothing ties it", showarrow=False, xref="x domain",
-            yref=f"y{row if row > 1 else ''} domain", x=0.5, y=0.5, font={"color": MUTED, "size": 13},
-        )  # fmt: skip
+def sigma_figure(view: SequenceView, epoch: str | None) -> Figure:
+    """1-sigma of six parameters and of the ground under each frame, against time, logarithmic."""
+    figure, axis = Figure(3, height=185), time_axis(view, epoch)
+    worst, best = view.ground_sigma_px.T
+    for k, name in enumerate(PARAMETERS):
+        panel, colour = figure[k // 3], AXIS_COLOURS[k % 3]
+        # curves of one value lie on each other: the lower ones look out
+        _line(panel, view, axis, view.sigma[:, k], name, colour, width=(4.2, 2.6, 1.2)[k % 3])
+        if np.isfinite(view.told_sigma[:, k]).any():
+            words, given = f"{name}, a single row of the tables", view.told_sigma[:, k]
+            _line(panel, view, axis, given, words, colour, dash="dot", key=False)
+    if np.isfinite(view.told_sigma).any():
+        figure[0].add(Line(x=[], y=[], name="dotted: a single row of the tables", colour=MUTED, dash="dot"))
+    _line(figure[2], view, axis, worst, "ground, worst direction", INK)
+    _line(figure[2], view, axis, best, "ground, best direction", MUTED)
+    idle = np.flatnonzero(view.kind == 2)
+    ground = "1-sigma of where the middle of each frame meets the ground"
+    titles = "1-sigma of the position", "1-sigma of the angles", ground
+    first = (view.sigma[:, 0], view.sigma[:, 3], worst)
+    for panel, title, unit, values in zip(figure.panels, titles, ("m", "deg", "px"), first, strict=True):
+        _dots(panel, view, axis, idle, values, KIND_NAMES[2], **IDLE)
+        panel.title, panel.y.title, panel.y.log = title, f"{unit} (logarithmic)", True
+        low, high = panel.y_range()
+        spread = max(_LEAST_RANGE / (high / low), 1.0) ** 0.5
+        panel.y.low, panel.y.high = low / spread, high * spread
+        drawn = np.concatenate([v for mark in panel.marks for v in mark.extent()[1]])
+        if not np.isfinite(drawn).any():
+            panel.add(Note(words="not known: nothing ties it"))
+    _draw_axis(figure, axis)
+    return figure

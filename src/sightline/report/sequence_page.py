@@ -1,41 +1,36 @@
-"""The report of a georeferenced frame sequence: one HTML page that asks no network for anything.
+"""The page of a georeferenced frame sequence.
 
 Not here: its figures and words (the other ``sequence_*`` files).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
-
-import plotly.graph_objects as go
 
 from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.report import sequence_cube, sequence_figures
 from sightline.report import sequence_words as words
-from sightline.report.page import Section, render, write_page
+from sightline.report.figure import Figure
+from sightline.report.page import Page, Section, Table, inputs
 from sightline.report.sequence_cube import CubeView
 from sightline.report.sequence_overlap_figure import FEW_FRAMES, overlap_figure, shared_points
 from sightline.report.sequence_trajectory_figure import trajectory_figure
 from sightline.report.sequence_view import SequenceView, control_places, sequence_view
 
 
-def write_sequence_report(
-    path: Path,
+def sequence_page(
     problem: SequenceProblem,
     found: SequencePoses,
     summary: Mapping[str, Any],
     *,
     cube: CubeView | None = None,
-) -> None:
-    """Write ``report.html``, complete or not at all.
+) -> Page:
+    """The page of a georeferenced sequence.
 
     Parameters
     ----------
-    path : Path
-        Of the page.
     problem : SequenceProblem
     found : SequencePoses
     summary : mapping
@@ -44,44 +39,83 @@ def write_sequence_report(
     cube : CubeView, optional
         The cube that was made with these poses.
     """
-    write_page(path, sequence_html(problem, found, summary, cube=cube))
-
-
-def sequence_html(
-    problem: SequenceProblem,
-    found: SequencePoses,
-    summary: Mapping[str, Any],
-    *,
-    cube: CubeView | None = None,
-) -> str:
-    """The page as text; parameters as of `write_sequence_report`."""
     view = sequence_view(problem, found)
-    idle = words.idle_rows(problem, found, view)
-    subset = words.subset_rows(problem, found)
-    return render(
-        "sequence.html.j2",
-        name=summary["name"],
+    files = ", ".join(summary.get("files", []))
+    beside = f"Files beside this page: {files}. " if files else ""
+    return Page(
+        heading=summary["name"],
+        what="poses of a frame sequence",
         about=about(problem, summary, view),
         sentences=words.sentences(problem, found, view) + _cube_words(problem, cube),
         warnings=list(summary.get("warnings", found.warnings)),
-        bias_heads=words.BIAS_HEADS,
-        biases=words.bias_rows(problem, found) + words.focal_row(problem, found),
-        bow_heads=words.BOW_HEADS,
-        bows=words.bow_rows(problem, found, view),
-        idle_heads=words.IDLE_HEADS,
-        idle=idle,
-        subset_heads=words.SUBSET_HEADS,
-        subset=subset,
-        subset_size=len(found.subset),
-        folded=words.FOLDED,
-        sections=sections(problem, found, view),
-        sliders=[] if cube is None else sequence_cube.sliders(cube),
-        cube_sections=[] if cube is None else cube_sections(cube),
-        stage_heads=[*words.STAGE_HEADS, *([words.TAKEN_OVER] if found.taken_over else [])],
-        stages=words.stage_rows(found, (summary.get("cube") or {}).get("seconds")),
-        inputs=dict(summary.get("inputs", {})),
-        files=list(summary.get("files", [])),
+        mind="Mind before using the poses",
+        sections=[
+            *_idle(problem, found, view),
+            *([] if cube is None else _pictures(cube) + cube_sections(cube)),
+            *sections(problem, found, view),
+            *_tables(problem, found, view, (summary.get("cube") or {}).get("seconds")),
+            *([inputs(summary)] if summary.get("inputs") else []),
+        ],
+        footer=f"{beside}1 sigma means 68 times in 100; px are of the frames, on the ground one spans what "
+        "the camera's height makes of it.",
     )
+
+
+def _folding(heads: Sequence[str], rows: list[list[str]], left: list[int], said: str) -> Table:
+    """A table that is folded where it is long."""
+    return Table(heads, rows, left, said if len(rows) > words.FOLDED else "")
+
+
+def _idle(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> list[Section]:
+    """Frames without evidence; none where all have some."""
+    rows = words.idle_rows(problem, found, view)
+    said = (
+        "Nothing in their images shows their poses, which are carried over from their neighbours by the "
+        "smoothness of the path and by the tables; their sigmas say so."
+    )
+    table = _folding(words.IDLE_HEADS, rows, [0, 3], f"all {len(rows)} runs of frames")
+    return [Section("not-estimated", "Frames that could not be estimated", [said, table])] if rows else []
+
+
+def _pictures(cube: CubeView) -> list[Section]:
+    """Three bands of the cube; none where they never meet."""
+    parts = [part for slider in sequence_cube.sliders(cube) for part in (slider.said, slider.html)]
+    return [Section("pictures", "Three bands in colour, before and after", parts)] if parts else []
+
+
+def _tables(
+    problem: SequenceProblem, found: SequencePoses, view: SequenceView, cube_seconds: Any
+) -> list[Section]:
+    """Constant errors and bow, the subset, time."""
+    biases = words.bias_rows(problem, found) + words.focal_row(problem, found)
+    bows, subset = words.bow_rows(problem, found, view), words.subset_rows(problem, found)
+    stages, count = words.stage_rows(found, cube_seconds), len(found.subset)
+    constant: list[str | Table] = [
+        "Errors that all rows of a table have in common: table less truth; positions along the axes of the "
+        "tables, angles about body axes.",
+        Table(words.BIAS_HEADS, biases, [0, 4]),
+    ]
+    bow = (
+        "A stretch of the flight is a run of frames without a pause. Bow: 1 sigma of the even trend of the "
+        "angles' errors from its first frame to its last, rms along it. It bends the ground of a long strip "
+        "and is hardly observable in any overlap."
+    )
+    why = (
+        f"{count} frames. Overlap: share of the frame that the one taken before shows, as measured. "
+        "Parallax: angle between the lines of sight of both to the ground between them."
+    )
+    why += f" The first {len(subset)} are listed; poses.csv marks all." if count > len(subset) else ""
+    took = "Processor time; stages of a start that was stopped count with what they took then."
+    heads = [*words.STAGE_HEADS, *([words.TAKEN_OVER] if found.taken_over else [])]
+    bow_table = _folding(words.BOW_HEADS, bows, [0, 7], f"all {len(bows)} stretches")
+    subset_table = _folding(words.SUBSET_HEADS, subset, [0, 4], "all frames of the subset")
+    return [
+        Section(
+            "constant-errors", "Constant errors and bow", [*(constant if biases else []), bow, bow_table]
+        ),
+        Section("subset", "The subset, and why each frame was taken", [why, subset_table]),
+        *([Section("time", "Time per stage", [took, Table(heads, stages, [0, 4])])] if stages else []),
+    ]
 
 
 def _cube_words(problem: SequenceProblem, cube: CubeView | None) -> list[str]:
@@ -131,53 +165,63 @@ def sections(problem: SequenceProblem, found: SequencePoses, view: SequenceView)
         Section(
             "trajectory",
             "Trajectory in plan and in profile",
-            "Where the camera was. Ellipses hold the true, absolute position of their frame 95 times in 100; "
-            "they are mostly what all frames have wrong together, so that the path is known far better in "
-            "itself. Scales and enlargements are in the titles of the panels.",
-            trajectory_figure(view, control_places(problem, found)),
+            [
+                "Where the camera was. Ellipses hold the true, absolute position of their frame 95 times in "
+                "100; they are mostly what all frames have wrong together, so that the path is known far "
+                "better in itself. Scales and enlargements are in the titles of the panels.",
+                trajectory_figure(view, control_places(problem, found)),
+            ],
         ),
         Section(
             "residuals",
             "Reprojection error along the sequence",
-            "How far points seen in a frame lie from where the solution puts them. Frames that stand out "
-            "above the dotted line blur, show moving things, or moved while they were read out otherwise "
-            "than modelled.",
-            sequence_figures.residual_figure(view, problem.epoch),
+            [
+                "How far points seen in a frame lie from where the solution puts them. Frames that stand out "
+                "above the dotted line blur, show moving things, or moved while they were read out otherwise "
+                "than modelled.",
+                sequence_figures.residual_figure(view, problem.epoch),
+            ],
         ),
         Section(
             "parameters",
             "Six parameters against time",
-            "Lines: what was found, less an even path of each stretch (positions: even acceleration; "
-            "angles: an even turn), so that jitter can be seen. Left: with what the tables told of the "
-            "same, whose distance from the line is their noise and constant error, and the band that holds"
-            " the absolute value 95 times in 100; it moves mostly as a whole. Right: the lines by "
-            "themselves, at a scale of their own.",
-            sequence_figures.departure_figure(view, problem.epoch),
+            [
+                "Lines: what was found, less an even path of each stretch (positions: even acceleration; "
+                "angles: an even turn), so that jitter can be seen. Left: with what the tables gave of the "
+                "same, whose distance from the line is their noise and constant error, and the band that "
+                "holds the absolute value 95 times in 100; it moves mostly as a whole. Right: the lines by "
+                "themselves, at a scale of their own.",
+                sequence_figures.departure_figure(view, problem.epoch),
+            ],
         ),
         Section(
             "sigma",
             "1-sigma of the six parameters against time",
-            "Of absolute poses. A level floor is what all frames have wrong together (the datum); peaks "
-            "are frames without evidence of their own, ends of stretches are known less. Wide lines lie "
-            "under narrow ones of the same value. On the ground, errors of place and of tilt partly make "
-            "up for each other.",
-            sequence_figures.sigma_figure(view, problem.epoch),
+            [
+                "Of absolute poses. A level floor is what all frames have wrong together (the datum); peaks "
+                "are frames without evidence of their own, ends of stretches are known less. Wide lines lie "
+                "under narrow ones of the same value. On the ground, errors of place and of tilt partly make "
+                "up for each other.",
+                sequence_figures.sigma_figure(view, problem.epoch),
+            ],
         ),
         Section(
             "overlap",
             "Which frames see the same points",
-            f"{each} Arcs join groups of one stretch, straight lines groups of different stretches; the "
-            "wider, the more points both see. In the matrix, blocks beside the diagonal are what stretches"
-            " share; a gap in the diagonal is a place where nothing was followed from one frame to the "
-            "next.",
-            overlap_figure(view, shared),
+            [
+                f"{each} Arcs join groups of one stretch, straight lines groups of different stretches; the "
+                "wider, the more points both see. In the matrix, blocks beside the diagonal are what "
+                "stretches share; a gap in the diagonal is a place where nothing was followed from one "
+                "frame to the next.",
+                overlap_figure(view, shared),
+            ],
         ),
     ]
 
 
 def cube_sections(cube: CubeView) -> list[Section]:
     """Figures of a cube."""
-    drawn: list[tuple[str, str, str, go.Figure | None]] = [
+    drawn: list[tuple[str, str, str, Figure | None]] = [
         (
             "band-error",
             "Band-to-band error over the ground",
@@ -201,4 +245,4 @@ def cube_sections(cube: CubeView) -> list[Section]:
             sequence_cube.coverage_figure(cube),
         ),
     ]
-    return [Section(name, title, said, figure) for name, title, said, figure in drawn if figure is not None]
+    return [Section(name, title, [said, figure]) for name, title, said, figure in drawn if figure is not None]

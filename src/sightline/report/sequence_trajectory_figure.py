@@ -7,33 +7,35 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 from numpy.typing import NDArray
-from plotly.subplots import make_subplots
 
+from sightline.report.figure import Figure, Panel
+from sightline.report.marks import Line, Points, Rules
 from sightline.report.sequence_figures import (
+    GIVEN,
+    IDLE,
     KIND_COLOURS,
     KIND_NAMES,
     MOST_RULES,
-    TOLD,
+    by_stretch,
     dot_size,
-    small,
     thinned,
 )
 from sightline.report.sequence_view import SequenceView
-from sightline.report.style import INK, TEMPLATE, rules
+from sightline.report.style import MUTED
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 
 #: Radius in sigmas of the ellipse that holds two numbers 95 times in 100.
 SIGMA_95 = 2.4477
-#: Ellipses, and points of the path, that are drawn at most.
-ELLIPSES, PATH_POINTS = 20, 1500
+#: Ellipses that are drawn at most.
+ELLIPSES = 20
 #: px: size of the panels, and the half axis that a typical ellipse needs to be seen.
-PANEL, SEEN_PX = (500, 430), 7.0
+PANEL, SEEN_PX = (440, 400), 7.0
 #: How much longer than wide a path is before the two directions are drawn at different scales.
 SLIM = 5.0
 #: Size of a panel over what is in it.
@@ -44,7 +46,7 @@ _ELLIPSE = "#9a74bd"
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """A panel: places (M, 2), told (M, 2), control (n, 2), covariances (M, 2, 2), names of its axes."""
+    """A panel: places (M, 2), given ones `told` (M, 2), control (n, 2), covariances (M, 2, 2), its axes."""
 
     place: Array
     told: Array
@@ -86,7 +88,7 @@ class Drawn:
         return next((s for s in steps if s * typical >= SEEN_PX), 1.0) if typical > 0.0 else 1.0
 
 
-def trajectory_figure(view: SequenceView, control: Array) -> go.Figure:
+def trajectory_figure(view: SequenceView, control: Array) -> Figure:
     """Plan and profile side by side.
 
     Parameters
@@ -110,16 +112,14 @@ def trajectory_figure(view: SequenceView, control: Array) -> go.Figure:
         np.stack([forward, view.told[:, 2]], axis=1) * scale, np.zeros((0, 2)), covariance * scale**2,
         (f"distance flown ({unit})", f"height ({unit})" if view.origin is None else f"up ({unit})"), False,
     )  # fmt: skip
-    drawn = (plan, profile)
-    titles = [title for title in map(_title, ("Plan", "Profile"), drawn)]
-    figure = make_subplots(1, 2, subplot_titles=titles, horizontal_spacing=0.1)
-    figure.update_layout(template=TEMPLATE, height=630, margin_t=126, legend_y=1.12)
-    figure.update_annotations(font_size=12)
-    for col, panel in enumerate(drawn, 1):
-        _panel(figure, view, panel, col)
+    figure = Figure(1, 2, height=PANEL[1], shared=False)
+    for panel, drawn, name in zip(figure.panels, (plan, profile), ("Plan", "Profile"), strict=True):
+        panel.title = _title(name, drawn)
+        _draw(panel, view, drawn)
     ends = np.flatnonzero(np.diff(view.stretch))
-    if len(ends) <= MOST_RULES:
-        rules(figure, [float(profile.place[k : k + 2, 0].mean()) for k in ends], [2])
+    if 0 < len(ends) <= MOST_RULES:
+        places = [float(profile.place[k : k + 2, 0].mean()) for k in ends]
+        figure[0, 1].marks.insert(0, Rules(x=places, colour=MUTED))
     return figure
 
 
@@ -143,12 +143,13 @@ def _title(name: str, panel: Drawn) -> str:
         if times > 1.05:
             larger = int(np.argmax(px))
             names = [axis.split(" (")[0] for axis in panel.axes]
-            said.append(f"{names[larger]} drawn about {_round(times)} ×<br>as large as {names[1 - larger]}")
+            said.append(f"{names[larger]} drawn about {_round(times)} × as large as {names[1 - larger]}")
     if not np.isfinite(panel.covariance).all(axis=(1, 2)).any():
         said.append("no ellipses: positions are not tied")
     elif panel.enlarged > 1.0:
         said.append(f"ellipses {panel.enlarged:g} × too large")
-    return f"{name}: {',<br>'.join(said)}" if said else f"{name}, true to scale, ellipses too"
+    listed = ", ".join(said)
+    return f"{name}: {listed}" if said else f"{name}, true to scale, ellipses too"
 
 
 def _round(value: float) -> str:
@@ -156,65 +157,31 @@ def _round(value: float) -> str:
     return f"{float(f'{value:.2g}'):g}"
 
 
-def _panel(figure: go.Figure, view: SequenceView, panel: Drawn, col: int) -> None:
-    """Path, told places, marks, ellipses and control of one panel."""
-    first = col == 1
-    told = thinned(np.flatnonzero(np.isfinite(panel.told).all(axis=1)))
-    if len(told):
-        figure.add_scatter(
-            x=panel.told[told, 0], y=panel.told[told, 1], row=1, col=col, mode="markers", showlegend=first,
-            marker={"size": 4.5, "color": TOLD, "opacity": 0.8}, name="told by the tables",
-            legendgroup="told", hoverinfo="skip",
-        )  # fmt: skip
-    _ellipses(figure, view, panel, col)
-    path = _path(view)
-    figure.add_scatter(
-        x=_broken(panel.place[:, 0], path), y=_broken(panel.place[:, 1], path), row=1, col=col, mode="lines",
-        line={"color": KIND_COLOURS[1], "width": 1.8}, name="path found", legendgroup="path",
-        showlegend=first, hoverinfo="skip",
-    )  # fmt: skip
-    x, y = panel.axes
-    for which, kind, symbol, size in (
-        (view.in_subset, 0, "circle", dot_size(view.in_subset)),
-        (view.kind == 2, 2, "x", 9.0),
-    ):
+def _draw(panel: Panel, view: SequenceView, drawn: Drawn) -> None:
+    """Path, given places, marks, ellipses and control of one panel."""
+    given = thinned(np.flatnonzero(np.isfinite(drawn.told).all(axis=1)))
+    if len(given):
+        x, y = drawn.told[given].T
+        panel.add(Points(x=x, y=y, size=4.5, colour=GIVEN, opacity=0.8, name="given by the tables"))
+    _ellipses(panel, view, drawn)
+    x, y = (by_stretch(view, drawn.place[:, k]) for k in (0, 1))
+    panel.add(Line(x=x, y=y, name="path found", colour=KIND_COLOURS[1], width=1.8, hover=False))
+    subset: dict[str, Any] = {"size": dot_size(view.in_subset), "colour": KIND_COLOURS[0]}
+    for which, kind, look in ((view.in_subset, 0, subset), (view.kind == 2, 2, IDLE)):
         rows = thinned(np.flatnonzero(which))
         if len(rows):
-            figure.add_scatter(
-                x=panel.place[rows, 0], y=panel.place[rows, 1], row=1, col=col, mode="markers",
-                marker={"size": size, "color": KIND_COLOURS[kind], "symbol": symbol}, customdata=rows,
-                name=KIND_NAMES[kind], legendgroup=KIND_NAMES[kind], showlegend=first,
-                hovertemplate=f"{KIND_NAMES[kind]}<br>frame no. %{{customdata}}<br>{x}: %{{x:.6g}}<br>"
-                f"{y}: %{{y:.6g}}<extra></extra>",
-            )  # fmt: skip
-    if len(panel.control):
-        figure.add_scatter(
-            x=panel.control[:, 0], y=panel.control[:, 1], row=1, col=col, mode="markers", showlegend=first,
-            marker={"size": 9, "color": INK, "symbol": "triangle-up-open", "line": {"width": 1.6}},
-            name="control points", legendgroup="control",
-        )  # fmt: skip
-    low, high = panel.limits(panel.enlarged)
+            x, y = drawn.place[rows].T
+            panel.add(
+                Points(x=x, y=y, name=KIND_NAMES[kind], says=[f"frame no. {row}" for row in rows], **look)
+            )
+    if len(drawn.control):
+        x, y = drawn.control.T
+        panel.add(Points(x=x, y=y, size=9.0, symbol="triangle", name="control points"))
+    low, high = drawn.limits(drawn.enlarged)
     rim = 0.5 * (_ROOM - 1.0) * (high - low)
-    ranges = [[low[k] - rim[k], high[k] + rim[k]] for k in (0, 1)]
-    # a panel that is shrunk to its scale stays under its title
-    options = (
-        {"scaleanchor": "x", "constrain": "domain", "constraintoward": "top"} if panel.true_to_scale else {}
-    )
-    figure.update_xaxes(title_text=x, range=ranges[0], row=1, col=col, constrain="domain")
-    figure.update_yaxes(title_text=y, range=ranges[1], row=1, col=col, tickformat=".6~g", **options)
-
-
-def _path(view: SequenceView) -> Index:
-    """Frames of the line, -1 between stretches."""
-    groups = view.of_stretches()
-    share = max(PATH_POINTS // len(groups), 8)
-    parts = [part for rows in groups for part in (thinned(rows, share), np.array([-1]))]
-    return np.concatenate(parts[:-1])
-
-
-def _broken(values: Array, rows: Index) -> Array:
-    """Values of rows, NaN for rows of -1."""
-    return np.where(rows >= 0, values[rows], np.nan)
+    for axis, k in ((panel.x, 0), (panel.y, 1)):
+        axis.title, axis.low, axis.high = drawn.axes[k], float(low[k] - rim[k]), float(high[k] + rim[k])
+    panel.equal = drawn.true_to_scale
 
 
 def _readable(view: SequenceView, panel: Drawn, known: Index) -> int:
@@ -231,23 +198,19 @@ def _readable(view: SequenceView, panel: Drawn, known: Index) -> int:
     return int(np.clip(1.5 * length / max(size, 1e-9), 5, ELLIPSES))
 
 
-def _ellipses(figure: go.Figure, view: SequenceView, panel: Drawn, col: int) -> None:
+def _ellipses(panel: Panel, view: SequenceView, drawn: Drawn) -> None:
     """95 % ellipses of some frames, all as one broken line."""
-    known = np.flatnonzero(np.isfinite(panel.covariance).all(axis=(1, 2)))
+    known = np.flatnonzero(np.isfinite(drawn.covariance).all(axis=(1, 2)))
     if not len(known):
         return
-    times = panel.enlarged
-    rows = thinned(known, _readable(view, panel, known))
+    times = drawn.enlarged
+    rows = thinned(known, _readable(view, drawn, known))
     turn = np.linspace(0.0, 2.0 * np.pi, 49)
     circle = np.stack([np.cos(turn), np.sin(turn)])
-    values, vectors = np.linalg.eigh(panel.covariance[rows])
+    values, vectors = np.linalg.eigh(drawn.covariance[rows])
     ring = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :] @ circle
-    ring = panel.place[rows][:, :, None] + SIGMA_95 * times * ring
+    ring = drawn.place[rows][:, :, None] + SIGMA_95 * times * ring
     ring = np.concatenate([ring, np.full((len(rows), 2, 1), np.nan)], axis=2)
-    middle = panel.place.mean(axis=0)  # single precision is enough about the middle
-    x, y = (small(ring[:, axis].ravel() - middle[axis]) + middle[axis] for axis in (0, 1))
-    figure.add_scatter(
-        x=x, y=y, row=1, col=col, mode="lines", line={"color": _ELLIPSE, "width": 1.5},
-        name="95 % ellipses of the absolute position of some frames", legendgroup="ellipses",
-        showlegend=col == 1, hoverinfo="skip",
-    )  # fmt: skip
+    name = "95 % ellipses of the absolute position of some frames"
+    x, y = ring[:, 0].ravel(), ring[:, 1].ravel()
+    panel.add(Line(x=x, y=y, name=name, colour=_ELLIPSE, width=1.5, hover=False))

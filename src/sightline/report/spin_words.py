@@ -6,11 +6,11 @@ Not here: what all recoveries say (``words.py``).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from sightline.applications.spin_attitude import SpinAttitude
+from sightline.report.page import Section, Table
 from sightline.report.style import AXES, AXIS_UNITS
 from sightline.report.words import digits
 
@@ -27,33 +27,23 @@ STRIP_HEADS = (
 CLOSURE_HEADS = ("one after the other less direct", "line (px)", "column (px)")
 
 
-@dataclass(frozen=True)
-class SpinSection:
-    """The section of the page.
-
-    Attributes
-    ----------
-    sentences : list of str
-    strip_heads, closure_heads : tuple of str
-    strips, closures : list of rows
-    """
-
-    sentences: list[str]
-    strip_heads: tuple[str, ...]
-    strips: list[list[str]]
-    closure_heads: tuple[str, ...]
-    closures: list[list[str]]
-
-
-def spin_section(result: SpinAttitude, names: Sequence[str]) -> SpinSection:
+def spin_sections(result: SpinAttitude, names: Sequence[str]) -> list[Section]:
     """Sentences and tables; `names` are those of the strips."""
-    return SpinSection(
-        [_spin(result), _told(result), _departures(result)],
-        STRIP_HEADS,
-        _strips(result, names),
-        CLOSURE_HEADS,
-        _closures(result, names),
+    strips = (
+        "Residuals after the estimate: mean over all windows with its sigma, rms of single windows, the "
+        "factor by which the matcher's sigma was rescaled (line / column), and the rms of the means over "
+        "single exposures (line / column)."
     )
+    closures = (
+        "Mean residuals of two pairs of strips one after the other, less that of the direct pair: zero "
+        "where all agree."
+    )
+    found = [
+        Section("spin", "Spin", [_spin(result), _observed(result), _departures(result)]),
+        Section("pairs-of-strips", "Pairs of strips", [strips, Table(STRIP_HEADS, _strips(result, names))]),
+    ]
+    rows = _closures(result, names)
+    return [*found, Section("closure", "Closure", [closures, Table(CLOSURE_HEADS, rows)])] if rows else found
 
 
 def _spin(result: SpinAttitude) -> str:
@@ -79,12 +69,13 @@ def _spin(result: SpinAttitude) -> str:
     )
 
 
-def _told(result: SpinAttitude) -> str:
+def _observed(result: SpinAttitude) -> str:
     rank = result.found.rank
-    blind = f"; of {rank.blind} they say nothing at all" if rank.blind else ""
+    blind = f"; {rank.blind} are not observable at all" if rank.blind else ""
     return (
-        f"Of {len(rank.names)} constants of spin, lens and chip that were not known exactly, the images tell "
-        f"{rank.rank} directions better than was known before{blind}. The weakest direction: {rank.weakest}."
+        f"Of {len(rank.names)} constants of spin, lens and chip that were not known exactly, the images "
+        f"observe {rank.rank} directions better than was known before{blind}. The weakest direction: "
+        f"{rank.weakest}."
     )
 
 

@@ -8,9 +8,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 from numpy.typing import NDArray
-from plotly.subplots import make_subplots
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
@@ -18,19 +16,20 @@ from sightline.evaluation.direction_words import AXES
 from sightline.geometry.units import ARCSEC
 from sightline.io.stereo import Stereo
 from sightline.io.stereo_strips import StripProblem
-from sightline.report.style import INK, MUTED, RULE, TEMPLATE, labels, panels, wrapped
+from sightline.report.figure import Figure
+from sightline.report.marks import Bars, Line, Points, Rules
+from sightline.report.style import DOUBT, INK, MUTED, labels, wrapped
 from sightline.report.words import digits
 
 Array = NDArray[np.float64]
-
 #: One colour per camera, the same in every figure.
-CAMERA_COLOURS = ("#2f6ca3", "#c1502e", "#3f8a5a", "#8a5a9e", "#a3812f", "#4a8f9e")
+CAMERA_COLOURS = ("#2f6ca3", "#c1502e", "#38805a", "#8a5a9e", "#8f6f1f", "#2f7f90")
 #: Radii of the ellipse in sigmas that hold 39 and 95 % of two numbers.
 ONE_SIGMA, SIGMA_95 = 1.0, 2.4477
 #: Cameras that are drawn at most, cells of a frame along its larger side.
 DRAWN_CAMERAS, CELLS = 6, 10
-#: Shots up to which each has a tick, decades up to which 2 and 5 have one too.
-TICKED_SHOTS, FINE_DECADES = 12, 2.0
+#: Shots up to which each has a tick.
+TICKED_SHOTS = 12
 #: Sightings of a cell whose mean is drawn.
 FEW = 5
 PAIRS = ((0, 1), (0, 2), (1, 2))
@@ -41,102 +40,72 @@ def colour(camera: int) -> str:
     return CAMERA_COLOURS[camera % len(CAMERA_COLOURS)]
 
 
-def panel_grid(rows: int, columns: int, height: int, titles: list[str], **options: Any) -> go.Figure:
-    """Panels in rows and columns with titles at their left."""
-    figure = make_subplots(rows=rows, cols=columns, subplot_titles=titles, **options)
-    figure.update_layout(template=TEMPLATE, height=height, margin_t=64)
-    figure.update_annotations(font_size=12)
-    return figure
-
-
-def ellipse_figure(result: StereoOrientation) -> go.Figure | None:
+def ellipse_figure(result: StereoOrientation) -> Figure | None:
     """Where the true angles lie about the estimated ones; None where no two are known."""
     covariance = np.asarray(result.covariance) / ARCSEC**2
     shown = range(min(len(result.cameras), DRAWN_CAMERAS))
     two = len(result.cameras) == 2
     names = labels(result.cameras)
-    titles = [f"{AXES[a]} and {AXES[b]} of each camera" for a, b in PAIRS]
-    titles += [f"{axis} of both cameras" for axis in AXES] if two else []
-    figure = panel_grid(1 + two, 3, 400 + 350 * two, titles, horizontal_spacing=0.09, vertical_spacing=0.16)
-    drawn = False
-    for panel, (a, b) in enumerate(PAIRS, 1):
+    figure = Figure(1 + two, 3, height=270, shared=False)
+    for column, (a, b) in enumerate(PAIRS):
+        panel = figure[0, column]
+        panel.title = f"{AXES[a]} and {AXES[b]} of each camera"
+        panel.x.title, panel.y.title = f"error of {AXES[a]} (arcsec)", f"error of {AXES[b]} (arcsec)"
         for camera in shown:
             pair = [3 * camera + a, 3 * camera + b]
-            name = f"camera {names[camera]}"
-            drawn |= _ellipses(figure, covariance, pair, colour(camera), name, 3.6 / (camera + 1), 1, panel)
-        _equal(figure, 1, panel, f"error of {AXES[a]} (arcsec)", f"error of {AXES[b]} (arcsec)")
+            name, width = f"camera {names[camera]}", 3.6 / (camera + 1)
+            panel.add(*_ellipses(covariance, pair, colour(camera), name, width))
     for k in range(3 if two else 0):
-        drawn |= _ellipses(figure, covariance, [k, 3 + k], INK, "both cameras", 1.8, 2, k + 1)
-        first, second = names
-        _equal(figure, 2, k + 1, f"{AXES[k]} of camera {first} (arcsec)", f"of camera {second} (arcsec)")
-    figure.update_layout(legend={"y": 1.09 if two else 1.16})
-    return figure if drawn else None
+        panel = figure[1, k]
+        panel.title = f"{AXES[k]} of both cameras"
+        panel.x.title, panel.y.title = (f"{AXES[k]} of camera {name} (arcsec)" for name in names)
+        panel.add(*_ellipses(covariance, [k, 3 + k], INK, "both cameras", 1.8))
+    return figure if figure.marks else None
 
 
-def _ellipses(
-    figure: go.Figure,
-    covariance: Array,
-    pair: list[int],
-    ink: str,
-    name: str,
-    width: float,
-    row: int,
-    col: int,
-) -> bool:
-    """Ellipses of two angles (solid: 1 sigma, dotted: 95 %); False where they are not known."""
+def _ellipses(covariance: Array, pair: list[int], ink: str, name: str, width: float) -> list[Line]:
+    """Ellipses of two angles (solid: 1 sigma, dotted: 95 %); none where they are not known."""
     block = covariance[np.ix_(pair, pair)]
     if not np.isfinite(block).all():
-        return False
+        return []
     values, vectors = np.linalg.eigh(block)
     turn = np.linspace(0.0, 2.0 * np.pi, 91)
     ring = vectors @ (np.sqrt(np.maximum(values, 0.0))[:, None] * np.stack([np.cos(turn), np.sin(turn)]))
-    for size, dash, what in ((ONE_SIGMA, "solid", "1 sigma of each"), (SIGMA_95, "dot", "95 %")):
-        x, y = size * ring
-        figure.add_scatter(
-            x=x, y=y, row=row, col=col, mode="lines", line={"color": ink, "width": width, "dash": dash},
-            name=f"{name}: {what}", legendgroup=f"{name}{dash}", showlegend=col == 1,
-            hovertemplate=f"{name}, {what}<br>%{{x:.3g}}, %{{y:.3g}} arcsec<extra></extra>",
-        )  # fmt: skip
-    return True
+    return [
+        Line(x=size * ring[0], y=size * ring[1], name=f"{name}: {what}", colour=ink, width=width, dash=dash)
+        for size, dash, what in ((ONE_SIGMA, "solid", "1 sigma of each"), (SIGMA_95, "dash", "95 %"))
+    ]
 
 
-def _equal(figure: go.Figure, row: int, col: int, x: str, y: str) -> None:
-    figure.update_xaxes(title_text=x, row=row, col=col, zeroline=True, zerolinecolor=RULE)
-    figure.update_yaxes(title_text=y, row=row, col=col, zeroline=True, zerolinecolor=RULE)
-
-
-def direction_figure(entries: list[dict[str, Any]]) -> go.Figure:
+def direction_figure(entries: list[dict[str, Any]]) -> Figure:
     """Sigma of every principal direction, weakest first."""
     sigma = np.array([entry["sigma"] for entry in entries], dtype=np.float64) / ARCSEC
     known = np.isfinite(sigma)
     longest = 10.0 * sigma[known].max() if known.any() else 1.0
-    words = [f"{k}. {wrapped(entry['words'])}" for k, entry in enumerate(entries, 1)]
-    figure = panels(1, 90 + 44 * len(entries), top=20)
-    for which, name, ink in ((known, "seen", "#2f6ca3"), (~known, "not observable", "#d69e2e")):
+    figure = Figure(height=42 * len(entries) + 10)
+    panel, place = figure[0], np.arange(len(entries), dtype=np.float64)
+    for which, name, ink in ((known, "observable", "#2f6ca3"), (~known, "not observable", DOUBT)):
         if which.any():
-            figure.add_bar(
-                y=[word for word, yes in zip(words, which, strict=True) if yes],
-                x=np.where(known, sigma, longest)[which], orientation="h", marker_color=ink, name=name,
-                text=[digits(s, 3) if np.isfinite(s) else "not observable" for s in sigma[which]],
-                textposition="outside", cliponaxis=False,
-                hovertemplate="%{y}: %{text} arcsec<extra></extra>",
-            )  # fmt: skip
-    low = 0.5 * sigma[known].min() if known.any() else 0.1
-    high = 4.0 * longest if (~known).any() else 0.4 * longest
-    figure.update_xaxes(
-        type="log", title_text="1 sigma, arcsec (logarithmic)", **_ticks(low, high),
-        range=[np.log10(low), np.log10(high)],
-    )  # fmt: skip
-    figure.update_yaxes(autorange="reversed", automargin=True, categoryorder="array", categoryarray=words)
-    figure.update_layout(showlegend=False, margin_r=120)
+            texts = [digits(s, 3) if np.isfinite(s) else "not observable" for s in sigma[which]]
+            length = np.where(known, sigma, longest)[which]
+            panel.add(
+                Bars(
+                    place=place[which],
+                    length=length,
+                    thick=0.7,
+                    level=True,
+                    colour=ink,
+                    name=name,
+                    texts=texts,
+                )
+            )
+    panel.x.low = 0.5 * sigma[known].min() if known.any() else 0.1
+    panel.x.high = 4.0 * longest if (~known).any() else 0.4 * longest
+    panel.x.title, panel.x.log = "1 sigma, arcsec (logarithmic)", True
+    panel.y.ticks = [(float(k), f"{k + 1}. {wrapped(entry['words'])}") for k, entry in enumerate(entries)]
+    panel.y.downward, panel.y.grid = True, False
+    panel.y.low, panel.y.high = -0.6, len(entries) - 0.4
     return figure
-
-
-def _ticks(low: float, high: float) -> dict[str, Any]:
-    """Ticks of a logarithmic axis: whole decades, and 2 and 5 of each where there are few of them."""
-    steps = (1, 2, 5) if np.log10(high / low) <= FINE_DECADES else (1,)
-    ticks = [m * 10.0**k for k in range(-4, 7) for m in steps]
-    return {"tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
 
 
 #: What residuals are, by the method: title of the panel, and of how far they are from good ones.
@@ -155,7 +124,7 @@ def image_noise(problem: StereoProblem, method: str) -> float | None:
     return float(np.sqrt(share * np.mean(problem.tracks.sigma_px**2)))
 
 
-def residual_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure:
+def residual_figure(stereo: Stereo, result: StereoOrientation) -> Figure:
     """Residual rms and share rejected of every image, shot by shot."""
     problem = stereo.problem
     size, rejected = result.residual_px, result.rejected
@@ -166,35 +135,25 @@ def residual_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure:
     rms = np.sqrt(np.where(count, square, np.nan) / np.maximum(count, 1))
     every = np.bincount(image, minlength=len(images))
     share = 100.0 * np.bincount(image, rejected, len(images)) / np.maximum(every, 1)
-    figure = panels(
-        2, 460, gap_px=44.0, top=52, shared_xaxes=True,
-        subplot_titles=[
-            RESIDUALS.get(result.method, "Residual of the kept points of each image, rms"), "Points rejected",
-        ],
-    )  # fmt: skip
-    cameras = labels(problem.cameras)
-    mode = "lines+markers" if len(problem.shot_names) <= 200 else "lines"
+    figure = Figure(2, height=[190, 130])
+    titles = RESIDUALS.get(result.method, "Residual of the kept points of each image, rms"), "Points rejected"
+    for panel, title, unit in zip(figure.panels, titles, ("px", "%"), strict=True):
+        panel.title, panel.y.title, panel.y.from_zero = title, unit, True
+    cameras, names = labels(problem.cameras), problem.shot_names
+    dots = 5.0 if len(names) <= 200 else 0.0
     for camera in range(min(len(problem.cameras), DRAWN_CAMERAS)):
         rows = np.flatnonzero(images.camera == camera)
         rows = rows[np.argsort(images.shot[rows])]
-        x = problem.shot_names[images.shot[rows]]
-        for row, values, unit in ((1, rms, "px"), (2, share, "%")):
-            figure.add_scatter(
-                x=x, y=values[rows], row=row, col=1, mode=mode, marker_size=5,
-                line={"color": colour(camera), "width": 1.4}, name=f"camera {cameras[camera]}",
-                legendgroup=str(camera), showlegend=row == 1,
-                hovertemplate=f"shot %{{x:.0f}}: %{{y:.3g}} {unit}<extra></extra>",
-            )  # fmt: skip
-    expected, names = image_noise(problem, result.method), problem.shot_names
+        x, name = names[images.shot[rows]], f"camera {cameras[camera]}"
+        for panel, values in zip(figure.panels, (rms, share), strict=True):
+            panel.add(Line(x=x, y=values[rows], name=name, colour=colour(camera), dotted=dots))
+    expected = image_noise(problem, result.method)
     if expected is not None:
-        figure.add_scatter(
-            x=[names.min() - 0.5, names.max() + 0.5], y=[expected, expected], row=1, col=1, mode="lines",
-            line={"color": MUTED, "dash": "dot", "width": 1.4}, name="as sigma_px says", hoverinfo="skip",
-        )  # fmt: skip
-    figure.update_yaxes(title_text="px", rangemode="tozero", row=1)
-    figure.update_yaxes(title_text="%", rangemode="tozero", row=2)
-    figure.update_xaxes(title_text="shot", row=2)
-    figure.update_xaxes(tickformat="d", dtick=1 if np.ptp(names) < TICKED_SHOTS else None)
+        figure[0].add(Rules(y=[expected], colour=MUTED, name="as sigma_px says", width=1.4))
+    axis = figure[0].x
+    axis.title, axis.low, axis.high = "shot", float(names.min()) - 0.5, float(names.max()) + 0.5
+    if np.ptp(names) < TICKED_SHOTS:
+        axis.ticks = [(float(k), f"{k:g}") for k in np.unique(names)]
     return figure
 
 
@@ -215,8 +174,8 @@ def residual_vectors(problem: StereoProblem, result: StereoOrientation) -> Array
     return np.asarray(np.einsum("nij,nj->ni", s.px_per_tangent, miss))
 
 
-def image_plane_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure | None:
-    """Mean residual in cells of each camera's frame as arrows; None where residuals have no direction."""
+def image_plane_figure(stereo: Stereo, result: StereoOrientation) -> tuple[Figure, float] | None:
+    """Mean residual in cells of each frame as strokes, the longest in px; None without directions."""
     residual = residual_vectors(stereo.problem, result)
     if residual is None:
         return None
@@ -226,35 +185,27 @@ def image_plane_figure(stereo: Stereo, result: StereoOrientation) -> go.Figure |
     largest = max((float(np.hypot(*c[1].T).max()) for c in cells if len(c[0])), default=0.0)
     if largest == 0.0:
         return None
-    names = [f"Camera {name}" for name in labels(problem.cameras)[: len(shown)]]
-    columns = min(len(names), 2)
-    rows = -(-len(names) // columns)
-    figure = panel_grid(rows, columns, 60 + 420 * rows, names, horizontal_spacing=0.1)
-    for camera in shown:
-        centre, mean, number = cells[camera]
+    names = labels(problem.cameras)
+    columns = min(len(shown), 2)
+    figure = Figure(-(-len(shown) // columns), columns, height=380, shared=False)
+    for panel, camera in zip(figure.panels, shown, strict=False):
+        centre, mean, count = cells[camera]
         lines, width = problem.detectors[camera].shape
-        scale = 0.9 * max(lines, width) / CELLS / largest
-        row, col = camera // columns + 1, camera % columns + 1
-        end = centre + scale * mean
-        gap = np.full(len(centre), np.nan)
-        figure.add_scatter(
-            x=np.column_stack([centre[:, 1], end[:, 1], gap]).ravel(),
-            y=np.column_stack([centre[:, 0], end[:, 0], gap]).ravel(),
-            row=row, col=col, mode="lines", line={"color": colour(camera), "width": 2}, hoverinfo="skip",
-        )  # fmt: skip
-        figure.add_scatter(
-            x=centre[:, 1], y=centre[:, 0], row=row, col=col, mode="markers",
-            marker={"size": 4, "color": colour(camera)}, customdata=np.column_stack([mean, number]),
-            hovertemplate="line %{customdata[0]:.3g}, column %{customdata[1]:.3g} px, "
-            "%{customdata[2]:.0f} points<extra></extra>",
-        )  # fmt: skip
-        figure.update_xaxes(title_text="column (px)", range=[0, width], row=row, col=col)
-        figure.update_yaxes(
-            title_text="line (px)", range=[lines, 0], row=row, col=col,
-            scaleanchor=f"x{camera + 1 if camera else ''}", constrain="domain",
-        )  # fmt: skip
-    figure.update_layout(showlegend=False, meta={"largest": largest})
-    return figure
+        end = centre + 0.9 * max(lines, width) / CELLS / largest * mean
+        strokes = np.stack([centre, end, np.full_like(centre, np.nan)], axis=1).reshape(-1, 2)
+        says = [
+            f"line {a:.3g}, column {b:.3g} px, {n:.0f} points" for (a, b), n in zip(mean, count, strict=True)
+        ]
+        name = f"camera {names[camera]}"
+        look: dict[str, Any] = {"colour": colour(camera), "name": name, "key": False}
+        panel.add(
+            Line(x=strokes[:, 1], y=strokes[:, 0], width=2.0, hover=False, **look),
+            Points(x=centre[:, 1], y=centre[:, 0], size=4.0, says=says, **look),
+        )
+        panel.title, panel.equal, panel.y.downward = f"Camera {names[camera]}", True, True
+        panel.x.title, panel.x.low, panel.x.high = "column (px)", 0.0, float(width)
+        panel.y.title, panel.y.low, panel.y.high = "line (px)", 0.0, float(lines)
+    return figure, largest
 
 
 def _cells(

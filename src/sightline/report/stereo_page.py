@@ -1,4 +1,4 @@
-"""The report of a stereo orientation: one HTML page that asks no network for anything.
+"""The page of a stereo orientation.
 
 Not here: its figures (``stereo_figures.py``, ``stereo_height_figure.py``), its words (``stereo_words.py``).
 """
@@ -6,8 +6,7 @@ Not here: its figures (``stereo_figures.py``, ``stereo_height_figure.py``), its 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from sightline.applications.stereo_orientation import StereoOrientation
@@ -15,7 +14,7 @@ from sightline.evaluation.direction_words import AXES
 from sightline.geometry.units import ARCSEC
 from sightline.io.stereo import Stereo
 from sightline.report import stereo_figures
-from sightline.report.page import Section, render, write_page
+from sightline.report.page import Page, Section, Table, inputs
 from sightline.report.stereo_height_figure import PointHeights, height_figure, point_heights
 from sightline.report.stereo_words import (
     DRIFT_HEADS,
@@ -24,48 +23,62 @@ from sightline.report.stereo_words import (
     drift_rows,
     focal_rows,
     sentences,
+    several,
     with_sigma,
 )
 from sightline.report.words import digits
 
 
-def write_stereo_report(
-    path: Path, stereo: Stereo, result: StereoOrientation, summary: Mapping[str, Any]
-) -> None:
-    """Write ``report.html``, complete or not at all.
+def stereo_page(stereo: Stereo, result: StereoOrientation, summary: Mapping[str, Any]) -> Page:
+    """The page of a stereo orientation.
 
     Parameters
     ----------
-    path : Path
-        Of the page.
     stereo : Stereo
     result : StereoOrientation
     summary : mapping
-        As ``io.stereo_results.write_stereo_result`` gives it.
+        As ``write_stereo_result`` gives it.
     """
-    write_page(path, stereo_html(stereo, result, summary))
-
-
-def stereo_html(stereo: Stereo, result: StereoOrientation, summary: Mapping[str, Any]) -> str:
-    """The page as text; parameters as of `write_stereo_report`."""
     heights = point_heights(stereo, result)
     problem = stereo.problem
-    return render(
-        "stereo.html.j2",
-        summary=summary,
+    notes = summary.get("export_notes", [])
+    more = "" if notes and "no corrected" in notes[0] else ", cameras_corrected.csv, colmap"
+    units = [f"{axis} ({unit})" for unit in ("arcsec", "µrad") for axis in AXES]
+    angles: list[str | Table] = [
+        "Small turn of each body from its planned to its true attitude, about body axes: true = planned × "
+        "exp(roll, pitch, yaw). The same for all shots. ± is 1 sigma.",
+        Table(["camera", *units], angle_rows(summary)),
+    ]
+    for rows, heads, said in (
+        (
+            drift_rows(result),
+            DRIFT_HEADS,
+            "Drift: how fast these errors change; the angles above are those of the middle of the times. ± "
+            "is 1 sigma.",
+        ),
+        (focal_rows(problem, result), FOCAL_HEADS, "Focal lengths as found. ± is 1 sigma."),
+    ):
+        angles += [said, Table(heads, rows)] if rows else []
+    return Page(
+        heading=summary["name"],
+        what=f"attitude errors of {several(len(summary['cameras']), 'camera')}",
+        about=f"Constant attitude errors of {several(len(summary['cameras']), 'camera')} by Sightline "
+        f"{summary['version']}, method {summary['method']}; equations solved in "
+        f"{summary['solve_seconds']:.2g} s",
         sentences=sentences(problem, result, summary, heights),
         warnings=summary["warnings"],
-        angles=angle_rows(summary),
-        drift_heads=DRIFT_HEADS,
-        drift=drift_rows(result),
-        focal_heads=FOCAL_HEADS,
-        focal=focal_rows(problem, result),
-        sections=sections(stereo, result, summary, heights),
-        improvement_heads=["change", *(f"{axis} {camera}" for camera in result.cameras for axis in AXES)],
-        improvements=improvement_rows(summary),
-        advice=advice(problem, summary),
-        counts=counts(summary),
-        export_notes=summary.get("export_notes", []),
+        sections=[
+            Section("angles", "The angles", angles),
+            *sections(stereo, result, summary, heights),
+            Section(
+                "improve",
+                "What would improve it",
+                [*improvements(summary, result.cameras), advice(problem, summary)],
+            ),
+            inputs(summary, Table(["what", "how many"], counts(summary))),
+        ],
+        footer="Files beside this page: orientation.csv, covariance.csv, matches_used.csv, points.csv, "
+        f"summary.json{more}. {' '.join(f'{note[:1].upper()}{note[1:]}.' for note in notes)}",
     )
 
 
@@ -81,12 +94,18 @@ def angle_rows(summary: Mapping[str, Any]) -> list[list[str]]:
     return rows
 
 
-def improvement_rows(summary: Mapping[str, Any]) -> list[list[str]]:
-    """Per change, sigma (arcsec) of every angle and how far it falls."""
-    return [
+def improvements(summary: Mapping[str, Any], cameras: Sequence[str]) -> list[str | Table]:
+    """Per change, sigma (arcsec) of every angle and how far it falls; nothing where none was judged."""
+    rows = [
         [entry["change"], *(_better(s, r) for s, r in zip(entry["sigmas"], entry["ratio"], strict=True))]
         for entry in summary.get("improvements", [])
     ]
+    said = (
+        "1 sigma of every angle (arcsec) that one change at a time would give, and by how much it falls: "
+        "bounds for the same cameras and points, the most useful change for the worst angle first."
+    )
+    heads = ["change", *(f"{axis} {camera}" for camera in cameras for axis in AXES)]
+    return [said, Table(heads, rows)] if rows else []
 
 
 def _better(sigma: float, ratio: float) -> str:
@@ -99,9 +118,9 @@ def _better(sigma: float, ratio: float) -> str:
 
 
 _RESIDUAL_CAPTIONS = {
-    "ml-track": "Length of the residuals of both coordinates. Good points lie near the dotted line: below it "
-    "by what the adjustment takes up, above it where the noise was stated too small or poses of a shot are "
-    "wrong.",
+    "ml-track": "Length of the residuals of both coordinates. Good points lie near the dotted line: below "
+    "it by what the bundle adjustment takes up, above it where the noise was stated too small or poses of a "
+    "shot are wrong.",
     "epipolar": "How far each pair must move for its rays to meet, shared evenly (in squares) by its two "
     "images. The dotted line is the noise of points alone; the noise of positions and attitudes, which this "
     "method does not adjust, lifts residuals above it.",
@@ -136,42 +155,40 @@ def sections(
         Section(
             "directions",
             "What is known well, and what is not",
-            "Combinations of the angles that can be known independently of each other, the weakest first: "
-            "words "
-            "name the angles that turn together. A correction along a weak direction changes the images "
-            "least, "
-            "so that it is also what harms products least.",
-            stereo_figures.direction_figure(summary["principal_sigmas"]),
+            [
+                "Combinations of the angles that can be known independently of each other, the weakest "
+                "first: words name the angles that turn together. A correction along a weak direction "
+                "changes the images least, so that it is also what harms products least.",
+                stereo_figures.direction_figure(summary["principal_sigmas"]),
+            ],
         )
     ]
     ellipses = stereo_figures.ellipse_figure(result)
     if ellipses is not None:
         caption = (
-            "Where the true angles lie about the estimated ones. Solid: 1 sigma of each angle at its "
-            "edges; dotted: "
-            "holds both angles of a panel 95 times in 100. A slanted, slim ellipse: the two are known "
-            "together "
-            "better than each by itself."
+            "Where the true angles lie about the estimated ones. Solid: 1 sigma of each angle at its edges; "
+            "dashed: holds both angles of a panel 95 times in 100. A slanted, slim ellipse: the two are "
+            "known together better than each by itself."
         )
-        found.append(Section("ellipses", "Error ellipses", caption, ellipses))
+        found.append(Section("ellipses", "Error ellipses", [caption, ellipses]))
     caption = _RESIDUAL_CAPTIONS.get(result.method, _RESIDUAL_CAPTIONS["ml-track"])
     found.append(
         Section(
-            "residuals", "Residuals of every shot", caption, stereo_figures.residual_figure(stereo, result)
+            "residuals", "Residuals of every shot", [caption, stereo_figures.residual_figure(stereo, result)]
         )
     )
     plane = stereo_figures.image_plane_figure(stereo, result)
     if plane is not None:
-        longest = digits(plane.layout.meta["largest"], 2)
+        longest = digits(plane[1], 2)
         caption = (
             "Mean residual of the kept points in cells of the frame, all shots together, as a stroke from a "
             f"dot; the longest is {longest} px. Strokes at random are noise; a pattern (all outward, all "
             "turning) is a lens or a focal length that is not as stated."
         )
-        found.append(Section("frame", "Residuals over the frame", caption, plane))
+        found.append(Section("frame", "Residuals over the frame", [caption, plane[0]]))
     if heights is not None:
         found.append(
-            Section("heights", "Heights before and after", _height_caption(heights), height_figure(heights))
+            Section("heights", "Heights before and after", [_height_caption(heights), height_figure(heights)])
         )
     return found
 

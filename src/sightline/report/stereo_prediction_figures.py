@@ -9,37 +9,27 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import plotly.graph_objects as go
 from numpy.typing import NDArray
-from plotly.subplots import make_subplots
 
 from sightline.applications.stereo_prediction import Improvement, SigmaTable
 from sightline.geometry.units import ARCSEC
-from sightline.report.style import AXES, AXIS_COLOURS, INK, MUTED, TEMPLATE, wrapped
+from sightline.report.figure import Figure, Panel
+from sightline.report.marks import Bars, Line, Rules
+from sightline.report.style import AXES, AXIS_COLOURS, wrapped
 
+_WEAKEST = "#8a5fa8"
 _METHODS = {
     "ml-track": ("points tracked through all shots", "solid"),
     "ml-pair": ("points new in every shot", "dash"),
 }
-#: px of one row of panels, and of what stands above and below.
-_ROW, _ABOVE, _BELOW = 250, 84, 56
 
 
-def prediction_figure(tables: Sequence[SigmaTable]) -> go.Figure:
+def prediction_figure(tables: Sequence[SigmaTable]) -> Figure:
     """Bounds against each quantity, a panel each: roll, pitch, yaw of the camera known least."""
     tables = [table for table in tables if len(table.values) > 1]
-    rows = max(-(-len(tables) // 2), 1)
-    gap = 86.0 / (rows * _ROW)
-    figure = make_subplots(
-        rows=rows, cols=2, horizontal_spacing=0.11, vertical_spacing=gap if rows > 1 else 0.0,
-        subplot_titles=[_title(table) for table in tables],
-    )  # fmt: skip
-    height = rows * _ROW + _ABOVE + _BELOW
-    figure.update_layout(template=TEMPLATE, height=height, margin_t=_ABOVE)
-    figure.update_annotations(font_size=12)
-    for number, table in enumerate(tables):
-        _panel(figure, table, number // 2 + 1, number % 2 + 1, first=number == 0)
-    figure.update_layout(legend={"y": 1.0 + 30.0 / (rows * _ROW)})
+    figure = Figure(max(-(-len(tables) // 2), 1), 2, height=190, shared=False)
+    for panel, table in zip(figure.panels, tables, strict=False):
+        _draw(panel, table)
     return figure
 
 
@@ -57,48 +47,25 @@ def _title(table: SigmaTable) -> str:
     return f"{table.quantity}, planned {table.planned * scale:.4g} {unit}".rstrip()
 
 
-def _panel(figure: go.Figure, table: SigmaTable, row: int, col: int, *, first: bool) -> None:
+def _draw(panel: Panel, table: SigmaTable) -> None:
     """One panel: three axes by two estimators, the weakest direction, and where the plan is."""
     unit, scale = _shown(table)
     x = table.values * scale
-    drawn = []
     for m, method in enumerate(table.methods):
         words, dash = _METHODS[method]
         sigmas = table.sigmas[m].reshape(len(x), -1, 3).max(axis=1) / ARCSEC
-        for k, axis in enumerate(AXES):
-            y = _finite(sigmas[:, k])
-            drawn.append(y)
-            _line(figure, x, y, f"{axis}, {words}", AXIS_COLOURS[k], dash, row, col, first=first)
-        y = _finite(table.weakest[m] / ARCSEC)
-        drawn.append(y)
-        _line(figure, x, y, f"weakest direction, {words}", MUTED, dash, row, col, first=first)
-    figure.add_vline(
-        x=table.planned * scale, line={"color": INK, "width": 1, "dash": "dot"}, row=row, col=col
-    )
-    name = f"{table.quantity} ({unit})" if unit else f"number of {table.quantity}"
-    figure.update_xaxes(title_text=name, type="log", **_ticks(x), row=row, col=col)
-    seen = np.concatenate(drawn)
-    figure.update_yaxes(title_text="sigma (arcsec)", type="log", **_decades(seen), row=row, col=col)
-
-
-def _finite(values: NDArray[Any]) -> NDArray[np.float64]:
-    """Values with gaps where nothing is told."""
-    return np.where(np.isfinite(values), values, np.nan)
-
-
-def _line(
-    figure: go.Figure, x: Any, y: Any, name: str, colour: str, dash: str, row: int, col: int, *, first: bool
-) -> None:
-    figure.add_scatter(
-        x=x, y=y, mode="lines+markers", name=name, legendgroup=name, showlegend=first,
-        line={"color": colour, "width": 1.8, "dash": dash}, marker={"size": 5}, row=row, col=col,
-        hovertemplate="%{x:.4g}: %{y:.3g} arcsec<extra>" + name + "</extra>",
-    )  # fmt: skip
-
-
-def _ticks(values: NDArray[Any]) -> dict[str, Any]:
-    """A tick at every value computed."""
-    return {"tickvals": values, "ticktext": [_number(value) for value in values]}
+        curves = [*zip(AXES, sigmas.T, AXIS_COLOURS, strict=True)]
+        curves.append(("weakest direction", table.weakest[m] / ARCSEC, _WEAKEST))
+        for name, y, colour in curves:
+            y = np.where(np.isfinite(y), y, np.nan)
+            panel.add(
+                Line(x=x, y=y, name=f"{name}, {words}", colour=colour, dash=dash, width=1.8, dotted=5.0)
+            )
+    panel.add(Rules(x=[table.planned * scale], name="as planned"))
+    panel.title = _title(table)
+    panel.x.title, panel.x.log = f"{table.quantity} ({unit})" if unit else f"number of {table.quantity}", True
+    panel.x.ticks = [(float(value), _number(value)) for value in x]
+    panel.y.title, panel.y.log = "sigma (arcsec)", True
 
 
 def _number(value: float) -> str:
@@ -106,36 +73,22 @@ def _number(value: float) -> str:
     return f"{value:.0f}" if value >= 1000.0 else f"{value:.3g}"
 
 
-def _decades(values: NDArray[Any]) -> dict[str, Any]:
-    """Ticks 1, 2, 5 of every decade that is drawn."""
-    seen = values[np.isfinite(values)]
-    if len(seen) == 0:
-        return {}
-    low, high = int(np.floor(np.log10(seen.min()))), int(np.ceil(np.log10(seen.max())))
-    ticks = [step * 10.0**decade for decade in range(low, high + 1) for step in (1.0, 2.0, 5.0)]
-    return {"tickvals": ticks, "ticktext": [f"{tick:g}" for tick in ticks]}
-
-
-def improvements_figure(improvements: Sequence[Improvement]) -> go.Figure:
+def improvements_figure(improvements: Sequence[Improvement]) -> Figure:
     """Bounds after each change relative to those without, as bars; the camera known least."""
-    height = 70 + 48 * max(len(improvements), 1) + 60
-    figure = go.Figure()
-    figure.update_layout(template=TEMPLATE, height=height, margin={"l": 330, "t": 50}, barmode="group")
-    figure.update_layout(legend_traceorder="reversed")
-    words = [wrapped(found.change) for found in improvements][::-1]
-    # plotly stacks the bars of a group upwards
-    for k, axis in reversed(list(enumerate(AXES))):
-        ratio = [_worst(found.ratio[k::3]) for found in improvements][::-1]
-        sigma = [float(found.sigmas[k::3].max()) / ARCSEC for found in improvements][::-1]
-        figure.add_bar(
-            y=words, x=ratio, name=axis, orientation="h", marker_color=AXIS_COLOURS[k],
-            text=[f"{value:.3g}\u2033" if np.isfinite(value) else "" for value in sigma],
-            textposition="outside", textfont={"size": 10, "color": INK}, cliponaxis=False,
-            hovertemplate="%{y}: %{x:.2f} of now<extra>" + axis + "</extra>",
-        )  # fmt: skip
-    figure.add_vline(x=1.0, line={"color": INK, "width": 1, "dash": "dot"})
-    figure.update_xaxes(title_text="sigma relative to now (its value beside the bar)", rangemode="tozero")
-    figure.update_yaxes(tickfont={"size": 11})
+    figure = Figure(height=46 * max(len(improvements), 1) + 10)
+    panel, place = figure[0], np.arange(len(improvements), dtype=np.float64)
+    for k, (axis, colour) in enumerate(zip(AXES, AXIS_COLOURS, strict=True)):
+        ratio = np.array([_worst(found.ratio[k::3]) for found in improvements])
+        sigma = [float(found.sigmas[k::3].max()) / ARCSEC for found in improvements]
+        texts = [f"{value:.3g}\u2033" if np.isfinite(value) else "" for value in sigma]
+        at = place + 0.27 * (k - 1)
+        panel.add(Bars(place=at, length=ratio, thick=0.25, level=True, name=axis, colour=colour, texts=texts))
+    panel.add(Rules(x=[1.0], name="now"))
+    panel.x.title, panel.x.from_zero = "sigma relative to now (its value beside the bar)", True
+    panel.x.tight = False
+    panel.y.ticks = [(float(k), wrapped(found.change)) for k, found in enumerate(improvements)]
+    panel.y.downward, panel.y.grid = True, False
+    panel.y.low, panel.y.high = -0.6, len(improvements) - 0.4
     return figure
 
 

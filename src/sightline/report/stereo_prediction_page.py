@@ -1,4 +1,4 @@
-"""The report of a stereo prediction: one HTML page that asks no network for anything.
+"""The page of a stereo prediction.
 
 Not here: its figures (``stereo_prediction_figures.py``).
 """
@@ -7,48 +7,49 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 from sightline.applications.stereo_prediction import StereoPrediction
 from sightline.evaluation.direction_words import AXES
 from sightline.geometry.units import ARCSEC
 from sightline.report import stereo_figures, stereo_prediction_figures
-from sightline.report.page import Section, render, write_page
-from sightline.report.stereo_page import improvement_rows
+from sightline.report.page import Page, Section, Table, inputs
+from sightline.report.stereo_page import improvements
+from sightline.report.stereo_words import several
 from sightline.report.words import digits
 
 
-def write_prediction_report(path: Path, predicted: StereoPrediction, summary: Mapping[str, Any]) -> None:
-    """Write ``report.html``, complete or not at all.
+def prediction_page(predicted: StereoPrediction, summary: Mapping[str, Any]) -> Page:
+    """The page of a stereo prediction.
 
     Parameters
     ----------
-    path : Path
-        Of the page.
     predicted : StereoPrediction
     summary : mapping
-        As ``io.stereo_predicted.write_prediction`` gives it.
+        As ``write_prediction`` gives it.
     """
-    write_page(path, prediction_html(predicted, summary))
-
-
-def prediction_html(predicted: StereoPrediction, summary: Mapping[str, Any]) -> str:
-    """The page as text; parameters as of `write_prediction_report`."""
-    return render(
-        "stereo_prediction.html.j2",
-        summary=summary,
+    sigmas = [[camera, *(_arcsec(own[axis]) for axis in AXES)] for camera, own in summary["sigmas"].items()]
+    heads = ["camera", "roll (arcsec, 1 sigma)", "pitch (arcsec)", "yaw (arcsec)"]
+    numbers: list[str | Table] = []
+    for table in predicted.tables:
+        quantity = table.quantity[:1].upper() + table.quantity[1:]
+        numbers += [f"{quantity}: {table.how}.", Table(*stereo_prediction_figures.prediction_rows(table))]
+    said = "1 sigma, arcsec; roll, pitch and yaw are each of the camera known least."
+    return Page(
+        heading=summary["name"],
+        what="what a stereo orientation would give",
+        about=f"Predicted attitude errors of {several(len(summary['cameras']), 'camera')} by Sightline "
+        f"{summary['version']}: the bound of {summary['method']}; nothing was estimated",
         sentences=sentences(summary),
-        sigmas=[
-            [camera, *(_arcsec(own[axis]) for axis in AXES)] for camera, own in summary["sigmas"].items()
+        warnings=summary["warnings"],
+        sections=[
+            Section("sigmas", "Sigma of the angles", [Table(heads, sigmas)]),
+            *sections(predicted, summary),
+            *([Section("numbers", "The numbers", [said, *numbers])] if numbers else []),
+            inputs(summary),
         ],
-        sections=sections(predicted, summary),
-        tables=[
-            (table.quantity, table.how, *stereo_prediction_figures.prediction_rows(table))
-            for table in predicted.tables
-        ],
-        improvement_heads=["change", *(f"{axis} {c}" for c in predicted.cameras for axis in AXES)],
-        improvements=improvement_rows(summary),
+        footer="Files beside this page: orientation.csv (sigmas), "
+        f"covariance.csv{', tables.csv' if numbers else ''}, summary.json.",
     )
 
 
@@ -96,8 +97,11 @@ def sections(predicted: StereoPrediction, summary: Mapping[str, Any]) -> list[Se
         Section(
             "directions",
             "What would be known well, and what not",
-            "Combinations of the angles that can be known independently of each other, the weakest first.",
-            stereo_figures.direction_figure(summary["principal_sigmas"]),
+            [
+                "Combinations of the angles that can be known independently of each other, the weakest "
+                "first.",
+                stereo_figures.direction_figure(summary["principal_sigmas"]),
+            ],
         )
     ]
     if predicted.tables:
@@ -105,9 +109,11 @@ def sections(predicted: StereoPrediction, summary: Mapping[str, Any]) -> list[Se
             Section(
                 "tables",
                 "Sigma against what can be chosen",
-                "Bounds of the angles when one quantity changes and all else stays as planned. Roll, pitch "
-                f"and yaw are each of the camera known least{_whose(predicted)}.",
-                stereo_prediction_figures.prediction_figure(predicted.tables),
+                [
+                    "Bounds of the angles when one quantity changes and all else stays as planned. Roll, "
+                    f"pitch and yaw are each of the camera known least{_whose(predicted)}.",
+                    stereo_prediction_figures.prediction_figure(predicted.tables),
+                ],
             )
         )
     if predicted.improvements:
@@ -115,9 +121,12 @@ def sections(predicted: StereoPrediction, summary: Mapping[str, Any]) -> list[Se
             Section(
                 "improvements",
                 "What would improve it",
-                "What each change leaves of the sigmas: bars show roll, pitch and yaw each of the camera "
-                "known least, the table all cameras.",
-                stereo_prediction_figures.improvements_figure(predicted.improvements),
+                [
+                    "What each change leaves of the sigmas: bars show roll, pitch and yaw each of the camera "
+                    "known least, the table all cameras.",
+                    stereo_prediction_figures.improvements_figure(predicted.improvements),
+                    *improvements(summary, predicted.cameras)[1:],
+                ],
             )
         )
     return found

@@ -1,4 +1,4 @@
-"""The report of a TDI choice: one HTML page that asks no network for anything.
+"""The page of a TDI choice.
 
 Not here: its figures (``tdi_figures.py``).
 """
@@ -6,55 +6,132 @@ Not here: its figures (``tdi_figures.py``).
 from __future__ import annotations
 
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
+from numpy.typing import NDArray
 
 from sightline.applications.tdi_choice import TdiResult
-from sightline.evaluation.tdi_pictures import StripPictures
+from sightline.evaluation.tdi_pictures import Crop, StripPictures
 from sightline.report import tdi_figures
-from sightline.report.page import Section, render, write_page
-from sightline.report.tdi_pictures import tdi_pictures_html
+from sightline.report.page import Page, Section, Table, inputs, pictures, resources
+from sightline.report.raster import data_png
 from sightline.report.words import digits
 
 
-def write_tdi_report(
-    path: Path, result: TdiResult, summary: Mapping[str, Any], pictures: StripPictures | None = None
-) -> None:
-    """Write ``report.html``, complete or not at all.
+def tdi_page(result: TdiResult, summary: Mapping[str, Any], shown: StripPictures | None = None) -> Page:
+    """The page of a TDI choice.
 
     Parameters
     ----------
-    path : Path
-        Of the page.
     result : TdiResult
     summary : mapping
-        As ``io.tdi_results.write_tdi_summary`` gives it.
-    pictures : StripPictures, optional
+        As ``write_tdi_summary`` gives it.
+    shown : StripPictures, optional
         A target as it would be imaged.
     """
-    write_page(path, tdi_html(result, summary, pictures))
-
-
-def tdi_html(result: TdiResult, summary: Mapping[str, Any], pictures: StripPictures | None = None) -> str:
-    """The page as text; parameters as of `write_tdi_report`."""
-    return render(
-        "tdi.html.j2",
-        summary=summary,
+    limits = [[name, f"{count:,}"] for name, count in summary["limits"].items()]
+    ways = [
+        [way["name"], f"{100.0 * way['mean_loss']:.2f} %", f"{100.0 * way['worst_loss']:.2f} %"]
+        for way in summary["other_ways"]
+    ]
+    compared = result.comparison
+    return Page(
+        heading=summary["name"],
+        what="TDI stages and integration ratio",
+        about=f"TDI stages and integration ratio Kt per column and signal by Sightline {summary['version']}"
+        f"{resources(summary)}. Kt is the time that a stage integrates, as a share of the line period.",
         sentences=sentences(result, summary),
-        sections=sections(result),
-        warnings=[warning for warning in summary["warnings"] if warning != result.comparison],
-        comparison=result.comparison,
-        limit_map=limit_map(result),
-        pictures=None if pictures is None else tdi_pictures_html(pictures),
-        picture_signal=None if pictures is None else digits(pictures.signal, 3),
-        ways=[
-            [way["name"], f"{100.0 * way['mean_loss']:.2f} %", f"{100.0 * way['worst_loss']:.2f} %"]
-            for way in summary["other_ways"]
+        warnings=[warning for warning in summary["warnings"] if warning != compared],
+        sections=[
+            *sections(result),
+            *([] if shown is None else [pictures_section(shown)]),
+            Section(
+                "limits",
+                "What decided",
+                [
+                    "“None”: merit alone. A limit: it forbids the setting that merit alone would take. "
+                    "“Infeasible”: no setting meets this limit; the safest one is used.",
+                    *([tdi_figures.limit_figure(result)] if result.choice.limit.any() else []),
+                    Table(["limit", "cells"], limits),
+                ],
+            ),
+            Section(
+                "comparison",
+                "For comparison: other ways of choosing",
+                [
+                    "Merit lost against the choice, over columns and signals.",
+                    Table(["way", "mean loss", "worst loss"], ways),
+                    *([f"{compared[0].upper()}{compared[1:]}."] if compared else []),
+                ],
+            ),
+            inputs(summary),
         ],
-        limits=[[name, f"{count:,}"] for name, count in summary["limits"].items()],
+        footer="Signals are electrons of one line as [head] or [signals] say. Files beside this page: "
+        "choice.csv, table.bin with its C, Intel HEX and uplink forms, summary.json.",
     )
+
+
+#: Radiance that is white in every picture, so that they can be compared; 0 is black.
+WHITE = 1.8
+CHOSEN, SINGLE = "each column by its own setting", "all columns by the setting of the centre column"
+
+
+def pictures_section(shown: StripPictures) -> Section:
+    """Two miniatures of the whole detector line, and crops of a target: chosen settings above, one below."""
+    rows = ((CHOSEN, shown.miniature_chosen, shown.chosen), (SINGLE, shown.miniature_single, shown.single))
+    parts: list[str | Markup] = [
+        f"A target of {digits(shown.signal, 3)} electrons a line, imaged stage by stage with its drift and "
+        "its noise, in units of radiance and with the same greys everywhere: with the setting of each "
+        "column, and with the one of the centre column for all. MTF is measured on the slanted edges, SNR "
+        "on the flat patch. Rendered, not taken by an instrument.",
+        pictures(
+            [
+                (data_png(grey(small)), f"ground, {title}", _miniature(title, shown))
+                for title, small, _ in rows
+            ],
+            "one",
+        ),
+    ]
+    for title, _, crops in rows:
+        parts.append(Markup("<h3>{}</h3>").format(title[0].upper() + title[1:]))
+        crop_of = [(data_png(grey(crop.radiance)), f"target, {title}", _caption(crop)) for crop in crops]
+        parts.append(pictures(crop_of, "three"))
+    return Section("pictures", "What it looks like", parts)
+
+
+def grey(radiance: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Radiance (lines, columns) as a picture (lines, columns, 3), the same greys for all."""
+    level = np.clip(255.0 * radiance / WHITE, 0.0, 255.0).round().astype(np.uint8)
+    return np.repeat(level[..., None], 3, axis=2)
+
+
+def _miniature(title: str, shown: StripPictures) -> str:
+    """What the miniature shows."""
+    first, last, width = shown.columns[0], shown.columns[-1], len(shown.columns)
+    different = len(np.unique(shown.columns))
+    if different == 1:
+        which = f"column {first:g}, {width} times"
+    elif different == width:
+        which = f"{width} columns taken evenly from {first:g} to {last:g}"
+    else:
+        which = f"{different} columns from {first:g} to {last:g}, some more than once to make {width}"
+    return f"The whole line in little, {title}: {which}, each drifting as it does"
+
+
+def _caption(crop: Crop) -> Markup:
+    """Setting, and measured beside predicted quality."""
+    group, found, said = crop.group, crop.measured, crop.predicted
+    mtf = [
+        f"{axis} {found.mtf[k]:.3f} ± {found.mtf_sigma[k]:.3f} (predicted {said.mtf[k]:.3f})"
+        for k, axis in enumerate(("across", "along"))
+    ]
+    full = f"; {100.0 * crop.saturated:.0f} % of pixels with a full well" if crop.saturated else ""
+    return Markup("<strong>Column {}: {} stages, Kt {}</strong><br>MTF {},<br>{}<br>SNR {}{}").format(
+        f"{group.column:g}", group.stages, f"{group.ratio:.2f}", *mtf,
+        f"{found.snr:.0f} ± {found.snr_sigma:.0f} (predicted {said.snr:.0f})", full,
+    )  # fmt: skip
 
 
 def sections(result: TdiResult) -> list[Section]:
@@ -68,9 +145,11 @@ def sections(result: TdiResult) -> list[Section]:
             Section(
                 "merit",
                 "Merit against stages and integration ratio",
-                f"Every setting at {signal}: {_columns_of(result)}, each relative to its own best. "
-                "The cross is the choice: off the summit where a limit forbids it.",
-                tdi_figures.merit_figure(result),
+                [
+                    f"Every setting at {signal}: {_columns_of(result)}, each relative to its own best. "
+                    "The cross is the choice: off the summit where a limit forbids it.",
+                    tdi_figures.merit_figure(result),
+                ],
             )
         )
     if result.problem.motion is not None:
@@ -78,58 +157,62 @@ def sections(result: TdiResult) -> list[Section]:
             Section(
                 "summits",
                 "Merit along the stages, under this motion",
-                f"At {signal} and the integration ratio chosen: {_columns_of(result)}, each relative to its "
-                "own best. A motion that comes back periodically may give two summits: few stages, which "
-                "freeze it, or many, over which whole periods are averaged. Where the two are nearly equal, "
-                "stages jump from column to column, and MTF and SNR with them. Hysteresis in [choice] makes "
-                "such jumps fewer; as large as the valley between the summits, and with max_step, it keeps "
-                "neighbouring columns on one of them, at that cost. The cross is the choice.",
-                tdi_figures.stages_figure(result),
+                [
+                    f"At {signal} and the integration ratio chosen: {_columns_of(result)}, each relative to "
+                    "its own best. A motion that comes back periodically may give two summits: few stages, "
+                    "which freeze it, or many, over which whole periods are averaged. Where the two are "
+                    "nearly equal, stages jump from column to column, and MTF and SNR with them. Hysteresis "
+                    "in [choice] makes such jumps fewer; as large as the valley between the summits, and "
+                    "with max_step, it keeps neighbouring columns on one of them, at that cost. The cross "
+                    "is the choice.",
+                    tdi_figures.stages_figure(result),
+                ],
             )
         )
     return [
         Section(
             "settings",
             "The choice",
-            "For every column and signal, the setting with the largest merit among those that keep the "
-            "limits. Columns differ by how the scene drifts over them, signals by which noise rules.",
-            tdi_figures.settings_figure(result),
+            [
+                "For every column and signal, the setting with the largest merit among those that keep the "
+                "limits. Columns differ by how the scene drifts over them, signals by which noise rules.",
+                tdi_figures.settings_figure(result),
+            ],
         ),
         Section(
             "quality",
             "What it makes of the image",
-            "MTF of the whole system (optics, pixel, diffusion, motion) and SNR of the sum, predicted for "
-            "the chosen settings. Dotted: MTF that a scene at rest would have. Lines of lower signals are "
-            "wider, so that equal ones are seen.",
-            tdi_figures.quality_figure(result),
+            [
+                "MTF of the whole system (optics, pixel, diffusion, motion) and SNR of the sum, predicted "
+                "for the chosen settings. Dotted: MTF that a scene at rest would have. Lines of lower "
+                "signals are wider, so that equal ones are seen.",
+                tdi_figures.quality_figure(result),
+            ],
         ),
         *merit,
         Section(
             "table",
             "The table that is looked up",
-            f"Merit that the table of {_count(len(result.table.words), 'cell')}, "
-            f"{result.certificate.bytes:,} bytes, loses against the best setting of every column "
-            "and signal. Within a cell one setting serves all; the bound holds at every point judged."
-            + (" Grey: no setting keeps all limits." if np.isnan(result.table_loss.loss).any() else ""),
-            tdi_figures.table_figure(result),
+            [
+                f"Merit that the table of {_count(len(result.table.words), 'cell')}, "
+                f"{result.certificate.bytes:,} bytes, loses against the best setting of every column "
+                "and signal. Within a cell one setting serves all; the bound holds at every point judged."
+                + (" Grey: no setting meets all limits." if np.isnan(result.table_loss.loss).any() else ""),
+                tdi_figures.table_figure(result),
+            ],
         ),
         Section(
             "others",
             "What other ways of choosing would lose",
-            "Merit lost against the choice, all of it beyond the main lobe (where contrast is reversed) "
-            "and where a well is full. One setting: that of the centre column at the middle signal, for the "
-            "whole detector. One signal: each column its own setting, whatever the scene. The form of "
-            "EP2733929: its equations, misprints corrected, judged by the exact ones.",
-            tdi_figures.others_figure(result),
+            [
+                "Merit lost against the choice, all of it beyond the main lobe (where contrast is reversed) "
+                "and where a well is full. One setting: that of the centre column at the middle signal, for "
+                "the whole detector. One signal: each column its own setting, whatever the scene. The form "
+                "of EP2733929: its equations, misprints corrected, judged by the exact ones.",
+                tdi_figures.others_figure(result),
+            ],
         ),
     ]
-
-
-def limit_map(result: TdiResult) -> Section | None:
-    """Map of what decided, where anything but merit did."""
-    if not result.choice.limit.any():
-        return None
-    return Section("limit-map", "", "", tdi_figures.limit_figure(result))
 
 
 def _columns_of(result: TdiResult) -> str:
@@ -163,10 +246,10 @@ def _what(result: TdiResult, summary: Mapping[str, Any]) -> str:
         "y": "MTF along x SNR",
     }[rules.merit].replace(" x ", " × ")
     return (
-        f"For {_count(summary['columns'], 'column')} and {_count(summary['signals'], 'signal')} every one of "
-        f"{_count(summary['settings'], 'setting')} was judged by {form}. Chosen are "
-        f"{_range(summary['stages'])} stages, and integration times of "
-        f"{_range(summary['integration_ratio'])} of the line period."
+        f"For {_count(summary['columns'], 'column')} and {_count(summary['signals'], 'signal')} every one "
+        f"of {_count(summary['settings'], 'setting')} was judged by {form}. Chosen are "
+        f"{_range(summary['stages'])} stages, and integration ratios Kt (integration time over line period) "
+        f"of {_range(summary['integration_ratio'])}."
     )
 
 

@@ -1,5 +1,6 @@
 """Inverse, Wiener, max-band and in-turn: the filters of ``motion/harmonic.py``."""
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -150,3 +151,14 @@ def test_max_band_and_joint_filter_are_floored_by_the_line_above_their_nyquist_f
     for name in squared:
         # 12 series; the drift left at the ends scatters the rms by some 10 %.
         assert np.sqrt(np.mean(squared[name])) == pytest.approx(0.110, rel=0.2)
+
+
+def test_when_the_clock_starts_changes_nothing(series):
+    rng = np.random.default_rng(11)
+    theta = series.centred(series.cholesky_of(series.scene, 1001) @ rng.standard_normal((1001, 3)))
+    pairs, t = series.measure(theta, [40, 15], 0.03, rng, gap=(0.4, 0.5)), series.step * np.arange(1001)
+    later = [replace(pair, t=pair.t + 64.0) for pair in pairs]
+    found, moved = inverse(pairs, t), inverse(later, t + 64.0)
+    # times of 64 s hold 1e-14 s
+    assert moved.angles == pytest.approx(found.angles, abs=1e-6)
+    assert series.sigmas(moved) == pytest.approx(series.sigmas(found), rel=1e-6)
