@@ -76,6 +76,10 @@ EQUIVALENT = {
     "d0 * curve[i, 0] + d1 * curve[i + 1, 1] + d2 * curve[i + 2, 0] + d3 * curve[i + 3, 0],": (
         "a slope of Newton steps"
     ),
+    "floor, _ = _roots(ox, oy, oz, dx, dy, dz, a + low - 1.0, b + low - 1.25)": "a margin of a search",
+    "if places[0] * places[0] <= _MOST_DIRECT:": "the other way to the same surface",
+    "position = np.column_stack([1e4 * (2 * camera - 1) + 2500.0 * shot, 0.0 * shot, "
+    "np.full(2 * shots, 5e4)])": "numbers that only load compiled code",
     "peak[k, axis] += np.clip(0.625 * (low - high) / bend, -0.5, 0.5)": "a start of steps",
 }
 

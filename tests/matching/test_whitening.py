@@ -59,9 +59,8 @@ def test_taps_of_another_shape_are_refused():
         Whitening(np.ones((13, 13)), np.ones((13, 13)))
 
 
-@pytest.mark.parametrize("shift", [(0.45, -0.45), (0.45, 0.0), (0.0, 0.45)])
-def test_a_shift_between_the_images_along_either_axis_is_no_loss_of_coherence(shift):
-    a, b = (ArrayImage(x) for x in shifted_pair(SHAPE, shift, seed=3, snr=1000.0))
+def test_a_shift_between_the_images_along_either_axis_is_no_loss_of_coherence():
+    a, b = (ArrayImage(x) for x in shifted_pair(SHAPE, (0.45, -0.45), seed=3, snr=1000.0))
     points = grid_points((320, 440), window=(16, 30)) + 32
     found = estimate_whitening(a, b, points, points).coherence
     # 0.03 to 0.13 cycle/px along columns: noise is 1e-6 of it, a hundredth of a pixel off loses as little;
