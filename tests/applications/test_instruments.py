@@ -68,11 +68,11 @@ def test_the_motion_of_every_instrument_is_recovered_within_its_sigma(case, tmp_
     truth = scenario.truth[:, 1:]
     for name, axis in score.axes.items():
         # one seed: rms / sigma of n independent errors scatters by 1 / sqrt(2 n), and slow errors, of which a
-        # short strip holds a few, make it twice what it should be, or half; a sign or a unit would make it
-        # hundreds. validation/instruments.py pools seeds
+        # short strip holds some three, make it that of three draws: .15 to 2.1 but once in a hundred; a sign
+        # or a unit would make it hundreds. validation/instruments.py pools seeds
         spread = 1.0 + 3.0 / np.sqrt(2.0 * min(axis.effective_samples, 100.0))
         factor = max(1.4, spread)
-        assert axis.sigma / (2.0 * factor) < axis.rms < factor * axis.sigma, (name, axis)
+        assert 0.15 * axis.sigma < axis.rms < factor * axis.sigma, (name, axis)
     # the images tell something: along and across the scan the error is far below the motion (2 px rms, less
     # what is hidden), wherever yaw does not come between
     moved = np.sqrt(np.mean((truth - truth.mean(axis=0)) ** 2, axis=0))[:2] / scenario.options.ifov

@@ -10,7 +10,7 @@ import pytest
 from motion.strips import ALTITUDE, PERIOD, strip_cameras
 from sightline.applications.strip import RecoverOptions, prepared
 from sightline.applications.strip_checks import checked, farthest_control
-from sightline.errors import InputError
+from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
@@ -19,7 +19,7 @@ from sightline.motion.band import Band
 from sightline.motion.hyper import KnownContent
 from sightline.motion.sensors import ControlPoints
 
-SHAPE = (161, 220)
+SHAPE = (401, 220)
 
 
 @pytest.fixture(scope="module")
@@ -37,11 +37,11 @@ def refused(strip, options=None) -> str:
 
 
 class TestKnownMotion:
-    # 161 lines, 160 periods of 0.5 ms: 12.5 Hz to 1000 Hz
-    @pytest.mark.parametrize("tone", [1e-3, 12.4, 0.5 / PERIOD, 5e6])
+    # 401 lines, 400 periods of 0.5 ms: 5 Hz to 1000 Hz
+    @pytest.mark.parametrize("tone", [1e-3, 4.9, 0.5 / PERIOD, 5e6])
     def test_a_tone_that_the_lines_cannot_hold_is_refused(self, strip, tone):
         said = refused(replace(strip, known=KnownContent((100.0, tone))))
-        assert said.startswith(f"`tones` of [known_motion] holds {tone:g} Hz; allowed are 12.5 Hz")
+        assert said.startswith(f"`tones` of [known_motion] holds {tone:g} Hz; allowed are 5 Hz")
         assert "to below 1000 Hz (half the line rate)" in said
 
     def test_repeated_tones_are_one(self, strip):
@@ -60,21 +60,25 @@ class TestWindows:
     @pytest.mark.parametrize(
         ("key", "value"),
         [
-            ("window", (162, 100)),
+            ("window", (402, 100)),
             ("window", (4, 221)),
-            ("first_window", (162, 100)),
+            ("first_window", (402, 100)),
             ("search_px", (8, 10**6)),
-            ("step", 162),
+            ("step", 402),
         ],
     )
     def test_sizes_larger_than_the_image_are_refused_by_key(self, strip, key, value):
         said = refused(strip, RecoverOptions(**{key: value}))
         given = value if key == "step" else list(value)
-        assert said.startswith(f"`{key}` of [matching] is {given}; the smallest image has 161 lines and 220 ")
+        assert said.startswith(f"`{key}` of [matching] is {given}; the smallest image has 401 lines and 220 ")
 
-    def test_windows_of_usual_width_fit_a_narrow_detector(self, strip):
-        narrow = [replace(b, image=ArrayImage(np.zeros((161, 40)))) for b in strip.bands]
-        checked(replace(strip, bands=tuple(narrow)), RecoverOptions())
+    def test_a_detector_too_narrow_for_two_windows_is_told_which_fit(self, strip):
+        narrow = replace(
+            strip, bands=tuple(replace(b, image=ArrayImage(np.zeros((401, 40)))) for b in strip.bands)
+        )
+        with pytest.raises(EstimationError, match=r"band 0 has 40 columns.*first_window = \[10, 20\]"):
+            checked(narrow, RecoverOptions())
+        checked(narrow, RecoverOptions(first_window=(10, 20), window=(4, 20)))
 
     def test_features_outside_every_image_are_refused(self, strip):
         features = {0: np.array([[500.0, 10.0], [10.0, -3.0]])}

@@ -10,6 +10,9 @@ import pytest
 from tests.fuzz.hunt import Hunter
 from tests.fuzz.seeds import build
 
+#: s for which other processes wait for the seeds.
+MOST_WAITED = 300
+
 
 @pytest.fixture(scope="session")
 def seeds(tmp_path_factory) -> Path:
@@ -20,13 +23,15 @@ def seeds(tmp_path_factory) -> Path:
         return root
     root = tmp_path_factory.getbasetemp().parent / "fuzz-seeds"
     try:
-        root.with_suffix(".made").mkdir()
+        root.with_suffix(".taken").mkdir()
     except FileExistsError:
-        while not root.is_dir():
+        for _ in range(MOST_WAITED * 5):
+            if root.is_dir():
+                return root
             time.sleep(0.2)
-    else:
-        build(root.with_suffix(".made"))
-        root.with_suffix(".made").rename(root)
+        pytest.fail("the process that makes the seeds has not made them")
+    build(root.with_suffix(".made"))
+    root.with_suffix(".made").rename(root)
     return root
 
 

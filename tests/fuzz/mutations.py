@@ -689,7 +689,8 @@ def _array_edit(draw, content: bytes) -> tuple[str, bytes]:
             flat = array.reshape(-1)
             array = draw(
                 st.sampled_from(
-                    [flat, flat[:0], np.array(flat[0]) if flat.size else flat, array[:0], array[..., :0], array[None], array[:1],
+                    [flat, flat[:0], np.array(flat[0]) if flat.size else flat, array[:0], array[..., :0],
+                     array[None], array[:1],
                      np.repeat(array, 2, axis=0) if array.ndim else flat, array.T]
                 )
             )  # fmt: skip

@@ -189,7 +189,7 @@ def test_a_wrong_option_gives_one_error_and_writes_nothing(tmp_path, capsys, wor
 
 def test_frames_are_written_in_place_of_points(tmp_path):
     out = tmp_path / "pass"
-    words = "--images --shots 1 --columns 32 --fov 0.1 --relief none"
+    words = "--images --shots 1 --columns 128 --fov 0.1 --relief none"
     assert run(["simulate", "stereo", *words.split(), "--out", str(out)]) == 0
     told = tomllib.loads((out / "stereo.toml").read_text(encoding="utf-8"))
     assert told["images"] == "images.csv" and "matches" not in told and "sigma_px" not in told["noise"]

@@ -18,8 +18,8 @@ from sightline.motion.windows import WindowGrid, predict_windows
 
 #: Tones nearer than this share of the lowest frequency that a strip holds are one.
 SAME_TONE = 0.1
-#: Windows of the first pass that must lie in another image: 20 must match, and at edges some do not.
-FEWEST_WINDOWS = 24
+#: Windows of the first pass that must find their ground in another image.
+FEWEST_WINDOWS = 20
 #: Rows of windows that are asked where they lie: evenly spread, of however long a strip.
 ROWS_ASKED = 200
 #: rad; angles of the motion are small: control points further from where the cameras see them are mistakes.
@@ -87,12 +87,20 @@ def _check_windows(strip: Strip, options: RecoverOptions) -> None:
         raise InputError(f"`step` of [matching] is {options.step}; {size}: at most {shape[0]} is allowed")
 
 
-def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
-    """Windows of the first pass lie on ground that another image sees too: enough, and two side by side."""
+def windows_in_common(strip: Strip, options: RecoverOptions) -> tuple[float, float, int]:
+    """Windows of the first pass on ground that another image sees too.
+
+    Returns
+    -------
+    seen, whole : float
+        How many have their middle, and all of themselves, in another image.
+    side_by_side : int
+        Most that one row has of the former.
+    """
     plan = strip.plan(options, options.first_window, 2 * options.first_window[0])
     shapes = [(band.image.shape[0], band.image.shape[1]) for band in strip.bands]
     hubs = hub_windows(strip.nominal, strip.surface, shapes, strip.order, plan, strip.views)
-    common, side_by_side = 0.0, 0
+    common, within, side_by_side = 0.0, 0.0, 0
     for hub, partners, grid in hubs:
         asked = grid.lines[np.linspace(0, len(grid.lines) - 1, min(len(grid.lines), ROWS_ASKED)).astype(int)]
         some = WindowGrid(grid.window, asked, grid.columns)
@@ -103,14 +111,22 @@ def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
             with np.errstate(invalid="ignore"):
                 seen |= ((found.b >= 0.0) & (found.b <= np.array(shapes[image]) - 1.0)).all(axis=1)
             whole |= within_image(found.b, shapes[image], grid.window)
-        common += float(whole.sum()) * len(grid.lines) / len(asked)
+        common += float(seen.sum()) * len(grid.lines) / len(asked)
+        within += float(whole.sum()) * len(grid.lines) / len(asked)
         side_by_side = max(side_by_side, int(seen.reshape(some.shape).sum(axis=1).max(initial=0)))
+    return common, within, side_by_side
+
+
+def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
+    """Windows of the first pass lie on ground that another image sees too: enough, and two side by side."""
+    common, _, side_by_side = windows_in_common(strip, options)
     if common < FEWEST_WINDOWS:
         height, width = options.first_window
+        size = f"{height} x {min(width, strip.bands[0].image.shape[1])} px"
         raise EstimationError(
-            f"the images have too little ground in common: {common:.0f} windows of {height} x "
-            f"{min(width, shapes[0][1])} px, {FEWEST_WINDOWS} are needed; give longer images (more lines "
-            "than the longest lag), or smaller windows: [matching] first_window"
+            f"the images have too little ground in common: {common:.0f} windows of {size}, {FEWEST_WINDOWS} "
+            "are needed; give longer images (more lines than the longest lag), or smaller windows: "
+            "[matching] first_window"
         )
     if side_by_side < 2:
         name, columns = min(((b.name, b.image.shape[1]) for b in strip.bands), key=lambda entry: entry[1])

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 
 #: px; up to which sizes are tried.
 MOST_LINES, MOST_COLUMNS = 1_000_000, 100_000
+#: Windows of the first pass that lie in two images: 20 must match, and at edges some do not.
+LEAST_WHOLE = 24
 #: px; sides of frames in which points are found.
 LEAST_MATCHED = 128
 
@@ -86,6 +88,7 @@ def _why_useless(
     """Why a strip of these cameras cannot be recovered; "" where it can."""
     from sightline.applications.line_of_sight import ready_strip
     from sightline.applications.strip import RecoverOptions
+    from sightline.applications.strip_checks import windows_in_common
     from sightline.errors import SightlineError
     from sightline.io.ground import check_overlap
     from sightline.motion.band import Band
@@ -95,11 +98,15 @@ def _why_useless(
         Band(name, _Unread((camera.lines, camera.columns)), camera)
         for name, camera in zip(names, cameras, strict=True)
     ]
+    options = RecoverOptions(pairs=pairs)
     try:
         check_overlap(Path("acquisition.toml"), surface, cameras, names)
-        ready_strip(bands, surface, (), None, None, RecoverOptions(pairs=pairs))
+        strip = ready_strip(bands, surface, (), None, None, options)
     except SightlineError as error:
         return str(error).removeprefix("acquisition.toml: ")
+    _, whole, _ = windows_in_common(strip, options)
+    if whole < LEAST_WHOLE:
+        return f"{whole:.0f} windows lie in two images, too few of which will match"
     return ""
 
 

@@ -174,7 +174,7 @@ class StereoOptions:
             ("sigma_px", 1e-6, 100.0),
             ("sigma_position", 0.0, 1e6), ("sigma_attitude", 0.0, 0.05), ("dem_sigma", 0.0, 1e4),
             ("noise_scale", 0.0, 100.0), ("jitter_frequency", 1e-6, 1e4), ("relief_range", 0.0, 1e5),
-            ("fov", 1e-6, 2.1), ("window", 0.0, 1e5), ("separation", 0.0, 1e5),
+            ("window", 0.0, 1e5), ("separation", 0.0, 1e5),
         ):  # fmt: skip
             check_within(self, name, low, high)
         if 0 < self.lines < 16:
