@@ -119,7 +119,7 @@ def bands(folder: Path) -> None:
 def level(folder: Path) -> None:
     """Level flight with everything that can stand beside the images."""
     bands(folder)
-    (folder / "flat.npy").write_bytes(npy(noise(3, (100, 100))))
+    (folder / "flat.npy").write_bytes(npy(noise(3, (240, 240), 255).astype(np.uint8)))
     t = PERIOD * np.arange(LINES)
     write_tif(folder / "mask.tif", (noise(2, (LINES, COLUMNS)) > 850).astype(np.uint8))
     local_dem(folder / "dem.tif", west=-200.0, north=500.0, step=20.0, shape=(40, 20))
