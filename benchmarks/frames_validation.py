@@ -21,7 +21,7 @@ from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Frame, LensKnowledge
-from sightline.motion.frame_hidden import relative_covariance, without
+from sightline.motion.frames.hidden import relative_covariance, without
 from sightline.simulate.frames import FrameScenario, frames_case
 
 FIRST_SEED = 100

@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from motion.frame_closure import Closure, closure
 from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
 from sightline.geometry.surface import Surface
-from sightline.io.acquisition import load_acquisition
+from sightline.io.acquisition.load import load_acquisition
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "iss_frames.py"
 LAGS = (2, 3, 5)

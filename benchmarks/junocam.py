@@ -22,11 +22,11 @@ from scipy.ndimage import uniform_filter
 from sightline import write_junocam_acquisition
 from sightline.applications.spin_attitude import SpinAttitude, recover_spin_attitude
 from sightline.imaging.source import ArrayImage
-from sightline.io.acquisition import load_acquisition
+from sightline.io.acquisition.load import load_acquisition
 from sightline.matching.match_images import match_images
-from sightline.motion.spin_frames import SPIN_NAMES, SpinEstimate
-from sightline.motion.spin_report import at_camera
-from sightline.motion.windows import window_grid
+from sightline.motion.measure.windows import window_grid
+from sightline.motion.spin.report import at_camera
+from sightline.motion.spin.solve import SPIN_NAMES, SpinEstimate
 from sightline.products.frame_mosaic import frame_mosaic
 
 DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))

@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from motion.estimators.s1_combinations import in_turn, max_band
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.geometry.trajectory import Motion
-from sightline.motion.differences import AngleDifferences
+from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.estimators.inverse import inverse
 from sightline.motion.estimators.kalman import kalman
 from sightline.motion.estimators.polynomial import polynomial

@@ -52,17 +52,17 @@ from scipy.spatial.transform import Rotation
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "src"))
 
-from sightline.applications.frame_sequence import SequenceProblem  # noqa: E402
 from sightline.applications.sequence_poses import follow_sequence, georeference_sequence  # noqa: E402
 from sightline.errors import SightlineError  # noqa: E402
 from sightline.evaluation.score_poses import align, pose_errors  # noqa: E402
 from sightline.geometry.rotations import NADIR_MOUNT  # noqa: E402
 from sightline.geometry.surface import Plane  # noqa: E402
-from sightline.io.sequence_poses import track_attitude  # noqa: E402
-from sightline.photogrammetry.frame_poses import RoughPoses  # noqa: E402
-from sightline.photogrammetry.frame_subset import choose_subset  # noqa: E402
-from sightline.photogrammetry.pose_interpolation import between_anchors, by_displacement  # noqa: E402
-from sightline.photogrammetry.reconstruct import Reconstruction, filter_pairs, reconstruct  # noqa: E402
+from sightline.io.sequence.poses import track_attitude  # noqa: E402
+from sightline.photogrammetry.flight.interpolation import between_anchors, by_displacement  # noqa: E402
+from sightline.photogrammetry.flight.poses import RoughPoses  # noqa: E402
+from sightline.photogrammetry.flight.problem import SequenceProblem  # noqa: E402
+from sightline.photogrammetry.flight.reconstruct import Reconstruction, filter_pairs, reconstruct  # noqa: E402
+from sightline.photogrammetry.flight.subset import choose_subset  # noqa: E402
 from sightline.photogrammetry.sightings import Images  # noqa: E402
 from sightline.simulate.sequence import SequenceScenario, sequence_case  # noqa: E402
 

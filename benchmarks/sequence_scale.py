@@ -21,12 +21,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sightline.applications import sequence_poses
-from sightline.applications.frame_sequence import SequenceProblem
-from sightline.applications.sequence_blocks import BLOCK_FRAMES
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
-from sightline.photogrammetry.frame_poses import RoughPoses
+from sightline.photogrammetry.flight.blocks import BLOCK_FRAMES
+from sightline.photogrammetry.flight.poses import RoughPoses
+from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.sightings import Images
 
 SIZES = (1000, 3000, 10000)

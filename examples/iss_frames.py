@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 from sightline.applications.frame_attitude import mount_by_motion
-from sightline.io.acquisition import load_acquisition
-from sightline.io.exif import write_photo_acquisition
+from sightline.io.acquisition.load import load_acquisition
+from sightline.io.formats.exif import write_photo_acquisition
 
 DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))
 ALTITUDE, GROUND, GROUND_SIGMA = 420e3, 1000.0, 800.0

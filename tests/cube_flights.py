@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Dem
 from sightline.imaging.source import ArrayImage
 from sightline.matching.follow import Followed
-from sightline.photogrammetry.frame_poses import FramePoses, RoughPoses
-from sightline.photogrammetry.frame_subset import Subset
+from sightline.photogrammetry.flight.poses import FramePoses, RoughPoses
+from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.photogrammetry.flight.subset import Subset
 from sightline.photogrammetry.sightings import Images, Tracks
 from sightline.simulate.sequence import SequenceScenario, sequence_case
 

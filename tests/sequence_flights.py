@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import chi2
 
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
-from sightline.photogrammetry.frame_poses import RoughPoses
+from sightline.photogrammetry.flight.poses import RoughPoses
+from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.sightings import Images
 from sightline.simulate.sequence import SequenceScenario
 

@@ -14,7 +14,7 @@ SOURCE = ROOT / "src" / "sightline"
 
 # Each layer may import only itself and those before it.
 LAYERS = (
-    "version errors inputs access execution compiled writing geometry estimation imaging matching "
+    "version errors inputs access execution compiled writing stages geometry estimation imaging matching "
     "photogrammetry motion products tdi simulate applications evaluation io report cli __main__"
 ).split()
 

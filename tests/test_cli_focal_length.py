@@ -9,10 +9,10 @@ import pytest
 
 from consistency import assert_possible
 from sightline.cli.main import run
-from sightline.io.colmap import read_colmap_model
-from sightline.io.opensfm import read_opensfm
-from sightline.io.poses import read_pose_covariance
-from sightline.io.sequence import load_sequence
+from sightline.io.formats.colmap import read_colmap_model
+from sightline.io.formats.opensfm import read_opensfm
+from sightline.io.results.poses import read_pose_covariance
+from sightline.io.sequence.load import load_sequence
 
 #: Level ground, and positions to 5 cm above it.
 WORDS = (

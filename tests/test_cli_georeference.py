@@ -16,9 +16,9 @@ import pytest
 
 from sightline.cli.main import main, run
 from sightline.errors import InputError
-from sightline.io.colmap import read_colmap_model
-from sightline.io.opensfm import read_opensfm
-from sightline.io.poses import read_pose_covariance, read_pose_table, read_pose_truth
+from sightline.io.formats.colmap import read_colmap_model
+from sightline.io.formats.opensfm import read_opensfm
+from sightline.io.results.poses import read_pose_covariance, read_pose_table, read_pose_truth
 from sightline.version import VERSION
 
 FILES = (
@@ -159,7 +159,7 @@ def signals_as_before():
 def test_a_run_that_was_stopped_goes_on_by_the_same_command(
     flight, done, tmp_path, capsys, monkeypatch, signals_as_before, number, status, by, words
 ):
-    from sightline.applications import sequence_solver
+    from sightline.photogrammetry.flight import solver as sequence_solver
 
     file, out = str(flight / "sequence.toml"), tmp_path / "out"
 
@@ -265,7 +265,7 @@ def test_maps_that_fail_leave_the_poses(flight, tmp_path, capsys, monkeypatch):
         (store.folder / "bands").mkdir()
         raise InputError("no frame that can be used looks at the ground: there is nothing to map")
 
-    monkeypatch.setattr("sightline.io.cube_summary.assemble_cube", nothing_to_map)
+    monkeypatch.setattr("sightline.io.results.cube_summary.assemble_cube", nothing_to_map)
     out = tmp_path / "out"
     assert run(["georeference", str(flight / "sequence.toml"), "--out", str(out)]) == 0
     said = capsys.readouterr().err

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sightline.cli.main import run
-from sightline.io.hidden import write_hidden
-from sightline.io.tables import TRUTH, MotionTable, write_columns, write_motion
+from sightline.io.formats.tables import TRUTH, MotionTable, write_columns, write_motion
+from sightline.io.results.hidden import write_hidden
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sightline.cli.main import run
-from sightline.io.poses import read_pose_truth
-from sightline.io.sequence import read_sequence
+from sightline.io.results.poses import read_pose_truth
+from sightline.io.sequence.load import read_sequence
 
 CASES = {
     "lvf": "122 wavelengths",

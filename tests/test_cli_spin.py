@@ -10,9 +10,9 @@ from tests.motion.spinning import SpinningCamera, Texture
 
 from sightline.cli.main import run
 from sightline.errors import FormatError
-from sightline.io.acquisition import load_acquisition
+from sightline.io.acquisition.load import load_acquisition
 from sightline.io.names import toml_string
-from sightline.io.registered_frames import read_recovered_spin, register_frames
+from sightline.io.results.registered_frames import read_recovered_spin, register_frames
 
 FOCAL, LINES, COLUMNS, EXPOSURES, INTERVAL, TURN = 500.0, 64, 160, 4, 0.4, -0.08
 AXIS_LINES = {"blue": 80.0, "green": 8.0, "red": -64.0}

@@ -29,8 +29,8 @@ from sightline.geometry.scan import scan_velocity
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.matching.matches import Matches
-from sightline.motion.differences import AngleDifferences
-from sightline.motion.predict import residuals
+from sightline.motion.estimators.differences import AngleDifferences
+from sightline.motion.measure.predict import residuals
 
 ALTITUDE, SPEED, IFOV, PERIOD, COLUMNS = 700e3, 7e3, 1e-6, 1e-4, 1801
 MIDDLE = (COLUMNS - 1) / 2

@@ -10,13 +10,13 @@ import pytest
 from sightline.cli.main import run
 from sightline.errors import FormatError
 from sightline.inputs import noted
-from sightline.io.acquisition import load_acquisition
-from sightline.io.images import open_image
-from sightline.io.instrument import load_instrument
-from sightline.io.recovered import read_recovered
-from sightline.io.sequence import read_sequence
-from sightline.io.stereo import read_stereo
-from sightline.io.tdi import load_tdi, tdi_inputs
+from sightline.io.acquisition.load import load_acquisition
+from sightline.io.formats.images import open_image
+from sightline.io.layout.load import load_instrument
+from sightline.io.results.recovered import read_recovered
+from sightline.io.sequence.load import read_sequence
+from sightline.io.stereo.load import read_stereo
+from sightline.io.tdi.load import load_tdi, tdi_inputs
 
 
 def real(paths):

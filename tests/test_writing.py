@@ -16,7 +16,7 @@ import pytest
 import rasterio
 
 from sightline.errors import InputError
-from sightline.io.ccsds import write_aem
+from sightline.io.formats.ccsds import write_aem
 from sightline.writing import (
     creation_date,
     in_bytes,
@@ -74,7 +74,7 @@ LIMITED = textwrap.dedent("""
     import resource, sys, warnings
     from pathlib import Path
     import numpy as np, rasterio
-    from sightline.io.registered import optimise
+    from sightline.io.results.registered import optimise
     from sightline.writing import whole_raster
 
     warnings.simplefilter("ignore")

@@ -24,10 +24,10 @@ from sightline.estimation.series import DifferenceSeries, Grid
 from sightline.estimation.series import normal_equations as series_equations
 from sightline.estimation.split import split
 from sightline.geometry.trajectory import Trajectory
-from sightline.motion.fusion import SensorRows, attitude_rows, tie, unfelt_tones
-from sightline.motion.joint import JointPrior, angles_at, directions_at, solve_joint
-from sightline.motion.normal_equations import NormalEquations, TimeGrid, no_information
 from sightline.motion.sensors import AttitudeSensor
+from sightline.motion.strip.fusion import SensorRows, attitude_rows, tie, unfelt_tones
+from sightline.motion.strip.joint import JointPrior, angles_at, directions_at, solve_joint
+from sightline.motion.strip.normal_equations import NormalEquations, TimeGrid, no_information
 
 Array = NDArray[np.float64]
 

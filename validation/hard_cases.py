@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.line_of_sight import recover_line_of_sight
-from sightline.applications.results import LineOfSight
 from sightline.evaluation.score import remove_directions
 from sightline.geometry.surface import Plane
+from sightline.motion.results import LineOfSight
 from sightline.motion.sensors import AttitudeSensor
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case
 

@@ -23,8 +23,8 @@ import numpy as np
 
 from sightline.cli.recover import recover_acquisition
 from sightline.evaluation.score import AXES, AxisScore, score_motion
-from sightline.io.acquisition import load_acquisition
-from sightline.io.tables import read_motion
+from sightline.io.acquisition.load import load_acquisition
+from sightline.io.formats.tables import read_motion
 from sightline.simulate.instrument_files import write_instrument
 from sightline.simulate.instruments import INSTRUMENT_CASES, instrument_case
 

@@ -33,11 +33,11 @@ from sightline.estimation.evidence import posterior
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.series import Grid, normal_equations
 from sightline.estimation.split import split
-from sightline.motion.differences import AngleDifferences
+from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.estimators.smoother import scalar_series, smooth
-from sightline.motion.layout_information import RowNoise
-from sightline.motion.layout_search import Candidates, search_layouts
-from sightline.motion.layout_sigma import harmonic_sigma, smoother_sigma
+from sightline.motion.layout.information import RowNoise
+from sightline.motion.layout.search import Candidates, search_layouts
+from sightline.motion.layout.sigma import harmonic_sigma, smoother_sigma
 
 Array = NDArray[np.float64]
 

@@ -20,8 +20,8 @@ from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Plane
-from sightline.motion.layout_information import RowNoise
-from sightline.motion.layout_sigma import harmonic_sigma
+from sightline.motion.layout.information import RowNoise
+from sightline.motion.layout.sigma import harmonic_sigma
 from sightline.simulate.scenarios import line_of_sight_case
 from sightline.simulate.scene import TextureLaw
 

@@ -28,7 +28,6 @@ import gates
 import numpy as np
 
 from sightline.applications.line_of_sight import recover_line_of_sight
-from sightline.applications.results import LineOfSight
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.instrument import LineDetector
 from sightline.geometry.pointing import FixedMount
@@ -36,7 +35,8 @@ from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Trajectory
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Band
-from sightline.motion.joint import remove_directions
+from sightline.motion.results import LineOfSight
+from sightline.motion.strip.joint import remove_directions
 from sightline.motion.tones import detect_tones
 
 DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))

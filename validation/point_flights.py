@@ -19,14 +19,14 @@ import rasterio
 from rasterio.errors import NotGeoreferencedWarning
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
-from sightline.io.sequence import load_sequence
+from sightline.io.sequence.load import load_sequence
 from sightline.matching.follow import Followed
-from sightline.photogrammetry.frame_poses import RoughPoses
+from sightline.photogrammetry.flight.poses import RoughPoses
+from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.sightings import Images, Tracks
 
 SHAPE, FOCAL, ALTITUDE, RATE = (160, 200), 250.0, 80.0, 25.0

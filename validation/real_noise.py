@@ -31,7 +31,7 @@ from sightline.applications.strip_noise import (
 )
 from sightline.errors import EstimationError
 from sightline.imaging.noise_estimation import Estimate, column_pattern
-from sightline.io.hirise_edr import read_hirise_edr
+from sightline.io.formats.hirise_edr import read_hirise_edr
 
 DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))
 IMAGE = DATA / "hirise_edr_bg12/PSP_001446_1790_BG12_0.IMG"

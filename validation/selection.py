@@ -14,10 +14,10 @@ import gates
 import numpy as np
 
 from sightline.applications.line_of_sight import recover_line_of_sight
-from sightline.applications.strip import RecoverOptions
 from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Plane
 from sightline.matching.select import Selection
+from sightline.motion.strip.strip import RecoverOptions
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case
 
 SIZE = {"lines": 1500, "columns": 700}

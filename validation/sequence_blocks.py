@@ -14,8 +14,8 @@ import numpy as np
 from sequence_poses import problem_of
 
 from sightline.applications import sequence_poses
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
+from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.simulate.sequence import sequence_case
 
 NAMES = ("x", "y", "z", "roll", "pitch", "yaw")

@@ -23,10 +23,10 @@ from point_flights import ASIDE, Flight, Kind, about, draw
 from sequence_poses import problem_of
 
 from sightline.applications.sequence_poses import georeference_sequence, poses_of_windows
-from sightline.applications.sequence_solver import SequenceSolver, ground_distances
 from sightline.errors import EstimationError
-from sightline.photogrammetry.frame_poses import FramePoses
-from sightline.photogrammetry.frame_subset import choose_subset
+from sightline.photogrammetry.flight.poses import FramePoses
+from sightline.photogrammetry.flight.solver import SequenceSolver, ground_distances
+from sightline.photogrammetry.flight.subset import choose_subset
 from sightline.photogrammetry.sightings import appended
 from sightline.simulate.sequence import sequence_case
 

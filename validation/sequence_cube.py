@@ -31,12 +31,12 @@ from sightline.applications.frame_cube import (
     images_of,
     map_of,
 )
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Dem
-from sightline.io.cube_files import CubeFolder
-from sightline.io.images import open_image
+from sightline.io.formats.images import open_image
+from sightline.io.results.cube_files import CubeFolder
+from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.products.frame_cube import CubeMaker, FrameViews, tiles_of
 from sightline.simulate.sequence import SequenceScenario, sequence_case
 

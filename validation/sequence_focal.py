@@ -20,7 +20,7 @@ from sequence_covariance import INSIDE, errors, scaled_errors
 
 from sightline.applications.sequence_poses import poses_of_windows
 from sightline.errors import EstimationError
-from sightline.photogrammetry.frame_focal import FocalStretch
+from sightline.photogrammetry.flight.focal import FocalStretch
 
 PRECISE = {"place": (0.05, 0.05, 0.05), "place_bias": 0.1}
 

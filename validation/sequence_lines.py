@@ -17,11 +17,11 @@ import numpy as np
 from sequence_poses import problem_of
 
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
-from sightline.applications.sequence_solver import SequenceSolver
-from sightline.photogrammetry import frame_poses
-from sightline.photogrammetry.frame_poses import FramePoses
+from sightline.photogrammetry.flight import poses as frame_poses
+from sightline.photogrammetry.flight.poses import FramePoses
+from sightline.photogrammetry.flight.solver import SequenceSolver
+from sightline.photogrammetry.flight.solving_order import SolvingOrder, one_band, solving_order
 from sightline.photogrammetry.sightings import Images, Sightings
-from sightline.photogrammetry.solving_order import SolvingOrder, one_band, solving_order
 from sightline.simulate.sequence import sequence_case
 
 

@@ -14,14 +14,14 @@ import gates
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import georeference_sequence
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.matching.follow import FollowPlan
-from sightline.photogrammetry.frame_poses import RoughPoses
-from sightline.photogrammetry.pose_interpolation import between_anchors, by_displacement
+from sightline.photogrammetry.flight.interpolation import between_anchors, by_displacement
+from sightline.photogrammetry.flight.poses import RoughPoses
+from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.sightings import Images
 from sightline.simulate.sequence import SequenceScenario, sequence_case
 

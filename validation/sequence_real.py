@@ -24,15 +24,15 @@ import gates
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
-from sightline.applications.sequence_solver import SequenceSolver
-from sightline.applications.sequence_start import begun
 from sightline.geometry.checks import Array
-from sightline.io.sequence import load_sequence
+from sightline.io.sequence.load import load_sequence
+from sightline.photogrammetry.block.point_priors import PointPriors, level_axes
+from sightline.photogrammetry.flight.poses import FramePoses, adjust_frames
+from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.photogrammetry.flight.solver import SequenceSolver
+from sightline.photogrammetry.flight.start import begun
 from sightline.photogrammetry.frame_cameras import frame_cameras
-from sightline.photogrammetry.frame_poses import FramePoses, adjust_frames
-from sightline.photogrammetry.point_priors import PointPriors, level_axes
 from sightline.photogrammetry.sightings import Images, Tracks, sight_frames
 
 DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))

@@ -27,7 +27,7 @@ from sightline.estimation.evidence import Posterior, posterior
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.series import Grid, normal_equations
 from sightline.estimation.split import split
-from sightline.motion.differences import AngleDifferences
+from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.estimators.inverse import inverse
 from sightline.motion.estimators.smoother import fit_spectra, scalar_series, smooth
 

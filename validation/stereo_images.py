@@ -34,7 +34,7 @@ from sightline.applications.stereo_orientation import StereoProblem
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.orbit_pair import OrbitPair
 from sightline.imaging.source import ArrayImage
-from sightline.photogrammetry.bundle import adjust
+from sightline.photogrammetry.block.bundle import adjust
 from sightline.photogrammetry.frame_cameras import frame_cameras
 from sightline.photogrammetry.match_frames import TrackPlan
 from sightline.photogrammetry.sightings import Tracks, sight_frames

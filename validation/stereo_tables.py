@@ -32,10 +32,10 @@ from photogrammetry.stereo_scene import (
     shoot,
 )
 from published import s2_literal
-from sightline.photogrammetry.epipolar import orient_by_epipolar
-from sightline.photogrammetry.pairs import pair_sightings
-from sightline.photogrammetry.plane import orient_by_plane
-from sightline.photogrammetry.pose_noise import PoseNoise
+from sightline.photogrammetry.block.pose_noise import PoseNoise
+from sightline.photogrammetry.pair.epipolar import orient_by_epipolar
+from sightline.photogrammetry.pair.pairs import pair_sightings
+from sightline.photogrammetry.pair.plane import orient_by_plane
 
 SCENE = 11_000.0
 AIM, UP = np.zeros(3), np.array([0.0, 0.0, 1.0])

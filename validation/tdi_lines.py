@@ -23,7 +23,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.imaging.tdi_transfer import Exposure
-from sightline.io.tdi_tags import tags_as_bytes
+from sightline.io.results.tdi_tags import tags_as_bytes
 from sightline.tdi.choose import TdiChoice, choose_settings
 from sightline.tdi.hysteresis import LineHold, merit_factors, nearest_settings
 from sightline.tdi.merit import DriftMtf

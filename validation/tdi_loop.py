@@ -21,13 +21,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.line_of_sight import recover_line_of_sight
-from sightline.applications.strip import RecoverOptions
 from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Plane
 from sightline.imaging.tdi_noise import NoiseLaw, snr
 from sightline.imaging.tdi_transfer import Exposure, drift_transfer
-from sightline.io.quality import read_match_sigma
-from sightline.io.tables import write_columns
+from sightline.io.acquisition.quality import read_match_sigma
+from sightline.io.formats.tables import write_columns
+from sightline.motion.strip.strip import RecoverOptions
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case
 
 Array = NDArray[np.float64]

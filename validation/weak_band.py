@@ -22,13 +22,13 @@ import gates
 import numpy as np
 
 from sightline.applications.line_of_sight import recover_line_of_sight
-from sightline.applications.strip import RecoverOptions
 from sightline.errors import EstimationError
 from sightline.geometry.surface import Plane
 from sightline.matching.match_images import match_images
 from sightline.motion.band import Band
-from sightline.motion.predict import MovingCamera, predict_match
-from sightline.motion.windows import window_grid
+from sightline.motion.measure.predict import MovingCamera, predict_match
+from sightline.motion.measure.windows import window_grid
+from sightline.motion.strip.strip import RecoverOptions
 from sightline.simulate.scenarios import StripScenario, line_of_sight_case
 
 NAMES = ("PAN", "B1", "B0", "NIR")

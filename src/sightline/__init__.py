@@ -15,16 +15,11 @@ if TYPE_CHECKING:
     from sightline.applications.focal_plane import FocalPlane, LayoutChoice, choose_layout
     from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
     from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube
-    from sightline.applications.frame_passes import FrameOptions
-    from sightline.applications.frame_sequence import SequenceProblem
     from sightline.applications.line_of_sight import recover_line_of_sight
     from sightline.applications.registration import Registration, register_bands
-    from sightline.applications.results import LineOfSight
     from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
     from sightline.applications.spin_attitude import SpinAttitude, SpinOptions, recover_spin_attitude
-    from sightline.applications.stages import Stages
     from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem, orient
-    from sightline.applications.strip import RecoverOptions
     from sightline.applications.tdi_choice import TdiProblem, TdiResult, choose_tdi
     from sightline.errors import (
         EstimationError,
@@ -46,25 +41,30 @@ if TYPE_CHECKING:
     from sightline.imaging.source import ArrayImage, ImageSource
     from sightline.imaging.tdi_noise import NoiseLaw
     from sightline.imaging.tdi_transfer import Exposure
-    from sightline.io.acquired import Acquisition
-    from sightline.io.acquisition import load_acquisition
-    from sightline.io.hidden import remove_hidden
-    from sightline.io.instrument import load_instrument
-    from sightline.io.junocam import write_junocam_acquisition
-    from sightline.io.sequence import load_sequence
-    from sightline.io.stereo import load_stereo
-    from sightline.io.tdi import load_tdi
-    from sightline.io.tdi_tags import read_tdi_tags
+    from sightline.io.acquisition.acquired import Acquisition
+    from sightline.io.acquisition.load import load_acquisition
+    from sightline.io.formats.junocam import write_junocam_acquisition
+    from sightline.io.layout.load import load_instrument
+    from sightline.io.results.hidden import remove_hidden
+    from sightline.io.results.tdi_tags import read_tdi_tags
+    from sightline.io.sequence.load import load_sequence
+    from sightline.io.stereo.load import load_stereo
+    from sightline.io.tdi.load import load_tdi
     from sightline.matching.match_images import match_images
     from sightline.matching.matches import Matches
     from sightline.matching.select import grid_points
     from sightline.motion.band import Band, ChipKnowledge, Frame, LensKnowledge
-    from sightline.motion.differences import AngleDifferences
-    from sightline.motion.predict import predict_match
+    from sightline.motion.estimators.differences import AngleDifferences
+    from sightline.motion.frames.passes import FrameOptions
+    from sightline.motion.measure.predict import predict_match
+    from sightline.motion.results import LineOfSight
+    from sightline.motion.strip.strip import RecoverOptions
+    from sightline.photogrammetry.flight.problem import SequenceProblem
     from sightline.products.frame_mosaic import frame_mosaic
     from sightline.simulate.scenarios import line_of_sight_case
     from sightline.simulate.sequence import sequence_case
     from sightline.simulate.stereo import stereo_case
+    from sightline.stages import Stages
     from sightline.tdi.choose import TdiChoice
     from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
     from sightline.tdi.table import TdiTable
@@ -72,8 +72,8 @@ if TYPE_CHECKING:
 
 # Public name -> module that defines it, sorted; `tests/test_public_api.py` compares it with what is there.
 _MODULE_OF = {
-    "Acquisition": "sightline.io.acquired",
-    "AngleDifferences": "sightline.motion.differences",
+    "Acquisition": "sightline.io.acquisition.acquired",
+    "AngleDifferences": "sightline.motion.estimators.differences",
     "AreaDetector": "sightline.geometry.instrument",
     "ArrayImage": "sightline.imaging.source",
     "Band": "sightline.motion.band",
@@ -93,7 +93,7 @@ _MODULE_OF = {
     "Frame": "sightline.motion.band",
     "FrameAttitude": "sightline.applications.frame_attitude",
     "FrameCamera": "sightline.geometry.camera",
-    "FrameOptions": "sightline.applications.frame_passes",
+    "FrameOptions": "sightline.motion.frames.passes",
     "GeometryError": "sightline.errors",
     "ImageSource": "sightline.imaging.source",
     "InputError": "sightline.errors",
@@ -101,7 +101,7 @@ _MODULE_OF = {
     "LayoutChoice": "sightline.applications.focal_plane",
     "LensKnowledge": "sightline.motion.band",
     "LineDetector": "sightline.geometry.instrument",
-    "LineOfSight": "sightline.applications.results",
+    "LineOfSight": "sightline.motion.results",
     "Matches": "sightline.matching.matches",
     "Motion": "sightline.geometry.trajectory",
     "NoiseLaw": "sightline.imaging.tdi_noise",
@@ -110,19 +110,19 @@ _MODULE_OF = {
     "Pose": "sightline.geometry.trajectory",
     "PushbroomCamera": "sightline.geometry.camera",
     "Rays": "sightline.geometry.camera",
-    "RecoverOptions": "sightline.applications.strip",
+    "RecoverOptions": "sightline.motion.strip.strip",
     "Registration": "sightline.applications.registration",
     "ScanColumns": "sightline.tdi.setting",
     "ScanMirror": "sightline.geometry.pointing",
     "Score": "sightline.evaluation.score",
     "SequencePoses": "sightline.applications.sequence_poses",
-    "SequenceProblem": "sightline.applications.frame_sequence",
+    "SequenceProblem": "sightline.photogrammetry.flight.problem",
     "SightlineError": "sightline.errors",
     "SpanError": "sightline.errors",
     "Spin": "sightline.geometry.spin",
     "SpinAttitude": "sightline.applications.spin_attitude",
     "SpinOptions": "sightline.applications.spin_attitude",
-    "Stages": "sightline.applications.stages",
+    "Stages": "sightline.stages",
     "StereoOrientation": "sightline.applications.stereo_orientation",
     "StereoProblem": "sightline.applications.stereo_orientation",
     "Surface": "sightline.geometry.surface",
@@ -144,24 +144,24 @@ _MODULE_OF = {
     "georeference_sequence": "sightline.applications.sequence_poses",
     "grid_points": "sightline.matching.select",
     "line_of_sight_case": "sightline.simulate.scenarios",
-    "load_acquisition": "sightline.io.acquisition",
-    "load_instrument": "sightline.io.instrument",
-    "load_sequence": "sightline.io.sequence",
-    "load_stereo": "sightline.io.stereo",
-    "load_tdi": "sightline.io.tdi",
+    "load_acquisition": "sightline.io.acquisition.load",
+    "load_instrument": "sightline.io.layout.load",
+    "load_sequence": "sightline.io.sequence.load",
+    "load_stereo": "sightline.io.stereo.load",
+    "load_tdi": "sightline.io.tdi.load",
     "match_images": "sightline.matching.match_images",
     "orient": "sightline.applications.stereo_orientation",
-    "predict_match": "sightline.motion.predict",
-    "read_tdi_tags": "sightline.io.tdi_tags",
+    "predict_match": "sightline.motion.measure.predict",
+    "read_tdi_tags": "sightline.io.results.tdi_tags",
     "recover_frame_attitude": "sightline.applications.frame_attitude",
     "recover_line_of_sight": "sightline.applications.line_of_sight",
     "recover_spin_attitude": "sightline.applications.spin_attitude",
     "register_bands": "sightline.applications.registration",
-    "remove_hidden": "sightline.io.hidden",
+    "remove_hidden": "sightline.io.results.hidden",
     "score_motion": "sightline.evaluation.score",
     "sequence_case": "sightline.simulate.sequence",
     "stereo_case": "sightline.simulate.stereo",
-    "write_junocam_acquisition": "sightline.io.junocam",
+    "write_junocam_acquisition": "sightline.io.formats.junocam",
 }
 
 __all__ = [

@@ -25,8 +25,8 @@ from sightline.cli.main import run
 from sightline.errors import EstimationError, InputError
 from sightline.imaging.noise_estimation import column_pattern
 from sightline.imaging.source import ArrayImage
-from sightline.io.noise_results import NOISE_FILES
-from sightline.io.tdi import load_tdi
+from sightline.io.results.noise import NOISE_FILES
+from sightline.io.tdi.load import load_tdi
 
 LINES, COLUMNS = 640, 256
 SHOT, READ, LEVEL, PATTERN = 0.28, 3.0, 60.0, 2e-3

@@ -12,7 +12,6 @@ from scipy.stats import chi2
 
 from consistency import assert_possible
 from sightline.applications.frame_attitude import mount_by_motion, recover_frame_attitude
-from sightline.applications.frame_passes import FrameOptions
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.instrument import AreaDetector
@@ -20,7 +19,8 @@ from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Frame, LensKnowledge
-from sightline.motion.frame_hidden import relative_covariance, without
+from sightline.motion.frames.hidden import relative_covariance, without
+from sightline.motion.frames.passes import FrameOptions
 from sightline.simulate.frames import FrameScenario, frames_case
 
 OPTIONS = FrameOptions(windows=90, passes=2)

@@ -10,13 +10,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.line_of_sight import recover_line_of_sight
-from sightline.applications.strip import RecoverOptions
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.evaluation.score import score_motion, score_result
 from sightline.geometry.trajectory import Motion, Trajectory
-from sightline.io.tables import read_motion
-from sightline.motion.hyper import KnownContent
+from sightline.io.formats.tables import read_motion
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
+from sightline.motion.strip.hyper import KnownContent
+from sightline.motion.strip.strip import RecoverOptions
 
 #: rad/s; between PAN and B1, 0.15 s apart, this is 30 px, and the first search goes 8 px far.
 RAMP = np.array([0.0, 200.0 * 5e-6, 0.0])

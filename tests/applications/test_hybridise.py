@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from sightline.applications.line_of_sight import recover_line_of_sight
-from sightline.applications.strip import RecoverOptions
 from sightline.errors import InputError
 from sightline.evaluation.score import remove_directions
 from sightline.geometry.surface import Plane
-from sightline.motion.predict import predict_match
+from sightline.motion.measure.predict import predict_match
+from sightline.motion.strip.strip import RecoverOptions
 from sightline.simulate.scenarios import line_of_sight_case
 
 LAGS = (0.0, 0.0513, 0.0222, 0.0351, 0.0937, 0.0740)

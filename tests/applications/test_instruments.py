@@ -13,16 +13,16 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.line_of_sight import recover_line_of_sight
-from sightline.applications.strip import RecoverOptions
 from sightline.cli.recover import recover_acquisition
 from sightline.errors import InputError
 from sightline.evaluation.score import score_motion
 from sightline.geometry.surface import Ellipsoid
 from sightline.imaging.source import ArrayImage
-from sightline.io.acquisition import load_acquisition
+from sightline.io.acquisition.load import load_acquisition
 from sightline.motion.band import Band
-from sightline.motion.joint import remove_directions
-from sightline.motion.viewing_axes import in_axes
+from sightline.motion.strip.joint import remove_directions
+from sightline.motion.strip.strip import RecoverOptions
+from sightline.motion.strip.viewing_axes import in_axes
 from sightline.simulate.instrument_files import write_instrument
 from sightline.simulate.instruments import DetectorOptions, instrument_case
 

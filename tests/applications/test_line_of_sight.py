@@ -13,22 +13,22 @@ from consistency import assert_consistent
 from motion.strips import plain_star, strip_cameras
 from sightline import execution
 from sightline.applications.line_of_sight import _hidden_names, recover_line_of_sight
-from sightline.applications.strip import RecoverOptions, prepared
-from sightline.applications.strip_warnings import _lost_windows
 from sightline.errors import EstimationError, InputError
 from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Dem, Plane
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import ArrayImage
-from sightline.io.tables import read_motion
+from sightline.io.formats.tables import read_motion
 from sightline.matching.matches import KEPT, LOW_SCORE, NO_CONVERGENCE, OUTSIDE
 from sightline.motion.band import Band
-from sightline.motion.joint import JointPrior, remove_directions, solve_joint
-from sightline.motion.normal_equations import normal_equations
-from sightline.motion.predict import predict_match
-from sightline.motion.stars import MatchingPlan, StarRecord, match_star
-from sightline.motion.viewing_axes import turned_directions
-from sightline.motion.windows import window_grid
+from sightline.motion.measure.predict import predict_match
+from sightline.motion.measure.stars import MatchingPlan, StarRecord, match_star
+from sightline.motion.measure.windows import window_grid
+from sightline.motion.strip.joint import JointPrior, remove_directions, solve_joint
+from sightline.motion.strip.normal_equations import normal_equations
+from sightline.motion.strip.strip import RecoverOptions, prepared
+from sightline.motion.strip.viewing_axes import turned_directions
+from sightline.motion.strip.warnings import _lost_windows
 from sightline.simulate.scenarios import line_of_sight_case
 
 SHAPE = (300, 220)

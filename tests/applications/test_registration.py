@@ -8,7 +8,7 @@ import pytest
 from sightline.applications.registration import fit_pairs, recovered_cameras, register_bands
 from sightline.errors import InputError
 from sightline.geometry.surface import Dem, Plane
-from sightline.motion.predict import predict_match
+from sightline.motion.measure.predict import predict_match
 from sightline.simulate.scenarios import line_of_sight_case
 
 

@@ -7,9 +7,9 @@ import pytest
 
 from consistency import bounds
 from sightline.applications.line_of_sight import recover_line_of_sight
-from sightline.applications.strip import RecoverOptions
 from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Dem, Plane
+from sightline.motion.strip.strip import RecoverOptions
 from sightline.simulate.scenarios import line_of_sight_case
 
 

@@ -19,7 +19,7 @@ from consistency import assert_possible
 from sightline.applications.sequence_poses import ESTIMATED, SOLVED, SequencePoses, georeference_sequence
 from sightline.errors import EstimationError, FormatError, InputError
 from sightline.geometry.rotations import NADIR_MOUNT
-from sightline.io.sequence import load_sequence
+from sightline.io.sequence.load import load_sequence
 from sightline.photogrammetry.frame_cameras import frame_cameras
 from sightline.photogrammetry.sightings import Images
 from sightline.simulate.sequence import SequenceScenario, sequence_case

@@ -17,7 +17,7 @@ from sightline.applications.sequence_poses import SequencePoses, georeference_se
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.imaging.source import ArrayImage
-from sightline.photogrammetry.pose_interpolation import between_anchors, by_displacement
+from sightline.photogrammetry.flight.interpolation import between_anchors, by_displacement
 from sightline.simulate.sequence import SequenceScenario, sequence_case
 
 

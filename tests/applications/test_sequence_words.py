@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from tests.io.sequence_files import flight
 
-from sightline.applications.sequence_start import begun
-from sightline.io.sequence import load_sequence
+from sightline.io.sequence.load import load_sequence
 from sightline.matching.follow import Followed
+from sightline.photogrammetry.flight.start import begun
 
 
 def linked(steps: np.ndarray) -> Followed:

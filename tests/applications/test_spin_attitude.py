@@ -19,8 +19,8 @@ from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Infinity
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import ChipKnowledge, Frame, LensKnowledge
-from sightline.motion.frame_hidden import without
-from sightline.motion.spin_frames import AttitudeSigma
+from sightline.motion.frames.hidden import without
+from sightline.motion.spin.solve import AttitudeSigma
 
 INTERVAL, EXPOSURES, LINES, COLUMNS, FOCAL = 0.4, 7, 72, 220, 600.0
 TURN = -0.075  # rad per exposure: 45 px

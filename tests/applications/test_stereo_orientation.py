@@ -19,8 +19,8 @@ from sightline.geometry.pointing import FixedMount
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Trajectory
-from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
-from sightline.photogrammetry.pose_noise import PoseNoise
+from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior, PointPriors
+from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Images, Tracks
 from sightline.simulate.stereo import stereo_case
 

@@ -26,7 +26,7 @@ from sightline.errors import InputError
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.orbit_pair import OrbitPair
 from sightline.geometry.rotations import NADIR_MOUNT
-from sightline.photogrammetry.pose_noise import PoseNoise
+from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Images, Tracks
 from sightline.simulate.stereo import stereo_case
 

@@ -12,15 +12,15 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sightline.applications import line_of_sight
-from sightline.applications.strip import METHODS
 from sightline.applications.strip_methods import by_method
 from sightline.cli.main import run
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.evaluation.score import remove_directions, score_result
-from sightline.io.tables import read_motion
-from sightline.motion.hyper import KnownContent, averaged
-from sightline.motion.normal_equations import TimeGrid
+from sightline.io.formats.tables import read_motion
+from sightline.motion.strip.hyper import KnownContent, averaged
+from sightline.motion.strip.normal_equations import TimeGrid
+from sightline.motion.strip.strip import METHODS
 
 OTHERS = METHODS[1:]
 

@@ -11,7 +11,7 @@ import pytest
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.evaluation.microvibration import line_smear, microvibration
 from sightline.geometry.trajectory import Motion
-from sightline.io.tables import read_columns, read_motion
+from sightline.io.formats.tables import read_columns, read_motion
 
 
 def test_the_smear_of_a_tone_is_its_speed_times_the_line_period(recovery):

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from sightline.applications.results import TimeCovariance
 from sightline.estimation.prior import Spectrum, Tone
 from sightline.evaluation.tone_errors import judged_tones
 from sightline.geometry.trajectory import Motion
+from sightline.motion.results import TimeCovariance
 from sightline.motion.tones import detect_tones
 
 STEP, N = 2e-3, 500  # one second

@@ -74,9 +74,7 @@ def _row(place: str, seed: str, targets: list[str], call: Callable[[Path, Any], 
     module, _, called = place.rpartition(".")
 
     def of_folder(folder: Path) -> None:
-        call(
-            folder, getattr(import_module(f"sightline.{module if '.' in module else 'io.' + module}"), called)
-        )
+        call(folder, getattr(import_module(f"sightline.io.{module}"), called))
 
     name = name or f"io.{place}" + (f" ({targets[0]})" if f"io.{place}" in READERS else "")
     assert name not in READERS, name
@@ -118,121 +116,128 @@ def command(name: str, seed: str, targets: str, words: str, check: str = "") -> 
 
 # Tables -----------------------------------------------------------------------------------------------------
 
-function("tables.read_columns", "level", "gyro.csv", ("t_start", "roll"), ("roll",), ("sigma",))
+function("formats.tables.read_columns", "level", "gyro.csv", ("t_start", "roll"), ("roll",), ("sigma",))
 function(
-    "tables.read_long_columns", "pair", "matches.csv", ("shot", "point", "line_1"), ("sigma_px",), ("shot",)
+    "formats.tables.read_long_columns",
+    "pair",
+    "matches.csv",
+    ("shot", "point", "line_1"),
+    ("sigma_px",),
+    ("shot",),
 )
-function("tables.header_of", "level", "stars.csv")
-function("tables.first_row", "level", "stars.csv")
-_row("tables.line_of_row", "level", ["stars.csv"], lambda folder, read: read(folder / "stars.csv", 0))
-function("tables.read_positions", "orbit-csv", "positions.csv")
-function("tables.read_attitudes", "orbit-csv", "attitudes.csv")
-function("tables.read_star_tracker", "level", "stars.csv")
-function("tables.read_gyro", "level", "gyro.csv")
-function("tables.read_control_points", "level", "control.csv")
-function("tables.read_features", "level", "features.csv")
-function("tables.read_psd", "level", "psd.csv")
-function("tables.read_directions", "level", "directions.csv")
-function("tables.read_line_times", "level", "times.csv")
-function("tables.read_mirror_angles", "mirror", "mirror.csv")
-function("tables.read_motion", "recovered", "result/motion.csv")
-function("quality.read_match_sigma", "level", "quality.csv", 40)
-function("platform.read_positions", "orbit-ccsds", "orbit.oem", EPOCH)
-function("platform.read_attitudes", "orbit-ccsds", "attitude.aem", EPOCH)
-function("ccsds.read_oem", "orbit-ccsds", "orbit.oem", EPOCH)
-function("ccsds.read_aem", "orbit-ccsds", "attitude.aem", EPOCH)
-function("ccsds.is_ccsds", "orbit-ccsds", "attitude.aem", "AEM")
-function("sequence_times.first_instant", "flown-lonlat", "frames.csv")
+function("formats.tables.header_of", "level", "stars.csv")
+function("formats.tables.first_row", "level", "stars.csv")
+_row("formats.tables.line_of_row", "level", ["stars.csv"], lambda folder, read: read(folder / "stars.csv", 0))
+function("formats.tables.read_positions", "orbit-csv", "positions.csv")
+function("formats.tables.read_attitudes", "orbit-csv", "attitudes.csv")
+function("formats.tables.read_star_tracker", "level", "stars.csv")
+function("formats.tables.read_gyro", "level", "gyro.csv")
+function("formats.tables.read_control_points", "level", "control.csv")
+function("formats.tables.read_features", "level", "features.csv")
+function("formats.tables.read_psd", "level", "psd.csv")
+function("formats.tables.read_directions", "level", "directions.csv")
+function("formats.tables.read_line_times", "level", "times.csv")
+function("formats.tables.read_mirror_angles", "mirror", "mirror.csv")
+function("formats.tables.read_motion", "recovered", "result/motion.csv")
+function("acquisition.quality.read_match_sigma", "level", "quality.csv", 40)
+function("acquisition.platform.read_positions", "orbit-ccsds", "orbit.oem", EPOCH)
+function("acquisition.platform.read_attitudes", "orbit-ccsds", "attitude.aem", EPOCH)
+function("formats.ccsds.read_oem", "orbit-ccsds", "orbit.oem", EPOCH)
+function("formats.ccsds.read_aem", "orbit-ccsds", "attitude.aem", EPOCH)
+function("formats.ccsds.is_ccsds", "orbit-ccsds", "attitude.aem", "AEM")
+function("sequence.times.first_instant", "flown-lonlat", "frames.csv")
 function(
-    "sequence_times.read_timed",
+    "sequence.times.read_timed",
     "flown-lonlat",
     "frames.csv",
     ("frame", "t", "image"),
     EPOCH,
     ("frame", "image"),
 )
-function("angle_tables.kind_of_angles", "modelled", "opk.csv")
-function("angle_tables.origin_of_angles", "modelled", "ypr.csv")
-function("angle_tables.read_angles", "modelled", "ypr.csv")
-function("odm.read_geo", "flown-lonlat", "geo.txt")
-function("odm.read_gcp_list", "flown-lonlat", "gcp_list.txt")
-function("envi.read_envi_wavelengths", "flown", "filter.hdr")
-function("poses.read_pose_table", "georeferenced", "result/poses.csv")
-function("poses.read_pose_truth", "georeferenced", "poses-truth.csv")
-function("poses.read_pose_covariance", "georeferenced", "result/covariance.npz")
+function("formats.angle_tables.kind_of_angles", "modelled", "opk.csv")
+function("formats.angle_tables.origin_of_angles", "modelled", "ypr.csv")
+function("formats.angle_tables.read_angles", "modelled", "ypr.csv")
+function("formats.odm.read_geo", "flown-lonlat", "geo.txt")
+function("formats.odm.read_gcp_list", "flown-lonlat", "gcp_list.txt")
+function("formats.envi.read_envi_wavelengths", "flown", "filter.hdr")
+function("results.poses.read_pose_table", "georeferenced", "result/poses.csv")
+function("results.poses.read_pose_truth", "georeferenced", "poses-truth.csv")
+function("results.poses.read_pose_covariance", "georeferenced", "result/covariance.npz")
 
 
 def _with_poses(place: str, targets: str, *more: Any) -> None:
     def call(folder: Path, read: Any) -> None:
-        from sightline.io.stereo_tables import read_poses
+        from sightline.io.stereo.tables import read_poses
 
         read(folder / targets, read_poses(folder / "cameras.csv"), *more)
 
     _row(place, "pictures" if "image" in place else "pair", [targets], call)
 
 
-function("stereo_tables.read_poses", "pair", "cameras.csv")
-_with_poses("stereo_tables.read_matches", "matches.csv", 0.1)
-_with_poses("stereo_tables.read_control", "control.csv", 0.1)
-_with_poses("stereo_tables.read_image_list", "images.csv")
-_with_poses("stereo_tables.read_observations", "observations.csv", 0.1)
-function("stereo_score.read_orientation", "pair", "result/orientation.csv")
-function("stereo_score.read_orientation_truth", "pair", "orientation-truth.csv", ("1", "2"))
-function("stereo_score.read_covariance", "pair", "result/covariance.csv", 6)
+function("stereo.tables.read_poses", "pair", "cameras.csv")
+_with_poses("stereo.tables.read_matches", "matches.csv", 0.1)
+_with_poses("stereo.tables.read_control", "control.csv", 0.1)
+_with_poses("stereo.tables.read_image_list", "images.csv")
+_with_poses("stereo.tables.read_observations", "observations.csv", 0.1)
+function("results.stereo_score.read_orientation", "pair", "result/orientation.csv")
+function("results.stereo_score.read_orientation_truth", "pair", "orientation-truth.csv", ("1", "2"))
+function("results.stereo_score.read_covariance", "pair", "result/covariance.csv", 6)
 
 
 # Images and what instruments deliver ------------------------------------------------------------------------
 
 
 def _look(folder: Path, read: Any, name: str, **options: Any) -> None:
-    from sightline.io.images import check_content
+    from sightline.io.formats.images import check_content
 
     check_content(read(folder / name, **options))
 
 
-_row("images.open_image", "level", ["PAN.tif"], lambda folder, read: _look(folder, read, "PAN.tif"))
-_row("images.open_image", "level", ["XS.npy"], lambda folder, read: _look(folder, read, "XS.npy"))
+_row("formats.images.open_image", "level", ["PAN.tif"], lambda folder, read: _look(folder, read, "PAN.tif"))
+_row("formats.images.open_image", "level", ["XS.npy"], lambda folder, read: _look(folder, read, "XS.npy"))
 _row(
-    "images.open_image", "level", ["mask.tif", "PAN.tif"],
+    "formats.images.open_image", "level", ["mask.tif", "PAN.tif"],
     lambda folder, read: _look(folder, read, "PAN.tif", mask=folder / "mask.tif"),
 )  # fmt: skip
 _row(
-    "frame_files.opened",
+    "sequence.frame_files.opened",
     "frames",
     ["f0.tif"],
     lambda folder, read: _look(folder, lambda path: read(path, "luminance"), "f0.tif"),
 )
-function("frame_files.probe", "flown", "f0.npy")
-function("frame_files.probe", "photographs", "photos/p0.jpg")
-function("exif.read_tags", "photographs", "photos/p0.jpg")
-function("exif.read_exif", "photographs", "photos/p0.jpg")
+function("sequence.frame_files.probe", "flown", "f0.npy")
+function("sequence.frame_files.probe", "photographs", "photos/p0.jpg")
+function("formats.exif.read_tags", "photographs", "photos/p0.jpg")
+function("formats.exif.read_exif", "photographs", "photos/p0.jpg")
 _row(
-    "exif.positions_from_exif", "photographs", ["photos/*.jpg"],
+    "formats.exif.positions_from_exif", "photographs", ["photos/*.jpg"],
     lambda folder, read: read(sorted((folder / "photos").iterdir()), EPOCH, 0.0),
 )  # fmt: skip
-function("xmp.read_xmp", "photographs", "photos/p1.jpg")
-function("dem.read_dem", "orbit-csv", "dem.tif")
+function("formats.xmp.read_xmp", "photographs", "photos/p1.jpg")
+function("formats.dem.read_dem", "orbit-csv", "dem.tif")
 _row(
-    "dem.read_dem", "orbit-csv", ["geoid.tif", "dem.tif"],
+    "formats.dem.read_dem", "orbit-csv", ["geoid.tif", "dem.tif"],
     lambda folder, read: read(folder / "dem.tif", datum="geoid", geoid=folder / "geoid.tif"),
 )  # fmt: skip
-function("isd.read_line_scan_model", "sensor-model", "isd.json")
-function("isd.read_line_scan_model", "sensor-model", "state.json")
-function("hirise_edr.is_hirise", "hirise", "raw.IMG")
-function("hirise_edr.read_hirise_edr", "hirise", "raw.IMG")
-function("junocam.read_metadata", "juno", "JNCE_30.json")
-function("junocam.read_framelets", "juno", "JNCE_30.png")
-_row("colmap.read_colmap_model", "modelled", ["text/*"], lambda folder, read: read(folder / "text"))
-_row("colmap.read_colmap_model", "modelled", ["binary/*"], lambda folder, read: read(folder / "binary"))
-function("opensfm.read_opensfm", "modelled", "reconstruction.json")
+function("formats.isd.read_line_scan_model", "sensor-model", "isd.json")
+function("formats.isd.read_line_scan_model", "sensor-model", "state.json")
+function("formats.hirise_edr.is_hirise", "hirise", "raw.IMG")
+function("formats.hirise_edr.read_hirise_edr", "hirise", "raw.IMG")
+function("formats.junocam.read_metadata", "juno", "JNCE_30.json")
+function("formats.junocam.read_framelets", "juno", "JNCE_30.png")
+_row("formats.colmap.read_colmap_model", "modelled", ["text/*"], lambda folder, read: read(folder / "text"))
+_row(
+    "formats.colmap.read_colmap_model", "modelled", ["binary/*"], lambda folder, read: read(folder / "binary")
+)
+function("formats.opensfm.read_opensfm", "modelled", "reconstruction.json")
 
 # TDI tables -------------------------------------------------------------------------------------------------
 
-function("tdi_table.read_c_source", "tdi", "result/table.c")
-function("tdi_table.read_intel_hex", "tdi", "result/table.hex")
-function("tdi_table.read_segments", "tdi", "result/table_segments.bin")
-function("tdi_tags.read_tdi_tags", "tdi", "tags.bin")
-function("tdi_settings.open_signals", "tdi", "signals.npy")
+function("results.tdi_table.read_c_source", "tdi", "result/table.c")
+function("results.tdi_table.read_intel_hex", "tdi", "result/table.hex")
+function("results.tdi_table.read_segments", "tdi", "result/table_segments.bin")
+function("results.tdi_tags.read_tdi_tags", "tdi", "tags.bin")
+function("results.tdi_settings.open_signals", "tdi", "signals.npy")
 
 
 def _table(folder: Path) -> None:
@@ -247,25 +252,25 @@ READERS["TdiTable.read"] = Reader("TdiTable.read", "tdi", ("result/table.bin",),
 
 function("config.read_toml", "level", "acquisition.toml")
 function("config.kind_of", "flown", "sequence.toml")
-function("acquisition.read_acquisition", "level", "acquisition.toml")
-function("acquisition.load_acquisition", "orbit-csv", "acquisition.toml *", look=False)
-function("instrument.load_instrument", "instrument", "instrument.toml")
-function("sequence.load_sequence", "flown-lonlat", "sequence.toml *")
-function("sequence.read_sequence", "modelled", "opensfm.toml reconstruction.json frames.csv")
-function("stereo.read_stereo_file", "pair", "stereo.toml")
-function("stereo.read_stereo", "pair", "stereo.toml *.csv", planned=True)
-function("stereo.load_stereo", "simulated-pair", "stereo.toml *.csv dem.tif")
-function("stereo_plan.has_plan", "plan", "stereo.toml")
-function("stereo_plan.read_plan", "plan", "stereo.toml")
-function("tdi.load_tdi", "tdi", "tdi.toml columns.csv")
-_row("tdi.tdi_inputs", "tdi", ["tdi.toml"], lambda folder, read: read(folder / "tdi.toml"))
+function("acquisition.load.read_acquisition", "level", "acquisition.toml")
+function("acquisition.load.load_acquisition", "orbit-csv", "acquisition.toml *", look=False)
+function("layout.load.load_instrument", "instrument", "instrument.toml")
+function("sequence.load.load_sequence", "flown-lonlat", "sequence.toml *")
+function("sequence.load.read_sequence", "modelled", "opensfm.toml reconstruction.json frames.csv")
+function("stereo.load.read_stereo_file", "pair", "stereo.toml")
+function("stereo.load.read_stereo", "pair", "stereo.toml *.csv", planned=True)
+function("stereo.load.load_stereo", "simulated-pair", "stereo.toml *.csv dem.tif")
+function("stereo.plan.has_plan", "plan", "stereo.toml")
+function("stereo.plan.read_plan", "plan", "stereo.toml")
+function("tdi.load.load_tdi", "tdi", "tdi.toml columns.csv")
+_row("tdi.load.tdi_inputs", "tdi", ["tdi.toml"], lambda folder, read: read(folder / "tdi.toml"))
 
 # Results ----------------------------------------------------------------------------------------------------
 
 
 def _of_acquisition(place: str, seed: str, targets: str, folder_name: str) -> None:
     def call(folder: Path, read: Any) -> None:
-        from sightline.io.acquisition import load_acquisition
+        from sightline.io.acquisition.load import load_acquisition
 
         read(folder / folder_name, load_acquisition(folder / "acquisition.toml"))
 
@@ -275,25 +280,30 @@ def _of_acquisition(place: str, seed: str, targets: str, folder_name: str) -> No
 def _hidden(folder: Path, read: Any) -> None:
     from tests.fuzz.seeds import LINES
 
-    from sightline.io.hidden import read_summary
+    from sightline.io.results.hidden import read_summary
 
     read(folder / "result", read_summary(folder / "result"), LINES)
 
 
 _row(
-    "hidden.read_summary", "recovered", ["result/summary.json"], lambda folder, read: read(folder / "result")
+    "results.hidden.read_summary",
+    "recovered",
+    ["result/summary.json"],
+    lambda folder, read: read(folder / "result"),
 )
-_row("hidden.read_hidden", "recovered", ["result/hidden.csv", "result/summary.json"], _hidden)
-_of_acquisition("recovered.read_recovered", "recovered", "result/*", "result")
-_of_acquisition("motion_knowledge.read_motion_knowledge", "recovered", "result/*", "result")
-_of_acquisition("registered_frames.read_recovered_spin", "turning-frames", "result/summary.json", "result")
+_row("results.hidden.read_hidden", "recovered", ["result/hidden.csv", "result/summary.json"], _hidden)
+_of_acquisition("results.recovered.read_recovered", "recovered", "result/*", "result")
+_of_acquisition("tdi.motion.read_motion_knowledge", "recovered", "result/*", "result")
+_of_acquisition(
+    "results.registered_frames.read_recovered_spin", "turning-frames", "result/summary.json", "result"
+)
 _row(
-    "pose_score.score_pose_folder", "georeferenced", ["result/*", "*.csv"],
+    "results.pose_score.score_pose_folder", "georeferenced", ["result/*", "*.csv"],
     lambda folder, read: read(folder / "result", folder / "poses-truth.csv"),
 )  # fmt: skip
 _row(
-    "stereo_score.score_orientation_folder", "pair", ["result/orientation.csv", "result/covariance.csv",
-    "orientation-truth.csv"],
+    "results.stereo_score.score_orientation_folder", "pair",
+    ["result/orientation.csv", "result/covariance.csv", "orientation-truth.csv"],
     lambda folder, read: read(folder / "result", folder / "orientation-truth.csv"),
 )  # fmt: skip
 

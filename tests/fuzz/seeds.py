@@ -212,7 +212,7 @@ def orbit(folder: Path, axes: str) -> None:
         table(folder / "positions.csv", "t,x,y,z", np.column_stack([t, place]))
         table(folder / "attitudes.csv", "t,qx,qy,qz,qw", np.column_stack([t, turn]))
         return
-    from sightline.io.ccsds import write_aem
+    from sightline.io.formats.ccsds import write_aem
 
     instants = [f"2026-01-01T00:00:{s:06.3f}" for s in 10.0 + t]
     rows = [
@@ -464,8 +464,8 @@ axis_line = -8.0
 scale_sigma = 1e-4
 {frames}"""
     )
-    from sightline.io.acquisition import load_acquisition
-    from sightline.motion.spin_frames import SpinUnknowns, layers_of, spin_statics
+    from sightline.io.acquisition.load import load_acquisition
+    from sightline.motion.spin.solve import SpinUnknowns, layers_of, spin_statics
 
     read = load_acquisition(folder / "acquisition.toml")
     assert read.spin is not None and read.attitude_sigma is not None
@@ -718,9 +718,9 @@ height_sigma = 2.0
 def modelled(folder: Path) -> None:
     """One flight by models of other programs: COLMAP text and binary, OpenSfM, OPK and YPR tables."""
     from sightline.geometry.instrument import AreaDetector
-    from sightline.io.colmap import write_colmap_model
-    from sightline.io.opensfm import write_opensfm
-    from sightline.io.reconstruction import Reconstruction
+    from sightline.io.formats.colmap import write_colmap_model
+    from sightline.io.formats.opensfm import write_opensfm
+    from sightline.io.formats.reconstruction import Reconstruction
 
     made = seen()
     names = tuple(f"f{k}.npy" for k in range(6))
@@ -772,7 +772,7 @@ height = 50.0
 @seed
 def georeferenced(folder: Path) -> None:
     """What `georeference` leaves, and its truth."""
-    from sightline.io.poses import (
+    from sightline.io.results.poses import (
         FocalLength,
         FramePoseTable,
         PoseCovariance,
@@ -807,7 +807,7 @@ def georeferenced(folder: Path) -> None:
 @seed
 def pair(folder: Path) -> None:
     """Two spacecraft, points that both saw, control points; the same as observations; a result."""
-    from sightline.io.stereo_results import write_covariance, write_orientation
+    from sightline.io.results.stereo import write_covariance, write_orientation
 
     made = scene(shots=4, points=10)
     made.toml = made.toml.replace(
@@ -957,8 +957,8 @@ def tdi(folder: Path) -> None:
     table(folder / "columns.csv", "column,scan_velocity,slip", rows)
     (folder / "tdi.toml").write_text(TDI)
     from sightline.imaging.tdi_transfer import Exposure
-    from sightline.io.tdi_table import write_table
-    from sightline.io.tdi_tags import write_tags
+    from sightline.io.results.tdi_table import write_table
+    from sightline.io.results.tdi_tags import write_tags
     from sightline.tdi.table import TdiTable
     from sightline.tdi.tagging import TdiTags
 
@@ -995,9 +995,9 @@ def tdi(folder: Path) -> None:
 @seed
 def recovered(folder: Path) -> None:
     """A strip, what `recover` would leave of it, its truth, and TDI columns by both."""
-    from sightline.io.acquisition import load_acquisition
-    from sightline.io.hidden import write_hidden
-    from sightline.io.tables import MotionTable, write_motion, write_spectrum
+    from sightline.io.acquisition.load import load_acquisition
+    from sightline.io.formats.tables import MotionTable, write_motion, write_spectrum
+    from sightline.io.results.hidden import write_hidden
 
     bands(folder)
     (folder / "acquisition.toml").write_text(
@@ -1124,7 +1124,7 @@ def with_crc(content: bytes) -> bytes:
 
 def again(name: str, image: bytes) -> bytes:
     """A changed image of a TDI table, or file of tags, as the file `name`, whose check sums are right."""
-    from sightline.io.tdi_table import intel_hex, segments
+    from sightline.io.results.tdi_table import intel_hex, segments
 
     image = with_crc(image)
     if name.endswith(".hex"):

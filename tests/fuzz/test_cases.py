@@ -256,13 +256,13 @@ CASES: dict[str, tuple[str, Spoil, int, str]] = {
     ),
     "a DEM that is damaged": ("orient with a DEM", dem_of_noise, 2, r"dem\.tif"),
     "an empty value in metadata of JunoCam": (
-        "io.junocam.read_metadata",
+        "io.formats.junocam.read_metadata",
         entry("JNCE_30.json", "INTERFRAME_DELAY", value=""),
         2,
         r"JNCE_30\.json",
     ),
     "metadata of JunoCam that are a list": (
-        "io.junocam.read_metadata",
+        "io.formats.junocam.read_metadata",
         content("JNCE_30.json", b"[1]"),
         2,
         r"JNCE_30\.json",

@@ -25,9 +25,9 @@ OPENS = re.compile(
 )
 #: Those that get a part of a TOML file: `check` calls them, and a seed below `check` must reach each.
 BY_CHECK = {
-    "acquisition.read_control", "acquisition.read_known_motion", "acquisition.read_matching",
-    "acquisition.read_sensor",
-    "bands.open_band_image", "sequence_frames.probe_frames", "sequence_frames.read_frames",
+    "acquisition.load.read_control", "acquisition.load.read_known_motion", "acquisition.load.read_matching",
+    "acquisition.load.read_sensor",
+    "acquisition.bands.open_band_image", "sequence.frames.probe_frames", "sequence.frames.read_frames",
 }  # fmt: skip
 SEED = 20260101
 
@@ -44,12 +44,12 @@ def test_what_is_not_spoilt_is_taken(hunter, name):
 def opening_functions() -> dict[str, object]:
     """Every public function of ``sightline.io`` that opens a file, as ``module.function``."""
     found = {}
-    for module in pkgutil.iter_modules(sightline.io.__path__):
-        for name, function in vars(import_module(f"sightline.io.{module.name}")).items():
-            own = inspect.isfunction(function) and function.__module__ == f"sightline.io.{module.name}"
+    for module in pkgutil.walk_packages(sightline.io.__path__, "sightline.io."):
+        for name, function in vars(import_module(module.name)).items():
+            own = inspect.isfunction(function) and function.__module__ == module.name
             takes = " ".join(str(given) for given in getattr(function, "__annotations__", {}).values())
             if own and OPENS.match(name) and re.search("Path|InputFolder|FrameList", takes):
-                found[f"{module.name}.{name}"] = function
+                found[f"{module.name.removeprefix('sightline.io.')}.{name}"] = function
     return found
 
 

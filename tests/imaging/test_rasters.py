@@ -16,7 +16,7 @@ import rasterio
 from sightline.access import Access, allow_folders, allow_network, current_access, remote_name
 from sightline.errors import FormatError
 from sightline.imaging.rasters import LOCAL_DRIVERS, open_raster
-from sightline.io.images import RasterImage
+from sightline.io.formats.images import RasterImage
 
 SHAPE = (8, 16)
 PIXELS = np.arange(128, dtype=np.uint16).reshape(SHAPE)

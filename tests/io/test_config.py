@@ -5,10 +5,10 @@ import json
 import pytest
 
 from sightline.errors import FormatError
-from sightline.io.acquisition import load_acquisition, read_acquisition
-from sightline.io.acquisition_schema import AcquisitionFile
+from sightline.io.acquisition.load import load_acquisition, read_acquisition
+from sightline.io.acquisition.schema import AcquisitionFile
 from sightline.io.config import json_schema, validate
-from sightline.io.stereo_schema import StereoFile
+from sightline.io.stereo.schema import StereoFile
 
 
 def message(folder) -> str:
@@ -162,7 +162,7 @@ def test_what_would_be_ignored_is_refused(folder, text, words):
 
 
 def test_choices_of_matching_are_those_of_the_recovery(folder):
-    from sightline.applications.strip import RecoverOptions
+    from sightline.motion.strip.strip import RecoverOptions
 
     folder.add("[matching]\nwindow = [6, 80]\nstep = 3\nsearch_px = [20, 12]\n")
     options = RecoverOptions(**load_acquisition(folder.write()).matching)

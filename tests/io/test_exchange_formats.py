@@ -12,7 +12,7 @@ from sightline.errors import FormatError, InputError
 from sightline.geometry.earth import WGS84, from_geodetic, local_axes
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.surface import Ellipsoid
-from sightline.io.angle_tables import (
+from sightline.io.formats.angle_tables import (
     OPK,
     YPR,
     AngleTable,
@@ -23,12 +23,12 @@ from sightline.io.angle_tables import (
     write_angles,
     ypr_of_body,
 )
-from sightline.io.colmap import read_colmap_model, write_colmap_model
-from sightline.io.envi import read_envi_wavelengths
-from sightline.io.footprints import outlines, rings_of, write_footprints
-from sightline.io.odm import read_gcp_list, read_geo, write_geo
-from sightline.io.opensfm import read_opensfm, write_opensfm
-from sightline.io.reconstruction import Reconstruction
+from sightline.io.formats.colmap import read_colmap_model, write_colmap_model
+from sightline.io.formats.envi import read_envi_wavelengths
+from sightline.io.formats.footprints import outlines, rings_of, write_footprints
+from sightline.io.formats.odm import read_gcp_list, read_geo, write_geo
+from sightline.io.formats.opensfm import read_opensfm, write_opensfm
+from sightline.io.formats.reconstruction import Reconstruction
 
 SHAPE = (48, 64)
 LENSES = {

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from sightline.errors import printable, shortened
-from sightline.io.json_text import json_text
+from sightline.io.formats.json_text import json_text
 from sightline.io.names import file_stem, file_stems, single_words, toml_string
 from sightline.report.style import labels, wrapped
 

@@ -7,8 +7,8 @@ import pytest
 import rasterio
 
 from sightline.errors import FormatError
-from sightline.io.exif import read_exif
-from sightline.io.sequence import load_sequence
+from sightline.io.formats.exif import read_exif
+from sightline.io.sequence.load import load_sequence
 
 SHAPE = (24, 32)
 #: A gimbal that looks straight down, the top of the image to the given heading.

@@ -10,7 +10,7 @@ from pydantic import BaseModel, TypeAdapter, ValidationError
 
 from sightline.errors import FormatError
 from sightline.io.config import SCHEMAS, json_schema, validate
-from sightline.io.instrument_schema import LayoutSection
+from sightline.io.layout.schema import LayoutSection
 from sightline.io.quantities import Latitude, Within, shown
 
 # what a slip of the keyboard, another program or somebody curious writes in the place of a number

@@ -11,13 +11,13 @@ from tests.io.sequence_files import flight
 
 from sightline.errors import FormatError
 from sightline.geometry.earth import WGS84, from_geodetic
-from sightline.io.describe_sequence import describe_sequence
-from sightline.io.exif import Exif
-from sightline.io.odm import read_geo
-from sightline.io.sequence import read_sequence
-from sightline.io.sequence_frames import FrameList
-from sightline.io.sequence_positions import told_positions
-from sightline.io.sequence_schema import SequenceFile
+from sightline.io.formats.exif import Exif
+from sightline.io.formats.odm import read_geo
+from sightline.io.sequence.describe import describe_sequence
+from sightline.io.sequence.frames import FrameList
+from sightline.io.sequence.load import read_sequence
+from sightline.io.sequence.positions import told_positions
+from sightline.io.sequence.schema import SequenceFile
 
 
 def understood(made, folder):

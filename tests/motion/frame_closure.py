@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.geometry.surface import Surface
-from sightline.motion.frame_errors import Influence, outcome_covariance
-from sightline.motion.frame_matches import FrameStar
-from sightline.motion.frames import FrameEstimate, solve_frames
+from sightline.motion.frames.errors import Influence, outcome_covariance
+from sightline.motion.frames.matches import FrameStar
+from sightline.motion.frames.solve import FrameEstimate, solve_frames
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from sightline.geometry.camera import FrameCamera
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.trajectory import Trajectory
-from sightline.motion.frame_matches import FrameStar
+from sightline.motion.frames.matches import FrameStar
 
 ALTITUDE, SPEED, INTERVAL, FOCAL = 400e3, 7000.0, 3.0, 900.0
 SHAPE = (300, 360)

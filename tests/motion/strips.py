@@ -14,7 +14,7 @@ from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.instrument import LineDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.trajectory import Motion, Trajectory
-from sightline.motion.observations import Star, shared_image_correlation
+from sightline.motion.measure.observations import Star, shared_image_correlation
 
 IFOV, PERIOD, ALTITUDE = 5e-6, 5e-4, 680e3
 SPEED = IFOV * ALTITUDE / PERIOD

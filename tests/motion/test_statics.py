@@ -12,7 +12,7 @@ from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Trajectory
-from sightline.motion.predict import predict_match, sensitivities
+from sightline.motion.measure.predict import predict_match, sensitivities
 from sightline.motion.statics import apply_statics, band_statics, frame_statics
 
 PIXELS = np.array([[10.0, 0.0], [100.0, 159.5], [200.0, 300.0]])

@@ -14,9 +14,9 @@ from tests.photogrammetry import s2_dense
 from tests.photogrammetry.s2_dense import ARCSEC, TRUTH, Case
 
 from sightline.geometry.surface import Plane
-from sightline.photogrammetry.bundle import bound
-from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
-from sightline.photogrammetry.pose_noise import PoseNoise
+from sightline.photogrammetry.block.bundle import bound
+from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior, PointPriors
+from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Sightings
 
 #: prototype: roll, pitch, yaw of camera 1, arcsec.

@@ -7,8 +7,8 @@ import pytest
 
 from sightline.geometry.earth import from_geodetic
 from sightline.geometry.surface import level_surface
-from sightline.photogrammetry.point_priors import HeightPrior
-from sightline.photogrammetry.relief import points_alike
+from sightline.photogrammetry.block.point_priors import HeightPrior
+from sightline.photogrammetry.pair.relief import points_alike
 
 
 @pytest.mark.parametrize("length", [30.0, 300.0])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sightline.photogrammetry.pose_noise import PoseNoise, aimed_axes
+from sightline.photogrammetry.block.pose_noise import PoseNoise, aimed_axes
 from sightline.photogrammetry.sightings import Sightings
 from sightline.photogrammetry.triangulate import triangulate
 

@@ -20,10 +20,10 @@ from tests.test_cli_spin import write_acquisition
 from tests.test_cli_tdi import TEXT as TDI
 
 from sightline.cli.main import run
-from sightline.io.colmap import read_colmap_model
+from sightline.io.formats.colmap import read_colmap_model
+from sightline.io.formats.opensfm import read_opensfm
 from sightline.io.names import printable, toml_string
-from sightline.io.opensfm import read_opensfm
-from sightline.io.poses import read_pose_covariance, read_pose_table
+from sightline.io.results.poses import read_pose_covariance, read_pose_table
 
 SCRIPT = "<script>document.title='pwned';window.pwned=1</script>{{7*7}}"
 IMAGE = '"><img src=x onerror=window.pwned=1>../../outside'

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import pytest
 
-from sightline.io.tables import read_motion
+from sightline.io.formats.tables import read_motion
 from sightline.report import line_of_sight_page
 from sightline.report.page import LONGEST_WORD, Page, Section, Table
 

@@ -10,9 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
-from sightline.applications.sequence_warnings import bow_warnings
 from sightline.errors import InputError
 from sightline.geometry.earth import WGS84, from_geodetic, local_axes
 from sightline.geometry.instrument import AreaDetector
@@ -20,9 +18,11 @@ from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.matching.follow import Followed
-from sightline.photogrammetry.frame_poses import FramePoses, RoughPoses
-from sightline.photogrammetry.frame_subset import Subset
-from sightline.photogrammetry.point_priors import ControlPoints
+from sightline.photogrammetry.block.point_priors import ControlPoints
+from sightline.photogrammetry.flight.poses import FramePoses, RoughPoses
+from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.photogrammetry.flight.subset import Subset
+from sightline.photogrammetry.flight.warnings import bow_warnings
 from sightline.photogrammetry.sightings import Images, Tracks
 from sightline.report import sequence_cube, sequence_page, sequence_words
 from sightline.report.sequence_cube import CubeView

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from sightline.applications.stereo_orientation import orient
-from sightline.io.stereo import read_stereo
-from sightline.io.stereo_results import summarize_orientation
+from sightline.io.results.stereo import summarize_orientation
+from sightline.io.stereo.load import read_stereo
 from sightline.report import stereo_words as words
 from sightline.report.stereo_figures import image_noise, residual_figure, residual_vectors
 from sightline.report.stereo_height_figure import height_figure, point_heights

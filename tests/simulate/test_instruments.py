@@ -162,7 +162,7 @@ def test_a_view_past_the_earth_is_refused():
 
 @pytest.mark.parametrize("case", ["staggered", "mirror-leo", "spin-geo"])
 def test_files_hold_what_a_user_knows_and_no_truth(case, tmp_path):
-    from sightline.io.acquisition import load_acquisition
+    from sightline.io.acquisition.load import load_acquisition
 
     scenario = instrument_case(case, 3, lines=200 if case != "staggered" else 400, columns=48)
     written = write_instrument(scenario, tmp_path)

@@ -10,7 +10,7 @@ import pytest
 from sightline.cli import options as cli_options
 from sightline.cli.main import run
 from sightline.geometry.units import ARCSEC
-from sightline.io.dem import read_dem
+from sightline.io.formats.dem import read_dem
 from sightline.simulate.stereo import stereo_case
 from sightline.simulate.stereo_files import write_stereo
 from sightline.simulate.stereo_options import CASE_OPTIONS

@@ -1,6 +1,6 @@
 """A recovery as TDI takes it: its motion, the density of its error, its hidden directions.
 
-Not here: reading the same from a folder (``io/motion_knowledge.py``).
+Not here: reading the same from a folder (``io/tdi/motion.py``).
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.results import LineOfSight
 from sightline.evaluation.error_spectrum import error_psd
+from sightline.motion.results import LineOfSight
 from sightline.motion.tones import spectrum
 from sightline.tdi.motion_knowledge import MotionKnowledge, error_and_jitter
 

@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.found_ground import level_ground
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.checks import read_only
 from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface, level_surface
+from sightline.photogrammetry.flight.found_ground import level_ground
+from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.products.cube_grid import MapSystem
 from sightline.products.frame_cube import FrameViews, Heights, outlines
 from sightline.products.ground_model import GroundModel, fit_ground

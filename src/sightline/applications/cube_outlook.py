@@ -9,8 +9,8 @@ import numpy as np
 
 from sightline.applications.cube_ground import Ground, frame_outlines, given_heights
 from sightline.applications.frame_cube import CubePlan, choose_bands, frame_views, map_of, pixel_size
-from sightline.applications.frame_sequence import SequenceProblem
-from sightline.applications.sequence_outlook import overlap_of
+from sightline.photogrammetry.flight.outlook import overlap_of
+from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.products.cube_bands import BandLayout
 from sightline.products.cube_grid import CubeGrid
 from sightline.products.frame_cube import grid_of

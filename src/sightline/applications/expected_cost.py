@@ -15,16 +15,16 @@ from typing import TYPE_CHECKING
 
 from sightline.errors import InputError
 from sightline.execution import machine_memory
-from sightline.motion.layout_search import EXHAUSTIVE, MOST_CELLS, choices, expected_trials
+from sightline.motion.layout.search import EXHAUSTIVE, MOST_CELLS, choices, expected_trials
 
 if TYPE_CHECKING:
-    from sightline.applications.frame_sequence import SequenceProblem
     from sightline.applications.stereo_orientation import StereoProblem
-    from sightline.applications.strip import RecoverOptions
     from sightline.applications.tdi_choice import TdiProblem
     from sightline.motion.band import Band, Frame
-    from sightline.motion.layout_information import RowNoise
-    from sightline.motion.layout_search import Candidates
+    from sightline.motion.layout.information import RowNoise
+    from sightline.motion.layout.search import Candidates
+    from sightline.motion.strip.strip import RecoverOptions
+    from sightline.photogrammetry.flight.problem import SequenceProblem
 
 #: Bytes that Python and the libraries take before anything is read (runs of the smallest cases).
 BASE_BYTES = 0.35e9

@@ -3,7 +3,7 @@
 The best places for the worst frequency of a band, the best for the whole motion, and what lies between, each
 beside the user's own layout and published ones: information, posterior sigma, blind frequencies, common lags.
 
-Not here: the search (``motion/layout_search.py``), what the numbers mean (``motion/layout_information.py``).
+Not here: the search (``motion/layout/search.py``), what the numbers mean (``motion/layout/information.py``).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from sightline.applications.expected_cost import Cost, search_cost
 from sightline.errors import InputError, computes
 from sightline.estimation.prior import Matern, Spectrum
 from sightline.execution import one_blas_thread
-from sightline.motion.layout_information import (
+from sightline.motion.layout.information import (
     BlindFrequency,
     CommonLags,
     RowNoise,
@@ -30,14 +30,14 @@ from sightline.motion.layout_information import (
     listed_up_to,
     worst_case,
 )
-from sightline.motion.layout_search import (
+from sightline.motion.layout.search import (
     Candidates,
     Found,
     choices,
     polished,
     search_layouts,
 )
-from sightline.motion.layout_sigma import harmonic_sigma, least_sigma, smoother_sigma
+from sightline.motion.layout.sigma import harmonic_sigma, least_sigma, smoother_sigma
 
 Array = NDArray[np.float64]
 

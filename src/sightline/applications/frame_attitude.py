@@ -17,7 +17,15 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.frame_passes import (
+from sightline.errors import InputError, computes
+from sightline.execution import one_blas_thread
+from sightline.geometry.pointing import FixedMount
+from sightline.geometry.surface import Surface
+from sightline.geometry.trajectory import Motion
+from sightline.motion.band import Frame, LensKnowledge
+from sightline.motion.frames.hidden import absolute_sigma, hidden_directions, relative_covariance, without
+from sightline.motion.frames.matches import FrameStar
+from sightline.motion.frames.passes import (
     FrameOptions,
     FrameSequence,
     PassState,
@@ -26,18 +34,10 @@ from sightline.applications.frame_passes import (
     next_pass,
     start,
 )
-from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
-from sightline.errors import InputError, computes
-from sightline.execution import one_blas_thread
-from sightline.geometry.pointing import FixedMount
-from sightline.geometry.surface import Surface
-from sightline.geometry.trajectory import Motion
-from sightline.motion.band import Frame, LensKnowledge
-from sightline.motion.frame_hidden import absolute_sigma, hidden_directions, relative_covariance, without
-from sightline.motion.frame_matches import FrameStar
-from sightline.motion.frame_start import coarse_shifts, turn_about_axis, turned_mount
-from sightline.motion.frames import FrameEstimate, time_statics
-from sightline.motion.stars import StarRecord
+from sightline.motion.frames.solve import FrameEstimate, time_statics
+from sightline.motion.frames.start import coarse_shifts, turn_about_axis, turned_mount
+from sightline.motion.measure.stars import StarRecord
+from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
 from sightline.motion.statics import frame_statics
 
 Array = NDArray[np.float64]
@@ -84,7 +84,7 @@ def recover_frame_attitude(
         What the lines of sight meet.
     lens : LensKnowledge, optional
         How well the nominal lens is known; exactly by default. Where its distortion is free, a smooth field
-        of shifts over the detector takes what the constants leave (``motion/lens_field.py``).
+        of shifts over the detector takes what the constants leave (``motion/frames/lens_field.py``).
     height_sigma : float
         m; what is not known of the surface's height: heights of all windows are then estimated too.
     options : FrameOptions, optional

@@ -3,7 +3,7 @@
 Every band becomes an orthomosaic, and all of them lie on one map: each pixel from the frame in which its band
 saw it best. How well bands then lie on each other is matched anew.
 
-Not here: resampling (``products/frame_cube.py``), files (``io/cube_files.py``).
+Not here: resampling (``products/frame_cube.py``), files (``io/results/cube_files.py``).
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.cube_ground import Ground, choose_ground, frame_outlines, given_heights
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import INTERPOLATED, SequencePoses
-from sightline.applications.sequence_solver import ground_distances
 from sightline.errors import InputError, computes
 from sightline.execution import CpuClock, one_blas_thread, silent
 from sightline.geometry.checks import ReadOnlyArrays
 from sightline.imaging.source import ImageSource
-from sightline.photogrammetry.flight_path import stretches
-from sightline.photogrammetry.rolling_shutter import line_poses
+from sightline.photogrammetry.flight.path import stretches
+from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.photogrammetry.flight.rolling_shutter import line_poses
+from sightline.photogrammetry.flight.solver import ground_distances
 from sightline.photogrammetry.sightings import Images
 from sightline.products.cube_bands import BandLayout, frame_bands, line_bands
 from sightline.products.cube_fit import PairFit, error_map, fit_pairs

@@ -4,8 +4,9 @@
 match, residual, angular variations, integrate, refined estimate, and again with windows
 compensated by the motion found, until it no longer changes.
 
-Not here: the strip itself (``strip.py``), the estimate of one pass (``strip_estimate.py``), files (``io/``),
-the report (``report/``), frames of a matrix instrument (``frame_attitude.py``).
+Not here: the strip itself (``motion/strip/strip.py``), the estimate of one pass
+(``motion/strip/estimate.py``), files (``io/``), the report (``report/``), frames of a matrix instrument
+(``frame_attitude.py``).
 """
 
 from __future__ import annotations
@@ -17,19 +18,7 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
-from sightline.applications.strip import RecoverOptions, Strip, prepared
-from sightline.applications.strip_checks import checked, farthest_control
-from sightline.applications.strip_estimate import (
-    DRAFT_ROUNDS,
-    ROUNDS,
-    StripState,
-    initial_attitude,
-    solve_strip,
-)
 from sightline.applications.strip_methods import by_method, check_method, strip_differences
-from sightline.applications.strip_warnings import observed_lines, strip_warnings
-from sightline.applications.wrong_sign import matches_backwards
 from sightline.errors import EstimationError, computes
 from sightline.estimation.likelihood import WORK
 from sightline.execution import one_blas_thread
@@ -37,25 +26,37 @@ from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import NOT_CHOSEN, STATUS_NAMES
 from sightline.motion.band import Band
-from sightline.motion.fusion import uses
-from sightline.motion.hyper import KnownContent, PriorModel, fit_prior_model
-from sightline.motion.joint import (
+from sightline.motion.measure.pair_order import best_first, pair_correlations
+from sightline.motion.measure.stars import MatchingPlan, StarRecord, hub_windows, match_star
+from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
+from sightline.motion.sensors import AttitudeSensor, ControlPoints
+from sightline.motion.strip.checks import checked, farthest_control
+from sightline.motion.strip.estimate import (
+    DRAFT_ROUNDS,
+    ROUNDS,
+    StripState,
+    initial_attitude,
+    solve_strip,
+)
+from sightline.motion.strip.fusion import uses
+from sightline.motion.strip.hyper import KnownContent, PriorModel, fit_prior_model
+from sightline.motion.strip.joint import (
     angles_at,
     directions_at,
     interpolation_variance,
     nodes_on,
     remove_directions,
 )
-from sightline.motion.pair_order import best_first, pair_correlations
-from sightline.motion.sensors import AttitudeSensor, ControlPoints
-from sightline.motion.stars import MatchingPlan, StarRecord, hub_windows, match_star
-from sightline.motion.viewing_axes import (
+from sightline.motion.strip.lag_sign import matches_backwards
+from sightline.motion.strip.strip import RecoverOptions, Strip, prepared
+from sightline.motion.strip.viewing_axes import (
     turned_amplitudes,
     turned_band,
     turned_directions,
     turned_spectra,
     turned_star,
 )
+from sightline.motion.strip.warnings import observed_lines, strip_warnings
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -123,7 +124,7 @@ def recover_line_of_sight(
     Notes
     -----
     S1, figure 15. The motion is the joint maximum a posteriori of roll, pitch, yaw, band offsets and
-    rotations (``motion/joint.py``) with priors by marginal likelihood (``motion/hyper.py``); with
+    rotations (``motion/strip/joint.py``) with priors by marginal likelihood (``motion/strip/hyper.py``); with
     ``options.method`` that of one of S1's own estimators (``strip_methods.py``).
     """
     options = options or RecoverOptions()

@@ -2,7 +2,7 @@
 
 For comparison with the adjustment of all frames: frames between have no covariance.
 
-Not here: the curves themselves (``photogrammetry/pose_interpolation.py``).
+Not here: the curves themselves (``photogrammetry/flight/interpolation.py``).
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from sightline.applications.sequence_poses import ESTIMATED, INTERPOLATED, SOLVED, SequencePoses
-from sightline.applications.sequence_solver import SequenceSolver, ground_distances
 from sightline.errors import EstimationError, InputError, computes
 from sightline.geometry.checks import frozen
-from sightline.photogrammetry.pose_interpolation import WAYS, between_anchors, by_displacement
+from sightline.photogrammetry.flight.interpolation import WAYS, between_anchors, by_displacement
+from sightline.photogrammetry.flight.solver import SequenceSolver, ground_distances
 
 __all__ = ["WAYS", "interpolate_between"]
 

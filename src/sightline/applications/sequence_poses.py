@@ -4,7 +4,7 @@ Reads like figure 7 of S4: displacement and yaw of successive frames (750), the 
 on it (730/740), the parameters of all frames (760). Windows followed from frame to frame carry 750 and 760 at
 once: all frames are solved together with the points, so that nothing is interpolated that an image tells.
 
-Not here: files (``io/sequence.py``), the cube (``products/``).
+Not here: files (``io/sequence/load.py``), the cube (``products/``).
 """
 
 from __future__ import annotations
@@ -16,37 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.control_check import screened
-from sightline.applications.found_ground import ground_warnings
-from sightline.applications.frame_sequence import SequenceProblem
-from sightline.applications.sequence_blocks import BLOCK_FRAMES, solve_in_blocks
-from sightline.applications.sequence_solver import (
-    Adjusted,
-    SequenceSolver,
-    estimated_images,
-    ground_distances,
-)
-from sightline.applications.sequence_start import begun
-from sightline.applications.sequence_warnings import (
-    bow_warnings,
-    focal_warnings,
-    part_warnings,
-    refuse_untold,
-    short_warnings,
-)
-from sightline.applications.stages import Stages
-from sightline.applications.table_check import motion_warnings, table_warnings, unsolved_words
 from sightline.errors import EstimationError, InputError, computes
 from sightline.execution import CpuClock, machine_memory, one_blas_thread, silent
 from sightline.geometry.checks import Array
 from sightline.matching.follow import Followed, FollowPlan, FollowState, check_followable
-from sightline.photogrammetry.cross_links import link_stretches
-from sightline.photogrammetry.descent import DivergedError
-from sightline.photogrammetry.frame_poses import FramePoses
-from sightline.photogrammetry.frame_subset import Subset, choose_subset
-from sightline.photogrammetry.point_priors import HeightPrior
-from sightline.photogrammetry.pose_interpolation import by_displacement
-from sightline.photogrammetry.reconstruct import (
+from sightline.photogrammetry.block.descent import DivergedError
+from sightline.photogrammetry.block.point_priors import HeightPrior
+from sightline.photogrammetry.flight.blocks import BLOCK_FRAMES, solve_in_blocks
+from sightline.photogrammetry.flight.control_check import screened
+from sightline.photogrammetry.flight.cross_links import link_stretches
+from sightline.photogrammetry.flight.found_ground import ground_warnings
+from sightline.photogrammetry.flight.interpolation import by_displacement
+from sightline.photogrammetry.flight.poses import FramePoses
+from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.photogrammetry.flight.reconstruct import (
     Reconstruction,
     RefinedModel,
     check_modelling,
@@ -56,9 +39,26 @@ from sightline.photogrammetry.reconstruct import (
     reconstruct,
     refined,
 )
+from sightline.photogrammetry.flight.solver import (
+    Adjusted,
+    SequenceSolver,
+    estimated_images,
+    ground_distances,
+)
+from sightline.photogrammetry.flight.solving_order import solving_order
+from sightline.photogrammetry.flight.start import begun
+from sightline.photogrammetry.flight.subset import Subset, choose_subset
+from sightline.photogrammetry.flight.table_check import motion_warnings, table_warnings, unsolved_words
+from sightline.photogrammetry.flight.warnings import (
+    bow_warnings,
+    focal_warnings,
+    part_warnings,
+    refuse_untold,
+    short_warnings,
+)
+from sightline.photogrammetry.flight.wide_links import followed_or_linked
 from sightline.photogrammetry.sightings import Tracks, appended
-from sightline.photogrammetry.solving_order import solving_order
-from sightline.photogrammetry.wide_links import followed_or_linked
+from sightline.stages import Stages
 
 SOLVED, ESTIMATED, INTERPOLATED = "solved", "estimated", "interpolated"
 #: Stages, in their order: `SequencePoses.seconds`, progress.

@@ -18,16 +18,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.results import LineOfSight, StaticEstimate, TimeCovariance
 from sightline.errors import EstimationError, InputError, computes
 from sightline.execution import one_blas_thread
 from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.motion.band import ChipKnowledge, Frame, LensKnowledge
-from sightline.motion.frame_hidden import absolute_sigma, hidden_directions, relative_covariance
-from sightline.motion.frame_matches import FrameStar
-from sightline.motion.spin_frames import (
+from sightline.motion.frames.hidden import absolute_sigma, hidden_directions, relative_covariance
+from sightline.motion.frames.matches import FrameStar
+from sightline.motion.measure.stars import StarRecord
+from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance
+from sightline.motion.spin.matches import SpinPlan, StripPair, match_strips, strip_pairs
+from sightline.motion.spin.report import SpinFindings, findings
+from sightline.motion.spin.solve import (
     DEPARTURE_START,
     SPIN_NAMES,
     AttitudeSigma,
@@ -37,9 +40,6 @@ from sightline.motion.spin_frames import (
     solve_spin,
     spin_statics,
 )
-from sightline.motion.spin_matches import SpinPlan, StripPair, match_strips, strip_pairs
-from sightline.motion.spin_report import SpinFindings, findings
-from sightline.motion.stars import StarRecord
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]

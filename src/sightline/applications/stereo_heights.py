@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen, same_length
 from sightline.geometry.earth import to_geodetic
-from sightline.photogrammetry.point_priors import level_axes
+from sightline.photogrammetry.block.point_priors import level_axes
 from sightline.photogrammetry.triangulate import Triangulation, triangulate
 
 

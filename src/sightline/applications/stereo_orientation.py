@@ -1,6 +1,6 @@
 """S2: constant attitude errors of cameras that image one scene together, and what cannot be told of them.
 
-Not here: reading the problem (``io/stereo.py``), finding conjugate points in images
+Not here: reading the problem (``io/stereo/load.py``), finding conjugate points in images
 (``stereo_matching.py``), what a plan would give (``stereo_prediction.py``).
 """
 
@@ -19,13 +19,13 @@ from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
-from sightline.photogrammetry.bundle import Adjustment, adjust, bound, load_kernels
-from sightline.photogrammetry.epipolar import epipolar_outliers, noise_ratios, orient_by_epipolar
-from sightline.photogrammetry.observability import Observability, observability
-from sightline.photogrammetry.pairs import PairOrientation, SightingPairs, pair_sightings
-from sightline.photogrammetry.plane import common_aim, orient_by_plane
-from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors, level_axes
-from sightline.photogrammetry.pose_noise import PoseNoise
+from sightline.photogrammetry.block.bundle import Adjustment, adjust, bound, load_kernels
+from sightline.photogrammetry.block.observability import Observability, observability
+from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior, PointPriors, level_axes
+from sightline.photogrammetry.block.pose_noise import PoseNoise
+from sightline.photogrammetry.pair.epipolar import epipolar_outliers, noise_ratios, orient_by_epipolar
+from sightline.photogrammetry.pair.pairs import PairOrientation, SightingPairs, pair_sightings
+from sightline.photogrammetry.pair.plane import common_aim, orient_by_plane
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_frames, sight_pushbroom
 from sightline.photogrammetry.triangulate import triangulate
 

@@ -3,7 +3,7 @@
 The Cramer-Rao bound at the planned poses: no unbiased estimate has a smaller covariance; ml-track reaches it.
 
 Not here: how settings are made and varied (``stereo_settings.py``), the bound's algebra
-(``photogrammetry/bundle.py``).
+(``photogrammetry/block/bundle.py``).
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from sightline.errors import EstimationError, GeometryError, InputError, compute
 from sightline.execution import one_blas_thread
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.units import ARCSEC
-from sightline.photogrammetry.bundle import bound
-from sightline.photogrammetry.observability import Observability
+from sightline.photogrammetry.block.bundle import bound
+from sightline.photogrammetry.block.observability import Observability
 
 #: Estimators that have a bound: points tracked through all shots, and points new in every shot.
 BOUNDED = ("ml-track", "ml-pair")

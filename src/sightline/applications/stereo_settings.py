@@ -24,8 +24,8 @@ from sightline.geometry.earth import from_geodetic, to_geodetic
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.orbit_pair import OrbitPair
 from sightline.geometry.surface import level_surface
-from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior, PointPriors
-from sightline.photogrammetry.pose_noise import PoseNoise
+from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior, PointPriors
+from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Images, Index, Sightings, Tracks, sight_frames
 from sightline.photogrammetry.triangulate import triangulate
 

@@ -6,7 +6,7 @@ relied on (filters lose motion, a polynomial has no jitter, errors shared betwee
 the sigma of the result is found otherwise: with d the departure of the method's motion from the joint
 estimate, of covariance C, the mean square error of that motion, given the images, is ``d d' + C``.
 
-Not here: the joint estimate itself (``strip_estimate.py``), the estimators (``motion/estimators/``).
+Not here: the joint estimate itself (``motion/strip/estimate.py``), the estimators (``motion/estimators/``).
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.results import LineOfSight, NamedMethod, TimeCovariance
-from sightline.applications.strip import Strip
-from sightline.applications.strip_estimate import StripState
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import TabulatedPsd
 from sightline.geometry.trajectory import Motion
-from sightline.motion.differences import AngleDifferences, by_pair
+from sightline.motion.estimators.differences import AngleDifferences, by_pair
 from sightline.motion.estimators.inverse import inverse
 from sightline.motion.estimators.kalman import epoch_step, kalman
 from sightline.motion.estimators.polynomial import polynomial
 from sightline.motion.estimators.wiener import wiener
-from sightline.motion.hyper import angle_differences
-from sightline.motion.normal_equations import modelled
-from sightline.motion.relief import row_sigmas
-from sightline.motion.viewing_axes import turned_directions
+from sightline.motion.results import LineOfSight, NamedMethod, TimeCovariance
+from sightline.motion.strip.estimate import StripState
+from sightline.motion.strip.hyper import angle_differences
+from sightline.motion.strip.normal_equations import modelled
+from sightline.motion.strip.relief import row_sigmas
+from sightline.motion.strip.strip import Strip
+from sightline.motion.strip.viewing_axes import turned_directions
 
 Array = NDArray[np.float64]
 

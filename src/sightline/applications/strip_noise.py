@@ -3,8 +3,8 @@
 Figures come in digital numbers (DN), as far as the data carry them, and in electrons by a conversion gain
 that somebody else measured: one scene bounds it only.
 
-Not here: how each is estimated (``imaging/noise_estimation.py``), reading (``io/hirise_edr.py``), several
-images and plain ones (``detector_noise.py``).
+Not here: how each is estimated (``imaging/noise_estimation.py``), reading (``io/formats/hirise_edr.py``),
+several images and plain ones (``detector_noise.py``).
 """
 
 from __future__ import annotations

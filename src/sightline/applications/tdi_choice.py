@@ -3,7 +3,7 @@
 ``choose_tdi`` judges every setting of the grid by what motion, optics and noise leave of a scene, takes the
 best that keeps the limits, and says what other ways of choosing would have lost.
 
-Not here: the steps themselves (``tdi/``), files (``io/tdi.py``).
+Not here: the steps themselves (``tdi/``), files (``io/tdi/load.py``).
 """
 
 from __future__ import annotations

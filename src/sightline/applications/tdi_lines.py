@@ -3,7 +3,7 @@
 The table of a choice is looked up for every pixel, or, where the choice is to keep its settings, they are
 held from line to line. What was set, what from, and what is expected of it go into tags, a record per pixel.
 
-Not here: the choice (``tdi_choice.py``), files (``io/tdi_settings.py``).
+Not here: the choice (``tdi_choice.py``), files (``io/results/tdi_settings.py``).
 """
 
 from __future__ import annotations

@@ -39,17 +39,17 @@ def describe(file: Path) -> dict[str, Any]:
     """A file in words, with what its run will take; refused for what the run would refuse it for."""
     from sightline.applications.expected_cost import orientation_cost, prediction_cost, tdi_cost
     from sightline.applications.focal_plane import layout_cost
-    from sightline.io.acquisition import load_acquisition, ready_to_recover
+    from sightline.io.acquisition.describe import describe_acquisition
+    from sightline.io.acquisition.load import load_acquisition, ready_to_recover
     from sightline.io.config import kind_of
-    from sightline.io.cube_summary import ready_to_georeference
-    from sightline.io.describe import describe_acquisition
-    from sightline.io.describe_sequence import describe_sequence
-    from sightline.io.describe_stereo import describe_stereo
-    from sightline.io.instrument import describe_instrument, load_instrument
-    from sightline.io.sequence import read_sequence
-    from sightline.io.stereo import read_stereo
-    from sightline.io.stereo_plan import describe_plan, has_plan, read_plan
-    from sightline.io.tdi import describe_tdi, load_tdi
+    from sightline.io.layout.load import describe_instrument, load_instrument
+    from sightline.io.results.cube_summary import ready_to_georeference
+    from sightline.io.sequence.describe import describe_sequence
+    from sightline.io.sequence.load import read_sequence
+    from sightline.io.stereo.describe import describe_stereo
+    from sightline.io.stereo.load import read_stereo
+    from sightline.io.stereo.plan import describe_plan, has_plan, read_plan
+    from sightline.io.tdi.load import describe_tdi, load_tdi
 
     match kind_of(file):
         case "instrument":

@@ -60,7 +60,7 @@ def demo(
     from sightline.cli.tdi import judge, tell, write_judged
     from sightline.cli.terminal import print_json, progress, say
     from sightline.errors import InputError
-    from sightline.io.json_text import json_text
+    from sightline.io.formats.json_text import json_text
     from sightline.simulate.files import write_strip
     from sightline.simulate.scenarios import line_of_sight_case
 

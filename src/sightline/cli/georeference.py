@@ -14,7 +14,7 @@ from sightline.cli.terminal import Progress
 
 if TYPE_CHECKING:
     from sightline.applications.sequence_poses import SequencePoses
-    from sightline.io.sequence import FrameSequence
+    from sightline.io.sequence.load import FrameSequence
 
 _LISTED = 3
 _SAID = {
@@ -71,11 +71,11 @@ def georeference(
 
     from sightline.applications.sequence_between import interpolate_between
     from sightline.applications.sequence_poses import georeference_sequence
-    from sightline.applications.stages import Stages
     from sightline.cli.output import output_folder, stages_folder
     from sightline.cli.terminal import announce, complain, print_json, progress, say
-    from sightline.io.cube_summary import check_cube, earlier_cube, ready_to_georeference
-    from sightline.io.sequence import read_sequence
+    from sightline.io.results.cube_summary import check_cube, earlier_cube, ready_to_georeference
+    from sightline.io.sequence.load import read_sequence
+    from sightline.stages import Stages
 
     begun = time.perf_counter()
     with (
@@ -119,8 +119,8 @@ def write_georeferenced(
     from dataclasses import replace
 
     from sightline.errors import SightlineError
-    from sightline.io.cube_summary import cube_summary, remove_cube, write_cube
-    from sightline.io.sequence_results import write_sequence_result
+    from sightline.io.results.cube_summary import cube_summary, remove_cube, write_cube
+    from sightline.io.results.sequence import write_sequence_result
     from sightline.report.sequence_cube import cube_view
     from sightline.report.sequence_page import sequence_page
 
@@ -173,7 +173,7 @@ def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any])
 
 def _view_words(sequence: FrameSequence, found: SequencePoses) -> str:
     """The field of view, which shows a focal length in other units."""
-    from sightline.io.sequence import field_of_view
+    from sightline.io.sequence.load import field_of_view
 
     along, across = field_of_view(found.poses.detector(sequence.problem.detector))
     return f"field of view {along:.3g} degrees along x {across:.3g} across"

@@ -44,9 +44,9 @@ def layout(
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import announce, complain, print_json, progress
     from sightline.errors import InputError
-    from sightline.io.instrument import load_instrument
-    from sightline.io.layouts import summarize_layouts
-    from sightline.motion.layout_information import checked_passband
+    from sightline.io.layout.load import load_instrument
+    from sightline.io.results.layouts import summarize_layouts
+    from sightline.motion.layout.information import checked_passband
 
     begin = time.perf_counter()
     place = nullcontext() if out is None else output_folder(out, overwrite=overwrite)
@@ -76,7 +76,7 @@ def _write(
     """Write every file of the result; gives the summary."""
     import time
 
-    from sightline.io.layouts import write_layouts
+    from sightline.io.results.layouts import write_layouts
     from sightline.report.layout_page import layout_page
 
     report("writing the layouts and their report")

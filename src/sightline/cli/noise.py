@@ -61,7 +61,7 @@ def noise(
 
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
-    from sightline.io.noise_results import NOISE_FILES, write_noise
+    from sightline.io.results.noise import NOISE_FILES, write_noise
 
     _check(dark_level, electrons_per_dn, stages)
     begun = time.perf_counter()
@@ -106,7 +106,7 @@ def estimate(
     """The noise of the detector that `raw` are images of."""
     from sightline.access import check_file, remote_name
     from sightline.errors import InputError
-    from sightline.io.hirise_edr import is_hirise
+    from sightline.io.formats.hirise_edr import is_hirise
 
     for path in (*raw, *dark):
         if remote_name(path) is None:
@@ -133,7 +133,7 @@ def _of_edrs(raw: list[Path], report: Progress, electrons_per_dn: float | None) 
     """Noise of HiRISE channels."""
     from sightline.applications.detector_noise import detector_noise, strip_image_noise
     from sightline.errors import InputError
-    from sightline.io.hirise_edr import read_hirise_edr
+    from sightline.io.formats.hirise_edr import read_hirise_edr
 
     images, settings = [], {}
     for number, path in enumerate(raw):
@@ -160,7 +160,7 @@ def _of_plain(
     """Noise of plain images."""
     from sightline.applications.detector_noise import dark_noise, detector_noise, plain_image_noise
     from sightline.errors import InputError
-    from sightline.io.images import open_image
+    from sightline.io.formats.images import open_image
 
     if dark and dark_level is not None:
         raise InputError("--dark and --dark-level both say the level without light; give one of them")

@@ -17,8 +17,8 @@ from sightline.geometry.units import ARCSEC
 if TYPE_CHECKING:
     from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
     from sightline.applications.stereo_prediction import Improvement
-    from sightline.io.stereo import Stereo
-    from sightline.io.stereo_plan import PlannedPass
+    from sightline.io.stereo.load import Stereo
+    from sightline.io.stereo.plan import PlannedPass
 
 
 _AXES = ("roll", "pitch", "yaw")
@@ -118,8 +118,8 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
     from sightline.applications.stereo_orientation import orient_pushbroom
     from sightline.cli.terminal import announce
     from sightline.errors import InputError
-    from sightline.io.stereo import read_stereo
-    from sightline.io.stereo_strips import StripProblem
+    from sightline.io.stereo.load import read_stereo
+    from sightline.io.stereo.strips import StripProblem
 
     if raw and method is not Method.EPIPOLAR:
         raise InputError(f"--raw belongs to --method epipolar, here it is {method.value}; leave it out")
@@ -167,7 +167,7 @@ def improvements_of(problem: StereoProblem, method: Method) -> tuple[Improvement
     """What would better the angles of frames, by the bound."""
     from sightline.applications.stereo_prediction import improvements
     from sightline.errors import SightlineError
-    from sightline.io.stereo_strips import StripProblem
+    from sightline.io.stereo.strips import StripProblem
 
     if isinstance(problem, StripProblem) or len(problem.tracks) > IMPROVED_SIGHTINGS:
         return ()
@@ -181,8 +181,8 @@ def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str,
     """Every file of the result; gives the summary."""
     import time
 
-    from sightline.io.stereo_exports import write_exports
-    from sightline.io.stereo_results import write_stereo_result
+    from sightline.io.results.stereo import write_stereo_result
+    from sightline.io.results.stereo_exports import write_exports
     from sightline.report.stereo_page import stereo_page
 
     report("writing")
@@ -203,10 +203,10 @@ def foretell(file: Path, method: Method, folder: Path, report: Progress) -> dict
     from sightline.applications.stereo_prediction import predict, predict_plan
     from sightline.cli.terminal import announce
     from sightline.errors import InputError
-    from sightline.io.stereo import read_stereo
-    from sightline.io.stereo_plan import has_plan, read_plan
-    from sightline.io.stereo_predicted import write_prediction
-    from sightline.io.stereo_strips import StripProblem
+    from sightline.io.results.stereo_predicted import write_prediction
+    from sightline.io.stereo.load import read_stereo
+    from sightline.io.stereo.plan import has_plan, read_plan
+    from sightline.io.stereo.strips import StripProblem
     from sightline.report.stereo_prediction_page import prediction_page
 
     begun = time.perf_counter()

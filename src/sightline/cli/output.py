@@ -33,7 +33,7 @@ PARTIAL, STAGES = ".partial", "stages"
 #: is one, and scratch files.
 _STAGING = re.compile(r"\.partial-[a-z0-9_]{8}")
 _MARK, _SCRATCH = "made-by-sightline", "scratch"
-#: Files of stages (`applications.stages`), also one that was being written.
+#: Files of stages (`sightline.stages`), also one that was being written.
 _STAGE_FILE = re.compile(r"[A-Za-z0-9-]+\.stage\.npz(\.tmp)?")
 #: What the system says where there is no room.
 _NO_ROOM = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}

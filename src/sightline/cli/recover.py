@@ -11,8 +11,8 @@ from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
 from sightline.cli.terminal import Progress
 
 if TYPE_CHECKING:
-    from sightline.applications.results import LineOfSight
-    from sightline.io.acquired import Acquisition
+    from sightline.io.acquisition.acquired import Acquisition
+    from sightline.motion.results import LineOfSight
 
 
 def recover(
@@ -32,11 +32,11 @@ def recover(
     allow_network: AllowNetwork = False,
 ) -> None:
     """Recover roll, pitch and yaw with their sigma: per line of a strip's bands, or per frame."""
-    from sightline.applications.strip import RecoverOptions
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
-    from sightline.io.hidden import TABLE
-    from sightline.io.results import RESULT_FILES
+    from sightline.io.results.hidden import TABLE
+    from sightline.io.results.line_of_sight import RESULT_FILES
+    from sightline.motion.strip.strip import RecoverOptions
     from sightline.report.words import grouped
 
     RecoverOptions(method=method)  # a word that is none is refused before anything is read
@@ -80,9 +80,9 @@ def recover_into(
     import time
 
     from sightline.cli.terminal import announce
-    from sightline.io.acquisition import load_acquisition, ready_to_recover
-    from sightline.io.results import write_result
-    from sightline.io.tables import read_motion
+    from sightline.io.acquisition.load import load_acquisition, ready_to_recover
+    from sightline.io.formats.tables import read_motion
+    from sightline.io.results.line_of_sight import write_result
     from sightline.report.line_of_sight_page import line_of_sight_page
 
     begin = time.perf_counter()
@@ -100,10 +100,10 @@ def recover_into(
 def recover_acquisition(acquired: Acquisition, report: Progress, *, method: str = "joint") -> LineOfSight:
     """Recover what an acquisition holds: bands of a strip, or frames of a camera, spinning or not."""
     from sightline.applications.frame_attitude import recover_frame_attitude
-    from sightline.applications.frame_passes import FrameOptions
     from sightline.applications.line_of_sight import recover_line_of_sight
-    from sightline.applications.strip import RecoverOptions
     from sightline.errors import InputError
+    from sightline.motion.frames.passes import FrameOptions
+    from sightline.motion.strip.strip import RecoverOptions
 
     options = RecoverOptions(**acquired.matching, method=method) if not acquired.frames else None
     if options is None and method != "joint":

@@ -90,12 +90,12 @@ def register_into(
 
     from sightline.applications.registration import fit_pairs, register_bands
     from sightline.errors import InputError
-    from sightline.io.acquisition import load_acquisition
-    from sightline.io.recovered import read_recovered
-    from sightline.io.registered import write_products
-    from sightline.io.registered_frames import register_frames
-    from sightline.io.registration_summary import summarize_registration
-    from sightline.io.results import write_json
+    from sightline.io.acquisition.load import load_acquisition
+    from sightline.io.results.line_of_sight import write_json
+    from sightline.io.results.recovered import read_recovered
+    from sightline.io.results.registered import write_products
+    from sightline.io.results.registered_frames import register_frames
+    from sightline.io.results.registration import summarize_registration
     from sightline.report.register_page import register_page
 
     begin = time.perf_counter()

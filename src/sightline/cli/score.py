@@ -33,7 +33,7 @@ def score(
     """Print errors, NEES and coverage of a result against its truth, as JSON."""
     from sightline.cli.terminal import print_json, say
     from sightline.errors import InputError, failing_numbers
-    from sightline.io.pose_score import pose_score_lines
+    from sightline.io.results.pose_score import pose_score_lines
 
     with failing_numbers(f"{result}"):
         scored = score_folder(result, truth)
@@ -62,10 +62,10 @@ def score_folder(result: Path, truth: Path) -> dict[str, Any]:
     """
     from sightline.errors import FormatError
     from sightline.evaluation.score import score_motion
-    from sightline.io.hidden import read_hidden, read_summary
-    from sightline.io.pose_score import score_pose_folder
-    from sightline.io.stereo_score import score_orientation_folder
-    from sightline.io.tables import read_motion
+    from sightline.io.formats.tables import read_motion
+    from sightline.io.results.hidden import read_hidden, read_summary
+    from sightline.io.results.pose_score import score_pose_folder
+    from sightline.io.results.stereo_score import score_orientation_folder
 
     kind = next((name for name in _RESULTS if (result / name).is_file()), None)
     if kind is None:

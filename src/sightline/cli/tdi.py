@@ -50,7 +50,7 @@ def tdi(
     """Choose TDI stages and integration ratio per column and signal, as a table looked up at line rate."""
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
-    from sightline.io.tdi_settings import SETTINGS, TAGS
+    from sightline.io.results.tdi_settings import SETTINGS, TAGS
 
     with (
         output_folder(out, overwrite=overwrite, earlier=lambda _: (SETTINGS, TAGS)) as folder,
@@ -105,8 +105,8 @@ def judge(
     from sightline.cli.terminal import announce
     from sightline.errors import InputError
     from sightline.evaluation.tdi_pictures import strip_pictures
-    from sightline.io.tdi import load_tdi, tdi_inputs
-    from sightline.io.tdi_settings import open_signals
+    from sightline.io.results.tdi_settings import open_signals
+    from sightline.io.tdi.load import load_tdi, tdi_inputs
 
     begun = time.perf_counter()
     image = None if signals is None else open_signals(signals)
@@ -135,9 +135,9 @@ def write_judged(folder: Path, chosen: Judged, report: Progress) -> dict[str, An
     import time
     from functools import partial
 
-    from sightline.io.tdi_results import write_choice, write_tdi_summary
-    from sightline.io.tdi_settings import write_signal_lines
-    from sightline.io.tdi_table import write_table
+    from sightline.io.results.tdi import write_choice, write_tdi_summary
+    from sightline.io.results.tdi_settings import write_signal_lines
+    from sightline.io.results.tdi_table import write_table
     from sightline.report.tdi_page import tdi_page
 
     write_choice(folder / "choice.csv", chosen.result.choice)

@@ -166,7 +166,7 @@ class Interrupted(Exception):
 
 def print_json(summary: Mapping[str, Any]) -> None:
     """Print a summary on stdout as JSON; numbers that are not finite become null."""
-    from sightline.io.json_text import json_text
+    from sightline.io.formats.json_text import json_text
 
     print(json_text(summary))
 

@@ -87,11 +87,11 @@ def _why_useless(
 ) -> str:
     """Why a strip of these cameras cannot be recovered; "" where it can."""
     from sightline.applications.line_of_sight import ready_strip
-    from sightline.applications.strip import RecoverOptions
-    from sightline.applications.strip_checks import windows_in_common
     from sightline.errors import SightlineError
-    from sightline.io.ground import check_overlap
+    from sightline.io.acquisition.ground import check_overlap
     from sightline.motion.band import Band
+    from sightline.motion.strip.checks import windows_in_common
+    from sightline.motion.strip.strip import RecoverOptions
 
     names = [camera.detector.name for camera in cameras]
     bands = [

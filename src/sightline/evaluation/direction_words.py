@@ -1,6 +1,6 @@
 """Principal directions of constant attitude errors in words.
 
-Not here: how they are found (``photogrammetry/observability.py``).
+Not here: how they are found (``photogrammetry/block/observability.py``).
 """
 
 from __future__ import annotations

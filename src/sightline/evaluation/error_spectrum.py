@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sightline.applications.results import LineOfSight
 from sightline.evaluation.observed import Observed, observed
 from sightline.geometry.trajectory import Motion
+from sightline.motion.results import LineOfSight
 from sightline.motion.tones import spectrum
 
 Array = NDArray[np.float64]

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.results import LineOfSight
 from sightline.evaluation.error_spectrum import error_psd
+from sightline.motion.results import LineOfSight
 from sightline.motion.tone_history import ToneHistory, TonePair, close_pairs, tone_histories
 from sightline.motion.tones import AXES, DetectedTone
 

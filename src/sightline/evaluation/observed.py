@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sightline.applications.results import LineOfSight
+from sightline.motion.measure.observations import Star
 from sightline.motion.observability import (
     Passbands,
     blind_frequencies,
@@ -20,7 +20,7 @@ from sightline.motion.observability import (
     power_transfer,
     window_gain,
 )
-from sightline.motion.observations import Star
+from sightline.motion.results import LineOfSight
 
 Array = NDArray[np.float64]
 

@@ -4,7 +4,7 @@ What the images cannot tell is left out of the comparison: the hidden directions
 estimate and truth by one unweighted least-squares fit over all lines. The sigmas of a result are
 those of the motion less its hidden part already, and are used as they are given.
 
-Not here: reading the files (``io/hidden.py``, ``io/tables.py``), printing (``cli/score.py``).
+Not here: reading the files (``io/results/hidden.py``, ``io/formats/tables.py``), printing (``cli/score.py``).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from sightline.geometry.checks import as_points, as_times, same_length
 from sightline.geometry.trajectory import Motion
 
 if TYPE_CHECKING:  # reading a folder's score needs none of what made it
-    from sightline.applications.results import LineOfSight
+    from sightline.motion.results import LineOfSight
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """Constant attitude errors of cameras against their truth: errors, NEES, coverage.
 
-Not here: reading the files (``io/stereo_score.py``).
+Not here: reading the files (``io/results/stereo_score.py``).
 """
 
 from __future__ import annotations

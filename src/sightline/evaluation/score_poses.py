@@ -4,7 +4,7 @@ Alignment takes one rotation, one move and, for a similarity, one scale off all 
 frames differ by among themselves. The stated covariances own the datum's uncertainty; after alignment they
 are too large by it, so that NEES and coverage of aligned errors are those of cautious sigmas.
 
-Not here: reading the files (``io/pose_score.py``).
+Not here: reading the files (``io/results/pose_score.py``).
 """
 
 from __future__ import annotations

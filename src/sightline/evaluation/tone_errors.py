@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.results import LineOfSight
 from sightline.estimation.banded import band_times
+from sightline.motion.results import LineOfSight
 from sightline.motion.tones import AXES, DetectedTone, evenly_detrended, hann, named
 
 Array = NDArray[np.float64]

@@ -1,6 +1,6 @@
 """Some lines of an image as an image of their own: the filters of one chip, read out as one frame.
 
-Not here: the frame itself (``source.py``, ``io/images.py``).
+Not here: the frame itself (``source.py``, ``io/formats/images.py``).
 """
 
 from __future__ import annotations

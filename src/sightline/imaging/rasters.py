@@ -4,7 +4,7 @@ GDAL tells formats by content, not by name: a file called ``.tif`` may be a list
 server (WMS). So only formats that hold their own pixels are tried, and what the others refer to is read here
 and checked before GDAL sees it.
 
-Not here: what may be opened at all (``access.py``), pixels in windows (``io/images.py``).
+Not here: what may be opened at all (``access.py``), pixels in windows (``io/formats/images.py``).
 """
 
 from __future__ import annotations

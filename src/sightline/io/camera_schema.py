@@ -1,6 +1,7 @@
 """What STEREO.toml and SEQUENCE.toml may say of the camera of a frame, alike in both.
 
-Not here: the camera of an ACQUISITION.toml (``acquisition_schema.py``), whose lens may be estimated in parts.
+Not here: the camera of an ACQUISITION.toml (``io/acquisition/schema.py``), whose lens may be estimated in
+parts.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from sightline.io.acquisition_schema import Section
+from sightline.io.acquisition.schema import Section
 from sightline.io.quantities import (
     Distortion,
     FocalSigmaPx,

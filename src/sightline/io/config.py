@@ -1,7 +1,7 @@
 """TOML files against their schema: one clear message for a wrong key or value.
 
-Not here: what the keys mean (``acquisition_schema.py``), opening the files they name
-(``acquisition.py``).
+Not here: what the keys mean (``io/acquisition/schema.py``), opening the files they name
+(``io/acquisition/load.py``).
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from pydantic import BaseModel, ValidationError
 
 from sightline.access import SMALL, read_text
 from sightline.errors import FormatError, foreign_errors
-from sightline.io.acquisition_schema import AcquisitionFile
-from sightline.io.instrument_schema import InstrumentFile
+from sightline.io.acquisition.schema import AcquisitionFile
+from sightline.io.layout.schema import InstrumentFile
 from sightline.io.quantities import shown
-from sightline.io.sequence_schema import SequenceFile
-from sightline.io.stereo_schema import StereoFile
-from sightline.io.tdi_schema import TdiFile
+from sightline.io.sequence.schema import SequenceFile
+from sightline.io.stereo.schema import StereoFile
+from sightline.io.tdi.schema import TdiFile
 
 Model = TypeVar("Model", bound=BaseModel)
 

@@ -5,7 +5,7 @@ nothing can be reckoned with, not daring instruments. The widest real case stand
 0, where that means "exactly"; what is smaller than its least is a slip.
 
 Not here: which key is of which kind (the schemas), what combinations of allowed values cost
-(``applications/expected_cost.py``), numbers in tables (``tables.py``).
+(``applications/expected_cost.py``), numbers in tables (``io/formats/tables.py``).
 """
 
 from __future__ import annotations

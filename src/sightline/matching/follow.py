@@ -7,7 +7,7 @@ not add up. A frame that links to none is stepped over; where that does not help
 
 One frame at a time is read, and only hubs whose windows are still followed are kept.
 
-Not here: poses (``photogrammetry/frame_poses.py``); stretches seen from other directions
+Not here: poses (``photogrammetry/flight/poses.py``); stretches seen from other directions
 (``photogrammetry/match_frames.py``).
 """
 
@@ -147,7 +147,8 @@ class Followed(ReadOnlyArrays):
     reason : tuple of str
         Why a frame has no link; "" where it has one, or was linked to later.
     wide : bool
-        Found by features, as frames overlap too little to be followed (``photogrammetry/wide_links.py``).
+        Found by features, as frames overlap too little to be followed
+        (``photogrammetry/flight/wide_links.py``).
     """
 
     image: NDArray[np.intp]

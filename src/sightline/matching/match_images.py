@@ -1,6 +1,6 @@
 """The one entry point of matching: points of one image found in another, with their covariance.
 
-Not the prediction of where to look: positions come in as arrays (see `sightline.motion.predict`).
+Not the prediction of where to look: positions come in as arrays (see `sightline.motion.measure.predict`).
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ A pair of images `lag` apart measures ``angles(t + lag) - angles(t)``. In the fr
 motion is multiplied by ``G(f) = exp(2 i pi f lag) - 1``, which vanishes at f = n/lag: there the pair is
 blind, and between the zeros every filter trades noise against loss. All gains here are closed forms.
 
-Not here: the filters themselves (``harmonic.py``, ``estimators/``).
+Not here: the filters themselves (``motion/estimators/harmonic.py``, ``estimators/``).
 """
 
 from __future__ import annotations

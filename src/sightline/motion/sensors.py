@@ -1,6 +1,6 @@
 """What else than images tells of the attitude: star trackers, gyros, ground control points.
 
-Not here: reading their tables (``io/``), what they say in the joint estimate (``fusion.py``).
+Not here: reading their tables (``io/``), what they say in the joint estimate (``motion/strip/fusion.py``).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Each is a small change of the cameras with a prior sigma (``predict.StaticParameter``).
 
-Not here: their estimation (``joint.py``, ``frames.py``).
+Not here: their estimation (``motion/strip/joint.py``, ``motion/frames/solve.py``).
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
-from sightline.motion.predict import MovingCamera, StaticParameter
+from sightline.motion.measure.predict import MovingCamera, StaticParameter
 
 Array = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ together, so that in the end windows differ by noise alone and not by how they a
 The hub is a sighting like the others. A pair's match errs by the noise of both windows; given to each image
 its share, the errors of all sightings of a point are independent (docs/decisions/0003).
 
-Not here: the comparison of windows (``matching/``), orientation (``bundle.py``).
+Not here: the comparison of windows (``matching/``), orientation (``photogrammetry/block/bundle.py``).
 """
 
 from __future__ import annotations

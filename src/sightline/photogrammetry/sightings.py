@@ -4,7 +4,8 @@
 `Sightings` are both made free of lens and camera: tangents, the pose each was taken from, and how pixels
 follow from tangents. Frames and pushbroom images give the same `Sightings`.
 
-Not here: how points are found in images (``matching/``), what is solved from them (``bundle.py``).
+Not here: how points are found in images (``matching/``), what is solved from them
+(``photogrammetry/block/bundle.py``).
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 Each point by itself: weighted least squares of its residuals (px) under given poses. What is not known of the
 poses enters the covariance, not the weights.
 
-Not here: poses estimated with the points (``bundle.py``).
+Not here: poses estimated with the points (``photogrammetry/block/bundle.py``).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
-from sightline.photogrammetry.pose_noise import PoseNoise, aim_sensitivity
+from sightline.photogrammetry.block.pose_noise import PoseNoise, aim_sensitivity
 from sightline.photogrammetry.sightings import Index, Sightings, as_index, frames_of
 from sightline.photogrammetry.triangulate_kernels import meet, spread
 

@@ -1,6 +1,6 @@
 """The grid of a map: rows from north to south, columns from west to east; where they lie in the world.
 
-Not here: what lies on it (``frame_cube.py``), files (``io/cube_files.py``).
+Not here: what lies on it (``frame_cube.py``), files (``io/results/cube_files.py``).
 """
 
 from __future__ import annotations

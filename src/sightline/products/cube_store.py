@@ -1,6 +1,6 @@
 """Where the pixels of a cube go while it is made.
 
-Not here: files (``io/cube_files.py``).
+Not here: files (``io/results/cube_files.py``).
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ each place best in each band; then these frames are read one after the other, ea
 and resampled once. Memory is that of a tile in all bands and a frame, however many frames there are.
 
 Not here: the heights of the ground (``ground_model.py``), how well bands fit (``cube_fit.py``), files
-(``io/cube_files.py``).
+(``io/results/cube_files.py``).
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ from sightline.geometry.camera import FrameCamera
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ArrayImage, ImageSource
 from sightline.motion.band import Frame
-from sightline.motion.frame_matches import laid_frame
+from sightline.motion.frames.matches import laid_frame
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]

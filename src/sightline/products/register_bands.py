@@ -4,7 +4,7 @@ Pixels that cannot be used (masked, no data, beyond the image) are made up from 
 kernel runs; where they weigh too much (`MASK_SHARE`) the result has no value.
 
 Not here: the kernel (``resample.py``), how often the map is evaluated (``image_map.py``), how well bands fit
-(``band_fit.py``), files (``io/registered.py``).
+(``band_fit.py``), files (``io/results/registered.py``).
 """
 
 from __future__ import annotations

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.results import LineOfSight
-from sightline.io.acquired import Acquisition
-from sightline.motion.stars import laid_on
+from sightline.io.acquisition.acquired import Acquisition
+from sightline.motion.measure.stars import laid_on
+from sightline.motion.results import LineOfSight
 from sightline.report.raster import data_png
 
 Array = NDArray[np.float64]

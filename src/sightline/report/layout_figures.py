@@ -1,6 +1,6 @@
 """Figures of a choice of layouts: information, places, what a longer span brings, what remains unknown.
 
-Not here: how the layouts were found (``motion/layout_search.py``).
+Not here: how the layouts were found (``motion/layout/search.py``).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sightline.applications.focal_plane import (
     JudgedLayout,
     LayoutChoice,
 )
-from sightline.motion.layout_sigma import posterior_psd
+from sightline.motion.layout.sigma import posterior_psd
 from sightline.report.figure import Figure
 from sightline.report.marks import Line, Points, Spans
 from sightline.report.style import AXIS_COLOURS, MUTED, label

@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from sightline.applications.results import LineOfSight
 from sightline.applications.spin_attitude import SpinAttitude
 from sightline.evaluation.observed import SEEN_TONE_PX, observed
-from sightline.io.acquired import Acquisition
-from sightline.io.tables import MotionTable
+from sightline.io.acquisition.acquired import Acquisition
+from sightline.io.formats.tables import MotionTable
+from sightline.motion.results import LineOfSight
 from sightline.report import match_figures, microvibration_figures, motion_figures, spectrum_figures, words
 from sightline.report.composite import composite
 from sightline.report.page import Page, Section, Table, inputs, pictures, resources

@@ -12,9 +12,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.results import LineOfSight
 from sightline.matching.matches import KEPT, OUTLIER, OUTSIDE, STATUS_NAMES
-from sightline.motion.stars import StarRecord
+from sightline.motion.measure.stars import StarRecord
+from sightline.motion.results import LineOfSight
 from sightline.report.figure import Figure
 from sightline.report.marks import Bars, Line, Map
 from sightline.report.reduce import cell_edges, cell_means, cell_modes

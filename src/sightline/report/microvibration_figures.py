@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from sightline.applications.results import LineOfSight
 from sightline.evaluation.microvibration import STEADY, smear_px
+from sightline.motion.results import LineOfSight
 from sightline.report.figure import Figure
 from sightline.report.marks import DASHES, Band, Line
 from sightline.report.style import AXES, AXIS_COLOURS, AXIS_UNITS

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.results import LineOfSight
 from sightline.evaluation.score import remove_directions
-from sightline.io.tables import MotionTable
+from sightline.io.formats.tables import MotionTable
+from sightline.motion.results import LineOfSight
 from sightline.report.figure import Figure, Panel
 from sightline.report.marks import Band, Line, Points, Spans
 from sightline.report.reduce import cell_edges, cell_means, runs

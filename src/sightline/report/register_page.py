@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.imaging.source import ImageSource
-from sightline.io.registered import Written
+from sightline.io.results.registered import Written
 from sightline.products.band_fit import WINDOW, BandFit
 from sightline.report.composite import CROP, colours
 from sightline.report.figure import Figure
@@ -39,7 +39,7 @@ def register_page(
     before, after : sequence of BandFit
         Of the same pairs.
     summary : mapping
-        As ``io.registration_summary`` gives it, with `wall_seconds`.
+        As ``io.results.registration`` gives it, with `wall_seconds`.
     """
     lines, columns = summary["shape"]
     fits = (

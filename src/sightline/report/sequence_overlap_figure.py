@@ -1,6 +1,6 @@
 """Which frames of a sequence see the same points: a graph in plan, and the same as a matrix.
 
-Not here: how points were found (``matching/follow.py``, ``photogrammetry/cross_links.py``).
+Not here: how points were found (``matching/follow.py``, ``photogrammetry/flight/cross_links.py``).
 """
 
 from __future__ import annotations

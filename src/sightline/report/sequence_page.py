@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses
+from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.report import sequence_cube, sequence_figures
 from sightline.report import sequence_words as words
 from sightline.report.figure import Figure

@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import ESTIMATED, INTERPOLATED, SOLVED, SequencePoses
 from sightline.geometry.checks import read_only
 from sightline.geometry.earth import local_axes, to_geodetic
-from sightline.photogrammetry.flight_path import path_turns, stretches
+from sightline.photogrammetry.flight.path import path_turns, stretches
+from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.sightings import Images
 
 Array = NDArray[np.float64]

@@ -10,9 +10,9 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.frame_sequence import SequenceProblem
 from sightline.applications.sequence_poses import SequencePoses
-from sightline.applications.sequence_warnings import BENT_PX, bent_px, focal_verdict
+from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.photogrammetry.flight.warnings import BENT_PX, bent_px, focal_verdict
 from sightline.report.sequence_view import PARAMETERS, UNITS, SequenceView
 from sightline.report.stereo_words import several, with_sigma
 from sightline.report.words import digits

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.results import LineOfSight
 from sightline.evaluation.error_spectrum import error_psd
 from sightline.evaluation.observed import SEEN_SIGMAS, SEEN_TONE_PX, Observed
 from sightline.motion.observability import Passbands
+from sightline.motion.results import LineOfSight
 from sightline.motion.tones import DetectedTone, spectrum
 from sightline.report.figure import Figure
 from sightline.report.marks import Line, Note, Points, Rules, Spans

@@ -14,8 +14,8 @@ from scipy.spatial.transform import Rotation
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
 from sightline.evaluation.direction_words import AXES
 from sightline.geometry.units import ARCSEC
-from sightline.io.stereo import Stereo
-from sightline.io.stereo_strips import StripProblem
+from sightline.io.stereo.load import Stereo
+from sightline.io.stereo.strips import StripProblem
 from sightline.report.figure import Figure
 from sightline.report.marks import Bars, Line, Points, Rules
 from sightline.report.style import DOUBT, INK, MUTED, labels, wrapped

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from sightline.applications.stereo_heights import height_sigmas, heights_of
 from sightline.applications.stereo_orientation import StereoOrientation
 from sightline.geometry.earth import local_axes, to_geodetic
-from sightline.io.stereo import Stereo
-from sightline.io.stereo_results import planned_points
+from sightline.io.results.stereo import planned_points
+from sightline.io.stereo.load import Stereo
 from sightline.report.figure import Figure
 from sightline.report.marks import Points
 

@@ -12,7 +12,7 @@ from typing import Any
 from sightline.applications.stereo_orientation import StereoOrientation
 from sightline.evaluation.direction_words import AXES
 from sightline.geometry.units import ARCSEC
-from sightline.io.stereo import Stereo
+from sightline.io.stereo.load import Stereo
 from sightline.report import stereo_figures
 from sightline.report.page import Page, Section, Table, inputs
 from sightline.report.stereo_height_figure import PointHeights, height_figure, point_heights

@@ -13,12 +13,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.results import LineOfSight
 from sightline.applications.spin_attitude import SpinAttitude
 from sightline.evaluation.band_words import passband_words
 from sightline.evaluation.observed import SEEN_TONE_PX
 from sightline.evaluation.score import words_of_hidden
 from sightline.geometry.camera import FrameCamera
+from sightline.motion.results import LineOfSight
 from sightline.motion.tones import DetectedTone, lowest_sought
 from sightline.report.motion_figures import FEW_EPOCHS, visible_motion_px
 from sightline.report.spectrum_figures import tones_of

@@ -25,8 +25,8 @@ from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.orbit_pair import SPHERE, OrbitPair
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Dem, Ellipsoid
-from sightline.photogrammetry.point_priors import ControlPoints, HeightPrior
-from sightline.photogrammetry.pose_noise import PoseNoise
+from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior
+from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Images, Tracks
 from sightline.simulate.stereo_ground import lay_ground, lay_points
 from sightline.simulate.stereo_options import CASE_OPTIONS, StereoOptions

@@ -16,7 +16,7 @@ import numpy as np
 
 from sightline.errors import InputError
 from sightline.geometry.surface import Dem
-from sightline.photogrammetry.point_priors import ControlPoints
+from sightline.photogrammetry.block.point_priors import ControlPoints
 from sightline.photogrammetry.sightings import Images
 from sightline.simulate.files import write_dem, write_rows
 from sightline.simulate.stereo import EPOCH, StereoScenario

@@ -4,7 +4,7 @@ Three kinds of not knowing: a stationary error of known spectral density (blind 
 windows resolve, hold the motion's own density there); hidden directions, which the images leave free, with
 the covariance of how much of each there may be; jitter too fast for any of it.
 
-Not here: what it does to TDI (``motion_mtf.py``), files (``io/motion_knowledge.py``).
+Not here: what it does to TDI (``motion_mtf.py``), files (``io/tdi/motion.py``).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from sightline.errors import InputError, SpanError
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.tdi_transfer import dirichlet
-from sightline.motion.joint import CONSTANT_SIGMA
+from sightline.motion.strip.joint import CONSTANT_SIGMA
 from sightline.tdi.scan_columns import ColumnGeometry
 
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ A cell is a group of columns and a range of signals; all within it share one wor
 ranges, since columns drive the choice and signals hardly do. Signals are quantised to whole electrons, or to
 a power of two of them where they exceed 16 bits.
 
-Not here: how the cells are found (``table_build.py``), its other files (``io/tdi_table.py``).
+Not here: how the cells are found (``table_build.py``), its other files (``io/results/tdi_table.py``).
 """
 
 from __future__ import annotations

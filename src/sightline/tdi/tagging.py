@@ -3,7 +3,7 @@
 Tags keep for every line and group the setting, what it was chosen from and what was expected of it. A sample
 over its integration time is the signal, whatever the setting: seams between groups vanish.
 
-Not here: the file of tags (``io/tdi_tags.py``).
+Not here: the file of tags (``io/results/tdi_tags.py``).
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.motion.differences import AngleDifferences
+from sightline.motion.estimators.differences import AngleDifferences
 
 STEP = 1e-3  # s; grid of the drawn motions
 

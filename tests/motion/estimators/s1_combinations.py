@@ -1,7 +1,7 @@
 """Several pairs of images into one motion, S1's ways: band by band, or one pair after another.
 
 Both are kept for comparison. Pairs that share an image share its error, which neither knows; the
-smoother does (``estimators/smoother.py``, ``joint.py``).
+smoother does (``estimators/smoother.py``, ``motion/strip/joint.py``).
 
 Not here: all pairs fitted at once at each frequency, which ``inverse`` and ``wiener`` do by themselves.
 """
@@ -17,10 +17,10 @@ from numpy.typing import ArrayLike, NDArray
 from sightline.errors import InputError
 from sightline.geometry.checks import as_times
 from sightline.geometry.trajectory import Motion
-from sightline.motion.differences import AngleDifferences
+from sightline.motion.estimators.differences import AngleDifferences
+from sightline.motion.estimators.harmonic import Bins, restore
 from sightline.motion.estimators.inverse import inverse
 from sightline.motion.estimators.polynomial import checked
-from sightline.motion.harmonic import Bins, restore
 
 Estimator = Callable[[Sequence[AngleDifferences], ArrayLike], Motion]
 """Every function of ``estimators/``, its options filled in (``functools.partial``)."""

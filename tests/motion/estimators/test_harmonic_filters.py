@@ -1,4 +1,4 @@
-"""Inverse, Wiener, max-band and in-turn: the filters of ``motion/harmonic.py``."""
+"""Inverse, Wiener, max-band and in-turn: the filters of ``motion/estimators/harmonic.py``."""
 
 from dataclasses import replace
 from functools import partial
@@ -9,7 +9,7 @@ import pytest
 from motion.estimators.s1_combinations import in_turn, max_band
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import Matern, Spectrum
-from sightline.motion.differences import AngleDifferences
+from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.estimators.inverse import inverse
 from sightline.motion.estimators.wiener import wiener
 from sightline.motion.observability import chain_gain, combined_gain, noise_gain

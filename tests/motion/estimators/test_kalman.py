@@ -6,7 +6,7 @@ import pytest
 from consistency import assert_consistent
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.motion.differences import AngleDifferences
+from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.estimators.kalman import kalman, state_space
 
 SMALL = Spectrum((Matern(1.0, 0.3, "5/2"), Matern(0.1, 0.01), Tone(0.3, 47.0, 0.5)))

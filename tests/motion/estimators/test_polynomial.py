@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import EstimationError, InputError
-from sightline.motion.differences import AngleDifferences
+from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.estimators.polynomial import fit_polynomial, polynomial
 
 

@@ -8,7 +8,7 @@ import pytest
 from sightline.errors import InputError
 from sightline.estimation.likelihood import FittedSpectrum
 from sightline.estimation.prior import Matern, Spectrum
-from sightline.motion.differences import AngleDifferences
+from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.estimators.smoother import fit_spectra, scalar_series, smooth
 
 LAGS = (86, 22, 7, 15)

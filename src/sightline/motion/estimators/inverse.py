@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError
 from sightline.geometry.trajectory import Motion
-from sightline.motion.differences import AngleDifferences
-from sightline.motion.harmonic import Bins, restore
+from sightline.motion.estimators.differences import AngleDifferences
+from sightline.motion.estimators.harmonic import Bins, restore
 
 #: Below this |G|^2 the plain inverse (k = 0) is not formed: its noise gain would exceed 100.
 INVERSE_FLOOR = 1e-4

@@ -23,9 +23,9 @@ from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.geometry.checks import as_times
 from sightline.geometry.interpolation import stencils
 from sightline.geometry.trajectory import Motion
-from sightline.motion.differences import AngleDifferences
+from sightline.motion.estimators.differences import AngleDifferences
+from sightline.motion.estimators.harmonic import common_step
 from sightline.motion.estimators.polynomial import checked
-from sightline.motion.harmonic import common_step
 
 Array = NDArray[np.float64]
 AxisPriors = Spectrum | tuple[Spectrum, Spectrum, Spectrum]

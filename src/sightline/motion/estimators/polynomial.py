@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.checks import as_times
 from sightline.geometry.trajectory import Motion
-from sightline.motion.differences import AngleDifferences
+from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.observability import polynomial_terms
 
 Array = NDArray[np.float64]

@@ -4,7 +4,7 @@ All pairs at once, each difference with its own two times, its window and the er
 other pairs, under a prior spectrum that is given or found in the data. Cost grows linearly with the
 length of the strip. This is the fast special case of the joint estimate, for axes that do not mix.
 
-Not here: exact rays, band offsets tied to the geometry, relief (``motion/joint.py``).
+Not here: exact rays, band offsets tied to the geometry, relief (``motion/strip/joint.py``).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from sightline.estimation.series_kernels import TAPS
 from sightline.estimation.split import split
 from sightline.geometry.checks import as_times
 from sightline.geometry.trajectory import Motion
-from sightline.motion.differences import AngleDifferences
+from sightline.motion.estimators.differences import AngleDifferences
 
 Array = NDArray[np.float64]
 

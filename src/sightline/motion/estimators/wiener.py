@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from sightline.estimation.prior import Spectrum
 from sightline.geometry.trajectory import Motion
-from sightline.motion.differences import AngleDifferences
-from sightline.motion.harmonic import Bins, restore
+from sightline.motion.estimators.differences import AngleDifferences
+from sightline.motion.estimators.harmonic import Bins, restore
 
 Array = NDArray[np.float64]
 AxisPriors = Spectrum | tuple[Spectrum, Spectrum, Spectrum]

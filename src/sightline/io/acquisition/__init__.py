@@ -1,0 +1,1 @@
+"""ACQUISITION.toml: a strip or frames and their cameras."""

@@ -1,0 +1,284 @@
+"""What an ACQUISITION.toml becomes: bands or frames with cameras, sensors, control points, hashes.
+
+Not here: reading the file (``load.py``).
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from sightline.access import (
+    allow_folders,
+    check_file,
+    current_access,
+    located,
+    refuse_network,
+    remote_name,
+)
+from sightline.errors import FormatError, SightlineError, foreign_errors
+from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.geometry.earth import local_axes
+from sightline.geometry.spin import Spin
+from sightline.geometry.surface import Surface
+from sightline.imaging.source import ImageSource
+from sightline.io.acquisition.schema import AcquisitionFile, InputFile, WorldSection
+from sightline.motion.band import Band, ChipKnowledge, Frame, LensKnowledge
+from sightline.motion.sensors import AttitudeSensor, ControlPoints
+from sightline.motion.spin.solve import AttitudeSigma
+from sightline.motion.strip.hyper import KnownContent
+
+
+@dataclass(frozen=True, eq=False)
+class Acquisition:
+    """Everything an ACQUISITION.toml says, ready for ``recover_line_of_sight``.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    name, epoch : str
+        Title; UTC instant of t = 0 or None.
+    bands, frames : tuple
+        One of the two is empty.
+    surface : Surface
+        What the lines of sight meet.
+    height_sigma : float
+        m; what is not known about it.
+    sensors : tuple of AttitudeSensor
+    control_points : ControlPoints or None
+    known_motion : KnownContent
+    lens : LensKnowledge
+    matching : dict
+        What ``[matching]`` gives, by the names of ``RecoverOptions``; empty where the default is wanted.
+    platform : str
+        Kind of ``[platform]``.
+    world : str
+        ``"local"`` (x east, y north, z up) or ``"earth-fixed"``.
+    spin : Spin or None
+        How the body turns, where it spins, and how well that is known.
+    chip : ChipKnowledge
+        How well the strips of a frame are known.
+    attitude_sigma : AttitudeSigma or None
+        How well the attitude of a spinning body at t = 0 is known.
+    parallax_sigma : float
+        rad/s; how fast directions may drift because the platform moves (ground at infinity).
+    inputs : tuple of Path
+        Every file that was read or will be.
+    """
+
+    path: Path
+    name: str
+    epoch: str | None
+    bands: tuple[Band, ...]
+    frames: tuple[Frame, ...]
+    surface: Surface
+    height_sigma: float
+    sensors: tuple[AttitudeSensor, ...]
+    control_points: ControlPoints | None
+    known_motion: KnownContent
+    lens: LensKnowledge
+    matching: dict[str, Any]
+    platform: str
+    world: str
+    spin: Spin | None
+    chip: ChipKnowledge
+    attitude_sigma: AttitudeSigma | None
+    parallax_sigma: float
+    inputs: tuple[Path, ...] = field(repr=False)
+
+    @property
+    def images(self) -> tuple[ImageSource, ...]:
+        """Image sources of all bands or frames, in order."""
+        return (*(band.image for band in self.bands), *(frame.image for frame in self.frames))
+
+    @property
+    def cameras(self) -> tuple[PushbroomCamera | FrameCamera, ...]:
+        """Nominal cameras of all bands or frames, in order."""
+        return (*(band.camera for band in self.bands), *(frame.camera for frame in self.frames))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all bands or frames, in order."""
+        return (*(band.name for band in self.bands), *(frame.name for frame in self.frames))
+
+    @property
+    def ifov(self) -> float:
+        """rad (a tangent); mean step between neighbouring pixels of the first image."""
+        return field_of_view(self.cameras[0])[0]
+
+    @property
+    def half_field_px(self) -> float:
+        """px; from the middle of the field to its edge."""
+        return field_of_view(self.cameras[0])[1]
+
+    def input_hashes(self) -> dict[str, str]:
+        """SHA-256 of every input file, by its path relative to the TOML file (for ``summary.json``)."""
+        return {_relative(path, self.path.parent): sha256(path) for path in self.inputs}
+
+
+def field_of_view(camera: PushbroomCamera | FrameCamera) -> tuple[float, float]:
+    """IFOV (a tangent) and half field (px) of a camera."""
+    if isinstance(camera, FrameCamera):
+        return 1.0 / camera.detector.focal_length_px, (camera.detector.shape[1] - 1) / 2.0
+    directions = camera.detector.directions
+    tangents = directions[:, :2] / directions[:, 2:]
+    length = float(np.linalg.norm(tangents[-1] - tangents[0]))
+    return length / (len(tangents) - 1), (len(tangents) - 1) / 2.0
+
+
+def sha256(path: Path) -> str:
+    """Hexadecimal SHA-256 of a file, read in pieces; of what is read from servers, that it was."""
+    if remote_name(path) is not None:
+        return "read from a server"
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """The path as the TOML file would name it, or in full when it lies elsewhere."""
+    try:
+        return path.resolve().relative_to(folder.resolve()).as_posix()
+    except ValueError:
+        return str(path)
+
+
+class HasWorld(Protocol):
+    """A file with a table ``[world]``."""
+
+    @property
+    def world(self) -> WorldSection:
+        """Axes of its positions and attitudes."""
+        ...
+
+
+class InputFolder:
+    """Paths relative to the TOML file, remembered as they are used, with the keys that name them.
+
+    Parameters
+    ----------
+    toml : Path
+    config : InputFile, optional
+        Its content, for the names of keys.
+    """
+
+    def __init__(self, toml: Path, config: InputFile | None = None) -> None:
+        """Start with the TOML file itself."""
+        self.toml = toml
+        self.used: list[Path] = [toml]
+        self._key_of: dict[str, str] = {}
+        self._place_of: dict[Path, str] = {}
+        if config is not None:
+            for where, name in _words(config.model_dump(exclude_unset=True), ()):
+                self._key_of.setdefault(name, _key(where))
+
+    def path(self, name: str) -> Path:
+        """The path behind a name in the file."""
+        return located(self.toml.parent, name)
+
+    def __call__(self, name: str, place: str = "", advice: str = "check the name") -> Path:
+        """The path behind a name in the file, or in a table (`place`); it is listed among the inputs.
+
+        Raises
+        ------
+        FormatError
+            If there is no such file, or it would be asked of a server unasked; names the key.
+        """
+        path = self.path(name)
+        place = place or f"{self.toml}: {self._key_of.get(name, name)}"
+        self._place_of[path] = place
+        if path not in self.used:
+            self.used.append(path)
+        if remote_name(path) is None:
+            check_file(path, advice, place)
+        elif not current_access().network:
+            raise refuse_network(place, f"{name} is an address")
+        return path
+
+    def allowed(self, config: InputFile) -> list[Path]:
+        """Folders to which the files that are named may refer."""
+        folders = [self.toml.parent / name for name in config.files.allow]
+        for folder in folders:
+            if not folder.is_dir():
+                raise FormatError(
+                    f"{self.toml}: [files] allow: {folder}: no such folder; correct or remove it"
+                )
+        return [self.toml.parent, *folders]
+
+    def placed(self, error: SightlineError) -> SightlineError:
+        """The same error with file and key in front where it does not name them."""
+        text = str(error)
+        for path, place in self._place_of.items():
+            if text.startswith(f"{path}: "):
+                return type(error)(f"{place}: {text}")
+        if any(str(path) in text for path in self.used):
+            return error
+        return type(error)(f"{self.toml}: {text}")
+
+
+@contextmanager
+def input_files(toml: Path, config: InputFile) -> Iterator[InputFolder]:
+    """The files that a TOML file names; whatever goes wrong with them in the block names file and key.
+
+    Parameters
+    ----------
+    toml : Path
+    config : InputFile
+        Its content; files may refer to what lies beside it and in the folders of ``[files] allow``.
+    """
+    files = InputFolder(toml, config)
+    failed = "what it says, and the files that it names, cannot be computed with"
+    advice = "look for values that are extreme or do not belong together; --debug shows where it failed"
+    with allow_folders(files.allowed(config)), foreign_errors(toml, failed, advice):
+        try:
+            yield files
+        except SightlineError as error:
+            placed = files.placed(error)
+            if placed is error:
+                raise
+            raise placed from error
+
+
+def _words(value: Any, where: tuple[str | int, ...]) -> Iterator[tuple[tuple[str | int, ...], str]]:
+    """Places and texts of all words in tables and lists."""
+    if isinstance(value, str):
+        yield where, value
+    elif isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _words(inner, (*where, str(key)))
+    elif isinstance(value, list | tuple):
+        for number, inner in enumerate(value, 1):
+            yield from _words(inner, (*where, number))
+
+
+def _key(where: tuple[str | int, ...]) -> str:
+    """``("band", 2, "image")`` as ``[[band]] 2 image``."""
+    if len(where) == 1:
+        return str(where[0])
+    table = f"[[{where[0]}]] {where[1]}" if isinstance(where[1], int) else f"[{where[0]}]"
+    rest = where[2:] if isinstance(where[1], int) else where[1:]
+    return " ".join([table, ".".join(map(str, rest))])
+
+
+def world_kind(config: AcquisitionFile) -> str:
+    """``"local"`` for level flight and for local axes without an origin, else ``"earth-fixed"``."""
+    local = config.world.frame == "local" and config.world.origin is None
+    return "local" if config.platform.kind == "level-flight" or local else "earth-fixed"
+
+
+def attitude_to_world(attitude: Rotation, config: HasWorld) -> Rotation:
+    """Attitudes in the axes of ``[world]`` → the axes of computation.
+
+    Quaternions are Earth-fixed unless the frame is "local"; with "lonlat" only positions are geodetic.
+    """
+    if config.world.frame == "local" and config.world.origin is not None:
+        lon, lat = np.radians(config.world.origin[:2])
+        return local_axes(lon, lat) * attitude
+    return attitude

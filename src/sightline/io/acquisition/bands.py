@@ -1,0 +1,192 @@
+"""``[[band]]``, ``[instrument]``, ``[camera]`` → images with their nominal pushbroom cameras.
+
+Not here: bands with a sensor-model file (``model_bands.py``), frames (``frames.py``), the trajectory of
+the platform (``platform.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import FormatError
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.instrument import LineDetector
+from sightline.io.acquisition.acquired import InputFolder
+from sightline.io.acquisition.platform import build_trajectory
+from sightline.io.acquisition.quality import read_match_sigma
+from sightline.io.acquisition.schema import (
+    AcquisitionFile,
+    BandSection,
+    LineGeometry,
+)
+from sightline.io.acquisition.spin import pointing_of
+from sightline.io.formats import tables
+from sightline.io.formats.images import Source, check_content, open_image
+from sightline.motion.band import Band
+
+Array = NDArray[np.float64]
+
+#: Fewest lines of an image in which motion against time means anything.
+FEWEST_LINES = 32
+
+
+@dataclass(frozen=True, eq=False)
+class _Timing:
+    """When the lines of a band are exposed."""
+
+    first: float
+    period: float
+    lines: int
+    table: Array | None
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """s; centre of exposure of the first and last line."""
+        if self.table is not None:
+            return float(self.table[0]), float(self.table[-1])
+        return self.first, self.first + self.period * (self.lines - 1)
+
+
+def build_bands(config: AcquisitionFile, files: InputFolder, *, look: bool = True) -> tuple[Band, ...]:
+    """Every ``[[band]]`` with its image and nominal camera.
+
+    Parameters
+    ----------
+    config : AcquisitionFile
+    files : InputFolder
+        Finds the files named.
+    look : bool
+        Probe the images' content.
+
+    Returns
+    -------
+    tuple of Band
+        Empty when the file has frames.
+    """
+    if not config.band:
+        return ()
+    images = [open_band_image(band, files, look=look) for band in config.band]
+    plans = [
+        _detector_and_timing(config, band, index, image, files)
+        for index, (band, image) in enumerate(zip(config.band, images, strict=True))
+    ]
+    spans = [timing.span for _, timing in plans]
+    span = min(s[0] for s in spans), max(s[1] for s in spans)
+    trajectory = build_trajectory(config, files, span)
+    pointing = pointing_of(config, files, span)
+    return tuple(
+        Band(
+            band.name,
+            image,
+            PushbroomCamera(
+                detector, trajectory, pointing, timing.first, timing.lines, line_times=timing.table
+            ),
+            band.offset_sigma_px,
+            band.rotation_sigma,
+            match_sigma_of(band, image, files),
+        )
+        for band, image, (detector, timing) in zip(config.band, images, plans, strict=True)
+    )
+
+
+def match_sigma_of(band: BandSection, image: Source, files: InputFolder) -> Array | None:
+    """Relative sigma of matches at every column, where the band names a table of its quality."""
+    return None if band.quality is None else read_match_sigma(files(band.quality), image.shape[1])
+
+
+def open_band_image(band: BandSection, files: InputFolder, *, look: bool) -> Source:
+    """The image of a band, opened and looked into."""
+    mask = None if band.mask is None else files(band.mask)
+    image = open_image(files(band.image), band.image_band, mask)
+    if image.shape[0] < FEWEST_LINES:
+        raise FormatError(
+            f"{image.path}: has {image.shape[0]} lines and {image.shape[1]} columns; a strip needs "
+            f"{FEWEST_LINES} lines "
+            "or more; are lines and columns swapped?"
+        )
+    if look:
+        check_content(image)
+    return image
+
+
+def _given(config: AcquisitionFile, band: BandSection, key: str) -> Any:
+    """A key of the band, else of ``[instrument]``."""
+    own = getattr(band, key)
+    return own if own is not None else getattr(config.instrument, key)
+
+
+def _detector_and_timing(
+    config: AcquisitionFile, band: BandSection, index: int, image: Source, files: InputFolder
+) -> tuple[LineDetector, _Timing]:
+    """Where a band looks and when its lines are exposed; its table agrees with its image."""
+    where = f"{files.toml}: [[band]] number {index + 1} ({band.name})"
+    lines, width = image.shape
+    columns = _given(config, band, "columns")
+    if columns is not None and columns != width:
+        raise FormatError(
+            f"{where}: {image.path.name} has {width} columns ({lines} lines), columns = {columns}; they "
+            f"must agree; "
+            "correct columns or name the right image"
+        )
+    timing = _timing(config, band, where, lines, files)
+    directions = _own_or_shared(config.instrument, band, "directions", "ifov")
+    if directions is not None:
+        detector = LineDetector(band.name, _read_directions(files(directions), width), timing.period)
+        detector = _placed(detector, band)
+    else:
+        ifov = _given(config, band, "ifov")
+        if ifov is None:
+            raise FormatError(
+                f"{where}: ifov is missing; give ifov (or directions = FILE) there or in [instrument]"
+            )
+        detector = LineDetector.from_ifov(
+            band.name, width, ifov, timing.period, band.look_ahead, band.offset_px, band.rotation
+        )
+    return detector, timing
+
+
+def _own_or_shared(shared: LineGeometry, band: BandSection, key: str, other: str) -> Any:
+    """`key` of the band, else of ``[instrument]`` unless the band gives `other` in its place."""
+    if getattr(band, key) is not None:
+        return getattr(band, key)
+    return None if getattr(band, other) is not None else getattr(shared, key)
+
+
+def _read_directions(path: Path, columns: int) -> Array:
+    """A table of directions with one row per column of the image."""
+    directions = tables.read_directions(path)
+    if len(directions) != columns:
+        raise FormatError(
+            f"{path}: has {len(directions)} columns, the image {columns}; give one direction per column"
+        )
+    return directions
+
+
+def _placed(detector: LineDetector, band: BandSection) -> LineDetector:
+    """A detector from a table, with the band's own look-ahead, offset and rotation on top."""
+    ahead_px = float(np.tan(band.look_ahead)) / detector.pixel_step
+    return detector.adjusted(ahead_px + band.offset_px[0], band.offset_px[1], band.rotation)
+
+
+def _timing(
+    config: AcquisitionFile, band: BandSection, where: str, lines: int, files: InputFolder
+) -> _Timing:
+    """Line times of a band, from a period or a table."""
+    period = _given(config, band, "line_period")
+    if band.line_times is None:
+        if period is None:
+            raise FormatError(f"{where}: line_period is missing; give it there or in [instrument] (s)")
+        return _Timing(band.first_line_time or 0.0, period, lines, None)
+    if band.first_line_time is not None:
+        raise FormatError(f"{where}: first_line_time and line_times are both given; keep one of them")
+    path = files(band.line_times)
+    times = tables.read_line_times(path)
+    if len(times) != lines:
+        raise FormatError(f"{path}: has {len(times)} lines, {band.image} has {lines}; give one time per line")
+    mean = float((times[-1] - times[0]) / (lines - 1))
+    return _Timing(float(times[0]), mean if period is None else period, lines, times)

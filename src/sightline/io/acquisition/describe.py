@@ -1,0 +1,258 @@
+"""An acquisition in plain words: what was understood, what is missing, what will be observable.
+
+Geometry alone speaks: no image is matched. Behind ``sightline check``.
+
+Not here: reading the file (``load.py``); what a recovery really saw (``summary.json``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from sightline.evaluation.band_words import passband_words
+from sightline.geometry.camera import PushbroomCamera
+from sightline.io.acquisition.acquired import Acquisition
+from sightline.io.acquisition.describe_spin import describe_spin, ground_words
+from sightline.io.acquisition.ground import ground_steps, sampling_doubts, shared_ground
+from sightline.motion.observability import Passbands, blind_frequencies, passbands
+
+# Lines and columns at which a pair is looked for, as parts of the image: the middle first; staggered
+# detectors share their ends only.
+_PLACES = (0.5, 0.3, 0.7, 0.1, 0.9)
+_COLUMNS = (0.5, 0.97, 0.03, 0.75, 0.25)
+# Blind frequencies named per pair; the rest are their multiples.
+_NAMED = 4
+# Half a field (px) below which matches to 0.03 px tell yaw no better than attitude control does (1 mrad).
+_NARROW_PX = 30.0
+# Frames are many: each is described with so many that follow it.
+_FRAMES_APART = 2
+
+
+@dataclass(frozen=True)
+class PairGeometry:
+    """What the nominal cameras say of one pair of images.
+
+    Attributes
+    ----------
+    a, b : str
+        Names of the images.
+    lag : float or None
+        s; time in b minus time in a, of the same ground; None where the two see no common ground.
+    parallax : float or None
+        px in b per metre of height.
+    overlap : float
+        Share of the ground seen in a that b sees too.
+    """
+
+    a: str
+    b: str
+    lag: float | None
+    parallax: float | None
+    overlap: float
+
+
+def pair_geometry(acquisition: Acquisition, first: int, second: int) -> PairGeometry:
+    """Lag and parallax of two images, at the first place where both see the ground, and how much both see."""
+    a, b = acquisition.cameras[first], acquisition.cameras[second]
+    names = acquisition.names[first], acquisition.names[second]
+    shape = acquisition.images[first].shape
+    last = np.array(shape) - 1.0
+    pixels = np.array([[part * last[0], side * last[1]] for side in _COLUMNS for part in _PLACES])
+    ground = a.locate(pixels, acquisition.surface)
+    seen = b.project(ground)
+    inside = ((seen >= 0.0) & (seen <= np.array(b.shape) - 1.0)).all(axis=1)
+    both = np.flatnonzero(inside)
+    if not both.size:
+        return PairGeometry(*names, None, None, 0.0)
+    place = both[:1]
+    lag = float(b.rays(seen[place]).t[0] - a.rays(pixels[place]).t[0])
+    raised = b.project(a.locate(pixels[place], acquisition.surface.raised(1.0)))
+    parallax = float(np.linalg.norm(raised[0] - seen[place[0]]))
+    overlap = shared_ground(a, b, acquisition.surface)
+    return PairGeometry(*names, lag, parallax if np.isfinite(parallax) else None, overlap)
+
+
+def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
+    """An acquisition in words and numbers.
+
+    Returns
+    -------
+    dict
+        ``understood``, ``missing``, ``observable``: lists of sentences. ``pairs``: a, b, lag (s),
+        blind_frequencies (Hz), parallax (px per metre), overlap (share). ``passbands``: (low, high) in Hz,
+        from one period in the time of the images on, where the pairs together leave at least half of a motion
+        ten times stronger (in power) than the noise.
+        Frames of a spinning camera: ``describe_spin``.
+    """
+    if acquisition.frames and acquisition.spin is not None:
+        return describe_spin(acquisition)
+    reach = len(acquisition.bands) or _FRAMES_APART
+    indices = combinations(range(len(acquisition.names)), 2)
+    pairs = [pair_geometry(acquisition, i, j) for i, j in indices if j - i <= reach]
+    lags = [pair.lag for pair in pairs if pair.lag]
+    upper = _highest_frequency(acquisition)
+    bands = _from(1.0 / _duration(acquisition), passbands(lags, upper)) if lags else ()
+    return {
+        "understood": _understood(acquisition),
+        "missing": _missing(acquisition, pairs),
+        "observable": _observable(acquisition, pairs, bands, upper),
+        "pairs": [
+            {
+                "a": pair.a,
+                "b": pair.b,
+                "lag": pair.lag,
+                "parallax": pair.parallax,
+                "overlap": pair.overlap,
+                "blind_frequencies": blind_frequencies(pair.lag, upper) if pair.lag else [],
+            }
+            for pair in pairs
+        ],
+        "passbands": bands,
+        "highest_frequency": upper,
+    }
+
+
+def _highest_frequency(acquisition: Acquisition) -> float:
+    """Hz: a quarter of the line rate, as S1 advises; for frames, half their rate."""
+    cameras = acquisition.cameras
+    if isinstance(cameras[0], PushbroomCamera):
+        return 0.25 / cameras[0].detector.line_period
+    times = np.unique([camera.t for camera in cameras if not isinstance(camera, PushbroomCamera)])
+    return float(0.5 / np.median(np.diff(times)))
+
+
+def _duration(acquisition: Acquisition) -> float:
+    """s that the motion is recovered over: the lines of the first band, or all frames."""
+    camera = acquisition.cameras[0]
+    if isinstance(camera, PushbroomCamera):
+        first, last = camera.times(np.array([0.0, camera.lines - 1.0]))
+        return float(abs(last - first))
+    times = [camera.t for camera in acquisition.cameras if not isinstance(camera, PushbroomCamera)]
+    return float(max(times) - min(times))
+
+
+def _from(lowest: float, bands: Passbands) -> Passbands:
+    """Bands less what lies below a frequency (Hz): less than a period is not told from a drift."""
+    return tuple((max(low, lowest), high) for low, high in bands if high > lowest)
+
+
+def _understood(acquisition: Acquisition) -> list[str]:
+    """What the file says, in the words of the conventions."""
+    kind = "bands" if acquisition.bands else "frames"
+    epoch = f"t = 0 at {acquisition.epoch}" if acquisition.epoch else "no epoch"
+    lines = [
+        f"{acquisition.name}: {len(acquisition.names)} {kind}, platform {acquisition.platform}, "
+        f"world {acquisition.world}, {epoch}"
+    ]
+    for name, image, camera in zip(acquisition.names, acquisition.images, acquisition.cameras, strict=True):
+        if isinstance(camera, PushbroomCamera):
+            start, end = camera.times(np.array([0.0, camera.lines - 1.0]))
+            when = f"exposed from t = {start:.4f} to {end:.4f} s"
+        else:
+            when = f"exposed at t = {camera.t:.4f} s"
+        lines.append(f"{name}: {image.shape[0]} lines x {image.shape[1]} columns, {when}")
+    ifov = acquisition.ifov * 1e6
+    lines.append(
+        f"one pixel is {ifov:.4g} urad; the field reaches {acquisition.half_field_px:.0f} px from its middle"
+    )
+    along, across = ground_steps(acquisition.cameras[0], acquisition.surface)
+    if np.isfinite(along):
+        lines.append(f"on the ground lines are {along:.3g} m apart and pixels {across:.3g} m wide")
+    lines.append(
+        f"ground: {ground_words(acquisition.surface)}, height known to {acquisition.height_sigma:g} m"
+    )
+    first, last = _strip_times(acquisition)
+    for sensor in acquisition.sensors:
+        during = int(((sensor.t_start >= first) & (sensor.t_end <= last)).sum())
+        lines.append(f"{sensor.kind} {sensor.name}: {len(sensor.t_start)} rows, {during} during the images")
+    if acquisition.known_motion.spectra is not None:
+        lines.append("spectrum of the motion: given, nothing will be fitted")
+    elif acquisition.known_motion.tones:
+        lines.append("known tones: " + ", ".join(f"{f:g} Hz" for f in acquisition.known_motion.tones))
+    if acquisition.control_points is not None:
+        lines.append(f"{len(acquisition.control_points.sigma)} control points")
+    return lines
+
+
+def _strip_times(acquisition: Acquisition) -> tuple[float, float]:
+    """First and last exposure of all images, s."""
+    ends: list[float] = []
+    for camera in acquisition.cameras:
+        if isinstance(camera, PushbroomCamera):
+            ends += camera.times(np.array([0.0, camera.lines - 1.0])).tolist()
+        else:
+            ends.append(camera.t)
+    return min(ends), max(ends)
+
+
+def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
+    """What would make the result better, or is needed for some of the files."""
+    lines = [
+        f"{pair.a} and {pair.b} see no common ground; check times and viewing angles"
+        for pair in pairs
+        if pair.lag is None
+    ]
+    lines += [
+        f"{pair.a} and {pair.b} see the same ground at the same time: they tell nothing"
+        for pair in pairs
+        if pair.lag == 0.0
+    ]
+    lines += sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
+    names = [("focal length", acquisition.lens.focal_length_sigma_px, "px")]
+    names += [("principal point", acquisition.lens.principal_point_sigma_px, "px")]
+    names += [("distortion k1", acquisition.lens.distortion_sigma, "")]
+    lines += [
+        f"{name}: known to {sigma:.4g} {unit}".rstrip() + ", will be estimated"
+        for name, sigma, unit in names
+        if sigma
+    ]
+    if acquisition.epoch is None:
+        lines.append("[acquisition] epoch: without it no CCSDS file can be written")
+    if not acquisition.sensors and acquisition.control_points is None:
+        lines.append("attitude sensors or control points: without them sigma_absolute is infinite")
+    if acquisition.height_sigma > 0.0:
+        lines.append("a DEM: the height's sigma widens that of pitch")
+    free = [band.name for band in acquisition.bands if band.offset_sigma_px > 0.0]
+    if free:
+        lines.append(f"exact focal-plane offsets of {', '.join(free)}: a steady drift is hidden by them")
+    return lines
+
+
+def _observable(
+    acquisition: Acquisition, pairs: list[PairGeometry], bands: tuple[tuple[float, float], ...], upper: float
+) -> list[str]:
+    """What the pairs can see, alone and together."""
+    lines = []
+    for pair in pairs:
+        if pair.lag:
+            blind = blind_frequencies(pair.lag, upper)
+            named = ", ".join(f"{f:.4g}" for f in blind[:_NAMED]) + (", ..." if len(blind) > _NAMED else "")
+            lines.append(
+                f"{pair.a} - {pair.b}: lag {_seconds(pair.lag)}, {100.0 * pair.overlap:.0f} % common "
+                f"ground, blind at "
+                + (f"{named} Hz" if named else f"no frequency below {upper:.4g} Hz")
+                + (f", 100 m of height displace by {100.0 * pair.parallax:.3g} px" if pair.parallax else "")
+            )
+    if bands:
+        lines.append(f"together, up to {upper:.4g} Hz: {passband_words(bands)}")
+    edge = 1e6 / acquisition.half_field_px
+    ratio = 1.0 / (acquisition.half_field_px * acquisition.ifov)
+    lines.append(
+        f"yaw: {edge:.5g} urad move the edge of the field by one pixel: it is seen {ratio:.3g} times less "
+        f"well than "
+        "roll and pitch"
+    )
+    if acquisition.half_field_px < _NARROW_PX:
+        lines.append(
+            f"yaw: the field is narrow ({2 * acquisition.half_field_px + 1:.0f} columns); take it as unknown"
+        )
+    return lines
+
+
+def _seconds(lag: float) -> str:
+    """A lag in the unit in which it is read most easily."""
+    return f"{lag:.4g} s" if abs(lag) >= 1.0 else f"{lag * 1e3:.4g} ms"

@@ -1,0 +1,403 @@
+"""``[surface]`` → a Surface, and whether it covers what the cameras see.
+
+Not here: reading the elevation raster (``io/formats/dem.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import GeometryError, InputError
+from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.geometry.earth import WGS84, from_geodetic, to_geodetic
+from sightline.geometry.surface import Dem, Ellipsoid, Infinity, Plane, Surface
+from sightline.io.acquisition.acquired import InputFolder, world_kind
+from sightline.io.acquisition.schema import AcquisitionFile, CameraModelPlatform, SurfaceSection
+from sightline.io.formats.dem import Bounds, read_dem
+
+Array = NDArray[np.float64]
+MovingCamera = PushbroomCamera | FrameCamera
+
+#: Pixels per side of the grid that stands for an image.
+GRID = 9
+#: Share of an image that may look beside the ground or the DEM before the whole is refused.
+UNCOVERED_SHARE = 0.02
+#: The same for a spinning camera or a scan mirror, whose sweeps begin and end beyond the limb.
+LIMB_SHARE = 0.75
+#: Largest ratio between the ground step of a line and the ground size of a pixel, either way: what is off by
+#: a factor of a hundred is refused whatever the instrument.
+LARGEST_STEP_RATIO = 50.0
+#: The same, from which on it is asked whether that is meant.
+DOUBTFUL_STEP_RATIO = 4.0
+_SAMPLING_KEYS = (
+    "ifov (a tangent, pixel pitch / focal length, about 1e-5) or directions, line_period (s), altitude (m), "
+    "ground_speed (m/s)"
+)
+#: Lines and columns of the grid with which common ground is looked for.
+OVERLAP_GRID = (65, 5)
+#: Heights (m) between which the ground of a large DEM is looked for.
+SEARCH_HEIGHTS = (-500.0, 9000.0)
+
+
+def build_surface(config: AcquisitionFile, files: InputFolder, cameras: Sequence[MovingCamera]) -> Surface:
+    """What ``[surface]`` describes: plane, ellipsoid, elevation raster, or infinity.
+
+    Parameters
+    ----------
+    config : AcquisitionFile
+    files : InputFolder
+        Finds the rasters.
+    cameras : sequence of cameras
+        Say which part of a large raster is needed.
+
+    Returns
+    -------
+    Surface
+    """
+
+    def ground(surface: Surface) -> Array:
+        return np.concatenate([camera.locate(image_grid(camera), surface) for camera in cameras])
+
+    radii = body_radii(config, files)
+    return surface_of(config.surface, files, ground, local=world_kind(config) == "local", radii=radii)
+
+
+def surface_of(
+    section: SurfaceSection,
+    files: InputFolder,
+    ground: Callable[[Surface], Array],
+    *,
+    local: bool,
+    radii: tuple[float, float] | None,
+) -> Surface:
+    """What a ``[surface]`` describes.
+
+    Parameters
+    ----------
+    section : SurfaceSection
+    files : InputFolder
+        Finds the rasters.
+    ground : callable
+        Points (N, 3) that the cameras see of a surface: they say which part of a large raster is needed.
+    local : bool
+        The world is x east, y north, z up.
+    radii : (equatorial, polar) or None
+        m; of another body than the Earth.
+
+    Returns
+    -------
+    Surface
+    """
+    if section.kind == "infinity":
+        return Infinity()
+    if section.dem is None:
+        return Plane(section.height) if local else Ellipsoid(*(radii or WGS84), section.height)
+    geoid = files(section.geoid) if isinstance(section.geoid, str) else section.geoid
+    return read_dem(
+        files(section.dem),
+        datum=section.datum if "datum" in section.model_fields_set else None,
+        geoid=geoid,
+        local=local,
+        radii=radii,
+        bounds=_bounds(ground, local, radii or WGS84),
+    )
+
+
+def body_radii(config: AcquisitionFile, files: InputFolder) -> tuple[float, float] | None:
+    """Radii of the body: of the file, else of the sensor model; None for the Earth."""
+    if config.surface.radii is not None:
+        return config.surface.radii
+    if isinstance(config.platform, CameraModelPlatform):
+        from sightline.io.formats.isd import read_line_scan_model
+
+        name = config.platform.model or config.band[0].model
+        if name is not None:
+            return read_line_scan_model(files(name)).radii
+    return None
+
+
+def image_grid(camera: MovingCamera) -> Array:
+    """Pixels (GRID * GRID, 2) spread evenly over an image, corners included."""
+    lines, columns = camera.shape
+    grid = np.meshgrid(np.linspace(0, lines - 1, GRID), np.linspace(0, columns - 1, GRID), indexing="ij")
+    return np.stack(grid, axis=-1).reshape(-1, 2)
+
+
+def _bounds(ground: Callable[[Surface], Array], local: bool, radii: tuple[float, float]) -> Bounds | None:
+    """Box around everything the cameras can see between the heights that exist."""
+    boxes = []
+    for height in SEARCH_HEIGHTS:
+        surface: Surface = Plane(height) if local else Ellipsoid(*radii, height)
+        boxes.append(_horizontal(ground(surface), local, radii))
+    points = np.concatenate(boxes)
+    points = points[np.isfinite(points).all(axis=1)]
+    if not len(points) or (not local and np.ptp(points[:, 0]) > 180.0):
+        return None
+    (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
+    return Bounds(west, south, east, north)
+
+
+def _horizontal(points: Array, local: bool, radii: tuple[float, float]) -> Array:
+    """Points (N, 3) as x, y (m) or longitude, latitude (degrees), (N, 2)."""
+    return points[:, :2] if local else np.degrees(to_geodetic(points, radii)[:, :2])
+
+
+def check_coverage(
+    path: Path, surface: Surface, cameras: Sequence[MovingCamera], *, sweeps: bool = False
+) -> None:
+    """Refuse a ground that the cameras look past, or an elevation raster that ends inside the strip.
+
+    Parameters
+    ----------
+    path : Path
+        The TOML file, named in the message.
+    surface : Surface
+    cameras : sequence of cameras
+    sweeps : bool
+        Whether a spin or a mirror carries them over the ground, and past its limb.
+
+    Raises
+    ------
+    GeometryError
+        Names the uncovered share and both extents.
+    InputError
+        If the field is wider than the ground.
+    """
+    base = base_surface(surface)
+    local = isinstance(base, Plane)
+    points = [camera.locate(image_grid(camera), base) for camera in cameras]
+    missed = [float(np.mean(~np.isfinite(p[:, 0]))) for p in points]
+    worst = int(np.argmax(missed))
+    if missed[worst] > (LIMB_SHARE if sweeps else UNCOVERED_SHARE):
+        _refuse_wide_field(path, base, cameras[worst], worst + 1)
+        raise GeometryError(
+            f"{path}: {100 * missed[worst]:.0f} % of image number {worst + 1} looks past the ground; check "
+            f"the attitudes "
+            "(quaternions qx,qy,qz,qw of world_from_body, scalar last), the positions and the mount"
+        )
+    if not isinstance(surface, Dem):
+        return
+    ground = np.concatenate(points)
+    ground = ground[np.isfinite(ground[:, 0])]
+    outside = 1.0 - float(np.mean(inside_raster(surface, ground)))
+    if outside > UNCOVERED_SHARE:
+        radii = surface.radii
+        raise GeometryError(
+            f"{path}: the DEM does not cover the strip: {100 * outside:.0f} % of it lies outside; "
+            f"the strip spans {_extent(_horizontal(ground, local, radii), local)}, "
+            f"the DEM {_extent(_horizontal(raster_corners(surface), local, radii), local)}; "
+            f"give a larger DEM or crop the images{exchanged_words(surface, ground)}"
+        )
+
+
+def _refuse_wide_field(path: Path, surface: Surface, camera: MovingCamera, number: int) -> None:
+    """InputError where the middle of an image sees the ground and neither of its sides does."""
+    lines, columns = camera.shape
+    middle, end = (lines - 1) / 2.0, columns - 1.0
+    sides = np.array([[middle, 0.0], [middle, end]])
+    keys = "ifov (a tangent, pixel pitch / focal length, about 1e-5) or directions, and columns"
+    if isinstance(camera, FrameCamera):
+        sides = np.array([[0.0, 0.0], [lines - 1.0, end], [0.0, end], [lines - 1.0, 0.0]])
+        keys = "focal_length_px, shape and distortion of [camera]"
+    inside = np.isfinite(camera.locate(np.array([[middle, end / 2.0]]), surface)).all()
+    if not inside or np.isfinite(camera.locate(sides, surface)[:, 0]).any():
+        return
+    first, last = camera.rays(sides[:2]).directions
+    angle = np.degrees(np.arccos(np.clip(first @ last, -1.0, 1.0)))
+    field = f"{angle:.3g} degrees" if np.isfinite(angle) else "more than its distortion allows"
+    raise InputError(
+        f"{path}: image number {number} sees the ground in its middle and past it on all sides: {columns} "
+        f"columns reach over {field}; check {keys}"
+    )
+
+
+def base_surface(surface: Surface) -> Surface:
+    """The smooth surface at the middle height of a Dem; any other surface itself."""
+    if not isinstance(surface, Dem):
+        return surface
+    middle = float(np.mean(surface.height_range))
+    return Plane(middle) if surface.crs is None else Ellipsoid(*surface.radii, middle)
+
+
+def inside_raster(dem: Dem, points: Array) -> NDArray[np.bool_]:
+    """Whether points (N, 3) lie within the raster's rectangle, over voids or not."""
+    solid = Dem(np.zeros(dem.heights.shape), dem.transform, dem.crs, None, dem.radii)
+    return solid.covers(points)
+
+
+def exchanged_words(dem: Dem, points: Array) -> str:
+    """A doubt, to end a refusal, where points (N, 3) beside a raster would lie on it with coordinates
+    swapped."""
+    if dem.crs is None or not len(points):
+        return ""
+    place = to_geodetic(points, dem.radii)
+    lon, lat = (float(np.median(place[:, k])) for k in (0, 1))
+    if abs(lon) > 0.5 * np.pi or not inside_raster(dem, from_geodetic([[lat, lon, 0.0]], dem.radii)).all():
+        return ""
+    return (
+        f"; with longitude and latitude exchanged ({np.degrees(lat):.4f}, {np.degrees(lon):.4f}) it would "
+        "lie on the DEM: are they swapped in [world] origin, or in a table?"
+    )
+
+
+def raster_corners(dem: Dem) -> Array:
+    """The four corners of a raster as points (4, 3) of the world, at height 0."""
+    rows, columns = dem.heights.shape
+    a, b, c, d, e, f = dem.transform
+    column, row = np.array([0.0, columns, columns, 0.0]), np.array([0.0, 0.0, rows, rows])
+    x, y = a * column + b * row + c, d * column + e * row + f
+    if dem.crs is None:
+        return np.column_stack([x, y, np.zeros(4)])
+    if dem.crs != "lonlat":
+        from pyproj import CRS, Transformer
+
+        crs = CRS.from_user_input(dem.crs)
+        if crs.is_compound:
+            crs = crs.sub_crs_list[0]
+        x, y = Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True).transform(x, y)
+    return from_geodetic(np.column_stack([np.radians(x), np.radians(y), np.zeros(4)]), dem.radii)
+
+
+def _extent(xy: Array, local: bool) -> str:
+    """The box around points in words."""
+    (x0, y0), (x1, y1) = xy.min(axis=0), xy.max(axis=0)
+    whole = [round(float(v)) for v in (x0, x1, y0, y1)]  # whole numbers have no "-0"
+    if local:
+        return f"x {whole[0]} to {whole[1]} m, y {whole[2]} to {whole[3]} m"
+    return f"longitude {x0:.4f} to {x1:.4f}, latitude {y0:.4f} to {y1:.4f} degrees"
+
+
+def check_sampling(
+    path: Path, surface: Surface, cameras: Sequence[MovingCamera], names: Sequence[str]
+) -> None:
+    """Refuse line periods, angles and heights that cannot belong together: mistaken units show here.
+
+    Raises
+    ------
+    InputError
+        If the ground step between lines is beyond `LARGEST_STEP_RATIO` times the ground size of a pixel.
+    """
+    for camera, name in zip(cameras, names, strict=True):
+        along, across = ground_steps(camera, surface)
+        # the ratio itself may be beyond numbers
+        if along >= LARGEST_STEP_RATIO * across or across >= LARGEST_STEP_RATIO * along:
+            raise InputError(
+                f"{path}: band {name}: lines are {along:.4g} m apart on the ground and pixels {across:.4g} m "
+                f"wide; these cannot belong together; check {_SAMPLING_KEYS}"
+            )
+
+
+def sampling_doubts(
+    surface: Surface, cameras: Sequence[MovingCamera], names: Sequence[str]
+) -> tuple[str, ...]:
+    """What to say of bands whose lines and pixels are of very unlike size on the ground."""
+    steps = {name: ground_steps(camera, surface) for name, camera in zip(names, cameras, strict=True)}
+    unlike = [name for name, (a, b) in steps.items() if max(a, b) >= DOUBTFUL_STEP_RATIO * min(a, b)]
+    if not unlike:
+        return ()
+    along, across = steps[unlike[0]]
+    of = "all bands" if len(unlike) == len(steps) else ", ".join(unlike)
+    return (
+        f"{of}: lines are {along:.4g} m apart on the ground and pixels {across:.4g} m wide; if that is not "
+        f"meant, check {_SAMPLING_KEYS}: with a wrong ifov every angle is wrong by as much",
+    )
+
+
+def ground_steps(camera: MovingCamera, surface: Surface) -> tuple[float, float]:
+    """How far apart lines are on the ground, and how wide pixels (m), in the middle of an image.
+
+    NaN for a photograph, in the sky, and where the camera looks past the ground.
+    """
+    if not isinstance(camera, PushbroomCamera) or isinstance(surface, Infinity):
+        return float("nan"), float("nan")
+    line, column = (camera.lines - 1) / 2.0, (camera.columns - 1) / 2.0
+    spots = np.array([[line, column], [line + 1.0, column], [line, column + 1.0]])
+    here, ahead, aside = camera.locate(spots, base_surface(surface))
+    # square to the line of sight: near the limb of a planet the ground itself is stretched without end
+    look = camera.rays(spots[:1]).directions[0]
+    along, across = (
+        float(np.linalg.norm(step - look * (look @ step))) for step in (ahead - here, aside - here)
+    )
+    return (along, across) if np.isfinite(along + across) else (float("nan"), float("nan"))
+
+
+def check_seen(path: Path, surface: Surface, cameras: Sequence[MovingCamera]) -> None:
+    """Refuse a body that no image of a spinning camera sees.
+
+    Raises
+    ------
+    GeometryError
+        If all images look past the ground.
+    """
+    if not any(np.isfinite(camera.locate(image_grid(camera), surface)).any() for camera in cameras):
+        raise GeometryError(
+            f"{path}: no image sees the ground; check attitude (world_from_body at t = 0, scalar last), "
+            "axis, rate (rad/s, right-handed about the axis) and the positions"
+        )
+
+
+def check_overlap(
+    path: Path, surface: Surface, cameras: Sequence[MovingCamera], names: Sequence[str]
+) -> None:
+    """Refuse images that share no ground with any other, or see it all at the same instant.
+
+    Raises
+    ------
+    GeometryError
+        Names the image.
+    """
+    moving = False
+    for k, camera in enumerate(cameras):
+        others = sorted((j for j in range(len(cameras)) if j != k), key=lambda j: abs(j - k))
+        lags: list[float] = []
+        for j in others:
+            lags += _lags(camera, cameras[j], surface)
+            if np.any(np.abs(lags) > _least_lag(camera)):
+                moving = True
+                break
+        if not lags:
+            keys = "first_line_time, look_ahead (forward positive) and ifov"
+            if isinstance(camera, FrameCamera):
+                keys = "the times of the frames, altitude and speed, and focal_length_px"
+            raise GeometryError(f"{path}: {names[k]} shares no ground with any other image; check {keys}")
+    if not moving:
+        raise GeometryError(
+            f"{path}: all images see the same ground at the same time (lag 0), so motion cannot be seen; "
+            "check look_ahead and first_line_time"
+        )
+
+
+def _least_lag(camera: MovingCamera) -> float:
+    """s; lags up to half a line are none."""
+    return 0.5 * camera.detector.line_period if isinstance(camera, PushbroomCamera) else 0.0
+
+
+def _common(camera: MovingCamera, other: MovingCamera, surface: Surface) -> tuple[Array, Array]:
+    """Pixels of a grid over `camera` and where `other` sees their ground; NaN rows where it does not."""
+    lines, columns = camera.shape
+    grid = np.meshgrid(
+        np.linspace(0, lines - 1, OVERLAP_GRID[0]),
+        np.linspace(0, columns - 1, OVERLAP_GRID[1]),
+        indexing="ij",
+    )
+    pixels = np.stack(grid, axis=-1).reshape(-1, 2)
+    seen = other.project(camera.locate(pixels, base_surface(surface)))
+    last = np.array(other.shape) - 1.0
+    seen[~np.all((seen >= 0.0) & (seen <= last), axis=1)] = np.nan
+    return pixels, seen
+
+
+def shared_ground(camera: MovingCamera, other: MovingCamera, surface: Surface) -> float:
+    """Share (0 to 1) of the ground under `camera`'s image that `other`'s shows too."""
+    return float(np.mean(np.isfinite(_common(camera, other, surface)[1][:, 0])))
+
+
+def _lags(camera: MovingCamera, other: MovingCamera, surface: Surface) -> list[float]:
+    """Lags (s) of a few points that both images see: empty where they share no ground."""
+    pixels, seen = _common(camera, other, surface)
+    both = np.isfinite(seen[:, 0])
+    return [float(v) for v in other.times(seen[both, 0]) - camera.times(pixels[both, 0])]

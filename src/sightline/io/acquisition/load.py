@@ -1,0 +1,243 @@
+"""An ACQUISITION.toml made ready to use: image sources, nominal cameras, the ground, sensors.
+
+Here is what the contract's words mean: units are already SI, defaults are filled in, files are
+opened and checked. Nothing is estimated.
+
+Not here: keys and allowed values (``schema.py``), what comes out (``acquired.py``),
+trajectories and surfaces (``platform.py``, ``ground.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sightline.applications.expected_cost import Cost, frames_cost, strip_cost
+from sightline.applications.line_of_sight import ready_strip
+from sightline.applications.spin_attitude import SpinOptions, seen_again
+from sightline.errors import EstimationError, FormatError, InputError
+from sightline.estimation.prior import Spectrum, TabulatedPsd
+from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.io.acquisition.acquired import Acquisition, InputFolder, input_files, world_kind
+from sightline.io.acquisition.bands import build_bands
+from sightline.io.acquisition.frames import build_frames, lens_knowledge
+from sightline.io.acquisition.ground import (
+    build_surface,
+    check_coverage,
+    check_overlap,
+    check_sampling,
+    check_seen,
+)
+from sightline.io.acquisition.model_bands import build_model_bands
+from sightline.io.acquisition.platform import to_world
+from sightline.io.acquisition.schema import (
+    AcquisitionFile,
+    CameraModelPlatform,
+    SensorSection,
+    SpinPlatform,
+)
+from sightline.io.acquisition.spin import spin_of
+from sightline.io.acquisition.strips import attitude_sigma, chip_knowledge
+from sightline.io.config import read_toml, validate
+from sightline.io.formats import tables
+from sightline.matching.select import Selection
+from sightline.motion.frames.passes import FrameOptions
+from sightline.motion.sensors import AttitudeSensor, ControlPoints
+from sightline.motion.strip.hyper import KnownContent
+from sightline.motion.strip.strip import RecoverOptions
+
+__all__ = ["Acquisition", "load_acquisition", "read_acquisition", "ready_to_recover"]
+
+
+def read_acquisition(path: Path) -> AcquisitionFile:
+    """The validated content of an ACQUISITION.toml, no file it names opened."""
+    return validate(AcquisitionFile, read_toml(path), path)
+
+
+def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
+    """An ACQUISITION.toml as images, cameras, ground and sensors.
+
+    Parameters
+    ----------
+    path : path
+        The TOML file; the files it names are relative to it.
+    look : bool
+        Read a few lines of every image to find truncated, constant or saturated ones early.
+
+    Returns
+    -------
+    Acquisition
+
+    Raises
+    ------
+    FormatError
+        Names file, key, value, what is allowed.
+    SpanError
+        If positions or attitudes do not cover the images.
+    GeometryError
+        If the elevation raster does not cover the strip, or an image shares no ground with any other.
+    """
+    path = Path(path)
+    config = read_acquisition(path)
+    with input_files(path, config) as files:
+        return _acquisition(path, config, files, look=look)
+
+
+def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, look: bool) -> Acquisition:
+    """The file with everything that it names."""
+    modelled = isinstance(config.platform, CameraModelPlatform)
+    bands = (build_model_bands if modelled else build_bands)(config, files, look=look)
+    frames = build_frames(config, files, look=look)
+    cameras: list[PushbroomCamera | FrameCamera] = [
+        *(band.camera for band in bands),
+        *(frame.camera for frame in frames),
+    ]
+    names = [*(band.name for band in bands), *(frame.name for frame in frames)]
+    surface = build_surface(config, files, cameras)
+    if isinstance(config.platform, SpinPlatform) and frames:
+        # a spinning camera sees the sky for most of its turn, and with it some of its frames
+        check_seen(path, surface, cameras)
+    else:
+        sweeps = config.platform.kind == "spin" or config.pointing.kind == "scan-mirror"
+        check_coverage(path, surface, cameras, sweeps=sweeps)
+        check_sampling(path, surface, cameras, names)
+        check_overlap(path, surface, cameras, names)
+    return Acquisition(
+        path=path,
+        name=config.acquisition.name,
+        epoch=config.acquisition.epoch,
+        bands=bands,
+        frames=frames,
+        surface=surface,
+        height_sigma=config.surface.height_sigma,
+        sensors=tuple(read_sensor(entry, files) for entry in config.attitude_sensor),
+        control_points=read_control(config, files, names),
+        known_motion=read_known_motion(config, files),
+        lens=lens_knowledge(config, frames[0].image.shape if frames else None),
+        matching=read_matching(config, files, names),
+        platform=config.platform.kind,
+        world=world_kind(config),
+        spin=spin_of(config),
+        chip=chip_knowledge(config),
+        attitude_sigma=attitude_sigma(config),
+        parallax_sigma=config.surface.parallax_sigma,
+        inputs=tuple(files.used),
+    )
+
+
+def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:
+    """What ``recover`` refuses before it matches anything, and what it will take.
+
+    Parameters
+    ----------
+    acquired : Acquisition
+    method : str
+        One of ``RecoverOptions.method``.
+
+    Raises
+    ------
+    InputError, EstimationError
+        As the recovery itself, with the file named.
+    """
+    frames, given = acquired.frames, acquired.matching
+    try:
+        if frames and acquired.spin is not None:
+            spun = SpinOptions.from_matching(given)
+            lags = max((pair.lag for pair in seen_again(frames)), default=1)
+            lines, columns = frames[0].image.shape
+            cost = frames_cost(frames, lines * columns / float(np.prod(spun.window)), lags)
+        elif frames:
+            plan = FrameOptions.from_matching(given)
+            lines, columns = frames[0].image.shape
+            windows = plan.windows if plan.step is None else lines * columns / float(plan.step) ** 2
+            cost = frames_cost(frames, windows, len(plan.lags))
+        else:
+            options = RecoverOptions(**given, method=method)
+            cost = strip_cost(acquired.bands, options)
+            cost.check()
+            known, sensors, control = acquired.known_motion, acquired.sensors, acquired.control_points
+            ready_strip(acquired.bands, acquired.surface, sensors, control, known, options)
+        cost.check()
+    except (InputError, EstimationError) as error:
+        raise type(error)(f"{acquired.path}: {error}") from None
+    return cost
+
+
+def read_sensor(entry: SensorSection, files: InputFolder) -> AttitudeSensor:
+    """The table of one ``[[attitude_sensor]]``."""
+    path = files(entry.table)
+    if entry.kind == "star-tracker":
+        t, angles, sigma = tables.read_star_tracker(path)
+        start, end = t, t
+    else:
+        start, end, angles, sigma = tables.read_gyro(path)
+    return AttitudeSensor(
+        name=entry.name or Path(entry.table).stem,
+        kind=entry.kind,
+        t_start=start,
+        t_end=end,
+        angles=angles,
+        sigma=sigma,
+        alignment_sigma=entry.alignment_sigma,
+        bias_sigma=entry.bias_sigma,
+        correlation_time=entry.correlation_time,
+    )
+
+
+def read_known_motion(config: AcquisitionFile, files: InputFolder) -> KnownContent:
+    """Tones, or the spectra of the table that ``[known_motion]`` names."""
+    section = config.known_motion
+    if section.psd is None:
+        return KnownContent(tuple(section.tones))
+    f, density = tables.read_psd(files(section.psd))
+    spectra = [Spectrum((TabulatedPsd(tuple(f.tolist()), tuple(column.tolist())),)) for column in density.T]
+    return KnownContent((), (spectra[0], spectra[1], spectra[2]))
+
+
+def read_matching(config: AcquisitionFile, files: InputFolder, names: Sequence[str]) -> dict[str, Any]:
+    """What ``[matching]`` gives, by the names of ``RecoverOptions``; the selection as one of them."""
+    given = config.matching.model_dump(exclude_none=True)
+    chosen = {key: given.pop(key) for key in ("select", "strength", "points", "features") if key in given}
+    if "select" not in chosen:
+        return given
+    options: dict[str, Any] = {"way": chosen.pop("select")}
+    if "features" in chosen:
+        path = files(chosen.pop("features"))
+        images, pixels = tables.read_features(path)
+        unknown = [name for name in images if name not in names]
+        if unknown:
+            raise FormatError(f"{path}: image {unknown[0]!r} is none of: {', '.join(names)}")
+        numbers = np.array([names.index(name) for name in images])
+        options["features"] = {int(k): pixels[numbers == k] for k in np.unique(numbers)}
+    return {**given, "selection": Selection(**options, **chosen)}
+
+
+def read_control(config: AcquisitionFile, files: InputFolder, names: Sequence[str]) -> ControlPoints | None:
+    """Control points of the file and of the table it names; None if there are none."""
+    listed = config.control_point
+    points = [(point.x, point.y, point.z) for point in listed]
+    sigma = [point.sigma for point in listed]
+    images = [point.image for point in listed]
+    pixels = [(point.line, point.column) for point in listed]
+    if config.acquisition.control_points is not None:
+        table = tables.read_control_points(files(config.acquisition.control_points))
+        points += [tuple(row) for row in table[0].tolist()]
+        sigma += table[1].tolist()
+        images += table[2]
+        pixels += [tuple(row) for row in table[3].tolist()]
+    if not points:
+        return None
+    unknown = [name for name in images if name not in names]
+    if unknown:
+        raise FormatError(
+            f"{files.toml}: a control point names the image {unknown[0]!r}; images are: {', '.join(names)}"
+        )
+    return ControlPoints(
+        to_world(np.array(points, dtype=np.float64), config),
+        np.array(sigma, dtype=np.float64),
+        np.array([names.index(name) for name in images], dtype=np.intp),
+        np.array(pixels, dtype=np.float64),
+    )

@@ -1,0 +1,89 @@
+"""``[[band]]`` of ``[platform] kind = "camera-model"``: cameras from sensor-model files.
+
+Not here: reading the file (``io/formats/isd.py``), bands with a trajectory of their own (``bands.py``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sightline.errors import FormatError
+from sightline.geometry.camera import PushbroomCamera
+from sightline.io.acquisition.acquired import InputFolder
+from sightline.io.acquisition.bands import match_sigma_of, open_band_image
+from sightline.io.acquisition.schema import AcquisitionFile, BandSection
+from sightline.io.acquisition.spin import mount_of
+from sightline.io.formats.isd import LineScanModel, read_line_scan_model
+from sightline.motion.band import Band
+
+
+def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool = True) -> tuple[Band, ...]:
+    """Every band with the camera of its model, or of the model that ``[platform]`` shares.
+
+    Parameters
+    ----------
+    config : AcquisitionFile
+    files : InputFolder
+        Finds the files named.
+    look : bool
+        Probe the images' content.
+
+    Returns
+    -------
+    tuple of Band
+        t = 0 is the first line of the first band's model.
+
+    Notes
+    -----
+    ``look_ahead``, ``offset_px`` and ``rotation`` are applied on top of the model; ``first_line_time``
+    replaces the model's.
+    """
+    shared = getattr(config.platform, "model", None)
+    bands: list[Band] = []
+    reference: float | None = None
+    for index, band in enumerate(config.band):
+        where = f"{files.toml}: [[band]] number {index + 1} ({band.name})"
+        name = band.model or shared
+        if name is None:
+            raise FormatError(f"{where}: model is missing; give it there or in [platform]")
+        _refuse_own_geometry(config, band, where)
+        model = read_line_scan_model(files(name), reference)
+        reference = model.reference_et
+        image = open_band_image(band, files, look=look)
+        if image.shape != model.camera.shape:
+            raise FormatError(
+                f"{where}: {image.path.name} has {image.shape[0]} lines x {image.shape[1]} columns, {name} "
+                f"{model.camera.shape[0]} x {model.camera.shape[1]}; they must agree"
+            )
+        bands.append(
+            Band(
+                band.name,
+                image,
+                _placed(model, band, config),
+                band.offset_sigma_px,
+                band.rotation_sigma,
+                match_sigma_of(band, image, files),
+            )
+        )
+    return tuple(bands)
+
+
+def _refuse_own_geometry(config: AcquisitionFile, band: BandSection, where: str) -> None:
+    """The model brings its own focal plane and times."""
+    for key in ("ifov", "columns", "line_period", "directions", "line_times"):
+        if getattr(band, key, None) is not None or getattr(config.instrument, key, None) is not None:
+            raise FormatError(f"{where}: {key} is given, but the model file brings it; remove it")
+
+
+def _placed(model: LineScanModel, band: BandSection, config: AcquisitionFile) -> PushbroomCamera:
+    """The model's camera with the band's own name, offsets and time."""
+    camera = model.camera
+    detector = camera.detector
+    ahead_px = float(np.tan(band.look_ahead)) / detector.pixel_step
+    detector = detector.adjusted(ahead_px + band.offset_px[0], band.offset_px[1], band.rotation)
+    first, times = camera.first_line_time, camera.line_times
+    if band.first_line_time is not None:
+        times = None if times is None else times + (band.first_line_time - first)
+        first = band.first_line_time
+    mount = mount_of(config.camera) if config.camera.body_from_camera is not None else camera.pointing
+    return PushbroomCamera(detector, camera.trajectory, mount, first, camera.lines, line_times=times)

@@ -1,0 +1,1 @@
+"""INSTRUMENT.toml."""

@@ -1,0 +1,1 @@
+"""Folders of results: written, and read again."""

@@ -1,0 +1,185 @@
+"""The cube that a ``[cube]`` asks for, and what ``summary.json`` says of it; see ``docs/formats.md``.
+
+Not here: the pixels (``cube_files.py``).
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sightline.applications.cube_outlook import expected_cube
+from sightline.applications.expected_cost import Cost, flight_cost, maps_cost
+from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube, choose_bands
+from sightline.applications.sequence_poses import SequencePoses, check_flight
+from sightline.errors import InputError
+from sightline.io.results.cube_files import ZARR, CubeFolder, check_formats, crs_wkt, is_zarr_file
+from sightline.io.sequence.load import FrameSequence
+from sightline.io.sequence.schema import CubeSection
+
+
+def cube_plan(section: CubeSection) -> CubePlan:
+    """The plan that a ``[cube]`` asks for."""
+    bands = tuple(section.bands) if isinstance(section.bands, list) else section.bands
+    return CubePlan(section.gsd, bands, section.surface, section.fill_nm, section.flatten)
+
+
+def ready_to_georeference(sequence: FrameSequence, *, maps: bool = True) -> Cost:
+    """What ``georeference`` refuses before an image is looked at, and what it will take, maps included.
+
+    Raises
+    ------
+    InputError
+        If too few frames can be used; if ``[cube]`` asks for bands that the camera does not see, or for maps
+        that this machine cannot hold.
+    """
+    problem = sequence.problem
+    try:
+        check_flight(problem)
+        cost = flight_cost(problem)
+        if maps and sequence.cube.make:
+            check_bands(sequence)
+            cost = cost.then(_cost_of_maps(sequence))
+        cost.check()
+    except InputError as error:
+        raise InputError(_of_file(sequence, error)) from None
+    return cost
+
+
+def _of_file(sequence: FrameSequence, error: InputError) -> str:
+    """A message with the file it is about, once."""
+    return str(error) if str(error).startswith(str(sequence.path)) else f"{sequence.path}: {error}"
+
+
+def _cost_of_maps(sequence: FrameSequence) -> Cost:
+    """By the rough poses; nothing where they do not tell the size."""
+    problem = sequence.problem
+    try:
+        grid, layout = expected_cube(problem, cube_plan(sequence.cube))
+    except InputError:
+        return Cost(0.0, 0.0, "")
+    return maps_cost(len(problem), problem.detector.shape, grid.shape, len(layout))
+
+
+def check_cube(sequence: FrameSequence) -> None:
+    """Refuse at once the maps that could not be made once all poses are found.
+
+    Raises
+    ------
+    InputError
+        If ``[cube]`` asks for bands that the camera does not see, or for files whose package is missing.
+    """
+    if sequence.cube.make:
+        check_bands(sequence)
+        check_formats(sequence.cube.formats)
+
+
+def check_bands(sequence: FrameSequence) -> None:
+    """InputError if ``[cube]`` asks for bands that the camera does not see."""
+    try:
+        # which bands there can be does not depend on where they lie
+        choose_bands(sequence.problem, cube_plan(sequence.cube), np.zeros((0, 0, 2)), 1.0, 1.0)
+    except InputError as error:
+        raise InputError(f"{sequence.path}: [cube] {str(error).replace('`', '')}") from None
+
+
+def write_cube(
+    folder: Path,
+    sequence: FrameSequence,
+    found: SequencePoses,
+    *,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> tuple[CubeSummary, tuple[str, ...]]:
+    """Make the cube of a sequence and write its files.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    sequence : FrameSequence
+    found : SequencePoses
+    progress : callable, optional
+        Called with the stage, what is done of it (tiles, pairs of bands, files) and all of that.
+
+    Returns
+    -------
+    summary : CubeSummary
+    files : tuple of str
+        Below `folder`. After an error none is left half-written.
+    """
+    store = CubeFolder(folder, sequence.cube.formats, one_file=sequence.cube.one_file)
+    try:
+        summary = assemble_cube(sequence.problem, found, cube_plan(sequence.cube), store, progress)
+        return summary, store.finish(progress)
+    finally:
+        store.discard()
+
+
+def remove_cube(folder: Path) -> None:
+    """Remove the files of a cube that was begun, where they are not all of it."""
+    for name in ("bands", ZARR):
+        shutil.rmtree(folder / name, ignore_errors=True)
+    for name in ("cube.tif", "cube.dat", "cube.hdr"):
+        (folder / name).unlink(missing_ok=True)
+
+
+def earlier_cube(folder: Path) -> list[str]:
+    """Files below a folder of the maps that an earlier result there lists in its summary."""
+    try:
+        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+        listed = [str(name) for name in summary["cube"]["files"]]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return []
+    if ZARR not in listed:
+        return listed
+    # the store is named as one; what is in it belongs to it by its form
+    inside = [path.relative_to(folder).as_posix() for path in (folder / ZARR).rglob("*") if path.is_file()]
+    return [name for name in listed if name != ZARR] + [name for name in inside if is_zarr_file(name)]
+
+
+def cube_summary(cube: CubeSummary, files: Sequence[str] = ()) -> dict[str, Any]:
+    """Entry ``cube`` of ``summary.json``: plain numbers and words, no pixels."""
+    grid = cube.grid
+    bands = [
+        {
+            "name": name,
+            "wavelength_nm": float(cube.wavelength_nm[k]),
+            "coverage": float(cube.coverage[k]),
+            "passed": float(cube.passed[k]),
+            "beyond": float(cube.beyond[k]),
+            "map_share": float(cube.whole[k]),
+            "seams": float(cube.seams[k]),
+            "seam_jump": float(cube.seam_jump[k]),
+        }
+        for k, name in enumerate(cube.names)
+    ]
+    pairs = [
+        {
+            "bands": [int(a), int(b)],
+            "rms_px": float(cube.pair_rms_px[k]),
+            "noise_px": float(cube.pair_noise_px[k]),
+            "windows": int(cube.pair_windows[k]),
+        }
+        for k, (a, b) in enumerate(cube.pairs)
+    ]
+    return {
+        "files": list(files),
+        "shape": list(grid.shape),
+        "gsd": grid.gsd,
+        "extent": list(grid.extent),
+        "crs": crs_wkt(grid) or None,
+        "surface": cube.surface,
+        "height_sigma": cube.height_sigma,
+        "area": cube.area,
+        "bands": bands,
+        "pairs": pairs,
+        "frames_used": cube.frames_used,
+        "unread": list(cube.unread),
+        "seconds": cube.seconds,
+        "warnings": list(cube.warnings),
+    }

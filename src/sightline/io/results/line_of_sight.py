@@ -1,0 +1,332 @@
+"""A recovered line of sight → the files of its folder: what a chain reads, and the summary.
+
+``motion.csv``, ``attitude.csv``, ``attitude.aem``, ``differences.csv``, ``hidden.csv``, ``spectrum.csv``,
+``smear.csv``, ``covariance.npz``, ``summary.json``; their columns are described in ``docs/formats.md``.
+
+Not here: the page for people (``report/``).
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sightline.applications.spin_attitude import SpinAttitude
+from sightline.evaluation.error_spectrum import error_psd
+from sightline.evaluation.observed import observed
+from sightline.evaluation.score import less_hidden, remove_directions, words_of_hidden
+from sightline.evaluation.tone_errors import judged_tones
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.earth import WGS84
+from sightline.geometry.rotations import to_quat_xyzw
+from sightline.geometry.surface import Dem, Ellipsoid, Surface
+from sightline.io.acquisition.acquired import Acquisition
+from sightline.io.acquisition.ground import sampling_doubts
+from sightline.io.formats.ccsds import write_aem
+from sightline.io.formats.json_text import json_text
+from sightline.io.formats.tables import (
+    ANGLES,
+    MotionTable,
+    write_attitudes,
+    write_differences,
+    write_motion,
+    write_spectrum,
+)
+from sightline.io.results.hidden import write_hidden
+from sightline.io.results.microvibration import microvibration_summary, write_smear
+from sightline.io.results.spin import spin_summary
+from sightline.motion.observability import Passbands
+from sightline.motion.results import LineOfSight
+from sightline.motion.tones import DetectedTone, detect_tones, spectrum
+from sightline.version import VERSION
+from sightline.writing import whole
+
+Array = NDArray[np.float64]
+
+#: Every file a recovery may leave in its folder; which of them it does depends on the data.
+RESULT_FILES = (
+    "attitude.aem", "attitude.csv", "covariance.npz", "differences.csv", "hidden.csv", "motion.csv",
+    "report.html", "smear.csv", "spectrum.csv", "summary.json",
+)  # fmt: skip
+#: The highest frequency spoken of, in units of the line rate: windows of some lines cut beyond.
+HIGHEST_FREQUENCY = 0.25
+#: Names of the world axes in CCSDS messages.
+AEM_FRAMES = {"earth-fixed": "ITRF", "local": "LOCAL_ENU"}
+#: Frequencies at which visibility is evaluated for the ends of the passbands.
+_FREQUENCIES = 20_001
+
+
+def write_result(
+    folder: Path, result: LineOfSight, acquisition: Acquisition, *, wall_seconds: float
+) -> dict[str, Any]:
+    """Write every file of a recovery but the report.
+
+    Parameters
+    ----------
+    folder : Path
+        Exists.
+    result : LineOfSight
+    acquisition : Acquisition
+        What it was recovered from.
+    wall_seconds : float
+        s; of the whole command so far.
+
+    Returns
+    -------
+    dict
+        The summary, as in ``summary.json``.
+    """
+    motion = result.motion
+    table = MotionTable(motion.t, motion.angles, result.sigma, result.absolute_sigma, result.observed)
+    write_motion(folder / "motion.csv", table)
+    attitude = refined_attitude(result, acquisition)
+    write_attitudes(folder / "attitude.csv", motion.t, attitude)
+    if acquisition.epoch is not None and not on_another_body(acquisition.surface):
+        frame, name = AEM_FRAMES[acquisition.world], acquisition.name.upper()
+        write_aem(
+            folder / "attitude.aem", motion.t, attitude, acquisition.epoch, object_name=name, frame=frame
+        )
+    summary = summarize(result, acquisition, wall_seconds=wall_seconds)
+    if isinstance(result, SpinAttitude):
+        summary["spin"] = spin_summary(result, acquisition.chip.names)
+    if result.hidden.shape[2]:
+        field = {"ifov": result.ifov, "half_field_px": acquisition.half_field_px}
+        left_out = motion.angles - less_hidden(motion.angles, result.hidden, **field)
+        entry = write_hidden(folder, motion.t, result.hidden, result.hidden_names, left_out)
+        words = words_of_hidden(result.hidden_names, motion.t, result.hidden, **field)
+        summary["hidden_directions"] = entry | {"words": list(words)}
+        if result.hidden_covariance is not None:
+            summary["hidden_directions"]["covariance"] = result.hidden_covariance.tolist()
+    _write_spectrum(folder / "spectrum.csv", result, summary["passbands"])
+    if _is_strip(acquisition):
+        write_smear(folder / "smear.csv", result, summary["microvibration"])
+        write_differences(folder / "differences.csv", result.differences, result.image_names)
+    if result.band is not None:
+        _write_covariance(folder / "covariance.npz", result)
+    write_json(folder / "summary.json", summary)
+    return summary
+
+
+def on_another_body(surface: Surface) -> bool:
+    """Whether a surface is another body's than the Earth's: a message in Earth-fixed axes would be wrong."""
+    if isinstance(surface, Dem):
+        radii = surface.radii
+    elif isinstance(surface, Ellipsoid):
+        radii = (surface.a, surface.b)
+    else:
+        return False
+    return abs(radii[0] / WGS84[0] - 1.0) > 1e-3
+
+
+def _row_nyquist(result: LineOfSight) -> float:
+    """Highest frequency (Hz) that rows of windows sample; faster motion shows as images about it."""
+    star = result.records[0].star if result.records else None
+    if star is None or star.duration <= 0.0 or star.shape[0] < 2:
+        return float("inf")
+    instants = star.t_hub.reshape(star.shape)[:, 0]
+    return float(0.5 / np.median(np.diff(instants)))
+
+
+def refined_attitude(result: LineOfSight, acquisition: Acquisition) -> Array:
+    """Quaternions (N, 4), scalar last, world_from_body, at the instants of the recovered motion."""
+    reference = acquisition.cameras[0].trajectory.at(result.motion.t).world_from_body
+    return to_quat_xyzw(reference * Rotation.from_rotvec(np.array(result.motion.angles)))
+
+
+def highest_frequency(acquisition: Acquisition) -> float:
+    """Hz; up to where passbands and blind frequencies are given (half the rate of frames)."""
+    cameras = acquisition.cameras
+    if isinstance(cameras[0], PushbroomCamera):
+        return HIGHEST_FREQUENCY / min(
+            c.detector.line_period for c in cameras if isinstance(c, PushbroomCamera)
+        )
+    times = np.unique([camera.t for camera in cameras if not isinstance(camera, PushbroomCamera)])
+    return float(0.5 / np.median(np.diff(times)))
+
+
+def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: float) -> dict[str, Any]:
+    """What a recovery found, in names and numbers (the content of ``summary.json``).
+
+    Parameters
+    ----------
+    result : LineOfSight
+    acquisition : Acquisition
+    wall_seconds : float
+        s.
+
+    Returns
+    -------
+    dict
+        Angles in rad, frequencies in Hz, residuals in px.
+    """
+    upper = highest_frequency(acquisition)
+    seen = observed(result, np.linspace(0.0, upper, _FREQUENCIES))
+    in_px = remove_directions(result.motion.angles / result.scale, result.hidden / result.scale[:, None])
+    visible = in_px * result.scale
+    tones = judged_tones(result, detect_tones(result.motion, highest=min(upper, _row_nyquist(result))))
+    strip = _is_strip(acquisition)
+    bands = dict(zip(ANGLES, seen.passbands, strict=True))
+    return {
+        "name": acquisition.name,
+        "version": VERSION,
+        "epoch": acquisition.epoch,
+        "images": list(result.image_names),
+        "lines": len(result.motion.t),
+        "ifov": result.ifov,
+        "half_field_px": acquisition.half_field_px,
+        "half_field": result.half_field,
+        "reference_image": result.image_names[0],
+        "method": _method(result),
+        "highest_frequency": upper,
+        "passbands": bands,
+        "blind_frequencies": {_name(result.image_names, pair): list(f) for pair, f in seen.blind.items()},
+        "tones": _by_axis(tones.found),
+        "tones_hardly_seen": _by_axis(tones.hardly_seen),
+        "microvibration": microvibration_summary(result, tones.found, bands) if strip else None,
+        "rms_motion": _per_axis(np.sqrt((visible**2).mean(axis=0))),
+        "rms_motion_px": _per_axis(np.sqrt((in_px**2).mean(axis=0))),
+        "rms_sigma": _per_axis(np.sqrt((result.sigma**2).mean(axis=0))),
+        "rms_sigma_px": _per_axis(np.sqrt((result.sigma**2).mean(axis=0)) / result.scale),
+        "median_sigma_px": _per_axis(np.median(result.sigma, axis=0) / result.scale),
+        "max_sigma_px": _per_axis(result.sigma.max(axis=0) / result.scale),
+        "observed_share": float(np.mean(result.observed)),
+        "residual_rms_px": _rms(result, result.after_px),
+        "residual_rms_before_px": _rms(result, result.before_px),
+        "residual_rms_rejected_px": _rms(result, result.after_px, rejected=True),
+        "matches": _matches(result),
+        "pairs": [_pair(result, k) for k in range(len(result.pairs))],
+        "statics": [vars(static) for static in result.statics],
+        "sensors": [vars(sensor) for sensor in result.sensors],
+        "absolute_sigma_px": _per_axis(np.sqrt((result.absolute_sigma**2).mean(axis=0)) / result.scale),
+        "hidden_directions": None,
+        "changes": list(result.changes),
+        "warnings": [*result.warnings, *_unused(acquisition), *_doubts(acquisition)],
+        "wall_seconds": wall_seconds,
+        "peak_memory_bytes": peak_memory(),
+        "inputs": acquisition.input_hashes(),
+    }
+
+
+def _is_strip(acquisition: Acquisition) -> bool:
+    """Whether the motion is given line by line."""
+    return isinstance(acquisition.cameras[0], PushbroomCamera)
+
+
+def _unused(acquisition: Acquisition) -> list[str]:
+    """What was given and read but does not take part in the estimate."""
+    if not acquisition.frames:
+        return []
+    given = [sensor.name for sensor in acquisition.sensors]
+    given += ["control points"] if acquisition.control_points is not None else []
+    if acquisition.spin is not None:
+        given += ["[surface] height_sigma"] if acquisition.height_sigma > 0.0 else []
+        given += ["time_sigma"] if any(frame.time_sigma > 0.0 for frame in acquisition.frames) else []
+    if not given:
+        return []
+    return [f"not used: {', '.join(given)}; of frames the motion is recovered from the images alone"]
+
+
+def _method(result: LineOfSight) -> dict[str, Any]:
+    """The estimator of the motion; of those beside the joint estimate how far they lie from it, and their own
+    sigma."""
+    used = result.method
+    if used is None:
+        return {"name": "joint"}
+    departure, stated = (
+        _per_axis(np.sqrt((values**2).mean(axis=0)) / result.scale)
+        for values in (used.departure, used.stated_sigma)
+    )
+    return {"name": used.name, "rms_departure_from_joint_px": departure, "rms_stated_sigma_px": stated}
+
+
+def _doubts(acquisition: Acquisition) -> tuple[str, ...]:
+    """What was given and is hardly meant."""
+    return sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
+
+
+def _by_axis(tones: Sequence[DetectedTone]) -> dict[str, list[dict[str, Any]]]:
+    """Tones as lists of their fields by the names of the axes."""
+    return {axis: [vars(tone) for tone in tones if tone.axis == axis] for axis in ANGLES}
+
+
+def _per_axis(values: Array) -> dict[str, float]:
+    """Three numbers by the names of the axes."""
+    return {axis: float(value) for axis, value in zip(ANGLES, values, strict=True)}
+
+
+def _name(names: Sequence[str], pair: tuple[int, int]) -> str:
+    """``"PAN - B1"``."""
+    return " - ".join(names[image] for image in pair)
+
+
+def _rms(result: LineOfSight, residuals: tuple[Array, ...], *, rejected: bool = False) -> float | None:
+    """Root mean square of residuals (px): of the windows kept, or of those matched and then rejected.
+
+    None where there are no such windows.
+    """
+    parts = []
+    for record, part in zip(result.records, residuals, strict=True):
+        chosen = part[~record.star.present if rejected else record.star.present]
+        parts.append(chosen[np.isfinite(chosen)])
+    values = np.concatenate(parts) if parts else np.empty(0)
+    return float(np.sqrt(np.mean(values**2))) if len(values) else None
+
+
+def _matches(result: LineOfSight) -> dict[str, Any]:
+    """Numbers of windows tried, kept, and rejected by reason."""
+    rejected: Counter[str] = Counter()
+    for pair in result.pairs:
+        rejected.update(pair.rejected)
+    return {
+        "tried": sum(pair.tried for pair in result.pairs),
+        "kept": sum(pair.kept for pair in result.pairs),
+        "rejected": dict(rejected),
+    }
+
+
+def _pair(result: LineOfSight, index: int) -> dict[str, Any]:
+    """One pair of images with what it left over."""
+    entry = dict(vars(result.pairs[index]))
+    entry["images"] = [result.image_names[image] for image in entry["images"]]
+    return entry
+
+
+def _write_spectrum(path: Path, result: LineOfSight, bands: Mapping[str, Passbands]) -> None:
+    """``spectrum.csv``: PSD of the motion and of its error, and where the passbands are."""
+    found = spectrum(result.motion)
+    error = error_psd(result, found.frequency)
+    seen = np.zeros(found.psd.shape, dtype=bool)
+    for axis, name in enumerate(ANGLES):
+        for low, high in bands[name]:
+            seen[:, axis] |= (found.frequency >= low) & (found.frequency <= high)
+    write_spectrum(path, found.frequency, found.psd, error, seen)
+
+
+def _write_covariance(path: Path, result: LineOfSight) -> None:
+    """``covariance.npz``: t (s), angles (rad) on the grid of the estimate, and the lower band (rad^2)."""
+    assert result.band is not None  # the caller looked
+    with whole(path) as draft:
+        np.savez_compressed(draft, t=result.band.t, angles=result.band.angles, band=result.band.band)
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """A JSON file, complete or not at all; numbers that are not finite become null."""
+    with whole(path) as draft:
+        draft.write_text(json_text(content) + "\n", encoding="utf-8")
+
+
+def peak_memory() -> int | None:
+    """Largest resident memory of this process so far, bytes; None where the system does not say."""
+    try:
+        import resource
+    except ImportError:  # not a POSIX system
+        return None
+    largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(largest if sys.platform == "darwin" else 1024 * largest)

@@ -1,0 +1,129 @@
+"""What a registration found, in names and numbers: the ``summary.json`` of ``register``.
+
+Not here: the images (``registered.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from sightline.applications.registration import Registration
+from sightline.io.acquisition.acquired import Acquisition
+from sightline.io.results.line_of_sight import peak_memory
+from sightline.io.results.recovered import Recovered
+from sightline.io.results.registered import Written
+from sightline.motion.strip.warnings import pair_tells
+from sightline.products.band_fit import BandFit
+from sightline.products.image_map import MAP_TOLERANCE
+from sightline.products.register_bands import MASK_SHARE
+from sightline.products.resample import BAND, TAPS
+from sightline.version import VERSION
+
+#: Less of a band than this with a value is worth a warning.
+MOST = 0.5
+
+
+def summarize_registration(
+    acquisition: Acquisition,
+    registration: Registration,
+    recovered: Recovered,
+    written: Written,
+    before: Sequence[BandFit],
+    after: Sequence[BandFit],
+) -> dict[str, Any]:
+    """The content of ``summary.json`` but for the wall time.
+
+    Parameters
+    ----------
+    acquisition, registration, recovered, written
+        What was registered, how, by which result, into what.
+    before, after : sequence of BandFit
+        Of the same pairs.
+
+    Returns
+    -------
+    dict
+        px and shares.
+    """
+    names = acquisition.names
+    measured = _measured(recovered.summary)
+    bands = [
+        {
+            "name": name,
+            "valid_share": share,
+            "type": kind,
+            "placed_by": "matches" if measured is None or name in measured else "motion",
+        }
+        for name, share, kind in zip(names, written.valid, written.dtypes, strict=True)
+    ]
+    pairs = [
+        {"images": [names[k] for k in one.images], "before": _fit(one), "after": _fit(other)}
+        for one, other in zip(before, after, strict=True)
+    ]
+    return {
+        "name": acquisition.name,
+        "version": VERSION,
+        "onto": names[registration.reference],
+        "shape": list(registration.after[registration.reference].shape),
+        "files": list(written.files),
+        "bands": bands,
+        "pairs": pairs,
+        "kernel": {"taps": TAPS, "band": BAND, "mask_share": MASK_SHARE, "map_tolerance_px": MAP_TOLERANCE},
+        "motion": {key: recovered.summary.get(key) for key in ("name", "version", "reference_image")},
+        "inputs": acquisition.input_hashes(),
+        "warnings": _warnings(bands, pairs),
+        "peak_memory_bytes": peak_memory(),
+    }
+
+
+def _measured(summary: Mapping[str, Any]) -> set[str] | None:
+    """Names of the bands that `recover` matched with another; None where its summary does not say."""
+    pairs = summary.get("pairs")
+    if not isinstance(pairs, list):
+        return None
+    return {name for pair in pairs if pair_tells(pair["kept"], pair["tried"]) for name in pair["images"]}
+
+
+def _fit(fit: BandFit) -> dict[str, Any]:
+    """Along lines (first) and columns."""
+    return {
+        "rms_px": list(fit.rms_px),
+        "noise_px": list(fit.noise_px),
+        "mean_px": list(fit.mean_px),
+        "windows": fit.tried,
+        "kept": len(fit.points),
+    }
+
+
+def _warnings(bands: Sequence[dict[str, Any]], pairs: Sequence[dict[str, Any]]) -> list[str]:
+    """What a user should know before using the images."""
+    out = [
+        f"only {100 * band['valid_share']:.0f} % of {band['name']} has a value on this grid: it saw little "
+        "of the same ground, or was masked"
+        for band in bands
+        if band["valid_share"] < MOST
+    ]
+    out += [
+        f"{band['name']} is placed by its camera and the recovered motion alone: `recover` kept next to none "
+        "of its windows, so nothing measured its place, and it may lie many pixels off; see the warnings of "
+        "`recover`"
+        for band in bands
+        if band["placed_by"] == "motion"
+    ]
+    for pair in pairs:
+        rms, noise = np.array(pair["after"]["rms_px"]), np.array(pair["after"]["noise_px"])
+        label = " - ".join(pair["images"])
+        if not np.isfinite(rms).all():
+            out.append(
+                f"{label}: {pair['after']['kept']} of {pair['after']['windows']} windows match: too few to "
+                "say how well they fit"
+            )
+        elif np.hypot(*rms) > 0.1 and np.hypot(*rms) > 2.0 * np.hypot(*noise):
+            out.append(
+                f"{label} still are {np.hypot(*rms):.2f} px apart (rms), where matches are good to "
+                f"{np.hypot(*noise):.2f} px: the motion is not of this strip, or the ground is not known"
+            )
+    return out

@@ -1,0 +1,1 @@
+"""SEQUENCE.toml."""

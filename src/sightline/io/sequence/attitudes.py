@@ -1,0 +1,150 @@
+"""Rough attitudes of frames: a table of quaternions or angles, gimbals of photographs.
+
+Not here: rows at the times of frames (``matched_rows.py``), what angles mean (``io/formats/angle_tables.py``,
+``io/formats/xmp.py``).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sightline.errors import FormatError
+from sightline.geometry.earth import local_axes
+from sightline.io.acquisition.acquired import InputFolder, attitude_to_world
+from sightline.io.formats.angle_tables import (
+    ENU_FROM_NED,
+    OPK,
+    body_of_ypr,
+    camera_of_opk,
+    kind_of_angles,
+    origin_of_angles,
+)
+from sightline.io.formats.tables import check_quaternions, header_of, read_columns
+from sightline.io.sequence.frames import FrameList
+from sightline.io.sequence.matched_rows import Told, in_time, matched, radii_of, sigmas_of
+from sightline.io.sequence.models import ToldPoses
+from sightline.io.sequence.schema import SequenceFile
+from sightline.io.sequence.times import read_timed
+from sightline.photogrammetry.block.point_priors import level_axes
+
+Array = NDArray[np.float64]
+
+ATTITUDE_SIGMAS = ("sigma_roll", "sigma_pitch", "sigma_yaw")
+QUATERNION = ("qx", "qy", "qz", "qw")
+#: rad from straight down beyond which angles of a mapping camera are taken to be wrong.
+_OFF_NADIR = np.radians(80.0)
+
+
+def told_attitudes(
+    file: SequenceFile,
+    files: InputFolder,
+    frames: FrameList,
+    mount: Rotation,
+    position: Array,
+    model: ToldPoses | None,
+    warnings: list[str],
+) -> Told | None:
+    """Attitudes that are told (quaternions world_from_body of computation); None where there are none."""
+    radii = radii_of(file)
+    if file.attitudes is not None:
+        path = files(file.attitudes)
+        told = _table_attitudes(file, path, frames, mount, position)
+    elif model is not None:
+        path, told = model.path, model.attitudes
+    elif frames.xmp:
+        path, told = frames.path, _gimbal_attitudes(file, frames, mount, position)
+    else:
+        return None
+    if told is None:
+        return None
+    down = -level_axes(position_at(frames.t, position, told.t), radii)[0]
+    looks = Rotation.from_quat(told.values).apply(mount.as_matrix()[:, 2])
+    off = np.arccos(np.clip(np.einsum("ni,ni->n", down, looks), -1.0, 1.0))
+    wrong = off > _OFF_NADIR
+    if wrong.all():
+        raise FormatError(
+            f"{path}: by these attitudes the camera looks {np.degrees(np.median(off)):.0f} degrees "
+            "from straight down, "
+            "away from the ground, in every frame; check qx,qy,qz,qw (world_from_body, scalar last), "
+            "[camera] mount, "
+            "and [world]; or remove the attitudes"
+        )
+    if wrong.any():
+        name = (
+            frames.names[told.frame[wrong][0]] if told.frame[wrong][0] >= 0 else f"t = {told.t[wrong][0]:g}"
+        )
+        warnings.append(
+            f"{path.name}: {int(wrong.sum())} attitudes look away from the ground (first: {name}): left out"
+        )
+    return in_time(told.frame, told.t, told.values, told.sigma, ~wrong, common=told.common)
+
+
+def position_at(t: Array, position: Array, at: Array) -> Array:
+    """Positions (n, 3) at other times than those of the frames."""
+    return np.column_stack([np.interp(at, t, axis) for axis in position.T])
+
+
+def _table_attitudes(
+    file: SequenceFile, path: Path, frames: FrameList, mount: Rotation, position: Array
+) -> Told | None:
+    header = header_of(path)
+    kind = kind_of_angles(path)
+    with_sigma = [name for name in ATTITUDE_SIGMAS if name in header]
+    if with_sigma and len(with_sigma) < 3:
+        raise FormatError(
+            f"{path}: has {', '.join(with_sigma)} alone; sigma_roll,sigma_pitch,sigma_yaw are expected"
+        )
+    angles = QUATERNION if kind is None else kind
+    timed = ("t",) if "t" in header or kind is None else ()
+    columns = ("frame", *timed, *angles, *with_sigma)
+    if timed:
+        table = read_timed(path, columns, frames.epoch, text=("frame",), infinite=ATTITUDE_SIGMAS)
+    else:
+        table = read_columns(path, columns, text=("frame",), infinite=ATTITUDE_SIGMAS)
+    names = tuple(str(word) for word in table["frame"])
+    frame, t = matched(path, frames, names, np.asarray(table["t"], dtype=np.float64) if timed else None)
+    values = np.column_stack([np.asarray(table[name], dtype=np.float64) for name in angles])
+    if kind is None:
+        attitude = attitude_to_world(Rotation.from_quat(check_quaternions(path, values)), file)
+    else:
+        level = _axes_of_angles(file, path, position_at(frames.t, position, np.nan_to_num(t)))
+        body = camera_of_opk(values) * mount.inv() if kind == OPK else body_of_ypr(values)
+        attitude = level * body
+    sigma = sigmas_of(path, table, with_sigma, len(t), file.attitude_sigma)
+    return in_time(frame, t, attitude.as_quat(), sigma, np.ones(len(t), dtype=np.bool_))
+
+
+def _axes_of_angles(file: SequenceFile, path: Path, position: Array) -> Rotation:
+    """World from the level axes of a table of angles: at its origin, or at each place where it tells none."""
+    origin, radii = origin_of_angles(path), radii_of(file)
+    if origin is None or radii is None:
+        return level_at(position, radii)
+    return Rotation.concatenate([local_axes(*np.radians(origin[:2]))] * len(position))
+
+
+def _gimbal_attitudes(file: SequenceFile, frames: FrameList, mount: Rotation, position: Array) -> Told | None:
+    """Attitudes by the gimbals of photographs."""
+    rows, turns = [], []
+    for k, xmp in enumerate(frames.xmp):
+        camera = None if xmp is None else xmp.north_east_down_from_camera()
+        if camera is not None:
+            rows.append(k)
+            turns.append(camera)
+    if not rows:
+        return None
+    frame = np.array(rows, dtype=np.intp)
+    level = level_at(position[frame], radii_of(file))
+    body = level * ENU_FROM_NED * Rotation.concatenate(turns) * mount.inv()
+    sigma = np.full((len(rows), 3), file.attitude_sigma)
+    kept = np.ones(len(rows), dtype=np.bool_)
+    return in_time(frame, frames.t[frame], body.as_quat(), sigma, kept, common=True)
+
+
+def level_at(position: Array, radii: tuple[float, float] | None) -> Rotation:
+    """World from east, north, up at positions (M, 3)."""
+    up, east, north = level_axes(position, radii)
+    return Rotation.from_matrix(np.stack([east, north, up], axis=-1))

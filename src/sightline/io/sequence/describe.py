@@ -1,0 +1,190 @@
+"""A SEQUENCE.toml in plain words: what was understood, what is missing, what will be observable.
+
+Not here: reading the file (``load.py``).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.geometry.surface import Ellipsoid, Plane
+from sightline.io.sequence.load import FrameSequence, field_of_view, wide_words
+from sightline.io.sequence.outlook import map_words, overlap_words, program_words, time_words
+from sightline.photogrammetry.flight.problem import SequenceProblem, seen_ground
+
+Array = NDArray[np.float64]
+
+#: rad; sigma of attitudes beyond which they may have been given in degrees.
+LARGE_ATTITUDE_SIGMA = 0.2
+#: rad; the same of their constant error, which a camera mounted by hand may have large.
+LARGE_ATTITUDE_BIAS = 0.5
+#: Frames that are named in a message.
+LISTED = 5
+
+
+def describe_sequence(sequence: FrameSequence) -> dict[str, Any]:
+    """A sequence in words: ``understood``, ``missing``, ``observable``, lists of sentences."""
+    problem = sequence.problem
+    return {
+        "understood": _understood(sequence),
+        "missing": _missing(problem) + program_words(sequence),
+        "observable": _observable(problem) + map_words(sequence),
+        "frames": len(problem),
+        "usable": int(problem.usable.sum()),
+    }
+
+
+def steps_of(problem: SequenceProblem) -> tuple[Array, float]:
+    """By the rough poses: m from frame to frame, over so many that noise hardly counts; m a frame covers."""
+    detector = problem.detector
+    distance = np.linalg.norm(seen_ground(problem) - problem.images.position, axis=1)
+    position, over = problem.images.position, max(1, len(problem) // 8)
+    steps = np.linalg.norm(position[over:] - position[:-over], axis=1) / over
+    return steps, float(np.nanmedian(distance)) * detector.shape[0] / detector.focal_length_px
+
+
+def _understood(sequence: FrameSequence) -> list[str]:
+    problem = sequence.problem
+    lines, columns = problem.detector.shape
+    steps, length = steps_of(problem)
+    said = [
+        f"{sequence.name}: {len(problem)} frames of {lines} lines x {columns} columns over "
+        f"{np.ptp(problem.t):.6g} s, {int(problem.usable.sum())} of them usable",
+        _focal_words(problem),
+        _filter_words(problem),
+    ]
+    if np.isfinite(problem.known.position).any():
+        said.append(
+            f"by the rough poses{_over(problem)} a frame covers {length:.4g} m along its lines; a subset of "
+            f"{problem.overlap:.0%} overlap "
+            f"has a frame every {(1.0 - problem.overlap) * length:.4g} m"
+        )
+        if len(steps):
+            said.append(f"frames are {float(np.median(steps)):.4g} m apart, by the rough positions")
+    said += time_words(problem)
+    if problem.readout_time > 0.0:
+        said.append(f"rolling shutter: {problem.readout_time:g} s from the first line to the last")
+    for what, sigma, bias, unit in (
+        ("positions", problem.known.position, problem.known.position_bias, "m"),
+        ("attitudes", problem.known.attitude, problem.known.attitude_bias, "rad"),
+    ):
+        own = np.isfinite(sigma).all(axis=1)
+        if own.any():
+            said.append(
+                f"{what} of {int(own.sum())} frames, sigma {float(np.median(sigma[own])):.3g} {unit}"
+                + (f" ({np.degrees(float(np.median(sigma[own]))):.3g} degrees)" if unit == "rad" else "")
+                + (f", with a constant error of {bias:.3g} {unit}" if bias else "")
+                + (f" ({np.degrees(bias):.3g} degrees)" if bias and unit == "rad" else "")
+            )
+            if unit == "rad" and bias > LARGE_ATTITUDE_BIAS:
+                said.append(
+                    f"note: attitude_bias_sigma = {bias:.3g} rad is {np.degrees(bias):.3g} degrees: were "
+                    f"degrees meant? {bias:.3g} degrees are {np.radians(bias):.3g} rad"
+                )
+            if unit == "rad" and float(np.median(sigma[own])) > LARGE_ATTITUDE_SIGMA:
+                said.append(
+                    f"note: a sigma of attitudes of {float(np.median(sigma[own])):.3g} rad is "
+                    f"{np.degrees(float(np.median(sigma[own]))):.3g} degrees: is it in degrees? rad are "
+                    "expected"
+                )
+    if problem.control is not None and problem.control_tracks is not None:
+        said.append(f"{len(problem.control.point)} control points, seen {len(problem.control_tracks)} times")
+    doubted = wide_words(problem.detector)
+    said += [f"note: {words}" for words in problem.warnings if words not in doubted]
+    return said
+
+
+def _over(problem: SequenceProblem) -> str:
+    """The height of ground that is a start only."""
+    if not isinstance(problem.surface, Plane | Ellipsoid) or problem.height_sigma > 0.0:
+        return ""
+    return f", over ground at {problem.surface.height:g} m,"
+
+
+def _focal_words(problem: SequenceProblem) -> str:
+    """The focal length, and whether it is found with the poses."""
+    sigma, view = problem.focal_length_sigma_px, field_of_view(problem.detector)
+    said = (
+        f"focal length {problem.detector.focal_length_px:.6g} px (a field of view of {view[0]:.3g} degrees "
+        f"along x {view[1]:.3g} across)"
+    )
+    if not sigma > 0.0:
+        return f"{said}, kept as told"
+    known = f"+- {sigma:.3g} px" if np.isfinite(sigma) else "to start from"
+    return f"{said} {known}: it is found with the poses"
+
+
+def _filter_words(problem: SequenceProblem) -> str:
+    wavelength = problem.detector.wavelength_nm
+    if wavelength is not None:
+        bands = len(np.unique(wavelength))
+        ends = f"{wavelength.min():.4g} to {wavelength.max():.4g} nm"
+        return f"filter: {bands} wavelengths along the lines, {ends}"
+    if problem.mosaic_nm is not None:
+        rows, columns = problem.mosaic_nm.shape
+        return f"filter: a mosaic of {rows} x {columns}"
+    if problem.channel_nm:
+        told = ", ".join(f"{nm:g} nm" for nm in problem.channel_nm)
+        return f"filter: {told} in the bands of each image"
+    return "no filter: panchromatic"
+
+
+def _missing(problem: SequenceProblem) -> list[str]:
+    lost = np.flatnonzero(~problem.usable)
+    said = [f"suspicious: {words}" for words in wide_words(problem.detector)]
+    said += [f"frame {problem.frames[k]}: {problem.excluded[k]}" for k in lost[:LISTED]]
+    if len(lost) > LISTED:
+        said.append(f"and {len(lost) - LISTED} more frames that cannot be used")
+    if problem.usable.sum() == 1:
+        said.append("frames: one alone tells nothing of its pose; two or more that overlap are needed")
+    if not np.isfinite(problem.known.attitude).any() and np.isfinite(problem.known.position).all(1).sum() < 3:
+        said.append("positions of three frames or more: without attitudes they bring a model to the world")
+    if not np.isfinite(problem.known.attitude).any():
+        said.append(
+            "attitudes: none; georeference will begin with a model by pycolmap (extra sfm), and a bow of the "
+            "strip is told by positions and control points alone"
+        )
+    if problem.height_sigma <= 0.0:
+        said.append(
+            "[surface] height_sigma: heights of the ground are a start only"
+            + (
+                f"; they are {problem.surface.height:g} m"
+                if isinstance(problem.surface, Plane | Ellipsoid)
+                else ""
+            )
+            + "; ground known to height_sigma (or a dem) would tell heights, tilts and the scale better"
+        )
+    return said
+
+
+def _observable(problem: SequenceProblem) -> list[str]:
+    said = ["place, size and direction of the whole: by " + _datum_words(problem)]
+    if problem.focal_length_sigma_px > 0.0:
+        said.append(_focal_observable(problem))
+    return said + overlap_words(problem)
+
+
+def _focal_observable(problem: SequenceProblem) -> str:
+    """What will tell the focal length: mostly the flying height above a ground that is known."""
+    known = problem.known
+    heights = np.isfinite(known.position[:, 2]).any() or problem.control is not None
+    if not (heights and (problem.height_sigma > 0.0 or problem.control is not None)):
+        return (
+            "focal length: hardly observable: heights of positions and of the ground ([surface] "
+            "height_sigma), or control points, are needed; it goes with the flying height otherwise"
+        )
+    return "focal length: as well as the flying height above the ground is known, or control points tell it"
+
+
+def _datum_words(problem: SequenceProblem) -> str:
+    words = []
+    if np.isfinite(problem.known.position).any():
+        words.append("positions")
+    if np.isfinite(problem.known.attitude).any():
+        words.append("attitudes")
+    if problem.control is not None:
+        words.append("control points")
+    return ", ".join(words)

@@ -1,0 +1,1 @@
+"""STEREO.toml."""

@@ -1,0 +1,1 @@
+"""Attitudes of the frames of a matrix instrument."""

@@ -1,0 +1,1 @@
+"""Where detectors should stand."""

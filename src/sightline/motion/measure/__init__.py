@@ -1,0 +1,1 @@
+"""Matched windows as measurements of attitude."""

@@ -1,0 +1,183 @@
+"""How wrong the matches are, learned from their own scatter across the field.
+
+Within one row of windows the motion can only shift and tilt the residuals; what is left is
+error of matching. Its covariance between pairs (which share the hub's error) and from row to
+row (which share texture) is pooled over the strip, free of any belief about the motion.
+
+Not here: the matcher's own covariance of a single match (``matching/``).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.motion.measure.observations import Star, scale_residuals, shared_image_correlation
+
+Array = NDArray[np.float64]
+
+#: Rows of windows need this many blocks to tell error from motion.
+MIN_BLOCKS = 4
+#: Rows on either side over which the scatter of rows is averaged before it is compared with the usual one.
+ROW_REACH = 6
+#: Rows over which the correlation from row to row is followed, with weights that fall to zero: real textures
+#: of different bands err alike over ten rows, and a sum cut hard need not be a covariance.
+ROW_LAGS = 8
+#: Errors beyond this many sigmas lose weight (1 % of two Gaussian components), beyond REJECT all (4e-6).
+SOFT, REJECT = 3.0, 5.0
+#: Blocks per row, and runs of rows, from which errors shared by neighbouring windows are told; their most.
+LEAST_BESIDE, MOST_BESIDE = 6, 4.0
+#: Scaled residuals are cut to this size where covariances are summed.
+CLIP = 6.0
+
+
+def scatter(star: Star, post_px: Array) -> tuple[Array, Array]:
+    """Scaled and weighted residuals of each row with its shift and tilt removed.
+
+    Parameters
+    ----------
+    star : Star
+    post_px : (G, K, 2)
+        Residuals after the estimate, px.
+
+    Returns
+    -------
+    z : (rows, blocks, 2K)
+        NaN where absent, or where the row holds too few windows.
+    degrees : (rows, 2K)
+        Degrees of freedom left in the row.
+    """
+    rows, blocks = star.shape
+    pairs = star.t.shape[1]
+    z = scale_residuals(post_px, star.covariance_px) * np.sqrt(np.repeat(star.weight, 2, axis=1))
+    z = z.reshape(rows, blocks, 2 * pairs)
+    present = np.repeat(star.present.reshape(rows, blocks, pairs), 2, axis=2)
+    w = (present & np.isfinite(z)).astype(float)
+    x = star.field.reshape(rows, blocks)[:, :, None]
+    v = np.where(w > 0, z, 0.0)
+    s0, s1, s2 = w.sum(1), (w * x).sum(1), (w * x * x).sum(1)
+    y0, y1 = v.sum(1), (v * x).sum(1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        det = s0 * s2 - s1 * s1
+        slope = (s0 * y1 - s1 * y0) / det
+        mean = (y0 - slope * s1) / s0
+    degrees = np.where((s0 >= MIN_BLOCKS) & (det > 1e-9), s0 - 2.0, 0.0)
+    left = z - mean[:, None, :] - slope[:, None, :] * x
+    return np.where((w > 0) & (degrees[:, None, :] > 0), left, np.nan), degrees
+
+
+def estimate_correlation(star: Star, post_px: Array) -> Array:
+    """Error correlation (2K, 2K) of a star's pairs, rows' long-run correlation included.
+
+    Falls back to the shared-image start value where the rows hold too few windows, or none of some pair.
+    """
+    pairs = star.t.shape[1]
+    z, degrees = scatter(star, post_px)
+    counted = float(degrees.sum())
+    if counted < 200 * pairs or not np.isfinite(z).any(axis=(0, 1)).all():
+        return shared_image_correlation(pairs)
+    clipped = np.clip(z, -CLIP, CLIP)
+    v = np.where(np.isfinite(clipped), clipped, 0.0)
+    seen = np.isfinite(clipped).astype(float)
+    # a row of n windows keeps n - 2 of its n squares
+    share = np.sqrt(np.where(degrees > 0, seen.sum(1) / np.maximum(degrees, 1.0), 0.0))
+    v = v * share[:, None, :]
+
+    def covariance(shift: int) -> Array:
+        first, second = v[: len(v) - shift], v[shift:]
+        both = np.einsum("rbi,rbj->ij", seen[: len(v) - shift], seen[shift:])
+        return np.asarray(np.einsum("rbi,rbj->ij", first, second) / np.maximum(both, 1.0))
+
+    total = covariance(0)
+    scale = np.sqrt(np.diag(total))
+    for shift in range(1, min(ROW_LAGS, len(v) - 1) + 1):
+        step = covariance(shift) * (1.0 - shift / (ROW_LAGS + 1.0))
+        total = total + step + step.T
+    beside = np.tile(np.sqrt(_error_beside(v)), pairs)
+    total = total * np.outer(beside, beside)
+    scale = scale * beside
+    # long-run sums may fall below the plain variance by chance or by overlap; never trust more than half
+    values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
+    total = (vectors * np.maximum(values, 0.05)) @ vectors.T * np.outer(scale, scale)
+    return np.asarray(0.5 * (total + total.T))
+
+
+def _error_beside(v: Array) -> Array:
+    """(2,) variance of a row's mean over that of independent windows, for errors along lines and columns.
+
+    Texture that reaches over several windows makes neighbours err alike, and the line fitted to a short row
+    hides most of that. What residuals of a row with correlation rho between neighbours look like after the
+    fit is compared with what they are, over runs of rows (``v``: (rows, blocks, 2K), zero where absent).
+    """
+    rows, blocks = v.shape[:2]
+    run = ROW_LAGS + 1
+    if blocks < LEAST_BESIDE or rows < LEAST_BESIDE * run:
+        return np.ones(2)
+    total = np.cumsum(np.concatenate([np.zeros_like(v[:1]), v]), axis=0)
+    runs = total[run:] - total[:-run]
+    x = np.linspace(-1.0, 1.0, blocks)
+    line = np.stack([np.ones(blocks), x], axis=1)
+    kept = np.eye(blocks) - line @ np.linalg.pinv(line)
+    beside = np.eye(blocks, k=1) + np.eye(blocks, k=-1)
+    expected = [[np.trace(kept @ c @ kept, offset=d) for c in (np.eye(blocks), beside)] for d in range(5)]
+    out = np.ones(2)
+    for axis in range(2):
+        part = runs[:, :, axis::2]
+        product = np.einsum("rbi,rci->bc", part, part)
+        found = [np.trace(product, offset=d) for d in range(5)]
+        alone, shared = np.linalg.lstsq(np.array(expected), np.array(found), rcond=None)[0]
+        rho = shared / max(float(alone), 1e-30)
+        # of so many independent runs of windows; a correlation that chance makes as large is none
+        if rho > 2.5 / np.sqrt(blocks * rows / run):
+            plain = found[0] / expected[0][0]
+            out[axis] = np.clip(alone / plain * (1.0 + 2.0 * rho * (1.0 - 1.0 / blocks)), 1.0, MOST_BESIDE)
+    return out
+
+
+def row_weights(star: Star, post_px: Array) -> Array:
+    """Weights (G, K) that own the scatter of each stretch of rows where it exceeds the usual one.
+
+    Half-clouded ground leaves windows that are wrong by less than can be rejected: where the rows scatter
+    more than the median row does, their matches count for less, and the sigma there grows.
+    """
+    rows, blocks = star.shape
+    pairs = star.t.shape[1]
+    z, degrees = scatter(star, post_px)
+    out = np.ones((rows, pairs))
+    kernel = np.ones(2 * ROW_REACH + 1)
+    inner = slice(ROW_REACH, ROW_REACH + rows)
+    for k in range(pairs):
+        both = slice(2 * k, 2 * k + 2)
+        squares = np.convolve(np.nansum(z[:, :, both] ** 2, axis=(1, 2)), kernel)[inner]
+        count = np.convolve(degrees[:, both].sum(axis=1), kernel)[inner]
+        seen = count > 0
+        if seen.any():
+            local = np.where(seen, squares / np.maximum(count, 1.0), np.nan)
+            out[:, k] = np.where(seen, np.minimum(1.0, np.nanmedian(local) / np.maximum(local, 1e-12)), 1.0)
+    return np.asarray(np.repeat(out, blocks, axis=0))
+
+
+def robust_weights(star: Star, post_px: Array) -> Array:
+    """Weights (G, K) in [0, 1] of matches after an estimate: 1 inside, falling beyond SOFT, 0 beyond REJECT.
+
+    Single mismatches; windows that saw something else than ground for longer: ``consensus.py``.
+    """
+    pairs = star.t.shape[1]
+    z = scale_residuals(post_px, star.covariance_px).reshape(-1, pairs, 2)
+    out = np.zeros((len(z), pairs))
+    for k in range(pairs):
+        finite = np.isfinite(z[:, k, 0])
+        trusted = finite & (star.weight[:, k] > 0)
+        if not trusted.any():
+            trusted = finite
+        if finite.any():
+            distance = _distance(z[:, k], trusted)
+            keep = finite & (distance <= REJECT)
+            out[:, k] = np.where(keep, np.minimum(1.0, SOFT / np.maximum(distance, 1e-12)), 0.0)
+    return out
+
+
+def _distance(z: Array, trusted: NDArray[np.bool_]) -> Array:
+    """Distance (G,) from zero in robust sigmas; spread by the median, so that mismatches do not widen it."""
+    spread = np.maximum(1.4826 * np.median(np.abs(z[trusted]), axis=0), 1.0)
+    return np.asarray(np.sqrt(((z / spread) ** 2).sum(axis=1)))

@@ -1,0 +1,116 @@
+"""Observations: what matched windows say about attitude, static parameters and relief together.
+
+A *star* is a set of ground patches, each cut once from one image (the hub) and found in
+several others. All its pairs share the hub's error, every match keeps its own two times, and
+the length of the window is part of the measurement. Sums of stars are what the joint
+estimator (``motion/strip/joint.py``) turns into normal equations.
+
+Not here: per-axis differences for S1's named methods (``motion/estimators/differences.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Star:
+    """Windows of one hub image found in K other images.
+
+    Attributes
+    ----------
+    hub : int
+        Number of the image the windows were cut from.
+    images : tuple of int
+        The K images they were found in.
+    shape : (rows, blocks)
+        The windows form a grid: G = rows * blocks, row by row.
+    pixels : (G, 2)
+        Centres of the windows in the hub, (line, column) px.
+    t_hub : (G,)
+        s; exposure of the window's centre in the hub.
+    t : (G, K)
+        s; exposure of the partner.
+    duration : float
+        s; time a window spans along the hub's lines (0 for an area detector).
+    residual_px : (G, K, 2)
+        Measured minus predicted, px; NaN where there is no match.
+    covariance_px : (G, K, 2, 2)
+        Of each match by itself, px^2.
+    by_hub, by_partner : (G, K, 2, 3) float32
+        px/rad; by the attitude of the hub's and of the partner's instant.
+    by_static : (G, K, 2, Q) float32
+        px per unit of each static parameter.
+    by_height : (G, K, 2) float32
+        px/m.
+    field : (G,)
+        Position across the field, -1 .. 1 from edge to edge of the hub's detector.
+    correlation : (2K, 2K)
+        Covariance of the errors scaled by each match's own Cholesky factor: 1 on the diagonal where the
+        matcher's covariance is right, about 1/2 between pairs, which share the hub.
+    weight : (G, K)
+        Robust weight of each match in [0, 1].
+    brightness : (G,), optional
+        Of the brightest part of each window in the hub, in units of the image.
+    window : (lines, columns), optional
+        Size of the windows, px.
+    """
+
+    hub: int
+    images: tuple[int, ...]
+    shape: tuple[int, int]
+    pixels: Array
+    t_hub: Array
+    t: Array
+    duration: float
+    residual_px: Array
+    covariance_px: Array
+    by_hub: NDArray[np.float32]
+    by_partner: NDArray[np.float32]
+    by_static: NDArray[np.float32]
+    by_height: NDArray[np.float32]
+    field: Array
+    correlation: Array
+    weight: Array
+    brightness: Array | None = None
+    window: tuple[int, int] | None = None
+
+    @property
+    def present(self) -> NDArray[np.bool_]:
+        """(G, K): matches that exist and carry weight."""
+        return np.asarray(np.isfinite(self.residual_px[..., 0]) & (self.weight > 0.0))
+
+    def with_correlation(self, correlation: Array) -> Star:
+        """The same star with another error correlation between its pairs."""
+        return replace(self, correlation=correlation)
+
+    def with_weight(self, weight: Array) -> Star:
+        """The same star with other robust weights, (G, K)."""
+        return replace(self, weight=weight)
+
+    def scaled(self) -> Array:
+        """Residuals in units of each match's own sigma: (G, 2K), NaN where absent."""
+        return scale_residuals(self.residual_px, self.covariance_px)
+
+
+def scale_residuals(residual_px: Array, covariance_px: Array) -> Array:
+    """Residuals divided by the Cholesky factor of their covariance: (G, 2K)."""
+    g, k = residual_px.shape[:2]
+    c11, c21, c22 = covariance_px[..., 0, 0], covariance_px[..., 1, 0], covariance_px[..., 1, 1]
+    l11 = np.sqrt(c11)
+    l21 = c21 / l11
+    l22 = np.sqrt(np.maximum(c22 - l21**2, 1e-30))
+    first = residual_px[..., 0] / l11
+    second = (residual_px[..., 1] - l21 * first) / l22
+    return np.stack([first, second], axis=-1).reshape(g, 2 * k)
+
+
+def shared_image_correlation(pairs: int) -> Array:
+    """Start value of the error correlation: two images of equal noise, the hub's part shared by all pairs."""
+    gamma = np.full((pairs, pairs), 0.5) + 0.5 * np.eye(pairs)
+    return np.asarray(np.kron(gamma, np.eye(2)), dtype=np.float64)

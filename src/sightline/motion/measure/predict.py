@@ -1,0 +1,178 @@
+"""Where the partner of a pixel should be, and how that place moves with attitude.
+
+The matching model of S1 (boxes 22 and 26 of its figure 15): locate in image a, project into
+image b, compare with what was measured, differentiate by attitude, by the static parameters
+of the instrument and by the height of the ground.
+
+Not here: measuring the partner (``matching/match_images.py``), solving (``motion/strip/joint.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.geometry.camera import Camera, FrameCamera, PushbroomCamera
+from sightline.geometry.surface import Surface
+from sightline.geometry.trajectory import Motion
+from sightline.matching.matches import Matches
+
+Array = NDArray[np.float64]
+MovingCamera = PushbroomCamera | FrameCamera
+
+#: Step of the finite differences by attitude (rad): a tenth of a pixel of a 5 urad camera; projections are
+#: good to 1e-9 lines, sensitivities so to 1e-3 px/rad. Two pixels would average the speed of the image over
+#: four lines, and lose a tenth of what jitter of 120 Hz modulates it by: free offsets hide drifts of 10 px,
+#: which turn that into errors of 0.005 px, alike in all windows of a row.
+ANGLE_STEP = 5e-7
+#: Step of the finite difference by height (m).
+HEIGHT_STEP = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class StaticParameter:
+    """One constant of the instrument that the estimate may adjust.
+
+    Attributes
+    ----------
+    name : str
+        What it is, for example ``"PAN offset along"``.
+    unit : str
+        Its unit as printed (``"px"``, ``"rad"``, ``"s"``, or ``""``).
+    sigma : float
+        How well it is known beforehand (1-sigma, in `unit`); always positive.
+    step : float
+        Step of its finite difference, in `unit`.
+    apply : callable
+        ``apply(cameras, value)`` gives the cameras with the parameter `value` away from nominal.
+    images : tuple of int
+        Which images it touches.
+    """
+
+    name: str
+    unit: str
+    sigma: float
+    step: float
+    apply: Callable[[Sequence[MovingCamera], float], list[MovingCamera]]
+    images: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Sensitivities:
+    """Change of the predicted partner, in px, with everything that can move it.
+
+    Attributes
+    ----------
+    angles_a, angles_b : (N, 2, 3)
+        px/rad; by roll, pitch, yaw of the body when image a, image b was exposed
+        (S1's C_T, C_L, C_R in one matrix, for exact rays).
+    statics : (N, 2, Q)
+        px per unit of each static parameter.
+    height : (N, 2)
+        px/m; by the height of the ground (S1's C_h).
+    """
+
+    angles_a: Array
+    angles_b: Array
+    statics: Array
+    height: Array
+
+
+def predict_match(camera_a: Camera, camera_b: Camera, surface: Surface, pixels_a: Array) -> Array:
+    """Pixels of image b that should show what `pixels_a` show in image a.
+
+    Parameters
+    ----------
+    camera_a, camera_b : Camera
+        Geometry of the two images.
+    surface : Surface
+        What the lines of sight meet.
+    pixels_a : (N, 2)
+        (line, column), px.
+
+    Returns
+    -------
+    (N, 2)
+        (line, column), px; NaN where the ray misses the surface or b never sees the point.
+
+    Notes
+    -----
+    S1's matching model, in the order that works: ``Loc_b^-1 o Loc_a``.
+    """
+    return camera_b.project(camera_a.locate(pixels_a, surface))
+
+
+def residuals(matches: Matches, predicted: Array) -> Array:
+    """Measured minus predicted partners, (N, 2) px (S1's Res = M2 M2'); NaN where not matched."""
+    return np.asarray(matches.b - predicted)
+
+
+def turned(camera: MovingCamera, angles: Array) -> MovingCamera:
+    """The same camera with its body turned by constant small `angles` (roll, pitch, yaw; rad)."""
+    trajectory = camera.trajectory
+    motion = trajectory.motion
+    if motion is None:
+        motion = Motion.zero(*trajectory.span)
+    return camera.with_trajectory(trajectory.with_motion(motion.shifted(angles)))
+
+
+def sensitivities(
+    cameras: Sequence[MovingCamera],
+    image_a: int,
+    image_b: int,
+    surface: Surface,
+    pixels_a: Array,
+    statics: Sequence[StaticParameter] = (),
+) -> Sensitivities:
+    """Derivatives of the predicted partner by attitude, statics and height, by central differences.
+
+    Parameters
+    ----------
+    cameras : sequence of cameras
+        All images, with the best motion and statics known so far.
+    image_a, image_b : int
+        The pair.
+    surface : Surface
+        What the lines of sight meet.
+    pixels_a : (N, 2)
+        (line, column) in image a, px.
+    statics : sequence of StaticParameter
+        Parameters to differentiate by.
+
+    Returns
+    -------
+    Sensitivities
+        NaN rows where the partner leaves image b.
+
+    Notes
+    -----
+    S1: ``d di/d theta ~ (i2(theta + dtheta) - i2(theta)) / dtheta`` per focal-plane point and epoch. A turn
+    that lasts the whole strip is used for each image alone, so the derivative is by the attitude at the
+    two instants of exposure.
+    """
+    camera_a, camera_b = cameras[image_a], cameras[image_b]
+    n = len(pixels_a)
+    ground = camera_a.locate(pixels_a, surface)
+    by_a, by_b = np.empty((n, 2, 3)), np.empty((n, 2, 3))
+    for axis in range(3):
+        step = np.zeros(3)
+        step[axis] = ANGLE_STEP
+        plus = camera_b.project(turned(camera_a, step).locate(pixels_a, surface))
+        minus = camera_b.project(turned(camera_a, -step).locate(pixels_a, surface))
+        by_a[:, :, axis] = (plus - minus) / (2 * ANGLE_STEP)
+        plus, minus = turned(camera_b, step).project(ground), turned(camera_b, -step).project(ground)
+        by_b[:, :, axis] = (plus - minus) / (2 * ANGLE_STEP)
+    by_static = np.zeros((n, 2, len(statics)))
+    for k, parameter in enumerate(statics):
+        if image_a in parameter.images or image_b in parameter.images:
+            sides = []
+            for value in (parameter.step, -parameter.step):
+                changed = parameter.apply(cameras, value)
+                sides.append(predict_match(changed[image_a], changed[image_b], surface, pixels_a))
+            by_static[:, :, k] = (sides[0] - sides[1]) / (2 * parameter.step)
+    up = camera_b.project(camera_a.locate(pixels_a, surface.raised(HEIGHT_STEP)))
+    down = camera_b.project(camera_a.locate(pixels_a, surface.raised(-HEIGHT_STEP)))
+    return Sensitivities(by_a, by_b, by_static, (up - down) / (2 * HEIGHT_STEP))

@@ -1,0 +1,81 @@
+"""Sensitivities of a whole grid of windows, computed on a few columns of each row and interpolated.
+
+Across the field sensitivities are almost linear. Along the strip they follow the motion itself
+(a yawing body turns a pitch into a roll), so every row gets its own: what ties a hidden constant
+to the jitter of the other axes depends on it.
+
+Not here: the exact values (``predict.sensitivities``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.geometry.surface import Surface
+from sightline.motion.measure.predict import MovingCamera, StaticParameter, sensitivities
+from sightline.motion.measure.windows import WindowGrid
+
+Array = NDArray[np.float64]
+
+#: Most rows computed exactly, and columns of each.
+LINE_SAMPLES, COLUMN_SAMPLES = 4096, 5
+
+
+def sampled_sensitivities(
+    cameras: Sequence[MovingCamera],
+    hub: int,
+    image: int,
+    surface: Surface,
+    grid: WindowGrid,
+    seen: NDArray[np.bool_],
+    statics: Sequence[StaticParameter],
+) -> NDArray[np.float32]:
+    """Sensitivities of every window of a grid, (G, 2, 7 + Q) float32.
+
+    Columns: by the hub's roll, pitch, yaw; by the partner's; by height; by each static parameter.
+
+    Parameters
+    ----------
+    seen : (G,)
+        Windows whose partner lies inside the other image.
+    """
+    rows, blocks = grid.shape
+    out = np.zeros((rows * blocks, 2, 7 + len(statics)), dtype=np.float32)
+    table = seen.reshape(rows, blocks)
+    usable = np.flatnonzero(table.any(axis=1))
+    if len(usable) == 0:
+        return out
+    at_rows = np.unique(np.linspace(0, len(usable) - 1, min(LINE_SAMPLES, len(usable))).round().astype(int))
+    sample_rows = usable[at_rows]
+    at_blocks = np.unique(np.linspace(0, blocks - 1, min(COLUMN_SAMPLES, blocks)).round().astype(int))
+    pixels = np.stack(np.meshgrid(grid.lines[sample_rows], grid.columns[at_blocks], indexing="ij"), axis=-1)
+    exact = sensitivities(cameras, hub, image, surface, pixels.reshape(-1, 2), statics)
+    values = np.concatenate([exact.angles_a, exact.angles_b, exact.height[:, :, None], exact.statics], axis=2)
+    values = values.reshape(len(sample_rows), len(at_blocks), -1)
+    across = _fill_and_interpolate(values, at_blocks.astype(float), np.arange(blocks, dtype=float))
+    whole = _fill_and_interpolate(
+        across.transpose(1, 0, 2), sample_rows.astype(float), np.arange(rows, dtype=float)
+    ).transpose(1, 0, 2)
+    return np.ascontiguousarray(whole.reshape(rows * blocks, 2, -1), dtype=np.float32)
+
+
+def _fill_and_interpolate(values: Array, x: Array, wanted: Array) -> Array:
+    """Linear interpolation of (rows, samples, C) along the second axis; NaN samples are bridged or held."""
+    out = np.empty((values.shape[0], len(wanted), values.shape[2]))
+    for r in range(values.shape[0]):
+        good = np.isfinite(values[r]).all(axis=1)
+        if not good.any():
+            out[r] = np.nan
+            continue
+        at = x[good]
+        right = np.clip(np.searchsorted(at, wanted), 1, max(len(at) - 1, 1))
+        if len(at) == 1:
+            out[r] = values[r, good]
+            continue
+        w = np.clip((wanted - at[right - 1]) / (at[right] - at[right - 1]), 0.0, 1.0)
+        v = values[r, good]
+        out[r] = (1 - w)[:, None] * v[right - 1] + w[:, None] * v[right]
+    return out

@@ -1,0 +1,1 @@
+"""A spinning camera with filter strips."""

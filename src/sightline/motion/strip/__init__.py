@@ -1,0 +1,1 @@
+"""The joint estimate of a strip's motion."""

@@ -1,0 +1,200 @@
+"""What is asked of a strip that its images cannot give: refused in one sentence before anything is matched.
+
+Not here: what single keys may hold (``io/acquisition/schema.py``), what was found (``warnings.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from sightline.errors import EstimationError, InputError
+from sightline.estimation.prior import TabulatedPsd
+from sightline.motion.measure.stars import hub_windows, within_image
+from sightline.motion.measure.windows import WindowGrid, predict_windows
+from sightline.motion.strip.hyper import KnownContent
+from sightline.motion.strip.strip import RecoverOptions, Strip
+
+#: Tones nearer than this share of the lowest frequency that a strip holds are one.
+SAME_TONE = 0.1
+#: Windows of the first pass that must find their ground in another image.
+FEWEST_WINDOWS = 20
+#: Rows of windows that are asked where they lie: evenly spread, of however long a strip.
+ROWS_ASKED = 200
+#: rad; angles of the motion are small: control points further from where the cameras see them are mistakes.
+FARTHEST = 0.1
+
+
+def checked(strip: Strip, options: RecoverOptions) -> Strip:
+    """The strip with its known tones sorted, each once.
+
+    Raises
+    ------
+    InputError
+        Names the key, its value and what is allowed: tones or a spectrum that these lines cannot hold,
+        windows that do not fit in the images, listed features that lie outside, control points out of place.
+    EstimationError
+        If too few windows see the same ground in two images, or none has a neighbour in its row.
+    """
+    _check_windows(strip, options)
+    _check_common_ground(strip, options)
+    _check_features(strip, options)
+    _check_control(strip)
+    return replace(strip, known=known_content(strip))
+
+
+def known_content(strip: Strip) -> KnownContent:
+    """Known tones of the strip, each once; refused where its lines cannot hold them, or a known spectrum."""
+    known = strip.known
+    spans = [camera.times(np.array([0.0, camera.lines - 1.0])) for camera in strip.nominal]
+    period = min(float(t[1] - t[0]) / (c.lines - 1) for t, c in zip(spans, strip.nominal, strict=True))
+    lowest, highest = 1.0 / max(float(t[1] - t[0]) for t in spans), 0.5 / period
+    tones: list[float] = []
+    for tone in sorted(known.tones):
+        if not lowest <= tone < highest:
+            raise InputError(
+                f"`tones` of [known_motion] holds {tone:g} Hz; allowed are {lowest:.4g} Hz (one period in "
+                f"the strip) to below {highest:.4g} Hz (half the line rate); give Hz, or leave it out"
+            )
+        if not tones or tone - tones[-1] > SAME_TONE * lowest:
+            tones.append(tone)
+    for axis, spectrum in zip(("roll", "pitch", "yaw"), known.spectra or (), strict=False):
+        parts = [part for part in spectrum.components if isinstance(part, TabulatedPsd)]
+        starts = [part.frequency[max(int(np.flatnonzero(part.density)[0]) - 1, 0)] for part in parts]
+        if starts and len(parts) == len(spectrum.components) and min(starts) >= highest:
+            raise InputError(
+                f"`psd` of [known_motion] has power of {axis} only from {min(starts):g} Hz; allowed is a "
+                f"spectrum that begins below {highest:.4g} Hz (half the line rate); give Hz"
+            )
+    return replace(known, tones=tuple(tones))
+
+
+def _check_windows(strip: Strip, options: RecoverOptions) -> None:
+    """Windows, steps and searches fit in the smallest image."""
+    shape = np.min([band.image.shape for band in strip.bands], axis=0)
+    size = f"the smallest image has {shape[0]} lines and {shape[1]} columns"
+    usual = RecoverOptions()
+    for key in ("first_window", "window", "search_px"):
+        given = getattr(options, key)
+        # windows of the usual width are narrowed to a narrow detector's line
+        narrowed = key != "search_px" and given[1] == getattr(usual, key)[1]
+        if given[0] > shape[0] or (given[1] > shape[1] and not narrowed):
+            raise InputError(
+                f"`{key}` of [matching] is {list(given)}; {size}: at most [{shape[0]}, {shape[1]}] is allowed"
+            )
+    if options.step > shape[0]:
+        raise InputError(f"`step` of [matching] is {options.step}; {size}: at most {shape[0]} is allowed")
+
+
+def windows_in_common(strip: Strip, options: RecoverOptions) -> tuple[float, float, int]:
+    """Windows of the first pass on ground that another image sees too.
+
+    Returns
+    -------
+    seen, whole : float
+        How many have their middle, and all of themselves, in another image.
+    side_by_side : int
+        Most that one row has of the former.
+    """
+    plan = strip.plan(options, options.first_window, 2 * options.first_window[0])
+    shapes = [(band.image.shape[0], band.image.shape[1]) for band in strip.bands]
+    hubs = hub_windows(strip.nominal, strip.surface, shapes, strip.order, plan, strip.views)
+    common, within, side_by_side = 0.0, 0.0, 0
+    for hub, partners, grid in hubs:
+        asked = grid.lines[np.linspace(0, len(grid.lines) - 1, min(len(grid.lines), ROWS_ASKED)).astype(int)]
+        some = WindowGrid(grid.window, asked, grid.columns)
+        seen, whole = np.zeros((2, len(some.centres)), dtype=bool)
+        for image, found in zip(
+            partners, predict_windows(strip.nominal, hub, partners, strip.surface, some), strict=True
+        ):
+            with np.errstate(invalid="ignore"):
+                seen |= ((found.b >= 0.0) & (found.b <= np.array(shapes[image]) - 1.0)).all(axis=1)
+            whole |= within_image(found.b, shapes[image], grid.window)
+        common += float(seen.sum()) * len(grid.lines) / len(asked)
+        within += float(whole.sum()) * len(grid.lines) / len(asked)
+        side_by_side = max(side_by_side, int(seen.reshape(some.shape).sum(axis=1).max(initial=0)))
+    return common, within, side_by_side
+
+
+def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
+    """Windows of the first pass lie on ground that another image sees too: enough, and two side by side."""
+    common, _, side_by_side = windows_in_common(strip, options)
+    if common < FEWEST_WINDOWS:
+        height, width = options.first_window
+        size = f"{height} x {min(width, strip.bands[0].image.shape[1])} px"
+        raise EstimationError(
+            f"the images have too little ground in common: {common:.0f} windows of {size}, {FEWEST_WINDOWS} "
+            "are needed; give longer images (more lines than the longest lag), or smaller windows: "
+            "[matching] first_window"
+        )
+    if side_by_side < 2:
+        name, columns = min(((b.name, b.image.shape[1]) for b in strip.bands), key=lambda entry: entry[1])
+        (height, width), half = options.first_window, max(columns // 2, 3)
+        raise EstimationError(
+            f"{name} has {columns} columns, and no row holds two windows of {width} columns side by side, "
+            f"which yaw is told by: {2 * width} columns in common are needed, or narrower windows: "
+            f"[matching] first_window = [{height}, {half}], window = [{options.window[0]}, {half}]"
+        )
+
+
+def _check_features(strip: Strip, options: RecoverOptions) -> None:
+    """Some listed feature lies on its image."""
+    listed = options.selection.features
+    if options.selection.way != "listed" or not listed:
+        return
+    for image, pixels in listed.items():
+        inside = (pixels >= -0.5) & (pixels <= np.array(strip.bands[image].image.shape) - 0.5)
+        if inside.all(axis=1).any():
+            return
+    shapes = ", ".join(f"{b.name} {b.image.shape[0]} x {b.image.shape[1]}" for b in strip.bands)
+    raise InputError(
+        "`features` of [matching]: every listed feature lies outside its image; allowed are lines and "
+        f"columns, counted from 0, within: {shapes}"
+    )
+
+
+def _check_control(strip: Strip) -> None:
+    """Control points lie about where the cameras look."""
+    for k, angle in _control_angles(strip).items():
+        if not angle <= FARTHEST:
+            raise InputError(
+                f"{_control_words(strip, k, angle)}; allowed are {FARTHEST} rad; check its coordinates and "
+                "their units, its line and column, and the platform"
+            )
+
+
+def farthest_control(strip: Strip) -> str:
+    """The control point that moved the cameras most, as the end of a refusal; "" without control points."""
+    angles = _control_angles(strip)
+    if not angles:
+        return ""
+    k = max(angles, key=lambda point: angles[point])
+    return f"; matching began where control points say: {_control_words(strip, k, angles[k])}"
+
+
+def _control_angles(strip: Strip) -> dict[int, float]:
+    """rad; how far each control point within the images lies from where its camera is said to look."""
+    points, out = strip.control, {}
+    for k, image in enumerate([] if points is None else points.images):
+        assert points is not None
+        camera, pixel = strip.nominal[image], points.pixels[k : k + 1]
+        if not -1.0 <= pixel[0, 0] <= camera.lines:
+            continue  # outside the estimated time: such points are left out and counted
+        rays = camera.rays(pixel)
+        there = points.points[k] - rays.origins[0]
+        there = there / max(float(np.abs(there).max()), 1e-9)
+        across = np.cross(rays.directions[0], there)
+        out[k] = float(np.arctan2(np.sqrt(across @ across), rays.directions[0] @ there))
+    return out
+
+
+def _control_words(strip: Strip, k: int, angle: float) -> str:
+    """Which control point lies how far from where its band looked."""
+    points = strip.control
+    assert points is not None
+    (x, y, z), (line, column) = points.points[k], points.pixels[k]
+    return (
+        f"control point {k + 1} ({x:g}, {y:g}, {z:g} m) lies {angle:.3g} rad from where "
+        f"{strip.bands[points.images[k]].name!r} looked at line {line:g}, column {column:g}"
+    )

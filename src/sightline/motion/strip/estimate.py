@@ -1,0 +1,202 @@
+"""The estimate of one pass over a strip: motion, statics, relief and sensors from its matches.
+
+Not here: where matches come from and how often (``applications/line_of_sight.py``), the solution itself
+(``motion/strip/joint.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.motion.measure.consensus import ground_weights
+from sightline.motion.measure.match_noise import estimate_correlation, robust_weights, row_weights
+from sightline.motion.measure.observations import Star, shared_image_correlation
+from sightline.motion.measure.stars import StarRecord
+from sightline.motion.strip.fusion import (
+    UNSEEN_PX,
+    SensorRows,
+    attitude_rows,
+    control_rows,
+    own_parts,
+    reweighted,
+    tie,
+    unfelt_tones,
+)
+from sightline.motion.strip.hyper import ORDER, PriorModel
+from sightline.motion.strip.joint import (
+    JointEstimate,
+    JointPrior,
+    innovation_weights,
+    longest_gap,
+    solve_joint,
+)
+from sightline.motion.strip.normal_equations import modelled, no_information, normal_equations
+from sightline.motion.strip.relief import beside_row, hub_delay, relief_length, relief_matters, row_processes
+from sightline.motion.strip.strip import Strip
+
+Array = NDArray[np.float64]
+
+#: Times that matches are weighed by their own scatter and the motion solved again: once a spectrum is fitted
+#: in the pass, and in drafts and before.
+ROUNDS, DRAFT_ROUNDS = 4, 2
+#: Times that control points are linearised before the first matching.
+INITIAL_ROUNDS = 3
+#: Times that readings are weighed by what an estimate from sensors alone leaves of them, so that one wrong
+#: reading does not send the first matching astray.
+SENSOR_ROUNDS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class StripState:
+    """What one pass hands to the next."""
+
+    estimate: JointEstimate
+    prior: JointPrior
+    model: PriorModel
+    records: tuple[StarRecord, ...]
+    post_px: tuple[Array, ...]
+    with_relief_px: tuple[Array, ...]
+    before_px: tuple[Array, ...]
+    relief_length: float
+
+    def jumps(self) -> list[Array]:
+        """Instants (s) at which roll, pitch, yaw were let jump."""
+        weights = self.prior.innovation_weights
+        if weights is None:
+            return []
+        return [self.estimate.grid.nodes[weights[:, axis] < 1.0] for axis in range(3)]
+
+
+def initial_attitude(strip: Strip, statics: Array) -> Array:
+    """Angles (count, 3) that sensors and control points tell before any matching (S1, claim 12)."""
+    nodes = np.zeros((strip.grid.count, 3))
+    grid = strip.grid
+    prior = JointPrior(strip.broad.processes(grid), np.array([p.sigma for p in strip.parameters]))
+    nothing = no_information(grid, len(strip.parameters))
+    for _ in range(INITIAL_ROUNDS if strip.control is not None else 1):
+        rows = _sensor_rows(strip, strip.broad, nodes, statics)
+        if not rows:
+            return nodes
+        estimate = solve_joint(nothing, prior, tie(rows, grid, 3))
+        for _ in range(SENSOR_ROUNDS):
+            rows = _reweighted(rows, estimate, believed=True)
+            estimate = solve_joint(nothing, prior, tie(rows, grid, 3))
+        nodes = estimate.nodes
+    return nodes
+
+
+def _sensor_rows(
+    strip: Strip, model: PriorModel, nodes: Array, statics: Array, memory: float = 0.0
+) -> list[SensorRows]:
+    """Rows of all sensors about the present estimate; `model` tells which tones they may not feel."""
+    grid, first = strip.grid, strip.nominal[0]
+    span = (grid.start, grid.start + grid.step * (grid.count - 1))
+    unseen = (UNSEEN_PX if model is strip.broad else 0.0) * strip.scale
+    unfelt = unfelt_tones(model.spectra)
+    # angles of the body about the axes of the estimate
+    sensors = [replace(s, angles=s.angles @ strip.turn) for s in strip.sensors]
+    rows = [
+        attitude_rows(s, span, len(strip.parameters), unfelt, unseen, first.trajectory, memory)
+        for s in sensors
+    ]
+    if strip.control is not None:
+        cameras = strip.cameras(nodes, statics)
+        rows.append(control_rows(strip.control, cameras, strip.parameters, grid, nodes, statics))
+    return [r for r in rows if r is not None]
+
+
+def solve_strip(
+    strip: Strip,
+    records: tuple[StarRecord, ...],
+    nodes: Array,
+    statics: Array,
+    model: PriorModel,
+    height_sigma: float,
+    before: StripState | None,
+    *,
+    rounds: int = DRAFT_ROUNDS,
+    jumps: bool = True,
+) -> StripState:
+    """Solve; `rounds` times weigh matches by their scatter, let the motion jump where it did, solve again."""
+    grid = strip.grid
+    stars = [r.star for r in records]
+    measured = [s.residual_px + modelled(s, grid, nodes, statics) for s in stars]
+    delays = [hub_delay(strip.nominal, strip.surface, s.hub, stars[0].hub) for s in stars]
+    sigmas = np.array([p.sigma for p in strip.parameters])
+    unknown_relief = relief_matters(stars, height_sigma)
+    prior = JointPrior(model.processes(grid), sigmas)
+    length = before.relief_length if before is not None else 2.0 * strip.half_width
+    beside = 0.0
+    if unknown_relief:
+        beside = height_sigma * beside_row(length, strip.half_width)
+        relief = row_processes(height_sigma, length, strip.half_width, strip.ground_speed, grid)
+        prior = replace(prior, relief=relief)
+
+    # errors of a gyro are followed twice as far as the images tie the motion to itself
+    longest = 2.0 * max(float(np.nanmax(np.abs(s.t - s.t_hub[:, None]), initial=0.0)) for s in stars)
+    rows = _sensor_rows(strip, model, nodes, statics, longest)
+
+    def solution() -> tuple[JointEstimate, list[Array], list[Array]]:
+        data = normal_equations(stars, measured, grid, delays=delays, relief=unknown_relief)
+        # across a gap longer than its memory an autoregression knows no slope of the drift
+        long = longest_gap(data) > ORDER
+        apart = model.apart(grid, len(data.ab) // data.block) if long else None
+        ties = tie(rows, grid, data.block) if rows else None
+        found = solve_joint(data, replace(prior, apart=apart), ties)
+        motion_only = [modelled(s, grid, found.nodes, found.statics) for s in stars]
+        without = [m - w for m, w in zip(measured, motion_only, strict=True)]
+        if not unknown_relief:
+            return found, without, without
+        whole = [
+            modelled(s, grid, found.unknowns(), found.statics, d) for s, d in zip(stars, delays, strict=True)
+        ]
+        return found, [m - w for m, w in zip(measured, whole, strict=True)], without
+
+    settled = model is not strip.broad
+    estimate, post, without = solution()
+    for _ in range(rounds):
+        ground = ground_weights(stars, post, beside)
+        weights = [robust_weights(s, r) * w for s, r, w in zip(stars, post, ground, strict=True)]
+        stars = [s.with_weight(w) for s, w in zip(stars, weights, strict=True)]
+        stars = [s.with_weight(s.weight * row_weights(s, r)) for s, r in zip(stars, post, strict=True)]
+        stars = [
+            s.with_correlation(model.grown(c)) for s, c in zip(stars, _correlations(stars, post), strict=True)
+        ]
+        rows = _reweighted(rows, estimate, believed=not settled)
+        if settled and jumps:
+            prior = replace(prior, innovation_weights=innovation_weights(estimate))
+        estimate, post, without = solution()
+    if unknown_relief:
+        length = relief_length(stars, without, height_sigma, strip.half_width)
+    kept = tuple(StarRecord(s, r.status, r.score) for s, r in zip(stars, records, strict=True))
+    return StripState(estimate, prior, model, kept, tuple(post), tuple(without), tuple(measured), length)
+
+
+def _reweighted(rows: Sequence[SensorRows], estimate: JointEstimate, *, believed: bool) -> list[SensorRows]:
+    """Sensor rows weighed by what the estimate leaves of them."""
+    if estimate.ties is None:
+        return list(rows)
+    own = own_parts(estimate.ties, estimate.own)
+    nodes = estimate.unknowns()
+    return [
+        reweighted(r, estimate.grid, nodes, estimate.statics, part, believed=believed)
+        for r, part in zip(rows, own, strict=True)
+    ]
+
+
+def _correlations(stars: Sequence[Star], post: Sequence[Array]) -> list[Array]:
+    """Error correlation of every star; one too small to learn its own takes the sizes of the largest."""
+    found = [estimate_correlation(s, r) for s, r in zip(stars, post, strict=True)]
+    starts = [shared_image_correlation(s.t.shape[1]) for s in stars]
+    learned = [not np.array_equal(c, start) for c, start in zip(found, starts, strict=True)]
+    largest = int(np.argmax([s.present.sum() * ok for s, ok in zip(stars, learned, strict=True)]))
+    size = np.sqrt(np.diag(found[largest]).reshape(-1, 2).mean(axis=0))
+    out = []
+    for c, ok in zip(found, learned, strict=True):
+        factor = np.ones(len(c)) if ok else np.tile(size, len(c) // 2)
+        out.append(c * np.outer(factor, factor))
+    return out

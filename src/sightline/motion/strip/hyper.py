@@ -1,0 +1,431 @@
+"""Priors of the three axes, learned from the rows of the joint problem.
+
+Each row of windows is collapsed to one angle difference per pair, with what the present estimate
+already explains added back; the spectrum of each axis then follows by marginal likelihood
+(``estimation/likelihood.py``). The same rows serve S1's named estimators.
+
+Not here: the joint solution itself (``joint.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import EstimationError
+from sightline.estimation.likelihood import WORK, FittedSpectrum, fit_spectrum
+from sightline.estimation.prior import Autoregressive, Matern, Spectrum
+from sightline.estimation.series import DifferenceSeries
+from sightline.estimation.split import SplitPrior, coarse_ratio, split
+from sightline.execution import in_threads
+from sightline.motion.estimators.differences import AngleDifferences
+from sightline.motion.measure.observations import Star
+from sightline.motion.strip.joint import JointEstimate
+from sightline.motion.strip.normal_equations import TimeGrid
+
+Array = NDArray[np.float64]
+
+#: Order of the autoregressive priors. An autoregression tells tones apart that its memory holds a period of
+#: their difference of; the band of the data's rows is about as wide anyway.
+ORDER = 80
+#: Information (rad^-2, sigma 0.1 rad) that keeps the angles finite of a row that cannot see them all.
+WEAK = 1e2
+#: Tones of two axes nearer than this, in units of one over the length of the strip, are one mode.
+SAME_TONE = 1.5
+#: Tones that are looked for per axis.
+MOST_TONES = 8
+#: Where less than this share of the variance of a row's angle is its own, and the rest another angle's on a
+#: lever of the field, rows say nothing of its noise: what is not known of the other passes for it.
+OWN = 0.5
+#: Broadband jitter of an axis is shown where it is so many times the noise of a row of windows.
+SHOWN = 3.0
+#: Longest time scale of a drift beside unknown relief, in lengths of the strip.
+ROUGH = 0.5
+#: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
+MOST_ACROSS = 0.5
+
+
+@dataclass(frozen=True)
+class PriorModel:
+    """Spectra of roll, pitch and yaw (rad), and how far the rows' errors exceed what their scatter shows.
+
+    `noise_scale` holds one factor on the variance per axis: errors that a whole row shares do not scatter
+    within it; the marginal likelihood sees them.
+    """
+
+    spectra: tuple[Spectrum, Spectrum, Spectrum]
+    noise_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+
+    def grown(self, correlation: Array) -> Array:
+        """Error correlation (2K, 2K) of a star scaled along lines (pitch, yaw) and columns (roll)."""
+        roll, pitch, yaw = (max(scale, 1.0) for scale in self.noise_scale)
+        size = np.sqrt(np.tile([0.5 * (pitch + yaw), roll], len(correlation) // 2))
+        return np.asarray(correlation * np.outer(size, size))
+
+    def with_turns(self, length: float) -> PriorModel:
+        """The model with a motion about the line of sight no smaller than that across it (rad).
+
+        A narrow field hardly shows that angle: its likelihood is as content with none as with a large one,
+        and a spectrum of none would be certain of it. Nothing holds a body stiller about one axis than
+        another: where the drift found bends less, every part of the spectrum of that axis of the others
+        whose drift bends most stands in the place of a smaller one, and what the field does show stays.
+
+        Parameters
+        ----------
+        length : float
+            s; of the strip.
+        """
+        bends = [_bend(_drift(s), length) for s in self.spectra]
+        across = self.spectra[int(np.argmax(bends[:2]))]
+        if bends[2] >= max(bends[:2]):
+            return self
+        return replace(self, spectra=(*self.spectra[:2], _larger_parts(self.spectra[2], across, length)))
+
+    def beside_relief(self, length: float) -> PriorModel:
+        """The model with a drift of pitch no smaller than that of roll (rad); `length` (s) of the strip.
+
+        Relief that nobody knows shifts matches as pitch does, never as roll: what it takes from the drift of
+        pitch in one estimate would not be looked for in the next. Nor is it so smooth that all that is
+        quicker must be relief: its time scale is at most ROUGH of the length, its bend as found.
+        """
+        roll, pitch, yaw = self.spectra
+        larger = max((_drift(roll), _drift(pitch)), key=lambda part: _bend(part, length))
+        if larger.timescale > ROUGH * length:
+            quick = Matern(1.0, ROUGH * length, larger.order)
+            larger = replace(quick, sigma=_bend(larger, length) / _bend(quick, length))
+        others = tuple(part for part in pitch.components if part is not _drift(pitch))
+        return replace(self, spectra=(roll, Spectrum((larger, *others)), yaw))
+
+    def scaled(self, pixel_angle: float, half_field: float) -> PriorModel:
+        """The model given in px (yaw: px at the field edge) as one in rad."""
+        yaw = pixel_angle / max(half_field, pixel_angle)
+        factors = (pixel_angle, pixel_angle, yaw)
+        roll, pitch, turn = (s.scaled(f) for s, f in zip(self.spectra, factors, strict=True))
+        return PriorModel((roll, pitch, turn))
+
+    def processes(self, grid: TimeGrid) -> tuple[Autoregressive, Autoregressive, Autoregressive]:
+        """Autoregressive processes on the grid."""
+        roll, pitch, yaw = (s.autoregressive(grid.step, ORDER, grid.count) for s in self.spectra)
+        return roll, pitch, yaw
+
+    def apart(self, grid: TimeGrid, width: int) -> tuple[SplitPrior, SplitPrior, SplitPrior] | None:
+        """The processes with their drifts on one coarse grid; None where an axis has no drift to part.
+
+        Parameters
+        ----------
+        width : int
+            Nodes that the data's rows span.
+        """
+        ratios = [coarse_ratio(s, grid.step, ORDER, width=width) for s in self.spectra]
+        ratio = min((r for r in ratios if r is not None), default=None)
+        parts = [split(s, grid.step, ORDER, grid.count, ratio=ratio) for s in self.spectra]
+        roll, pitch, yaw = parts
+        return None if roll is None or pitch is None or yaw is None else (roll, pitch, yaw)
+
+
+def _drift(spectrum: Spectrum) -> Matern:
+    """The first of the broad parts."""
+    return next(c for c in spectrum.components if isinstance(c, Matern))
+
+
+def _broadband(spectrum: Spectrum) -> Matern:
+    """The last of the broad parts."""
+    return [c for c in spectrum.components if isinstance(c, Matern)][-1]
+
+
+def _bend(part: Matern, length: float) -> float:
+    """Standard deviation (rad) of how far a motion bends away from a line over a strip of `length` s.
+
+    Constants and even drifts are hidden where offsets are free; sigma and timescale of a drift longer than
+    the strip are then told only as what bends, sigma over timescale squared: either alone may be anything.
+    """
+    k = part.autocovariance(np.array([0.0, 0.5 * length, length]))
+    return float(np.sqrt(max(6.0 * k[0] - 8.0 * k[1] + 2.0 * k[2], 0.0)))
+
+
+def _larger_parts(one: Spectrum, other: Spectrum, length: float) -> Spectrum:
+    """Drift, broadband and each tone of two spectra over `length` s, whichever is the larger."""
+    drift = max((_drift(one), _drift(other)), key=lambda part: _bend(part, length))
+    broadband = max((_broadband(one), _broadband(other)), key=lambda part: part.sigma)
+    tones = list(one.tones)
+    for tone in other.tones:
+        near = [k for k, own in enumerate(tones) if abs(own.frequency - tone.frequency) * length < SAME_TONE]
+        if not near:
+            tones.append(tone)
+        elif tone.sigma > tones[near[0]].sigma:
+            tones[near[0]] = tone
+    return Spectrum((drift, broadband, *sorted(tones, key=lambda tone: tone.frequency)))
+
+
+_WIDE = Spectrum((Matern(20.0, 1.0, "5/2"), Matern(0.5, 0.01, "3/2")))
+#: What is assumed before anything is known, in px: tens of px of slow drift, half a px of jitter.
+BROAD = PriorModel((_WIDE, _WIDE, _WIDE))
+
+
+@dataclass(frozen=True)
+class KnownContent:
+    """What is known of the motion's frequencies before the images are looked at (S1, claim 8).
+
+    Attributes
+    ----------
+    tones : tuple of float
+        Hz; tones of any axis that are there whether the images show them or not.
+    spectra : three Spectrum or None
+        Of roll, pitch, yaw (rad): taken as they are, nothing is fitted.
+    """
+
+    tones: tuple[float, ...] = ()
+    spectra: tuple[Spectrum, Spectrum, Spectrum] | None = None
+
+
+def angle_differences(
+    stars: Sequence[Star],
+    post_px: Sequence[Array],
+    estimate: JointEstimate,
+    relief_sigmas: tuple[float, float] = (0.0, 0.0),
+) -> list[AngleDifferences]:
+    """One difference of the three angles per row of windows and pair (S1 step b, about the present estimate).
+
+    Parameters
+    ----------
+    stars : sequence of Star
+    post_px : sequence of (G, K, 2)
+        Residuals after the estimate.
+    estimate : JointEstimate
+        Its motion is added back, so that the differences are those of the whole motion.
+    relief_sigmas : (float, float)
+        m; of the mean height of a row of ground and of its slope at the field's edge, where neither is known:
+        the covariance owns what they move.
+
+    Returns
+    -------
+    list of AngleDifferences
+        One per star and pair.
+    """
+    out = []
+    patch_start = 0
+    for star, post in zip(stars, post_px, strict=True):
+        rows, _ = star.shape
+        for k, image in enumerate(star.images):
+            part = _collapse(star, post, k, relief_sigmas)
+            good = part.t_hub == part.t_hub
+            if good.sum() < 8:
+                continue
+            at_hub = averaged(estimate.grid, estimate.nodes, part.t_hub[good], star.duration)
+            at_partner = averaged(estimate.grid, estimate.nodes, part.t[good], star.duration)
+            out.append(
+                AngleDifferences(
+                    t=part.t_hub[good],
+                    lag=part.t[good] - part.t_hub[good],
+                    angles=part.angles[good] + at_partner - at_hub,
+                    covariance=part.covariance[good],
+                    images=(star.hub, image),
+                    window=star.duration,
+                    patch=patch_start + np.flatnonzero(good),
+                )
+            )
+        patch_start += rows
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    t_hub: Array
+    t: Array
+    angles: Array
+    covariance: Array
+
+
+def _collapse(star: Star, post: Array, k: int, relief_sigmas: tuple[float, float]) -> _Rows:
+    """Weighted least squares of the three angles per row of windows for pair k; NaN where too few."""
+    rows, blocks = star.shape
+    scale = star.correlation[2 * k : 2 * k + 2, 2 * k : 2 * k + 2]
+    factor = np.linalg.cholesky(star.covariance_px[:, k])
+    covariance = factor @ scale @ np.swapaxes(factor, 1, 2)
+    weight = np.linalg.inv(covariance)
+    seen = star.present[:, k]
+    weight = weight * np.where(seen, star.weight[:, k], 0.0)[:, None, None]
+    j = star.by_partner[:, k].astype(float)
+    y = np.where(seen[:, None], post[:, k], 0.0)
+    normal = np.einsum("gca,gcd,gdb->gab", j, weight, j).reshape(rows, blocks, 3, 3).sum(1)
+    right = np.einsum("gca,gcd,gd->ga", j, weight, y).reshape(rows, blocks, 3).sum(1)
+    w = np.where(seen, 1.0, 0.0).reshape(rows, blocks)
+    count = w.sum(1)
+    inverse = np.linalg.inv(normal + WEAK * np.eye(3))
+    angles = np.einsum("rab,rb->ra", inverse, right)
+    # an axis, or a mix of axes, that a row cannot see: what it says there is what was put in
+    diagonal = inverse[:, [0, 1, 2], [0, 1, 2]]
+    unseen = WEAK * (inverse**2).sum(axis=2) > 0.5 * diagonal
+    if any(relief_sigmas):
+        shapes = np.stack([np.ones(len(star.field)), star.field], axis=1) * relief_sigmas
+        height = np.nan_to_num(star.by_height[:, k].astype(float))[:, :, None] * shapes[:, None, :]
+        pushed = np.einsum("gca,gcd,gds->gas", j, weight, height).reshape(rows, blocks, 3, 2).sum(1)
+        moved = inverse @ pushed
+        inverse = inverse + moved @ np.swapaxes(moved, 1, 2)
+    diagonal = inverse[:, [0, 1, 2], [0, 1, 2]]
+    inverse[:, [0, 1, 2], [0, 1, 2]] = np.where(unseen, np.inf, diagonal)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        t_hub = np.where(count > 0, (w * star.t_hub.reshape(rows, blocks)).sum(1) / count, np.nan)
+        t = np.nansum(w * np.nan_to_num(star.t[:, k]).reshape(rows, blocks), axis=1) / count
+    return _Rows(t_hub, t, angles, inverse)
+
+
+def averaged(grid: TimeGrid, nodes: Array, t: Array, duration: float) -> Array:
+    """Mean of the node motion over windows of `duration` about `t`: (N, C)."""
+    if duration <= 0.0:
+        return grid.interpolate(nodes, t)
+    points = 2 + int(np.ceil(duration / grid.step))
+    offsets = duration * ((np.arange(points) + 0.5) / points - 0.5)
+    return np.asarray(sum(grid.interpolate(nodes, t + o) for o in offsets) / points)
+
+
+def fit_prior_model(
+    stars: Sequence[Star],
+    post_px: Sequence[Array],
+    estimate: JointEstimate,
+    pixel: Array,
+    start: PriorModel | None = None,
+    jumps: Sequence[Array] = (),
+    grown_by: tuple[float, float, float] = (1.0, 1.0, 1.0),
+    work: float = WORK,
+    known_tones: Sequence[float] = (),
+) -> PriorModel:
+    """Spectra of the three axes by marginal likelihood, tones found blind.
+
+    Parameters
+    ----------
+    stars, post_px, estimate
+        As for `angle_differences`.
+    pixel : (3,)
+        rad; one pixel of roll, pitch, and of yaw at the field edge: how far pairs may be offset.
+    start : PriorModel, optional
+        A model fitted before, to start from.
+    jumps : three arrays, optional
+        s; instants at which roll, pitch, yaw jump. Differences taken across one are left out: a step is no
+        part of a spectrum.
+    grown_by : (3,)
+        Noise scales that the stars' correlations hold already.
+    work : float
+        Allowed per evaluation of the likelihood, see `estimation.likelihood.WORK`.
+    known_tones : sequence of float
+        Hz; see `estimation.likelihood.fit_spectrum`.
+    """
+    differences = angle_differences(stars, post_px, estimate)
+    if not differences:
+        raise EstimationError(
+            "no row of windows is seen by any pair; check that the bands overlap, and by more than the "
+            "[matching] window"
+        )
+
+    def fitted(
+        axis: int,
+        begin: Spectrum | None = None,
+        possible: Sequence[float] = (),
+        corner: float | None = None,
+    ) -> FittedSpectrum:
+        series = [scalar_series(d, axis) for d in differences]
+        if jumps:
+            series = [_without_jumps(one, jumps[axis]) for one in series]
+        return fit_spectrum(
+            series,
+            start=begin or (None if start is None else start.spectra[axis]),
+            offset_sigma=float(pixel[axis]),
+            work=work,
+            known_tones=known_tones,
+            possible=possible,
+            max_tones=MOST_TONES if begin is None else 0,
+            corner=corner,
+        )
+
+    first = in_threads(fitted, range(3))
+    length = max(float(d.t.max()) for d in differences) - min(float(d.t.min()) for d in differences)
+    spectra = [one.spectrum for one in first]
+    missing = [_tones_elsewhere(spectra, axis, SAME_TONE / length) for axis in range(3)]
+    corners = _corners_elsewhere(spectra, [_row_sigma(differences, axis) for axis in range(3)])
+
+    def shared(axis: int) -> FittedSpectrum:
+        if not missing[axis] and corners[axis] is None:
+            return first[axis]
+        return fitted(axis, spectra[axis], missing[axis], corners[axis])
+
+    roll, pitch, yaw = in_threads(shared, range(3))
+    own = _own_share(differences)
+    scales = [
+        one.noise_scale * max(grown, 1.0) if share > OWN else 1.0
+        for one, grown, share in zip((roll, pitch, yaw), grown_by, own, strict=True)
+    ]
+    model = PriorModel((roll.spectrum, pitch.spectrum, yaw.spectrum), (scales[0], scales[1], scales[2]))
+    return model.with_turns(length)
+
+
+def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> list[float]:
+    """Frequencies (Hz), `apart` at least, of tones that other axes have and this one does not.
+
+    What shakes a spacecraft shakes all axes of it. A tone too weak to be found by itself would be owned by
+    nobody; where another axis shows it, it may be here too, as large as goes unseen.
+    """
+    own = [tone.frequency for tone in spectra[axis].tones]
+    out: list[float] = []
+    for other, spectrum in enumerate(spectra):
+        for tone in spectrum.tones:
+            if other != axis and all(abs(tone.frequency - f) > apart for f in [*own, *out]):
+                out.append(float(tone.frequency))
+    return out
+
+
+def _own_share(differences: Sequence[AngleDifferences]) -> Array:
+    """Median share (3,) of the variance of a row's roll, pitch, yaw that is no error of another angle."""
+    covariance = np.concatenate([d.covariance for d in differences])
+    covariance = covariance[np.isfinite(covariance).all(axis=(1, 2))]
+    if len(covariance) == 0:
+        return np.ones(3)
+    alone = 1.0 / np.linalg.inv(covariance)[:, [0, 1, 2], [0, 1, 2]]
+    return np.asarray(np.median(alone / covariance[:, [0, 1, 2], [0, 1, 2]], axis=0))
+
+
+def _row_sigma(differences: Sequence[AngleDifferences], axis: int) -> float:
+    """Median sigma (rad) of one row's difference of an angle; infinite where no row sees it."""
+    variance = np.concatenate([d.covariance[:, axis, axis] for d in differences])
+    return float(np.sqrt(np.median(variance)))
+
+
+def _corners_elsewhere(spectra: Sequence[Spectrum], row_sigma: Sequence[float]) -> list[float | None]:
+    """Corner (Hz) of the broadband jitter of the axis that shows it best, for axes whose rows do not show it.
+
+    Below the noise of a row, jitter and noise are told apart by how they follow in time alone: jitter of a
+    corner above all that is seen would pass for noise, and noise for jitter. What shakes one axis of a body
+    shakes the others about as fast.
+    """
+    seen = [_broadband(s).sigma / sigma for s, sigma in zip(spectra, row_sigma, strict=True)]
+    best = int(np.argmax(seen))
+    if seen[best] < SHOWN:
+        return [None] * len(seen)
+    return [_broadband(spectra[best]).corner if one < SHOWN else None for one in seen]
+
+
+def _without_jumps(series: DifferenceSeries, jumps: Array) -> DifferenceSeries:
+    """The series with differences across a jump made infinitely uncertain."""
+    early = np.minimum(series.t, series.t + series.lag) - series.window
+    late = np.maximum(series.t, series.t + series.lag) + series.window
+    across = np.zeros(len(series.t), dtype=bool)
+    for instant in jumps:
+        across |= (early < instant) & (instant < late)
+    if across.mean() > MOST_ACROSS:
+        return series
+    return replace(series, variance=np.where(across, np.inf, series.variance))
+
+
+def scalar_series(differences: AngleDifferences, axis: int) -> DifferenceSeries:
+    """One axis of a set of differences (0 roll, 1 pitch, 2 yaw)."""
+    return DifferenceSeries(
+        differences.t,
+        differences.lag,
+        differences.angles[:, axis],
+        differences.covariance[:, axis, axis],
+        images=differences.images,
+        window=differences.window,
+        patch=differences.patch,
+    )

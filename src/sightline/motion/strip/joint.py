@@ -1,0 +1,635 @@
+"""The joint estimate: roll, pitch, yaw on one grid, static parameters and relief, with covariance.
+
+Maximum a posteriori by banded normal equations: the data's information (``normal_equations.py``)
+plus one autoregressive precision per axis. A free constant per axis and the static parameters
+form the border. The covariance is that of the motion less its hidden part: a constant per axis,
+and what free static parameters imitate.
+
+Not here: choosing the prior (``estimation/likelihood.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from sightline.estimation.banded import BandedFactor, BorderedFactor, band_times
+from sightline.estimation.prior import Autoregressive, Spectrum, Tone
+from sightline.estimation.split import LaidFactor, Layout, SplitPrior, farthest, spread_band
+from sightline.motion.strip.fusion import Ties, joined
+from sightline.motion.strip.normal_equations import NormalEquations, TimeGrid
+
+Array = NDArray[np.float64]
+Index = NDArray[np.int64]
+Factor = BorderedFactor | LaidFactor
+
+#: 1-sigma of the constant of roll, pitch and yaw (rad). Images of one strip never see a constant of roll or
+#: pitch, which stay where the reference attitude puts them: let loose, errors of linearisation would carry
+#: them away, and a constant pitch of D turns the yaw y(t) into a roll -D y(t). That of yaw turns bands that
+#: look ahead sideways.
+CONSTANT_SIGMA = (1e-5, 1e-5, 1e-2)
+#: The same of an axis that sensors or control points tie to the world (rad): they alone say where it is.
+TIED_SIGMA = 1.0
+
+#: A drift is hidden where free static parameters leave less than this share of what images see of it beside
+#: curves of this degree. Of hidden ones up to 1e-2 is left: the motion changes lags by up to a tenth, which a
+#: drift would scale it by. Where the images see a drift it is 0.1 to 1.
+HIDDEN, DEGREE = 0.03, 3
+
+#: Innovations beyond this many sigmas are taken for jumps.
+JUMP = 4.5
+#: Rows of the autoregression that are not looked at for jumps.
+STARTUP_ROWS = 64
+
+
+@dataclass(frozen=True, eq=False)
+class JointPrior:
+    """What is believed before the images are looked at.
+
+    Attributes
+    ----------
+    angles : three Autoregressive
+        Roll, pitch, yaw departures from a free constant, on the grid (rad).
+    statics_sigma : (Q,)
+        Of each static parameter, in its unit.
+    relief : two Autoregressive or None
+        Mean height and cross-track slope (at the field edge) of each row of ground (m).
+    innovation_weights : (count, 3) or None
+        Below 1 where the motion may jump.
+    constant_sigma : (3,)
+        rad; of the free constant of each axis.
+    apart : three SplitPrior or None
+        The same processes with their drifts on a coarse grid of their own, of one ratio: for gaps longer than
+        the memory of `angles`.
+    own_precision : (S, S) or None
+        Of the constants of attitude sensors, unknowns beside the static parameters.
+    """
+
+    angles: tuple[Autoregressive, Autoregressive, Autoregressive]
+    statics_sigma: Array
+    relief: tuple[Autoregressive, Autoregressive] | None = None
+    innovation_weights: Array | None = None
+    constant_sigma: tuple[float, float, float] = CONSTANT_SIGMA
+    apart: tuple[SplitPrior, SplitPrior, SplitPrior] | None = None
+    own_precision: Array | None = None
+
+    @property
+    def border_precision(self) -> Array:
+        """(Q + S, Q + S) of the static parameters and the sensors' own constants."""
+        own = np.zeros((0, 0)) if self.own_precision is None else self.own_precision
+        return np.asarray(block_diag(np.diag(1.0 / self.statics_sigma**2), own))
+
+    def layout(self, count: int, block: int) -> Layout | None:
+        """Where the unknowns of the grid stand between coarse nodes; None where there are none."""
+        if self.apart is None:
+            return None
+        return Layout.interleaved(count, self.apart[0].ratio, block=block, slow=3)
+
+    def laid_precision(self, layout: Layout) -> Array:
+        """Lower band of the prior precision of all unknowns of a layout, coarse ones among them."""
+        assert self.apart is not None
+        relief = (
+            [] if self.relief is None else [(3 + k, p.precision_band()) for k, p in enumerate(self.relief)]
+        )
+        place = [np.ascontiguousarray(layout.fine[:, axis]) for axis in range(layout.fine.shape[1])]
+        widths = [p.width(layout, axis) for axis, p in enumerate(self.apart)]
+        widths += [farthest(place[axis], len(band) - 1) for axis, band in relief]
+        out = np.zeros((max(widths) + 1, layout.size))
+        for axis, p in enumerate(self.apart):
+            weights = None if self.innovation_weights is None else self.innovation_weights[:, axis].copy()
+            p.add_to(out, layout, axis, weights)
+        for axis, band in relief:
+            spread_band(band, place[axis], out)
+        return out
+
+    def precision(self, grid: TimeGrid, block: int) -> Array:
+        """Lower band of the prior precision of all unknowns of the grid."""
+        processes = list(self.angles) + (list(self.relief) if self.relief is not None else [])
+        bands = []
+        for axis, process in enumerate(processes):
+            weights = None
+            if self.innovation_weights is not None and axis < 3:
+                weights = self.innovation_weights[:, axis]
+            bands.append(process.precision_band(weights))
+        width = max(len(b) for b in bands)
+        ab = np.zeros(((width - 1) * block + 1, block * grid.count))
+        for axis, band in enumerate(bands):
+            ab[: (len(band) - 1) * block + 1 : block, axis::block] = band
+        return ab
+
+
+@dataclass(frozen=True, eq=False)
+class JointEstimate:
+    """Posterior of the joint problem.
+
+    Attributes
+    ----------
+    grid : TimeGrid
+    nodes : (count, 3)
+        rad; roll, pitch, yaw.
+    relief : (count, 2) or None
+        m; mean height and slope (at the field edge).
+    statics : (Q,)
+        Estimates of the static parameters; `statics_sigma` their posterior sigmas.
+    own : (S,)
+        Estimates of the constants of attitude sensors; `own_sigma` their posterior sigmas.
+    ties : Ties or None
+        What sensors and control points said.
+    """
+
+    grid: TimeGrid
+    nodes: Array
+    relief: Array | None
+    statics: Array
+    statics_sigma: Array
+    _images: NormalEquations
+    _prior: JointPrior
+    own: Array = field(default_factory=lambda: np.zeros(0))
+    own_sigma: Array = field(default_factory=lambda: np.zeros(0))
+    ties: Ties | None = None
+
+    @cached_property
+    def _data(self) -> NormalEquations:
+        """Information of images and sensors."""
+        return self._images if self.ties is None else joined(self._images, self.ties)
+
+    @cached_property
+    def _banded(self) -> _Banded:
+        """Factor of the band of data + prior, which is the same with and without constants."""
+        return _banded_factor(self._data, self._prior)
+
+    def _factor(self, *, constants: bool) -> Factor:
+        """Factor of data + prior, with or without a free constant per axis."""
+        return _factor(self._banded, self._data, self._prior, constants=constants)
+
+    def unknowns(self) -> Array:
+        """Node values with relief where there is any, (count, 3 or 5)."""
+        return self.nodes if self.relief is None else np.concatenate([self.nodes, self.relief], axis=1)
+
+    def hidden_drifts(self) -> tuple[int, ...]:
+        """Axes (0 roll, 1 pitch, 2 yaw) whose linear drift free static parameters hide from the images.
+
+        Notes
+        -----
+        A drift shifts the images of a pair by what grows with their lag: offsets and rotations imitate it
+        where they are free in all images but those of one lag. Curves of the other axes alone, such as the
+        parabola of roll that belongs to a drift of yaw, leave some of it to be seen; it is hidden where free
+        static parameters take away all of that.
+        """
+        data, count = self._images, self.grid.count
+        if not len(self._prior.statics_sigma):
+            return ()
+        curves = np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, count), DEGREE)
+        each = DEGREE + 1
+        shapes = np.zeros((count, data.block, 3 * each))
+        for axis in range(3):
+            shapes[:, axis, each * axis : each * (axis + 1)] = curves
+        h = shapes.reshape(-1, 3 * each)
+        top, bottom = data.times(h)
+        seen = np.block([[h.T @ top, bottom.T], [bottom, data.corner]])
+        size = np.sqrt(np.maximum(np.diag(seen), 0.0))
+        seen = seen / np.outer(*[np.where(size > 0.0, size, 1.0)] * 2)
+        motions = [k for k in range(3 * each) if k % each > 1]
+        everything = [*motions, *range(3 * each, len(seen))]
+        drifts = [each * axis + 1 for axis in range(3)]
+        left = [_unexplained(seen, k, everything) / _unexplained(seen, k, motions) for k in drifts]
+        return tuple(axis for axis in range(3) if left[axis] < HIDDEN)
+
+    def hidden_directions(self, drifts: Sequence[int] = ()) -> Array:
+        """Motions that leave every image as it is, (count, 3, H) rad; of unit size at their own axis.
+
+        A constant per axis, and a linear drift of each axis in `drifts` (from `hidden_drifts`: one that the
+        images see has no hidden direction), each with what exact rays tie to it: the change of the other axes
+        and of the free static parameters that cancels its effect on the images.
+
+        Notes
+        -----
+        A seed h is completed to the hidden direction h + x by the least informative x:
+        ``(N + P) x = -N h``, N the data's information and P the prior's, so that h + x leaves the data alone.
+        """
+        data, grid = self._images, self.grid
+        shapes = np.stack([np.ones(grid.count), np.linspace(-1.0, 1.0, grid.count)], axis=1)
+        own = [(0, axis) for axis in range(3)] + [(1, axis) for axis in drifts]
+        seeds = np.zeros((grid.count, data.block, len(own)))
+        for k, (shape, axis) in enumerate(own):
+            seeds[:, axis, k] = shapes[:, shape]
+        h = seeds.reshape(-1, len(own))
+        if self.ties is None:
+            factor = self._factor(constants=False)
+        else:  # what sensors see of a motion does not make it less hidden from the images
+            alone = replace(self._prior, own_precision=None)
+            factor = _factor(_banded_factor(data, alone), data, alone, constants=False)
+        top, bottom = data.times(h)
+        x, _ = factor.solve(-top, -bottom)
+        completed = (h + x).reshape(grid.count, data.block, -1)[:, :3]
+        return _unmixed(completed, own, shapes)
+
+    def relative_covariance(
+        self, t: Array, directions: Array, scale: Array, turn: Array | None = None
+    ) -> Array:
+        """Covariance (N, 3, 3) rad^2 of the motion at `t` after the hidden `directions` are fitted away.
+
+        Parameters
+        ----------
+        t : (N,)
+            s; instants at which the motion is given, evenly weighted in the fit.
+        directions : (N, 3, H)
+            Hidden directions at these instants.
+        scale : (3,)
+            rad; angle that counts as one in the fit, per axis (one pixel; for yaw one at the field edge).
+        turn : (3, 3), optional
+            Rotation from the axes of the estimate to those of `directions`, `scale` and the result.
+        """
+        # images say nothing of constants; what sensors say of them can lean on the rest of the motion
+        factor = self._factor(constants=self.ties is not None)
+        return projected_covariance(factor, self.grid, self._data.block, t, directions, scale, turn)
+
+    def functional_covariance(self, t: Array, weights: Array, turn: Array | None = None) -> Array:
+        """Covariance (K, K) rad^2 of weighted sums of the motion at `t`, constants held.
+
+        Parameters
+        ----------
+        t : (N,)
+            s.
+        weights : (N, 3, K)
+            Of roll, pitch, yaw at these instants, in the axes of the result.
+        turn : (3, 3), optional
+            Rotation from the axes of the estimate to those of `weights`.
+        """
+        count = weights.shape[2]
+        turned = weights if turn is None else np.einsum("pa,npk->nak", turn, weights)
+        on_grid = np.zeros((self.grid.count, self._data.block, count))
+        for axis in range(3):
+            on_grid[:, axis] = self.grid.spread(turned[:, axis], t)
+        flat = on_grid.reshape(-1, count)
+        spread, _ = self._factor(constants=False).times(flat)
+        return np.asarray(flat.T @ spread)
+
+    def hidden_covariance(self, drifts: Sequence[int] = ()) -> Array:
+        """Covariance (H, H) rad^2 of how much the motion holds of each hidden direction, constants free.
+
+        Parameters
+        ----------
+        drifts : sequence of int
+            As given to `hidden_directions`, whose order this has.
+
+        Notes
+        -----
+        A direction is the only one that holds the mean, or the drift from the middle to the ends, of its own
+        axis: the covariance is that of these means and drifts. Priors alone bound them, of constants, of
+        static parameters and of the motion, and what attitude sensors and control points say.
+        """
+        grid, block = self.grid, self._data.block
+        shapes = np.stack([np.ones(grid.count), np.linspace(-1.0, 1.0, grid.count)], axis=1)
+        fit = np.linalg.pinv(shapes)
+        own = [(0, axis) for axis in range(3)] + [(1, axis) for axis in drifts]
+        weights = np.zeros((grid.count, block, len(own)))
+        for k, (shape, axis) in enumerate(own):
+            weights[:, axis, k] = fit[shape]
+        flat = weights.reshape(-1, len(own))
+        spread, _ = self._factor(constants=True).times(flat)
+        return np.asarray(flat.T @ spread)
+
+    def absolute_sigma(self, t: Array, turn: Array | None = None) -> Array:
+        """Sigma (N, 3) rad of the motion at `t`, hidden part included; infinite on axes that nothing ties.
+
+        Parameters
+        ----------
+        t : (N,)
+            s.
+        turn : (3, 3), optional
+            Rotation from the axes of the estimate to those of the result.
+        """
+        out = np.full((len(t), 3), np.inf)
+        if self.ties is not None and self.ties.tied.any():
+            turn = np.eye(3) if turn is None else turn
+            factor = self._factor(constants=True)
+            covariance = marginal_covariance(factor, self.grid, self._data.block, t)
+            variance = np.einsum("ij,njk,ik->ni", turn, covariance, turn)
+            # an axis that leans on one that nothing ties is tied by nothing
+            tied = ~(np.abs(turn[:, ~self.ties.tied]) > 1e-9).any(axis=1)
+            out[:, tied] = np.sqrt(variance[:, tied])
+        return out
+
+    def covariance_band(self, nodes: int = 4) -> Array:
+        """Lower band of the motion's covariance in time, over `nodes` neighbouring nodes (constants held)."""
+        block = self._data.block
+        factor = self._factor(constants=False)
+        band = factor.covariance_band(nodes * block - 1)
+        if block == 3:
+            return band
+        keep = np.zeros((nodes * 3, 3 * self.grid.count))
+        for p in range(3):
+            for d in range(nodes * 3):
+                q = (p + d) % 3
+                ahead = (p + d) // 3
+                row = ahead * block + q - p
+                keep[d, p::3] = band[row, p::block] if row < len(band) else 0.0
+        return keep
+
+    def innovations(self) -> Array:
+        """Scaled innovations of the estimated motion under the prior, (count, 3): about 1 where it fits."""
+        centred = self.nodes - self.nodes.mean(axis=0)
+        return np.stack([p.innovations(centred[:, k]) for k, p in enumerate(self._prior.angles)], axis=1)
+
+
+def innovation_weights(estimate: JointEstimate) -> Array:
+    """Weights (count, 3) that let the motion jump where its innovations are far beyond the prior's.
+
+    Notes
+    -----
+    Estimated innovations are smaller than true ones; beyond JUMP sigmas a step or a switched-on tone is the
+    better explanation, and the innovation keeps a weight that makes it one sigma. Only for a prior that was
+    fitted to the data: under a prior of the wrong size every innovation looks like a jump.
+    """
+    e = np.abs(estimate.innovations())
+    # the start-up rows answer to the removed mean, not to jumps
+    e[:STARTUP_ROWS] = 0.0
+    return np.where(e > JUMP, (1.0 / np.maximum(e, 1.0)) ** 2, 1.0)
+
+
+def _unexplained(information: Array, k: int, others: Sequence[int]) -> float:
+    """Share of the information on unknown `k` (unit diagonal) that `others`, all free, cannot imitate."""
+    if information[k, k] <= 0.0:
+        return 1.0
+    between = information[np.ix_(others, others)]
+    inverse = np.linalg.pinv(between, rcond=1e-10, hermitian=True)
+    return max(float(1.0 - information[k, others] @ inverse @ information[others, k]), 1e-12)
+
+
+def _unmixed(directions: Array, own: Sequence[tuple[int, int]], shapes: Array) -> Array:
+    """Directions recombined so that each holds its own (shape, axis) once and that of no other.
+
+    Parameters
+    ----------
+    directions : (count, 3, H)
+    own : H times (int, int)
+        Column of `shapes`, and axis.
+    shapes : (count, 2)
+        Constant and drift.
+    """
+    used = shapes[:, : 1 + max(shape for shape, _ in own)]
+    content = np.linalg.lstsq(used, directions.reshape(len(shapes), -1), rcond=None)[0]
+    content = content.reshape(used.shape[1], 3, -1)
+    return np.asarray(directions @ np.linalg.inv(np.stack([content[shape, axis] for shape, axis in own])))
+
+
+@dataclass(frozen=True, eq=False)
+class _Banded:
+    """Band of data + prior, factored: the same with and without a free constant per axis.
+
+    `place` is where the unknowns of the grid stand; None where there are no others between them.
+    """
+
+    factor: BandedFactor
+    prior_band: Array
+    place: Index | None
+
+
+def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
+    """Factor of the banded part of data + prior."""
+    layout = prior.layout(data.grid.count, data.block)
+    if layout is None:
+        p = prior.precision(data.grid, data.block)
+        ab = np.zeros((max(len(p), len(data.ab)), p.shape[1]))
+        ab[: len(data.ab)] = data.ab
+    else:
+        p, place = prior.laid_precision(layout), np.ascontiguousarray(layout.fine.ravel())
+        ab = np.zeros((max(len(p), farthest(place, len(data.ab) - 1) + 1), p.shape[1]))
+        spread_band(data.ab, place, ab)
+    ab[: len(p)] += p
+    return _Banded(BandedFactor(ab), p, None if layout is None else place)
+
+
+def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, constants: bool) -> Factor:
+    """Factor of data + prior; the border holds the statics and, if asked, a free constant per axis."""
+    size = banded.factor.n
+    place = np.arange(size) if banded.place is None else banded.place
+    precision = prior.border_precision
+    statics = len(precision)
+    border, corner = np.zeros((size, statics)), data.corner + precision
+    border[place] = data.border
+    if constants:
+        ones = np.zeros((size, 3))
+        for axis in range(3):
+            ones[place[axis :: data.block], axis] = 1.0
+        pulled = band_times(banded.prior_band, ones)
+        border = np.concatenate([border, -pulled], axis=1)
+        grown = np.zeros((statics + 3, statics + 3))
+        grown[:statics, :statics] = corner
+        grown[statics:, statics:] = ones.T @ pulled + np.diag(1.0 / np.square(prior.constant_sigma))
+        corner = grown
+    factor = BorderedFactor(banded.factor, border, corner)
+    return factor if banded.place is None else LaidFactor(factor, banded.place)
+
+
+def longest_gap(data: NormalEquations) -> int:
+    """Most nodes in a row, between seen ones, that no measurement of roll, pitch or yaw touches."""
+    seen = np.flatnonzero(data.ab[0].reshape(-1, data.block)[:, :3].any(axis=1))
+    return int(np.diff(seen).max(initial=1)) - 1
+
+
+def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = None) -> JointEstimate:
+    """Posterior mean of motion, statics and relief for given data and prior.
+
+    Parameters
+    ----------
+    images : NormalEquations
+        What the matches say.
+    prior : JointPrior
+    ties : Ties, optional
+        What attitude sensors and control points say. Axes that they tie to the world have a free constant.
+    """
+    data = images
+    if ties is not None:
+        data = joined(images, ties)
+        loose = np.where(ties.tied, TIED_SIGMA, prior.constant_sigma)
+        prior = replace(
+            prior, own_precision=ties.own_precision, constant_sigma=(loose[0], loose[1], loose[2])
+        )
+    factor = _factor(_banded_factor(data, prior), data, prior, constants=True)
+    statics = len(prior.statics_sigma)
+    x, y = factor.solve(data.rhs, np.concatenate([data.rhs_static, np.zeros(3)]))
+    x, y = _held(factor, data, prior, x, y)
+    nodes = x.reshape(data.grid.count, data.block)
+    sigma = np.sqrt(np.diag(factor.border_covariance)[:-3])
+    relief = nodes[:, 3:].copy() if data.block == 5 else None
+    return JointEstimate(
+        data.grid,
+        nodes[:, :3].copy(),
+        relief,
+        y[:statics],
+        sigma[:statics],
+        images,
+        prior,
+        y[statics:-3],
+        sigma[statics:],
+        ties,
+    )
+
+
+def _held(
+    factor: Factor, data: NormalEquations, prior: JointPrior, x: Array, y: Array
+) -> tuple[Array, Array]:
+    """The solution given that roll and pitch have neither mean nor drift but for their constants' sigma.
+
+    A slow process of large sigma would carry a mean of its own past the prior of the constant; conditioning
+    on the mean over the grid is an exact update of small rank. What it moves is hidden: relative covariances
+    stay. Axes tied to the world keep their mean.
+
+    Notes
+    -----
+    A drift that free offsets hide scales the motion: turning along with the scan by a share e of its rate, a
+    motion of pitch moves the image by 1 + e of what it does otherwise. The linearised posterior then pays
+    for its motions' size and earns nothing for their range, and its mode leans to the drift under which
+    they are smallest, 4 % of the scan rate in 1500 lines: five sigmas of the offsets. A drift that the
+    images, or sensors, do see is far better known than the constants' sigma, and stays.
+    """
+    block, count = data.block, data.grid.count
+    axes = [axis for axis in range(2) if prior.constant_sigma[axis] < TIED_SIGMA]
+    u = np.linspace(-1.0, 1.0, count)
+    shapes = np.stack([np.full(count, 1.0 / count), u / (u @ u)], axis=1)
+    # the mean over the grid, and the drift from its middle to its end
+    seen = np.zeros((block * count, 2 * len(axes)))
+    for k, axis in enumerate(axes):
+        seen[axis::block, 2 * k : 2 * k + 2] = shapes
+    top, bottom = factor.times(seen)
+    held = np.diag(np.square(np.repeat([prior.constant_sigma[axis] for axis in axes], 2)))
+    gain = np.linalg.solve(seen.T @ top + held, seen.T @ x)
+    return x - top @ gain, y - bottom @ gain
+
+
+def _interpolated(band: Array, grid: TimeGrid, block: int, t: Array) -> Array:
+    """(N, 3, 3) covariance at `t` from the band of the grid's covariance."""
+    first, w = grid.weights(t)
+    taps = w.shape[1]
+    out = np.zeros((len(t), 3, 3))
+    for i in range(taps):
+        for j in range(taps):
+            weight = w[:, i] * w[:, j]
+            for p in range(3):
+                for q in range(3):
+                    row, column = (first + i) * block + p, (first + j) * block + q
+                    low, high = np.minimum(row, column), np.maximum(row, column)
+                    out[:, p, q] += weight * band[high - low, low]
+    return out
+
+
+def marginal_covariance(factor: Factor, grid: TimeGrid, block: int, t: Array) -> Array:
+    """(N, 3, 3) posterior covariance of the three angles at `t`."""
+    return _interpolated(factor.covariance_band(4 * block - 1), grid, block, t)
+
+
+def projected_covariance(
+    factor: Factor,
+    grid: TimeGrid,
+    block: int,
+    t: Array,
+    directions: Array,
+    scale: Array,
+    turn: Array | None = None,
+) -> Array:
+    """(N, 3, 3) covariance at `t` of the motion with `directions` (N, 3, H) removed by one unweighted fit.
+
+    `turn` (3, 3) leads from the axes of the factor to those of the directions; none where they are the same.
+
+    Notes
+    -----
+    With Q an orthonormal basis of the directions: ``C - Q Q'C - C Q Q' + Q (Q'CQ) Q'``, block diagonal only;
+    C Q comes from H solves with the factor.
+    """
+    n = len(t)
+    q3 = _orthonormal(directions, scale)
+    h = q3.shape[2]
+    turn = np.eye(3) if turn is None else turn
+    # a pixel of each axis of the result, in the axes of the factor
+    unit = turn / scale[:, None]
+    in_factor = np.einsum("nph,pa->nah", q3, unit)
+    on_grid = np.zeros((grid.count, block, h))
+    for axis in range(3):
+        on_grid[:, axis] = grid.spread(in_factor[:, axis], t)
+    cq_grid, _ = factor.times(on_grid.reshape(-1, h))
+    cq = unit @ grid.interpolate(cq_grid.reshape(grid.count, block, h)[:, :3], t)
+    inner = q3.reshape(n * 3, h).T @ cq.reshape(n * 3, h)
+    c = unit @ marginal_covariance(factor, grid, block, t) @ unit.T
+    cross = np.einsum("nph,nqh->npq", cq, q3)
+    left = c - cross - cross.transpose(0, 2, 1) + np.einsum("nph,hk,nqk->npq", q3, inner, q3)
+    return np.asarray(left * np.outer(scale, scale))
+
+
+def interpolation_variance(spectrum: Spectrum, grid: TimeGrid, t: Array) -> Array:
+    """Variance (N,) of a motion of known spectrum about its interpolation from the grid's nodes.
+
+    What the motion does between nodes is not in the grid's covariance. Broad parts: ``k(0) - 2 w'k + w'Kw``
+    with k the autocovariance at the distances to the nodes used and K between them. Tones are sinusoids over
+    a few nodes: their variance times ``|1 - sum w exp(2 pi i f d)|^2``.
+    """
+    first, w = grid.weights(t)
+    distance = grid.start + grid.step * (first[:, None] + np.arange(w.shape[1])) - t[:, None]
+    apart = grid.step * np.abs(np.subtract.outer(np.arange(w.shape[1]), np.arange(w.shape[1])))
+    total = np.zeros(len(t))
+    for part in spectrum.components:
+        if isinstance(part, Tone):
+            response = np.einsum("nk,nk->n", w, np.exp(2j * np.pi * part.frequency * distance))
+            total += part.sigma**2 * np.abs(1.0 - response) ** 2
+        else:
+            between = part.autocovariance(apart.ravel()).reshape(apart.shape)
+            reach = part.autocovariance(np.abs(distance).ravel()).reshape(distance.shape)
+            left = float(part.autocovariance(np.zeros(1))[0]) - 2.0 * np.einsum("nk,nk->n", w, reach)
+            total += np.maximum(left + np.einsum("nk,kl,nl->n", w, between, w), 0.0)
+    return total
+
+
+def _orthonormal(directions: Array, scale: Array) -> Array:
+    """Orthonormal basis (N, 3, H) of the directions in units of `scale`."""
+    n = len(directions)
+    q, _ = np.linalg.qr((directions / scale[None, :, None]).reshape(n * 3, -1))
+    return np.asarray(q.reshape(n, 3, -1))
+
+
+def remove_directions(values: Array, directions: Array, scale: Array) -> Array:
+    """`values` (N, 3) less their least-squares fit by `directions` (N, 3, H), axes in units of `scale`."""
+    q = _orthonormal(directions, scale)
+    x = values / scale
+    return np.asarray((x - np.einsum("nph,h->np", q, np.einsum("nph,np->h", q, x))) * scale)
+
+
+def directions_at(grid: TimeGrid, directions: Array, t: Array) -> Array:
+    """Hidden directions given on the grid, at the instants `t`: (N, 3, H)."""
+    return grid.interpolate(directions, t)
+
+
+def angles_at(estimate: JointEstimate, t: Array) -> Array:
+    """Estimated angles (N, 3) rad at the instants `t`."""
+    return estimate.grid.interpolate(estimate.nodes, t)
+
+
+def nodes_on(estimate: JointEstimate, grid: TimeGrid) -> Array:
+    """Estimated angles (count, 3) rad at the nodes of a grid that may be finer than the estimate's own.
+
+    By a spline of degree 5: local cubics would leave images of the tones above the coarse grid's Nyquist
+    frequency (a tenth of a tone of four nodes per period), where windows of a few lines hardly see them.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    if grid == estimate.grid:
+        return estimate.nodes
+    return np.asarray(make_interp_spline(estimate.grid.nodes, estimate.nodes, k=5)(grid.nodes))
+
+
+__all__: Sequence[str] = (
+    "JointEstimate",
+    "JointPrior",
+    "angles_at",
+    "directions_at",
+    "longest_gap",
+    "marginal_covariance",
+    "projected_covariance",
+    "remove_directions",
+    "solve_joint",
+)

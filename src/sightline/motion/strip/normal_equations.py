@@ -1,0 +1,609 @@
+"""Normal equations of the joint estimate: attitude on one time grid, static parameters, relief.
+
+Every match contributes two rows that hold the attitude at its own two times (local Lagrange
+weights on the grid, averaged over the window's length), the static parameters, and, where the
+ground is not known, a relief process (mean height and cross-track slope of the row). The rows of
+one patch share the hub's error. The sum is a band with a narrow border.
+
+Not here: the rows' content (``motion/measure/observations.py``), prior and solution (``joint.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.compiled import njit
+from sightline.estimation.banded import band_times
+from sightline.execution import in_threads
+from sightline.motion.measure.observations import Star
+
+Array = NDArray[np.float64]
+
+#: Nodes of the local interpolation (cubic Lagrange).
+TAPS = 4
+#: Patches summed by one thread at a time, and how many such sums are held at once.
+PART_PATCHES, AT_ONCE = 16384, 4
+
+
+@dataclass(frozen=True)
+class TimeGrid:
+    """Evenly spaced nodes of the unknown motion: ``t = start + step * k``, k = 0 .. count - 1 (s)."""
+
+    start: float
+    step: float
+    count: int
+
+    @property
+    def nodes(self) -> Array:
+        """(count,) s."""
+        return np.asarray(self.start + self.step * np.arange(self.count), dtype=np.float64)
+
+    def coarser(self, factor: float) -> TimeGrid:
+        """A grid over the same time with nodes `factor` times as far apart."""
+        return TimeGrid(self.start, factor * self.step, math.ceil((self.count - 1) / factor) + 1)
+
+    def weights(self, t: Array) -> tuple[NDArray[np.intp], Array]:
+        """First node (N,) and cubic Lagrange weights (N, 4) of the instants `t` (N,)."""
+        x = (np.asarray(t) - self.start) / self.step
+        first = np.clip(np.floor(x).astype(np.intp) - 1, 0, self.count - TAPS)
+        u = x - first
+        w = np.empty((len(x), TAPS))
+        w[:, 0] = -(u - 1) * (u - 2) * (u - 3) / 6
+        w[:, 1] = u * (u - 2) * (u - 3) / 2
+        w[:, 2] = -u * (u - 1) * (u - 3) / 2
+        w[:, 3] = u * (u - 1) * (u - 2) / 6
+        return first, w
+
+    def interpolate(self, values: Array, t: Array) -> Array:
+        """Node values (count, ...) at the instants `t` (N,)."""
+        first, w = self.weights(t)
+        gathered = values[first[:, None] + np.arange(TAPS)]
+        return np.asarray(np.einsum("nk,nk...->n...", w, gathered))
+
+    def spread(self, values: Array, t: Array) -> Array:
+        """Transpose of `interpolate`: values (N, C) at the instants `t` summed onto the nodes (count, C)."""
+        first, w = self.weights(t)
+        out = np.zeros((self.count, values.shape[1]))
+        for k in range(TAPS):
+            np.add.at(out, first + k, w[:, k : k + 1] * values)
+        return out
+
+
+@njit(cache=True, nogil=True)
+def _window_weights(t, duration, start, step, count, support, weights):  # type: ignore[no-untyped-def]
+    """Lagrange weights averaged over a window of `duration` about `t`; returns the first node."""
+    half = 0.5 * duration
+    first = int(math.floor((t - half - start) / step)) - 1
+    if first < 0:
+        first = 0
+    if first > count - support:
+        first = count - support
+    for k in range(support):
+        weights[k] = 0.0
+    points = 1 if duration <= 0.0 else 2 + int(math.ceil(duration / step))
+    for p in range(points):
+        instant = t + duration * ((p + 0.5) / points - 0.5)
+        x = (instant - start) / step
+        node = int(math.floor(x)) - 1
+        if node < first:
+            node = first
+        if node > first + support - 4:
+            node = first + support - 4
+        u = x - node
+        o = node - first
+        weights[o] += -(u - 1) * (u - 2) * (u - 3) / 6 / points
+        weights[o + 1] += u * (u - 2) * (u - 3) / 2 / points
+        weights[o + 2] += -u * (u - 1) * (u - 3) / 2 / points
+        weights[o + 3] += u * (u - 1) * (u - 2) / 6 / points
+    return first
+
+
+@njit(cache=True, nogil=True)
+def _scatter(local, index, used, n_local, block_n, ab, border, corner, rhs_grid, rhs_static):  # type: ignore[no-untyped-def]
+    """Add one local normal matrix (last column: right side) to band, border and corner; clear it."""
+    for i in range(n_local):
+        if not used[i]:
+            continue
+        gi = index[i]
+        value = local[i, n_local]
+        if gi < block_n:
+            rhs_grid[gi] += value
+        else:
+            rhs_static[gi - block_n] += value
+        local[i, n_local] = 0.0
+        for j in range(i, n_local):
+            value = local[i, j]
+            if value == 0.0:
+                continue
+            local[i, j] = 0.0
+            gj = index[j]
+            if gi >= block_n and gj >= block_n:
+                corner[gi - block_n, gj - block_n] += value
+                if i != j:
+                    corner[gj - block_n, gi - block_n] += value
+            elif gj >= block_n:
+                border[gi, gj - block_n] += value
+            elif gi >= block_n:
+                border[gj, gi - block_n] += value
+            else:
+                low, high = (gi, gj) if gi < gj else (gj, gi)
+                if gi == gj and i != j:
+                    value = 2.0 * value
+                ab[high - low, low] += value
+
+
+@njit(cache=True, nogil=True)
+def _expand(product, w, compact, statics, pairs, support, n_local, local):  # type: ignore[no-untyped-def]
+    """Spread one patch's compact product over the nodes its instants are interpolated from.
+
+    Unknown p of the patch has the places ``p * support ..`` of `local`, one per node.
+    """
+    moving = compact - statics
+    for p in range(moving):
+        group_p = min(p // 3, 1 + pairs)
+        top = p * support
+        for q in range(p, moving):
+            value = product[p, q]
+            if value == 0.0:
+                continue
+            group_q = min(q // 3, 1 + pairs)
+            left = q * support
+            for m in range(support):
+                share = value * w[group_p, m]
+                for n in range(m if p == q else 0, support):
+                    local[top + m, left + n] += share * w[group_q, n]
+        for m in range(support):
+            share = w[group_p, m]
+            for s in range(statics + 1):
+                local[top + m, n_local - statics + s] += share * product[p, moving + s]
+    for s in range(statics):
+        for r in range(s, statics + 1):
+            local[n_local - statics + s, n_local - statics + r] += product[moving + s, moving + r]
+
+
+@njit(cache=True, nogil=True)
+def _accumulate(  # type: ignore[no-untyped-def]
+    t_hub,
+    t,
+    t_ground,
+    duration,
+    residual,
+    covariance,
+    weight,
+    by_hub,
+    by_partner,
+    by_static,
+    by_height,
+    field,
+    correlation,
+    relief,
+    start,
+    step,
+    count,
+    node,
+    ab,
+    border,
+    corner,
+    rhs_grid,
+    rhs_static,
+):
+    """Sum the normal equations of patches onto the nodes from `node` on; returns (chi-square, rows)."""
+    patches, pairs = t.shape
+    statics = by_static.shape[3]
+    block = 5 if relief else 3
+    block_n = ab.shape[1]
+    support = 4 + int(math.ceil(duration / step)) if duration > 0.0 else 4
+    n_local = (3 * (1 + pairs) + (2 if relief else 0)) * support + statics
+    rows_max = 2 * pairs
+    local = np.zeros((n_local, n_local + 1))
+    index = np.zeros(n_local, np.int64)
+    used = np.zeros(n_local, np.bool_)
+    first = np.full(2 + pairs, -1, np.int64)
+    previous = np.full(2 + pairs, -1, np.int64)
+    # one column per angle of each instant, height and its tilt, statics, the data: weights in time come later
+    compact = 3 * (1 + pairs) + (2 if relief else 0) + statics
+    heights = 3 * (1 + pairs)
+    w = np.zeros((2 + pairs, support))
+    product = np.zeros((compact, compact + 1))
+    a = np.zeros((rows_max, compact + 1))
+    r = np.zeros((rows_max, rows_max))
+    chi2, rows_total = 0.0, 0
+    for s in range(statics):
+        index[n_local - statics + s] = block_n + s
+        used[n_local - statics + s] = True
+    for g in range(patches):
+        rows = 0
+        for k in range(pairs):
+            if weight[g, k] > 0.0 and residual[g, k, 0] == residual[g, k, 0]:
+                rows += 2
+        if rows == 0:
+            continue
+        first[0] = _window_weights(t_hub[g], duration, start, step, count, support, w[0])
+        for k in range(pairs):
+            first[1 + k] = -2
+        if relief:
+            first[1 + pairs] = _window_weights(
+                t_ground[g], duration, start, step, count, support, w[1 + pairs]
+            )
+        # rows of this patch
+        row = 0
+        for k in range(pairs):
+            if not (weight[g, k] > 0.0 and residual[g, k, 0] == residual[g, k, 0]):
+                continue
+            first[1 + k] = _window_weights(t[g, k], duration, start, step, count, support, w[1 + k])
+            for c in range(2):
+                for j in range(compact + 1):
+                    a[row + c, j] = 0.0
+                for axis in range(3):
+                    a[row + c, axis] = by_hub[g, k, c, axis]
+                    a[row + c, 3 * (1 + k) + axis] = by_partner[g, k, c, axis]
+                if relief:
+                    a[row + c, heights] = by_height[g, k, c]
+                    a[row + c, heights + 1] = by_height[g, k, c] * field[g]
+                for s in range(statics):
+                    a[row + c, compact - statics + s] = by_static[g, k, c, s]
+                a[row + c, compact] = residual[g, k, c]
+            row += 2
+        # error covariance of the rows: own Cholesky factors around the shared-image correlation
+        ri = 0
+        for k in range(pairs):
+            if first[1 + k] == -2:
+                continue
+            k11 = math.sqrt(covariance[g, k, 0, 0] / weight[g, k])
+            k21 = covariance[g, k, 1, 0] / weight[g, k] / k11
+            k22 = math.sqrt(max(covariance[g, k, 1, 1] / weight[g, k] - k21 * k21, 1e-30))
+            rj = 0
+            for q in range(k + 1):
+                if first[1 + q] == -2:
+                    continue
+                q11 = math.sqrt(covariance[g, q, 0, 0] / weight[g, q])
+                q21 = covariance[g, q, 1, 0] / weight[g, q] / q11
+                q22 = math.sqrt(max(covariance[g, q, 1, 1] / weight[g, q] - q21 * q21, 1e-30))
+                g11 = correlation[2 * k, 2 * q]
+                g12 = correlation[2 * k, 2 * q + 1]
+                g21 = correlation[2 * k + 1, 2 * q]
+                g22 = correlation[2 * k + 1, 2 * q + 1]
+                r[ri, rj] = k11 * g11 * q11
+                r[ri, rj + 1] = k11 * (g11 * q21 + g12 * q22)
+                r[ri + 1, rj] = (k21 * g11 + k22 * g21) * q11
+                r[ri + 1, rj + 1] = (k21 * g11 + k22 * g21) * q21 + (k21 * g12 + k22 * g22) * q22
+                rj += 2
+            ri += 2
+        # Cholesky in place, then forward substitution of the rows
+        for i in range(rows):
+            for j in range(i + 1):
+                total = r[i, j]
+                for m in range(j):
+                    total -= r[i, m] * r[j, m]
+                if i == j:
+                    r[i, i] = math.sqrt(max(total, 1e-30))
+                else:
+                    r[i, j] = total / r[j, j]
+        for i in range(rows):
+            for m in range(i):
+                f = r[i, m]
+                for j in range(compact + 1):
+                    a[i, j] -= f * a[m, j]
+            inverse = 1.0 / r[i, i]
+            for j in range(compact + 1):
+                a[i, j] *= inverse
+            chi2 += a[i, compact] * a[i, compact]
+        rows_total += rows
+        # same nodes as before? else hand over what was summed
+        same = True
+        for k in range(2 + pairs):
+            if first[k] != -2 and previous[k] != -2 and first[k] != previous[k]:
+                same = False
+        if not same:
+            _scatter(local, index, used, n_local, block_n, ab, border, corner, rhs_grid, rhs_static)
+            for j in range(n_local - statics):
+                used[j] = False
+            for k in range(2 + pairs):
+                previous[k] = first[k]
+        for k in range(1 + pairs):
+            if first[k] == -2:
+                continue
+            previous[k] = first[k]
+            for axis in range(3):
+                for m in range(support):
+                    j = (3 * k + axis) * support + m
+                    index[j] = (first[k] + m - node) * block + axis
+                    used[j] = True
+        if relief:
+            previous[1 + pairs] = first[1 + pairs]
+            for axis in range(2):
+                for m in range(support):
+                    j = (heights + axis) * support + m
+                    index[j] = (first[1 + pairs] + m - node) * block + 3 + axis
+                    used[j] = True
+        for i in range(compact):
+            for j in range(i, compact + 1):
+                product[i, j] = 0.0
+        for row in range(rows):
+            for i in range(compact):
+                f = a[row, i]
+                if f != 0.0:
+                    for j in range(i, compact + 1):
+                        product[i, j] += f * a[row, j]
+        _expand(product, w, compact, statics, pairs, support, n_local, local)
+    _scatter(local, index, used, n_local, block_n, ab, border, corner, rhs_grid, rhs_static)
+    return chi2, rows_total
+
+
+@njit(cache=True, nogil=True)
+def _modelled(  # type: ignore[no-untyped-def]
+    t_hub,
+    t,
+    t_ground,
+    duration,
+    by_hub,
+    by_partner,
+    by_static,
+    by_height,
+    field,
+    relief,
+    start,
+    step,
+    nodes,
+    statics,
+    out,
+):
+    """What the rows would read for given node values (count, block) and statics; into `out` (G, K, 2)."""
+    patches, pairs = t.shape
+    count = nodes.shape[0]
+    support = 4 + int(math.ceil(duration / step)) if duration > 0.0 else 4
+    w = np.zeros(support)
+    hub = np.zeros(3)
+    partner = np.zeros(3)
+    for g in range(patches):
+        first = _window_weights(t_hub[g], duration, start, step, count, support, w)
+        for axis in range(3):
+            hub[axis] = 0.0
+            for m in range(support):
+                hub[axis] += w[m] * nodes[first + m, axis]
+        height = 0.0
+        if relief:
+            first = _window_weights(t_ground[g], duration, start, step, count, support, w)
+            for m in range(support):
+                height += w[m] * (nodes[first + m, 3] + field[g] * nodes[first + m, 4])
+        for k in range(pairs):
+            if not (t[g, k] == t[g, k]):
+                out[g, k, 0] = np.nan
+                out[g, k, 1] = np.nan
+                continue
+            first = _window_weights(t[g, k], duration, start, step, count, support, w)
+            for axis in range(3):
+                partner[axis] = 0.0
+                for m in range(support):
+                    partner[axis] += w[m] * nodes[first + m, axis]
+            for c in range(2):
+                total = by_height[g, k, c] * height
+                for axis in range(3):
+                    total += by_hub[g, k, c, axis] * hub[axis] + by_partner[g, k, c, axis] * partner[axis]
+                for s in range(statics.shape[0]):
+                    total += by_static[g, k, c, s] * statics[s]
+                out[g, k, c] = total
+
+
+@dataclass(frozen=True, eq=False)
+class NormalEquations:
+    """Band, border and corner of the data's information, its right side, and what a likelihood needs.
+
+    Attributes
+    ----------
+    grid : TimeGrid
+        Nodes of the unknowns.
+    block : int
+        Unknowns per node: 3 angles (rad), or 5 with relief (two heights, m).
+    ab : (bandwidth + 1, block * count)
+        Lower band, ``ab[d, j] = M[j + d, j]``; unknown ``block * node + axis``.
+    border : (block * count, Q)
+    corner : (Q, Q)
+    rhs : (block * count,)
+    rhs_static : (Q,)
+    chi2 : float
+        Squared whitened data.
+    rows : int
+        Number of scalar measurements.
+    """
+
+    grid: TimeGrid
+    block: int
+    ab: Array
+    border: Array
+    corner: Array
+    rhs: Array
+    rhs_static: Array
+    chi2: float
+    rows: int
+
+    def times(self, x: Array) -> tuple[Array, Array]:
+        """Information times a grid vector: (block*count, ...) -> same, and the statics' part (Q, ...)."""
+        return band_times(self.ab, x), self.border.T @ x
+
+
+def ground_times(star: Star, delay: float) -> Array:
+    """Instants that order the ground of several hubs on one axis: hub's time less its mean `delay` (s)."""
+    return star.t_hub - delay
+
+
+def bandwidth_of(
+    stars: Sequence[Star], grid: TimeGrid, block: int, delays: Sequence[float], relief: bool
+) -> int:
+    """Bandwidth the rows of `stars` need, in unknowns."""
+    widest = 0.0
+    support = 4
+    for star, delay in zip(stars, delays, strict=True):
+        support = max(support, 4 + math.ceil(star.duration / grid.step))
+        seen = star.present
+        every = np.concatenate([star.t_hub[:, None], np.where(seen, star.t, np.nan)], axis=1)
+        if relief:
+            every = np.concatenate([every, ground_times(star, delay)[:, None]], axis=1)
+        used = seen.any(axis=1)
+        if used.any():
+            spread = np.nanmax(every[used], axis=1) - np.nanmin(every[used], axis=1)
+            widest = max(widest, float(np.max(spread)))
+    return block * (math.ceil(widest / grid.step) + 2 * support) - 1
+
+
+def normal_equations(
+    stars: Sequence[Star],
+    measured: Sequence[Array],
+    grid: TimeGrid,
+    *,
+    delays: Sequence[float],
+    relief: bool = False,
+) -> NormalEquations:
+    """Sum the information of all stars.
+
+    Parameters
+    ----------
+    stars : sequence of Star
+        Sensitivities, times, covariances.
+    measured : sequence of (G, K, 2)
+        What stands on the left side of the rows, px (residual plus what the present estimate explains).
+    grid : TimeGrid
+        Nodes of the unknowns.
+    delays : sequence of float
+        Per star, s: how much later its hub sees a piece of ground than the first star's hub.
+    relief : bool
+        With two heights per node.
+    """
+    block = 5 if relief else 3
+    n = block * grid.count
+    statics = stars[0].by_static.shape[3]
+    width = min(bandwidth_of(stars, grid, block, delays, relief), n - 1)
+    ab = np.zeros((width + 1, n))
+    border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
+    rhs, rhs_static = np.zeros(n), np.zeros(statics)
+    chi2, rows = 0.0, 0
+    pieces = [
+        _Piece(star, left, ground_times(star, delay), part)
+        for star, left, delay in zip(stars, measured, delays, strict=True)
+        for part in _parts(star)
+    ]
+    # some at a time: each holds a band of its own, and the order of the sums is that of the pieces
+    for begin in range(0, len(pieces), AT_ONCE):
+        for first, sums in in_threads(
+            lambda piece: _summed(piece, grid, block, width), pieces[begin : begin + AT_ONCE]
+        ):
+            here = slice(first, first + len(sums.rhs))
+            ab[: len(sums.ab), here] += sums.ab
+            border[here] += sums.border
+            rhs[here] += sums.rhs
+            corner += sums.corner
+            rhs_static += sums.rhs_static
+            chi2 += sums.chi2
+            rows += sums.rows
+    return NormalEquations(grid, block, ab, border, corner, rhs, rhs_static, chi2, rows)
+
+
+def no_information(grid: TimeGrid, statics: int, block: int = 3) -> NormalEquations:
+    """Equations of no measurement at all."""
+    n = block * grid.count
+    border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
+    return NormalEquations(
+        grid, block, np.zeros((1, n)), border, corner, np.zeros(n), np.zeros(statics), 0.0, 0
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """Some rows of windows of a star, what stands on their left side, and their ground's times."""
+
+    star: Star
+    measured: Array
+    t_ground: Array
+    part: slice
+
+
+def _parts(star: Star) -> list[slice]:
+    """Whole rows of windows of a star, some PART_PATCHES patches at a time."""
+    rows, blocks = star.shape
+    size = max(PART_PATCHES // blocks, 1) * blocks
+    return [slice(begin, min(begin + size, rows * blocks)) for begin in range(0, rows * blocks, size)]
+
+
+def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> tuple[int, NormalEquations]:
+    """Sum one piece on the nodes it reaches, with at most `width` subdiagonals; their first unknown first."""
+    star, part = piece.star, piece.part
+    instants = np.concatenate([star.t_hub[part], star.t[part].ravel(), piece.t_ground[part]])
+    reach = 0.5 * star.duration + 4 * grid.step
+    low = math.floor((np.nanmin(instants) - reach - grid.start) / grid.step)
+    high = math.ceil((np.nanmax(instants) + reach - grid.start) / grid.step)
+    # rows at the end of the grid use its last nodes, wherever their instants are
+    support = 4 + math.ceil(star.duration / grid.step)
+    low, high = max(min(low, grid.count - support), 0), min(max(high, support), grid.count)
+    n, statics = block * (high - low), star.by_static.shape[3]
+    ab = np.zeros((min(width + 1, n), n))
+    border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
+    rhs, rhs_static = np.zeros(n), np.zeros(statics)
+    chi2, rows = _accumulate(
+        star.t_hub[part],
+        star.t[part],
+        piece.t_ground[part],
+        star.duration,
+        np.ascontiguousarray(piece.measured[part]),
+        star.covariance_px[part],
+        star.weight[part],
+        star.by_hub[part],
+        star.by_partner[part],
+        star.by_static[part],
+        star.by_height[part],
+        star.field[part],
+        star.correlation,
+        block == 5,
+        grid.start,
+        grid.step,
+        grid.count,
+        low,
+        ab,
+        border,
+        corner,
+        rhs,
+        rhs_static,
+    )
+    reached = TimeGrid(grid.start + grid.step * low, grid.step, high - low)
+    return block * low, NormalEquations(reached, block, ab, border, corner, rhs, rhs_static, chi2, rows)
+
+
+def modelled(star: Star, grid: TimeGrid, nodes: Array, statics: Array, delay: float = 0.0) -> Array:
+    """What the rows of a star read for given unknowns, (G, K, 2) px.
+
+    Parameters
+    ----------
+    nodes : (count, 3) or (count, 5)
+        rad (and m).
+    statics : (Q,)
+        In the units of the static parameters.
+    """
+    out = np.empty(star.residual_px.shape)
+    t_ground, nodes = ground_times(star, delay), np.ascontiguousarray(nodes)
+    values = np.asarray(statics, dtype=float)
+
+    def work(part: slice) -> None:
+        _modelled(
+            star.t_hub[part],
+            star.t[part],
+            t_ground[part],
+            star.duration,
+            star.by_hub[part],
+            star.by_partner[part],
+            star.by_static[part],
+            star.by_height[part],
+            star.field[part],
+            nodes.shape[1] == 5,
+            grid.start,
+            grid.step,
+            nodes,
+            values,
+            out[part],
+        )
+
+    in_threads(work, _parts(star))
+    return out

@@ -1,0 +1,174 @@
+"""Relief that is not in the surface: a process of its own beside the motion.
+
+Parallax of unknown heights looks like pitch (mean height of a row) and yaw (its slope across the
+field), grows with the lag and belongs to the ground, not to the time. Two processes per row carry
+it, so that the sigma of the motion owns what relief can hide, and pairs of several lags separate
+what they can (S1, relief nuisance A_h + j B_h).
+
+Not here: known relief, which is in the surface (``geometry/surface.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.estimation.prior import Autoregressive, autoregressive
+from sightline.geometry.surface import Surface
+from sightline.motion.measure.match_noise import scatter
+from sightline.motion.measure.observations import Star
+from sightline.motion.measure.predict import MovingCamera
+from sightline.motion.measure.windows import exposure_times, image_shape
+from sightline.motion.strip.normal_equations import TimeGrid
+
+Array = NDArray[np.float64]
+
+#: Order of the relief's autoregressions.
+ORDER = 40
+#: Positions across the field at which a row of ground is sampled.
+ROW_SAMPLES = 21
+#: Unknown relief is no smoother than this: its correlation length is at most so many half swaths, or that of
+#: slopes (sigma over length) so small. What does not show within a row is not thereby known to be flat.
+LONGEST, LEAST_SLOPE = 2.0, 0.1
+#: Nor is it rougher than hills of such slopes: foreign windows, and textures that err more along lines than
+#: along columns, scatter as fine relief would, which averages out of a row and would own nothing.
+STEEPEST_SLOPE = 0.5
+
+
+def relief_matters(stars: Sequence[Star], height_sigma: float) -> bool:
+    """Whether heights unknown by `height_sigma` (m) move matches by a noticeable part of their error."""
+    if height_sigma <= 0.0:
+        return False
+    for star in stars:
+        seen = star.present
+        if seen.any():
+            parallax = np.abs(star.by_height[seen]).max(axis=0) * height_sigma
+            variance = np.median(star.covariance_px[seen][:, [0, 1], [0, 1]], axis=0)
+            # a row of windows averages the errors of its blocks: a tenth of one window's sigma matters there
+            if (parallax > 0.1 * np.sqrt(variance)).any():
+                return True
+    return False
+
+
+def hub_delay(cameras: Sequence[MovingCamera], surface: Surface, hub: int, first: int) -> float:
+    """How much later (s) the image `hub` sees a piece of ground than the image `first` does."""
+    if hub == first:
+        return 0.0
+    camera = cameras[hub]
+    lines, columns = image_shape(camera)
+    pixels = np.stack([np.linspace(0, lines - 1, 41), np.full(41, (columns - 1) / 2)], axis=1)
+    there = exposure_times(cameras[first], cameras[first].project(camera.locate(pixels, surface)))
+    delay = exposure_times(camera, pixels) - there
+    return float(np.nanmedian(delay)) if np.isfinite(delay).any() else 0.0
+
+
+def terrain_covariance(distance: Array, length: float) -> Array:
+    """Covariance of unit terrain at `distance` (m): Matern 3/2 of correlation length `length` (m)."""
+    r = np.sqrt(3.0) * distance / length
+    return np.asarray((1.0 + r) * np.exp(-r))
+
+
+def _row_functionals() -> tuple[Array, Array, Array]:
+    """Positions (-1 .. 1), and the weights that give mean and slope-at-the-edge of a row."""
+    x = np.linspace(-1.0, 1.0, ROW_SAMPLES)
+    return x, np.full(ROW_SAMPLES, 1.0 / ROW_SAMPLES), x / (x @ x)
+
+
+def row_processes(
+    sigma: float, length: float, half_width: float, ground_speed: float, grid: TimeGrid
+) -> tuple[Autoregressive, Autoregressive]:
+    """Mean height and cross-track slope of rows of terrain as processes on the time grid.
+
+    Parameters
+    ----------
+    sigma, length : float
+        m; of the terrain.
+    half_width : float
+        m; half of the swath.
+    ground_speed : float
+        m/s; along the track.
+    grid : TimeGrid
+    """
+    x, mean, slope = _row_functionals()
+    lags = grid.step * ground_speed * np.arange(ORDER + 1.0)
+    across = half_width * np.subtract.outer(x, x)
+    k = sigma**2 * terrain_covariance(np.hypot(across[None], lags[:, None, None]), length)
+    first, second = (np.einsum("i,lij,j->l", w, k, w) for w in (mean, slope))
+    return autoregressive(first, ORDER, grid.count), autoregressive(second, ORDER, grid.count)
+
+
+def row_sigmas(sigma: float, length: float, half_width: float) -> tuple[float, float]:
+    """Standard deviations (m) of the mean height of a row of terrain, and of its slope at the field's edge.
+
+    Parameters are those of `row_processes`.
+    """
+    x, mean, slope = _row_functionals()
+    k = sigma**2 * terrain_covariance(half_width * np.abs(np.subtract.outer(x, x)), length)
+    return math.sqrt(mean @ k @ mean), math.sqrt(slope @ k @ slope)
+
+
+def detrended_share(length: float, half_width: float) -> float:
+    """Share of the terrain's variance left in a row after its mean and slope are taken out."""
+    x, mean, slope = _row_functionals()
+    k = terrain_covariance(half_width * np.abs(np.subtract.outer(x, x)), length)
+    keep = np.eye(len(x)) - np.outer(np.ones(len(x)), mean) - np.outer(x, slope)
+    return float(np.trace(keep @ k @ keep.T) / len(x))
+
+
+def beside_row(length: float, half_width: float) -> float:
+    """Standard deviation of unit terrain about mean and slope of its row; of hills of half a swath at most.
+
+    A length is learned from windows that were believed: one too long would have others of the same hills not
+    believed.
+    """
+    return math.sqrt(detrended_share(min(length, half_width), half_width))
+
+
+def relief_length(stars: Sequence[Star], post_px: Sequence[Array], sigma: float, half_width: float) -> float:
+    """Correlation length (m) of unknown relief of known `sigma` (m), from the scatter within rows.
+
+    Notes
+    -----
+    What the pairs share along the parallax beyond what they share square to it is taken for relief: matching
+    errs alike on both axes (in units of its own sigma), relief moves points along the parallax only: lines
+    where bands look ahead, columns behind a mirror that scans across.
+    """
+    excess, weight = 0.0, 0.0
+    for star, post in zip(stars, post_px, strict=True):
+        z, _ = scatter(star, post)
+        pairs = star.t.shape[1]
+        left = z.reshape(-1, pairs, 2)
+        sigma_px = np.sqrt(star.covariance_px[..., [0, 1], [0, 1]])
+        # in units of the errors, in which residuals are compared
+        by_height = star.by_height / sigma_px
+        way = np.nanmedian(by_height.reshape(-1, pairs, 2), axis=0)
+        size = np.hypot(way[:, 0], way[:, 1])
+        way = np.where(size[:, None] > 0.0, way / np.where(size > 0.0, size, 1.0)[:, None], [1.0, 0.0])
+        # px, and the error of a match that way
+        coefficient = np.hypot(star.by_height[..., 0], star.by_height[..., 1])
+        along = coefficient / np.maximum(np.hypot(by_height[..., 0], by_height[..., 1]), 1e-30)
+        parallel = np.einsum("gka,ka->gk", left, way)
+        square = np.einsum("gka,ka->gk", left, way[:, ::-1] * [-1.0, 1.0])
+        for j in range(pairs):
+            for k in range(j, pairs):
+                if pairs > 1 and j == k:
+                    continue
+                products = parallel[:, j] * parallel[:, k], square[:, j] * square[:, k]
+                seen = np.isfinite(products[0] - products[1])
+                number = float(seen.sum())
+                if not number:
+                    continue
+                shared, errors = (float(np.mean(product[seen])) for product in products)
+                scale = float(np.nanmedian(along[:, j] * along[:, k]))
+                gain = float(np.nanmedian(coefficient[:, j] * coefficient[:, k]))
+                if gain > 0:
+                    excess += number * gain * (shared - errors) * scale
+                    weight += number * gain**2
+    measured = max(excess / weight, 0.0) if weight > 0 else 0.0
+    longest = max(LONGEST * half_width, sigma / LEAST_SLOPE)
+    lengths = np.geomspace(max(0.05 * half_width, sigma / STEEPEST_SLOPE), longest, 60)
+    shares = np.array([detrended_share(length, half_width) for length in lengths])
+    return float(lengths[int(np.argmin(np.abs(shares - measured / sigma**2)))])

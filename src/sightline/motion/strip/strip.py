@@ -1,0 +1,265 @@
+"""A strip as S1 sees it: how it is looked at, its cameras in the axes of the estimate, and the time grid.
+
+Not here: the estimate (``estimate.py``), the passes (``applications/line_of_sight.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import EstimationError, InputError
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.surface import Surface
+from sightline.geometry.trajectory import Motion
+from sightline.matching.select import Selection
+from sightline.motion.band import Band
+from sightline.motion.measure.common_view import Views, common_views
+from sightline.motion.measure.predict import MovingCamera, StaticParameter
+from sightline.motion.measure.stars import SIMILARITIES, WEIGHTINGS, MatchingPlan
+from sightline.motion.sensors import AttitudeSensor, ControlPoints
+from sightline.motion.statics import apply_statics, band_statics
+from sightline.motion.strip.hyper import BROAD, KnownContent, PriorModel
+from sightline.motion.strip.normal_equations import TimeGrid
+from sightline.motion.strip.viewing_axes import in_axes, turned_spectra, viewing_axes
+
+Array = NDArray[np.float64]
+
+#: Tiles per pair that teach the whitening of drafts.
+DRAFT_TILES = 128
+#: Estimators of the motion (S1, claim 6).
+METHODS = ("joint", "inverse", "wiener", "polynomial", "kalman")
+#: How pairs may be brought together.
+HYBRIDISE = ("global", "iterative")
+#: Lines at which the ground of a strip is sought.
+GROUND_PLACES = 9
+
+
+@dataclass(frozen=True)
+class RecoverOptions:
+    """How the strip is looked at.
+
+    Attributes
+    ----------
+    first_window, window : (lines, columns)
+        px; of the first, searching pass, and of the passes compensated by motion.
+    step : int
+        Lines between rows of windows in the compensated passes.
+    search_px : (lines, columns)
+        px; half-range of the first search about the prediction.
+    grid_lines : float
+        Lines between nodes of the estimated motion.
+    passes : int
+        At most so many compensated passes.
+    draft_blocks : int
+        Strips of more windows per row are wide: they have so many at most until the last pass.
+    tolerance : float
+        Stop when the motion changes by less than this part of its sigma.
+    hybridise : str
+        How pairs begin: ``"global"``, all at once; ``"iterative"``, the best correlated one, whose motion
+        then predicts where to match the next image, and so on (S1, claim 10). Later passes take all.
+    selection : Selection
+        Which windows are matched (S1, claim 3).
+    similarity : str
+        What is compared: ``"whitened"`` images, ``"radiometric"``: as they are, ``"gradient"``: their edges.
+    weighting : str
+        ``"covariance"``: each match counts for what it knows; ``"predicted"``: for what its columns' MTF and
+        SNR (``Band.match_sigma``) let expect; ``"none"``: all alike, for comparison.
+    pairs : tuple of (str, str)
+        Names of the pairs of bands that are matched; empty: every pair that shares ground.
+    method : str
+        ``"joint"``: the maximum a posteriori of all matches; ``"inverse"``, ``"wiener"``, ``"polynomial"`` or
+        ``"kalman"``: S1's own estimators (claim 6), from the angular differences of its step b.
+    """
+
+    first_window: tuple[int, int] = (10, 100)
+    window: tuple[int, int] = (4, 100)
+    step: int = 4
+    search_px: tuple[int, int] = (8, 8)
+    grid_lines: float = 2.0
+    passes: int = 4
+    draft_blocks: int = 10
+    tolerance: float = 0.2
+    hybridise: str = "global"
+    selection: Selection = field(default_factory=Selection)
+    similarity: str = "whitened"
+    weighting: str = "covariance"
+    pairs: tuple[tuple[str, str], ...] = ()
+    method: str = "joint"
+
+    def __post_init__(self) -> None:
+        """Refuse an unknown word."""
+        if self.hybridise not in HYBRIDISE:
+            raise InputError(
+                f"`hybridise` is {self.hybridise!r}; allowed are {', '.join(HYBRIDISE)}: all pairs at once, "
+                "or one after the other"
+            )
+        for name, given, allowed in (
+            ("similarity", self.similarity, SIMILARITIES),
+            ("weighting", self.weighting, WEIGHTINGS),
+            ("method", self.method, METHODS),
+        ):
+            if given not in allowed:
+                raise InputError(f"`{name}` is {given!r}; allowed are {', '.join(allowed)}")
+
+
+@dataclass(frozen=True, eq=False)
+class Strip:
+    """What does not change from pass to pass; a `draft` is a wide strip before its last pass.
+
+    `nominal` are the cameras in the axes of the estimate; `turn` (3, 3) leads from them to body axes.
+    """
+
+    bands: tuple[Band, ...]
+    surface: Surface
+    nominal: tuple[PushbroomCamera, ...]
+    turn: Array
+    parameters: tuple[StaticParameter, ...]
+    views: Views
+    grid: TimeGrid
+    order: tuple[int, ...]
+    pixel_angle: float
+    half_field: float
+    half_width: float
+    ground_speed: float
+    broad: PriorModel
+    sensors: tuple[AttitudeSensor, ...] = ()
+    control: ControlPoints | None = None
+    known: KnownContent = field(default_factory=KnownContent)
+    draft: bool = False
+
+    def plan(
+        self, options: RecoverOptions, window: tuple[int, int], step: int, search: tuple[int, int] = (0, 0)
+    ) -> MatchingPlan:
+        """How a pass matches; drafts of wide strips thin the windows and the tiles of their whitening."""
+        if self.draft:
+            plan = MatchingPlan(window, step, search, options.draft_blocks, DRAFT_TILES)
+        else:
+            plan = MatchingPlan(window, step, search)
+        return replace(
+            plan,
+            selection=options.selection,
+            similarity=options.similarity,
+            weighting=options.weighting,
+            predicted=tuple(band.match_sigma for band in self.bands),
+        )
+
+    def given_model(self) -> PriorModel:
+        """The spectra that are given, about the axes of the estimate: there they pass for independent."""
+        assert self.known.spectra is not None
+        return PriorModel(turned_spectra(self.known.spectra, self.turn.T))
+
+    @property
+    def scale(self) -> Array:
+        """(3,) rad; one pixel of roll, of pitch, and of yaw at the edge of the field."""
+        return np.array([self.pixel_angle, self.pixel_angle, self.pixel_angle / self.half_field])
+
+    def cameras(self, nodes: Array, statics: Array) -> list[MovingCamera]:
+        """Cameras that carry the motion and statics found so far."""
+        return self._moved(self.nominal, self._motion(nodes), statics)
+
+    def body_cameras(self, nodes: Array, statics: Array) -> list[MovingCamera]:
+        """The same in body axes."""
+        motion = self._motion(nodes)
+        turned = Motion(motion.t, motion.angles @ self.turn.T)
+        return self._moved([band.camera for band in self.bands], turned, statics)
+
+    def _motion(self, nodes: Array) -> Motion:
+        half = self.grid.step / 2.0
+        t = self.grid.nodes[0] + half * np.arange(2 * self.grid.count - 1)
+        return Motion(t, self.grid.interpolate(nodes, t))
+
+    def _moved(
+        self, cameras: Sequence[PushbroomCamera], motion: Motion, statics: Array
+    ) -> list[MovingCamera]:
+        moved = [c.with_trajectory(c.trajectory.with_motion(motion)) for c in cameras]
+        return apply_statics(moved, self.parameters, statics)
+
+
+def prepared(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -> Strip:
+    """Check the input and lay the time grid."""
+    if len(bands) < 2:
+        raise InputError(
+            f"one image cannot show motion: {len(bands)} band given; two or more bands that see the same "
+            "ground a lag apart are needed; add a [[band]]"
+        )
+    for band in bands:
+        expected = (band.camera.lines, band.camera.columns)
+        if tuple(band.image.shape) != expected:
+            raise InputError(
+                f"image and camera of band {band.name!r} differ: image {band.image.shape}, camera {expected} "
+                "(lines, columns); give the image its own size in the instrument description"
+            )
+    pairs = _numbered(options.pairs, bands)
+    views = common_views([band.camera for band in bands], surface, pairs)
+    axes = viewing_axes([band.camera for band in bands], views)
+    cameras = tuple(band.camera if axes is None else in_axes(band.camera, axes) for band in bands)
+    parameters = band_statics(
+        [b.name for b in bands], [b.offset_sigma_px for b in bands], [b.rotation_sigma for b in bands]
+    )
+    ends = np.array([[c.times(np.array([-2.0]))[0], c.times(np.array([c.lines + 1.0]))[0]] for c in cameras])
+    period = min((ends[k, 1] - ends[k, 0]) / (c.lines + 3) for k, c in enumerate(cameras))
+    step = options.grid_lines * period
+    start = float(ends[:, 0].min()) - 2 * step
+    count = math.ceil((float(ends[:, 1].max()) - start) / step) + 3
+    first = cameras[0]
+    pixel_angle, half_field = _field(first)
+    half_width, ground_speed = _on_ground(first, surface)
+    return Strip(
+        bands=tuple(bands),
+        surface=surface,
+        nominal=cameras,
+        turn=np.eye(3) if axes is None else axes.as_matrix(),
+        parameters=tuple(parameters),
+        views=views,
+        grid=TimeGrid(start, step, count),
+        order=tuple(range(len(bands))),
+        pixel_angle=pixel_angle,
+        half_field=half_field,
+        half_width=half_width,
+        ground_speed=ground_speed,
+        broad=BROAD.scaled(pixel_angle, half_field),
+    )
+
+
+def _numbered(pairs: Sequence[tuple[str, str]], bands: Sequence[Band]) -> list[tuple[int, int]] | None:
+    """Pairs of names as pairs of numbers of `bands`; None, for all pairs, where none are given."""
+    names = [band.name for band in bands]
+    for name in (name for pair in pairs for name in pair):
+        if name not in names:
+            raise InputError(f"`pairs` names the band {name!r}; bands are: {', '.join(names)}")
+    return [(names.index(a), names.index(b)) for a, b in pairs] or None
+
+
+def _field(camera: PushbroomCamera) -> tuple[float, float]:
+    """Angle of one pixel and of half the field (rad) of a detector line."""
+    directions = camera.detector.directions
+    ends = directions[[0, -1]]
+    whole = math.acos(float(np.clip(ends[0] @ ends[1], -1.0, 1.0)))
+    columns = len(directions)
+    return whole / max(columns - 1, 1), whole / 2.0
+
+
+def _on_ground(camera: PushbroomCamera, surface: Surface) -> tuple[float, float]:
+    """Half of the swath (m) and speed of its middle over the ground (m/s), as near the middle as it is seen.
+
+    Sweeps of a spin or a mirror may look past the limb at either end.
+    """
+    right = camera.columns - 1.0
+    centre, step = right / 2.0, max(camera.lines / 10.0, 1.0)
+    places = np.linspace(step, max(camera.lines - 1.0 - step, step), GROUND_PLACES)
+    for line in sorted(places, key=lambda place: abs(place - (camera.lines - 1) / 2.0)):
+        pixels = np.array([[line, 0.0], [line, right], [line - step, centre], [line + step, centre]])
+        ground = camera.locate(pixels, surface)
+        if np.isfinite(ground).all():
+            t = camera.times(pixels[2:, 0])
+            speed = float(np.linalg.norm(ground[3] - ground[2]) / (t[1] - t[0]))
+            return float(np.linalg.norm(ground[1] - ground[0])) / 2.0, speed
+    raise EstimationError(
+        "the strip does not meet the surface: its rays miss, or the DEM does not cover it; "
+        "check the platform's height and attitude and the extent of the DEM"
+    )

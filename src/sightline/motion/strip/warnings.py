@@ -1,0 +1,183 @@
+"""What a user should know before trusting a recovered strip: unseen lines, lost windows, doubtful sensors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sightline.geometry.trajectory import Motion
+from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
+from sightline.motion.measure.stars import StarRecord
+from sightline.motion.strip.estimate import StripState
+from sightline.motion.strip.fusion import uses
+from sightline.motion.strip.joint import JointEstimate
+from sightline.motion.strip.lag_sign import matches_backwards
+from sightline.motion.strip.strip import RecoverOptions, Strip
+from sightline.motion.strip.viewing_axes import turned_spectra
+
+Array = NDArray[np.float64]
+
+#: A sensor whose residuals are so many times its sigma is worth a warning.
+DOUBTFUL = 2.0
+#: Fewer windows than this share kept at the end are worth a warning.
+ENOUGH_KEPT = 0.5
+#: A pair that keeps fewer windows, or a smaller share of those compared, tells nothing: false matches do so.
+FEWEST_KEPT, LEAST_SHARE = 10, 0.1
+#: Matches that span less than this share of the field hardly tell yaw.
+ENOUGH_FIELD = 0.3
+
+
+def observed_lines(strip: Strip, state: StripState, t: Array) -> NDArray[np.bool_]:
+    """Lines within half a window, and half a step of the grid, of an instant at which a match was exposed."""
+    marks = []
+    for record in state.records:
+        star, present = record.star, record.star.present
+        marks += [star.t_hub[present.any(axis=1)], star.t[present]]
+    instants = np.sort(np.concatenate(marks))
+    if len(instants) == 0:
+        return np.zeros(len(t), dtype=bool)
+    at = np.clip(np.searchsorted(instants, t), 1, max(len(instants) - 1, 1))
+    near = np.minimum(np.abs(t - instants[at - 1]), np.abs(t - instants[np.minimum(at, len(instants) - 1)]))
+    reach = 0.5 * (max(r.star.duration for r in state.records) + strip.grid.step)
+    return np.asarray(near <= reach)
+
+
+def _spanned_field(strip: Strip, records: Sequence[StarRecord]) -> float:
+    """Share of the field of all detectors that the kept windows (all but 5 % at either side) reach over."""
+    low: list[Array] = []
+    high: list[Array] = []
+    ends: list[float] = []
+    for band in strip.bands:
+        across = band.camera.detector.tangents[[0, -1], 0]
+        ends += [float(across.min()), float(across.max())]
+    for record in records:
+        star, detector = record.star, strip.bands[record.star.hub].camera.detector
+        columns = star.pixels[star.present.any(axis=1), 1]
+        half = (star.window[1] - 1) / 2.0 if star.window else 0.0
+        for out, side in ((low, -half), (high, half)):
+            out.append(detector.directions_at(columns + side)[:, 0])
+    seen = np.concatenate(low)
+    if len(seen) == 0 or max(ends) <= min(ends):
+        return 0.0
+    return float(np.quantile(np.concatenate(high), 0.95) - np.quantile(seen, 0.05)) / (max(ends) - min(ends))
+
+
+def _lost_windows(records: Sequence[StarRecord]) -> str:
+    """What to say where most windows of the largest star that lay on both images were lost; "" if not so."""
+    largest = max(records, key=lambda record: record.status.size)
+    tried = (largest.status != OUTSIDE) & (largest.status != NOT_CHOSEN)
+    kept = largest.star.present
+    if not tried.any() or kept.sum() >= ENOUGH_KEPT * tried.sum():
+        return ""
+    # matched, but thrown out for what it said
+    ended = np.where((largest.status == KEPT) & ~kept, OUTLIER, largest.status)[tried & ~kept]
+    numbers = np.bincount(ended, minlength=len(STATUS_NAMES))
+    worst = int(np.argmax(numbers))
+    share = 100.0 * kept.sum() / tried.sum()
+    return (
+        f"only {share:.0f} % of the windows tried were kept; the others are mostly "
+        f"{STATUS_NAMES[worst]!r} ({numbers[worst]} of {len(ended)}): clouds, water, or cameras that say the "
+        "wrong place"
+    )
+
+
+def pair_tells(kept: ArrayLike, tried: ArrayLike) -> NDArray[np.bool_]:
+    """Whether pairs that kept so many windows of those tried measure anything; false matches alone do not."""
+    kept, tried = np.asarray(kept), np.asarray(tried)
+    return np.asarray((kept >= FEWEST_KEPT) & (kept >= LEAST_SHARE * tried))
+
+
+def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
+    """Bands none of whose pairs keeps enough windows, and the wrong sign of a lag where that is why."""
+    compared = np.zeros((len(strip.bands), len(strip.bands)), dtype=int)
+    kept = np.zeros_like(compared)
+    for record in records:
+        # under a mask, or where the other image has no pixels, nothing was compared
+        tried = ~np.isin(record.status, (OUTSIDE, NOT_CHOSEN, MASKED))
+        for k, image in enumerate(record.star.images):
+            compared[record.star.hub, image] += int(tried[:, k].sum())
+            kept[record.star.hub, image] += int(record.star.present[:, k].sum())
+    compared, kept = compared + compared.T, kept + kept.T
+    alone = ~pair_tells(kept, compared).any(axis=1)
+    return [
+        f"{strip.bands[b].name} matches nothing: {kept[b].sum()} of {compared[b].sum()} windows kept, so "
+        "nothing measures its place; " + _why_unmatched(strip, int(b), np.flatnonzero(~alone))
+        for b in np.flatnonzero(alone)
+    ]
+
+
+def _why_unmatched(strip: Strip, lost: int, matched: NDArray[np.intp]) -> str:
+    """The wrong sign of the lag where the matches of the other side prove it; else what to check."""
+    band, search = strip.bands[lost], RecoverOptions().search_px
+    for other in matched:
+        # the lag of either band against the other: the same pair, mirrored
+        if matches_backwards(strip.bands[other], band, strip.surface, search):
+            return (
+                f"it matches {strip.bands[other].name} as far on the other side: change the sign of its "
+                "`look_ahead` (forward is positive) or of its lag"
+            )
+    return "check its `look_ahead` (sign) and line times; or it looks like no other band, or clouds hide it"
+
+
+def _sensor_warnings(strip: Strip, estimate: JointEstimate) -> list[str]:
+    """Sensors that said nothing, or something else than the images."""
+    used = () if estimate.ties is None else uses(estimate.ties, estimate.own, estimate.own_sigma)
+    silent = [s.name for s in strip.sensors if s.name not in {use.name for use in used}]
+    out = [
+        f"{name}: no reading during the images, so it takes no part; check the times of its table"
+        for name in silent
+    ]
+    if strip.control is not None and "control points" not in {use.kind for use in used}:
+        out.append("no control point is seen where its image says: they take no part; check x, y, z and line")
+    for use in used:
+        worst = max(use.sigma_factor)
+        if worst > DOUBTFUL:
+            out.append(
+                f"{use.name}: its residuals are {worst:.2g} times what its sigma says, and it is believed so "
+                "much less; check its sigma, its axes (alignment_sigma) and its times"
+            )
+    return out
+
+
+def strip_warnings(
+    strip: Strip, state: StripState, motion: Motion, observed: NDArray[np.bool_], changes: list[float]
+) -> tuple[str, ...]:
+    """What a user should know before trusting the numbers."""
+    out = []
+    if changes and changes[-1] > 1.0:
+        out.append(
+            f"the passes did not settle: the last changed the motion by {changes[-1]:.1f} sigma; check the "
+            "camera description, or allow more with [matching] passes"
+        )
+        if all(band.offset_sigma_px == 0.0 for band in strip.bands):
+            out.append("band offsets are given as exact (offset_sigma_px = 0); give a sigma if they are not")
+    out += _unmatched_bands(strip, state.records)
+    lost = _lost_windows(state.records)
+    if lost:
+        out.append(lost)
+    if not observed.all():
+        out.append(
+            f"{(~observed).sum()} of {len(observed)} lines are seen by no match: the motion there is "
+            "interpolated, its sigma grown"
+        )
+    out += _sensor_warnings(strip, state.estimate)
+    covariance = motion.covariance
+    assert covariance is not None
+    prior_yaw = turned_spectra(state.model.spectra, strip.turn)[2].sigma
+    sigma_yaw = float(np.sqrt(np.median(covariance[:, 2, 2])))
+    spanned = _spanned_field(strip, state.records)
+    if spanned < ENOUGH_FIELD:
+        out.append(
+            f"yaw is nearly blind: the matches span {100 * spanned:.0f} % of the field (30 % or more tell "
+            f"it); it is known to {sigma_yaw / strip.scale[2]:.2g} px at the field's edge, roll and pitch "
+            "no better away from the matches"
+        )
+    elif sigma_yaw > 0.3 * prior_yaw:
+        out.append(
+            f"yaw is hardly observable: its sigma, {sigma_yaw / strip.scale[2]:.2g} px at the field edge, is "
+            f"close to that of the prior; the field of {2 * strip.half_field:.2g} rad is narrow, or the "
+            "matches do not span it"
+        )
+    return tuple(out)

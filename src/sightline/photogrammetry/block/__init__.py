@@ -1,0 +1,1 @@
+"""Least squares over a block of images: poses, points, what is common."""

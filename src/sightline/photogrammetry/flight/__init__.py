@@ -1,0 +1,1 @@
+"""Poses of the frames of a flight (S4)."""

@@ -1,0 +1,270 @@
+"""Points that stretches of a flight have in common: flight lines beside each other, crossing, or flown again.
+
+Frames of one stretch look alike; frames of two look alike where they overlap and the filter shows the ground
+in like wavelengths. Poses must be known to some pixels.
+
+Not here: points within a stretch (``matching/follow.py``); blocks of few frames from all
+sides (``photogrammetry/match_frames.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from sightline.geometry.camera import FrameCamera
+from sightline.geometry.checks import Array, read_only
+from sightline.geometry.instrument import AreaDetector
+from sightline.geometry.surface import Surface
+from sightline.imaging.reduce import pattern_means, reduced_pixels, whole_pixels
+from sightline.imaging.source import ImageSource
+from sightline.matching.match_images import match_images
+from sightline.matching.select import grid_points, spread_subset, texture_strength
+from sightline.matching.whitening import gradient_filter
+from sightline.photogrammetry.frame_cameras import frame_cameras
+from sightline.photogrammetry.sightings import Images, Tracks, joined
+
+#: nm; wavelengths that far apart are not compared.
+_ALIKE_NM = 90.0
+#: Places along each side of a frame that tell what two frames share; and the least share of them.
+_PROBES, _LEAST_SHARE = 17, 0.03
+#: Share of a frame's lines that it moves from one frame that is compared to the next.
+_SPACING = 0.12
+#: Windows of a pair: at most, at least; cells along a side that share them; share that must go together.
+_POINTS, _LEAST_WINDOWS, _CELLS, _AGREEMENT = 60, 5, 6, 0.6
+#: px; longest search, and how far windows may lie from each other, relief apart.
+_LONGEST_SEARCH, _DISAGREE = 30, 2.0
+#: Lowest correlation; px: what other wavelengths and another view move a window by.
+_MIN_SCORE, _FLOOR = 0.55, 0.05
+
+
+@dataclass(frozen=True)
+class CrossPlan:
+    """How stretches are compared.
+
+    Attributes
+    ----------
+    height_range : float
+        m; the ground lies within this of the surface.
+    pointing_error : float
+        rad; poses are wrong by about this.
+    partners : int
+        Frames of each other stretch that a frame is compared with, at most.
+    window : int
+        Pixels of what is compared.
+    reduction : int
+        Pixels are averaged in squares of this side first: the period of a mosaic filter, whose pattern would
+        look like itself wherever the ground is.
+    """
+
+    height_range: float
+    pointing_error: float
+    partners: int = 2
+    window: int = 21
+    reduction: int = 1
+
+
+def cross_pairs(
+    images: Images,
+    detector: AreaDetector,
+    mount: Rotation,
+    surface: Surface,
+    group: NDArray[np.intp],
+    partners: int = 2,
+) -> list[tuple[int, int, NDArray[np.bool_]]]:
+    """Pairs of frames of different stretches that see the same ground in like wavelengths.
+
+    Parameters
+    ----------
+    images : Images
+    detector, mount
+        Of all frames.
+    surface : Surface
+    group : (M,) int
+        Stretch of each frame; -1 leaves it out.
+    partners : int
+        Of each frame in each other stretch, at most.
+
+    Returns
+    -------
+    list of (frame, partner, lines)
+        `lines` (bool): those of the frame that the partner sees in like wavelengths.
+    """
+    lines, columns = detector.shape
+    probes = np.stack(
+        np.meshgrid(np.linspace(0, lines - 1, _PROBES), np.linspace(0, columns - 1, _PROBES), indexing="ij"),
+        axis=-1,
+    ).reshape(-1, 2)
+    cameras = frame_cameras(images, [detector], [mount])
+    nm = _line_nm(detector)
+    chosen = _spaced(images, detector, mount, surface, group)
+    ground = {k: cameras[k].locate(probes, surface) for k in chosen}
+    centre = {k: np.nanmean(g, axis=0) for k, g in ground.items()}
+    # a frame that looks beside the surface shares nothing that is known
+    chosen = [k for k in chosen if np.isfinite(centre[k]).all()]
+    tree = cKDTree(np.array([centre[k] for k in chosen]).reshape(-1, 3))
+    out = []
+    for i in chosen:
+        best: dict[int, list[tuple[float, int, NDArray[np.bool_]]]] = {}
+        extent = np.nanmax(np.linalg.norm(ground[i] - centre[i], axis=1))
+        for j in (chosen[row] for row in sorted(tree.query_ball_point(centre[i], 2.0 * extent))):
+            if group[j] <= group[i]:
+                continue
+            found = _alike(cameras[j], probes, ground[i], nm, lines)
+            if found is not None:
+                best.setdefault(int(group[j]), []).append((found[0], j, found[1]))
+        for candidates in best.values():
+            candidates.sort(key=lambda c: -c[0])
+            out += [(i, j, rows) for _, j, rows in candidates[:partners]]
+    return out
+
+
+def _line_nm(detector: AreaDetector) -> Array:
+    """Wavelength (lines,) nm; 0 where all lines see alike."""
+    if detector.wavelength_nm is None:
+        return np.zeros(detector.shape[0])
+    return np.asarray(detector.wavelength_nm, dtype=np.float64)
+
+
+def _spaced(
+    images: Images, detector: AreaDetector, mount: Rotation, surface: Surface, group: NDArray[np.intp]
+) -> list[int]:
+    """Frames of each stretch some way apart."""
+    middle = 0.5 * (np.array([detector.shape]) - 1.0)
+    ends = np.concatenate([middle, [[0.0, middle[0, 1]]]])
+    rays = mount.apply(detector.directions(ends))
+    out: list[int] = []
+    last: Array | None = None
+    for k in np.flatnonzero(group >= 0):
+        seen = surface.intersect(
+            read_only(np.repeat(images.position[k : k + 1], 2, axis=0)),
+            read_only(images.world_from_body[int(k)].apply(rays)),
+        )
+        far = last is None or group[k] != group[out[-1]]
+        if last is not None and not far:
+            far = bool(np.linalg.norm(seen[0] - last) > _SPACING * 2.0 * np.linalg.norm(seen[0] - seen[1]))
+        if far:
+            out.append(int(k))
+            last = seen[0]
+    return out
+
+
+def _alike(
+    camera: FrameCamera, probes: Array, ground: Array, nm: Array, lines: int
+) -> tuple[float, NDArray[np.bool_]] | None:
+    """Share of a frame that another sees in like wavelengths, and its lines there; None if too little."""
+    seen = camera.project(ground)
+    with np.errstate(invalid="ignore"):
+        inside = ((seen >= 0.0) & (seen <= np.array(camera.shape) - 1.0)).all(axis=1)
+    if not inside.any():
+        return None
+    places = np.arange(lines)
+    other = np.interp(np.where(inside, np.nan_to_num(seen[:, 0]), 0.0), places, nm)
+    near = inside & (np.abs(np.interp(probes[:, 0], places, nm) - other) < _ALIKE_NM)
+    if near.mean() < _LEAST_SHARE:
+        return None
+    half = 0.5 * (lines - 1.0) / (_PROBES - 1)
+    low, high = probes[near, 0].min() - half, probes[near, 0].max() + half
+    return float(near.mean()), np.asarray((places >= low) & (places <= high))
+
+
+def link_stretches(
+    sources: Sequence[ImageSource],
+    images: Images,
+    detector: AreaDetector,
+    mount: Rotation,
+    surface: Surface,
+    group: NDArray[np.intp],
+    plan: CrossPlan,
+    progress: Callable[[int, int], None] | None = None,
+) -> Tracks | None:
+    """Points that frames of different stretches have in common; None if there are none.
+
+    Parameters
+    ----------
+    sources : sequence of ImageSource
+        M frames.
+    images : Images
+        Their poses, to some pixels.
+    detector, mount
+        Of all frames.
+    surface : Surface
+    group : (M,) int
+        Stretch of each; -1 leaves it out.
+    plan : CrossPlan
+    progress : callable, optional
+        Called with the number of pairs compared and of all.
+    """
+    found: list[Tracks] = []
+    names = 0
+    pairs = cross_pairs(images, detector, mount, surface, group, plan.partners)
+    for number, (i, j, lines) in enumerate(pairs):
+        if progress is not None:
+            progress(number, len(pairs))
+        cameras = frame_cameras(images[np.array([i, j])], [detector], [mount])
+        two = _match_pair((sources[i], sources[j]), cameras, surface, lines, plan)
+        if two is None:
+            continue
+        here, there, sigma = two
+        name = names + np.arange(len(here))
+        names += len(here)
+        image = np.repeat([i, j], len(here))
+        found.append(Tracks(image, np.tile(name, 2), np.concatenate([here, there]), np.tile(sigma, 2)))
+    return joined(found) if found else None
+
+
+def _match_pair(
+    sources: tuple[ImageSource, ImageSource],
+    cameras: Sequence[FrameCamera],
+    surface: Surface,
+    lines: NDArray[np.bool_],
+    plan: CrossPlan,
+) -> tuple[Array, Array, Array] | None:
+    """Pixels in both frames of a pair and the sigma of each; None if too few agree."""
+    hub, partner = cameras
+    k = plan.reduction
+    size, step = (plan.window, plan.window), 2 * plan.window // 3
+    images = (pattern_means(sources[0], k), pattern_means(sources[1], k)) if k > 1 else sources
+
+    def seen(places: Array, height: float = 0.0) -> Array:
+        """Where the partner sees what the hub sees at some places, both in pixels of what is compared."""
+        ground = hub.locate(whole_pixels(places, k), surface.raised(height) if height else surface)
+        return reduced_pixels(partner.project(ground), k)
+
+    points = grid_points(images[0].shape, window=size, step=(step, step))
+    points = points[lines[np.rint(whole_pixels(points, k)[:, 0]).astype(np.intp)]]
+    there = seen(points)
+    with np.errstate(invalid="ignore"):
+        inside = ((there >= 0.0) & (there <= np.array(images[1].shape) - 1.0)).all(axis=1)
+    points, there = points[inside], there[inside]
+    strength = texture_strength(images[0], points, size)
+    strength[~(strength > 0.0)] = np.nan
+    rows = spread_subset(points, strength, _POINTS, (_CELLS, _CELLS))
+    if len(rows) < _LEAST_WINDOWS:
+        return None
+    points, there = points[rows], there[rows]
+    high = np.abs(seen(points, plan.height_range) - there)
+    loose = 2.0 * plan.pointing_error * partner.detector.focal_length_px / k
+    reach = np.minimum(np.ceil(np.nanmax(high, axis=0) + loose) + 1, _LONGEST_SEARCH).astype(int)
+    affine = np.stack([(seen(points + s) - seen(points - s)) / 2.0 for s in np.eye(2)], axis=-1)
+    found = match_images(
+        images[0], images[1], points, there, window=size, affine=affine,
+        search_px=(int(reach[0]), int(reach[1])), whitening=gradient_filter(), min_score=_MIN_SCORE,
+    )  # fmt: skip
+    kept = found.kept
+    if kept.sum() < _LEAST_WINDOWS:
+        return None
+    # windows that lie on a spurious peak lie anywhere; true ones go together but for the relief
+    moved = found.b[kept] - there[kept]
+    spread = np.nanmedian(high, axis=0) + _DISAGREE
+    near = (np.abs(moved - np.median(moved, axis=0)) < spread).all(axis=1)
+    if near.sum() < _LEAST_WINDOWS or near.mean() < _AGREEMENT:
+        return None
+    covariance = found.covariance_px[kept][near]
+    sigma = np.sqrt(0.25 * np.trace(covariance, axis1=1, axis2=2) + _FLOOR**2)
+    return whole_pixels(points[kept][near], k), whole_pixels(found.b[kept][near], k), k * sigma

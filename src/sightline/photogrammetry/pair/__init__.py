@@ -1,0 +1,1 @@
+"""Linear estimates from pairs of cameras (S2)."""

@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import pytest
+
+from sightline.io.acquisition.describe import describe_acquisition
+from sightline.io.acquisition.load import load_acquisition
+
+
+def test_lags_blind_frequencies_and_overlap_are_those_of_the_geometry(folder):
+    said = describe_acquisition(load_acquisition(folder.write()))
+    (pair,) = said["pairs"]
+    # XS looks 140 m further: it sees the ground 140 / 7000 s = 20 ms before PAN, blind at multiples of 50 Hz
+    assert pair["lag"] == pytest.approx(-0.02, abs=1e-6)
+    assert pair["blind_frequencies"][:2] == pytest.approx([50.0, 100.0], rel=1e-4)
+    # 40 of 200 lines of PAN are not seen by XS; the grid has 65 lines
+    assert pair["overlap"] == pytest.approx(0.8, abs=1 / 65)
+    # parallax: 1 m of height between views 2e-4 apart: 2e-4 m = 2e-4 / 3.5 px
+    assert pair["parallax"] == pytest.approx(2e-4 / 3.5, rel=0.01)
+    assert any("lag -20 ms, 80 % common ground, blind at 50, 100" in line for line in said["observable"])
+
+
+def test_frequencies_below_one_period_of_the_strip_are_not_promised(folder):
+    acquisition = load_acquisition(folder.write())
+    t = acquisition.cameras[0].times([0.0, acquisition.cameras[0].lines - 1.0])
+    said = describe_acquisition(acquisition)
+    assert said["passbands"][0][0] == pytest.approx(1.0 / (t[1] - t[0]))
+
+
+def test_yaw_is_said_to_be_seen_worse_by_the_field(folder):
+    said = describe_acquisition(load_acquisition(folder.write()))
+    # edge of the field at 59.5 px: 1 px = 16807 urad; roll 5 urad: 3361 times
+    assert any(
+        "yaw: 16807 urad move the edge" in line and "3.36e+03 times" in line for line in said["observable"]
+    )
+
+
+def test_what_is_missing_is_named(folder):
+    folder.replace('epoch = "2026-01-01T00:00:00Z"\n', "").add("[surface]\nheight_sigma = 20.0\n")
+    missing = "\n".join(describe_acquisition(load_acquisition(folder.write()))["missing"])
+    assert "epoch: without it no CCSDS file" in missing
+    assert "a DEM: the height's sigma" in missing
+    assert "exact focal-plane offsets of XS" in missing
+    assert "sigma_absolute is infinite" in missing

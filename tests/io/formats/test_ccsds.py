@@ -1,0 +1,218 @@
+from __future__ import annotations
+
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sightline.errors import FormatError
+from sightline.io.acquisition.load import load_acquisition
+from sightline.io.formats import ccsds
+
+EPOCH = "2026-01-01T00:00:00Z"
+
+AEM = """CCSDS_AEM_VERS = 1.0
+CREATION_DATE = 2026-01-01T00:00:00
+ORIGINATOR = TEST
+
+META_START
+COMMENT made for a test
+OBJECT_NAME = EXAMPLE
+OBJECT_ID = 2026-001A
+REF_FRAME_A = ITRF2014
+REF_FRAME_B = SC_BODY_1
+ATTITUDE_DIR = A2B
+TIME_SYSTEM = UTC
+START_TIME = 2026-01-01T00:00:01
+STOP_TIME = 2026-01-01T00:00:02.5
+ATTITUDE_TYPE = QUATERNION
+QUATERNION_TYPE = LAST
+META_STOP
+
+DATA_START
+2026-01-01T00:00:01 0.56748 0.03146 0.45689 0.68427
+2026-001T00:00:02.5 0.42319 -0.45697 0.23784 0.74533
+DATA_STOP
+"""
+
+OEM = """CCSDS_OEM_VERS = 2.0
+CREATION_DATE = 2026-01-01T00:00:00
+ORIGINATOR = TEST
+META_START
+OBJECT_NAME = EXAMPLE
+OBJECT_ID = 2026-001A
+CENTER_NAME = EARTH
+REF_FRAME = ITRF
+TIME_SYSTEM = UTC
+START_TIME = 2026-01-01T00:00:00
+STOP_TIME = 2026-01-01T00:00:02
+META_STOP
+2026-01-01T00:00:00.0 7000.0 0.0 1.0 0.0 7.0 0.5
+2026-01-01T00:00:01.0 7000.0 7.0 1.5 0.0 7.0 0.5
+COVARIANCE_START
+EPOCH = 2026-01-01T00:00:00
+1.0
+COVARIANCE_STOP
+META_START
+OBJECT_NAME = EXAMPLE
+OBJECT_ID = 2026-001A
+CENTER_NAME = EARTH
+REF_FRAME = ITRF
+TIME_SYSTEM = UTC
+START_TIME = 2026-01-01T00:00:01
+STOP_TIME = 2026-01-01T00:00:02
+META_STOP
+2026-01-01T00:00:01.0 7000.0 7.0 1.5 0.0 7.0 0.5
+2026-01-01T00:00:02.0 7000.0 14.0 2.0 0.0 7.0 0.5
+"""
+
+
+def file(tmp_path, text):
+    path = tmp_path / "message.kvn"
+    path.write_text(text)
+    return path
+
+
+def matrix_of_the_standard(q1, q2, q3, qc):
+    """CCSDS 504.0-B: components in frame B from components in frame A, for a quaternion from A to B."""
+    return np.array(
+        [
+            [q1**2 - q2**2 - q3**2 + qc**2, 2 * (q1 * q2 + q3 * qc), 2 * (q1 * q3 - q2 * qc)],
+            [2 * (q1 * q2 - q3 * qc), -(q1**2) + q2**2 - q3**2 + qc**2, 2 * (q2 * q3 + q1 * qc)],
+            [2 * (q1 * q3 + q2 * qc), 2 * (q2 * q3 - q1 * qc), -(q1**2) - q2**2 + q3**2 + qc**2],
+        ]
+    )
+
+
+def test_an_aem_turns_vectors_as_the_standard_says(tmp_path):
+    attitude = ccsds.read_aem(file(tmp_path, AEM), EPOCH)
+    np.testing.assert_array_equal(attitude.t, [1.0, 2.5])
+    earth_from_body = Rotation.from_quat(attitude.quat_xyzw[0]).as_matrix()
+    np.testing.assert_allclose(
+        earth_from_body.T, matrix_of_the_standard(0.56748, 0.03146, 0.45689, 0.68427), atol=2e-5
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (
+            "REF_FRAME_A = ITRF2014\nREF_FRAME_B = SC_BODY_1",
+            "REF_FRAME_A = SC_BODY_1\nREF_FRAME_B = ITRF2014",
+        ),
+        ("ATTITUDE_DIR = A2B", "ATTITUDE_DIR = B2A"),
+    ],
+)
+def test_an_aem_the_other_way_round_is_the_inverse(tmp_path, old, new):
+    forward = ccsds.read_aem(file(tmp_path, AEM), EPOCH)
+    backward = ccsds.read_aem(file(tmp_path, AEM.replace(old, new)), EPOCH)
+    there, back = Rotation.from_quat(forward.quat_xyzw), Rotation.from_quat(backward.quat_xyzw)
+    assert (there * back).magnitude().max() < 1e-12
+
+
+def test_a_scalar_that_stands_first_is_put_last(tmp_path):
+    text = AEM.replace("LAST", "FIRST").replace(
+        "0.56748 0.03146 0.45689 0.68427", "0.68427 0.56748 0.03146 0.45689"
+    )
+    text = text.replace("0.42319 -0.45697 0.23784 0.74533", "0.74533 0.42319 -0.45697 0.23784")
+    np.testing.assert_allclose(
+        ccsds.read_aem(file(tmp_path, text), EPOCH).quat_xyzw,
+        ccsds.read_aem(file(tmp_path, AEM), EPOCH).quat_xyzw,
+        atol=1e-12,
+    )
+
+
+def test_a_written_aem_is_read_back_to_a_nanosecond_and_to_rounding(tmp_path):
+    t = 12.5 + np.arange(2000) / 2000.0 + 1e-9 * np.arange(2000)
+    quat = Rotation.from_rotvec(np.random.default_rng(0).normal(size=(2000, 3))).as_quat()
+    ccsds.write_aem(tmp_path / "a.aem", t, quat, EPOCH, object_name="EXAMPLE")
+    again = ccsds.read_aem(tmp_path / "a.aem", EPOCH)
+    np.testing.assert_allclose(again.t, t, atol=0.6e-9)
+    np.testing.assert_allclose(again.quat_xyzw, quat, atol=1e-15)
+    assert "START_TIME = 2026-01-01T00:00:12.500000000" in (tmp_path / "a.aem").read_text()
+
+
+def test_instants_agree_with_the_calendar():
+    # by another path: the standard library's arithmetic
+    for text, seconds in (("2026-01-02T03:04:05.25Z", 97445.25), ("2025-365T23:59:59", -1.0)):
+        assert ccsds.seconds_from_epoch(text, EPOCH, "") == seconds
+    later = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(seconds=4000.5)
+    assert ccsds.utc_text(4000.5, EPOCH) == later.strftime("%Y-%m-%dT%H:%M:%S.500000000")
+    assert ccsds.utc_text(-0.25, "2026-01-01T00:00:00.125Z") == "2025-12-31T23:59:59.875000000"
+
+
+def test_an_oem_becomes_metres_and_its_segments_one_table(tmp_path):
+    orbit = ccsds.read_oem(file(tmp_path, OEM), EPOCH)
+    np.testing.assert_array_equal(orbit.t, [0.0, 1.0, 2.0])
+    np.testing.assert_allclose(orbit.position[2], [7e6, 14e3, 2e3])
+    np.testing.assert_allclose(orbit.velocity[0], [0.0, 7e3, 500.0])
+
+
+@pytest.mark.parametrize(
+    ("text", "read", "words"),
+    [
+        (
+            OEM.replace("ITRF", "EME2000"),
+            ccsds.read_oem,
+            "REF_FRAME = EME2000 is not handled; allowed: EARTH_FIXED",
+        ),
+        (OEM.replace("UTC", "TDB"), ccsds.read_oem, "TIME_SYSTEM = TDB is not handled; allowed: UTC"),
+        (
+            OEM.replace("7.0 1.5", "x 1.5"),
+            ccsds.read_oem,
+            "line 14: '7000.0 x 1.5 0.0 7.0 0.5' are not numbers",
+        ),
+        (
+            AEM.replace("ITRF2014", "EME2000"),
+            ccsds.read_aem,
+            "attitude from EME2000 to SC_BODY_1; one must be Earth",
+        ),
+        (
+            AEM.replace("= QUATERNION", "= EULER_ANGLE"),
+            ccsds.read_aem,
+            "ATTITUDE_TYPE = EULER_ANGLE is not handled",
+        ),
+        (
+            AEM.replace("2026-01-01T00:00:01 0", "yesterday 0"),
+            ccsds.read_aem,
+            "'yesterday' is not a UTC instant",
+        ),
+        (AEM.replace("0.68427", "0.98427"), ccsds.read_aem, "row 1 holds a quaternion of length"),
+        (AEM.replace("2026-001T00:00:02.5", "2026-001T00:00:00.5"), ccsds.read_aem, "unordered times"),
+    ],
+)
+def test_what_cannot_be_used_is_refused_by_name(tmp_path, text, read, words):
+    with pytest.raises(FormatError) as caught:
+        read(file(tmp_path, text), EPOCH)
+    assert "message.kvn" in str(caught.value) and words in str(caught.value)
+
+
+def test_a_message_of_the_wrong_kind_is_said_to_be_so(tmp_path):
+    with pytest.raises(FormatError, match="is a CCSDS AEM; OEM is needed here"):
+        ccsds.is_ccsds(file(tmp_path, AEM), "OEM")
+
+
+def test_an_acquisition_may_name_an_oem_and_an_aem(folder):
+    t = np.linspace(-1.0, 2.0, 7)
+    position = np.column_stack([7.078e6 + 0 * t, 0 * t, 7000.0 * t])
+    rows = [
+        f"{ccsds.utc_text(k, EPOCH)} {p[0] / 1e3} {p[1] / 1e3} {p[2] / 1e3} 0 0 7.0"
+        for k, p in zip(t, position, strict=True)
+    ]
+    head = OEM[: OEM.index("2026-01-01T00:00:00.0")]
+    (folder.path / "orbit.oem").write_text(head + "\n".join(rows) + "\n")
+    # over longitude 0: down is -x, forward (north) is +z, right is down x forward = +y
+    body = Rotation.from_matrix(np.array([[0, 0, -1], [0, 1, 0], [1, 0, 0.0]]))
+    ccsds.write_aem(folder.path / "attitude.aem", t, np.tile(body.as_quat(), (7, 1)), EPOCH)
+    folder.replace(
+        'kind = "level-flight"\naltitude = 700e3\nground_speed = 7000.0',
+        'kind = "ephemeris"\npositions = "orbit.oem"\nattitudes = "attitude.aem"',
+    )
+    acquisition = load_acquisition(folder.write())
+    seen = acquisition.cameras[0].locate([[0.0, 59.5], [0.0, 0.0]], acquisition.surface)
+    np.testing.assert_allclose(seen[0], [6378137.0, 0.0, 0.0], atol=1e-3)
+    assert seen[1, 1] > 100.0  # column 0 is to the right: east is +y here
+    folder.replace('epoch = "2026-01-01T00:00:00Z"\n', "")
+    with pytest.raises(FormatError, match=r"orbit\.oem: its times are UTC and \[acquisition\] has no epoch"):
+        load_acquisition(folder.write())

@@ -1,0 +1,185 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from sightline.errors import FormatError, InputError
+from sightline.io.formats import tables
+
+
+def csv(tmp_path, text):
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    return path
+
+
+def message(read, path) -> str:
+    with pytest.raises(FormatError) as caught:
+        read(path)
+    return str(caught.value)
+
+
+def test_positions_come_back_bit_for_bit(tmp_path):
+    t = 1e4 + np.arange(5) / 3.0
+    xyz = np.random.default_rng(0).normal(size=(5, 3)) * 7e6
+    tables.write_positions(tmp_path / "p.csv", t, xyz)
+    assert (tmp_path / "p.csv").read_text().startswith("t,x,y,z\n")
+    again_t, again = tables.read_positions(tmp_path / "p.csv")
+    np.testing.assert_array_equal(again_t, t)
+    np.testing.assert_array_equal(again, xyz)
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_attitudes_come_back_to_rounding(tmp_path):
+    q = np.random.default_rng(1).normal(size=(4, 4))
+    q /= np.linalg.norm(q, axis=1)[:, None]
+    tables.write_attitudes(tmp_path / "a.csv", np.arange(4.0), q)
+    np.testing.assert_allclose(tables.read_attitudes(tmp_path / "a.csv")[1], q, atol=4e-16)
+
+
+def test_a_motion_comes_back_with_its_sigmas(tmp_path):
+    rng = np.random.default_rng(2)
+    absolute = np.full((3, 3), np.inf)
+    given = tables.MotionTable(
+        np.array([0.0, 0.1, 0.2]), 1e-5 * rng.normal(size=(3, 3)), np.full((3, 3), 1e-7), absolute,
+        np.array([True, False, True]),
+    )  # fmt: skip
+    tables.write_motion(tmp_path / "motion.csv", given)
+    header = (tmp_path / "motion.csv").read_text().splitlines()[0]
+    assert header == (
+        "t,roll,pitch,yaw,sigma_roll,sigma_pitch,sigma_yaw,"
+        "sigma_absolute_roll,sigma_absolute_pitch,sigma_absolute_yaw,observed"
+    )
+    again = tables.read_motion(tmp_path / "motion.csv")
+    np.testing.assert_array_equal(again.t, given.t)
+    np.testing.assert_allclose(again.angles, given.angles, rtol=1e-11)
+    np.testing.assert_array_equal(again.sigma, given.sigma)
+    assert np.isinf(again.sigma_absolute).all()
+    np.testing.assert_array_equal(again.observed, given.observed)
+
+
+def test_a_truth_table_is_a_motion_without_sigma(tmp_path):
+    motion = tables.read_motion(csv(tmp_path, "t,roll,pitch,yaw\n0,1e-6,2e-6,3e-6\n1,0,0,0\n"))
+    assert motion.sigma is None
+    np.testing.assert_array_equal(motion.angles[0], [1e-6, 2e-6, 3e-6])
+
+
+def test_a_motion_without_sigma_is_not_written_as_a_result(tmp_path):
+    with pytest.raises(InputError, match="without sigma"):
+        tables.write_motion(tmp_path / "m.csv", tables.MotionTable(np.zeros(1), np.zeros((1, 3))))
+
+
+def test_columns_may_stand_in_any_order_and_comments_are_skipped(tmp_path):
+    t, xyz = tables.read_positions(csv(tmp_path, "# made by hand\nz,t,x,y\n\n3,0,1,2\n6,1,4,5\n"))
+    np.testing.assert_array_equal(xyz, [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_array_equal(t, [0, 1])
+
+
+def test_a_spectrum_says_where_it_was_observed(tmp_path):
+    tables.write_spectrum(
+        tmp_path / "s.csv",
+        np.array([1.0, 2.0]),
+        np.full((2, 3), 1e-14),
+        np.full((2, 3), 1e-16),
+        np.array([[1, 0, 1], [1, 1, 0]], bool),
+    )
+    rows = (tmp_path / "s.csv").read_text().splitlines()
+    assert rows[0].startswith("frequency,psd_roll,psd_pitch,psd_yaw,error_roll,")
+    assert rows[1] == "1,1e-14,1e-14,1e-14,1e-16,1e-16,1e-16,1,0,1"
+
+
+def test_a_missing_column_is_named_with_the_header_expected(tmp_path):
+    said = message(tables.read_positions, csv(tmp_path, "t,lat,lon,h\n0,1,2,3\n"))
+    assert "column 'x' is missing: the header is 't,lat,lon,h'; expected 't,x,y,z'" in said
+
+
+def test_a_word_in_place_of_a_number_names_line_and_column(tmp_path):
+    said = message(tables.read_positions, csv(tmp_path, "t,x,y,z\n0,1,2,3\n1,4,five,6\n"))
+    assert "table.csv: line 3, column 'y': 'five' is not a number" in said
+
+
+def test_nan_names_line_and_column(tmp_path):
+    said = message(tables.read_positions, csv(tmp_path, "t,x,y,z\n0,1,2,3\n1,4,nan,6\n2,4,nan,6\n"))
+    assert "line 3, column 'y' is nan (2 such in all)" in said
+
+
+def test_a_row_that_is_too_short_is_named(tmp_path):
+    said = message(tables.read_positions, csv(tmp_path, "t,x,y,z\n0,1,2\n"))
+    assert "line 2 has 3 values, the header has 4" in said
+
+
+def test_duplicate_times_are_refused(tmp_path):
+    said = message(tables.read_positions, csv(tmp_path, "t,x,y,z\n0,1,2,3\n1,1,2,3\n1,1,2,3\n"))
+    assert "duplicate times: 't' is 1 in row 2 and 1 in row 3; times must increase; remove one" in said
+
+
+def test_unordered_times_are_refused(tmp_path):
+    said = message(tables.read_attitudes, csv(tmp_path, "t,qx,qy,qz,qw\n1,0,0,0,1\n0.5,0,0,0,1\n"))
+    assert "unordered times: 't' is 1 in row 1 and 0.5 in row 2; times must increase; sort the rows" in said
+
+
+def test_a_quaternion_that_is_not_of_length_one_is_refused(tmp_path):
+    said = message(tables.read_attitudes, csv(tmp_path, "t,qx,qy,qz,qw\n0,0.1,0.2,0.3,0.4\n"))
+    assert "row 1 holds a quaternion of length 0.547723; attitudes are unit quaternions qx,qy,qz,qw" in said
+
+
+def test_a_gyro_increment_that_ends_before_it_starts_is_refused(tmp_path):
+    said = message(tables.read_gyro, csv(tmp_path, "t_start,t_end,roll,pitch,yaw,sigma\n1,0,0,0,0,1e-6\n"))
+    assert "row 1 ends at t_end = 0, not after t_start = 1" in said and "swapped" in said
+
+
+def test_a_sigma_of_zero_is_refused(tmp_path):
+    said = message(tables.read_star_tracker, csv(tmp_path, "t,roll,pitch,yaw,sigma\n0,0,0,0,0\n"))
+    assert "row 1: sigma = 0; a 1-sigma error must be positive" in said
+
+
+def test_directions_must_run_over_all_columns_and_look_forward(tmp_path):
+    said = message(tables.read_directions, csv(tmp_path, "column,x,y,z\n0,0,0,1\n2,0,0,1\n"))
+    assert "row 2 has column = 2; columns must run 0, 1, 2" in said
+    said = message(tables.read_directions, csv(tmp_path, "column,x,y,z\n0,0,0,-1\n1,0,0,-1\n"))
+    assert "camera z points to the scene" in said
+
+
+def test_an_empty_file_and_a_missing_one_are_named(tmp_path):
+    assert "the file is empty" in message(tables.read_positions, csv(tmp_path, "\n"))
+    assert "no rows below the header" in message(tables.read_positions, csv(tmp_path, "t,x,y,z\n"))
+    assert "no such file" in message(tables.read_positions, tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    ("rows", "words"),
+    [
+        ("0,1,1,1\n", "two frequencies or more"),
+        ("1,1,1,1\n1,1,1,1\n", "f must increase"),
+        ("0,1,1,1\n5,1,-1,1\n", "row 2 holds a negative density"),
+        ("0,1,0,1\n5,1,0,1\n", "pitch is 0 at every frequency"),
+    ],
+)
+def test_a_table_that_is_no_spectrum_is_refused(tmp_path, rows, words):
+    assert words in message(tables.read_psd, csv(tmp_path, "f,roll,pitch,yaw\n" + rows))
+
+
+def test_a_spectrum_is_read_by_axis(tmp_path):
+    f, density = tables.read_psd(csv(tmp_path, "f,roll,pitch,yaw\n0,1,2,3\n50,4,5,6\n"))
+    assert f.tolist() == [0.0, 50.0]
+    assert density.tolist() == [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
+
+
+def test_names_of_any_text_come_back_from_a_table(tmp_path):
+    names = ["a, b", 'say "hello"', "two\nlines", "a\r\n\n# b", "#c", "=1+1", "plain"]
+    tables.write_columns(tmp_path / "n.csv", {"t": np.arange(7.0), "a, name": np.array(names)})
+    read = tables.read_columns(tmp_path / "n.csv", ("t", "a, name"), text=("a, name",))
+    assert read["a, name"] == names and read["t"].tolist() == list(range(7))
+    assert tables.line_of_row(tmp_path / "n.csv", 3) == 6  # the name before it has a line more
+
+
+def test_a_quote_that_is_never_closed_is_named_by_its_line(tmp_path):
+    path = csv(tmp_path, 't,x,y,z\n0,1,2,3\n1,"1,2,3\n2,1,2,3\n')
+    assert f"{path}: line 3 has 2 values, the header has 4" in message(tables.read_positions, path)
+    path = csv(tmp_path, 't,x,y,z\n0,1,2,"' + "3" * 200_000)
+    assert str(path) in message(tables.read_positions, path)
+
+
+def test_a_quote_within_a_cell_is_part_of_it(tmp_path):
+    path = csv(tmp_path, 'name,x\nlens of 2" ,1\n')
+    assert tables.read_columns(path, ("name", "x"), text=("name",))["name"] == ['lens of 2"']

@@ -1,0 +1,220 @@
+"""The dense solution for frames against pinholes worked out by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+from tests.motion import pinholes
+
+from motion.frame_closure import closure
+from sightline.errors import EstimationError, InputError
+from sightline.geometry.surface import Plane
+from sightline.motion.frames.errors import outcome_covariance
+from sightline.motion.frames.hidden import hidden_directions, relative_covariance, without
+from sightline.motion.frames.lens_field import LensField
+from sightline.motion.frames.linear import linearise_frames
+from sightline.motion.frames.noise import FrameNoise, GroundField, learn_noise
+from sightline.motion.frames.solve import FrameUnknowns, solve_frames, time_statics
+from sightline.motion.statics import frame_statics
+
+LAGS = (1, 2, 3)
+PIXEL = 1.0 / pinholes.FOCAL
+SCALE = np.array([PIXEL, PIXEL, 2.0 / (pinholes.SHAPE[1] - 1)])
+
+
+def walk(count: int, seed: int = 1, step: float = 2e-3):
+    return np.cumsum(np.random.default_rng(seed).normal(0.0, step, (count, 3)), axis=0)
+
+
+def test_a_match_moves_with_attitude_and_height_as_in_a_pinhole():
+    angles = np.zeros((3, 3))
+    line = linearise_frames(pinholes.stars(angles), pinholes.cameras(3), Plane(), [])[0]
+    partner = pinholes.stars(angles)[0].measured[:, 0]
+    seen = line.present[:, 0]
+    x = (partner[seen, 1] - (pinholes.SHAPE[1] - 1) / 2) * PIXEL
+    y = (partner[seen, 0] - (pinholes.SHAPE[0] - 1) / 2) * PIXEL
+    # (y, -x, 1) - w x (y, -x, 1), divided by its third component: px per rad of roll, pitch, yaw
+    by_line = -np.stack([x * y, 1 + y * y, x], axis=1) * pinholes.FOCAL
+    by_column = -np.stack([1 + x * x, x * y, -y], axis=1) * pinholes.FOCAL
+    # kept as float32
+    np.testing.assert_allclose(line.by_partner[seen, 0, 0], by_line, rtol=1e-5, atol=1e-3)
+    np.testing.assert_allclose(line.by_partner[seen, 0, 1], by_column, rtol=1e-5, atol=1e-3)
+    # a point h higher is seen f B / H^2 h px further back from a base B further on
+    base = pinholes.SPEED * pinholes.INTERVAL
+    np.testing.assert_allclose(
+        line.by_height[seen, 0, 0], -pinholes.FOCAL * base / pinholes.ALTITUDE**2, rtol=1e-4
+    )
+    np.testing.assert_allclose(line.by_height[seen, 0, 1], 0.0, atol=1e-9)
+
+
+def test_attitudes_of_exact_matches_are_found_exactly():
+    truth = walk(4)
+    unknowns = FrameUnknowns(pinholes.cameras(4), ())
+    found = solve_frames(pinholes.stars(truth), unknowns, Plane(), FrameNoise.start(LAGS))
+    # the prior of 0.1 rad holds the badly seen constants back by (sigma / 0.1)^2 of themselves, some 1e-7 rad
+    np.testing.assert_allclose(found.angles, truth, atol=1e-6)
+
+
+def test_a_wrong_focal_length_and_wrong_times_are_found_with_the_attitudes():
+    truth = walk(5, seed=3)
+    nominal = pinholes.cameras(5, focal=1.02 * pinholes.FOCAL)
+    names = [f"f{k}" for k in range(5)]
+    statics = time_statics(names, [1e-4] * 5) + frame_statics(names, focal_length_sigma_px=100.0)
+    found = solve_frames(
+        pinholes.stars(truth),
+        FrameUnknowns(nominal, tuple(statics)),
+        Plane(),
+        FrameNoise.start(LAGS),
+        steps=8,
+    )
+    error = nominal[0].detector.focal_length_px + found.x[-1] - pinholes.FOCAL
+    sigma = float(np.sqrt(found.covariance[-1, -1]))
+    assert sigma < 0.2 * 0.02 * pinholes.FOCAL  # it was 2 % off
+    assert abs(error) < 0.3 * sigma  # matches without noise: only the prior pulls
+
+
+def test_the_covariance_is_that_of_everything_that_errs_carried_through_the_estimate():
+    names = [f"f{k}" for k in range(4)]
+    statics = frame_statics(names, focal_length_sigma_px=50.0, distortion_sigma=(0.1,))
+    field = LensField(pinholes.SHAPE, 0.05, 120.0)
+    unknowns = FrameUnknowns(pinholes.cameras(4), tuple(statics), field)
+    relief = (GroundField(100.0, 300.0, 30e3, 50.0, 6e3), GroundField(0.0, 30.0, 30e3, 10.0, 6e3))
+    noise = FrameNoise.start(LAGS, relief)
+    found = solve_frames(pinholes.stars(walk(4)), unknowns, Plane(), noise, steps=2)
+    carried = outcome_covariance(
+        found.influence, noise, found.ground, np.linalg.inv(unknowns.prior_precision())
+    )
+    sigma = np.sqrt(np.diag(found.covariance))
+    np.testing.assert_allclose(
+        carried / np.outer(sigma, sigma), found.covariance / np.outer(sigma, sigma), atol=1e-6
+    )
+
+
+def normalised_square(error, covariance) -> tuple[float, int]:
+    """Error (n, 3) against its covariance (3n, 3n), in the directions that have one."""
+    values, vectors = np.linalg.eigh(covariance)
+    seen = values > 1e-9 * values.max()
+    return float(((vectors.T @ error.ravel())[seen] ** 2 / values[seen]).sum()), int(seen.sum())
+
+
+def test_errors_are_as_large_as_the_covariance_says():
+    rng, truth = np.random.default_rng(5), walk(4, seed=2)
+    unknowns = FrameUnknowns(pinholes.cameras(4), ())
+    total, degrees = 0.0, 0
+    for _ in range(40):
+        found = solve_frames(
+            pinholes.stars(truth, rng=rng), unknowns, Plane(), FrameNoise.start(LAGS), truth.ravel(), steps=2
+        )
+        directions, _ = hidden_directions(found.angle_covariance, np.arange(4.0), SCALE)
+        left = relative_covariance(found.angle_covariance, directions, SCALE)
+        error = without(found.angles - truth, directions, SCALE)
+        square, number = normalised_square(
+            error / SCALE, left / np.outer(np.tile(SCALE, 4), np.tile(SCALE, 4))
+        )
+        total, degrees = total + square, degrees + number
+    # the covariance also owns the bias floor of a real matcher, which exact matches do not have
+    low, high = chi2.ppf([1e-4, 1 - 1e-4], degrees)
+    assert 0.5 * low < total < high
+
+
+def test_unknown_terrain_is_owned_by_the_sigma_and_found_by_the_heights():
+    truth = walk(4, seed=4)
+    phase = np.random.default_rng(8).uniform(0, 2 * np.pi, (6, 2))
+    waves = 2 * np.pi / np.geomspace(30e3, 120e3, 6)
+
+    def terrain(points):
+        return 200.0 * sum(np.sin(w * points + p).prod(axis=1) for w, p in zip(waves, phase, strict=True))
+
+    unknowns = FrameUnknowns(pinholes.cameras(4), ())
+    matches = pinholes.stars(truth, height=terrain)
+    relief = (GroundField(300.0, 300.0, 30e3, 20.0, 6e3), GroundField(0.0, 1.0, 30e3, 1.0, 6e3))
+    flat = solve_frames(matches, unknowns, Plane(), FrameNoise.start(LAGS))
+    owned = solve_frames(matches, unknowns, Plane(), FrameNoise.start(LAGS, relief))
+    pitch = slice(1, None, 3)
+    assert np.diag(owned.angle_covariance)[pitch].sum() > np.diag(flat.angle_covariance)[pitch].sum()
+    true = terrain(owned.ground[:, [1, 0]])
+    seen = owned.fields[0].precision > 0
+    # up to what attitude and terrain share: offset and slopes
+    basis = np.column_stack([np.ones(seen.sum()), owned.ground[seen][:, :2]])
+    left = [
+        v - basis @ np.linalg.lstsq(basis, v, rcond=None)[0]
+        for v in (true[seen], owned.fields[0].value[seen])
+    ]
+    assert np.corrcoef(*left)[0, 1] > 0.95
+
+
+def test_pairs_of_one_lag_agree_with_chains_of_another_within_their_sigmas():
+    rng, truth = np.random.default_rng(11), walk(6, seed=6)
+    names = [f"f{k}" for k in range(6)]
+    unknowns = FrameUnknowns(pinholes.cameras(6), tuple(frame_statics(names, focal_length_sigma_px=20.0)))
+    total, degrees = 0.0, 0
+    for _ in range(12):
+        matches = pinholes.stars(truth, lags=(1, 3), rng=rng)
+        found = solve_frames(matches, unknowns, Plane(), FrameNoise.start((1, 3)), steps=4)
+        compared = closure(matches, found, Plane(), 3)
+        square, number = normalised_square(compared.difference, compared.covariance)
+        total, degrees = total + square, degrees + number
+    low, high = chi2.ppf([1e-4, 1 - 1e-4], degrees)
+    assert 0.5 * low < total < high  # the bias floor again
+    with pytest.raises(InputError, match="no pairs of frames at lag 2"):
+        closure(matches, found, Plane(), 2)
+
+
+def test_the_error_model_is_learned_from_the_residuals():
+    truth = walk(6, seed=7)
+    matches = pinholes.stars(truth, sigma=0.03, rng=np.random.default_rng(0))
+    claimed = [
+        star.__class__(**{**vars(star), "covariance_px": star.covariance_px / 4.0}) for star in matches
+    ]
+    found = solve_frames(claimed, FrameUnknowns(pinholes.cameras(6), ()), Plane(), FrameNoise.start(LAGS))
+    none = [np.zeros(len(star.pixels)) for star in claimed]
+    learned = learn_noise(found.stars, found.clean_px, none, LAGS, found.noise)
+    # sigmas were claimed half as large as they are; the hub's noise is half of every error. About 150 windows
+    # x 2 components x 5 hubs at lag 1: 3 % of a variance; at lag 3 fewer than half
+    np.testing.assert_allclose(np.diag(learned.gamma), 4.0, rtol=0.2)
+    assert learned.shared == pytest.approx(2.0, rel=0.2)
+
+
+def test_lags_that_are_hardly_seen_take_the_level_of_the_others():
+    matches = [part for star in pinholes.stars(walk(6), rng=np.random.default_rng(2)) if (part := star)]
+    few = [star.with_weight(np.where(np.array(star.lags) == 3, 0.0, 1.0) * star.weight) for star in matches]
+    found = solve_frames(
+        few, FrameUnknowns(pinholes.cameras(6), ()), Plane(), FrameNoise.start(LAGS, scale=10.0)
+    )
+    none = [np.zeros(len(star.pixels)) for star in few]
+    learned = learn_noise(found.stars, found.clean_px, none, LAGS, found.noise)
+    assert learned.gamma[2, 2] == pytest.approx(np.diag(learned.gamma)[:2].max(), rel=0.05)
+    assert np.linalg.eigvalsh(learned.gamma).min() > 0
+
+
+def test_constants_are_hidden_and_a_drift_only_where_its_sigma_stands_out():
+    n = 6
+    u = np.linspace(-1.0, 1.0, n)
+    covariance = (0.01 * PIXEL) ** 2 * np.eye(3 * n)
+    directions, names = hidden_directions(covariance, u, SCALE)
+    assert names == ("constant of roll", "constant of pitch", "constant of yaw")
+    loose = np.zeros((n, 3))
+    loose[:, 1] = PIXEL * u
+    directions, names = hidden_directions(covariance + np.outer(loose.ravel(), loose.ravel()), u, SCALE)
+    assert names[-1] == "drift of pitch"
+    left = relative_covariance(covariance + np.outer(loose.ravel(), loose.ravel()), directions, SCALE)
+    assert np.sqrt(np.diag(left)).max() < 0.011 * PIXEL
+    np.testing.assert_allclose(without(loose, directions, SCALE), 0.0, atol=1e-12)
+
+
+def test_a_lens_field_passes_through_its_nodes_and_learns_its_size():
+    field = LensField((200, 300), 0.1, 60.0)
+    np.testing.assert_allclose(field.weights(field.nodes), np.eye(len(field.nodes)), atol=1e-5)
+    half = len(field.nodes)
+    law = np.linalg.inv(field.prior_precision()[:half, :half])
+    draw = np.linalg.cholesky(law + 1e-12 * np.eye(half)) @ np.random.default_rng(3).normal(size=(half, 2))
+    learned = field.learned(3.0 * draw.T.ravel(), np.zeros((field.size, field.size)))
+    # the mean square of 2 x half numbers scatters by 1 / sqrt(half)
+    assert learned.sigma_px == pytest.approx(0.3, rel=2.0 / np.sqrt(half))
+
+
+def test_no_match_at_all_is_an_error_that_says_what_to_check():
+    empty = [star.with_weight(np.zeros_like(star.weight)) for star in pinholes.stars(walk(3))]
+    with pytest.raises(EstimationError, match="check overlap, mount and times"):
+        solve_frames(empty, FrameUnknowns(pinholes.cameras(3), ()), Plane(), FrameNoise.start(LAGS))

@@ -1,0 +1,220 @@
+"""Errors of matching learned from their scatter, against drawn errors of known covariance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from motion.strips import plain_star
+from sightline.motion.measure.match_noise import estimate_correlation, robust_weights, row_weights, scatter
+from sightline.motion.measure.observations import Star, shared_image_correlation
+
+SIGMA = 0.05
+
+
+def drawn(star: Star, seed: int, correlation: np.ndarray | None = None) -> np.ndarray:
+    """Independent errors of every window, (G, K, 2) px, of the covariance between pairs that is given."""
+    rng = np.random.default_rng(seed)
+    g, pairs = star.t.shape
+    factor = np.linalg.cholesky(np.eye(2 * pairs) if correlation is None else correlation)
+    return SIGMA * (rng.standard_normal((g, 2 * pairs)) @ factor.T).reshape(g, pairs, 2)
+
+
+def row_motion(star: Star, seed: int, size: float = 1.0) -> np.ndarray:
+    """A shift and a tilt of each row, pair and axis, (G, K, 2) px."""
+    rows, blocks = star.shape
+    rng = np.random.default_rng(seed)
+    shift, tilt = size * rng.standard_normal((2, rows, 1, star.t.shape[1], 2))
+    return (shift + tilt * star.field.reshape(rows, blocks, 1, 1)).reshape(*star.t.shape, 2)
+
+
+class TestScatter:
+    def test_shift_and_tilt_of_a_row_leave_no_scatter(self):
+        star = plain_star(30, 7, 2, SIGMA)
+        z, degrees = scatter(star, row_motion(star, 0))
+        assert np.abs(z).max() < 1e-9
+        assert_allclose(degrees, 5.0)
+
+    def test_what_is_left_is_that_of_a_line_fitted_to_the_windows_that_are_there(self):
+        star = plain_star(12, 9, 2, SIGMA)
+        residual = drawn(star, 1)
+        residual[3::8, 0] = np.nan
+        star = replace(star, residual_px=residual)
+        z, degrees = scatter(star, residual + row_motion(star, 2))
+        x, table = star.field[:9], residual.reshape(12, 9, 4) / SIGMA
+        for row in range(12):
+            for c in range(4):
+                y = table[row, :, c]
+                there = np.isfinite(y)
+                left = y[there] - np.polyval(np.polyfit(x[there], y[there], 1), x[there])
+                assert_allclose(z[row, there, c], left, atol=1e-9)
+                assert np.isnan(z[row, ~there, c]).all()
+                assert degrees[row, c] == there.sum() - 2
+
+    def test_matches_without_weight_are_absent(self):
+        star = plain_star(10, 6, 1, SIGMA)
+        weight = np.ones((60, 1))
+        weight[::6] = 0.0
+        post = drawn(star, 3)
+        post[::6] = 1e3
+        z, degrees = scatter(star.with_weight(weight), post)
+        assert np.isnan(z[:, 0]).all() and np.abs(z[:, 1:]).max() < 5.0
+        assert_allclose(degrees, 3.0)
+
+    def test_rows_of_too_few_windows_say_nothing(self):
+        star = plain_star(10, 3, 1, SIGMA)
+        z, degrees = scatter(star, drawn(star, 4))
+        assert np.isnan(z).all() and not degrees.any()
+
+
+class TestCorrelation:
+    # hub's share of the error 0.7, of the two partners 0.3 and 0.5: pair variances 1.0 and 1.2
+    TRUE = np.kron(np.array([[1.0, 0.7], [0.7, 1.2]]), np.eye(2))
+
+    def test_the_error_that_pairs_share_is_found(self):
+        star = plain_star(1500, 16, 2, SIGMA)
+        post = drawn(star, 5, self.TRUE) + row_motion(star, 6)
+        got = estimate_correlation(star, post)
+        # 1500 * 14 = 21000 free squares; the plain variance scatters by sqrt(2 / n), each of up to eight rows
+        # on either side that are added by 2 / sqrt(n): below sqrt(2 + 8 * 4) / sqrt(n) = 0.04; four of these
+        assert_allclose(got, self.TRUE, atol=0.16)
+        assert_allclose(got, got.T)
+
+    def test_errors_that_last_from_row_to_row_count_with_all_their_sum(self):
+        star = plain_star(1500, 16, 1, SIGMA)
+        fresh = drawn(star, 7).reshape(1500, 16, 1, 2)
+        lasting = (fresh[1:] + fresh[:-1]) / np.sqrt(2)
+        lasting = np.concatenate([fresh[:1], lasting]).reshape(-1, 1, 2)
+        # correlation 1/2 with the row before and the row after: the mean of many rows has twice the variance
+        got = estimate_correlation(star, lasting)
+        # twice the scatter of independent rows at the most, 0.04 (above) times 2; four of these
+        assert_allclose(got, 2 * np.eye(2), atol=0.32)
+
+    def test_errors_that_neighbouring_windows_share_count_as_the_mean_of_the_row_feels_them(self):
+        star = plain_star(1500, 10, 1, SIGMA)
+        fresh = SIGMA * np.random.default_rng(31).standard_normal((1500, 11, 1, 2))
+        shared = (fresh[:, 1:] + fresh[:, :-1]) / np.sqrt(2)
+        # correlation 1/2 between neighbours: the mean of ten has 1 + 2 * 0.5 * 0.9 = 1.9 times the variance
+        # of independent ones. Of 1667 runs of nine rows the fit errs by 2 / sqrt(1667) = 5 %; four of these
+        got = estimate_correlation(star, shared.reshape(-1, 1, 2))
+        assert_allclose(np.diag(got), 1.9, rtol=0.2)
+        own = estimate_correlation(star, drawn(star, 32))
+        assert_allclose(own, np.eye(2), atol=0.16)
+
+    def test_a_matcher_that_claims_too_little_is_corrected(self):
+        star = plain_star(1500, 16, 1, SIGMA / 2)
+        # errors of twice the claimed sigma; scatter 0.04 (above) of a variance of 4, four of these
+        assert_allclose(estimate_correlation(star, drawn(star, 8)), 4 * np.eye(2), atol=4 * 4 * 0.04)
+
+    def test_too_few_windows_leave_the_start_value(self):
+        star = plain_star(20, 5, 2, SIGMA)
+        assert_allclose(estimate_correlation(star, drawn(star, 9)), shared_image_correlation(2))
+
+    def test_a_pair_without_any_match_leaves_the_start_value(self):
+        star = plain_star(400, 8, 2, SIGMA)
+        residuals = drawn(star, 9)
+        residuals[:, 1] = np.nan
+        nothing = star.with_weight(star.weight * [1.0, 0.0])
+        assert_allclose(estimate_correlation(nothing, residuals), shared_image_correlation(2))
+
+    def test_the_result_is_a_covariance_even_of_errors_that_are_the_same_in_both_pairs(self):
+        star = plain_star(400, 8, 2, SIGMA)
+        one = drawn(star, 10)[:, :1]
+        got = estimate_correlation(star, np.concatenate([one, one], axis=1))
+        assert np.linalg.eigvalsh(got).min() > 0.0
+
+
+class TestRobustWeights:
+    ROWS, BLOCKS = 60, 12
+
+    def star(self, pairs: int = 1) -> Star:
+        return plain_star(self.ROWS, self.BLOCKS, pairs, SIGMA)
+
+    def weights(self, post: np.ndarray) -> np.ndarray:
+        return robust_weights(self.star(post.shape[1]), post).reshape(self.ROWS, self.BLOCKS, -1)
+
+    def test_errors_of_the_expected_size_keep_their_weight(self):
+        got = self.weights(drawn(self.star(2), 11))
+        # beyond 3 sigmas of two Gaussian components lies exp(-9/2) = 1.1 %; tests by row and neighbourhood
+        # may cost as much again each
+        assert (got < 1.0).mean() < 0.035
+        assert (got == 0.0).mean() < 0.01
+
+    def test_a_jump_that_a_whole_row_shares_is_motion_and_stays(self):
+        post = drawn(self.star(), 13).reshape(self.ROWS, self.BLOCKS, 2)
+        # two sigmas of a single window: eight of the mean of a row, seen by every window of it alike
+        post[30] += 2 * SIGMA
+        got = self.weights(post.reshape(-1, 1, 2))[30, :, 0]
+        assert (got > 0.0).mean() > 0.9
+
+    def test_one_mismatch_is_thrown_out_alone(self):
+        post = drawn(self.star(), 14).reshape(self.ROWS, self.BLOCKS, 2)
+        calm = self.weights(post.reshape(-1, 1, 2).copy())[..., 0]
+        post[30, 5] += 20 * SIGMA
+        got = self.weights(post.reshape(-1, 1, 2))[..., 0]
+        assert got[30, 5] == 0.0
+        around = got[29:32, 4:7].copy()
+        around[1, 1] = calm[30, 5] = 1.0
+        assert (around > 0.0).sum() >= (calm[29:32, 4:7] > 0.0).sum()
+
+    def test_weight_falls_between_what_is_usual_and_what_is_impossible(self):
+        post = np.zeros((self.ROWS * self.BLOCKS, 1, 2))
+        post[::5, 0] = SIGMA * 0.7
+        star = plain_star(self.ROWS, 3, 1, SIGMA)
+        post = post[: self.ROWS * 3]
+        post[10, 0], post[100, 0] = (4.0 * SIGMA, 0.0), (9.0 * SIGMA, 0.0)
+        got = robust_weights(star, post)[:, 0]
+        assert 0.0 < got[10] < 1.0 and got[100] == 0.0
+        assert (np.delete(got, [10, 100]) == 1.0).all()
+
+    def test_absent_matches_have_no_weight(self):
+        post = drawn(self.star(2), 15)
+        post[:50, 0] = np.nan
+        got = robust_weights(self.star(2), post)
+        assert not got[:50, 0].any() and (got[:50, 1] > 0).mean() > 0.9
+
+    def test_a_pair_that_matched_nowhere_has_no_weight(self):
+        post = drawn(self.star(2), 16)
+        post[:, 1] = np.nan
+        got = robust_weights(self.star(2), post)
+        assert not got[:, 1].any() and got[:, 0].any()
+
+
+class TestRowWeights:
+    def test_a_stretch_of_rows_that_scatters_three_times_as_much_counts_a_ninth(self):
+        star = plain_star(300, 20, 2, SIGMA)
+        post = drawn(star, 17).reshape(300, 20, 2, 2)
+        post[100:160, :, 1] *= 3.0
+        got = row_weights(star, post.reshape(-1, 2, 2)).reshape(300, 20, 2)
+        assert (got == got[:, :1]).all()
+        # thirteen rows of 20 windows and two components: 470 squares, a scatter of 6.5 % of the variance
+        inside, outside = got[115:145, 0, 1], np.concatenate([got[:80, 0, 1], got[180:, 0, 1]])
+        assert_allclose(inside, 1 / 9, rtol=4 * 0.065)
+        assert outside.min() > 1 - 4 * 0.065 and np.median(outside) > 0.93
+        assert got[..., 0].min() > 1 - 4 * 0.065
+
+    def test_motion_of_the_rows_is_no_scatter(self):
+        star = plain_star(100, 10, 1, SIGMA)
+        post = drawn(star, 18)
+        moved = post + row_motion(star, 19) * (np.arange(1000) < 500)[:, None, None]
+        assert_allclose(row_weights(star, moved), row_weights(star, post), rtol=1e-6)
+
+    def test_no_row_counts_for_more_than_it_claims(self):
+        star = plain_star(100, 10, 1, SIGMA)
+        assert row_weights(star, 0.1 * drawn(star, 20)).max() <= 1.0
+
+    @pytest.mark.parametrize("blocks", [1, 3])
+    def test_rows_too_narrow_to_judge_keep_their_weight(self, blocks):
+        star = plain_star(50, blocks, 1, SIGMA)
+        assert_allclose(row_weights(star, drawn(star, 21)), 1.0)
+
+
+def test_the_start_value_is_the_correlation_of_differences_that_share_an_image():
+    rng = np.random.default_rng(1)
+    hub, *partners = rng.standard_normal((4, 2, 40_000))  # errors of four images, two axes
+    differences = np.concatenate([partner - hub for partner in partners])
+    # correlations of 40 000 draws scatter by 0.005
+    assert_allclose(np.corrcoef(differences), shared_image_correlation(3), atol=0.025)

@@ -1,0 +1,59 @@
+"""Sensitivities of whole grids against hand geometry at every window, sampled or not."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.testing import assert_allclose
+
+from motion.strips import ALTITUDE, IFOV, PERIOD, moved_by_turn, sampled_motion, strip_cameras
+from sightline.geometry.surface import Plane
+from sightline.motion.measure.sampled_sensitivities import sampled_sensitivities
+from sightline.motion.measure.windows import window_grid
+from sightline.motion.statics import band_statics
+
+AHEAD = (120.0, -80.0)
+GRID = window_grid((600, 320), (10, 20), 30)
+
+
+def test_every_window_between_the_samples_has_the_sensitivity_of_its_place():
+    cameras = strip_cameras(AHEAD)
+    statics = band_statics(["first", "second"], [0.0, 1.0], [0.0, 0.0])
+    seen = GRID.centres[:, 0] + 200 < 590
+    got = sampled_sensitivities(cameras, 0, 1, Plane(), GRID, seen, statics)
+    assert got.shape == (len(GRID.centres), 2, 9) and got.dtype == np.float32
+    # 0.1 px/rad of the finite differences (see test_predict); float32 of values up to 2e5 px/rad adds 0.01
+    assert_allclose(got[..., 0:3], -moved_by_turn(GRID.centres, AHEAD[0]), atol=0.12)
+    assert_allclose(got[..., 3:6], moved_by_turn(GRID.centres, AHEAD[1]), atol=0.12)
+    height = np.tile([-(AHEAD[0] - AHEAD[1]) / ALTITUDE, 0.0], (len(got), 1))
+    assert_allclose(got[..., 6], height, atol=1e-7)
+    assert_allclose(got[..., 7:], np.tile(-np.eye(2), (len(got), 1, 1)), atol=1e-5)
+
+
+def test_every_row_has_the_sensitivity_of_its_own_motion():
+    # Angles are one rotation vector: a roll added to a yaw of y turns the body about an axis y / 2 to the
+    # right of north. It lifts the ground to the left of that axis, a partner that has yawed by y' by then has
+    # y' - y / 2 of "left" behind it, and sees it sin(y' - y / 2) / ifov lines earlier. With a yaw of c t^2
+    # every row has its own.
+    growth, lag = 0.3, 200 * PERIOD
+    cameras = strip_cameras(AHEAD, motion=sampled_motion(yaw=lambda t: growth * t**2))
+    grid = window_grid((380, 320), (10, 100), 40)
+    got = sampled_sensitivities(cameras, 0, 1, Plane(), grid, np.ones(len(grid.centres), bool), [])
+    t = grid.centres[:, 0] * PERIOD
+    turned = growth * ((t + lag) ** 2 - t**2 / 2)
+    # while the partner waits, the body yaws by 2 c t < 0.18 rad/s at a field of 8e-4, against V / H =
+    # 0.01 / s: 1.5 %; another 1 % allows for the lag itself, which yaw and look ahead change
+    assert_allclose(got[:, 0, 0], -np.sin(turned) / IFOV, rtol=0.025)
+    assert turned.max() > 3 * turned.min()
+
+
+def test_rows_whose_partner_is_not_seen_take_the_nearest_row_that_is():
+    cameras = strip_cameras(AHEAD)
+    seen = (GRID.centres[:, 0] > 100) & (GRID.centres[:, 0] < 300)
+    got = sampled_sensitivities(cameras, 0, 1, Plane(), GRID, seen, [])
+    assert_allclose(got[..., 3:6], moved_by_turn(GRID.centres, AHEAD[1]), atol=0.12)
+
+
+def test_a_partner_that_sees_nothing_has_no_sensitivity():
+    cameras = strip_cameras(AHEAD)
+    got = sampled_sensitivities(cameras, 0, 1, Plane(), GRID, np.zeros(len(GRID.centres), bool), [])
+    assert got.shape == (len(GRID.centres), 2, 7) and not got.any()

@@ -1,0 +1,252 @@
+"""Stars of matched windows, on strips whose images are Fourier-shifted textures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from matching.fourier_textures import shifted_pair
+from motion.strips import PERIOD, plain_star, strip_cameras
+from sightline.geometry.surface import Plane
+from sightline.imaging.source import ArrayImage
+from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTLIER, OUTSIDE
+from sightline.motion.measure.stars import (
+    END,
+    MatchingPlan,
+    StarRecord,
+    found_wrong,
+    hub_windows,
+    laid_on,
+    match_star,
+    pair_whitening,
+)
+from sightline.motion.measure.windows import window_grid
+from sightline.motion.statics import band_statics
+
+SHAPE, AHEAD = (240, 320), (40.0, 0.0)
+#: What the images are shifted by beyond what the cameras know, (line, column) px.
+UNKNOWN = np.array([0.31, -0.22])
+PLAN = MatchingPlan((10, 100), 10)
+SEARCH = MatchingPlan((10, 100), 10, (8, 8))
+
+
+@pytest.fixture(scope="module")
+def images():
+    shift = (AHEAD[0] + UNKNOWN[0], UNKNOWN[1])
+    return [ArrayImage(image) for image in shifted_pair(SHAPE, shift, snr=150.0, seed=1)]
+
+
+@pytest.fixture(scope="module")
+def cameras():
+    return strip_cameras(AHEAD, *SHAPE)
+
+
+@pytest.fixture(scope="module")
+def record(images, cameras):
+    statics = band_statics(["first", "second"], [0.0, 1.0], [0.0, 0.0])
+    grid = window_grid(SHAPE, PLAN.window, PLAN.step)
+    return match_star(images, cameras, Plane(), 0, (1,), grid, statics, PLAN)
+
+
+class TestHubs:
+    def test_the_first_image_serves_all_it_sees_and_later_ones_only_ground_that_is_new(self):
+        cameras = strip_cameras((100.0, 0.0, -50.0))
+        hubs = hub_windows(cameras, Plane(), [(600, 320)] * 3, (0, 1, 2), SEARCH)
+        assert [(hub, partners) for hub, partners, _ in hubs] == [(0, (1, 2)), (1, (2,))]
+        (_, _, first), (_, _, second) = hubs
+        assert len(first.lines) == 60
+        # image 1 sees line p of image 0 at p + 100: its lines before 100 (less half a window, 5) are new
+        assert_allclose(second.lines, np.arange(4.5, 105.0, 10.0))
+
+    def test_a_hub_that_sees_nothing_new_is_left_out(self):
+        first, second, third = strip_cameras((0.0, 0.0, -50.0))
+        # the second image stops 100 lines after it began, 100 lines into the first
+        late = replace(second, first_line_time=100 * PERIOD, lines=100)
+        hubs = hub_windows(
+            [first, late, third], Plane(), [(600, 320), (100, 320), (600, 320)], (0, 1, 2), SEARCH
+        )
+        assert [hub for hub, _, _ in hubs] == [0]
+
+    def test_the_ends_of_later_images_are_cut_from_them_and_found_in_the_first(self):
+        cameras = strip_cameras((100.0, 0.0, -50.0))
+        dense = MatchingPlan((4, 100), 4)
+        ends = {
+            (hub, partners): grid.lines
+            for hub, partners, grid in hub_windows(cameras, Plane(), [(600, 320)] * 3, (0, 1, 2), dense)
+            if partners[0] < hub
+        }
+        assert sorted(ends) == [
+            (1, (0,)),
+            (2, (0,)),
+        ]  # in the first only: the others' pairs are among its own
+        # windows of another hub are found from line 8 to 591: rows of four lines fill what is left
+        for lines in ends.values():
+            assert_allclose(lines, [1.5, 5.5, 593.5, 597.5])
+
+
+class TestMatchStar:
+    def test_the_residual_is_what_the_cameras_do_not_know(self, record):
+        star = record.star
+        kept = star.present[:, 0]
+        assert kept.sum() >= 50
+        error = star.residual_px[kept, 0] - UNKNOWN
+        covariance = star.covariance_px[kept, 0]
+        squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
+        # 2 per match on average, give or take sqrt(4 / n); the matcher's sigma is true to 15 %, its variance
+        # to 30 %
+        n = kept.sum()
+        assert 2 * 0.7 - 4 * np.sqrt(4 / n) < squares.mean() < 2 * 1.3 + 4 * np.sqrt(4 / n)
+        # kernel and matcher may be off by a hundredth of a pixel together
+        sigma = np.sqrt(np.einsum("nii->ni", covariance).mean(axis=0) / n)
+        assert np.all(np.abs(error.mean(axis=0)) < 0.01 + 4 * sigma)
+
+    def test_windows_beyond_the_partner_are_outside_and_have_no_residual(self, record):
+        line = record.star.pixels[:, 0]
+        beyond = line + AHEAD[0] + 4.5 > SHAPE[0] - 1
+        assert beyond.any() and (record.status[beyond, 0] == OUTSIDE).all()
+        assert np.isnan(record.star.residual_px[beyond]).all()
+        assert (record.status[~beyond, 0] == KEPT).mean() > 0.9
+
+    def test_times_places_and_length_are_those_of_the_windows(self, record):
+        star = record.star
+        line, column = star.pixels.T
+        assert star.shape == (24, 3)
+        assert_allclose(star.t_hub, line * PERIOD, atol=1e-12)
+        seen = np.isfinite(star.t[:, 0])
+        assert_allclose(star.t[seen, 0], (line[seen] + AHEAD[0]) * PERIOD, atol=1e-9)
+        assert_allclose(star.field, (column - 159.5) / 159.5)
+        # ten lines have the variance of a boxcar of sqrt(10^2 - 1) lines
+        assert_allclose(star.duration, np.sqrt(99) * PERIOD, rtol=1e-9)
+
+    def test_sensitivities_come_apart_into_hub_partner_static_and_height(self, record):
+        star = record.star
+        kept = star.present[:, 0]
+        # opposite turns of hub and partner cancel but for their different looks ahead (40 px of yaw)
+        both = star.by_hub[kept, 0].astype(float) + star.by_partner[kept, 0]
+        assert_allclose(both[:, 0, 1], 0.0, atol=0.5)
+        assert_allclose(both[:, 1, 2], -40.0, atol=0.5)
+        assert_allclose(star.by_static[kept, 0], np.tile(-np.eye(2), (kept.sum(), 1, 1)), atol=1e-5)
+        assert_allclose(star.by_height[kept, 0, 0], -40.0 / 680e3, rtol=1e-3)
+
+    def test_a_search_finds_what_lies_pixels_away(self, images):
+        # the first camera claims to look 5 px further ahead than it does
+        wrong = strip_cameras((AHEAD[0] + 5.0, 0.0), *SHAPE)
+        grid = window_grid(SHAPE, PLAN.window, 40)
+        plan = MatchingPlan(PLAN.window, 40, (8, 8))
+        star = match_star(images, wrong, Plane(), 0, (1,), grid, [], plan).star
+        found = star.residual_px[star.present[:, 0], 0]
+        assert len(found) >= 9
+        assert_allclose(np.median(found, axis=0), UNKNOWN - [5.0, 0.0], atol=0.03)
+
+    def test_windows_at_the_very_end_of_an_image_match_where_those_of_another_do_not(self, images, cameras):
+        # line l of image 0 is line l + 40 of image 1: windows on the last lines of each
+        star = match_star(
+            images, cameras, Plane(), 0, (1,), window_grid(SHAPE, (4, 100), 4), (), MatchingPlan((4, 100), 4)
+        ).star
+        assert star.t[star.present[:, 0], 0].max() <= (SHAPE[0] - 1 - END) * PERIOD
+        _, (_, _, grid) = hub_windows(cameras, Plane(), [SHAPE] * 2, (0, 1), MatchingPlan((4, 100), 4))
+        end = match_star(images, cameras, Plane(), 1, (0,), grid, (), MatchingPlan((4, 100), 4)).star
+        assert end.t_hub[end.present[:, 0]].max() == pytest.approx((SHAPE[0] - 2.5) * PERIOD)
+        error = end.residual_px[end.present[:, 0], 0] + UNKNOWN
+        covariance = end.covariance_px[end.present[:, 0], 0]
+        squares = np.einsum("ni,nij,nj->n", error, np.linalg.inv(covariance), error)
+        # six windows: 2 each give or take sqrt(4 / 6), the variance true to 30 %
+        assert squares.mean() < 2 * 1.3 + 4 * np.sqrt(4 / 6)
+
+    def test_masked_ground_of_the_partner_is_masked_not_outside(self, images, cameras):
+        mask = np.zeros(SHAPE, bool)
+        mask[100:140] = True
+        partner = ArrayImage(images[1].read((0, SHAPE[0]), (0, SHAPE[1])), mask)
+        grid = window_grid(SHAPE, PLAN.window, PLAN.step)
+        record = match_star([images[0], partner], cameras, Plane(), 0, (1,), grid, [], PLAN)
+        inside = np.abs(record.star.pixels[:, 0] + AHEAD[0] - 119.5) < 14
+        assert inside.any() and (record.status[inside, 0] == MASKED).all()
+
+    def test_a_residual_is_in_pixels_of_the_partner(self):
+        # the partner has lines of half the period: hub line p is its line 2 p + 80, and 0.4 of its pixels
+        # more
+        rng = np.random.default_rng(4)
+        waves = [(rng.uniform(-0.3, 0.3), rng.uniform(-0.3, 0.3), rng.uniform(0, 6.3)) for _ in range(60)]
+
+        def scene(line, column):
+            return sum(np.cos(2 * np.pi * (f * line + g * column) + p) for f, g, p in waves)
+
+        shape = (2 * SHAPE[0], SHAPE[1])
+        line, column = np.mgrid[0.0 : SHAPE[0], 0.0 : SHAPE[1]]
+        hub = scene(line, column) + 0.05 * rng.standard_normal(SHAPE)
+        line, column = np.mgrid[0.0 : shape[0], 0.0 : shape[1]]
+        partner = scene((line - 80.4) / 2, column - 0.25) + 0.05 * rng.standard_normal(shape)
+        first, second = strip_cameras((40.0, 0.0), *SHAPE)
+        second = replace(second, detector=replace(second.detector, line_period=PERIOD / 2), lines=shape[0])
+        grid = window_grid(SHAPE, PLAN.window, 20)
+        pair = [ArrayImage(hub), ArrayImage(partner)]
+        star = match_star(pair, [first, second], Plane(), 0, (1,), grid, [], PLAN).star
+        found = star.residual_px[star.present[:, 0], 0]
+        assert len(found) >= 20
+        assert_allclose(np.median(found, axis=0), [0.4, 0.25], atol=0.03)
+
+
+class TestFoundWrong:
+    GRID = window_grid((40, 400), (10, 100), 10)
+
+    def record(self, status, weight) -> StarRecord:
+        star = plain_star(4, 4, 1)
+        star = replace(star, pixels=self.GRID.centres, weight=np.array(weight, float).reshape(16, 1))
+        return StarRecord(star, np.array(status, np.uint8).reshape(16, 1), np.ones((16, 1)))
+
+    def test_windows_thrown_out_before_are_wrong_and_those_never_matched_are_not(self):
+        status, weight = np.full((4, 4), KEPT), np.ones((4, 4))
+        weight[0, 1] = weight[1, 1] = weight[2, 1] = 0.0
+        status[1, 1], status[2, 1] = OUTLIER, LOW_SCORE
+        wrong = found_wrong(self.record(status, weight), 0, self.GRID, 1).reshape(4, 4)
+        assert np.argwhere(wrong).tolist() == [[0, 1], [1, 1]]
+
+    def test_a_row_that_lost_nearly_all_is_tried_again(self):
+        weight = np.ones((4, 4))
+        weight[2] = 0.0
+        assert not found_wrong(self.record(np.full((4, 4), KEPT), weight), 0, self.GRID, 1).any()
+
+    def test_other_windows_or_another_hub_are_not_compared(self):
+        weight = np.ones((4, 4))
+        weight[0, 0] = 0.0
+        before = self.record(np.full((4, 4), KEPT), weight)
+        assert found_wrong(before, 0, self.GRID, 1).any()
+        other = window_grid((44, 400), (10, 100), 11)
+        for answer in (
+            found_wrong(None, 0, self.GRID, 1),
+            found_wrong(before, 1, self.GRID, 1),
+            found_wrong(before, 0, other, 1),
+            found_wrong(before, 0, self.GRID, 2),
+        ):
+            assert answer.dtype == bool and not answer.any()
+
+    def test_they_are_not_matched_again(self, images, cameras, record):
+        weight = record.star.weight.copy()
+        weight[10] = 0.0
+        before = StarRecord(record.star.with_weight(weight), record.status, record.score)
+        grid = window_grid(SHAPE, PLAN.window, PLAN.step)
+        again = match_star(images, cameras, Plane(), 0, (1,), grid, [], PLAN, before)
+        assert record.star.present[10, 0] and not again.star.present[10, 0]
+        assert again.star.present[[9, 11], 0].all()
+
+
+def test_the_partner_laid_on_the_hub_shows_the_same_picture(images, cameras):
+    laid = laid_on(images, cameras, Plane(), 0, 1)
+    got = laid.read((20, 180), (10, 310))
+    # cameras know 40 lines of the shift by 40.31: what is left is a third of a pixel
+    same = images[0].read((20, 180), (10, 310))
+    raw = images[1].read((20, 180), (10, 310))
+    assert np.corrcoef(got.ravel(), same.ravel())[0, 1] > 0.95
+    assert np.corrcoef(raw.ravel(), same.ravel())[0, 1] < 0.8
+
+
+def test_without_texture_there_is_no_whitening(images, cameras):
+    flat = ArrayImage(np.full(SHAPE, 7.0))
+    grid = window_grid(SHAPE, PLAN.window, PLAN.step).centres
+    assert pair_whitening(flat, laid_on([flat, flat], cameras, Plane(), 0, 1), grid) is None
+    laid = laid_on(images, cameras, Plane(), 0, 1)
+    assert pair_whitening(images[0], laid, grid[grid[:, 0] < 180]) is not None
+    assert pair_whitening(images[0], laid, grid[:0]) is None

@@ -1,0 +1,115 @@
+"""What images cannot give is refused in one sentence: key, value, what is allowed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from motion.strips import ALTITUDE, PERIOD, strip_cameras
+from sightline.errors import EstimationError, InputError
+from sightline.estimation.prior import Spectrum, TabulatedPsd
+from sightline.geometry.surface import Plane
+from sightline.imaging.source import ArrayImage
+from sightline.matching.select import Selection
+from sightline.motion.band import Band
+from sightline.motion.sensors import ControlPoints
+from sightline.motion.strip.checks import checked, farthest_control
+from sightline.motion.strip.hyper import KnownContent
+from sightline.motion.strip.strip import RecoverOptions, prepared
+
+SHAPE = (401, 220)
+
+
+@pytest.fixture(scope="module")
+def strip():
+    cameras = strip_cameras((30.0, 0.0), *SHAPE)
+    image = ArrayImage(np.random.default_rng(0).standard_normal(SHAPE))
+    bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(cameras)]
+    return prepared(bands, Plane(), RecoverOptions())
+
+
+def refused(strip, options=None) -> str:
+    with pytest.raises(InputError) as problem:
+        checked(strip, options or RecoverOptions())
+    return str(problem.value)
+
+
+class TestKnownMotion:
+    # 401 lines, 400 periods of 0.5 ms: 5 Hz to 1000 Hz
+    @pytest.mark.parametrize("tone", [1e-3, 4.9, 0.5 / PERIOD, 5e6])
+    def test_a_tone_that_the_lines_cannot_hold_is_refused(self, strip, tone):
+        said = refused(replace(strip, known=KnownContent((100.0, tone))))
+        assert said.startswith(f"`tones` of [known_motion] holds {tone:g} Hz; allowed are 5 Hz")
+        assert "to below 1000 Hz (half the line rate)" in said
+
+    def test_repeated_tones_are_one(self, strip):
+        known = KnownContent((100.0, 47.0, 100.0, 100.5, 110.0))
+        assert checked(replace(strip, known=known), RecoverOptions()).known.tones == (47.0, 100.0, 110.0)
+
+    def test_a_spectrum_above_what_lines_sample_is_refused(self, strip):
+        low = Spectrum((TabulatedPsd((0.0, 10.0), (1e-12, 1e-12)),))
+        high = Spectrum((TabulatedPsd((900.0, 1e6, 2e6), (0.0, 0.0, 1e-12)),))
+        said = refused(replace(strip, known=KnownContent((), (low, high, low))))
+        assert said.startswith("`psd` of [known_motion] has power of pitch only from 1e+06 Hz; allowed is")
+        checked(replace(strip, known=KnownContent((), (low, low, low))), RecoverOptions())
+
+
+class TestWindows:
+    @pytest.mark.parametrize(
+        ("key", "value"),
+        [
+            ("window", (402, 100)),
+            ("window", (4, 221)),
+            ("first_window", (402, 100)),
+            ("search_px", (8, 10**6)),
+            ("step", 402),
+        ],
+    )
+    def test_sizes_larger_than_the_image_are_refused_by_key(self, strip, key, value):
+        said = refused(strip, RecoverOptions(**{key: value}))
+        given = value if key == "step" else list(value)
+        assert said.startswith(f"`{key}` of [matching] is {given}; the smallest image has 401 lines and 220 ")
+
+    def test_a_detector_too_narrow_for_two_windows_is_told_which_fit(self, strip):
+        narrow = replace(
+            strip, bands=tuple(replace(b, image=ArrayImage(np.zeros((401, 40)))) for b in strip.bands)
+        )
+        with pytest.raises(EstimationError, match=r"band 0 has 40 columns.*first_window = \[10, 20\]"):
+            checked(narrow, RecoverOptions())
+        checked(narrow, RecoverOptions(first_window=(10, 20), window=(4, 20)))
+
+    def test_features_outside_every_image_are_refused(self, strip):
+        features = {0: np.array([[500.0, 10.0], [10.0, -3.0]])}
+        said = refused(strip, RecoverOptions(selection=Selection("listed", features=features)))
+        assert said.startswith("`features` of [matching]: every listed feature lies outside its image")
+        features[1] = np.array([[20.0, 30.0]])
+        checked(strip, RecoverOptions(selection=Selection("listed", features=features)))
+
+
+class TestControlPoints:
+    def points(self, strip, moved, sigma=1.0):
+        pixel = np.array([[80.0, 100.0]])
+        ground = strip.nominal[0].locate(pixel, Plane())
+        return ControlPoints(ground + moved, np.array([sigma]), np.array([0]), pixel)
+
+    def test_a_point_grossly_out_of_place_is_named(self, strip):
+        # seen across the track under about 0.2 rad instead of 0
+        said = refused(replace(strip, control=self.points(strip, [0.2 * ALTITUDE, 0.0, 0.0])))
+        assert said.startswith("control point 1 (")
+        assert "rad from where 'band 0' looked at line 80, column 100; allowed are 0.1 rad" in said
+
+    def test_a_point_in_other_units_is_named(self, strip):
+        said = refused(replace(strip, control=self.points(strip, [1e300, 0.0, 0.0])))
+        assert said.startswith("control point 1 (1e+300")
+
+    def test_a_point_some_hundred_pixels_off_is_an_attitude_not_a_mistake(self, strip):
+        checked(replace(strip, control=self.points(strip, [1e-3 * ALTITUDE, 0.0, 0.0])), RecoverOptions())
+
+    def test_a_refused_match_names_the_point_it_began_from(self, strip):
+        assert farthest_control(strip) == ""
+        said = farthest_control(replace(strip, control=self.points(strip, [1e-3 * ALTITUDE, 0.0, 0.0])))
+        # 1e-3 rad off the straight line down
+        assert said.startswith("; matching began where control points say: control point 1 (")
+        assert "lies 0.001 rad from where 'band 0' looked at line 80, column 100" in said

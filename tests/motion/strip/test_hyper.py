@@ -1,0 +1,293 @@
+"""Rows collapsed to angle differences, and the priors learned from them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from motion.strips import IFOV, plain_star
+from sightline.errors import EstimationError
+from sightline.estimation.prior import Matern, Spectrum, Tone
+from sightline.motion.strip import hyper
+from sightline.motion.strip.hyper import (
+    BROAD,
+    PriorModel,
+    _corners_elsewhere,
+    _own_share,
+    _tones_elsewhere,
+    angle_differences,
+    averaged,
+    fit_prior_model,
+    scalar_series,
+)
+from sightline.motion.strip.joint import JointEstimate, JointPrior
+from sightline.motion.strip.normal_equations import TimeGrid, normal_equations
+
+STEP = 1e-3
+SIGMA = 0.05
+
+
+def estimate_of(star, motion) -> JointEstimate:
+    """An estimate that says `motion(t)` -> (N, 3) rad."""
+    grid = TimeGrid(0.0, STEP, 600)
+    data = normal_equations([star], [star.residual_px], grid, delays=[0.0])
+    spectrum = Spectrum((Matern(1e-5, 0.1, "3/2"),))
+    prior = JointPrior((spectrum.autoregressive(STEP, 4, grid.count),) * 3, np.zeros(0))
+    return JointEstimate(grid, motion(grid.nodes), None, np.zeros(0), np.zeros(0), data, prior)
+
+
+def still(t):
+    return np.zeros((len(t), 3))
+
+
+class TestAveraged:
+    def test_without_length_it_is_the_motion_itself(self):
+        grid = TimeGrid(0.0, STEP, 100)
+        t = np.array([0.0102, 0.0555])
+        # cubics are interpolated exactly
+        assert_allclose(averaged(grid, (grid.nodes**3)[:, None], t, 0.0)[:, 0], t**3, rtol=1e-9)
+
+    def test_a_sine_is_damped_by_the_sinc_of_the_window(self):
+        grid, f, d = TimeGrid(0.0, STEP, 400), 30.0, 0.012
+        t = np.linspace(0.05, 0.35, 31)
+        got = averaged(grid, np.sin(2 * np.pi * f * grid.nodes)[:, None], t, d)[:, 0]
+        want = np.sinc(f * d) * np.sin(2 * np.pi * f * t)
+        # a midpoint rule of p = 14 points or so has (pi f d / p)^2 / 6 of it too much, 0.12 %; cubic
+        # interpolation less than (2 pi f step)^4 * 9 / 384 = 0.19^4 * 9 / 384 = 3e-5
+        assert_allclose(got, want, atol=2e-3)
+        assert np.sinc(f * d) < 0.85
+
+
+class TestDifferences:
+    def test_what_the_estimate_explains_is_added_back(self):
+        star = plain_star(60, 8, 2, SIGMA)
+        rate = np.array([3e-4, -5e-4, 2e-4])
+        found = angle_differences([star], [star.residual_px], estimate_of(star, lambda t: t[:, None] * rate))
+        assert [one.images for one in found] == [(0, 1), (0, 2)]
+        for one, lag in zip(found, (0.02, 0.04), strict=True):
+            assert_allclose(one.lag, lag, atol=1e-12)
+            assert_allclose(one.angles, np.tile(rate * lag, (60, 1)), rtol=1e-9)
+            assert_allclose(one.t, star.t_hub[::8])
+
+    def test_what_is_left_over_is_read_as_a_turn_of_the_partner(self):
+        star = plain_star(60, 8, 1, SIGMA)
+        turn = np.array([2.0, -3.0, 1.5]) * IFOV * np.linspace(-1, 1, 60)[:, None]
+        by = star.by_partner[:, 0].astype(float)
+        post = np.einsum("gca,ga->gc", by, np.repeat(turn, 8, axis=0))[:, None]
+        (found,) = angle_differences([star], [post], estimate_of(star, still))
+        # weak information of 1e2 holds an axis no row sees; yaw has 8 * 0.36 * (800 / 0.05)^2 = 7e8 counts
+        assert_allclose(found.angles, turn, atol=1e-6 * np.abs(turn).max())
+
+    def test_their_covariance_is_that_of_weighted_least_squares(self):
+        star = plain_star(20, 8, 2, SIGMA)
+        weight = np.random.default_rng(0).uniform(0.2, 1.0, star.weight.shape)
+        scale = np.diag([1.3, 1.3, 2.0, 2.0])
+        star = star.with_weight(weight).with_correlation(scale)
+        _, found = angle_differences([star], [star.residual_px], estimate_of(star, still))
+        rows = slice(8 * 5, 8 * 6)
+        j = star.by_partner[rows, 1].astype(float).reshape(-1, 3)
+        w = np.repeat(weight[rows, 1], 2) / (2.0 * SIGMA**2)
+        want = np.linalg.inv(j.T @ (w[:, None] * j))
+        assert_allclose(found.covariance[5], want, rtol=1e-4, atol=1e-6 * want.max())
+
+    def test_windows_without_weight_count_neither_for_the_angle_nor_for_its_time(self):
+        star = plain_star(20, 8, 1, SIGMA)
+        post = np.zeros((*star.t.shape, 2))
+        post[::8] = 100.0
+        weight = np.ones_like(star.weight)
+        weight[::8] = 0.0
+        star = replace(star, t_hub=star.t_hub + 1e-4 * np.tile(np.arange(8.0), 20))
+        (found,) = angle_differences([star.with_weight(weight)], [post], estimate_of(star, still))
+        assert_allclose(found.angles, 0.0, atol=1e-12)
+        assert_allclose(found.t, star.t_hub.reshape(20, 8)[:, 1:].mean(axis=1))
+
+    def test_pairs_of_a_hub_share_the_numbers_of_their_patches_and_hubs_do_not(self):
+        star = plain_star(20, 8, 2, SIGMA)
+        other = replace(plain_star(15, 8, 1, SIGMA), hub=1, images=(2,))
+        posts = [star.residual_px, other.residual_px]
+        first, second, third = angle_differences([star, other], posts, estimate_of(star, still))
+        assert first.patch.tolist() == second.patch.tolist() == list(range(20))
+        assert third.patch.tolist() == list(range(20, 35)) and third.images == (1, 2)
+
+    def test_relief_that_nobody_knows_is_in_their_covariance(self):
+        # 0.01 px of line per metre: a row's mean height of 3 m is pitch, a slope of 2 m at the edge is yaw
+        star = plain_star(20, 8, 1, SIGMA)
+        per_metre = 0.01
+        height = np.zeros_like(star.by_height)
+        height[..., 0] = per_metre
+        star = replace(star, by_height=height)
+        estimate = estimate_of(star, still)
+        (known,) = angle_differences([star], [star.residual_px], estimate)
+        (found,) = angle_differences([star], [star.residual_px], estimate, (3.0, 2.0))
+        grown = found.covariance[4] - known.covariance[4]
+        pitch = (per_metre * 3.0 * IFOV) ** 2
+        yaw = (per_metre * 2.0 / 800.0) ** 2  # the edge is 800 px from the middle
+        assert_allclose(np.diag(grown), [0.0, pitch, yaw], rtol=1e-3, atol=1e-6 * pitch)
+
+    def test_pairs_of_fewer_than_eight_rows_are_left_out(self):
+        star = plain_star(7, 8, 1, SIGMA)
+        assert angle_differences([star], [star.residual_px], estimate_of(star, still)) == []
+
+
+def test_one_axis_of_the_differences_keeps_times_and_variances():
+    star = plain_star(20, 8, 1, SIGMA, duration=0.002)
+    (found,) = angle_differences([star], [star.residual_px], estimate_of(star, still))
+    series = scalar_series(found, 1)
+    assert_allclose(series.variance, found.covariance[:, 1, 1])
+    assert_allclose(series.lag, found.lag)
+    assert series.window == 0.002 and series.images == (0, 1)
+
+
+def test_the_share_of_a_row_s_error_that_is_no_other_angle_s():
+    star = plain_star(20, 8, 1, SIGMA)
+    (found,) = angle_differences([star], [star.residual_px], estimate_of(star, still))
+    mixed = np.array([[1.0, 0.0, 1.8], [0.0, 1.0, 0.0], [1.8, 0.0, 4.0]])
+    # roll and yaw correlate by 0.9: given the other, 0.19 of the variance is left; unseen rows do not count
+    covariance = np.tile(mixed, (20, 1, 1))
+    covariance[:5] = np.diag([np.inf, 1.0, np.inf])
+    assert_allclose(_own_share([replace(found, covariance=covariance)]), [0.19, 1.0, 0.19], rtol=1e-9)
+    blind = np.tile(np.diag([np.inf, 1.0, np.inf]), (20, 1, 1))
+    assert_allclose(_own_share([replace(found, covariance=blind)]), 1.0)
+
+
+class TestPriorModel:
+    def test_pixels_become_angles_and_yaw_counts_at_the_field_edge(self):
+        scaled = BROAD.scaled(5e-6, 8e-4)
+        ratio = [s.sigma / b.sigma for s, b in zip(scaled.spectra, BROAD.spectra, strict=True)]
+        assert_allclose(ratio, [5e-6, 5e-6, 5e-6 / 8e-4])
+
+    def test_a_turn_about_the_line_of_sight_is_no_smaller_than_those_across_it(self):
+        roll = Spectrum((Matern(2e-6, 1.0, "5/2"), Matern(1e-7, 0.01, "3/2")))
+        pitch = Spectrum((Matern(5e-6, 1.0, "5/2"), Matern(1e-7, 0.02, "3/2"), Tone(1e-6, 47.0, 1.0)))
+        unseen = Spectrum((Matern(1e-9, 1.0, "5/2"), Matern(1e-9, 0.01, "3/2")))
+        assert PriorModel((roll, pitch, unseen)).with_turns(0.7).spectra == (roll, pitch, pitch)
+        # an unseen roll stays: shifts of the whole image are seen, or hidden, in any field
+        large = Spectrum((Matern(4e-3, 1.0, "5/2"), Matern(1e-4, 0.01, "3/2")))
+        assert PriorModel((unseen, pitch, large)).with_turns(0.7).spectra == (unseen, pitch, large)
+
+    def test_drifts_are_compared_by_how_far_they_bend_over_the_strip(self):
+        jitter = Matern(1e-7, 0.01, "3/2")
+        # a drift of 4 s bends as sigma / timescale^2: 16 times less than its sigma says
+        roll = Spectrum((Matern(2e-6, 1.0, "5/2"), jitter))
+        pitch = Spectrum((Matern(4e-6, 4.0, "5/2"), jitter))
+        yaw = Spectrum((Matern(3e-6, 4.0, "5/2"), jitter))
+        assert PriorModel((roll, pitch, yaw)).with_turns(0.7).spectra == (roll, pitch, roll)
+        long = PriorModel((roll, pitch, yaw)).with_turns(100.0)
+        assert long.spectra == (roll, pitch, pitch)
+
+    def test_beside_unknown_relief_pitch_drifts_no_less_than_roll(self):
+        jitter, tone = Matern(1e-7, 0.01, "3/2"), Tone(1e-6, 47.0, 1.0)
+        roll = Spectrum((Matern(2e-6, 1.0, "5/2"), jitter))
+        still = Spectrum((Matern(1e-7, 1.0, "5/2"), jitter, tone))
+        found = PriorModel((roll, still, still), (1.0, 2.0, 1.0)).beside_relief(4.0)
+        # its own jitter and tones stay, and yaw, which relief does not imitate alike, is left alone
+        assert found.spectra == (roll, Spectrum((roll.components[0], jitter, tone)), still)
+        assert found.noise_scale == (1.0, 2.0, 1.0)
+        assert PriorModel((still, roll, still)).beside_relief(4.0).spectra == (still, roll, still)
+        # in a strip of 1 s it may be as quick as half of it, and bends as far
+        quick = PriorModel((roll, still, still)).beside_relief(1.0).spectra[1].components[0]
+        assert quick.timescale == 0.5
+        lags = np.array([0.0, 0.5, 1.0])
+        bends = [c.autocovariance(lags) @ [6.0, -8.0, 2.0] for c in (quick, roll.components[0])]
+        assert bends[0] == pytest.approx(bends[1])
+
+    def test_tones_of_one_strip_are_the_same_within_its_resolution(self):
+        drift = (Matern(2e-6, 1.0, "5/2"), Matern(1e-7, 0.01, "3/2"))
+        still = (Matern(1e-9, 1.0, "5/2"), Matern(1e-9, 0.01, "3/2"))
+        pitch, yaw = Spectrum((*drift, Tone(1e-6, 47.0, 1.0))), Spectrum((*still, Tone(1e-7, 48.0, 1.0)))
+        # 1 Hz apart: one mode in a strip of 0.7 s, two in one of 3 s
+        for length, expected in ((0.7, [47.0]), (3.0, [47.0, 48.0])):
+            turns = PriorModel((pitch, pitch, yaw)).with_turns(length).spectra[2]
+            assert [tone.frequency for tone in turns.tones] == expected
+
+    def test_the_corner_of_jitter_below_the_rows_noise_is_that_of_the_axis_that_shows_it(self):
+        def jitter(sigma, timescale):
+            return Spectrum((Matern(1.0, 1.0, "5/2"), Matern(sigma, timescale, "3/2")))
+
+        spectra = [jitter(0.1, 0.001), jitter(0.1, 0.010), jitter(0.1, 0.001)]
+        corner = Matern(0.1, 0.010, "3/2").corner
+        assert _corners_elsewhere(spectra, [0.05, 0.01, np.inf]) == [corner, None, corner]
+        assert _corners_elsewhere(spectra, [0.02, 0.01, 0.02]) == [None, None, None]
+        # nobody shows it
+        assert _corners_elsewhere(spectra, [0.2, 0.2, 0.2]) == [None, None, None]
+
+    def test_tones_of_other_axes_that_an_axis_does_not_have_are_named_once(self):
+        drift = (Matern(1.0, 1.0, "5/2"), Matern(0.1, 0.01, "3/2"))
+        tones = [
+            Spectrum((*drift, *(Tone(0.1, f, 1.0) for f in fs))) for fs in ((47.0, 83.0), (47.6,), (121.0,))
+        ]
+        assert _tones_elsewhere(tones, 0, 2.0) == [121.0]
+        assert _tones_elsewhere(tones, 1, 2.0) == [83.0, 121.0]
+        assert _tones_elsewhere(tones, 2, 2.0) == [47.0, 83.0]
+
+    def test_its_processes_have_the_variance_of_their_spectra(self):
+        spectra = tuple(Spectrum((Matern(s, 0.05, "3/2"),)) for s in (1.0, 2.0, 3.0))
+        grid = TimeGrid(0.0, STEP, 30)
+        for process, spectrum in zip(PriorModel(spectra).processes(grid), spectra, strict=True):
+            ab = process.precision_band()
+            lower = sum(np.diag(ab[d, : 30 - d], -d) for d in range(len(ab)))
+            covariance = np.linalg.inv(lower + np.tril(lower, -1).T)
+            # the nugget, below 1e-6 of the variance, and rounding of an inverse of condition 1e6
+            assert_allclose(np.diag(covariance), spectrum.sigma**2, rtol=1e-4)
+
+    def test_the_strength_of_the_motion_is_learned_from_rows_that_saw_it(self):
+        # roll jitters by 3 px; the whole of it is left over (the estimate says nothing moves)
+        rng = np.random.default_rng(1)
+        star = plain_star(125, 8, 2, SIGMA)
+        truth = Spectrum((Matern(3 * IFOV, 0.02, "3/2"),))
+        t = np.unique(np.concatenate([star.t_hub, star.t.ravel()]).round(9))
+        k = truth.autocovariance(np.abs(np.subtract.outer(t, t)).ravel()).reshape(len(t), len(t))
+        roll = np.linalg.cholesky(k + 1e-10 * k[0, 0] * np.eye(len(t))) @ rng.standard_normal(len(t))
+        moved = np.interp(star.t, t, roll) - np.interp(star.t_hub, t, roll)[:, None]
+        post = SIGMA * rng.standard_normal((*star.t.shape, 2))
+        post[..., 1] -= moved / IFOV
+        pixel = np.array([IFOV, IFOV, IFOV / (800 * IFOV)])
+        model = fit_prior_model([star], [post], estimate_of(star, still), pixel)
+        # What pairs see is the variance of the change over their lags, 2 (k(0) - k(lag)). A strip of 0.25 s
+        # holds some twelve independent changes over 0.02 s: their variance is known to sqrt(2 / 12) = 40 %,
+        # two of these
+        for lag in (0.02, 0.04):
+            learned, true = (
+                2 * np.ptp(s.autocovariance(np.array([0.0, lag]))) for s in (model.spectra[0], truth)
+            )
+            assert 0.2 * true < learned < 1.8 * true
+            # pitch did not move: errors of a row are 0.05 px / sqrt(8) against 3 px
+            pitch = 2 * np.ptp(model.spectra[1].autocovariance(np.array([0.0, lag])))
+            assert pitch < 0.01 * true
+
+    def test_differences_across_a_jump_say_nothing_of_the_spectrum(self, monkeypatch):
+        given = []
+
+        def remember(series, **_):
+            given.append(series)
+            return SimpleNamespace(spectrum=Spectrum((Matern(1.0, 1.0, "3/2"),)), noise_scale=1.0)
+
+        monkeypatch.setattr(hyper, "fit_spectrum", remember)
+        star = plain_star(250, 8, 1, SIGMA)
+        jumps = [np.zeros(0), np.array([0.3]), np.arange(0.1, 0.6, 0.015)]
+        fit_prior_model([star], [star.residual_px], estimate_of(star, still), np.ones(3), jumps=jumps)
+        roll, pitch, yaw = (np.isinf(series[0].variance) for series in given)
+        t = star.t_hub[::8]
+        assert_allclose(pitch, (t < 0.3) & (t + 0.02 > 0.3))
+        # yaw jumps within every lag: that is how it moves, and all of it counts
+        assert not roll.any() and not yaw.any()
+
+    def test_images_without_common_rows_are_refused(self):
+        star = plain_star(60, 8, 1, SIGMA)
+        blind = star.with_weight(np.zeros(star.weight.shape))
+        with pytest.raises(
+            EstimationError, match="no row of windows is seen by any pair; check that the bands overlap"
+        ):
+            fit_prior_model([blind], [star.residual_px], estimate_of(star, still), np.ones(3))
+
+
+def test_rows_of_one_window_say_nothing_of_yaw_and_pitch():
+    """One window per row, beside the middle of the field: along the lines pitch and yaw do the same to it."""
+    star = plain_star(125, 1, 2, SIGMA)
+    for found in angle_differences([star], [star.residual_px], estimate_of(star, still)):
+        assert np.isinf(found.covariance[:, [1, 2], [1, 2]]).all()
+        assert_allclose(found.covariance[:, 0, 0], (SIGMA * IFOV) ** 2, rtol=0.01)

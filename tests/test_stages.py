@@ -1,0 +1,182 @@
+"""Finished stages: found again as they were, passed over where they are damaged or of other inputs."""
+
+from __future__ import annotations
+
+import errno
+import time
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from sightline.stages import Stages, pack, unpack
+
+
+@dataclass(frozen=True, eq=False)
+class Inner:
+    value: np.ndarray
+    name: str
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    numbers: np.ndarray
+    turn: Rotation
+    words: tuple[str, ...]
+    inner: Inner | None
+    count: int
+    nothing: Inner | None = None
+
+
+def result() -> Result:
+    rng = np.random.default_rng(1)
+    turn = Rotation.from_rotvec(rng.normal(size=(4, 3)))
+    return Result(rng.normal(size=(3, 2)), turn, ("", "blurred"), Inner(np.array([True, False]), "x"), 7)
+
+
+def same(a: Result, b: Result) -> bool:
+    return (
+        np.array_equal(a.numbers, b.numbers)
+        and np.array_equal(a.turn.as_quat(), b.turn.as_quat())
+        and (a.words, a.count, a.nothing) == (b.words, b.count, b.nothing)
+        and np.array_equal(a.inner.value, b.inner.value)
+    )
+
+
+def test_a_result_is_the_same_when_it_is_found(tmp_path):
+    first, second, nowhere = Stages(tmp_path / "kept"), Stages(tmp_path / "kept"), Stages()
+    for stages in (first, second, nowhere):
+        stages.depend([1, "a"])
+    made = [stages.stage("one", Result, result) for stages in (first, second, nowhere)]
+    assert (first.computed, first.found) == (["one"], []) and (second.computed, second.found) == ([], ["one"])
+    assert same(made[0], made[1]) and same(made[0], made[2])
+    assert not made[1].numbers.flags.writeable
+    second.remove()
+    assert not (tmp_path / "kept").exists()
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "text", "empty", "other"])
+def test_damaged_and_foreign_files_are_passed_over_with_a_warning(tmp_path, damage):
+    Stages(tmp_path).stage("one", Result, result)
+    path = tmp_path / "one.stage.npz"
+    data = bytearray(path.read_bytes())
+    if damage == "cut":
+        path.write_bytes(data[: len(data) // 2])
+    elif damage == "flipped":
+        # a bit within the numbers, which the sum of the archive's member tells
+        at = data.index(result().numbers.tobytes()[:16])
+        data[at] ^= 1
+        path.write_bytes(data)
+    elif damage == "text":
+        path.write_text("not an archive")
+    elif damage == "empty":
+        path.write_bytes(b"")
+    else:
+        np.savez(path, fingerprint=np.array("0"), numbers=np.zeros(3))
+    told: list[str] = []
+    stages = Stages(tmp_path, told.append)
+    assert same(stages.stage("one", Result, result), result())
+    assert stages.computed == ["one"] and len(told) == 1
+    assert "one.stage.npz is passed over" in told[0] and "done again" in told[0]
+
+
+def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
+    (tmp_path / "kept").write_text("a file")
+    told: list[str] = []
+    stages = Stages(tmp_path / "kept", told.append)
+    for name in ("one", "two"):
+        assert same(stages.stage(name, Result, result), result())
+    assert len(told) == 1 and "stages are not kept" in told[0]
+
+
+@pytest.mark.parametrize("name", ["one.stage.npz", "one.stage.npz.tmp"])
+def test_links_among_stages_are_neither_read_nor_written_through(tmp_path, name):
+    elsewhere = tmp_path / "elsewhere"
+    Stages(elsewhere).stage("one", Result, result)
+    before = (elsewhere / "one.stage.npz").read_bytes()
+    (tmp_path / "kept").mkdir()
+    (tmp_path / "kept" / name).symlink_to(elsewhere / "one.stage.npz")
+    told: list[str] = []
+    stages = Stages(tmp_path / "kept", told.append)
+    assert same(stages.stage("one", Result, result), result()) and stages.computed == ["one"]
+    assert (elsewhere / "one.stage.npz").read_bytes() == before
+    assert not (tmp_path / "kept" / "one.stage.npz").is_symlink()
+    assert [path.name for path in (tmp_path / "kept").iterdir()] == ["one.stage.npz"]
+    assert len(told) == (not name.endswith("tmp")) and all("is a link" in words for words in told)
+
+
+def test_a_disk_without_room_for_a_stage_keeps_no_half_of_it(tmp_path, monkeypatch):
+    def full(file, **_):
+        file.write(b"half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(np, "savez", full)
+    told: list[str] = []
+    assert same(Stages(tmp_path, told.append).stage("one", Result, result), result())
+    assert not list(tmp_path.iterdir())
+    assert len(told) == 1 and "No space left" in told[0]
+
+
+def test_files_of_the_problem_count_by_name_size_and_time(tmp_path):
+    file = tmp_path / "frame.tif"
+    file.write_text("a")
+
+    def run(*inputs: object) -> list[str]:
+        stages = Stages(tmp_path / "kept")
+        stages.depend([file, Inner(np.zeros(3), "x"), *inputs])
+        stages.stage("one", Inner, lambda: Inner(np.ones(2), "y"))
+        return stages.computed
+
+    assert run() == ["one"] and run() == []
+    file.write_text("bb")
+    assert run() == ["one"] and run() == []
+    assert run(0.1) == ["one"] and run(0.2) == ["one"]
+
+
+def test_a_stage_within_a_stage_does_not_change_those_after_it(tmp_path):
+    def outer(stages: Stages) -> Inner:
+        stages.depend("within")
+        return stages.stage("inner", Inner, lambda: Inner(np.ones(1), "x"))
+
+    for expected in (["inner", "outer", "last"], []):
+        stages = Stages(tmp_path)
+        stages.stage("outer", Inner, lambda stages=stages: outer(stages))
+        stages.stage("last", Inner, lambda: Inner(np.ones(1), "x"))
+        assert stages.computed == expected
+
+
+def worked(seconds: float) -> Inner:
+    """A result that takes so many CPU seconds."""
+    end = time.process_time() + seconds
+    while time.process_time() < end:
+        pass
+    return Inner(np.ones(1), "x")
+
+
+def test_seconds_of_an_earlier_start_come_with_what_is_taken_over(tmp_path):
+    def outer(stages: Stages, stop: bool) -> Inner:
+        for number in range(2):
+            if stages.has(f"part-{number}"):
+                stages.stage(f"part-{number}", Inner, lambda: worked(9.9))
+            elif stop and number == 1:
+                raise KeyboardInterrupt
+            else:
+                stages.keep(f"part-{number}", worked(0.1))
+        return Inner(np.ones(1), "x")
+
+    with pytest.raises(KeyboardInterrupt):
+        stopped = Stages(tmp_path)
+        stopped.stage("outer", Inner, lambda: outer(stopped, True))
+    # a tenth of a second of the first start is in the whole's, with what the second took itself
+    second = Stages(tmp_path)
+    second.stage("outer", Inner, lambda: outer(second, False))
+    assert second.found == ["part-0"] and 0.1 <= second.taken_over < 0.15
+    third = Stages(tmp_path)
+    third.stage("outer", Inner, lambda: outer(third, False))
+    assert third.found == ["outer"] and 0.2 <= third.taken_over < 0.3
+
+
+def test_packed_arrays_of_another_kind_are_refused():
+    with pytest.raises(KeyError):
+        unpack(Result, pack(Inner(np.zeros(1), "x")))
