@@ -686,12 +686,12 @@ def _array_edit(draw, content: bytes) -> tuple[str, bytes]:
             except (TypeError, ValueError):
                 array = np.zeros(array.shape, new)
         case "shape":
-            flat = array.reshape(-1)
+            flat, array = array.reshape(-1), np.atleast_1d(array)
             array = draw(
                 st.sampled_from(
                     [flat, flat[:0], np.array(flat[0]) if flat.size else flat, array[:0], array[..., :0],
                      array[None], array[:1],
-                     np.repeat(array, 2, axis=0) if array.ndim else flat, array.T]
+                     np.repeat(array, 2, axis=0), array.T]
                 )
             )  # fmt: skip
         case "nan" | "infinite":
