@@ -73,7 +73,7 @@ def test_what_fails_in_the_last_step_leaves_nothing(quick, tmp_path, capsys, mon
 
 
 def test_a_failed_run_over_an_older_result_keeps_the_older_result(quick, tmp_path, capsys, monkeypatch):
-    from sightline.io.results.line_of_sight import line_of_sight as results
+    from sightline.io.results import line_of_sight as results
 
     out = tmp_path / "result"
     assert run([*quick, str(out)]) == 0

@@ -2,11 +2,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.io.conftest import noise, write_tif
 
 from sightline.errors import FormatError
 from sightline.io.acquisition.load import load_acquisition
-
-from .conftest import noise, write_tif
 
 TOML = """
 [acquisition]

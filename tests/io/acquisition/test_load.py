@@ -5,14 +5,13 @@ import hashlib
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.io.conftest import COLUMNS, LINES, noise, write_tif
 
 from sightline.errors import FormatError, GeometryError, InputError, SpanError
 from sightline.io.acquisition.describe import describe_acquisition
 from sightline.io.acquisition.ground import sampling_doubts
 from sightline.io.acquisition.load import load_acquisition
 from sightline.io.formats import tables
-
-from .conftest import COLUMNS, LINES, noise, write_tif
 
 # one pixel on the ground: ifov * altitude = 5e-6 * 700 km = 3.5 m = 7 km/s * 0.5 ms, the step between lines
 GSD = 3.5

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.io.conftest import noise, write_tif
 
 from sightline.errors import FormatError, GeometryError, SightlineError
 from sightline.io.acquisition.describe import describe_acquisition
 from sightline.io.acquisition.load import load_acquisition
-
-from .conftest import noise, write_tif
 
 TOML = """
 [platform]

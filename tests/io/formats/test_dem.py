@@ -2,14 +2,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from tests.io.conftest import write_tif
 
 from sightline.errors import FormatError, GeometryError
 from sightline.geometry.earth import from_geodetic
 from sightline.io.acquisition.load import load_acquisition
 from sightline.io.formats import tables
 from sightline.io.formats.dem import Bounds, read_dem
-
-from .conftest import write_tif
 
 LONLAT = dict(crs="EPSG:4326", transform=(0.01, 0.0, 5.0, 0.0, -0.01, 45.0))
 

@@ -5,12 +5,11 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
+from tests.io.conftest import noise, write_tif
 
 from sightline.errors import FormatError, InputError
 from sightline.imaging.source import ImageSource
 from sightline.io.formats.images import check_content, open_image
-
-from .conftest import noise, write_tif
 
 
 def test_a_window_of_a_raster_is_that_of_the_array(tmp_path):

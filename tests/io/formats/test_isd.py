@@ -7,13 +7,12 @@ import json
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
+from tests.io.conftest import noise, write_tif
 
 from sightline.errors import FormatError
 from sightline.geometry.surface import Ellipsoid
 from sightline.io.acquisition.load import load_acquisition
 from sightline.io.formats.isd import read_line_scan_model
-
-from .conftest import noise, write_tif
 
 FILES = ("ctx_isd.json", "lrolroc_isd.json", "toughLroNacLineScan.json")
 

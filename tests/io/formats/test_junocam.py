@@ -7,12 +7,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from tests.io.conftest import write_tif
 
 from sightline.errors import FormatError
 from sightline.io.acquisition.load import load_acquisition
 from sightline.io.formats import junocam
-
-from .conftest import write_tif
 
 METADATA = {
     "PRODUCT_ID": "JNCE_2022229_44C00030_V01",

@@ -13,8 +13,8 @@ from tests.io.sequence_files import flight
 
 from sightline.errors import InputError
 from sightline.io.results.cube_summary import check_cube
+from sightline.io.sequence import outlook as describe_outlook
 from sightline.io.sequence.describe import describe_sequence
-from sightline.io.sequence.load import outlook as describe_outlook
 from sightline.io.sequence.load import read_sequence
 
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.photogrammetry.test_frame_poses import FOCAL, SHAPE, SIGMA_PX, Flight
+from tests.photogrammetry.flight.test_poses import FOCAL, SHAPE, SIGMA_PX, Flight
 
 from consistency import assert_consistent, assert_possible
 from sightline.applications import sequence_poses
