@@ -449,4 +449,5 @@ def _names_a_file(message: str, case: Case) -> bool:
     names = {part for name in case.files for part in (name.rsplit("/", 1)[-1], name.split("/")[0])}
     # an option by its name, or by what was given for it
     given = {part for word in case.words for part in word.lstrip("-").split("=") if part}
-    return any(name in message for name in names | given) or "/case" in message
+    said = (message, message.replace("_", "-"))  # of Python's names too
+    return any(name in words for name in names | given for words in said) or "/case" in message

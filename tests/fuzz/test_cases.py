@@ -309,6 +309,18 @@ CASES: dict[str, tuple[str, Spoil, int, str]] = {
         2,
         r"summary\.json",
     ),
+    "an infinite turn in a recovered spin": (
+        "io.results.registered_frames.read_recovered_spin",
+        entry("result/summary.json", "spin", "exposures", 0, "departure", "roll", value=1e300),
+        2,
+        r"summary\.json",
+    ),
+    "a raw image that is a pipe": (
+        "io.formats.hirise_edr.is_hirise",
+        content("raw.IMG", Special("fifo")),
+        2,
+        r"raw\.IMG",
+    ),
 }
 
 

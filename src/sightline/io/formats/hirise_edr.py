@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.access import LARGE, read_bytes
+from sightline.access import LARGE, check_file, read_bytes
 from sightline.applications.strip_noise import StripPixels
 from sightline.errors import FormatError, InputError, foreign_errors, reads
 from sightline.imaging.noise_estimation import CodeTable
@@ -110,7 +110,8 @@ class HiriseEdr:
 
 
 def is_hirise(path: Path) -> bool:
-    """Whether a regular file begins with a PDS3 label of HiRISE."""
+    """Whether a regular file begins with a PDS3 label of HiRISE; FormatError for what is no regular file."""
+    check_file(path)
     with foreign_errors(path, "cannot be read", "check the name"), path.open("rb") as stream:
         head = stream.read(LABEL_BYTES)
     return head.startswith(b"PDS_VERSION_ID") and b'"HIRISE"' in head

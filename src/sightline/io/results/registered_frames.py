@@ -90,7 +90,10 @@ def read_recovered_spin(folder: Path, acquisition: Acquisition) -> RecoveredSpin
     )
     x = _unknowns(summary, unknowns, place)
     heights = tuple(float(v) for v in unknowns.heights(x)) if unknowns.layers else None
-    return RecoveredSpin(tuple(unknowns.cameras(x)), heights)
+    try:
+        return RecoveredSpin(tuple(unknowns.cameras(x)), heights)
+    except ValueError as error:  # turns that are none: infinite, or too large to be counted
+        raise FormatError(f"{place}: `statics` and `spin` are no motion ({error}); recover again") from None
 
 
 def _unknowns(summary: Mapping[str, Any], unknowns: SpinUnknowns, place: Path) -> Array:
