@@ -61,7 +61,7 @@ from sightline.io.sequence.poses import track_attitude  # noqa: E402
 from sightline.photogrammetry.flight.interpolation import between_anchors, by_displacement  # noqa: E402
 from sightline.photogrammetry.flight.poses import RoughPoses  # noqa: E402
 from sightline.photogrammetry.flight.problem import SequenceProblem  # noqa: E402
-from sightline.photogrammetry.flight.reconstruct import Reconstruction, filter_pairs, reconstruct  # noqa: E402
+from sightline.photogrammetry.flight.reconstruct import FrameModel, filter_pairs, reconstruct  # noqa: E402
 from sightline.photogrammetry.flight.subset import choose_subset  # noqa: E402
 from sightline.photogrammetry.sightings import Images  # noqa: E402
 from sightline.simulate.sequence import SequenceScenario, sequence_case  # noqa: E402
@@ -179,7 +179,7 @@ def interpolated(scenario: SequenceScenario, path: Path, count: int, way: str) -
     return np.arange(count), *by_displacement(*known, followed, *camera), {}
 
 
-def model_of_subset(problem: SequenceProblem, scenario: SequenceScenario) -> Reconstruction:
+def model_of_subset(problem: SequenceProblem, scenario: SequenceScenario) -> FrameModel:
     """What resection is made against."""
     followed = follow_sequence(problem)
     far = np.full(len(problem), scenario.options.altitude)

@@ -134,7 +134,7 @@ def main() -> None:
 def draw(path: str) -> None:
     """S2's figures 1 and 2: mean height error of each shot, before and after, and the scatter over points."""
     from sightline.report.figure import Figure
-    from sightline.report.marks import Band, Line
+    from sightline.report.marks import Between, Line
     from sightline.report.page import Page, Section
     from sightline.report.style import AFTER, AXIS_COLOURS, BEFORE
 
@@ -161,7 +161,7 @@ def draw(path: str) -> None:
             panel, sigma = figure[row, col], heights.shot_sigma
             panel.title, panel.y.title = f"{when}: {what}", "height error (m)"
             panel.add(
-                Band(x=shot, low=values - sigma, high=values + sigma, colour=colour),
+                Between(x=shot, low=values - sigma, high=values + sigma, colour=colour),
                 Line(x=shot, y=values, name=name, colour=colour, width=2.0),
             )
         epipolar = {"name": "epipolar, as S2 has it", "colour": AXIS_COLOURS[1], "width": 2.0}

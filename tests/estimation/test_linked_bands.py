@@ -7,7 +7,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from sightline.errors import EstimationError
-from sightline.estimation.linked_bands import Band, LinkedBands
+from sightline.estimation.linked_bands import LinkedBand, LinkedBands
 
 #: Unknowns of each band and its subdiagonals (one shorter than its band, one longer than what goes at once);
 #: linking unknowns, and those of them that are left.
@@ -46,7 +46,7 @@ class System:
             band = np.zeros((b + 1, size))
             for d in range(min(b + 1, size)):
                 band[d, : size - d] = np.diag(own, -d)
-            content.append(Band(band, self.whole[begin : begin + size, n + columns], columns))
+            content.append(LinkedBand(band, self.whole[begin : begin + size, n + columns], columns))
         return LinkedBands(content, self.whole[n:, n:], LEFT)
 
 

@@ -16,7 +16,7 @@ from sightline.geometry.surface import Ellipsoid, Infinity
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Frame
 from sightline.products import frame_mosaic as module
-from sightline.products.frame_mosaic import BeforeSky, Layer, frame_mosaic
+from sightline.products.frame_mosaic import BeforeSky, CloudLayer, frame_mosaic
 
 FOCAL, LINES, COLUMNS, EXPOSURES, TURN = 400.0, 48, 90, 5, -0.08
 AXIS_LINES = (70.0, 10.0)
@@ -98,7 +98,7 @@ def test_rays_that_pass_a_body_end_beside_it():
 
 
 def test_a_layer_lies_above_its_body():
-    layer = Layer(Ellipsoid(1e6, 1e6), 2e4)
+    layer = CloudLayer(Ellipsoid(1e6, 1e6), 2e4)
     there = layer.intersect(np.array([[5e6, 0.0, 0.0]]), np.array([[-1.0, 0.0, 0.0]]))
     np.testing.assert_allclose(there, [[1.02e6, 0.0, 0.0]])
 

@@ -13,7 +13,7 @@ import rasterio
 
 from sightline.report.axes import Axis, linear_ticks, log_ticks, number
 from sightline.report.figure import Figure
-from sightline.report.marks import FINE, Band, Bars, Line, Map, Note, Points, Rules, Spans
+from sightline.report.marks import FINE, Bars, Between, Line, Map, Note, Points, Rules, Spans
 from sightline.report.style import AFTER, AXIS_COLOURS, BEFORE, BLIND, DOUBT, INK, MUTED
 
 HOSTILE = "<script>alert(1)</script>\"'&\x1b[31m\u202e\nx"
@@ -67,7 +67,9 @@ def test_what_is_not_finite_is_left_out_and_no_line_is_drawn_across_it():
     figure = Figure(2)
     t = np.arange(7.0)
     look = {"sigma": np.where(np.isfinite(y), 0.1, np.inf), "symbol": "ring", "name": "dots"}
-    figure[0].add(Line(x=t, y=y, name="a"), Points(x=t, y=y, **look), Band(x=t, low=y - 1, high=y, name="b"))
+    figure[0].add(
+        Line(x=t, y=y, name="a"), Points(x=t, y=y, **look), Between(x=t, low=y - 1, high=y, name="b")
+    )
     figure[1].add(Line(x=t, y=np.full(7, np.nan), name="none"), Rules(y=[np.inf]))
     figure[1].add(Bars(place=t, length=y, thick=1.0))
     text = str(figure.html("figure-a"))
@@ -88,7 +90,7 @@ def test_a_curve_of_very_many_points_keeps_its_spikes_and_becomes_small():
     y[[777, 150_001]] = 40.0, -40.0
     figure = Figure()
     t = np.arange(200_000.0)
-    figure[0].add(Band(x=t, low=y - 1.0, high=y + 1.0), Line(x=t, y=y, name="a"))
+    figure[0].add(Between(x=t, low=y - 1.0, high=y + 1.0), Line(x=t, y=y, name="a"))
     root = drawn(figure)
     assert len(str(figure.html("figure-a"))) < 80_000
     found = back(root, points(named(root, "a")[0]))

@@ -6,7 +6,7 @@ import pytest
 from sightline.simulate.scenarios import line_of_sight_case
 from sightline.simulate.scene import BandShine, Relief, Scene, relief_at
 from sightline.simulate.sensor import Radiometry, footprint, render_block, render_chunks
-from sightline.simulate.texture import Layer, padded, spline_response
+from sightline.simulate.texture import TextureLayer, padded, spline_response
 
 H, V, IFOV, TE = 680e3, 6800.0, 5e-6, 5e-4
 
@@ -35,7 +35,7 @@ def sinusoid(wave_x, wave_y):
     p = np.arange(n) / 20.0
     phase = 2 * np.pi * (p[None, :] + p[:, None])
     gain = 0.2 / spline_response(np.array(0.05)) ** 2
-    return Layer(padded((gain * np.sin(phase)).astype(np.float32)), (wave_x / 20.0, wave_y / 20.0))
+    return TextureLayer(padded((gain * np.sin(phase)).astype(np.float32)), (wave_x / 20.0, wave_y / 20.0))
 
 
 @pytest.fixture(scope="module")

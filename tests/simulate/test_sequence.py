@@ -14,7 +14,7 @@ from sightline.geometry.pointing import FixedMount
 from sightline.geometry.trajectory import Trajectory
 from sightline.simulate.scene import Relief, relief_at
 from sightline.simulate.sequence import sequence_case
-from sightline.simulate.sequence_ground import Ground
+from sightline.simulate.sequence_ground import SimulatedGround
 from sightline.simulate.sequence_motion import draw_flight, unseen_motion
 from sightline.simulate.sequence_options import CASE_OPTIONS, SequenceOptions
 from sightline.simulate.sequence_render import _meet, render_frame
@@ -321,7 +321,7 @@ def test_every_case_renders(case):
     image = scenario.image(1)
     # neither black nor burnt out
     assert 0.05 < image.mean() / 2**scenario.options.bits < 0.6
-    assert isinstance(scenario.ground, Ground)
+    assert isinstance(scenario.ground, SimulatedGround)
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sightline.simulate.scene import Extent, TextureLaw, layer_shape, mtf_at, scene_layers
-from sightline.simulate.texture import Layer, padded, random_layer, raster_layer
+from sightline.simulate.texture import TextureLayer, padded, random_layer, raster_layer
 
 GSD = (3.4, 3.4)
 
@@ -12,7 +12,7 @@ GSD = (3.4, 3.4)
 def test_one_coefficient_gives_the_cubic_b_spline():
     table = np.zeros((8, 8), dtype=np.float32)
     table[3, 4] = 1.0
-    layer = Layer(padded(table), (2.0, 5.0), (10.0, 20.0))
+    layer = TextureLayer(padded(table), (2.0, 5.0), (10.0, 20.0))
     # at half a knot east and one knot north: (23/48) x (1/6), by the spline's closed form
     value = layer.at(np.array([10.0 + 4.5 * 2.0]), np.array([20.0 + 4.0 * 5.0]))
     assert value[0] == pytest.approx(23.0 / 48.0 / 6.0, rel=1e-6)
@@ -20,7 +20,7 @@ def test_one_coefficient_gives_the_cubic_b_spline():
 
 def test_a_layer_repeats_after_its_period_and_nowhere_jumps():
     rng = np.random.default_rng(0)
-    layer = Layer(padded(rng.standard_normal((12, 9)).astype(np.float32)), (1.0, 1.0))
+    layer = TextureLayer(padded(rng.standard_normal((12, 9)).astype(np.float32)), (1.0, 1.0))
     x = np.linspace(-3.0, 12.0, 3001)
     y = np.full_like(x, -0.3)
     np.testing.assert_allclose(layer.at(x, y), layer.at(x + 9.0, y - 12.0), atol=2e-5)

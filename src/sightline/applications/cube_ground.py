@@ -27,7 +27,7 @@ _AS_GOOD = 1.2
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class UsedGround:
     """Heights that are used.
 
     Attributes
@@ -51,7 +51,9 @@ class Ground:
     level: Surface | None = None
 
 
-def choose_ground(problem: SequenceProblem, found: SequencePoses, system: MapSystem, surface: str) -> Ground:
+def choose_ground(
+    problem: SequenceProblem, found: SequencePoses, system: MapSystem, surface: str
+) -> UsedGround:
     """Heights of the points found, or of the surface given, whichever points tell to be better.
 
     A single height that points do not bear out, as that of ground of which none is told, gives way to theirs.
@@ -61,7 +63,7 @@ def choose_ground(problem: SequenceProblem, found: SequencePoses, system: MapSys
     sigma = _height_sigmas(found, problem)
     missed, level = _missed(points, given), None
     if surface == "given":
-        return Ground(given, f"{words}, as asked for", missed)
+        return UsedGround(given, f"{words}, as asked for", missed)
     found_level = level_ground(problem, found.poses)
     if isinstance(found_level, Plane | Ellipsoid) and found_level is not problem.surface:
         at = given_heights(found_level, system)
@@ -73,16 +75,18 @@ def choose_ground(problem: SequenceProblem, found: SequencePoses, system: MapSys
     except EstimationError as error:
         if surface == "model":
             raise
-        return Ground(given, f"{words.rstrip(',')}: {error}", missed, level=level)
+        return UsedGround(given, f"{words.rstrip(',')}: {error}", missed, level=level)
     if surface == "auto" and missed <= _AS_GOOD * model.sigma:
-        return Ground(given, f"{words.rstrip(',')}, which points meet to {missed:.3g} m", missed, level=level)
+        return UsedGround(
+            given, f"{words.rstrip(',')}, which points meet to {missed:.3g} m", missed, level=level
+        )
     said = (
         f"{int(model.used.sum())} points found, which a surface through the others meets to "
         f"{model.sigma:.3g} m"
     )
     if surface == "auto":
         said += f" and {words} to {missed:.3g} m"
-    return Ground(model.at, f"heights of the {said}", model.sigma, model, level)
+    return UsedGround(model.at, f"heights of the {said}", model.sigma, model, level)
 
 
 def _missed(points: Array, heights: Heights) -> float:
@@ -124,7 +128,7 @@ def given_heights(surface: Surface, system: MapSystem) -> Heights:
 
 
 def frame_outlines(
-    problem: SequenceProblem, system: MapSystem, ground: Ground, views: FrameViews
+    problem: SequenceProblem, system: MapSystem, ground: UsedGround, views: FrameViews
 ) -> tuple[Array, Array]:
     """Map places (M, n, 2) around each frame where its lines of sight meet the ground on the whole; and a few
     times as many, on the lowest and on the highest ground too.
@@ -138,7 +142,7 @@ def frame_outlines(
     return parts[0], np.concatenate(parts, axis=1)
 
 
-def _levels(problem: SequenceProblem, ground: Ground) -> tuple[float, float, float]:
+def _levels(problem: SequenceProblem, ground: UsedGround) -> tuple[float, float, float]:
     """m: usual, lowest and highest ground."""
     surface = problem.surface if ground.level is None else ground.level
     if ground.model is not None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sightline.applications.cube_ground import Ground, frame_outlines, given_heights
+from sightline.applications.cube_ground import UsedGround, frame_outlines, given_heights
 from sightline.applications.frame_cube import CubePlan, choose_bands, frame_views, map_of, pixel_size
 from sightline.photogrammetry.flight.outlook import overlap_of
 from sightline.photogrammetry.flight.problem import SequenceProblem
@@ -30,7 +30,7 @@ def expected_cube(problem: SequenceProblem, plan: CubePlan) -> tuple[CubeGrid, B
         If the plan asks for what the camera does not see, or no frame looks at the ground.
     """
     views, system = frame_views(problem), map_of(problem)
-    ground = Ground(given_heights(problem.surface, system), "", 0.0)
+    ground = UsedGround(given_heights(problem.surface, system), "", 0.0)
     outline, _ = frame_outlines(problem, system, ground, views)
     gsd = plan.gsd or pixel_size(problem, views, outline)
     overlap = overlap_of(problem)

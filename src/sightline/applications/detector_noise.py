@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
 from sightline.applications.strip_noise import (
-    Figure,
     LawRows,
+    NoiseFigure,
     StripPixels,
     bounded_figure,
     estimate_strip_noise,
@@ -107,7 +107,7 @@ class ImageNoise:
     dark_signal: Estimate | None
     median: float
     ceiling: float | None
-    figures: tuple[Figure, ...]
+    figures: tuple[NoiseFigure, ...]
     warnings: tuple[str, ...] = ()
 
 
@@ -126,7 +126,7 @@ class DarkNoise:
 
     level: Array
     resting: Estimate | None
-    figures: tuple[Figure, ...]
+    figures: tuple[NoiseFigure, ...]
     warnings: tuple[str, ...] = ()
 
 
@@ -165,7 +165,7 @@ class DetectorNoise:
     flags: Flags
     signals: tuple[float, float]
     full_well_sum: float | None
-    figures: tuple[Figure, ...]
+    figures: tuple[NoiseFigure, ...]
     images: tuple[ImageNoise, ...]
     warnings: tuple[str, ...]
 
@@ -445,7 +445,7 @@ def _gain_left(white: WhiteNoise, rest: Estimate, shot: float) -> float:
     return max(white.bound.upper() - rest.value - shot * white.signal, 0.0) / white.signal**2
 
 
-def _gain_bound(images: Sequence[ImageNoise], rest: Estimate) -> Figure:
+def _gain_bound(images: Sequence[ImageNoise], rest: Estimate) -> NoiseFigure:
     least = min(_gain_left(one.white, rest, 0.0) for one in images)
     return bounded_figure("A of the sum", "1", "<=", least, "image noise if there is no shot noise")
 

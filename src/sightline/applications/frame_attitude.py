@@ -27,7 +27,7 @@ from sightline.motion.frames.hidden import absolute_sigma, hidden_directions, re
 from sightline.motion.frames.matches import FrameStar
 from sightline.motion.frames.passes import (
     FrameOptions,
-    FrameSequence,
+    FramePasses,
     PassState,
     first_pass,
     masked,
@@ -152,7 +152,7 @@ def mount_by_motion(frames: Sequence[Frame], surface: Surface) -> FixedMount:
 
 def _prepare(
     frames: Sequence[Frame], surface: Surface, lens: LensKnowledge, height_sigma: float, options: FrameOptions
-) -> FrameSequence:
+) -> FramePasses:
     """Check the input and list what is unknown besides the angles."""
     if len(frames) < 2:
         raise InputError(
@@ -180,7 +180,7 @@ def _prepare(
     )
     images = tuple(frame.image for frame in frames)
     free = lens.distortion_sigma > 0.0
-    return FrameSequence(tuple(frames), images, surface, tuple(statics), free, height_sigma, options)
+    return FramePasses(tuple(frames), images, surface, tuple(statics), free, height_sigma, options)
 
 
 def _scale(estimate: FrameEstimate) -> Array:
@@ -206,7 +206,7 @@ def _both_axes(covariance: Array) -> Array:
     return np.asarray(np.kron(covariance, np.eye(2)), dtype=np.float64)
 
 
-def _result(sequence: FrameSequence, state: PassState, changes: list[float]) -> FrameAttitude:
+def _result(sequence: FramePasses, state: PassState, changes: list[float]) -> FrameAttitude:
     """The last state as a result at the frames."""
     estimate, unknowns = state.estimate, state.estimate.unknowns
     n, scale = unknowns.frames, _scale(state.estimate)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.cube_ground import Ground, choose_ground, frame_outlines, given_heights
+from sightline.applications.cube_ground import UsedGround, choose_ground, frame_outlines, given_heights
 from sightline.applications.sequence_poses import INTERPOLATED, SequencePoses
 from sightline.errors import InputError, computes
 from sightline.execution import CpuClock, one_blas_thread, silent
@@ -391,7 +391,7 @@ def _before(
     tally: CubeTally,
     grid: CubeGrid,
     layout: BandLayout,
-    ground: Ground,
+    ground: UsedGround,
     channels: Sequence[Sequence[ImageSource]],
     gain: Array | None,
     report: Callable[[str, int, int], None],
@@ -402,7 +402,7 @@ def _before(
         return picture
     views = frame_views(problem)
     system = grid.system
-    given = Ground(given_heights(ground.level or problem.surface, system), "", 0.0, level=ground.level)
+    given = UsedGround(given_heights(ground.level or problem.surface, system), "", 0.0, level=ground.level)
     _, reach = frame_outlines(problem, system, given, views)
     three = layout.of(tally.rgb)
     maker = CubeMaker(grid, three, views, reach, given.heights, channels, gain)
@@ -419,7 +419,7 @@ def _summary(
     problem: SequenceProblem,
     layout: BandLayout,
     grid: CubeGrid,
-    ground: Ground,
+    ground: UsedGround,
     tally: CubeTally,
     before: CubePicture,
     fits: Sequence[PairFit],

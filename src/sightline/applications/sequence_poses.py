@@ -30,7 +30,7 @@ from sightline.photogrammetry.flight.interpolation import by_displacement
 from sightline.photogrammetry.flight.poses import FramePoses
 from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.flight.reconstruct import (
-    Reconstruction,
+    FrameModel,
     RefinedModel,
     check_modelling,
     check_positions,
@@ -253,7 +253,7 @@ def _with_model(
     p, images = problem, problem.images
     run.progress(MODELLED, 0, 1)
     model = run.stages.stage(
-        "photogrammetry", Reconstruction,
+        "photogrammetry", FrameModel,
         lambda: reconstruct(
             p.sources, subset.frames,
             filter_pairs(subset.frames, followed, p.detector, images.position, _reach(problem)),

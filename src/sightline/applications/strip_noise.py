@@ -223,7 +223,7 @@ def _dark_shot(resting: Estimate, masked: RestingNoise, charge: Array) -> Estima
 
 
 @dataclass(frozen=True)
-class Figure:
+class NoiseFigure:
     """A printed figure: a value with its sigma, or a bound of 2 sigma.
 
     Attributes
@@ -269,7 +269,7 @@ def conversion_bound(noise: StripNoise) -> float:
     return noise.white.signal / (noise.white.bound.upper() - noise.buffer.pooled.value**2)
 
 
-def figures(noise: StripNoise, stages: int, electrons_per_dn: float | None = None) -> list[Figure]:
+def figures(noise: StripNoise, stages: int, electrons_per_dn: float | None = None) -> list[NoiseFigure]:
     """Every figure with its sigma or as a bound of 2 sigma: of the sum in DN, then in electrons if given."""
     signal, columns = noise.white.signal, noise.columns
     least = conversion_bound(noise)
@@ -337,11 +337,11 @@ def figures(noise: StripNoise, stages: int, electrons_per_dn: float | None = Non
     ]
 
 
-def measured_figure(name: str, unit: str, estimate: Estimate, how: str, scale: float = 1.0) -> Figure:
+def measured_figure(name: str, unit: str, estimate: Estimate, how: str, scale: float = 1.0) -> NoiseFigure:
     """The figure of an estimate, `scale` times it."""
-    return Figure(name, unit, estimate.value * scale, estimate.sigma * scale, "=", how)
+    return NoiseFigure(name, unit, estimate.value * scale, estimate.sigma * scale, "=", how)
 
 
-def bounded_figure(name: str, unit: str, relation: str, value: float, how: str) -> Figure:
+def bounded_figure(name: str, unit: str, relation: str, value: float, how: str) -> NoiseFigure:
     """The figure of a bound; `relation` is ``"<="`` or ``">="``."""
-    return Figure(name, unit, value, None, relation, how)
+    return NoiseFigure(name, unit, value, None, relation, how)

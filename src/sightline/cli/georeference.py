@@ -23,7 +23,7 @@ _SAID = {
 }  # fmt: skip
 
 
-class Method(StrEnum):
+class SubsetMethod(StrEnum):
     """How frames between those of the subset get their poses."""
 
     ALL_FRAMES = "all-frames"
@@ -45,12 +45,12 @@ def georeference(
         ),
     ] = None,
     method: Annotated[
-        Method,
+        SubsetMethod,
         typer.Option(
             help="all-frames: every frame adjusted by its own image; for comparison, from the subset alone: "
             "displacement (S4's displacement and yaw), slerp, spline."
         ),
-    ] = Method.ALL_FRAMES,
+    ] = SubsetMethod.ALL_FRAMES,
     poses_only: Annotated[
         bool, typer.Option("--poses-only", help="Make no maps of the bands, whatever the file asks for.")
     ] = False,
@@ -89,7 +89,7 @@ def georeference(
         if not poses_only:
             check_cube(sequence)  # maps that cannot be made are refused before hours of work, not after
         found = georeference_sequence(sequence.problem, stride=stride, progress=report, stages=stages)
-        if method is not Method.ALL_FRAMES:
+        if method is not SubsetMethod.ALL_FRAMES:
             report(f"frames between the subset's by {method.value}")
             found = interpolate_between(found, method.value)
         summary = write_georeferenced(
@@ -111,7 +111,7 @@ def write_georeferenced(
     report: Progress,
     begun: float,
     *,
-    method: Method,
+    method: SubsetMethod,
     cube: bool,
 ) -> dict[str, Any]:
     """Every file of the result; gives the summary. Maps that cannot be made are a warning in it."""

@@ -28,7 +28,7 @@ _RESIDUALS = {"epipolar": "distance from epipolar lines", "plane": "miss on the 
 IMPROVED_SIGHTINGS = 200_000
 
 
-class Method(StrEnum):
+class OrientMethod(StrEnum):
     """The estimators, best first."""
 
     ML_TRACK = "ml-track"
@@ -41,12 +41,12 @@ def orient(
     file: Annotated[Path, typer.Argument(metavar="STEREO.toml", help="Planned poses, points, noise.")],
     out: Out,
     method: Annotated[
-        Method,
+        OrientMethod,
         typer.Option(
             help="ml-track: points seen in all shots are one; ml-pair: new points in every shot; epipolar, "
             "plane: S2's own, linear."
         ),
-    ] = Method.ML_TRACK,
+    ] = OrientMethod.ML_TRACK,
     raw: Annotated[
         bool, typer.Option("--raw", help="Of epipolar: keep the bias of noise times noise.")
     ] = False,
@@ -109,7 +109,7 @@ class Oriented:
     better: tuple[Improvement, ...]
 
 
-def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: bool) -> Oriented:
+def estimate(file: Path, method: OrientMethod, report: Progress, *, raw: bool, drift: bool) -> Oriented:
     """The orientation of a STEREO.toml."""
     import time
 
@@ -121,7 +121,7 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
     from sightline.io.stereo.load import read_stereo
     from sightline.io.stereo.strips import StripProblem
 
-    if raw and method is not Method.EPIPOLAR:
+    if raw and method is not OrientMethod.EPIPOLAR:
         raise InputError(f"--raw belongs to --method epipolar, here it is {method.value}; leave it out")
     begun = time.perf_counter()
     report(f"reading {file}")
@@ -133,7 +133,7 @@ def estimate(file: Path, method: Method, report: Progress, *, raw: bool, drift: 
     problem = stereo.problem
     report(f"solving for {len(problem.cameras)} cameras in {len(problem.images)} images")
     if isinstance(problem, StripProblem):
-        if method is not Method.ML_TRACK or drift:
+        if method is not OrientMethod.ML_TRACK or drift:
             raise InputError("[[strip]] is oriented by --method ml-track, without --drift; leave them out")
         result = orient_pushbroom(
             problem.strips, problem.tracks, problem.noise, names=problem.cameras, priors=problem.priors
@@ -163,7 +163,7 @@ def with_points_found(stereo: Stereo) -> Stereo:
     return replace(stereo, problem=found)
 
 
-def improvements_of(problem: StereoProblem, method: Method) -> tuple[Improvement, ...]:
+def improvements_of(problem: StereoProblem, method: OrientMethod) -> tuple[Improvement, ...]:
     """What would better the angles of frames, by the bound."""
     from sightline.applications.stereo_prediction import improvements
     from sightline.errors import SightlineError
@@ -195,7 +195,7 @@ def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str,
     return summary
 
 
-def foretell(file: Path, method: Method, folder: Path, report: Progress) -> dict[str, Any]:
+def foretell(file: Path, method: OrientMethod, folder: Path, report: Progress) -> dict[str, Any]:
     """The bound of a STEREO.toml, in files; gives the summary."""
     import time
 

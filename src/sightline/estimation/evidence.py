@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from sightline.compiled import njit
 from sightline.estimation.banded import BorderedFactor, band_times
 from sightline.estimation.prior import Autoregressive
-from sightline.estimation.series import NormalEquations
+from sightline.estimation.series import SeriesEquations
 from sightline.estimation.split import Layout, SplitPrior, gather_band, spread_band
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ class Posterior:
         Precision of the prior, all unknowns.
     """
 
-    equations: NormalEquations
+    equations: SeriesEquations
     prior: Autoregressive | SplitPrior
     noise_scale: float
     offset_sigma: float
@@ -147,7 +147,7 @@ class Moments:
 
 
 def posterior(
-    equations: NormalEquations,
+    equations: SeriesEquations,
     prior: Autoregressive | SplitPrior,
     *,
     noise_scale: float = 1.0,

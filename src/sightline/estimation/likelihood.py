@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.estimation.prior import Matern, Spectrum
-from sightline.estimation.search import Model, Search
-from sightline.estimation.series import DifferenceSeries, Grid, NormalEquations, normal_equations
+from sightline.estimation.search import NoiseModel, Search
+from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations, normal_equations
 
 Array = NDArray[np.float64]
 
@@ -116,14 +116,14 @@ def fit_spectrum(
     scaled = [replace(s, values=s.values / unit, variance=s.variance / unit**2) for s in used]
     grid, inside = _fitting_grid(scaled, step, work)
 
-    def summed(spectrum: Spectrum | None) -> NormalEquations:
+    def summed(spectrum: Spectrum | None) -> SeriesEquations:
         return normal_equations(
             inside, grid, offsets=offset_sigma is not None, independent=independent, spectrum=spectrum
         )
 
     offset = 1.0 if offset_sigma is None else offset_sigma / unit
     search = Search(summed(None), offset, fit_noise, grid.step * grid.count, corner)
-    guesses = _guesses(inside, grid) + ([] if start is None else [Model.of(start.scaled(1.0 / unit))])
+    guesses = _guesses(inside, grid) + ([] if start is None else [NoiseModel.of(start.scaled(1.0 / unit))])
     model = min(guesses, key=search.deviance)
     model = search.with_given_tones(model, known_tones)
     model = search.improve(model, iterations if max_tones == 0 else 12)
@@ -200,7 +200,7 @@ def _within(s: DifferenceSeries, first: float, last: float) -> DifferenceSeries:
     )
 
 
-def _guesses(series: Sequence[DifferenceSeries], grid: Grid) -> list[Model]:
+def _guesses(series: Sequence[DifferenceSeries], grid: Grid) -> list[NoiseModel]:
     """Drifts and broadband parts of about the data's size, from how the differences grow with the lag."""
     length = grid.step * grid.count
     lags, excess = [], []
@@ -214,4 +214,4 @@ def _guesses(series: Sequence[DifferenceSeries], grid: Grid) -> list[Model]:
     drift = Matern(math.sqrt(0.6 * excess[longest]) * timescale / lags[longest], timescale, "5/2")
     sizes = math.sqrt(0.5 * excess[shortest]) * np.array([1.0, 0.3, 0.1, 0.03])
     times = np.clip(np.array([2e-3, 8e-3, 32e-3]), 2.0 * grid.step, max(0.1 * length, 2.0 * grid.step))
-    return [Model(drift, Matern(float(s), float(t), "3/2")) for s in sizes for t in np.unique(times)]
+    return [NoiseModel(drift, Matern(float(s), float(t), "3/2")) for s in sizes for t in np.unique(times)]

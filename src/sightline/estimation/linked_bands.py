@@ -34,7 +34,7 @@ _TOGETHER = 96
 
 
 @dataclass(eq=False)
-class Band:
+class LinkedBand:
     """One band and what links it.
 
     Attributes
@@ -73,7 +73,7 @@ class LinkedBands:
         If the matrix is not positive definite.
     """
 
-    def __init__(self, bands: Sequence[Band], corner: Array, left: int) -> None:
+    def __init__(self, bands: Sequence[LinkedBand], corner: Array, left: int) -> None:
         self._parts = [_Part(band) for band in bands]
         reduced = np.array(corner)
         for part in self._parts:
@@ -150,7 +150,7 @@ class LinkedBands:
 class _Part:
     """One band factored, with its part Y = inv(L) B in what is left."""
 
-    def __init__(self, content: Band) -> None:
+    def __init__(self, content: LinkedBand) -> None:
         self._factor = BandedFactor(content.band)
         border = content.border
         n = self._factor.n

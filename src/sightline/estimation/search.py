@@ -18,7 +18,7 @@ from sightline.errors import EstimationError, InputError
 from sightline.estimation.banded import band_times
 from sightline.estimation.evidence import Posterior, posterior
 from sightline.estimation.prior import ORDERS, Matern, Spectrum, Tone, autoregressive
-from sightline.estimation.series import NormalEquations
+from sightline.estimation.series import SeriesEquations
 
 Array = NDArray[np.float64]
 
@@ -46,7 +46,7 @@ LONGEST_DRIFT = 1.0
 
 
 @dataclass(frozen=True)
-class Model:
+class NoiseModel:
     """Present values of all hyper-parameters, in units of the noise.
 
     Attributes
@@ -66,7 +66,7 @@ class Model:
     gains: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, spectrum: Spectrum) -> Model:
+    def of(cls, spectrum: Spectrum) -> NoiseModel:
         """The model that a spectrum describes; further Matern parts are left out."""
         parts = [c for c in spectrum.components if isinstance(c, Matern)]
         drift = next((c for c in parts if c.order == "5/2"), None)
@@ -80,11 +80,11 @@ class Model:
         """All parts, tones by rising frequency."""
         return Spectrum((self.drift, self.broadband, *sorted(self.tones, key=lambda tone: tone.frequency)))
 
-    def with_tone(self, tone: Tone, gain: float) -> Model:
+    def with_tone(self, tone: Tone, gain: float) -> NoiseModel:
         """The model and one more tone, at the end of the list."""
         return replace(self, tones=(*self.tones, tone), gains=(*self.gains, gain))
 
-    def without_tone(self, k: int) -> Model:
+    def without_tone(self, k: int) -> NoiseModel:
         """The model less its tone number `k`."""
         return replace(
             self, tones=self.tones[:k] + self.tones[k + 1 :], gains=self.gains[:k] + self.gains[k + 1 :]
@@ -110,7 +110,7 @@ class Search:
 
     def __init__(
         self,
-        equations: NormalEquations,
+        equations: SeriesEquations,
         offset_sigma: float,
         fit_noise: bool,
         length: float,
@@ -124,11 +124,11 @@ class Search:
         self._order = min(ORDER, equations.grid.count - 1)
         self._lags = equations.grid.step * np.arange(self._order + 1, dtype=np.float64)
 
-    def use(self, equations: NormalEquations) -> None:
+    def use(self, equations: SeriesEquations) -> None:
         """Go on with other equations on the same grid."""
         self._equations = equations
 
-    def posterior(self, model: Model) -> Posterior:
+    def posterior(self, model: NoiseModel) -> Posterior:
         """Posterior under a model."""
         prior = autoregressive(
             model.spectrum.autocovariance(self._lags), self._order, self._equations.grid.count
@@ -137,19 +137,19 @@ class Search:
             self._equations, prior, noise_scale=model.noise_scale, offset_sigma=self._offset_sigma
         )
 
-    def deviance(self, model: Model) -> float:
+    def deviance(self, model: NoiseModel) -> float:
         """-2 log evidence of a model."""
         return self.posterior(model).deviance
 
     # -- parameters as one vector: logarithms, and frequencies in units of 3 / length ---------------
 
-    def _vector(self, model: Model) -> Array:
+    def _vector(self, model: NoiseModel) -> Array:
         x = [math.log(v) for c in (model.drift, model.broadband) for v in (c.sigma, c.timescale)]
         for tone in model.tones:
             x += [math.log(tone.sigma), 0.0, math.log(tone.bandwidth)]
         return np.array([*x, math.log(model.noise_scale)])
 
-    def _model(self, x: Array, origin: Model) -> Model:
+    def _model(self, x: Array, origin: NoiseModel) -> NoiseModel:
         tones = []
         for k, tone in enumerate(origin.tones):
             log_sigma, shift, log_width = x[4 + 3 * k : 7 + 3 * k]
@@ -163,7 +163,7 @@ class Search:
             noise_scale=math.exp(x[-1]),
         )
 
-    def _bounds(self, model: Model) -> list[tuple[float, float]]:
+    def _bounds(self, model: NoiseModel) -> list[tuple[float, float]]:
         step, length = self._equations.grid.step, self._length
         drift = max(model.drift.sigma, 1.0)
         bounds = [
@@ -183,7 +183,7 @@ class Search:
         bounds.append((math.log(0.2), math.log(5.0)) if self._fit_noise else (0.0, 0.0))
         return bounds
 
-    def improve(self, model: Model, iterations: int) -> Model:
+    def improve(self, model: NoiseModel, iterations: int) -> NoiseModel:
         """The best model within some iterations of L-BFGS from `model`; never worse than it."""
         from scipy.optimize import minimize
 
@@ -217,7 +217,7 @@ class Search:
         )  # fmt: skip
         return self._model(best[0][1], origin)
 
-    def _value_and_slope(self, model: Model) -> tuple[float, Array]:
+    def _value_and_slope(self, model: NoiseModel) -> tuple[float, Array]:
         """Deviance and its derivatives: through the moments of the posterior, at the cost of one."""
         now = self.posterior(model)
         moments = now.moments
@@ -239,7 +239,7 @@ class Search:
             slope[-1] = now.deviance_by_noise_scale
         return now.deviance, slope
 
-    def with_given_tones(self, model: Model, frequencies: Sequence[float]) -> Model:
+    def with_given_tones(self, model: NoiseModel, frequencies: Sequence[float]) -> NoiseModel:
         """The model with a tone at each of these frequencies (Hz), as large as the noise to begin with.
 
         Tones of the model within the resolution of one of them give way to it.
@@ -256,7 +256,7 @@ class Search:
 
     # -- tones ------------------------------------------------------------------------------------
 
-    def unexplained_tones(self, model: Model, false_alarm: float) -> list[tuple[Tone, float]]:
+    def unexplained_tones(self, model: NoiseModel, false_alarm: float) -> list[tuple[Tone, float]]:
         """Sinusoids that the model does not explain, each with its gain, the most significant first.
 
         Notes
@@ -289,7 +289,7 @@ class Search:
                 tones.append((Tone(sigma, float(frequency[where[k]]), 1.0 / self._length), float(gain[k])))
         return tones
 
-    def without_aliases(self, model: Model, false_alarm: float) -> Model:
+    def without_aliases(self, model: NoiseModel, false_alarm: float) -> NoiseModel:
         """The model with every tone moved to another frequency where that explains the data better.
 
         Differences sampled coarsely see a tone at several frequencies almost alike. Which of them it
@@ -315,7 +315,7 @@ class Search:
                     model = replace(moved, tones=tuple(tones), gains=tuple(gains))
         return model
 
-    def _alias_score(self, model: Model, k: int) -> float:
+    def _alias_score(self, model: NoiseModel, k: int) -> float:
         """Deviance plus what is held against a tone for the height of its frequency."""
         return self.deviance(model) + ALIAS_PENALTY * math.log(model.tones[k].frequency)
 
@@ -347,7 +347,7 @@ class Search:
         expected = np.maximum(expected, 1e-12 * float(np.max(expected, initial=1.0)))
         return power[:half] + power[half:], expected[:half] + expected[half:]
 
-    def with_smoothness(self, model: Model) -> Model:
+    def with_smoothness(self, model: NoiseModel) -> NoiseModel:
         """The model with its broadband part as smooth as the data ask for, from its present order up.
 
         Notes
@@ -364,7 +364,9 @@ class Search:
             model = smoother
         return model
 
-    def with_possible_tones(self, model: Model, possible: Sequence[float], false_alarm: float) -> Model:
+    def with_possible_tones(
+        self, model: NoiseModel, possible: Sequence[float], false_alarm: float
+    ) -> NoiseModel:
         """The model and a tone at every `possible` frequency (Hz) it has none at, as large as it may be.
 
         A size fitted to data that do not show the tone is an accident: nothing at a blind frequency. It has
@@ -386,7 +388,7 @@ class Search:
             model = model.with_tone(Tone(math.sqrt(variance), frequency, 1.0 / self._length), math.nan)
         return model
 
-    def without_idle_tones(self, model: Model) -> Model:
+    def without_idle_tones(self, model: NoiseModel) -> NoiseModel:
         """The model less every tone that three parameters do not pay for (Akaike)."""
         for k in reversed(range(len(model.tones))):
             fewer = model.without_tone(k)
@@ -418,7 +420,7 @@ def mean_variance_unseen(gain: float, largest: float) -> float:
     return float(variance @ weight / weight.sum())
 
 
-def _component(model: Model, parameter: int) -> Matern | Tone:
+def _component(model: NoiseModel, parameter: int) -> Matern | Tone:
     """The part of the spectrum to which a parameter of the vector belongs."""
     if parameter < 4:
         return (model.drift, model.broadband)[parameter // 2]

@@ -108,7 +108,7 @@ class Grid:
 
 
 @dataclass(frozen=True, eq=False)
-class NormalEquations:
+class SeriesEquations:
     """What a set of series says about the motion on a grid, and about a constant per image.
 
     With rows H (motion) and J (constants), measurements y and their covariance R:
@@ -148,7 +148,7 @@ def normal_equations(
     offsets: bool = False,
     independent: float = 0.0,
     spectrum: Spectrum | None = None,
-) -> NormalEquations:
+) -> SeriesEquations:
     """Sum all measurements of all series on `grid`.
 
     Parameters
@@ -197,7 +197,7 @@ def normal_equations(
         flat.variance_a, flat.variance_b, flat.variance_own, grid.start, grid.step, support,
         band, rhs, border, corner, rhs_border,
     )  # fmt: skip
-    return NormalEquations(grid, band, rhs, border, corner, rhs_border, misfit, logdet, used)
+    return SeriesEquations(grid, band, rhs, border, corner, rhs_border, misfit, logdet, used)
 
 
 @dataclass(frozen=True, eq=False)

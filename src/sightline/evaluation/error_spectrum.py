@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sightline.evaluation.observed import Observed, observed
+from sightline.evaluation.observed import MatchedDirections, observed
 from sightline.geometry.trajectory import Motion
 from sightline.motion.results import LineOfSight
 from sightline.motion.tones import spectrum
@@ -16,7 +16,7 @@ from sightline.motion.tones import spectrum
 Array = NDArray[np.float64]
 
 
-def error_psd(result: LineOfSight, frequency: ArrayLike, seen: Observed | None = None) -> Array:
+def error_psd(result: LineOfSight, frequency: ArrayLike, seen: MatchedDirections | None = None) -> Array:
     """One-sided PSD (F, 3) rad^2/Hz of the error of roll, pitch, yaw at `frequency` (F,) Hz.
 
     Parameters

@@ -30,7 +30,7 @@ SEEN_SIGMAS = 5.0
 
 
 @dataclass(frozen=True, eq=False)
-class Observed:
+class MatchedDirections:
     """What the kept matches can see.
 
     Attributes
@@ -55,7 +55,7 @@ class Observed:
     blind: dict[tuple[int, int], Array]
 
 
-def observed(result: LineOfSight, frequency: ArrayLike) -> Observed:
+def observed(result: LineOfSight, frequency: ArrayLike) -> MatchedDirections:
     """What the kept matches of a recovery can see at `frequency` (F,) Hz.
 
     Notes
@@ -85,7 +85,7 @@ def observed(result: LineOfSight, frequency: ArrayLike) -> Observed:
     duration = float(result.motion.t[-1] - result.motion.t[0])
     margin[f * duration < 1.0] = 0.0  # less than one period: not told from a drift
     bands = [intervals_above(f, np.minimum(margin[:, axis], 2.0), 1.0) for axis in range(3)]
-    return Observed(f, sigma, margin >= 1.0, (bands[0], bands[1], bands[2]), blind)
+    return MatchedDirections(f, sigma, margin >= 1.0, (bands[0], bands[1], bands[2]), blind)
 
 
 def _information(star: Star, k: int) -> tuple[Array, float]:

@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from sightline.io.acquisition.schema import Section
+from sightline.io.acquisition.schema import SchemaSection
 from sightline.io.quantities import (
     Distortion,
     FocalSigmaPx,
@@ -19,7 +19,7 @@ from sightline.io.quantities import (
 )
 
 
-class FrameCameraSection(Section):
+class FrameCameraSection(SchemaSection):
     """How a camera sits in the body, and its lens."""
 
     mount: Literal["nominal"] = Field(default="nominal", description="Lines forward, columns left")

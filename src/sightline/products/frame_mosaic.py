@@ -60,7 +60,7 @@ class BeforeSky:
 
 
 @dataclass(frozen=True, eq=False)
-class Layer:
+class CloudLayer:
     """What lies above the points of a body: clouds that one filter sees higher than another.
 
     Attributes
@@ -79,9 +79,9 @@ class Layer:
         hit = self.body.intersect(origins, directions)
         return np.asarray(hit * (1.0 + self.height / np.linalg.norm(hit, axis=1, keepdims=True)))
 
-    def raised(self, height: float) -> Layer:
+    def raised(self, height: float) -> CloudLayer:
         """The same over the body `height` metres higher."""
-        return Layer(self.body.raised(height), self.height)
+        return CloudLayer(self.body.raised(height), self.height)
 
 
 @dataclass(frozen=True, eq=False)

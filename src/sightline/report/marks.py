@@ -144,7 +144,7 @@ class Line(Mark):
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Band(Mark):
+class Between(Mark):
     """The room between two curves."""
 
     x: ArrayLike

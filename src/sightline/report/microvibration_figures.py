@@ -13,7 +13,7 @@ import numpy as np
 from sightline.evaluation.microvibration import STEADY, smear_px
 from sightline.motion.results import LineOfSight
 from sightline.report.figure import Figure
-from sightline.report.marks import DASHES, Band, Line
+from sightline.report.marks import DASHES, Between, Line
 from sightline.report.style import AXES, AXIS_COLOURS, AXIS_UNITS
 
 
@@ -37,7 +37,9 @@ def tone_figure(found: Mapping[str, Any]) -> Figure | None:
             name += ", varies" if tone["steady_chance"] < STEADY else ", steady"
             dash = list(DASHES)[k % len(DASHES)]
             panel.add(
-                Band(x=t, low=np.maximum(size - sigma, 0.0), high=size + sigma, colour=colour, opacity=0.15),
+                Between(
+                    x=t, low=np.maximum(size - sigma, 0.0), high=size + sigma, colour=colour, opacity=0.15
+                ),
                 Line(x=t, y=size, name=name, colour=colour, dash=dash, dotted=4.0),
             )
         panel.y.title, panel.y.from_zero = f"{axis} amplitude ({AXIS_UNITS[AXES.index(axis)]})", True

@@ -12,7 +12,7 @@ from sightline.evaluation.score import remove_directions
 from sightline.io.formats.tables import MotionTable
 from sightline.motion.results import LineOfSight
 from sightline.report.figure import Figure, Panel
-from sightline.report.marks import Band, Line, Points, Spans
+from sightline.report.marks import Between, Line, Points, Spans
 from sightline.report.reduce import cell_edges, cell_means, runs
 from sightline.report.style import AXES, AXIS_COLOURS, AXIS_UNITS, BLIND, INK
 
@@ -93,7 +93,9 @@ def _attitude(result: LineOfSight, truth: MotionTable | None, part: slice, dotte
             panel.add(Points(x=t, y=values, sigma=sigma, name=words, colour=colour))
         else:
             panel.add(
-                Band(x=t, low=values - sigma, high=values + sigma, name=words, colour=colour, opacity=0.30),
+                Between(
+                    x=t, low=values - sigma, high=values + sigma, name=words, colour=colour, opacity=0.30
+                ),
                 Line(x=t, y=values, name=name, colour=colour, width=1.2, dotted=dotted),
             )
         if true is not None:

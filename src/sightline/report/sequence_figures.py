@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.report.figure import Figure, Panel
-from sightline.report.marks import Band, Line, Note, Points, Rules, broken
+from sightline.report.marks import Between, Line, Note, Points, Rules, broken
 from sightline.report.sequence_view import PARAMETERS, SequenceView
 from sightline.report.style import AXIS_COLOURS, BEFORE, DOUBT, INK, MUTED
 
@@ -180,7 +180,7 @@ def departure_figure(view: SequenceView, epoch: str | None) -> Figure:
         )
         half = np.where(np.isfinite(view.sigma[:, k]), SIGMA_95 * view.sigma[:, k], np.nan)
         x, low, high = (by_stretch(view, v) for v in (axis.x, values - half, values + half))
-        first.add(Band(x=x, low=low, high=high, colour=colour, opacity=0.2, name=BAND_NAME, key=k == 0))
+        first.add(Between(x=x, low=low, high=high, colour=colour, opacity=0.2, name=BAND_NAME, key=k == 0))
         for panel in (first, second):
             _line(panel, view, axis, values, "found", colour)
             _dots(panel, view, axis, every[view.kind == 2], values, KIND_NAMES[2], **IDLE)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.evaluation.error_spectrum import error_psd
-from sightline.evaluation.observed import SEEN_SIGMAS, SEEN_TONE_PX, Observed
+from sightline.evaluation.observed import SEEN_SIGMAS, SEEN_TONE_PX, MatchedDirections
 from sightline.motion.observability import Passbands
 from sightline.motion.results import LineOfSight
 from sightline.motion.tones import DetectedTone, spectrum
@@ -74,7 +74,7 @@ def spectrum_figure(
     return figure
 
 
-def visibility_figure(result: LineOfSight, seen: Observed, names: Sequence[str]) -> Figure:
+def visibility_figure(result: LineOfSight, seen: MatchedDirections, names: Sequence[str]) -> Figure:
     """Smallest tone that would stand out, per axis, and below it the blind frequencies of every pair."""
     # a pair matched both ways is blind at the same frequencies: once is enough
     once: dict[frozenset[int], tuple[int, int]] = {}

@@ -28,7 +28,7 @@ _NODE_STEP = 4  # columns between exact rays: fine enough for any lens distortio
 
 
 @dataclass(frozen=True)
-class FrameOptions:
+class FrameCaseOptions:
     """What a sequence of frames is made of; the defaults resemble a camera at a window of the ISS.
 
     Parameters
@@ -113,7 +113,7 @@ class FrameScenario:
     """
 
     seed: int
-    options: FrameOptions
+    options: FrameCaseOptions
     detector: AreaDetector
     reference: Trajectory
     motion: Motion
@@ -153,11 +153,11 @@ def frames_case(seed: int = 0, **overrides: Any) -> FrameScenario:
     >>> frames_case(0, count=2, shape=(48, 64)).image(1).shape
     (48, 64)
     """
-    known = {field.name for field in dataclasses.fields(FrameOptions)}
+    known = {field.name for field in dataclasses.fields(FrameCaseOptions)}
     unknown = sorted(set(overrides) - known)
     if unknown:
         raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
-    options = FrameOptions(**overrides)
+    options = FrameCaseOptions(**overrides)
     motion_seed, texture_seed, relief_seed, _ = np.random.SeedSequence(seed).spawn(4)
     nominal_times, times, motion = _draw_motion(options, motion_seed)
     margin = options.interval
@@ -176,7 +176,7 @@ def frames_case(seed: int = 0, **overrides: Any) -> FrameScenario:
     )
 
 
-def _draw_motion(options: FrameOptions, seed: np.random.SeedSequence) -> tuple[Array, Array, Motion]:
+def _draw_motion(options: FrameCaseOptions, seed: np.random.SeedSequence) -> tuple[Array, Array, Motion]:
     """Nominal times, true times, and a random walk with knots at (and one interval beyond) the true times."""
     rng = np.random.default_rng(seed)
     nominal = options.interval * np.arange(options.count, dtype=np.float64)
@@ -187,7 +187,7 @@ def _draw_motion(options: FrameOptions, seed: np.random.SeedSequence) -> tuple[A
 
 
 def _draw_scene(
-    options: FrameOptions,
+    options: FrameCaseOptions,
     motion: Motion,
     texture_seed: np.random.SeedSequence,
     relief_seed: np.random.SeedSequence,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.simulate.texture import Array, Array32, Layer, random_layer
+from sightline.simulate.texture import Array, Array32, TextureLayer, random_layer
 
 OUTER_SCALE_PX = 1800.0
 """Period, px, beyond which the texture's spectrum stops growing (that of S1's reference scenes)."""
@@ -89,10 +89,10 @@ class Clouds:
         m over which the border of a bank turns from clear to opaque.
     """
 
-    thickness: Layer | None
+    thickness: TextureLayer | None
     threshold: float
     softness: float
-    brightness: Layer
+    brightness: TextureLayer
     height: float
     wind: tuple[float, float]
     level: float = 2.6
@@ -145,11 +145,11 @@ class BandShine:
         In place of the scene's common texture (real rasters: one per band).
     """
 
-    own: Layer | None
+    own: TextureLayer | None
     weight: float = 1.0
     gain: float = 1.0
     gamma: float = 1.0
-    common: Layer | None = None
+    common: TextureLayer | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,7 +170,7 @@ class Scene:
         m, width of their border.
     """
 
-    texture: Layer
+    texture: TextureLayer
     bands: tuple[BandShine, ...]
     relief: Relief | None = None
     clouds: Clouds | None = None
@@ -349,7 +349,7 @@ def scene_layers(
     gammas: tuple[float, ...],
     *,
     largest: int = 8192,
-) -> tuple[Layer, tuple[BandShine, ...]]:
+) -> tuple[TextureLayer, tuple[BandShine, ...]]:
     """The common texture and, per band, its own part; two bands of `weights` v and w have the coherence v w.
 
     Layers are sampled at half the pixel. No side of a layer exceeds about `largest` samples: longer scenes

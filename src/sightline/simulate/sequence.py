@@ -22,7 +22,7 @@ from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.simulate.scene import Extent
 from sightline.simulate.sensor import Radiometry
 from sightline.simulate.sequence_filter import FilterLayout, filter_layout, filter_weights, response
-from sightline.simulate.sequence_ground import Ground, draw_ground
+from sightline.simulate.sequence_ground import SimulatedGround, draw_ground
 from sightline.simulate.sequence_motion import Flight, draw_flight
 from sightline.simulate.sequence_options import CASE_OPTIONS, SequenceOptions
 from sightline.simulate.sequence_render import render_frame
@@ -59,7 +59,7 @@ class SequenceScenario:
     detector: AreaDetector
     flight: Flight
     filter: FilterLayout
-    ground: Ground
+    ground: SimulatedGround
 
     @cached_property
     def poses(self) -> tuple[Array, Array, Rotation]:

@@ -34,7 +34,7 @@ _WATER_DARKNESS = 0.5  # of water, over the mean ground
 
 
 @dataclass(frozen=True, eq=False)
-class Ground:
+class SimulatedGround:
     """What lies under a flight.
 
     Parameters
@@ -75,7 +75,7 @@ class Ground:
         return _WATER_DARKNESS * self.mean
 
 
-def draw_ground(options: SequenceOptions, extent: Extent, seed: np.random.SeedSequence) -> Ground:
+def draw_ground(options: SequenceOptions, extent: Extent, seed: np.random.SeedSequence) -> SimulatedGround:
     """Relief and kinds of ground over `extent`, without water."""
     relief_seed, texture_seed = seed.spawn(2)
     gsd = options.gsd
@@ -88,7 +88,7 @@ def draw_ground(options: SequenceOptions, extent: Extent, seed: np.random.SeedSe
     # the table repeats: its margin does not count
     inner = amounts[:-_MARGIN, :-_MARGIN]
     mean = np.array([inner[..., k].mean(dtype=np.float64) for k in range(KINDS)])
-    return Ground(
+    return SimulatedGround(
         amounts,
         np.array([extent.west, extent.south, 0.5 * gsd, 0.5 * gsd]),
         mean,

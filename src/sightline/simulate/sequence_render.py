@@ -9,14 +9,14 @@ import numpy as np
 
 from sightline.compiled import njit
 from sightline.errors import GeometryError
-from sightline.simulate.sequence_ground import Ground, spline_signal, water_share
+from sightline.simulate.sequence_ground import SimulatedGround, spline_signal, water_share
 from sightline.simulate.texture import Array, Array32
 
 _TOLERANCE_PX = 1e-5  # of a ray's meeting with the relief
 
 
 def render_frame(
-    tangents: Array, matrices: Array, positions: Array, ground: Ground, weights: Array32, gsd: float
+    tangents: Array, matrices: Array, positions: Array, ground: SimulatedGround, weights: Array32, gsd: float
 ) -> Array32:
     """Noiseless relative signal (channels, lines, columns) of a frame.
 

@@ -27,7 +27,7 @@ from sightline.photogrammetry.sightings import Images
 from sightline.simulate.files import write_image
 from sightline.simulate.scene import Extent, TextureLaw, layer_shape
 from sightline.simulate.sensor import Radiometry
-from sightline.simulate.texture import Array, Array32, Layer, random_layer
+from sightline.simulate.texture import Array, Array32, TextureLayer, random_layer
 
 #: Rays per pixel along lines and columns: the texture ends at one cycle per pixel, of which three samples
 #: leave nothing to fold.
@@ -85,10 +85,12 @@ class TexturedGround:
     surface: Surface
     origin: Array
     world_from_local: Rotation
-    texture: Layer
+    texture: TextureLayer
 
 
-def random_texture(seed: np.random.SeedSequence, gsd: float, reach: float, contrast: float = 0.2) -> Layer:
+def random_texture(
+    seed: np.random.SeedSequence, gsd: float, reach: float, contrast: float = 0.2
+) -> TextureLayer:
     """Texture of 1/f^2 power down to one cycle per pixel.
 
     Parameters

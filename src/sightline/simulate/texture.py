@@ -24,7 +24,7 @@ _PAD = 3  # coefficients repeated beyond each period, so that a 4 x 4 stencil ne
 
 
 @dataclass(frozen=True, eq=False)
-class Layer:
+class TextureLayer:
     """A function of ground position, periodic, twice differentiable.
 
     Parameters
@@ -143,7 +143,7 @@ def random_layer(
     spacing: tuple[float, float],
     psd: Callable[[Array, Array], Array],
     origin: tuple[float, float] = (0.0, 0.0),
-) -> Layer:
+) -> TextureLayer:
     """A Gaussian layer with the two-dimensional spectrum `psd`.
 
     Parameters
@@ -178,12 +178,12 @@ def random_layer(
         gain = np.sqrt(density / (spacing[0] * spacing[1])) / (response_x[None, :] * spline_response(fy))
         spectrum[first:last] *= gain.astype(np.float32)
     coefficients = scipy.fft.irfft2(spectrum, shape, overwrite_x=True).astype(np.float32, copy=False)
-    return Layer(padded(coefficients), spacing, origin)
+    return TextureLayer(padded(coefficients), spacing, origin)
 
 
 def raster_layer(
     raster: NDArray[np.generic], spacing: tuple[float, float], origin: tuple[float, float] = (0.0, 0.0)
-) -> Layer:
+) -> TextureLayer:
     """A real image as a layer: mirrored at its edges, band-limited to its own sampling.
 
     Parameters
@@ -214,4 +214,4 @@ def raster_layer(
     fine /= spline_response(scipy.fft.rfftfreq(2 * columns))[None, :]
     fine /= spline_response(scipy.fft.fftfreq(2 * rows))[:, None]
     coefficients = scipy.fft.irfft2(fine, (2 * rows, 2 * columns)).astype(np.float32)
-    return Layer(padded(coefficients), (spacing[0] / 2.0, spacing[1] / 2.0), origin)
+    return TextureLayer(padded(coefficients), (spacing[0] / 2.0, spacing[1] / 2.0), origin)

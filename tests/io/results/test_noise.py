@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sightline.applications.detector_noise import DEAD, GAIN_UNKNOWN, DetectorNoise
-from sightline.applications.strip_noise import Figure
+from sightline.applications.strip_noise import NoiseFigure
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.io.results.noise import NOISE_FILES, write_noise
 from sightline.io.tdi.load import load_tdi
@@ -27,8 +27,8 @@ FOUND = DetectorNoise(
     signals=(132.0, 2366.0),
     full_well_sum=151400.0,
     figures=(
-        Figure("read noise C", "DN rms", 3.7, 0.1, "=", "empty pixels"),
-        Figure("  A of the sum", "1", 3.6e-6, None, "<=", "image"),
+        NoiseFigure("read noise C", "DN rms", 3.7, 0.1, "=", "empty pixels"),
+        NoiseFigure("  A of the sum", "1", 3.6e-6, None, "<=", "image"),
     ),
     images=(),
     warnings=("one thing",),

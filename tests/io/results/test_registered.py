@@ -8,7 +8,7 @@ import rasterio
 from rasterio.transform import Affine
 
 from sightline.io.formats.images import open_image
-from sightline.io.results.registered import Grid, as_type, write_registered
+from sightline.io.results.registered import MapGrid, as_type, write_registered
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
 SHAPE = (700, 560)
@@ -31,7 +31,7 @@ def written(tmp_path, images, dtypes, stack=False, tags=None):
     names = [["a", "b"]] if stack else [["a"], ["b"]]
     paths = [tmp_path / f"{k}.tif" for k in range(len(names))]
     share = write_registered(
-        paths, names, blocks(images), Grid(SHAPE, tags or {}), [np.dtype(d) for d in dtypes]
+        paths, names, blocks(images), MapGrid(SHAPE, tags or {}), [np.dtype(d) for d in dtypes]
     )
     return paths, share
 
@@ -91,5 +91,7 @@ def test_a_failed_block_leaves_no_file(tmp_path, images):
         raise RuntimeError("disk")
 
     with pytest.raises(RuntimeError):
-        write_registered([tmp_path / "a.tif"], [["a", "b"]], broken(), Grid(SHAPE, {}), [np.dtype("uint16")])
+        write_registered(
+            [tmp_path / "a.tif"], [["a", "b"]], broken(), MapGrid(SHAPE, {}), [np.dtype("uint16")]
+        )
     assert list(tmp_path.iterdir()) == []

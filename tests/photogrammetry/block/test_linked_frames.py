@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
-from sightline.photogrammetry.block.descent import Block, first_state, seen_twice
+from sightline.photogrammetry.block.descent import BlockSums, first_state, seen_twice
 from sightline.photogrammetry.block.linked_frames import LinkedFrames, runs_of_points
 from sightline.photogrammetry.block.point_priors import HeightPrior, PointPriors
 from sightline.photogrammetry.block.reduced import Curvature, PointsFirst
@@ -106,7 +106,7 @@ def reductions(flight: Flight) -> tuple[PointsFirst, LinkedFrames, Curvature]:
     order = solving_order(flight.images, sightings)
     assert order.last is not None
     unknowns = frame_unknowns(flight.images, flight.known, np.full(6, 1e-2))
-    block = Block(sightings, unknowns, flight.priors)
+    block = BlockSums(sightings, unknowns, flight.priors)
     state, usable = first_state(block, seen_twice(sightings, flight.priors), None)
     weight = usable.astype(float)
     weight[::97] = 0.0  # gross errors

@@ -19,7 +19,7 @@ from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.matching.follow import Followed
-from sightline.photogrammetry.block.descent import Block, State
+from sightline.photogrammetry.block.descent import BlockSums, State
 from sightline.photogrammetry.block.point_priors import HeightPrior, PointPriors
 from sightline.photogrammetry.flight import blocks as sequence_blocks
 from sightline.photogrammetry.flight import poses as frame_poses
@@ -64,7 +64,7 @@ def test_sightings_change_with_the_focal_length_as_pixels_of_a_pinhole_do():
     stretch, own = 0.013, 0.1 * rng.standard_normal((3, 6))
     common = np.append(np.zeros(6), stretch)
     sightings = sight_frames(flight.images, [camera(FOCAL)], [NADIR_MOUNT], flight.tracks)
-    block = Block(sightings, unknowns, None)
+    block = BlockSums(sightings, unknowns, None)
     ground = rng.uniform([-20.0, -20.0, -40.0], [20.0, 20.0, 0.0], (sightings.points, 3))
     x = unknowns.departures(own, common)
 

@@ -68,13 +68,13 @@ MOST_BANDS, MOST_FRAMES = 4096, 100_000
 MOST_LISTED = 10_000
 
 
-class Section(BaseModel):
+class SchemaSection(BaseModel):
     """A table of the file; a key that is not listed is refused."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=False)
 
 
-class FilesSection(Section):
+class FilesSection(SchemaSection):
     """``[files]``: what the files that are named may refer to."""
 
     allow: list[FileName] = Field(
@@ -84,7 +84,7 @@ class FilesSection(Section):
     )
 
 
-class InputFile(Section):
+class InputFile(SchemaSection):
     """What every one of the TOML files may say."""
 
     files: FilesSection = Field(
@@ -92,7 +92,7 @@ class InputFile(Section):
     )
 
 
-class DatedSection(Section):
+class DatedSection(SchemaSection):
     """What every data set may say of itself: when t = 0 was."""
 
     epoch: Title | None = Field(default=None, description="UTC instant of t = 0, ISO 8601")
@@ -127,7 +127,7 @@ class HeaderSection(DatedSection):
     )
 
 
-class LevelFlight(Section):
+class LevelFlight(SchemaSection):
     """``[platform]`` kind level-flight: straight and level over a flat Earth, flying north."""
 
     kind: Literal["level-flight"]
@@ -135,7 +135,7 @@ class LevelFlight(Section):
     ground_speed: Speed = Field(description="m/s")
 
 
-class EphemerisPlatform(Section):
+class EphemerisPlatform(SchemaSection):
     """``[platform]`` kind ephemeris: positions and attitudes from tables."""
 
     kind: Literal["ephemeris"]
@@ -146,7 +146,7 @@ class EphemerisPlatform(Section):
     )
 
 
-class CameraModelPlatform(Section):
+class CameraModelPlatform(SchemaSection):
     """``[platform]`` kind camera-model: geometry from a sensor-model file."""
 
     kind: Literal["camera-model"]
@@ -155,7 +155,7 @@ class CameraModelPlatform(Section):
     )
 
 
-class SpinPlatform(Section):
+class SpinPlatform(SchemaSection):
     """``[platform]`` kind spin: a body that turns evenly about an axis of its own."""
 
     kind: Literal["spin"]
@@ -204,13 +204,13 @@ PlatformSection = Annotated[
 LEAST_TILT = 1e-3
 
 
-class FixedPointing(Section):
+class FixedPointing(SchemaSection):
     """``[pointing]`` kind fixed: the camera is bolted to the body."""
 
     kind: Literal["fixed"]
 
 
-class ScanMirrorPointing(Section):
+class ScanMirrorPointing(SchemaSection):
     """``[pointing]`` kind scan-mirror: the camera looks through a plane mirror that turns."""
 
     kind: Literal["scan-mirror"]
@@ -234,7 +234,7 @@ class ScanMirrorPointing(Section):
 PointingSection = Annotated[FixedPointing | ScanMirrorPointing, Field(discriminator="kind")]
 
 
-class LineGeometry(Section):
+class LineGeometry(SchemaSection):
     """Keys that `[instrument]` gives for all bands and a `[[band]]` may give for itself."""
 
     ifov: PixelTangent | None = Field(
@@ -284,7 +284,7 @@ class BandSection(LineGeometry):
     )
 
 
-class FrameSection(Section):
+class FrameSection(SchemaSection):
     """``[[frame]]``: one exposure of an area detector."""
 
     image: FileName = Field(description="Any GDAL raster (JPEG included), or .npy (lines, columns)")
@@ -304,7 +304,7 @@ class FrameSection(Section):
         return value.isoformat() if isinstance(value, datetime) else value
 
 
-class StripSection(Section):
+class StripSection(SchemaSection):
     """``[[camera.strip]]``: lines of a frame that lie behind one filter."""
 
     name: Name
@@ -330,7 +330,7 @@ class StripSection(Section):
     )
 
 
-class CameraSection(Section):
+class CameraSection(SchemaSection):
     """``[camera]``: how the camera sits in the body and, for an area detector, its lens."""
 
     mount: Literal["nominal"] = Field(default="nominal", description="Lines forward, columns left")
@@ -377,7 +377,7 @@ class CameraSection(Section):
         return self
 
 
-class SurfaceSection(Section):
+class SurfaceSection(SchemaSection):
     """``[surface]``: what the lines of sight meet."""
 
     kind: Literal["infinity"] | None = Field(
@@ -420,7 +420,7 @@ class SurfaceSection(Section):
         return self
 
 
-class WorldSection(Section):
+class WorldSection(SchemaSection):
     """``[world]``: axes of every table of positions."""
 
     frame: Literal["earth-fixed", "local", "lonlat"] = Field(
@@ -432,7 +432,7 @@ class WorldSection(Section):
     )
 
 
-class SensorSection(Section):
+class SensorSection(SchemaSection):
     """``[[attitude_sensor]]``: angles measured by something else than the camera."""
 
     kind: Literal["star-tracker", "gyro"]
@@ -451,7 +451,7 @@ class SensorSection(Section):
     )
 
 
-class ControlPointSection(Section):
+class ControlPointSection(SchemaSection):
     """``[[control_point]]``: a ground point of known coordinates, seen in one image."""
 
     x: Coordinate
@@ -463,7 +463,7 @@ class ControlPointSection(Section):
     column: PixelPlace
 
 
-class KnownMotionSection(Section):
+class KnownMotionSection(SchemaSection):
     """``[known_motion]``: what is known of the motion's frequencies beforehand."""
 
     tones: list[Frequency] = Field(
@@ -493,7 +493,7 @@ _Reach = Annotated[int, Within(0, 4096, "px")]
 WindowSize = tuple[_Side, _Side]
 
 
-class MatchingSection(Section):
+class MatchingSection(SchemaSection):
     """``[matching]``: where the default choice is not wanted (names as in ``RecoverOptions``)."""
 
     first_window: WindowSize | None = Field(

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from sightline.io.acquisition.schema import InputFile, Section
+from sightline.io.acquisition.schema import InputFile, SchemaSection
 from sightline.io.quantities import (
     Duration,
     FocalLengthPx,
@@ -39,7 +39,7 @@ Separation = Annotated[float, Within(1e-3, 1e7, "px")]
 GroundRate = Annotated[float, Within(1e-4, 1e8, "px/s")]
 
 
-class PriorSection(Section):
+class PriorSection(SchemaSection):
     """``[[prior]]``: one part of the motion that is expected."""
 
     kind: Literal["matern", "tone"] = Field(
@@ -71,7 +71,7 @@ class PriorSection(Section):
         return self
 
 
-class LayoutSection(Section):
+class LayoutSection(SchemaSection):
     """``[[layout]]``: a layout of one's own to compare with."""
 
     name: Name = Field(default="yours")

@@ -23,7 +23,7 @@ from sightline.applications.detector_noise import (
     OUTLYING,
     DetectorNoise,
 )
-from sightline.applications.strip_noise import Figure
+from sightline.applications.strip_noise import NoiseFigure
 from sightline.io.acquisition.acquired import sha256
 from sightline.io.formats.tables import write_columns
 from sightline.io.results.line_of_sight import write_json
@@ -169,6 +169,6 @@ def summarize_noise(noise: DetectorNoise, inputs: Sequence[Path], *, wall_second
     }
 
 
-def _figure(figure: Figure) -> dict[str, Any]:
+def _figure(figure: NoiseFigure) -> dict[str, Any]:
     """A figure as JSON: its name, unit, value, sigma (null of a bound), relation and how."""
     return {**asdict(figure), "name": figure.name.strip()}

@@ -36,7 +36,7 @@ TILE = 512
 
 
 @dataclass(frozen=True)
-class Grid:
+class MapGrid:
     """Shape of the registered images and what their reference file says about its place on the ground.
 
     Attributes
@@ -50,7 +50,7 @@ class Grid:
     tags: dict[str, Any]
 
 
-def grid_of(acquisition: Acquisition, band: int) -> Grid:
+def grid_of(acquisition: Acquisition, band: int) -> MapGrid:
     """The grid of a band's image, with the georeferencing of its file."""
     image = acquisition.bands[band].image
     path, tags = getattr(image, "path", None), {}
@@ -63,7 +63,7 @@ def grid_of(acquisition: Acquisition, band: int) -> Grid:
                 tags = {"transform": source.transform, "crs": source.crs}
             if source.rpcs is not None:
                 tags["rpcs"] = source.rpcs
-    return Grid(image.shape, tags)
+    return MapGrid(image.shape, tags)
 
 
 def pixel_type(acquisition: Acquisition, bands: Sequence[int], name: str | None) -> np.dtype[Any]:
@@ -171,7 +171,7 @@ def write_registered(
     paths: Sequence[Path],
     names: Sequence[Sequence[str]],
     blocks: Iterator[tuple[int, list[Pixels]]],
-    grid: Grid,
+    grid: MapGrid,
     dtypes: Sequence[np.dtype[Any]],
 ) -> list[float]:
     """Write images block by block and make them cloud-optimised.
@@ -228,7 +228,7 @@ def write_registered(
     return [float(share) for share in counts / pixels_in_all]
 
 
-def _profile(grid: Grid, count: int, dtype: np.dtype[Any]) -> dict[str, Any]:
+def _profile(grid: MapGrid, count: int, dtype: np.dtype[Any]) -> dict[str, Any]:
     profile: dict[str, Any] = {
         "driver": "GTiff", "height": grid.shape[0], "width": grid.shape[1], "count": count,
         "dtype": dtype.name, "tiled": True, "blockxsize": TILE, "blockysize": TILE, "BIGTIFF": "IF_SAFER",
@@ -239,7 +239,7 @@ def _profile(grid: Grid, count: int, dtype: np.dtype[Any]) -> dict[str, Any]:
     return profile
 
 
-def _describe(target: Any, names: Sequence[str], grid: Grid) -> None:
+def _describe(target: Any, names: Sequence[str], grid: MapGrid) -> None:
     for number, name in enumerate(names, 1):
         target.set_band_description(number, printable(name))
     if "gcps" in grid.tags:

@@ -45,7 +45,7 @@ _NAMED = (
 
 
 @dataclass(frozen=True, eq=False)
-class Model:
+class PoseModel:
     """Poses as a file has them.
 
     Attributes
@@ -121,12 +121,12 @@ def _names_of_files(names: tuple[str, ...], frames: FrameList) -> tuple[str, ...
     return tuple(name if name in known else name.replace("\\", "/").rsplit("/", 1)[-1] for name in names)
 
 
-def _opensfm(path: Path) -> Model:
+def _opensfm(path: Path) -> PoseModel:
     model, place = read_opensfm(path)
-    return Model("the OpenSfM model", model.names, model.position, model.world_from_camera, place)
+    return PoseModel("the OpenSfM model", model.names, model.position, model.world_from_camera, place)
 
 
-def _angles(path: Path, mount: Rotation) -> Model:
+def _angles(path: Path, mount: Rotation) -> PoseModel:
     if kind_of_angles(path) is None:
         raise FormatError(
             f"{path}: the header is {','.join(header_of(path))!r}; `poses` takes a table "
@@ -134,15 +134,15 @@ def _angles(path: Path, mount: Rotation) -> Model:
             "poses.csv, as positions and as attitudes"
         )
     table = read_angles(path)
-    return Model("the table", table.names, table.position, table.camera(mount), table.origin)
+    return PoseModel("the table", table.names, table.position, table.camera(mount), table.origin)
 
 
-def _of_colmap(file: SequenceFile, files: InputFolder, folder: Path) -> tuple[Model, Array, Rotation]:
+def _of_colmap(file: SequenceFile, files: InputFolder, folder: Path) -> tuple[PoseModel, Array, Rotation]:
     """A COLMAP model; its positions and attitudes of the camera, axes of computation."""
     read = read_colmap_model(folder)
     for path in colmap_files(folder):
         files(f"{file.poses}/{path.name}")
-    model = Model("the COLMAP model", read.names, read.position, read.world_from_camera, None)
+    model = PoseModel("the COLMAP model", read.names, read.position, read.world_from_camera, None)
     radii, origin = radii_of(file), folder / ORIGIN_FILE
     if origin.is_file():
         place = _read_origin(files(f"{file.poses}/{ORIGIN_FILE}"), flat=radii is None)
@@ -178,7 +178,9 @@ def _read_origin(path: Path, *, flat: bool) -> Place:
     return x, y, z
 
 
-def _to_world(file: SequenceFile, path: Path, model: Model, place: Place | None) -> tuple[Array, Rotation]:
+def _to_world(
+    file: SequenceFile, path: Path, model: PoseModel, place: Place | None
+) -> tuple[Array, Rotation]:
     """Positions and attitudes of the camera in the axes of computation, of level axes at `place`."""
     radii = radii_of(file)
     if radii is None:

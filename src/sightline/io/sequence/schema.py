@@ -25,7 +25,7 @@ from sightline.io.acquisition.schema import (
     ControlPointSection,
     DatedSection,
     InputFile,
-    Section,
+    SchemaSection,
     SurfaceSection,
     WorldSection,
 )
@@ -72,7 +72,7 @@ MOST_LINES, MOST_BANDS = 100_000, 4096
 _LIST, _RANGE, _HEADER = "as-list", "as-range", "as-header"
 
 
-class WavelengthRange(Section):
+class WavelengthRange(SchemaSection):
     """Wavelengths that change evenly from the first line to the last."""
 
     first: Wavelength = Field(alias="from", description="nm, of line 0")
@@ -165,7 +165,7 @@ class SequenceCamera(FrameCameraSection):
             raise ValueError("channel_nm is empty; one per band of the image is expected")
 
 
-class SubsetSection(Section):
+class SubsetSection(SchemaSection):
     """``[subset]``: frames that photogrammetry is done on."""
 
     overlap: Annotated[float, Within(0.01, 0.999, "", "a share of the frame: 0.8 for 80 %")] = Field(
@@ -173,7 +173,7 @@ class SubsetSection(Section):
     )
 
 
-class CubeSection(Section):
+class CubeSection(SchemaSection):
     """``[cube]``: maps of every band; ``make = false``: none."""
 
     make: bool = Field(default=True, description="Make the maps")

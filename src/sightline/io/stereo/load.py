@@ -37,7 +37,7 @@ from sightline.io.stereo.schema import StereoCamera, StereoFile
 from sightline.io.stereo.strips import strip_problem
 from sightline.io.stereo.tables import (
     PointTable,
-    PoseTable,
+    StereoPoseTable,
     listed,
     read_image_list,
     read_matches,
@@ -104,7 +104,7 @@ class Stereo:
     surface: Surface
     world: str
     another_body: bool
-    poses: PoseTable
+    poses: StereoPoseTable
     pairs: int | None
     pictures: StereoImages | None
     inputs: tuple[Path, ...] = field(repr=False)
@@ -297,7 +297,7 @@ def _focal_sigma(cameras: list[StereoCamera]) -> tuple[float, ...] | None:
     return sigmas if any(sigmas) else None
 
 
-def _images(poses: PoseTable, path: Path, file: StereoFile) -> Images:
+def _images(poses: StereoPoseTable, path: Path, file: StereoFile) -> Images:
     """Planned poses in the axes of computation."""
     return Images(
         poses.camera,
@@ -308,7 +308,7 @@ def _images(poses: PoseTable, path: Path, file: StereoFile) -> Images:
     )
 
 
-def _points(file: StereoFile, files: InputFolder, poses: PoseTable) -> tuple[PointTable | None, Path]:
+def _points(file: StereoFile, files: InputFolder, poses: StereoPoseTable) -> tuple[PointTable | None, Path]:
     """The table of points and its path; None where images are to be matched."""
     sigma = file.noise.sigma_px
     if file.matches is not None:
@@ -342,7 +342,7 @@ def _aim(
 
 
 def _pictures(
-    files: InputFolder, file: StereoFile, poses: PoseTable, detectors: tuple[AreaDetector, ...]
+    files: InputFolder, file: StereoFile, poses: StereoPoseTable, detectors: tuple[AreaDetector, ...]
 ) -> StereoImages:
     """Pictures of the table of images, opened; FormatError for a shape that is not the camera's."""
     path = files(str(file.images))

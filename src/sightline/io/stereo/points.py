@@ -19,7 +19,7 @@ from sightline.io.acquisition.ground import exchanged_words, inside_raster, surf
 from sightline.io.acquisition.platform import points_to_world
 from sightline.io.stereo.checks import check_directions, check_enough, meet
 from sightline.io.stereo.schema import StereoFile
-from sightline.io.stereo.tables import ControlTable, PointTable, PoseTable, check_inside, read_control
+from sightline.io.stereo.tables import ControlTable, PointTable, StereoPoseTable, check_inside, read_control
 from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior
 from sightline.photogrammetry.sightings import Tracks
 
@@ -33,7 +33,7 @@ UNCOVERED_SHARE = 0.02
 def block_of(
     file: StereoFile,
     files: InputFolder,
-    poses: PoseTable,
+    poses: StereoPoseTable,
     table: PointTable | None,
     camera: Index,
     shapes: Sequence[tuple[int, int]],

@@ -17,7 +17,7 @@ from sightline.geometry.units import ARCSEC
 from sightline.io.acquisition.schema import (
     DatedSection,
     InputFile,
-    Section,
+    SchemaSection,
     SurfaceSection,
     WorldSection,
 )
@@ -76,7 +76,7 @@ class StereoCamera(FrameCameraSection):
         return str(value) if isinstance(value, int) and not isinstance(value, bool) else value
 
 
-class StereoNoise(Section):
+class StereoNoise(SchemaSection):
     """``[noise]``: errors of points and of planned poses, 1-sigma."""
 
     sigma_px: PixelSigmaAbove0 | None = Field(
@@ -116,7 +116,7 @@ class StereoNoise(Section):
         return self
 
 
-class StereoStrip(Section):
+class StereoStrip(SchemaSection):
     """``[[strip]]``: a push-broom image in place of the frames of a camera."""
 
     name: Name = Field(description="Camera of this strip, as in the column camera of observations")
@@ -124,7 +124,7 @@ class StereoStrip(Section):
     band: Name | None = Field(default=None, description="Which of its bands; default the first")
 
 
-class PlanSection(Section):
+class PlanSection(SchemaSection):
     """``[plan]``: a pass that is not flown yet, for ``--predict``; in place of cameras and points."""
 
     altitude: OrbitAltitude = Field(

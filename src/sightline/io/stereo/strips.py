@@ -24,7 +24,7 @@ from sightline.io.acquisition.load import load_acquisition
 from sightline.io.stereo.checks import check_spread
 from sightline.io.stereo.points import block_of, check_points, ground_of, without_single
 from sightline.io.stereo.schema import StereoFile, StereoStrip
-from sightline.io.stereo.tables import PoseTable, listed, read_observations
+from sightline.io.stereo.tables import StereoPoseTable, listed, read_observations
 from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_pushbroom
 
@@ -83,12 +83,14 @@ def _camera_of(strip: StereoStrip, acquisition: Acquisition, path: Path) -> Push
     return camera
 
 
-def strip_problem(file: StereoFile, files: InputFolder) -> tuple[StripProblem, PoseTable, Surface, bool]:
+def strip_problem(
+    file: StereoFile, files: InputFolder
+) -> tuple[StripProblem, StereoPoseTable, Surface, bool]:
     """The problem of a file with ``[[strip]]``, its poses, the ground, and whether the world is flat."""
     cameras, acquisitions = strip_cameras(file, files)
     names = tuple(strip.name for strip in file.strip)
     images = _middle_poses(cameras)
-    poses = PoseTable(
+    poses = StereoPoseTable(
         names,
         images.camera,
         images.shot,

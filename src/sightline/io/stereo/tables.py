@@ -45,7 +45,7 @@ LISTED = 8
 
 
 @dataclass(frozen=True, eq=False)
-class PoseTable:
+class StereoPoseTable:
     """``cameras.csv``.
 
     Attributes
@@ -127,7 +127,7 @@ def listed(names: Sequence[str]) -> str:
 
 
 @reads("a CSV table")
-def read_poses(path: Path) -> PoseTable:
+def read_poses(path: Path) -> StereoPoseTable:
     """``camera,shot,t,x,y,z,qx,qy,qz,qw``: planned poses of every image."""
     table = read_long_columns(path, CAMERAS, text=("camera",))
     names = camera_names(table["camera"])
@@ -140,7 +140,7 @@ def read_poses(path: Path) -> PoseTable:
     _refuse_twice(path, names, camera, shot)
     _check_times(path, names, camera, table["t"])
     _check_shots(path, shots, place, table["t"])
-    return PoseTable(
+    return StereoPoseTable(
         names,
         camera,
         np.asarray(place, dtype=np.intp),
@@ -256,7 +256,7 @@ class PointTable:
 
 
 @reads("a CSV table")
-def read_matches(path: Path, poses: PoseTable, sigma_px: float | None) -> PointTable:
+def read_matches(path: Path, poses: StereoPoseTable, sigma_px: float | None) -> PointTable:
     """``shot,point,line_1,column_1,line_2,column_2[,sigma_px]`` of two cameras."""
     if len(poses.cameras) != 2:
         raise FormatError(
@@ -282,7 +282,7 @@ def read_matches(path: Path, poses: PoseTable, sigma_px: float | None) -> PointT
 
 @reads("a CSV table")
 def read_observations(
-    path: Path, poses: PoseTable, sigma_px: float | None, *, strips: bool = False
+    path: Path, poses: StereoPoseTable, sigma_px: float | None, *, strips: bool = False
 ) -> PointTable:
     """``camera,shot,point,line,column[,sigma_px]`` of any number of cameras; of `strips` without shots."""
     names = tuple(name for name in OBSERVATIONS if not (strips and name == "shot"))
@@ -347,7 +347,7 @@ class ControlTable:
 
 
 @reads("a CSV table")
-def read_control(path: Path, poses: PoseTable, sigma_px: float | None) -> ControlTable:
+def read_control(path: Path, poses: StereoPoseTable, sigma_px: float | None) -> ControlTable:
     """``x,y,z,sigma`` and ``point``, or ``camera,shot,line,column``, or ``image,line,column``."""
     header = header_of(path)
     if "point" in header:
@@ -470,7 +470,7 @@ class ImageTable:
 
 
 @reads("a CSV table")
-def read_image_list(path: Path, poses: PoseTable) -> ImageTable:
+def read_image_list(path: Path, poses: StereoPoseTable) -> ImageTable:
     """``camera,shot,image[,mask]``: the picture of every pose that has one."""
     masked = "mask" in header_of(path)
     columns = (*IMAGES, "mask") if masked else IMAGES

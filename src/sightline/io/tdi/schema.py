@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Discriminator, Field, Tag, field_validator, model_validator
 
-from sightline.io.acquisition.schema import InputFile, Section
+from sightline.io.acquisition.schema import InputFile, SchemaSection
 from sightline.io.quantities import FileName, Name, ShareBelow1, ShareOrNone, Title, Within, shown
 from sightline.tdi.setting import MOST_RATIOS, MOST_STAGES, SLIP_LIMIT
 
@@ -45,7 +45,7 @@ Well = Annotated[float, Within(1.0, 1e15, "electrons", infinite=True)]
 Width = Annotated[float, Within(1e-6, 100.0, "px", zero=True)]
 
 
-class StageRange(Section):
+class StageRange(SchemaSection):
     """Stages from one number to another."""
 
     start: Stages = Field(alias="from", description="Fewest stages")
@@ -53,7 +53,7 @@ class StageRange(Section):
     step: Stages = Field(default=1, description="Distance between them")
 
 
-class RatioRange(Section):
+class RatioRange(SchemaSection):
     """Integration ratios from one to another."""
 
     start: Share = Field(alias="from", description="Shortest")
@@ -66,7 +66,7 @@ class RatioRange(Section):
         return int(np.floor((self.stop - self.start) / self.step + 1e-9)) + 1
 
 
-class GridSection(Section):
+class GridSection(SchemaSection):
     """``[grid]``: the settings that the detector offers, every number of stages with every ratio."""
 
     stages: Annotated[
@@ -117,7 +117,7 @@ class GridSection(Section):
         return value
 
 
-class HeadSection(Section):
+class HeadSection(SchemaSection):
     """``[head]``: the first lines, which are always read alike and measure the signal."""
 
     stages: Annotated[int, Within(0, MOST_STAGES)] = Field(default=0, description="How many (N0); 0: none")
@@ -132,7 +132,7 @@ class HeadSection(Section):
         return self
 
 
-class NoiseSection(Section):
+class NoiseSection(SchemaSection):
     """``[noise]``: variance of one line of s electrons: gain s^2 + shot s + dark Kt + read^2."""
 
     gain: RelativeVariance = Field(
@@ -159,7 +159,7 @@ class NoiseSection(Section):
         return self
 
 
-class ColumnsSection(Section):
+class ColumnsSection(SchemaSection):
     """``[columns]``: how the scene moves past each column."""
 
     count: Annotated[int, Within(1, MOST_COLUMNS, "columns")] | None = Field(
@@ -192,7 +192,7 @@ class ColumnsSection(Section):
         return self
 
 
-class SignalsSection(Section):
+class SignalsSection(SchemaSection):
     """``[signals]``: electrons of one head line (or of one line at `integration_ratio`, without a head)."""
 
     list_: list[Electrons] | None = Field(
@@ -235,7 +235,7 @@ class SignalsSection(Section):
         return [float(value) for value in np.geomspace(self.start or 1.0, self.stop or 1.0, self.count or 32)]
 
 
-class MtfSection(Section):
+class MtfSection(SchemaSection):
     """``[mtf]``: where MTF is judged, and what blurs besides motion."""
 
     frequencies: tuple[Spatial, Spatial] = Field(
@@ -275,7 +275,7 @@ class MtfSection(Section):
         return self
 
 
-class ChoiceSection(Section):
+class ChoiceSection(SchemaSection):
     """``[choice]``: what is best, and what is allowed."""
 
     model: Literal["exact", "patent"] = Field(
@@ -316,7 +316,7 @@ class ChoiceSection(Section):
     )
 
 
-class TableSection(Section):
+class TableSection(SchemaSection):
     """``[table]``: the table that is looked up at line rate."""
 
     max_loss: Annotated[float, Within(1e-6, 1.0, "", "a share of the merit", below=True)] = Field(
@@ -324,7 +324,7 @@ class TableSection(Section):
     )
 
 
-class MotionSection(Section):
+class MotionSection(SchemaSection):
     """``[motion]``: what the images of ``--motion`` were taken with."""
 
     stages: Stages = Field(default=1, description="TDI stages of the images that the motion came from")

@@ -19,7 +19,7 @@ from sightline.estimation.evidence import Posterior, posterior
 from sightline.estimation.likelihood import FittedSpectrum, default_step, fit_spectrum, span
 from sightline.estimation.prior import Spectrum
 from sightline.estimation.robust import expected_innovations, student_weights
-from sightline.estimation.series import DifferenceSeries, Grid, NormalEquations, normal_equations
+from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations, normal_equations
 from sightline.estimation.series_kernels import TAPS
 from sightline.estimation.split import split
 from sightline.geometry.checks import as_times
@@ -126,7 +126,7 @@ def smooth(
 
 
 def _solve(
-    equations: NormalEquations, believed: FittedSpectrum, order: int, offset_sigma: float, jumps: bool
+    equations: SeriesEquations, believed: FittedSpectrum, order: int, offset_sigma: float, jumps: bool
 ) -> Posterior:
     """Posterior of one axis; with `jumps` after some rounds of weights for the prior's innovations."""
     grid, scale = equations.grid, believed.noise_scale

@@ -96,7 +96,7 @@ class FrameOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class FrameSequence:
+class FramePasses:
     """What does not change from pass to pass."""
 
     frames: tuple[Frame, ...]
@@ -134,7 +134,7 @@ class PassState:
     stars: tuple[FrameStar, ...]
 
 
-def masked(sequence: FrameSequence, shifts: Sequence[CoarseShift]) -> FrameSequence:
+def masked(sequence: FramePasses, shifts: Sequence[CoarseShift]) -> FramePasses:
     """The frames with what stands still in them masked."""
     if float(np.median([np.linalg.norm(shift.shift_px) for shift in shifts])) < STILL_SHIFT_PX:
         return sequence
@@ -144,7 +144,7 @@ def masked(sequence: FrameSequence, shifts: Sequence[CoarseShift]) -> FrameSeque
     return replace(sequence, images=tuple(MaskedImage(image, still) for image in sequence.images))
 
 
-def start(sequence: FrameSequence, shifts: Sequence[CoarseShift]) -> Array:
+def start(sequence: FramePasses, shifts: Sequence[CoarseShift]) -> Array:
     """Angles, times and focal length from coarse shifts of whole frames."""
     cameras = [frame.camera for frame in sequence.frames]
     turn, scale = turn_about_axis(shifts, cameras, sequence.surface)
@@ -196,7 +196,7 @@ def _coarse_star(shift: CoarseShift, shape: tuple[int, int]) -> FrameStar:
     )
 
 
-def first_pass(sequence: FrameSequence, x: Array) -> PassState:
+def first_pass(sequence: FramePasses, x: Array) -> PassState:
     """Neighbours matched with large windows and a wide search."""
     options, unknowns = sequence.options, sequence.unknowns(None)
     plan = FramePlan(
@@ -218,7 +218,7 @@ def first_pass(sequence: FrameSequence, x: Array) -> PassState:
     return PassState(estimate, tuple(stars))
 
 
-def next_pass(sequence: FrameSequence, before: PassState, number: int) -> PassState:
+def next_pass(sequence: FramePasses, before: PassState, number: int) -> PassState:
     """Match again at all lags with the cameras found; solve, weigh, learn the errors."""
     options = sequence.options
     plan = FramePlan(options.window, sequence.step(options.window), options.search_px, options.lags)
@@ -275,7 +275,7 @@ def _drifting(estimate: FrameEstimate, before: list[NDArray[np.bool_]]) -> list[
 
 
 def _ground_fields(
-    sequence: FrameSequence, estimate: FrameEstimate, plan: FramePlan
+    sequence: FramePasses, estimate: FrameEstimate, plan: FramePlan
 ) -> tuple[GroundField, ...]:
     """Laws of unknown relief and of drift to start from; none where heights are known."""
     if sequence.height_sigma <= 0.0:

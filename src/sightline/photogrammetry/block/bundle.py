@@ -20,7 +20,7 @@ from sightline.errors import InputError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.photogrammetry.block.descent import (
     LEAST,
-    Block,
+    BlockSums,
     BoolArray,
     Fit,
     State,
@@ -171,7 +171,7 @@ def adjust(
     if new_points_per_shot:
         sightings, point_of, priors = split_by_shot(sightings, priors)
     unknowns = pose_unknowns(sightings, noise)
-    block = Block(sightings, unknowns, priors)
+    block = BlockSums(sightings, unknowns, priors)
     state, usable = first_state(block, seen_twice(sightings, priors), start)
     if int(usable.sum()) < LEAST:
         raise InputError(
@@ -185,7 +185,7 @@ def adjust(
     if drift or focal_sigma is not None:
         # weakly seen, these would run away from a start as far off as the planned attitudes are
         unknowns = pose_unknowns(sightings, noise, drift=drift, focal_sigma=focal_sigma)
-        block = Block(sightings, unknowns, priors)
+        block = BlockSums(sightings, unknowns, priors)
         more = np.zeros(unknowns.globals - len(fit.state.common))
         state = replace(fit.state, common=np.concatenate([fit.state.common, more]))
         fit = descend(block, state, usable, robust=robust, weight=fit.weight)
@@ -280,7 +280,7 @@ def bound(
         sightings, point_of, priors = split_by_shot(sightings, priors)
         places = places[point_of]
     unknowns = pose_unknowns(sightings, noise, drift=drift, focal_sigma=focal_sigma)
-    block = Block(sightings, unknowns, priors)
+    block = BlockSums(sightings, unknowns, priors)
     state = State(
         np.zeros(unknowns.globals), np.zeros((unknowns.shots, 6 * unknowns.slots)), places - block.origin
     )

@@ -76,7 +76,7 @@ class State:
     points: Array  # (n, 3), less the block's origin
 
 
-class Block:
+class BlockSums:
     """Sums over the sightings of a block at any state."""
 
     def __init__(self, sightings: Sightings, unknowns: PoseUnknowns, priors: PointPriors | None) -> None:
@@ -164,12 +164,12 @@ def seen_twice(sightings: Sightings, priors: PointPriors | None, among: BoolArra
     return np.asarray(seen if among is None else seen & among)
 
 
-def still_seen(block: Block, weight: Array) -> BoolArray:
+def still_seen(block: BlockSums, weight: Array) -> BoolArray:
     """Which points (n,) are still seen by sightings that count."""
     return np.bincount(block.sightings.point, weight > 0.0, minlength=block.sightings.points) > 0
 
 
-def first_state(block: Block, usable: BoolArray, start: Array | None) -> tuple[State, BoolArray]:
+def first_state(block: BlockSums, usable: BoolArray, start: Array | None) -> tuple[State, BoolArray]:
     """Planned poses, angles of `start`, points where their rays meet; and which sightings are then usable."""
     unknowns, s = block.unknowns, block.sightings
     angles = np.zeros((s.cameras, 3)) if start is None else np.nan_to_num(start)
@@ -212,7 +212,7 @@ class Equations:
     known: Observability
 
 
-def _equations(block: Block, state: State, weight: Array) -> Equations:
+def _equations(block: BlockSums, state: State, weight: Array) -> Equations:
     """Normal equations at a state."""
     curvature, _ = block.curvature(state, weight)
     reduced = reduce_block(curvature, block.unknowns)
@@ -251,7 +251,7 @@ class Fit:
 
 
 def descend(
-    block: Block,
+    block: BlockSums,
     state: State,
     usable: BoolArray,
     *,
@@ -317,7 +317,7 @@ def descend(
     return _settle(block, state, now, usable, converged)
 
 
-def together(block: Block, good: BoolArray) -> Array:
+def together(block: BlockSums, good: BoolArray) -> Array:
     """Weights (N,): 1 for good sightings of points that are still seen twice, or known of."""
     return seen_twice(block.sightings, block.priors, good).astype(np.float64)
 
@@ -328,7 +328,7 @@ def _gross(fit: Fit, usable: BoolArray, limit: float) -> BoolArray:
 
 
 def _settle(
-    block: Block,
+    block: BlockSums,
     state: State,
     weight: Array,
     usable: BoolArray,
@@ -384,7 +384,7 @@ def _settle(
     raise DivergedError(DIVERGED)
 
 
-def _lowers(block: Block, state: State, weight: Array, pull: _Pull, step: State, decrease: float) -> bool:
+def _lowers(block: BlockSums, state: State, weight: Array, pull: _Pull, step: State, decrease: float) -> bool:
     """Whether a whole step lowers the cost, as far as rounding lets it be told.
 
     None lowers it by more than it is; equations of an earlier state may promise that.
@@ -417,7 +417,7 @@ class _Pull:
     cost: float
 
 
-def _pull(block: Block, state: State, weight: Array, reduced: Reduction) -> _Pull:
+def _pull(block: BlockSums, state: State, weight: Array, reduced: Reduction) -> _Pull:
     """Pull of all sightings and priors at a state."""
     own, by_point, common, r, cost = block.gradient(state, weight)
     return _Pull(own, by_point, common, reduced.condense(own, by_point, common), r, cost)
@@ -432,7 +432,7 @@ def _step(pull: _Pull, reduced: Reduction, known: Observability, damping: float 
 
 
 def _descended(
-    block: Block,
+    block: BlockSums,
     state: State,
     weight: Array,
     pull: _Pull,
@@ -478,7 +478,7 @@ def _descended(
     raise DivergedError(DIVERGED)
 
 
-def _beyond(block: Block, tried: State, weight: Array, cost: float) -> State | None:
+def _beyond(block: BlockSums, tried: State, weight: Array, cost: float) -> State | None:
     """State of lower cost some steps after one that raised it to `tried`; None if there is none.
 
     A flight that tables hold loosely may dome and tilt, or turn about its line, along a curved valley: a step
@@ -498,7 +498,7 @@ def _beyond(block: Block, tried: State, weight: Array, cost: float) -> State | N
     return None
 
 
-def _followed(block: Block, state: State, weight: Array, reduced: Reduction) -> State:
+def _followed(block: BlockSums, state: State, weight: Array, reduced: Reduction) -> State:
     """State after shots and points have followed the globals, which stay, once more."""
     own, by_point, common, _, _ = block.gradient(state, weight)
     still = np.zeros_like(state.common)
@@ -509,7 +509,7 @@ def _moved(state: State, step: State) -> State:
     return State(state.common + step.common, state.own + step.own, state.points + step.points)
 
 
-def _redescend(block: Block, state: State, usable: BoolArray, limit: float) -> tuple[State, Array]:
+def _redescend(block: BlockSums, state: State, usable: BoolArray, limit: float) -> tuple[State, Array]:
     """State and 0/1 weights after steps with weights that fall with the residual (Geman-McClure)."""
     soft = usable.astype(np.float64)
     previous = np.inf

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError
-from sightline.estimation.linked_bands import Band, LinkedBands
+from sightline.estimation.linked_bands import LinkedBand, LinkedBands
 from sightline.geometry.checks import Array
 from sightline.photogrammetry.block.pose_unknowns import PoseUnknowns
 from sightline.photogrammetry.block.reduced import (
@@ -105,7 +105,7 @@ class _Sums:
         np.add.at(self._covered, j + 1, 1)
         np.add.at(self._covered, i + 1, -1)
 
-    def bands(self, border: Array) -> tuple[list[Band], list[Index]]:
+    def bands(self, border: Array) -> tuple[list[LinkedBand], list[Index]]:
         """Bands, each with its border of links and globals (`border` (K, 6, G)), and the shots of each."""
         # a band ends where no block spans two frames
         part = np.cumsum(np.cumsum(self._covered[:-1]) == 0) - 1
@@ -125,7 +125,7 @@ class _Sums:
             )
             columns = (6 * names[:, None] + np.arange(6)).ravel()
             out.append(
-                Band(
+                LinkedBand(
                     self.band[:, 6 * first : 6 * (first + count)],
                     whole.reshape(6 * count, -1),
                     np.concatenate([columns, 6 * len(self.links) + common]).astype(np.intp),

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.estimation.banded_blocks import BlockwiseFactor
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
-from sightline.photogrammetry.block.descent import DIVERGED, Block, DivergedError, State
+from sightline.photogrammetry.block.descent import DIVERGED, BlockSums, DivergedError, State
 from sightline.photogrammetry.block.observability import observability
 from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.block.pose_unknowns import PoseUnknowns
@@ -182,7 +182,7 @@ class BlockStore:
 class _Equations:
     """One block of the whole flight's equations, at the present poses."""
 
-    block: Block
+    block: BlockSums
     state: State
     used: NDArray[np.bool_]
     left: PointsEliminated
@@ -224,7 +224,7 @@ class _Whole:
         frames = slice(place.first, place.end)
         heights = self.store.heights
         priors = PointPriors.of(heights, content.control)
-        block = Block(from_poses(content.sightings, self.moved[frames]), unknowns, priors)
+        block = BlockSums(from_poses(content.sightings, self.moved[frames]), unknowns, priors)
         found = np.isfinite(content.points).all(axis=1, keepdims=True)
         points = np.where(found, content.points, block.origin) - block.origin
         state = State(self.common, held_at(unknowns, self.common), points)

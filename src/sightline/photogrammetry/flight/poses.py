@@ -20,7 +20,7 @@ from sightline.errors import EstimationError, InputError
 from sightline.execution import one_blas_thread
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
-from sightline.photogrammetry.block.descent import Block, Fit, State, descend, first_state, seen_twice
+from sightline.photogrammetry.block.descent import BlockSums, Fit, State, descend, first_state, seen_twice
 from sightline.photogrammetry.block.linked_frames import LinkedFrames
 from sightline.photogrammetry.block.observability import observability
 from sightline.photogrammetry.block.point_priors import PointPriors
@@ -315,7 +315,7 @@ def adjust_frames(
     kept = solved is None and known.focal_length > 0.0
     first = replace(known, focal_length=0.0) if kept else known
     unknowns = replace(frame_unknowns(images, first, rough, order.rank, moved), last=order.last)
-    block = Block(from_poses(sightings, moved), unknowns, priors)
+    block = BlockSums(from_poses(sightings, moved), unknowns, priors)
     state, usable = first_state(block, seen_twice(sightings, priors), None)
     if common is not None:
         state = replace(state, common=common, own=held_at(unknowns, common))
@@ -336,7 +336,7 @@ def adjust_frames(
             rough = path_roughness(images.t, path, seen)
         # otherwise that of before: measured on a path that it has smoothed it would shrink every time
         unknowns = replace(frame_unknowns(images, known, rough, order.rank, moved), last=order.last)
-        before, block = block, Block(from_poses(block.sightings, step), unknowns, priors)
+        before, block = block, BlockSums(from_poses(block.sightings, step), unknowns, priors)
         common = np.zeros(unknowns.globals)
         common[: len(fit.state.common)] = fit.state.common
         held = held_at(unknowns, common)
@@ -390,7 +390,7 @@ def _count(sightings: Sightings, weight: Array, images: Images) -> Array:
     return np.asarray(np.bincount(sightings.image, weight, minlength=len(images)), dtype=np.float64)
 
 
-def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: RoughPoses) -> FramePoses:
+def _poses(images: Images, block: BlockSums, fit: Fit, roughness: Array, known: RoughPoses) -> FramePoses:
     """A solution as poses with covariance."""
     unknowns, sightings, state, reduced = block.unknowns, block.sightings, fit.state, fit.equations.reduced
     assert isinstance(reduced, PointsFirst | LinkedFrames)  # frames are tied to their neighbours
@@ -419,7 +419,7 @@ def _poses(images: Images, block: Block, fit: Fit, roughness: Array, known: Roug
     )
 
 
-def _bow(images: Images, block: Block, reduced: PointsFirst | LinkedFrames) -> Array:
+def _bow(images: Images, block: BlockSums, reduced: PointsFirst | LinkedFrames) -> Array:
     """Sigma (S, 3) of the trend of the angles over each stretch, rms over it."""
     known = observability(reduced.information, block.unknowns.names, np.inf)
     nothing = np.zeros((block.sightings.points, 3))

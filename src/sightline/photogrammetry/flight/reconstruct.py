@@ -51,7 +51,7 @@ _HELD, _HELD_ALL = 0.01, 0.02
 
 
 @dataclass(frozen=True, eq=False)
-class Reconstruction(ReadOnlyArrays):
+class FrameModel(ReadOnlyArrays):
     """A model made of some frames.
 
     Attributes
@@ -188,7 +188,7 @@ def reconstruct(
     radii: tuple[float, float] | None = None,
     *,
     enlarged: bool | None = None,
-) -> Reconstruction:
+) -> FrameModel:
     """A model of the frames of a subset.
 
     Parameters
@@ -324,7 +324,7 @@ def _write_priors(
 
 def _in_world(
     model: Any, detector: AreaDetector, mount: Rotation, position: Array, sigma: Array, down: Array
-) -> Reconstruction:
+) -> FrameModel:
     """A model brought to the world by the positions told: scale, turn and move that fit them best."""
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda i: i.name)
     frames = np.array([int(image.name[:6]) for image in images])
@@ -345,7 +345,7 @@ def _in_world(
     ours = Rotation.from_matrix(axes / np.linalg.norm(axes, axis=0))
     points = np.array([p.xyz for p in model.points3D.values()]).reshape(-1, 3)
     tracks = _tracks(model, images)
-    return Reconstruction(
+    return FrameModel(
         as_index(frames, "frames"),
         frozen(scale * turn.apply(centre) + moved),
         turn * camera * ours.inv() * mount.inv(),
@@ -405,7 +405,7 @@ def held(known: RoughPoses) -> RoughPoses:
 
 
 def refined(
-    model: Reconstruction,
+    model: FrameModel,
     images: Images,
     known: RoughPoses,
     detector: AreaDetector,
@@ -466,7 +466,7 @@ def refined(
     return RefinedModel(rows, poses)
 
 
-def _seen_most(model: Reconstruction) -> tuple[Tracks, Array]:
+def _seen_most(model: FrameModel) -> tuple[Tracks, Array]:
     """The sightings of the points seen most often, and these points."""
     tracks = model.tracks
     seen = np.bincount(tracks.point, minlength=len(model.points))

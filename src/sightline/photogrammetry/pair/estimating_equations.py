@@ -26,7 +26,7 @@ _TOUCH = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Observed(ReadOnlyArrays):
+class DeterminedDirections(ReadOnlyArrays):
     """Directions that a normal matrix determines, and those it does not.
 
     Attributes
@@ -72,7 +72,7 @@ class Observed(ReadOnlyArrays):
         return covariance, 0.5 * (information + information.T)
 
 
-def observe(normal: Array, measured: Array | None = None) -> Observed:
+def observe(normal: Array, measured: Array | None = None) -> DeterminedDirections:
     """Which directions a normal matrix determines.
 
     Parameters
@@ -94,7 +94,7 @@ def observe(normal: Array, measured: Array | None = None) -> Observed:
     above = signal > _LEAST_SIGNAL
     span = scale[:, None] * (whitened @ turned)
     basis = span[:, above]
-    return Observed(
+    return DeterminedDirections(
         basis,
         basis / signal[above],
         measured @ basis,
