@@ -173,6 +173,15 @@ def failing_numbers(what: str) -> Iterator[None]:
         ) from error
 
 
+@contextmanager
+def naming(place: object) -> Iterator[None]:
+    """Errors of a check that knows nothing of the file begin with `place`: InputError and EstimationError."""
+    try:
+        yield
+    except (EstimationError, InputError) as error:
+        raise type(error)(f"{place}: {error}") from None
+
+
 def computes(what: str) -> Callable[[Callable[_Given, _Result]], Callable[_Given, _Result]]:
     """`failing_numbers` about a whole function."""
 

@@ -43,7 +43,7 @@ def layout(
     from sightline.applications.focal_plane import choose_layout, layout_cost
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import announce, complain, print_json, progress
-    from sightline.errors import InputError
+    from sightline.errors import naming
     from sightline.io.layout.load import load_instrument
     from sightline.io.results.layouts import summarize_layouts
     from sightline.motion.layout.information import checked_passband
@@ -53,11 +53,9 @@ def layout(
     with place as folder, progress() as report:
         plane = load_instrument(instrument)
         checked_passband(passband)
-        try:
+        with naming(instrument):  # what the file asks for in this band
             announce(layout_cost(plane, passband))
             choice = choose_layout(plane, passband, count=count, progress=report)
-        except InputError as error:  # of what the file asks for in this band
-            raise InputError(f"{instrument}: {error}") from None
         if folder is None:
             summary = summarize_layouts(choice, instrument, wall_seconds=time.perf_counter() - begin)
         else:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -132,7 +130,7 @@ def estimate(
 def _of_edrs(raw: list[Path], report: Progress, electrons_per_dn: float | None) -> DetectorNoise:
     """Noise of HiRISE channels."""
     from sightline.applications.detector_noise import detector_noise, strip_image_noise
-    from sightline.errors import InputError
+    from sightline.errors import InputError, naming
     from sightline.io.formats.hirise_edr import read_hirise_edr
 
     images, settings = [], {}
@@ -143,7 +141,7 @@ def _of_edrs(raw: list[Path], report: Progress, electrons_per_dn: float | None) 
         if len(settings) > 1:
             said = "; ".join(f"{p}: {n} stages, binning {b}" for (n, b), p in settings.items())
             raise InputError(f"the images are of different settings ({said}); give those of one at a time")
-        with _naming(path):
+        with naming(path):
             images.append(strip_image_noise(edr.product, edr.pixels(), edr.stages, electrons_per_dn))
     ((number_of_stages, _),) = settings
     return detector_noise(images, stages=number_of_stages, electrons_per_dn=electrons_per_dn)
@@ -159,7 +157,7 @@ def _of_plain(
 ) -> DetectorNoise:
     """Noise of plain images."""
     from sightline.applications.detector_noise import dark_noise, detector_noise, plain_image_noise
-    from sightline.errors import InputError
+    from sightline.errors import InputError, naming
     from sightline.io.formats.images import open_image
 
     if dark and dark_level is not None:
@@ -167,25 +165,14 @@ def _of_plain(
     frames = None
     if dark:
         report("frames without light")
-        with _naming(dark[0]):
+        with naming(dark[0]):
             frames = dark_noise([open_image(path) for path in dark])
     images = []
     for number, path in enumerate(raw):
         report("reading and estimating", number, len(raw))
-        with _naming(path):
+        with naming(path):
             images.append(plain_image_noise(path.name, open_image(path), frames, dark_level))
     return detector_noise(images, frames, stages=stages, electrons_per_dn=electrons_per_dn)
-
-
-@contextmanager
-def _naming(path: Path) -> Iterator[None]:
-    """Errors of what the data show begin with the file."""
-    from sightline.errors import EstimationError, InputError
-
-    try:
-        yield
-    except (EstimationError, InputError) as error:
-        raise type(error)(f"{path}: {error}") from None
 
 
 def tell(found: DetectorNoise, summary: dict[str, Any]) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from sightline.applications.expected_cost import Cost
     from sightline.geometry.camera import PushbroomCamera
     from sightline.geometry.surface import Surface
     from sightline.simulate.sequence_options import SequenceOptions
@@ -39,6 +40,14 @@ class _Unread:
         raise NotImplementedError
 
 
+def _afford(cost: Cost) -> None:
+    """Refuse what this machine cannot render, warn of what takes long."""
+    from sightline.cli.terminal import announce
+
+    cost.check()
+    announce(cost)
+
+
 def refuse_useless_strip(
     cameras_of: Callable[[int, int], tuple[PushbroomCamera, ...]],
     surface: Surface,
@@ -57,15 +66,13 @@ def refuse_useless_strip(
         Those that the acquisition will name; empty: all.
     """
     from sightline.applications.expected_cost import rendering_cost
-    from sightline.cli.terminal import announce
     from sightline.errors import InputError
 
     lines, columns = size
     bands = len(cameras_of(64, 64))
     rendered, ground = float(lines) * columns * bands, (lines + 1000.0) * (columns + 128.0)
     cost = rendering_cost(rendered, ground, f"--lines {lines:,} --columns {columns:,} of {bands} bands")
-    cost.check()
-    announce(cost)
+    _afford(cost)
 
     def why(lines: int, columns: int) -> str:
         return _why_useless(cameras_of(lines, columns), surface, pairs)
@@ -126,7 +133,6 @@ def _least(works: Callable[[int], bool], first: int, most: int) -> int | None:
 def refuse_useless_flight(options: SequenceOptions) -> None:
     """InputError for a flight of frames that ``georeference`` could not follow, or that is too large."""
     from sightline.applications.expected_cost import rendering_cost
-    from sightline.cli.terminal import announce
     from sightline.errors import InputError
     from sightline.matching.follow import FollowPlan, check_followable
 
@@ -138,8 +144,7 @@ def refuse_useless_flight(options: SequenceOptions) -> None:
         flown * lines * wide,
         f"{frames:,} frames of --shape {lines} {columns}",
     )
-    cost.check()
-    announce(cost)
+    _afford(cost)
     try:
         check_followable(
             options.shape, FollowPlan(reduction=options.pattern if options.filter == "mosaic" else 1)
@@ -153,7 +158,6 @@ def refuse_useless_flight(options: SequenceOptions) -> None:
 def refuse_useless_pass(options: StereoOptions, *, images: bool) -> None:
     """InputError for a pass of cameras that is too large, or whose frames are too small to be matched."""
     from sightline.applications.expected_cost import orientation_cost_of, rendering_cost
-    from sightline.cli.terminal import announce
     from sightline.errors import InputError
 
     lines, columns = options.frame
@@ -167,8 +171,7 @@ def refuse_useless_pass(options: StereoOptions, *, images: bool) -> None:
                 f"--lines {lines} --columns {columns} make frames that `orient` could not find points in; "
                 f"the least that works is --lines {LEAST_MATCHED} --columns {LEAST_MATCHED}"
             )
-    cost.check()
-    announce(cost)
+    _afford(cost)
 
 
 def refuse_useless_scene(file: Path, asked: str) -> None:

@@ -6,7 +6,6 @@ strips are in ``scenarios.py``; files are written by ``files.py``.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +19,7 @@ from sightline.geometry.camera import FrameCamera
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.trajectory import Motion, Trajectory
+from sightline.simulate.option_checks import options_of
 from sightline.simulate.scene import Extent, Scene, TextureLaw, random_relief, scene_layers
 from sightline.simulate.sensor import Radiometry, render_chunks
 from sightline.simulate.texture import Array
@@ -153,11 +153,7 @@ def frames_case(seed: int = 0, **overrides: Any) -> FrameScenario:
     >>> frames_case(0, count=2, shape=(48, 64)).image(1).shape
     (48, 64)
     """
-    known = {field.name for field in dataclasses.fields(FrameCaseOptions)}
-    unknown = sorted(set(overrides) - known)
-    if unknown:
-        raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
-    options = FrameCaseOptions(**overrides)
+    options = options_of(FrameCaseOptions, {"frames": {}}, "frames", overrides)
     motion_seed, texture_seed, relief_seed, _ = np.random.SeedSequence(seed).spawn(4)
     nominal_times, times, motion = _draw_motion(options, motion_seed)
     margin = options.interval

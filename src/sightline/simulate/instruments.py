@@ -31,6 +31,7 @@ from sightline.geometry.spin import Spin
 from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.simulate.earth_view import ViewPlane, earth_chunks
 from sightline.simulate.jitter import nominal_profile
+from sightline.simulate.option_checks import options_of
 from sightline.simulate.rendered import RenderedStrip
 from sightline.simulate.scenarios import GROUND_MARGIN_PX, MOTION_MARGIN_LINES, motion_profile
 from sightline.simulate.scene import Scene, TextureLaw, scene_layers
@@ -357,13 +358,7 @@ def instrument_case(case: str, seed: int = 0, **overrides: Any) -> InstrumentSce
     >>> scenario.image(0).shape
     (64, 64)
     """
-    if case not in INSTRUMENT_OPTIONS:
-        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(INSTRUMENT_CASES)}")
-    known = {field.name for field in dataclasses.fields(InstrumentOptions)}
-    unknown = sorted(set(overrides) - known)
-    if unknown:
-        raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
-    options = InstrumentOptions(**{**INSTRUMENT_OPTIONS[case], **overrides})
+    options = options_of(InstrumentOptions, INSTRUMENT_OPTIONS, case, overrides)
     streams = _streams(seed)
     # a low orbit north of the equator, a geostationary one near its node: latitudes of 40 and 0 degrees
     orbit = CircularOrbit(options.altitude, options.inclination, 0.2, 0.7 if options.altitude < 2e6 else 0.0)

@@ -5,11 +5,27 @@ Not here: what depends on several options at once (their own modules).
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 from sightline.errors import InputError
+
+_Options = TypeVar("_Options")
+
+
+def options_of(
+    kind: type[_Options], cases: Mapping[str, Mapping[str, Any]], case: str, overrides: Mapping[str, Any]
+) -> _Options:
+    """Options of a named case with some replaced; InputError for a case or an option that there is not."""
+    if case not in cases:
+        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(cases)}")
+    known = {field.name for field in dataclasses.fields(kind)}  # type: ignore[arg-type]
+    unknown = sorted(set(overrides) - known)
+    if unknown:
+        raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
+    return kind(**{**cases[case], **overrides})
 
 
 def check_finite(options: Any) -> None:

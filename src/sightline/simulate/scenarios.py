@@ -8,7 +8,6 @@ them, the scene and the images. Frames of a matrix instrument are in ``frames.py
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -41,6 +40,7 @@ from sightline.simulate.jitter import (
     nominal_profile,
     with_part,
 )
+from sightline.simulate.option_checks import options_of
 from sightline.simulate.rendered import RenderedStrip
 from sightline.simulate.scene import (
     BandShine,
@@ -54,7 +54,7 @@ from sightline.simulate.scene import (
     scene_layers,
 )
 from sightline.simulate.sensor import Radiometry, render_chunks
-from sightline.simulate.strip_options import CASE_OPTIONS, CASES, StripOptions
+from sightline.simulate.strip_options import CASE_OPTIONS, StripOptions
 from sightline.simulate.texture import Array, raster_layer
 
 MOTION_MARGIN_LINES = 64
@@ -234,13 +234,7 @@ def line_of_sight_case(
 
 
 def _options_of(case: str, overrides: dict[str, Any]) -> StripOptions:
-    if case not in CASE_OPTIONS:
-        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(CASES)}")
-    known = {field.name for field in dataclasses.fields(StripOptions)}
-    unknown = sorted(set(overrides) - known)
-    if unknown:
-        raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
-    return StripOptions(**{**CASE_OPTIONS[case], **overrides})
+    return options_of(StripOptions, CASE_OPTIONS, case, overrides)
 
 
 def planned_cameras(case: str = "nominal", seed: int = 0, **overrides: Any) -> tuple[PushbroomCamera, ...]:

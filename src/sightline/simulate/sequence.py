@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import InputError
 from sightline.geometry.checks import frozen
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
+from sightline.simulate.option_checks import options_of
 from sightline.simulate.scene import Extent
 from sightline.simulate.sensor import Radiometry
 from sightline.simulate.sequence_filter import FilterLayout, filter_layout, filter_weights, response
@@ -196,13 +196,7 @@ def sequence_case(case: str = "lvf", seed: int = 0, **overrides: Any) -> Sequenc
 
 def sequence_options(case: str = "lvf", **overrides: Any) -> SequenceOptions:
     """The options of `sequence_case`, nothing drawn; parameters as there."""
-    if case not in CASE_OPTIONS:
-        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(CASE_OPTIONS)}")
-    known = {field.name for field in dataclasses.fields(SequenceOptions)}
-    unknown = sorted(set(overrides) - known)
-    if unknown:
-        raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
-    return SequenceOptions(**{**CASE_OPTIONS[case], **overrides})
+    return options_of(SequenceOptions, CASE_OPTIONS, case, overrides)
 
 
 def _reach(options: SequenceOptions, flight: Flight) -> float:

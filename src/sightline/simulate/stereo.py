@@ -28,6 +28,7 @@ from sightline.geometry.surface import Dem, Ellipsoid
 from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior
 from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.simulate.option_checks import options_of
 from sightline.simulate.stereo_ground import lay_ground, lay_points
 from sightline.simulate.stereo_options import CASE_OPTIONS, StereoOptions
 
@@ -179,13 +180,7 @@ class StereoScenario(ReadOnlyArrays):
 
 def stereo_options(case: str = "A_paper_T6_K64", **overrides: Any) -> StereoOptions:
     """The options of `stereo_case`, nothing drawn; parameters as there."""
-    if case not in CASE_OPTIONS:
-        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(CASE_OPTIONS)}")
-    known = {field.name for field in dataclasses.fields(StereoOptions)}
-    unknown = sorted(set(overrides) - known)
-    if unknown:
-        raise InputError(f"unknown option: {', '.join(unknown)}; allowed are {', '.join(sorted(known))}")
-    return StereoOptions(**{**CASE_OPTIONS[case], **overrides})
+    return options_of(StereoOptions, CASE_OPTIONS, case, overrides)
 
 
 def stereo_case(case: str = "A_paper_T6_K64", seed: int = 0, **overrides: Any) -> StereoScenario:

@@ -18,7 +18,7 @@ import numpy as np
 from sightline.applications.expected_cost import Cost, frames_cost, strip_cost
 from sightline.applications.line_of_sight import ready_strip
 from sightline.applications.spin_attitude import SpinOptions, seen_again
-from sightline.errors import EstimationError, FormatError, InputError
+from sightline.errors import FormatError, naming
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.io.acquisition.acquired import Acquisition, InputFolder, input_files, world_kind
@@ -143,7 +143,7 @@ def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:
         As the recovery itself, with the file named.
     """
     frames, given = acquired.frames, acquired.matching
-    try:
+    with naming(acquired.path):
         if frames and acquired.spin is not None:
             spun = SpinOptions.from_matching(given)
             lags = max((pair.lag for pair in seen_again(frames)), default=1)
@@ -161,8 +161,6 @@ def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:
             known, sensors, control = acquired.known_motion, acquired.sensors, acquired.control_points
             ready_strip(acquired.bands, acquired.surface, sensors, control, known, options)
         cost.check()
-    except (InputError, EstimationError) as error:
-        raise type(error)(f"{acquired.path}: {error}") from None
     return cost
 
 
