@@ -61,6 +61,26 @@ def image_of_nan(folder):
     spoil_image(folder, np.full((LINES, COLUMNS), np.nan, dtype=np.float32))
 
 
+def every_second_line_nan(folder):
+    image = np.random.default_rng(0).normal(700.0, 90.0, (LINES, COLUMNS)).astype(np.float32)
+    image[1::2] = np.nan
+    spoil_image(folder, image)
+
+
+def gyro_parted_by_semicolons(folder):
+    path = folder / "gyro.csv"
+    path.write_text(path.read_text(encoding="utf-8").replace(",", ";"), encoding="utf-8")
+
+
+def image_at_home(folder):
+    edit(folder, '"B1.tif"', '"~/B1.tif"')
+
+
+def one_file_under_two_keys(folder):
+    """The gyro's table is given where directions of a detector belong."""
+    edit(folder, "[[band]]\n", '[[band]]\ndirections = "gyro.csv"\n')
+
+
 def image_constant(folder):
     spoil_image(folder, np.full((LINES, COLUMNS), 700, dtype=np.uint16))
 
@@ -164,6 +184,10 @@ BAD = [
     (image_is_no_raster, 2, r"B1\.tif"),
     (cut_short, 2, r"B1\.tif.*(truncated|cannot be read)"),
     (image_of_nan, 2, r"B1.*(NaN|not a number|no usable)"),
+    (every_second_line_nan, 2, r"B1\.tif.*unusable pixels.*50 % of any 16 x 16 px"),
+    (gyro_parted_by_semicolons, 2, r"gyro\.csv.*parted by commas, not by ';'"),
+    (image_at_home, 2, r"~.B1\.tif: no such file; ~ is not replaced"),
+    (one_file_under_two_keys, 2, r"\[\[band\]\] 1 directions.*\[\[attitude_sensor\]\] 1 table.*gyro\.csv"),
     (image_constant, 2, r"B1.*(constant|same value)"),
     (image_saturated, 2, r"B1.*(saturated|constant|same value)"),
     (image_too_narrow, 2, r"B1.*196.*200"),

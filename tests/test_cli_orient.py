@@ -32,6 +32,17 @@ def given(tmp_path_factory):
     return made, folder
 
 
+def test_residuals_far_beyond_the_sigmas_are_no_orientation(tmp_path, capsys):
+    made = scene(shots=8, points=30)
+    rng = np.random.default_rng(2)
+    for row in made.matches:  # 5 px where 0.1 px are stated
+        row[2:6] = (np.array(row[2:6]) + rng.normal(0.0, 5.0, 4)).tolist()
+    path, out = made.write(tmp_path / "given"), tmp_path / "result"
+    assert run(["orient", str(path), "--out", str(out)]) == 1
+    said = capsys.readouterr().err
+    assert "times as large as the sigmas say" in said and "sigma_px" in said and not out.exists()
+
+
 @pytest.fixture(scope="module")
 def done(given):
     out = given[1] / "result"

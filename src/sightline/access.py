@@ -190,6 +190,8 @@ def check_file(path: Path, advice: str = "check the name", place: object = None,
     try:
         status = os.stat(path)
     except (FileNotFoundError, NotADirectoryError):
+        if "~" in path.parts:
+            advice = "~ is not replaced by the home folder in a file: give the whole path"
         raise FormatError(f"{where}: no such file; {advice}") from None
     except (OSError, ValueError) as error:  # too long a name, a zero in it
         said = error.strerror if isinstance(error, OSError) else str(error)

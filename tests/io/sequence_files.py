@@ -82,13 +82,14 @@ def picture(seed: int, shape: tuple[int, int] = SHAPE) -> bytes:
     return npy(np.random.default_rng(seed).integers(0, 4000, shape).astype(np.uint16))
 
 
-def flight(count: int = 6) -> Flight:
+def flight(count: int = 6, shape: tuple[int, int] = SHAPE) -> Flight:
     """Files without a fault."""
+    size = f"shape = [{shape[0]}, {shape[1]}]"
     t = [0.5 * k for k in range(count)]
     return Flight(
-        TOML,
+        TOML.replace("shape = [24, 32]", size),
         [[k, t[k], f"f{k}.npy"] for k in range(count)],
         [[k, t[k], 0.0, 5.0 * k, 100.0, 1.0, 1.5, 2.0] for k in range(count)],
         [[k, t[k], *NORTH, 0.01, 0.02, 0.03] for k in range(count)],
-        {f"f{k}.npy": picture(k) for k in range(count)},
+        {f"f{k}.npy": picture(k, shape) for k in range(count)},
     )

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from datetime import datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.io.sequence_files import flight
+from scipy.spatial.transform import Rotation
+from tests.io.sequence_files import NORTH, flight
 
+from sightline.cli.main import run
 from sightline.errors import FormatError
-from sightline.geometry.earth import WGS84, from_geodetic
+from sightline.geometry.earth import WGS84, from_geodetic, local_axes
 from sightline.io.formats.exif import Exif
 from sightline.io.formats.odm import read_geo
 from sightline.io.sequence.describe import describe_sequence
@@ -46,6 +49,59 @@ def test_constant_errors_of_angles_in_degrees_are_asked_about(tmp_path):
     made.toml = made.toml.replace("attitude_bias_sigma = 0.01", "attitude_bias_sigma = 1.0")
     said = understood(made, tmp_path / "degrees")
     assert "1 rad is 57.3 degrees: were degrees meant? 1 degrees are 0.0175 rad" in said
+
+
+def test_what_is_doubted_of_units_the_run_says_too(tmp_path):
+    made = flight()
+    made.toml = made.toml.replace("attitude_bias_sigma = 0.01", "attitude_bias_sigma = 1.0")
+    for rows in (made.frames, made.positions, made.attitudes):  # ms for s
+        for row in rows:
+            row[1] = 1e3 * row[1]
+    warned = read_sequence(made.write(tmp_path)).problem.warnings
+    assert any("were degrees meant" in words for words in warned)
+    # 5 m in 500 s
+    assert any("flies at 0.01 m/s by the tables: are times in seconds" in words for words in warned)
+
+
+@pytest.mark.parametrize("command", ["check", "georeference"])
+@pytest.mark.parametrize(
+    ("old", "new", "status", "words"),
+    [
+        # a frame sees 60 m at 100 m, frames are 5 m apart
+        ("focal_length_px = 40.0", "focal_length_px = 40e3", 1, "no ground in common .*share 0%"),
+        ("height_sigma = 1.0", "height_sigma = 1.0\n[cube]\ngsd = 900.0", 2, r"\[cube\] gsd = 900 m"),
+    ],
+)
+def test_check_refuses_what_the_run_refuses(tmp_path, capsys, command, old, new, status, words):
+    made = flight(shape=(128, 160))
+    made.toml = made.toml.replace(old, new)
+    path = made.write(tmp_path / "given")
+    given = [command, str(path)] + (["--out", str(tmp_path / "out")] if command == "georeference" else [])
+    assert run(given) == status
+    said = capsys.readouterr().err
+    assert re.search(words, said) and str(path) in said
+
+
+@pytest.mark.parametrize("away", ["all", "some"])
+def test_positions_of_exchanged_longitude_and_latitude_are_suspected(tmp_path, away):
+    made = flight()
+    made.toml = made.toml.replace('frame = "local"', 'frame = "lonlat"').replace("height_sigma = 1.0", "")
+    lon, lat = np.radians(80.0), np.radians(-60.0)
+    down = local_axes(lon, lat) * Rotation.from_quat(NORTH)
+    for row in made.positions:
+        row[2:5] = [-60.0 + row[3] / 111e3, 80.0, 3000.0]  # exchanged
+    for row in made.attitudes:
+        row[2:6] = down.as_quat().tolist()
+    if away == "some":  # two cameras happen to look down where they are said to be
+        there = local_axes(np.radians(-60.0), np.radians(80.0)) * Rotation.from_quat(NORTH)
+        for row in made.attitudes[:2]:
+            row[2:6] = there.as_quat().tolist()
+        warned = read_sequence(made.write(tmp_path)).problem.warnings
+        assert any("4 attitudes look away" in words for words in warned)
+        assert any(" 0 degrees with longitude and latitude of their" in words for words in warned)
+        return
+    with pytest.raises(FormatError, match=r"away from the ground, in every frame.* 0 degrees with longitude"):
+        read_sequence(made.write(tmp_path))
 
 
 def test_metres_given_as_degrees_are_refused(tmp_path):

@@ -48,7 +48,12 @@ from sightline.photogrammetry.flight.solver import (
 from sightline.photogrammetry.flight.solving_order import solving_order
 from sightline.photogrammetry.flight.start import begun
 from sightline.photogrammetry.flight.subset import Subset, choose_subset
-from sightline.photogrammetry.flight.table_check import motion_warnings, table_warnings, unsolved_words
+from sightline.photogrammetry.flight.table_check import (
+    motion_warnings,
+    refuse_apart,
+    table_warnings,
+    unsolved_words,
+)
 from sightline.photogrammetry.flight.warnings import (
     bow_warnings,
     focal_warnings,
@@ -131,7 +136,9 @@ def check_flight(
     ------
     InputError
         Fewer than two frames can be used, or they are too small; neither attitudes nor three positions are
-        told.
+        given.
+    EstimationError
+        By the tables successive frames show places far from one another.
     """
     usable = int(problem.usable.sum())
     if not usable:
@@ -142,6 +149,7 @@ def check_flight(
             "that overlap"
         )
     check_followable(problem.detector.shape, follow_plan(problem, plan))
+    refuse_apart(problem)
     if photogrammetry or (photogrammetry is None and not np.isfinite(problem.known.attitude).any()):
         check_positions(problem.known.along_world())
 

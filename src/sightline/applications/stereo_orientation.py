@@ -31,6 +31,9 @@ from sightline.photogrammetry.triangulate import triangulate
 
 #: Names of the estimators, best first.
 METHODS = ("ml-track", "ml-pair", "epipolar", "plane")
+#: Size of residuals over the stated one beyond which an adjustment is no answer: stated noise may be a few
+#: times too small, and its sigmas are then by as much; tables of other images miss by hundreds.
+WORST_FIT = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -313,6 +316,20 @@ def _simultaneous(sightings: Sightings) -> bool:
     return len(np.unique(shot * max(sightings.points, 1) + sightings.point)) < len(sightings)
 
 
+def _check_fit(found: Adjustment) -> None:
+    """EstimationError where residuals have nothing to do with the sigmas: then the angles mean nothing."""
+    if found.degrees_of_freedom <= 0:
+        return
+    ratio = float(np.sqrt(found.cost / found.degrees_of_freedom))
+    if ratio > WORST_FIT:
+        raise EstimationError(
+            f"residuals are {ratio:.3g} times as large as the sigmas say, {WORST_FIT:g} times is the most "
+            "that an orientation is given with: check that points and poses are of one set of images, that "
+            "line and column are not exchanged or the same twice, and sigma_px, sigma_position and "
+            "sigma_attitude of [noise]"
+        )
+
+
 def _result(
     method: str,
     cameras: tuple[str, ...],
@@ -323,6 +340,7 @@ def _result(
     focal_sigma: tuple[float, ...] | None,
 ) -> StereoOrientation:
     """An adjustment as the result of S2."""
+    _check_fit(found)
     points, covariance = _points(sightings, found, noise, tracked=method == "ml-track")
     sigma = np.sqrt(np.diag(found.global_covariance))
     names = found.unknowns.names

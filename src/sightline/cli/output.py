@@ -23,7 +23,7 @@ from pathlib import Path
 from sightline.cli.lock import LOCK, Lock, take
 from sightline.cli.publish import JOURNAL, NEW, OLD, kind_of, publish, roll_back
 from sightline.cli.terminal import Interrupted, complain
-from sightline.errors import InputError
+from sightline.errors import InputError, SightlineError
 from sightline.inputs import Inputs, changed_error, noted
 from sightline.writing import creation_date, in_bytes, scratch_in
 
@@ -137,11 +137,13 @@ def _stages(folder: Path, resume: bool | None, *, overwrite: bool) -> Iterator[N
         yield
     except BaseException as error:
         kept = f"finished stages wait in {place}; the same command goes on from them, also without --resume"
+        corrected = f"finished stages wait in {place}; a corrected run goes on from those it has in common"
         if folder not in published:
             if isinstance(error, KeyboardInterrupt):
                 raise Interrupted(kept if place.is_dir() else "no stage was finished") from error
             if place.is_dir():
-                complain("note", kept)
+                wrong = isinstance(error, SightlineError)
+                complain("note", corrected if wrong else kept)
         raise
     _remove_stages(folder)
 

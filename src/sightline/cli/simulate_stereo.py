@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from pathlib import Path
 from typing import Annotated, Any, TypeAlias
 
 import typer
@@ -11,7 +12,7 @@ import typer
 from sightline.cli.options import STEREO_CASES, Json, Out, Overwrite, Seed
 from sightline.cli.output import output_folder
 from sightline.cli.terminal import print_json, say
-from sightline.cli.usable import refuse_useless_pass, refuse_useless_scene
+from sightline.cli.usable import least_points, refuse_useless_pass, refuse_useless_scene
 from sightline.geometry.units import ARCSEC
 
 _DEGREE = math.pi / 180.0
@@ -125,6 +126,15 @@ def stereo(
     from sightline.simulate.stereo import stereo_case, stereo_options
     from sightline.simulate.stereo_files import write_stereo
 
+    def fewest() -> str:
+        """More points, where those are too few."""
+
+        def write(place: Path, count: int) -> None:
+            more = stereo_case(case, seed, **{**options, "points": count})
+            write_stereo(more, place, control_points=control_points, images=False)
+
+        return "" if images else least_points(folder, write, stereo_options(case, **options).points)
+
     begin = time.perf_counter()
     if images:
         options.setdefault("ground_size", _FRAMED_GROUND)
@@ -132,7 +142,7 @@ def stereo(
         refuse_useless_pass(stereo_options(case, **options), images=images)
         scenario = stereo_case(case, seed, **options)
         names = list(write_stereo(scenario, folder, control_points=control_points, images=images))
-        refuse_useless_scene(folder / "stereo.toml", "these options")
+        refuse_useless_scene(folder / "stereo.toml", "these options", fewest)
     seconds = time.perf_counter() - begin
     if as_json:
         print_json({"folder": out, "files": names, "wall_seconds": round(seconds, 3)})

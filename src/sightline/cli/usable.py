@@ -21,6 +21,10 @@ if TYPE_CHECKING:
 MOST_LINES, MOST_COLUMNS = 1_000_000, 100_000
 #: Windows of the first pass that lie in two images: 20 must match, and at edges some do not.
 LEAST_WHOLE = 24
+#: The same of each band: fewer tell nothing of it.
+LEAST_SHARED = 8
+#: Points of a pass up to which numbers are tried.
+MOST_POINTS = 1000
 #: px; sides of frames in which points are found.
 LEAST_MATCHED = 128
 
@@ -111,9 +115,12 @@ def _why_useless(
         strip = ready_strip(bands, surface, (), None, None, options)
     except SightlineError as error:
         return str(error).removeprefix("acquisition.toml: ")
-    _, whole, _ = windows_in_common(strip, options)
-    if whole < LEAST_WHOLE:
-        return f"{whole:.0f} windows lie in two images, too few of which will match"
+    found = windows_in_common(strip, options)
+    if found.whole < LEAST_WHOLE:
+        return f"{found.whole:.0f} windows lie in two images, too few of which will match"
+    for name, whole in zip(names, found.whole_of, strict=True):
+        if whole < LEAST_SHARED:
+            return f"{whole:.0f} windows of {name} lie in another image, too few of which will match"
     return ""
 
 
@@ -174,7 +181,7 @@ def refuse_useless_pass(options: StereoOptions, *, images: bool) -> None:
     _afford(cost)
 
 
-def refuse_useless_scene(file: Path, asked: str) -> None:
+def refuse_useless_scene(file: Path, asked: str, least: Callable[[], str] = str) -> None:
     """InputError for a scene just written whose own command would refuse it; `asked` are its options.
 
     Parameters
@@ -183,12 +190,55 @@ def refuse_useless_scene(file: Path, asked: str) -> None:
         The TOML file of the scene, in the folder that is not yet published.
     asked : str
         How the user asked for it.
+    least : callable, optional
+        Options that work, in words; "" where none are known.
     """
+    from sightline.errors import InputError
+
+    reason = why_refused(file)
+    if reason:
+        works = least()
+        raise InputError(
+            f"{asked} make a scene that could not be used: {reason}"
+            + (f"; the least that works is {works}" if works else "")
+        )
+
+
+def why_refused(file: Path) -> str:
+    """Why the command of a scene would refuse it; "" where it would not."""
     from sightline.cli.check import describe
-    from sightline.errors import InputError, SightlineError
+    from sightline.errors import SightlineError
 
     try:
         describe(file)
     except SightlineError as error:
-        reason = str(error).replace(f"{file.parent}/", "")
-        raise InputError(f"{asked} make a scene that could not be used: {reason}") from None
+        return str(error).replace(f"{file.parent}/", "")
+    return ""
+
+
+def least_points(folder: Path, write: Callable[[Path, int], object], points: int) -> str:
+    """The least number of points with which a pass of cameras can be oriented, as an option; "" if none.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the scene that is not yet published; trials are made below it, and removed.
+    write : callable
+        Writes the scene of so many points into a folder.
+    points : int
+        That are too few.
+    """
+    from tempfile import TemporaryDirectory
+
+    from sightline.errors import SightlineError
+
+    def works(points: int) -> bool:
+        with TemporaryDirectory(dir=folder) as trial:  # below it nothing is an input of the command
+            try:
+                write(Path(trial), points)
+            except SightlineError:
+                return False
+            return not why_refused(Path(trial) / "stereo.toml")
+
+    least = _least(works, points + 1, max(points + 1, MOST_POINTS))
+    return "" if least is None else f"--points {least}"

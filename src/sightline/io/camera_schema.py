@@ -8,8 +8,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 
+from sightline.geometry.instrument import AreaDetector
 from sightline.io.acquisition.schema import SchemaSection
 from sightline.io.quantities import (
     Distortion,
@@ -17,6 +19,9 @@ from sightline.io.quantities import (
     PixelPlace,
     UnitQuaternion,
 )
+
+#: Degrees; no lens that maps planes to planes sees more, while a focal length in mm taken for pixels does.
+_WIDEST = 120.0
 
 
 class FrameCameraSection(SchemaSection):
@@ -48,3 +53,22 @@ class FrameCameraSection(SchemaSection):
                 'focal_length = "estimate" takes no focal_length_sigma_px; keep one of them: a sigma, or none'
             )
         return self
+
+
+def field_of_view(detector: AreaDetector) -> tuple[float, float]:
+    """Degrees from the first line to the last (along), and across the columns, without distortion."""
+    lines, columns = (
+        2.0 * float(np.degrees(np.arctan(0.5 * size / detector.focal_length_px))) for size in detector.shape
+    )
+    return lines, columns
+
+
+def wide_words(detector: AreaDetector) -> tuple[str, ...]:
+    """A doubt of a focal length that makes the view wider than any lens but a fisheye has it; else none."""
+    along, across = field_of_view(detector)
+    if max(along, across) <= _WIDEST:
+        return ()
+    return (
+        f"the field of view is {along:.0f} x {across:.0f} degrees by focal_length_px = "
+        f"{detector.focal_length_px:g}: was it given in mm? Pixels are expected: mm / pixel pitch in mm",
+    )

@@ -20,6 +20,8 @@ from sightline.matching.whitening import Whitening, estimate_whitening
 
 __all__ = ["match_images"]
 
+#: Share of a window's pixels that may be masked.
+MAX_MASKED = 0.2
 _BLOCK_PIXELS = 1_500_000
 _ITERATIONS = 12
 _TOLERANCE_PX = 0.01
@@ -39,7 +41,7 @@ def match_images(
     search_px: tuple[int, int] = (0, 0),
     whitening: Whitening | str | None = "auto",
     max_shift_px: float = 1.5,
-    max_masked: float = 0.2,
+    max_masked: float = MAX_MASKED,
     saturation: float | None = None,
     min_score: float = 0.2,
     max_sigma_px: float = 0.5,

@@ -42,6 +42,11 @@ def lay_ground(options: StereoOptions, pair: OrbitPair, seed: np.random.SeedSequ
     half = 0.5 * options.scene_size
     scene = heights[(np.abs(x) <= half) & (np.abs(y) <= half)]
     low, high = float(scene.min()), float(scene.max())
+    if not high > low:
+        raise InputError(
+            f"`scene_size` {options.scene_size:g} m holds no relief: heights are laid every {_POSTING:g} m; "
+            f'give {3 * _POSTING:g} m or more, or relief "none"'
+        )
     heights = heights - 0.5 * (low + high)
     if options.relief != "dem":
         heights *= options.relief_range / (high - low)

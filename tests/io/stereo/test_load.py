@@ -557,6 +557,40 @@ def test_positions_inside_a_body_or_far_from_it_are_refused(tmp_path, radii, fac
         load_stereo(made.write(tmp_path))
 
 
+def test_radii_of_a_body_in_km_are_refused(tmp_path):
+    made = scene(shots=3, points=10)
+    made.toml = made.toml.replace("[6371000.0, 6371000.0]", "[6371.0, 6371.0]")
+    with pytest.raises(GeometryError, match=r"points 6\.37\S* m from the centre .*radii 6371 m.*in metres"):
+        load_stereo(made.write(tmp_path))
+
+
+def test_a_focal_length_in_mm_is_suspected(tmp_path):
+    made = scene(shots=3, points=10)
+    made.toml = made.toml.replace("focal_length_px = 30558.0", "focal_length_px = 150.0")
+    # 2 atan(300 / 150), 2 atan(350 / 150), of both cameras
+    said = [words for words in load_stereo(made.write(tmp_path)).warnings if "given in mm" in words]
+    assert len(said) == 1 and "127 x 134 degrees" in said[0]
+
+
+@pytest.mark.parametrize("exchange", [False, True])
+def test_longitude_and_latitude_exchanged_are_suspected_by_where_cameras_look(tmp_path, exchange):
+    made = scene(shots=3, points=10)
+    turn = Rotation.from_euler("z", 60.0, degrees=True) * Rotation.from_euler("y", -20.0, degrees=True)
+    made.toml = made.toml.replace("[noise]", '[world]\nframe = "lonlat"\n\n[noise]')
+    for row in made.cameras:
+        x, y, z = turn.apply(row[3:6])
+        place = [np.degrees(np.arctan2(y, x)), np.degrees(np.arctan2(z, np.hypot(x, y)))]
+        height = np.sqrt(x * x + y * y + z * z) - RADIUS
+        row[3:6] = [*(place[::-1] if exchange else place), height]
+        row[6:10] = (turn * Rotation.from_quat(row[6:10])).as_quat().tolist()
+    path = made.write(tmp_path)
+    if not exchange:
+        assert len(load_stereo(path).images) == 6
+        return
+    with pytest.raises(GeometryError, match=r"latitude of their positions exchanged"):
+        load_stereo(path)
+
+
 def test_exact_positions_and_attitudes_may_be_told(tmp_path):
     made = scene(shots=3, points=10)
     made.toml = made.toml.replace("sigma_position = 1.0", "sigma_position = 0")

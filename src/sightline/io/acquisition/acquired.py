@@ -150,6 +150,10 @@ def _relative(path: Path, folder: Path) -> str:
         return str(path)
 
 
+#: Keys that name one file, as many as a message repeats.
+_KEYS_NAMED = 3
+
+
 class HasWorld(Protocol):
     """A file with a table ``[world]``."""
 
@@ -173,11 +177,11 @@ class InputFolder:
         """Start with the TOML file itself."""
         self.toml = toml
         self.used: list[Path] = [toml]
-        self._key_of: dict[str, str] = {}
+        self._keys_of: dict[str, list[str]] = {}
         self._place_of: dict[Path, str] = {}
         if config is not None:
             for where, name in _words(config.model_dump(exclude_unset=True), ()):
-                self._key_of.setdefault(name, _key(where))
+                self._keys_of.setdefault(name, []).append(_key(where))
 
     def path(self, name: str) -> Path:
         """The path behind a name in the file."""
@@ -192,7 +196,7 @@ class InputFolder:
             If there is no such file, or it would be asked of a server unasked; names the key.
         """
         path = self.path(name)
-        place = place or f"{self.toml}: {self._key_of.get(name, name)}"
+        place = place or f"{self.toml}: {' and '.join(self._keys_of.get(name, [name])[:_KEYS_NAMED])}"
         self._place_of[path] = place
         if path not in self.used:
             self.used.append(path)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import GeometryError, InputError
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
-from sightline.geometry.earth import WGS84, from_geodetic, to_geodetic
+from sightline.geometry.earth import WGS84, from_geodetic, local_axes, to_geodetic
 from sightline.geometry.surface import Dem, Ellipsoid, Infinity, Plane, Surface
 from sightline.io.acquisition.acquired import InputFolder, world_kind
 from sightline.io.acquisition.schema import AcquisitionFile, CameraModelPlatform, SurfaceSection
@@ -24,6 +24,10 @@ MovingCamera = PushbroomCamera | FrameCamera
 
 #: Pixels per side of the grid that stands for an image.
 GRID = 9
+#: Degrees from straight down beyond which it is asked whether longitude and latitude are exchanged.
+OBLIQUE = 50.0
+#: Share of that angle which is left once they are.
+NEARER = 0.6
 #: Share of an image that may look beside the ground or the DEM before the whole is refused.
 UNCOVERED_SHARE = 0.02
 #: The same for a spinning camera or a scan mirror, whose sweeps begin and end beyond the limb.
@@ -176,8 +180,8 @@ def check_coverage(
         _refuse_wide_field(path, base, cameras[worst], worst + 1)
         raise GeometryError(
             f"{path}: {100 * missed[worst]:.0f} % of image number {worst + 1} looks past the ground; check "
-            f"the attitudes "
-            "(quaternions qx,qy,qz,qw of world_from_body, scalar last), the positions and the mount"
+            "the attitudes (quaternions qx,qy,qz,qw of world_from_body, scalar last), the positions and the "
+            f"mount{_exchanged_view_of(cameras[worst], surface)}"
         )
     if not isinstance(surface, Dem):
         return
@@ -192,6 +196,13 @@ def check_coverage(
             f"the DEM {_extent(_horizontal(raster_corners(surface), local, radii), local)}; "
             f"give a larger DEM or crop the images{exchanged_words(surface, ground)}"
         )
+
+
+def _exchanged_view_of(camera: MovingCamera, surface: Surface) -> str:
+    """`exchanged_view_words` of a camera."""
+    rays, ground = camera.rays(image_grid(camera)), base_surface(surface)
+    radii = (ground.a, ground.b) if isinstance(ground, Ellipsoid) else None
+    return exchanged_view_words(rays.origins, rays.directions, radii)
 
 
 def _refuse_wide_field(path: Path, surface: Surface, camera: MovingCamera, number: int) -> None:
@@ -241,6 +252,37 @@ def exchanged_words(dem: Dem, points: Array) -> str:
     return (
         f"; with longitude and latitude exchanged ({np.degrees(lat):.4f}, {np.degrees(lon):.4f}) it would "
         "lie on the DEM: are they swapped in [world] origin, or in a table?"
+    )
+
+
+def exchanged_view_words(origins: Array, looks: Array, radii: tuple[float, float] | None) -> str:
+    """A doubt where cameras look far from straight down, or up, and about down once longitude and latitude of
+    their positions are exchanged.
+
+    Parameters
+    ----------
+    origins, looks : (N, 3)
+        m and unit vectors, Earth-fixed axes; rows that are not finite are passed over.
+    radii : (equatorial, polar) or None
+        m; None: a flat world, which has no longitudes.
+    """
+    known = np.isfinite(origins).all(axis=1) & np.isfinite(looks).all(axis=1)
+    if radii is None or not known.any():
+        return ""
+    place = to_geodetic(origins[known], radii)
+    if np.abs(place[:, 0]).max() > 0.5 * np.pi:
+        return ""  # no latitudes
+    up = np.stack([local_axes(lon, lat).apply([0.0, 0.0, 1.0]) for lon, lat in place[:, :2]])
+    there = np.stack([local_axes(lat, lon).apply([0.0, 0.0, 1.0]) for lon, lat in place[:, :2]])
+    as_given, turned = (
+        float(np.degrees(np.median(np.arccos(np.clip(-(looks[known] * v).sum(axis=1), -1.0, 1.0)))))
+        for v in (up, there)
+    )
+    if as_given < OBLIQUE or turned > NEARER * as_given:
+        return ""
+    return (
+        f"; the cameras look {as_given:.0f} degrees from straight down, and {turned:.0f} degrees with "
+        "longitude and latitude of their positions exchanged: are the two swapped?"
     )
 
 

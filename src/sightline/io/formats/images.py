@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from sightline.access import check_file, current_access
 from sightline.errors import FormatError, InputError, foreign_errors
 from sightline.imaging.rasters import open_raster, raster_environment, raster_errors
+from sightline.matching.match_images import MAX_MASKED
 
 Image = NDArray[np.float32]
 Mask = NDArray[np.bool_]
@@ -165,7 +166,7 @@ class NpyImage:
     def _map(self) -> NDArray[Any]:
         """The memory map, checked."""
         check_file(self.path)
-        advice = "the file is truncated or damaged; make it again"
+        advice = "it is truncated, damaged, or holds Python objects in place of numbers; make it again"
         with foreign_errors(self.path, "cannot be read as .npy", advice):
             array: Any = np.load(self.path, mmap_mode="r", allow_pickle=False)
             if not isinstance(array, np.memmap):
@@ -294,6 +295,14 @@ def open_image(path: Path, band: int | str = 1, mask: Path | None = None) -> Ras
     return RasterImage(Path(path), band, extra)
 
 
+def _clearest(bad: Mask) -> float:
+    """Least share of unusable pixels in squares as high as `bad` (lines, columns)."""
+    lines, columns = bad.shape
+    width = min(lines, columns)
+    squares = bad[:, : columns - columns % width].reshape(lines, -1, width)
+    return float(squares.mean(axis=(0, 2)).min())
+
+
 def check_content(image: RasterImage | NpyImage, *, may_be_masked: bool = False) -> None:
     """Look into an image (first, middle and last lines) before work starts.
 
@@ -315,11 +324,12 @@ def check_content(image: RasterImage | NpyImage, *, may_be_masked: bool = False)
     windows it touches.
     """
     lines, columns = image.shape
-    values = []
+    values, clearest = [], 1.0
     for first in sorted({0, max(0, lines // 2 - PROBE_LINES // 2), max(0, lines - PROBE_LINES)}):
         window = (first, min(first + PROBE_LINES, lines)), (0, columns)
         data, bad = image.read(*window), image.mask(*window)
         values.append(data.ravel() if bad is None else data[~bad])
+        clearest = min(clearest, 0.0 if bad is None else _clearest(bad))
     pixels = np.concatenate(values)
     if pixels.size == 0 and may_be_masked:
         return
@@ -327,6 +337,12 @@ def check_content(image: RasterImage | NpyImage, *, may_be_masked: bool = False)
         raise FormatError(
             f"{image.path}: no usable pixel in its first, middle and last lines (no data, NaN or masked); "
             "nothing can be matched in it; check the image and its mask"
+        )
+    if clearest > MAX_MASKED:
+        raise FormatError(
+            f"{image.path}: unusable pixels (no data, NaN or masked) lie everywhere: at least "
+            f"{100 * clearest:.0f} % of any {PROBE_LINES} x {PROBE_LINES} px in its first, middle and last "
+            f"lines, a window may hold {100 * MAX_MASKED:.0f} %; check the image and its mask"
         )
     if pixels.min() == pixels.max():
         raise FormatError(

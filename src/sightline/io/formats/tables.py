@@ -108,9 +108,11 @@ def read_columns(
     header = [name.strip() for name in rows[0][1]]
     missing = [name for name in columns if name not in header]
     if missing:
+        other = next((sign for sign in (";", "\t", "|") if sign in header[0]), "")
+        advice = f"; values are parted by commas, not by {other!r}, and hold decimal points" if other else ""
         raise FormatError(
             f"{path}: column {missing[0]!r} is missing: the header is {','.join(header)!r}; "
-            f"expected {','.join(columns)!r}"
+            f"expected {','.join(columns)!r}{advice}"
         )
     body = rows[1:]
     if not body:

@@ -17,10 +17,13 @@ from sightline.applications.cube_outlook import expected_cube
 from sightline.applications.expected_cost import Cost, flight_cost, maps_cost
 from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube, choose_bands
 from sightline.applications.sequence_poses import SequencePoses, check_flight
-from sightline.errors import InputError
+from sightline.errors import EstimationError, InputError, SightlineError
 from sightline.io.results.cube_files import ZARR, CubeFolder, check_formats, crs_wkt, is_zarr_file
 from sightline.io.sequence.load import FrameSequence
 from sightline.io.sequence.schema import CubeSection
+
+#: Rows and columns of a map at least.
+LEAST_MAP = 3
 
 
 def cube_plan(section: CubeSection) -> CubePlan:
@@ -36,7 +39,9 @@ def ready_to_georeference(sequence: FrameSequence, *, maps: bool = True) -> Cost
     ------
     InputError
         If too few frames can be used; if ``[cube]`` asks for bands that the camera does not see, or for maps
-        that this machine cannot hold.
+        that this machine cannot hold, or of hardly a pixel.
+    EstimationError
+        If by the tables successive frames show nothing in common.
     """
     problem = sequence.problem
     try:
@@ -46,23 +51,29 @@ def ready_to_georeference(sequence: FrameSequence, *, maps: bool = True) -> Cost
             check_bands(sequence)
             cost = cost.then(_cost_of_maps(sequence))
         cost.check()
-    except InputError as error:
-        raise InputError(_of_file(sequence, error)) from None
+    except (EstimationError, InputError) as error:
+        raise type(error)(_of_file(sequence, error)) from None
     return cost
 
 
-def _of_file(sequence: FrameSequence, error: InputError) -> str:
+def _of_file(sequence: FrameSequence, error: SightlineError) -> str:
     """A message with the file it is about, once."""
     return str(error) if str(error).startswith(str(sequence.path)) else f"{sequence.path}: {error}"
 
 
 def _cost_of_maps(sequence: FrameSequence) -> Cost:
     """By the rough poses; nothing where they do not tell the size."""
-    problem = sequence.problem
+    problem, plan = sequence.problem, cube_plan(sequence.cube)
     try:
-        grid, layout = expected_cube(problem, cube_plan(sequence.cube))
+        grid, layout = expected_cube(problem, plan)
     except InputError:
         return Cost(0.0, 0.0, "")
+    if plan.gsd is not None and min(grid.shape) < LEAST_MAP:
+        raise InputError(
+            f"[cube] gsd = {plan.gsd:g} m makes maps of {grid.shape[0]} rows x {grid.shape[1]} columns of "
+            "what the frames see by their rough poses; give metres of a pixel, about as large as those of "
+            "the frames, or leave it out"
+        )
     return maps_cost(len(problem), problem.detector.shape, grid.shape, len(layout))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.access import read_text
-from sightline.errors import FormatError, foreign_errors
+from sightline.errors import FormatError, foreign_errors, naming
 from sightline.evaluation.direction_words import AXES
 from sightline.evaluation.score_orientation import score_orientation
 from sightline.io.formats.tables import read_columns
@@ -84,4 +84,5 @@ def score_orientation_folder(folder: Path, truth: Path) -> dict[str, Any]:
     true = read_orientation_truth(truth, cameras)
     table = folder / "covariance.csv"
     covariance = read_covariance(table, 3 * len(cameras)) if table.is_file() else None
-    return score_orientation(cameras, angles, sigma, true, covariance)
+    with naming(folder if covariance is None else table):
+        return score_orientation(cameras, angles, sigma, true, covariance)

@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import FormatError
 from sightline.geometry.earth import local_axes
 from sightline.io.acquisition.acquired import InputFolder, attitude_to_world
+from sightline.io.acquisition.ground import exchanged_view_words
 from sightline.io.formats.angle_tables import (
     ENU_FROM_NED,
     OPK,
@@ -65,14 +66,17 @@ def told_attitudes(
     looks = Rotation.from_quat(told.values).apply(mount.as_matrix()[:, 2])
     off = np.arccos(np.clip(np.einsum("ni,ni->n", down, looks), -1.0, 1.0))
     wrong = off > _OFF_NADIR
+    exchanged = exchanged_view_words(position_at(frames.t, position, told.t), looks, radii)
     if wrong.all():
         raise FormatError(
             f"{path}: by these attitudes the camera looks {np.degrees(np.median(off)):.0f} degrees "
             "from straight down, "
             "away from the ground, in every frame; check qx,qy,qz,qw (world_from_body, scalar last), "
             "[camera] mount, "
-            "and [world]; or remove the attitudes"
+            f"and [world]; or remove the attitudes{exchanged}"
         )
+    if exchanged:
+        warnings.append(f"{path.name}: {exchanged.removeprefix('; ')}")
     if wrong.any():
         name = (
             frames.names[told.frame[wrong][0]] if told.frame[wrong][0] >= 0 else f"t = {told.t[wrong][0]:g}"

@@ -11,16 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.geometry.surface import Ellipsoid, Plane
-from sightline.io.sequence.load import FrameSequence, field_of_view, wide_words
+from sightline.io.camera_schema import field_of_view, wide_words
+from sightline.io.sequence.load import FrameSequence
 from sightline.io.sequence.outlook import map_words, overlap_words, program_words, time_words
 from sightline.photogrammetry.flight.problem import SequenceProblem, seen_ground
 
 Array = NDArray[np.float64]
 
-#: rad; sigma of attitudes beyond which they may have been given in degrees.
-LARGE_ATTITUDE_SIGMA = 0.2
-#: rad; the same of their constant error, which a camera mounted by hand may have large.
-LARGE_ATTITUDE_BIAS = 0.5
 #: Frames that are named in a message.
 LISTED = 5
 
@@ -79,17 +76,6 @@ def _understood(sequence: FrameSequence) -> list[str]:
                 + (f", with a constant error of {bias:.3g} {unit}" if bias else "")
                 + (f" ({np.degrees(bias):.3g} degrees)" if bias and unit == "rad" else "")
             )
-            if unit == "rad" and bias > LARGE_ATTITUDE_BIAS:
-                said.append(
-                    f"note: attitude_bias_sigma = {bias:.3g} rad is {np.degrees(bias):.3g} degrees: were "
-                    f"degrees meant? {bias:.3g} degrees are {np.radians(bias):.3g} rad"
-                )
-            if unit == "rad" and float(np.median(sigma[own])) > LARGE_ATTITUDE_SIGMA:
-                said.append(
-                    f"note: a sigma of attitudes of {float(np.median(sigma[own])):.3g} rad is "
-                    f"{np.degrees(float(np.median(sigma[own]))):.3g} degrees: is it in degrees? rad are "
-                    "expected"
-                )
     if problem.control is not None and problem.control_tracks is not None:
         said.append(f"{len(problem.control.point)} control points, seen {len(problem.control_tracks)} times")
     doubted = wide_words(problem.detector)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -25,6 +25,7 @@ from sightline.geometry.surface import Dem, Surface
 from sightline.io.acquisition.acquired import InputFolder, input_files, sha256
 from sightline.io.acquisition.ground import exchanged_words, raster_corners, surface_of
 from sightline.io.acquisition.schema import WorldSection
+from sightline.io.camera_schema import wide_words
 from sightline.io.config import read_toml, validate
 from sightline.io.formats.envi import read_envi_wavelengths
 from sightline.io.formats.gps_places import exchanged
@@ -36,6 +37,7 @@ from sightline.io.sequence.poses import check_places, starting_poses
 from sightline.io.sequence.positions import place_of
 from sightline.io.sequence.schema import LEAST_NM, CubeSection, SequenceCamera, SequenceFile, WavelengthRange
 from sightline.photogrammetry.block.point_priors import ControlPoints
+from sightline.photogrammetry.flight.outlook import unit_doubts
 from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.sightings import Images
 
@@ -50,8 +52,6 @@ _NOT_REFINED = (
 _FILM_SIGMA = 0.1
 #: mm; diagonal of such film.
 _FILM_DIAGONAL = float(np.hypot(36.0, 24.0))
-#: Degrees; no lens that maps planes to planes sees more, while a focal length in mm taken for pixels does.
-_WIDEST = 120.0
 #: Share of the frames whose middle may look beside the ground before that is told.
 _BESIDE_SHARE = 0.02
 
@@ -175,6 +175,7 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
             *_lost(frames, reasons),
         ),
     )
+    problem = replace(problem, warnings=(*problem.warnings, *unit_doubts(problem)))
     return FrameSequence(
         path, file.sequence.name, problem, file.world, file.cube, frames.files, tuple(files.used)
     )
@@ -260,25 +261,6 @@ def detector_of(
         )
     detector = AreaDetector("camera", shape, focal, principal, distortion, _wavelengths(camera, files, shape))
     return detector, sigma, (*words, *wide_words(detector))
-
-
-def field_of_view(detector: AreaDetector) -> tuple[float, float]:
-    """Degrees from the first line to the last (along), and across the columns, without distortion."""
-    lines, columns = (
-        2.0 * float(np.degrees(np.arctan(0.5 * size / detector.focal_length_px))) for size in detector.shape
-    )
-    return lines, columns
-
-
-def wide_words(detector: AreaDetector) -> tuple[str, ...]:
-    """A doubt of a focal length that makes the view wider than any lens but a fisheye has it; else none."""
-    along, across = field_of_view(detector)
-    if max(along, across) <= _WIDEST:
-        return ()
-    return (
-        f"the field of view is {along:.0f} x {across:.0f} degrees by focal_length_px = "
-        f"{detector.focal_length_px:g}: was it given in mm? Pixels are expected: mm / pixel pitch in mm",
-    )
 
 
 def _focal_length(

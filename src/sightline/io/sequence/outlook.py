@@ -29,8 +29,6 @@ LEAST_OVERLAP = 0.5
 #: The same below which frames are not surely followed, and features link them: of rendered flights all frames
 #: were followed at 75 %, nine in ten at 70 %, two thirds at 65 %, few at 60 %.
 LEAST_FOLLOWED = 0.75
-#: m/s; of drones that hardly move, and of orbits, beyond which units may be wrong.
-SLOWEST, FASTEST = 0.1, 12e3
 #: Gaps and stretches that are named in a message.
 LISTED = 3
 #: Frames from which on a sequence has overlaps enough that a gap in it stands out.
@@ -76,12 +74,6 @@ def overlap_words(problem: SequenceProblem) -> list[str]:
     said = [
         f"successive frames share about {overlap.usual:.0%}, by the rough positions{_least(problem, overlap)}"
     ]
-    speed = overlap.step / times_of(problem.t).step
-    if not SLOWEST < speed < FASTEST:
-        said.append(
-            f"note: the camera flies at {speed:.2g} m/s by the tables: are times in seconds and positions "
-            "in metres?"
-        )
     if overlap.usual < LEAST_OVERLAP:
         said.append("so little common ground tells poses badly; check positions, height, and focal length")
     side = side_overlap(problem)

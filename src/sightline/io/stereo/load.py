@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.applications.stereo_orientation import StereoProblem
-from sightline.errors import FormatError
+from sightline.errors import FormatError, GeometryError
 from sightline.geometry.earth import WGS84
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Surface
 from sightline.io.acquisition.acquired import InputFolder, attitude_to_world, input_files, sha256
 from sightline.io.acquisition.platform import points_to_world
+from sightline.io.camera_schema import wide_words
 from sightline.io.config import read_toml, validate
 from sightline.io.formats.images import Source, check_content, open_image
 from sightline.io.stereo.checks import (
@@ -184,9 +185,13 @@ def _stereo(path: Path, file: StereoFile, files: InputFolder, *, planned: bool) 
     if len(tracks):
         origins, looks = origins[tracks.image], rays_of(images, detectors, mounts, tracks)
     camera = images.camera[tracks.image]
-    heights, surface, more = ground_of(
-        file, files, points_path, poses.cameras, camera, tracks, origins, looks, local=local
-    )
+    doubts = tuple(dict.fromkeys(words for detector in detectors for words in wide_words(detector)))
+    try:
+        heights, surface, more = ground_of(
+            file, files, points_path, poses.cameras, camera, tracks, origins, looks, local=local
+        )
+    except GeometryError as error:
+        raise GeometryError("; ".join([str(error), *doubts])) from None
     if table is not None:
         check_points(points_path, len(poses.cameras), tracks, names, control, heights)
         check_spread(points_path, camera, tracks)
@@ -204,7 +209,7 @@ def _stereo(path: Path, file: StereoFile, files: InputFolder, *, planned: bool) 
         control=control,
         focal_sigma=_focal_sigma(cameras),
         epoch=file.stereo.epoch,
-        warnings=warnings + more,
+        warnings=warnings + doubts + more,
         sigma_px=file.noise.sigma_px,
     )
     pictures = None if file.images is None else _pictures(files, file, poses, detectors)

@@ -15,7 +15,7 @@ from sightline.errors import FormatError, GeometryError
 from sightline.geometry.earth import WGS84
 from sightline.geometry.surface import Dem, Surface
 from sightline.io.acquisition.acquired import InputFolder
-from sightline.io.acquisition.ground import exchanged_words, inside_raster, surface_of
+from sightline.io.acquisition.ground import exchanged_view_words, exchanged_words, inside_raster, surface_of
 from sightline.io.acquisition.platform import points_to_world
 from sightline.io.stereo.checks import check_directions, check_enough, meet
 from sightline.io.stereo.schema import StereoFile
@@ -28,6 +28,8 @@ Index = NDArray[np.intp]
 
 #: Share of the points that may lie beside the DEM before the whole is refused.
 UNCOVERED_SHARE = 0.02
+#: Radii of the body up to which its ground may lie from its centre: rays that hardly converge meet anywhere.
+FARTHEST_GROUND = 10.0
 
 
 def block_of(
@@ -171,7 +173,13 @@ def ground_of(
     if len(tracks):
         _check_light(path, looks, tracks)
         meeting = meet(origins, looks, tracks.point, int(tracks.point.max()) + 1)
-        warnings, places = check_directions(path, names, camera, meeting), meeting.points
+        try:
+            warnings, places = check_directions(path, names, camera, meeting), meeting.points
+        except GeometryError as error:
+            doubt = exchanged_view_words(origins, looks, None if local else (radii or WGS84))
+            raise GeometryError(f"{error}{doubt}") from None
+        if not local:
+            _check_body(files.toml, meeting.points, radii or WGS84)
     section = file.surface
     if file.dem is not None:
         section = section.model_copy(update={"dem": file.dem, "height_sigma": file.dem_sigma})
@@ -183,6 +191,20 @@ def ground_of(
     if isinstance(surface, Dem) and places is not None:
         _check_dem(files(str(section.dem)), surface, places)
     return HeightPrior(surface, section.height_sigma, None if local else (radii or WGS84)), surface, warnings
+
+
+def _check_body(toml: Path, points: Array, radii: tuple[float, float]) -> None:
+    """Refuse points (n, 3) m that lie far above the body: its radii are in another unit."""
+    found = points[np.isfinite(points).all(axis=1)]
+    if not len(found):
+        return
+    distance = float(np.median(np.linalg.norm(found, axis=1)))
+    if distance > FARTHEST_GROUND * max(radii):
+        raise GeometryError(
+            f"{toml}: the cameras look at points {distance:.4g} m from the centre of a body of [surface] "
+            f"radii {max(radii):.7g} m: they cannot be its ground; give radii in metres, and positions from "
+            "its centre"
+        )
 
 
 def _check_light(path: Path, looks: Array, tracks: Tracks) -> None:

@@ -5,7 +5,7 @@ Not here: what single keys may hold (``io/acquisition/schema.py``), what was fou
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -87,39 +87,56 @@ def _check_windows(strip: Strip, options: RecoverOptions) -> None:
         raise InputError(f"`step` of [matching] is {options.step}; {size}: at most {shape[0]} is allowed")
 
 
-def windows_in_common(strip: Strip, options: RecoverOptions) -> tuple[float, float, int]:
+@dataclass(frozen=True)
+class CommonWindows:
     """Windows of the first pass on ground that another image sees too.
 
-    Returns
-    -------
+    Attributes
+    ----------
     seen, whole : float
         How many have their middle, and all of themselves, in another image.
     side_by_side : int
         Most that one row has of the former.
+    whole_of : tuple of float
+        Of each band: windows that lie whole in it and in another.
     """
+
+    seen: float
+    whole: float
+    side_by_side: int
+    whole_of: tuple[float, ...]
+
+
+def windows_in_common(strip: Strip, options: RecoverOptions) -> CommonWindows:
+    """Windows of the first pass on ground that another image sees too, by the nominal cameras."""
     plan = strip.plan(options, options.first_window, 2 * options.first_window[0])
     shapes = [(band.image.shape[0], band.image.shape[1]) for band in strip.bands]
     hubs = hub_windows(strip.nominal, strip.surface, shapes, strip.order, plan, strip.views)
     common, within, side_by_side = 0.0, 0.0, 0
+    whole_of = np.zeros(len(strip.bands))
     for hub, partners, grid in hubs:
         asked = grid.lines[np.linspace(0, len(grid.lines) - 1, min(len(grid.lines), ROWS_ASKED)).astype(int)]
-        some = WindowGrid(grid.window, asked, grid.columns)
+        some, share = WindowGrid(grid.window, asked, grid.columns), len(grid.lines) / len(asked)
         seen, whole = np.zeros((2, len(some.centres)), dtype=bool)
         for image, found in zip(
             partners, predict_windows(strip.nominal, hub, partners, strip.surface, some), strict=True
         ):
             with np.errstate(invalid="ignore"):
                 seen |= ((found.b >= 0.0) & (found.b <= np.array(shapes[image]) - 1.0)).all(axis=1)
-            whole |= within_image(found.b, shapes[image], grid.window)
-        common += float(seen.sum()) * len(grid.lines) / len(asked)
-        within += float(whole.sum()) * len(grid.lines) / len(asked)
+            inside = within_image(found.b, shapes[image], grid.window)
+            whole |= inside
+            whole_of[image] += share * float(inside.sum())
+        common += share * float(seen.sum())
+        within += share * float(whole.sum())
+        whole_of[hub] += share * float(whole.sum())
         side_by_side = max(side_by_side, int(seen.reshape(some.shape).sum(axis=1).max(initial=0)))
-    return common, within, side_by_side
+    return CommonWindows(common, within, side_by_side, tuple(whole_of.tolist()))
 
 
 def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
     """Windows of the first pass lie on ground that another image sees too: enough, and two side by side."""
-    common, _, side_by_side = windows_in_common(strip, options)
+    found = windows_in_common(strip, options)
+    common = found.seen
     if common < FEWEST_WINDOWS:
         height, width = options.first_window
         size = f"{height} x {min(width, strip.bands[0].image.shape[1])} px"
@@ -128,7 +145,7 @@ def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
             "are needed; give longer images (more lines than the longest lag), or smaller windows: "
             "[matching] first_window"
         )
-    if side_by_side < 2:
+    if found.side_by_side < 2:
         name, columns = min(((b.name, b.image.shape[1]) for b in strip.bands), key=lambda entry: entry[1])
         (height, width), half = options.first_window, max(columns // 2, 3)
         raise EstimationError(

@@ -21,6 +21,12 @@ _MISSING = 1.6
 #: Sigmas of the positions by which the places that tell a speed are apart, no farther as flights turn; of a
 #: short stretch at least.
 _SPEED_SIGMAS, _LEAST_SIGMAS = 4.0, 2.0
+#: m/s; of drones that hardly move, and of orbits, beyond which units may be wrong.
+SLOWEST, FASTEST = 0.1, 12e3
+#: rad; sigma of attitudes beyond which they may have been given in degrees.
+LARGE_ATTITUDE_SIGMA = 0.2
+#: rad; the same of their constant error, which a camera mounted by hand may have large.
+LARGE_ATTITUDE_BIAS = 0.5
 #: Share of the ground that a frame may cover at least, in each direction, to count as shared.
 _SHARED = 0.8
 
@@ -181,3 +187,29 @@ def side_overlap(problem: SequenceProblem) -> float:
         near, _ = cKDTree(ground[known][~own]).query(ground[known][own], distance_upper_bound=width)
         shared[own] = np.isfinite(near)
     return float(shared.mean())
+
+
+def unit_doubts(problem: SequenceProblem) -> tuple[str, ...]:
+    """What speed and sigmas let suspect of the units of the tables."""
+    said = []
+    sigma, bias = problem.known.attitude, problem.known.attitude_bias
+    own = np.isfinite(sigma).all(axis=1)
+    if own.any() and bias > LARGE_ATTITUDE_BIAS:
+        said.append(
+            f"attitude_bias_sigma = {bias:.3g} rad is {np.degrees(bias):.3g} degrees: were degrees meant? "
+            f"{bias:.3g} degrees are {np.radians(bias):.3g} rad"
+        )
+    usual = float(np.median(sigma[own])) if own.any() else 0.0
+    if usual > LARGE_ATTITUDE_SIGMA:
+        said.append(
+            f"a sigma of attitudes of {usual:.3g} rad is {np.degrees(usual):.3g} degrees: is it in degrees? "
+            "rad are expected"
+        )
+    overlap = overlap_of(problem)
+    speed = np.nan if overlap is None else overlap.step / times_of(problem.t).step
+    if np.isfinite(speed) and not SLOWEST < speed < FASTEST:
+        said.append(
+            f"the camera flies at {speed:.2g} m/s by the tables: are times in seconds and positions in "
+            "metres?"
+        )
+    return tuple(said)

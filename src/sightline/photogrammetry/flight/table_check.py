@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from sightline.errors import EstimationError
 from sightline.geometry.checks import Array
 from sightline.matching.follow import Followed
 from sightline.photogrammetry.flight.outlook import ground_motion, overlap_of
@@ -15,10 +16,17 @@ from sightline.photogrammetry.flight.problem import SequenceProblem
 
 #: How often the images may move faster or slower than the rough poses say, or against them, unsaid.
 _MOST = 2.0
+#: Lengths of a frame by which successive ones lie apart at most, by the tables.
+MOST_APART = 3.0
 #: Frames' worth of ground that a flight passes over at least before its motion says anything.
 _FRAMES_FLOWN = 0.25
 #: Times their sigma by which rows of tables may miss the poses found, rms; told rows for that to be said.
 _MISSED, _ROWS = 3.0, 6
+#: What is wrong where images and tables do not go together.
+_CHECK = (
+    "check units and axes of the positions ([world]), [surface] height, [camera] focal_length_px, "
+    "principal_point_px and mount, quaternions (scalar last), and whether the tables are of these frames"
+)
 #: Median of chi squared of three numbers.
 _CHI_SQUARED_3 = 2.366
 
@@ -49,20 +57,30 @@ def _motion_ratio(problem: SequenceProblem, followed: Followed) -> float | None:
     return float((seen * told).sum() / (told**2).sum())
 
 
+def refuse_apart(problem: SequenceProblem) -> None:
+    """EstimationError where frames that follow one another lie frames apart by the tables: no poses go with
+    such tables and with images that share anything."""
+    overlap = overlap_of(problem)
+    if overlap is not None and overlap.step > MOST_APART * overlap.covered:
+        raise EstimationError(f"successive frames have no ground in common{_told(problem)}; {_CHECK}")
+
+
 def unsolved_words(problem: SequenceProblem) -> str:
     """What to check where no poses go with both images and tables."""
-    overlap = overlap_of(problem)
-    told = ""
-    if overlap is not None:
-        told = (
-            f" (by the tables a frame covers {overlap.covered:.3g} m, successive frames are "
-            f"{overlap.step:.3g} m apart and share {overlap.usual:.0%})"
-        )
     return (
-        f"the poses do not come together: what the frames show does not go with the rough poses{told}; "
-        "check units and axes of the positions ([world]), [surface] height, [camera] focal_length_px, "
-        "principal_point_px and mount, quaternions (scalar last), and whether the tables are of these "
-        "frames"
+        "the poses do not come together: what the frames show does not go with the rough "
+        f"poses{_told(problem)}; {_CHECK}"
+    )
+
+
+def _told(problem: SequenceProblem) -> str:
+    """In brackets, how far frames lie apart by the tables."""
+    overlap = overlap_of(problem)
+    if overlap is None:
+        return ""
+    return (
+        f" (by the tables a frame covers {overlap.covered:.3g} m, successive frames are {overlap.step:.3g} m "
+        f"apart and share {overlap.usual:.0%})"
     )
 
 
