@@ -54,7 +54,7 @@ def recovery(tmp_path_factory) -> SimpleNamespace:
     strip, the last state of its estimate, the result)."""
     from sightline.applications import line_of_sight
     from sightline.cli.main import run
-    from sightline.io.results import line_of_sight as results
+    from sightline.kinds import recovery as results
 
     base = tmp_path_factory.mktemp("recovery")
     scene, folder, kept = base / "scene", base / "result", SimpleNamespace()

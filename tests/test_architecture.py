@@ -14,8 +14,9 @@ SOURCE = ROOT / "src" / "sightline"
 
 # Each layer may import only itself and those before it.
 LAYERS = (
-    "version errors inputs access execution compiled writing stages geometry estimation imaging matching "
-    "photogrammetry motion products tdi simulate applications evaluation io report cli __main__"
+    "version errors inputs result access execution compiled writing output stages geometry estimation "
+    "imaging matching photogrammetry motion products tdi simulate applications evaluation io report kinds "
+    "cli __main__"
 ).split()
 
 # (who, what it never imports)

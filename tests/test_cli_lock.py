@@ -14,11 +14,11 @@ import time
 
 import pytest
 
-from sightline.cli import lock
-from sightline.cli.lock import LOCK, take
 from sightline.cli.main import run
 from sightline.cli.output import output_folder
 from sightline.errors import InputError
+from sightline.output import lock
+from sightline.output.lock import LOCK, take
 
 #: Holds a folder until it is told to end, and says when it does.
 HOLDER = textwrap.dedent("""

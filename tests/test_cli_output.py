@@ -15,10 +15,11 @@ from pathlib import Path
 
 import pytest
 
-from sightline.cli import output, publish
 from sightline.cli.output import output_folder, stages_folder
 from sightline.errors import FormatError, InputError
 from sightline.inputs import note
+from sightline.output import folder as output
+from sightline.output import publish
 
 
 def names(folder):

@@ -9,10 +9,11 @@ import pytest
 from tests.motion.spinning import SpinningCamera, Texture
 
 from sightline.cli.main import run
+from sightline.cli.register import register_into
 from sightline.errors import FormatError
 from sightline.io.acquisition.load import load_acquisition
 from sightline.io.names import toml_string
-from sightline.io.results.registered_frames import read_recovered_spin, register_frames
+from sightline.io.results.registered_frames import read_recovered_spin
 
 FOCAL, LINES, COLUMNS, EXPOSURES, INTERVAL, TURN = 500.0, 64, 160, 4, 0.4, -0.08
 AXIS_LINES = {"blue": 80.0, "green": 8.0, "red": -64.0}
@@ -110,7 +111,7 @@ def test_the_registered_picture_shows_one_sky_in_all_strips(recovered, tmp_path)
     import rasterio
 
     toml, out = recovered
-    made = register_frames(tmp_path, load_acquisition(toml), out)
+    made = register_into(tmp_path, toml, out, lambda stage: None)
     with rasterio.open(tmp_path / "picture.tif") as raster:
         pixels = raster.read()
         assert raster.descriptions == tuple(AXIS_LINES)
@@ -122,7 +123,7 @@ def test_the_registered_picture_shows_one_sky_in_all_strips(recovered, tmp_path)
     with rasterio.open(tmp_path / "picture.png") as raster:
         colours = raster.read()
     assert colours.shape == pixels.shape and np.ptp(colours[:, both]) > 50
-    assert json.loads((tmp_path / "picture.json").read_text())["strips"] == list(AXIS_LINES)
+    assert json.loads((tmp_path / "summary.json").read_text())["strips"] == list(AXIS_LINES)
 
 
 def test_a_result_of_something_else_is_refused(recovered, tmp_path):

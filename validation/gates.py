@@ -11,7 +11,7 @@ measured.
 The digest is of what the script reaches by import in the package, layers aside that no figure hangs on
 (`ASIDE`), and of the modules that it names in ``MEASURES``. It is made of the statements at the top of those
 modules, in no order: files may be moved and renamed, parts of them too. Comments, docstrings, annotations,
-imports, words of errors and names of local variables do not count.
+imports, words of errors, names of local variables, and how a result shows itself do not count.
 """
 
 from __future__ import annotations
@@ -38,7 +38,8 @@ DOCUMENT = ROOT / "docs" / "validation.md"
 HELPERS = ("gates", "point_flights")
 #: Layers on which no figure hangs: words, files, where work runs.
 ASIDE = frozenset(
-    "version errors inputs access execution compiled writing stages io report cli __main__".split()
+    "version errors inputs result access execution compiled writing output stages io report kinds cli "
+    "__main__".split()
 )
 OLDER = "Older than the code that it measures: that has changed since."
 BLOCK = re.compile(
@@ -312,7 +313,17 @@ class _Plain(ast.NodeTransformer):
         value = self.visit(node.value) if node.value else None
         return ast.Assign(targets=[self.visit(node.target)], value=value, lineno=0)
 
+    def visit_ClassDef(self, node: ast.ClassDef) -> ast.AST:
+        node.bases = [base for base in node.bases if ast.unparse(base) != "Result"]
+        for one in node.decorator_list:
+            if isinstance(one, ast.Call):
+                one.keywords = [key for key in one.keywords if key.arg != "repr"]
+        return self.generic_visit(node)
+
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+        if node.name == "__repr__":
+            return ast.Pass()
+        node.decorator_list = [one for one in node.decorator_list if ast.unparse(one) != "makes_result"]
         outer = self.local
         if not outer:  # of the outermost function: those inside share its names
             inside = list(ast.walk(node))

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import gates
 
-MEASURES = ("sightline.compiled", "sightline.access", "sightline.writing", "sightline.cli.output")
+MEASURES = ("sightline.compiled", "sightline.access", "sightline.writing", "sightline.output.folder")
 PACKAGE = Path(__file__).resolve().parents[1] / "src" / "sightline"
 #: Owner of nothing.
 NOBODY = 65534

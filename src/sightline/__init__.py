@@ -8,10 +8,12 @@ from __future__ import annotations
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from sightline import result as _result
 from sightline.version import VERSION as __version__  # noqa: F401
 
 if TYPE_CHECKING:
     from sightline.access import allow_network
+    from sightline.applications.detector_noise import DetectorNoise
     from sightline.applications.focal_plane import FocalPlane, LayoutChoice, choose_layout
     from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
     from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
     from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
     from sightline.applications.spin_attitude import SpinAttitude, SpinOptions, recover_spin_attitude
     from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem, orient
+    from sightline.applications.stereo_prediction import StereoPrediction
     from sightline.applications.tdi_choice import TdiProblem, TdiResult, choose_tdi
     from sightline.errors import (
         EstimationError,
@@ -50,6 +53,7 @@ if TYPE_CHECKING:
     from sightline.io.sequence.load import load_sequence
     from sightline.io.stereo.load import load_stereo
     from sightline.io.tdi.load import load_tdi
+    from sightline.kinds.open import open_result
     from sightline.matching.match_images import match_images
     from sightline.matching.matches import Matches
     from sightline.matching.select import grid_points
@@ -60,7 +64,8 @@ if TYPE_CHECKING:
     from sightline.motion.results import LineOfSight
     from sightline.motion.strip.strip import RecoverOptions
     from sightline.photogrammetry.flight.problem import SequenceProblem
-    from sightline.products.frame_mosaic import frame_mosaic
+    from sightline.products.frame_mosaic import Mosaic, frame_mosaic
+    from sightline.result import Result
     from sightline.simulate.scenarios import line_of_sight_case
     from sightline.simulate.sequence import sequence_case
     from sightline.simulate.stereo import stereo_case
@@ -83,6 +88,7 @@ _MODULE_OF = {
     "CubePlan": "sightline.applications.frame_cube",
     "CubeSummary": "sightline.applications.frame_cube",
     "Dem": "sightline.geometry.surface",
+    "DetectorNoise": "sightline.applications.detector_noise",
     "Ellipsoid": "sightline.geometry.surface",
     "EstimationError": "sightline.errors",
     "Executor": "sightline.execution",
@@ -103,6 +109,7 @@ _MODULE_OF = {
     "LineDetector": "sightline.geometry.instrument",
     "LineOfSight": "sightline.motion.results",
     "Matches": "sightline.matching.matches",
+    "Mosaic": "sightline.products.frame_mosaic",
     "Motion": "sightline.geometry.trajectory",
     "NoiseLaw": "sightline.imaging.tdi_noise",
     "Plane": "sightline.geometry.surface",
@@ -112,6 +119,7 @@ _MODULE_OF = {
     "Rays": "sightline.geometry.camera",
     "RecoverOptions": "sightline.motion.strip.strip",
     "Registration": "sightline.applications.registration",
+    "Result": "sightline.result",
     "ScanColumns": "sightline.tdi.setting",
     "ScanMirror": "sightline.geometry.pointing",
     "Score": "sightline.evaluation.score",
@@ -124,6 +132,7 @@ _MODULE_OF = {
     "SpinOptions": "sightline.applications.spin_attitude",
     "Stages": "sightline.stages",
     "StereoOrientation": "sightline.applications.stereo_orientation",
+    "StereoPrediction": "sightline.applications.stereo_prediction",
     "StereoProblem": "sightline.applications.stereo_orientation",
     "Surface": "sightline.geometry.surface",
     "TdiChoice": "sightline.tdi.choose",
@@ -150,6 +159,7 @@ _MODULE_OF = {
     "load_stereo": "sightline.io.stereo.load",
     "load_tdi": "sightline.io.tdi.load",
     "match_images": "sightline.matching.match_images",
+    "open_result": "sightline.kinds.open",
     "orient": "sightline.applications.stereo_orientation",
     "predict_match": "sightline.motion.measure.predict",
     "read_tdi_tags": "sightline.io.results.tdi_tags",
@@ -176,6 +186,7 @@ __all__ = [
     "CubePlan",
     "CubeSummary",
     "Dem",
+    "DetectorNoise",
     "Ellipsoid",
     "EstimationError",
     "Executor",
@@ -196,6 +207,7 @@ __all__ = [
     "LineDetector",
     "LineOfSight",
     "Matches",
+    "Mosaic",
     "Motion",
     "NoiseLaw",
     "Plane",
@@ -205,6 +217,7 @@ __all__ = [
     "Rays",
     "RecoverOptions",
     "Registration",
+    "Result",
     "ScanColumns",
     "ScanMirror",
     "Score",
@@ -217,6 +230,7 @@ __all__ = [
     "SpinOptions",
     "Stages",
     "StereoOrientation",
+    "StereoPrediction",
     "StereoProblem",
     "Surface",
     "TdiChoice",
@@ -243,6 +257,7 @@ __all__ = [
     "load_stereo",
     "load_tdi",
     "match_images",
+    "open_result",
     "orient",
     "predict_match",
     "read_tdi_tags",
@@ -269,5 +284,15 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """Public names, loaded or not."""
-    return sorted({*globals(), *_MODULE_OF})
+    """The public names, loaded or not, and nothing else."""
+    return sorted([*_MODULE_OF, "__version__"])
+
+
+def _kind_of(result: Any) -> _result.Kind:
+    """How a result shows itself: by a layer that later ones than the result's own make up."""
+    from sightline.kinds.open import kind_of
+
+    return kind_of(result)
+
+
+_result.serve(_kind_of)

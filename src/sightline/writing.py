@@ -1,6 +1,6 @@
 """Writing files: whole or not at all, with errors that name them, and the date that stands in them.
 
-Not here: the folder of a command's results (``cli/output.py``), what is written.
+Not here: the folder of a command's results (``output/``), what is written.
 """
 
 from __future__ import annotations

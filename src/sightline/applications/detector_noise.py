@@ -47,6 +47,7 @@ from sightline.imaging.noise_estimation import (
 )
 from sightline.imaging.source import ImageSource
 from sightline.imaging.tdi_noise import NoiseLaw
+from sightline.result import Result, makes_result
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.uint8]
@@ -130,8 +131,8 @@ class DarkNoise:
     warnings: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, eq=False)
-class DetectorNoise:
+@dataclass(frozen=True, eq=False, repr=False)
+class DetectorNoise(Result):
     """A detector's noise as TDI takes it.
 
     Attributes
@@ -301,6 +302,7 @@ def plain_image_noise(
     )
 
 
+@makes_result
 def detector_noise(
     images: Sequence[ImageNoise],
     dark: DarkNoise | None = None,

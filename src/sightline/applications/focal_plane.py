@@ -38,6 +38,7 @@ from sightline.motion.layout.search import (
     search_layouts,
 )
 from sightline.motion.layout.sigma import harmonic_sigma, least_sigma, smoother_sigma
+from sightline.result import Result, makes_result, one_line
 
 Array = NDArray[np.float64]
 
@@ -95,7 +96,7 @@ PUBLISHED = (
 )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FocalPlane:
     """What an instrument designer knows before the detectors have places.
 
@@ -142,6 +143,13 @@ class FocalPlane:
     duration: float | None = None
     layouts: tuple[NamedLayout, ...] = ()
     name: str = "instrument"
+
+    def __repr__(self) -> str:
+        """One line."""
+        places = f"a span of {self.span_px:g} px" if self.lines is None else f"{len(self.lines)} lines"
+        facts = {"": repr(self.name), "detectors": f"{self.detectors} within {places}"}
+        rate = f"{self.ground_rate_px:g} px/s"
+        return one_line("FocalPlane", facts | {"line period": f"{self.line_period:g} s", "ground at": rate})
 
     @property
     def detectors(self) -> int:
@@ -246,8 +254,8 @@ class JudgedLayout:
         return information(frequency, self.positions, self.noise)
 
 
-@dataclass(frozen=True, eq=False)
-class LayoutChoice:
+@dataclass(frozen=True, eq=False, repr=False)
+class LayoutChoice(Result):
     """Ranked layouts of an instrument for a band.
 
     Attributes
@@ -294,6 +302,7 @@ class LayoutChoice:
         return self.ranked[0]
 
 
+@makes_result
 @one_blas_thread
 @computes("layouts")
 def choose_layout(

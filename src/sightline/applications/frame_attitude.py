@@ -39,6 +39,7 @@ from sightline.motion.frames.start import coarse_shifts, turn_about_axis, turned
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
 from sightline.motion.statics import frame_statics
+from sightline.result import makes_result
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -47,7 +48,7 @@ Progress = Callable[[str], None]
 DISTORTION_SHARES = (1.0, 1.0, 0.05, 0.05, 1.0)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class FrameAttitude(LineOfSight):
     """Result for frames: a `LineOfSight` at the frames' times, with the dense estimate behind it.
 
@@ -63,6 +64,7 @@ class FrameAttitude(LineOfSight):
     stars: tuple[FrameStar, ...]
 
 
+@makes_result
 @one_blas_thread
 @computes("attitudes of the frames")
 def recover_frame_attitude(

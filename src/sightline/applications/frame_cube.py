@@ -38,6 +38,7 @@ from sightline.products.frame_cube import (
     line_gain,
     tiles_of,
 )
+from sightline.result import Result, makes_result
 
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
@@ -93,8 +94,8 @@ class CubePlan:
             raise InputError(f"`gsd` must be a positive number of metres, got {self.gsd}")
 
 
-@dataclass(frozen=True, eq=False)
-class CubeSummary(ReadOnlyArrays):
+@dataclass(frozen=True, eq=False, repr=False)
+class CubeSummary(Result, ReadOnlyArrays):
     """What a cube is like.
 
     Attributes
@@ -186,6 +187,7 @@ class CubeSummary(ReadOnlyArrays):
         return self.grid.extent
 
 
+@makes_result
 @one_blas_thread
 @computes("maps of the bands")
 def assemble_cube(

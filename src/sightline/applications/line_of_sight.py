@@ -57,6 +57,7 @@ from sightline.motion.strip.viewing_axes import (
     turned_star,
 )
 from sightline.motion.strip.warnings import observed_lines, strip_warnings
+from sightline.result import makes_result
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -77,6 +78,7 @@ FOREIGN_SPECTRUM = 3.0
 MIN_KEPT_SHARE = 0.02
 
 
+@makes_result
 @one_blas_thread
 @computes("the motion of the line of sight")
 def recover_line_of_sight(

@@ -20,10 +20,11 @@ from sightline.motion.band import Band
 from sightline.motion.statics import apply_statics, band_statics
 from sightline.products.band_fit import BandFit, fit_bands
 from sightline.products.register_bands import RegisteredImage, band_map
+from sightline.result import Result, makes_result
 
 
-@dataclass(frozen=True, eq=False)
-class Registration:
+@dataclass(frozen=True, eq=False, repr=False)
+class Registration(Result):
     """Bands on the grid of one of them, by two sets of cameras.
 
     Attributes
@@ -61,6 +62,7 @@ def recovered_cameras(
     return tuple(c for c in apply_statics(moved, parameters, values) if isinstance(c, PushbroomCamera))
 
 
+@makes_result
 @computes("bands laid on one another")
 def register_bands(
     bands: Sequence[Band],

@@ -63,6 +63,7 @@ from sightline.photogrammetry.flight.warnings import (
 )
 from sightline.photogrammetry.flight.wide_links import followed_or_linked
 from sightline.photogrammetry.sightings import Tracks, appended
+from sightline.result import Result, makes_result
 from sightline.stages import Stages
 
 SOLVED, ESTIMATED, INTERPOLATED = "solved", "estimated", "interpolated"
@@ -77,8 +78,8 @@ _SHARE = 0.6
 _ENOUGH = 6
 
 
-@dataclass(frozen=True, eq=False)
-class SequencePoses:
+@dataclass(frozen=True, eq=False, repr=False)
+class SequencePoses(Result):
     """What was found of a sequence.
 
     Attributes
@@ -160,6 +161,7 @@ def follow_plan(problem: SequenceProblem, plan: FollowPlan | None = None) -> Fol
     return plan if problem.mosaic_nm is None else replace(plan, reduction=problem.filter_period)
 
 
+@makes_result
 @one_blas_thread
 @computes("poses of the frames")
 def georeference_sequence(

@@ -40,6 +40,7 @@ from sightline.motion.spin.solve import (
     solve_spin,
     spin_statics,
 )
+from sightline.result import makes_result
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -79,7 +80,7 @@ class SpinOptions:
         return cls(**given)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
+@dataclass(frozen=True, eq=False, kw_only=True, repr=False)
 class SpinAttitude(LineOfSight):
     """Result for a spinning camera: a `LineOfSight` at the exposures, with the spin behind it.
 
@@ -101,6 +102,7 @@ class SpinAttitude(LineOfSight):
     found: SpinFindings
 
 
+@makes_result
 @one_blas_thread
 @computes("attitudes of the spinning camera")
 def recover_spin_attitude(

@@ -28,6 +28,7 @@ from sightline.photogrammetry.pair.pairs import PairOrientation, SightingPairs, 
 from sightline.photogrammetry.pair.plane import common_aim, orient_by_plane
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_frames, sight_pushbroom
 from sightline.photogrammetry.triangulate import triangulate
+from sightline.result import Result, makes_result, one_line
 
 #: Names of the estimators, best first.
 METHODS = ("ml-track", "ml-pair", "epipolar", "plane")
@@ -36,7 +37,7 @@ METHODS = ("ml-track", "ml-pair", "epipolar", "plane")
 WORST_FIT = 10.0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StereoProblem(ReadOnlyArrays):
     """What a STEREO.toml says, as objects.
 
@@ -87,6 +88,16 @@ class StereoProblem(ReadOnlyArrays):
     warnings: tuple[str, ...] = field(default=())
     sigma_px: float | None = None
 
+    def __repr__(self) -> str:
+        """One line."""
+        facts = {
+            "cameras": f"{len(self.cameras)} ({', '.join(self.cameras[:4])})",
+            "images": str(len(self.images)),
+            "shots": str(len(self.shot_names)),
+            "points": f"{len(self.point_names)} in {len(self.tracks)} sightings",
+        }
+        return one_line(type(self).__name__, facts)
+
     def sightings(self) -> Sightings:
         """The points as sighted, free of lens and mount."""
         return sight_frames(self.images, self.detectors, self.mounts, self.tracks)
@@ -97,8 +108,8 @@ class StereoProblem(ReadOnlyArrays):
         return PointPriors.of(self.heights, self.control)
 
 
-@dataclass(frozen=True, eq=False)
-class StereoOrientation(ReadOnlyArrays):
+@dataclass(frozen=True, eq=False, repr=False)
+class StereoOrientation(Result, ReadOnlyArrays):
     """Result of S2: the constant attitude error of each camera over the series.
 
     Attributes
@@ -178,6 +189,7 @@ class StereoOrientation(ReadOnlyArrays):
         return np.sqrt(np.diag(self.covariance)).reshape(-1, 3)
 
 
+@makes_result
 @one_blas_thread
 @computes("the orientation")
 def orient(
@@ -273,6 +285,7 @@ def _adjusted(
         return solve(problem.priors, np.where(np.isfinite(alone), alone, 0.0))
 
 
+@makes_result
 @one_blas_thread
 def orient_pushbroom(
     cameras: Sequence[PushbroomCamera],

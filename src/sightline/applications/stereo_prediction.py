@@ -33,6 +33,7 @@ from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.units import ARCSEC
 from sightline.photogrammetry.block.bundle import bound
 from sightline.photogrammetry.block.observability import Observability
+from sightline.result import Result, makes_result
 
 #: Estimators that have a bound: points tracked through all shots, and points new in every shot.
 BOUNDED = ("ml-track", "ml-pair")
@@ -96,8 +97,8 @@ class Improvement(ReadOnlyArrays):
     ratio: Array
 
 
-@dataclass(frozen=True, eq=False)
-class StereoPrediction(ReadOnlyArrays):
+@dataclass(frozen=True, eq=False, repr=False)
+class StereoPrediction(Result, ReadOnlyArrays):
     """Bounds of a plan or of a problem as planned.
 
     Attributes
@@ -153,6 +154,7 @@ class _Sweep:
     how: str
 
 
+@makes_result
 @one_blas_thread
 @computes("the bound")
 def predict(problem: StereoProblem, method: str = "ml-track", *, tables: bool = True) -> StereoPrediction:
@@ -176,6 +178,7 @@ def predict(problem: StereoProblem, method: str = "ml-track", *, tables: bool = 
     return _predicted(problem.cameras, setting, method, sweeps, _changes(setting))
 
 
+@makes_result
 @one_blas_thread
 @computes("the bound")
 def predict_plan(plan: StereoPlan, method: str = "ml-track", *, tables: bool = True) -> StereoPrediction:

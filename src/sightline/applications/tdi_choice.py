@@ -14,6 +14,7 @@ import numpy as np
 
 from sightline.errors import InputError, computes
 from sightline.execution import one_blas_thread
+from sightline.result import Result, makes_result, one_line
 from sightline.tdi.choose import FREE, LIMITS, TdiChoice, choose_settings, merit_of
 from sightline.tdi.hysteresis import SteadyChoice, steady_choice
 from sightline.tdi.merit import (
@@ -40,7 +41,7 @@ SAID_LOSS = 0.01
 LARGE_JUMP = 2
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class TdiProblem:
     """A detector, what moves over it, and what is wanted.
 
@@ -87,6 +88,18 @@ class TdiProblem:
         if not (rising and np.isfinite(signals).all() and signals[0] > 0.0):
             raise InputError(f"`signals` is {self.signals!r}; electrons, above 0 and rising, are needed")
         object.__setattr__(self, "signals", signals)
+
+    def __repr__(self) -> str:
+        """One line."""
+        low, high = self.signals[0], self.signals[-1]
+        facts = {
+            "": repr(self.name),
+            "columns": str(len(self.columns)),
+            "signals": f"{len(self.signals)} from {low:g} to {high:g} electrons",
+            "settings": str(len(self.grid)),
+            "motion": "constant drift" if self.motion is None else "recovered",
+        }
+        return one_line("TdiProblem", facts)
 
     @property
     def model(self) -> ColumnMtf:
@@ -154,8 +167,8 @@ class TableLoss:
     loss: Array
 
 
-@dataclass(frozen=True, eq=False)
-class TdiResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class TdiResult(Result):
     """What ``choose_tdi`` gives.
 
     Attributes
@@ -198,6 +211,7 @@ class TdiResult:
     comparison: str | None = None
 
 
+@makes_result
 @one_blas_thread
 @computes("the choice of TDI stages")
 def choose_tdi(problem: TdiProblem) -> TdiResult:

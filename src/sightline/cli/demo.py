@@ -57,7 +57,7 @@ def demo(
     from sightline.cli.output import output_folder
     from sightline.cli.recover import recover_into
     from sightline.cli.score import score_folder
-    from sightline.cli.tdi import judge, tell, write_judged
+    from sightline.cli.tdi import choose_into, tell
     from sightline.cli.terminal import print_json, progress, say
     from sightline.errors import InputError
     from sightline.io.formats.json_text import json_text
@@ -82,9 +82,7 @@ def demo(
         (folder / "score.json").write_text(json_text(scored) + "\n", encoding="utf-8")
         (folder / "tdi.toml").write_text(TDI, encoding="utf-8")
         (folder / "tdi").mkdir()
-        settings = write_judged(
-            folder / "tdi", judge(folder / "tdi.toml", result, report, pictures=True), report
-        )
+        settings = choose_into(folder / "tdi", folder / "tdi.toml", result, report, pictures=True)
     if as_json:
         both = {"score": scored, "summary": summary, "tdi": settings}
         print_json(both | {"report": out / "result" / "report.html"})

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
-from sightline.cli.terminal import Progress
 
 if TYPE_CHECKING:
     from sightline.applications.sequence_poses import SequencePoses
@@ -73,13 +72,14 @@ def georeference(
     from sightline.applications.sequence_poses import georeference_sequence
     from sightline.cli.output import output_folder, stages_folder
     from sightline.cli.terminal import announce, complain, print_json, progress, say
-    from sightline.io.results.cube_summary import check_cube, earlier_cube, ready_to_georeference
+    from sightline.io.results.cube_summary import check_cube, ready_to_georeference
     from sightline.io.sequence.load import read_sequence
+    from sightline.kinds.sequence import Poses
     from sightline.stages import Stages
 
     begun = time.perf_counter()
     with (
-        output_folder(out, overwrite=overwrite, earlier=earlier_cube, resume=resume) as folder,
+        output_folder(out, overwrite=overwrite, earlier=Poses().earlier, resume=resume) as folder,
         progress() as report,
     ):
         stages = Stages(stages_folder(out), lambda text: complain("warning", text))
@@ -92,9 +92,7 @@ def georeference(
         if method is not SubsetMethod.ALL_FRAMES:
             report(f"frames between the subset's by {method.value}")
             found = interpolate_between(found, method.value)
-        summary = write_georeferenced(
-            folder, sequence, found, report, begun, method=method, cube=not poses_only
-        )
+        summary = Poses().render(found, folder, report, begun, maps=not poses_only, method=method.value)
     if as_json:
         print_json(summary)
         return
@@ -102,44 +100,6 @@ def georeference(
         complain("warning", warning)
     tell(sequence, found, summary)
     say(f"{out / 'poses.csv'}, {out / 'report.html'}")
-
-
-def write_georeferenced(
-    folder: Path,
-    sequence: FrameSequence,
-    found: SequencePoses,
-    report: Progress,
-    begun: float,
-    *,
-    method: SubsetMethod,
-    cube: bool,
-) -> dict[str, Any]:
-    """Every file of the result; gives the summary. Maps that cannot be made are a warning in it."""
-    import time
-    from dataclasses import replace
-
-    from sightline.errors import SightlineError
-    from sightline.io.results.cube_summary import cube_summary, remove_cube, write_cube
-    from sightline.io.results.sequence import write_sequence_result
-    from sightline.report.sequence_cube import cube_view
-    from sightline.report.sequence_page import sequence_page
-
-    more: dict[str, Any] = {"method": method.value, "cube": None}
-    view = None
-    if cube and sequence.cube.make:
-        try:
-            made, files = write_cube(folder, sequence, found, progress=report)
-            more["cube"], view = cube_summary(made, files), cube_view(made)
-        except SightlineError as error:
-            # the poses took hours and are good: they are not lost with the maps
-            remove_cube(folder)
-            words = f"no maps of the bands were made: {error}; the poses are written without them"
-            found = replace(found, warnings=(*found.warnings, words))
-    report("writing")
-    seconds = time.perf_counter() - begun
-    summary = write_sequence_result(folder, sequence, found, wall_seconds=seconds, **more)
-    sequence_page(sequence.problem, found, summary, cube=view).write(folder / "report.html")
-    return summary
 
 
 def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any]) -> None:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sightline.cli.options import AllowNetwork, Json, Overwrite
-from sightline.cli.terminal import Progress
 
 if TYPE_CHECKING:
     from sightline.applications.focal_plane import LayoutChoice
@@ -46,6 +45,7 @@ def layout(
     from sightline.errors import naming
     from sightline.io.layout.load import load_instrument
     from sightline.io.results.layouts import summarize_layouts
+    from sightline.kinds.layouts import Layouts
     from sightline.motion.layout.information import checked_passband
 
     begin = time.perf_counter()
@@ -59,28 +59,13 @@ def layout(
         if folder is None:
             summary = summarize_layouts(choice, instrument, wall_seconds=time.perf_counter() - begin)
         else:
-            summary = _write(folder, choice, instrument, begin, report)
+            summary = Layouts().render(choice, folder, report, begin)
     if as_json:
         print_json(summary)
         return
     for warning in choice.warnings:
         complain("warning", warning)
     _tell(choice, out)
-
-
-def _write(
-    folder: Path, choice: LayoutChoice, instrument: Path, begin: float, report: Progress
-) -> dict[str, Any]:
-    """Write every file of the result; gives the summary."""
-    import time
-
-    from sightline.io.results.layouts import write_layouts
-    from sightline.report.layout_page import layout_page
-
-    report("writing the layouts and their report")
-    summary = write_layouts(folder, choice, instrument, wall_seconds=time.perf_counter() - begin)
-    layout_page(choice, summary).write(folder / "report.html")
-    return summary
 
 
 def _tell(choice: LayoutChoice, out: Path | None) -> None:

@@ -34,10 +34,10 @@ from sightline.cli import (
     tdi,
     version,
 )
-from sightline.cli.output import published
-from sightline.cli.terminal import Interrupted, complain, warnings_as_messages
+from sightline.cli.terminal import complain, warnings_as_messages
 from sightline.errors import EstimationError, GeometryError, SightlineError
 from sightline.execution import BLAS_THREADS
+from sightline.output.folder import Interrupted, published
 
 # Named through typer, because its newer versions carry a click of their own.
 _UsageError: Any = typer.BadParameter.__base__

@@ -59,17 +59,17 @@ def noise(
 
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
-    from sightline.io.results.noise import NOISE_FILES, write_noise
+    from sightline.kinds.noise import Noise
 
     _check(dark_level, electrons_per_dn, stages)
     begun = time.perf_counter()
     with (
-        output_folder(out, overwrite=overwrite, earlier=lambda _: NOISE_FILES) as folder,
+        output_folder(out, overwrite=overwrite, earlier=Noise().earlier) as folder,
         progress() as report,
     ):
         found = estimate(raw, dark or [], report, dark_level, electrons_per_dn, stages)
         inputs = [*raw, *(dark or [])]
-        summary = write_noise(folder, found, inputs, wall_seconds=time.perf_counter() - begun)
+        summary = Noise().render(found, folder, report, begun, inputs=inputs)
     if as_json:
         print_json(summary)
         return

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,17 +14,13 @@ from sightline.cli.terminal import Progress
 from sightline.geometry.units import ARCSEC
 
 if TYPE_CHECKING:
-    from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
-    from sightline.applications.stereo_prediction import Improvement
+    from sightline.applications.stereo_orientation import StereoOrientation
     from sightline.io.stereo.load import Stereo
-    from sightline.io.stereo.plan import PlannedPass
 
 
 _AXES = ("roll", "pitch", "yaw")
 #: What residuals are of the methods that adjust no points.
 _RESIDUALS = {"epipolar": "distance from epipolar lines", "plane": "miss on the plane (relief is in it)"}
-#: Sightings up to which it is reckoned what would improve the angles: eight bounds, each as long as a step.
-IMPROVED_SIGHTINGS = 200_000
 
 
 class OrientMethod(StrEnum):
@@ -64,9 +59,13 @@ def orient(
     allow_network: AllowNetwork = False,
 ) -> None:
     """Find the constant attitude errors of cameras from points they see together, with covariance."""
+    import time
+
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.kinds.orientation import Orientation
 
+    begun = time.perf_counter()
     if predict:
         with output_folder(out, overwrite=overwrite) as folder, progress() as report:
             summary = foretell(file, method, folder, report)
@@ -77,42 +76,21 @@ def orient(
             say(f"{out / 'orientation.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
         return
     with output_folder(out, overwrite=overwrite) as folder, progress() as report:
-        found = estimate(file, method, report, raw=raw, drift=drift)
-        summary = write_oriented(folder, found, report)
+        stereo, found = estimate(file, method, report, raw=raw, drift=drift)
+        summary = Orientation().render(found, folder, report, begun)
     if as_json:
         print_json(summary)
         return
     for warning in summary["warnings"]:
         complain("warning", warning)
-    tell(found, summary)
+    tell(stereo, found, summary)
     say(f"{out / 'orientation.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
 
 
-@dataclass(frozen=True, eq=False)
-class Oriented:
-    """An orientation before it is written.
-
-    Attributes
-    ----------
-    stereo : Stereo
-        What it was found from.
-    result : StereoOrientation
-    begun : float
-        s of ``time.perf_counter``; when work began.
-    better : tuple of Improvement
-        What would better the angles; none for strips and very many sightings.
-    """
-
-    stereo: Stereo
-    result: StereoOrientation
-    begun: float
-    better: tuple[Improvement, ...]
-
-
-def estimate(file: Path, method: OrientMethod, report: Progress, *, raw: bool, drift: bool) -> Oriented:
-    """The orientation of a STEREO.toml."""
-    import time
-
+def estimate(
+    file: Path, method: OrientMethod, report: Progress, *, raw: bool, drift: bool
+) -> tuple[Stereo, StereoOrientation]:
+    """The orientation of a STEREO.toml, and what it was found from."""
     from sightline.applications.expected_cost import orientation_cost
     from sightline.applications.stereo_orientation import orient as solve
     from sightline.applications.stereo_orientation import orient_pushbroom
@@ -123,7 +101,6 @@ def estimate(file: Path, method: OrientMethod, report: Progress, *, raw: bool, d
 
     if raw and method is not OrientMethod.EPIPOLAR:
         raise InputError(f"--raw belongs to --method epipolar, here it is {method.value}; leave it out")
-    begun = time.perf_counter()
     report(f"reading {file}")
     stereo = read_stereo(file)
     announce(orientation_cost(stereo.problem))
@@ -140,8 +117,7 @@ def estimate(file: Path, method: OrientMethod, report: Progress, *, raw: bool, d
         )
     else:
         result = solve(problem, method.value, raw=raw, drift=drift)
-    report("what would improve it")
-    return Oriented(stereo, result, begun, improvements_of(problem, method))
+    return stereo, result
 
 
 def with_points_found(stereo: Stereo) -> Stereo:
@@ -149,6 +125,7 @@ def with_points_found(stereo: Stereo) -> Stereo:
     from dataclasses import replace
 
     from sightline.applications.stereo_matching import match_problem
+    from sightline.result import set_source
 
     if stereo.pictures is None:
         return stereo
@@ -160,39 +137,9 @@ def with_points_found(stereo: Stereo) -> Stereo:
         surface=stereo.surface,
         floor_px=pictures.floor_px,
     )
-    return replace(stereo, problem=found)
-
-
-def improvements_of(problem: StereoProblem, method: OrientMethod) -> tuple[Improvement, ...]:
-    """What would better the angles of frames, by the bound."""
-    from sightline.applications.stereo_prediction import improvements
-    from sightline.errors import SightlineError
-    from sightline.io.stereo.strips import StripProblem
-
-    if isinstance(problem, StripProblem) or len(problem.tracks) > IMPROVED_SIGHTINGS:
-        return ()
-    try:
-        return improvements(problem, method.value)
-    except SightlineError:  # the orientation stands without advice
-        return ()
-
-
-def write_oriented(folder: Path, found: Oriented, report: Progress) -> dict[str, Any]:
-    """Every file of the result; gives the summary."""
-    import time
-
-    from sightline.io.results.stereo import write_stereo_result
-    from sightline.io.results.stereo_exports import write_exports
-    from sightline.report.stereo_page import stereo_page
-
-    report("writing")
-    notes = write_exports(folder, found.stereo, found.result)
-    seconds = time.perf_counter() - found.begun
-    summary = write_stereo_result(
-        folder, found.stereo, found.result, found.better, wall_seconds=seconds, export_notes=list(notes)
-    )
-    stereo_page(found.stereo, found.result, summary).write(folder / "report.html")
-    return summary
+    stereo = replace(stereo, problem=found)
+    set_source(found, stereo)
+    return stereo
 
 
 def foretell(file: Path, method: OrientMethod, folder: Path, report: Progress) -> dict[str, Any]:
@@ -203,20 +150,17 @@ def foretell(file: Path, method: OrientMethod, folder: Path, report: Progress) -
     from sightline.applications.stereo_prediction import predict, predict_plan
     from sightline.cli.terminal import announce
     from sightline.errors import InputError
-    from sightline.io.results.stereo_predicted import write_prediction
     from sightline.io.stereo.load import read_stereo
     from sightline.io.stereo.plan import has_plan, read_plan
     from sightline.io.stereo.strips import StripProblem
-    from sightline.report.stereo_prediction_page import prediction_page
+    from sightline.kinds.orientation import IMPROVED_SIGHTINGS, Prediction
 
     begun = time.perf_counter()
     report("bounds")
-    problem: Stereo | PlannedPass
     if has_plan(file):
-        problem = read_plan(file)
-        plan = problem.plan
+        plan = read_plan(file).plan
         announce(prediction_cost(plan.pair.cameras, plan.shots, plan.points))
-        predicted = predict_plan(problem.plan, method.value)
+        predicted = predict_plan(plan, method.value)
     else:
         problem = read_stereo(file, planned=True)
         if isinstance(problem.problem, StripProblem):
@@ -225,10 +169,7 @@ def foretell(file: Path, method: OrientMethod, folder: Path, report: Progress) -
             )
         tables = len(problem.problem.tracks) <= IMPROVED_SIGHTINGS
         predicted = predict(problem.problem, method.value, tables=tables)
-    seconds = time.perf_counter() - begun
-    summary = write_prediction(folder, problem, predicted, wall_seconds=seconds)
-    prediction_page(predicted, summary).write(folder / "report.html")
-    return summary
+    return Prediction().render(predicted, folder, report, begun)
 
 
 def tell_bound(summary: dict[str, Any]) -> None:
@@ -251,7 +192,7 @@ def _axes_said(values: dict[str, str]) -> str:
     return "; ".join(part for part in parts if part)
 
 
-def tell(found: Oriented, summary: dict[str, Any]) -> None:
+def tell(stereo: Stereo, found: StereoOrientation, summary: dict[str, Any]) -> None:
     """The orientation in a few lines."""
     from sightline.cli.terminal import say
     from sightline.report.stereo_words import angle_words
@@ -263,7 +204,7 @@ def tell(found: Oriented, summary: dict[str, Any]) -> None:
             if math.isfinite(angles[f"sigma_{axis}"])
         }
         say(f"camera {camera}: {_axes_said(values)}")
-    _tell_drift_and_focal_length(found)
+    _tell_drift_and_focal_length(stereo, found)
     for entry in summary["unobservable"]:
         say(f"not observable: {entry['words']}")
     weakest = next((entry for entry in summary["principal_sigmas"] if math.isfinite(entry["sigma"])), None)
@@ -279,14 +220,14 @@ def tell(found: Oriented, summary: dict[str, Any]) -> None:
         say(note)
 
 
-def _tell_drift_and_focal_length(found: Oriented) -> None:
+def _tell_drift_and_focal_length(stereo: Stereo, found: StereoOrientation) -> None:
     """Rates and focal lengths, where they were sought."""
     from sightline.cli.terminal import say
     from sightline.report.stereo_words import drift_rows, focal_rows
 
-    for camera, *rates in drift_rows(found.result):
+    for camera, *rates in drift_rows(found):
         values = {axis: r for axis, r in zip(_AXES, rates, strict=True) if r != "not observable"}
         say(f"camera {camera}: drift: {_axes_said(values).replace(' arcsec', ' arcsec/s')}")
-    for camera, length, _, percent in focal_rows(found.stereo.problem, found.result):
+    for camera, length, _, percent in focal_rows(stereo.problem, found):
         said = length if percent == "not observable" else f"{length} px, {percent} % from that of the file"
         say(f"camera {camera}: focal length {said}")

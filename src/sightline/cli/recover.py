@@ -35,14 +35,14 @@ def recover(
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.io.results.hidden import TABLE
-    from sightline.io.results.line_of_sight import RESULT_FILES
+    from sightline.kinds.recovery import Recovery
     from sightline.motion.strip.strip import RecoverOptions
     from sightline.report.words import grouped
 
     RecoverOptions(method=method)  # a word that is none is refused before anything is read
     # a file of another acquisition beside this motion.csv would be taken for a part of the same result
     with (
-        output_folder(out, overwrite=overwrite, earlier=lambda _: RESULT_FILES) as folder,
+        output_folder(out, overwrite=overwrite, earlier=Recovery().earlier) as folder,
         progress() as report,
     ):
         summary = recover_into(folder, acquisition, report, method=method)
@@ -82,19 +82,15 @@ def recover_into(
     from sightline.cli.terminal import announce
     from sightline.io.acquisition.load import load_acquisition, ready_to_recover
     from sightline.io.formats.tables import read_motion
-    from sightline.io.results.line_of_sight import write_result
-    from sightline.report.line_of_sight_page import line_of_sight_page
+    from sightline.kinds.recovery import Recovery
 
     begin = time.perf_counter()
     report("reading the acquisition")
     acquired = load_acquisition(acquisition)
     announce(ready_to_recover(acquired, method))
     result = recover_acquisition(acquired, report, method=method)
-    report("writing the result and its report")
-    summary = write_result(folder, result, acquired, wall_seconds=time.perf_counter() - begin)
     true = None if truth is None else read_motion(truth)
-    line_of_sight_page(result, acquired, summary, true).write(folder / "report.html")
-    return summary
+    return Recovery().render(result, folder, report, begin, acquisition=acquired, truth=true)
 
 
 def recover_acquisition(acquired: Acquisition, report: Progress, *, method: str = "joint") -> LineOfSight:

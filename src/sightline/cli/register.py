@@ -88,15 +88,12 @@ def register_into(
     """Register what `acquisition` holds, write images, summary and report into `folder`; the summary."""
     import time
 
-    from sightline.applications.registration import fit_pairs, register_bands
+    from sightline.applications.registration import register_bands
     from sightline.errors import InputError
     from sightline.io.acquisition.load import load_acquisition
-    from sightline.io.results.line_of_sight import write_json
     from sightline.io.results.recovered import read_recovered
-    from sightline.io.results.registered import write_products
-    from sightline.io.results.registered_frames import register_frames
-    from sightline.io.results.registration import summarize_registration
-    from sightline.report.register_page import register_page
+    from sightline.io.results.registered_frames import frames_picture
+    from sightline.kinds.registration import Picture, Registered
 
     begin = time.perf_counter()
     report("reading the acquisition and what was recovered of it")
@@ -108,7 +105,7 @@ def register_into(
                 "picture: leave them out"
             )
         report("laying the frames together")
-        return register_frames(folder, acquired, motion)
+        return Picture().render(frames_picture(acquired, motion), folder, report, begin)
     if not acquired.bands:
         raise InputError(
             f"{acquisition}: frames are given; `register` takes the bands of a strip ([[band]]), or frames "
@@ -118,14 +115,4 @@ def register_into(
     registration = register_bands(
         acquired.bands, acquired.surface, recovered.motion, recovered.statics, onto=onto
     )
-    search = tuple(acquired.matching.get("search_px", (8, 8)))
-    with write_products(folder, registration, acquired, pixels=pixels, stack=stack, tell=report) as written:
-        report("matching all pairs of bands, as they were and as they are now")
-        before = fit_pairs(written.before, search_px=(int(search[0]), int(search[1])))
-        after = fit_pairs(written.after, search_px=(int(search[0]), int(search[1])))
-        summary = summarize_registration(acquired, registration, recovered, written, before, after)
-        summary["wall_seconds"] = time.perf_counter() - begin
-        report("writing the report")
-        register_page(written, before, after, summary).write(folder / "report.html")
-    write_json(folder / "summary.json", summary)
-    return summary
+    return Registered().render(registration, folder, report, begin, pixels=pixels, stack=stack)

@@ -160,10 +160,6 @@ def progress() -> Iterator[Progress]:
         finish()
 
 
-class Interrupted(Exception):
-    """The user or the system stopped a command; the message says what was kept of it."""
-
-
 def print_json(summary: Mapping[str, Any]) -> None:
     """Print a summary on stdout as JSON; numbers that are not finite become null."""
     from sightline.io.formats.json_text import json_text

@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from sightline.errors import InputError, SpanError, computes
 from sightline.geometry.checks import as_points, as_times, same_length
 from sightline.geometry.trajectory import Motion
+from sightline.result import Result, makes_result
 
 if TYPE_CHECKING:  # reading a folder's score needs none of what made it
     from sightline.motion.results import LineOfSight
@@ -72,8 +73,8 @@ class AxisScore:
     coverage_95: float
 
 
-@dataclass(frozen=True)
-class Score:
+@dataclass(frozen=True, repr=False)
+class Score(Result):
     """A motion against its truth.
 
     Attributes
@@ -113,6 +114,7 @@ class Score:
         }
 
 
+@makes_result
 @computes("the score")
 def score_motion(
     t: ArrayLike,

@@ -20,6 +20,7 @@ from sightline.matching.matches import MASKED, NOT_CHOSEN, OUTSIDE, STATUS_NAMES
 from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.measure.stars import END, StarRecord
 from sightline.motion.strip.fusion import SensorUse
+from sightline.result import Result
 
 Array = NDArray[np.float64]
 
@@ -84,8 +85,8 @@ class NamedMethod:
     stated_sigma: Array
 
 
-@dataclass(frozen=True, eq=False)
-class LineOfSight:
+@dataclass(frozen=True, eq=False, repr=False)
+class LineOfSight(Result):
     """Result of S1.
 
     Attributes

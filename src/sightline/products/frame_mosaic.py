@@ -20,6 +20,7 @@ from sightline.geometry.surface import Surface
 from sightline.imaging.source import ArrayImage, ImageSource
 from sightline.motion.band import Frame
 from sightline.motion.frames.matches import laid_frame
+from sightline.result import Result, makes_result
 
 Array = NDArray[np.float64]
 Image = NDArray[np.float32]
@@ -84,8 +85,8 @@ class CloudLayer:
         return CloudLayer(self.body.raised(height), self.height)
 
 
-@dataclass(frozen=True, eq=False)
-class Mosaic:
+@dataclass(frozen=True, eq=False, repr=False)
+class Mosaic(Result):
     """A picture per strip, all in one geometry.
 
     Attributes
@@ -103,6 +104,7 @@ class Mosaic:
     camera: FrameCamera
 
 
+@makes_result
 def frame_mosaic(
     frames: Sequence[Frame],
     cameras: Sequence[FrameCamera],

@@ -34,9 +34,10 @@ from sightline.motion.band import Band, ChipKnowledge, Frame, LensKnowledge
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
 from sightline.motion.spin.solve import AttitudeSigma
 from sightline.motion.strip.hyper import KnownContent
+from sightline.result import one_line
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Acquisition:
     """Everything an ACQUISITION.toml says, ready for ``recover_line_of_sight``.
 
@@ -93,6 +94,20 @@ class Acquisition:
     attitude_sigma: AttitudeSigma | None
     parallax_sigma: float
     inputs: tuple[Path, ...] = field(repr=False)
+
+    def __repr__(self) -> str:
+        """One line."""
+        shapes = sorted({image.shape for image in self.images})
+        facts = {
+            "": repr(self.name),
+            "bands" if self.bands else "frames": f"{len(self.names)} ({', '.join(self.names[:4])})",
+            "px": " / ".join(f"{lines} x {columns}" for lines, columns in shapes[:3]),
+            "platform": self.platform,
+            "surface": type(self.surface).__name__,
+            "sensors": str(len(self.sensors)),
+            "file": str(self.path),
+        }
+        return one_line("Acquisition", facts)
 
     @property
     def images(self) -> tuple[ImageSource, ...]:

@@ -48,6 +48,7 @@ from sightline.motion.frames.passes import FrameOptions
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
 from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.strip import RecoverOptions
+from sightline.result import set_source
 
 __all__ = ["Acquisition", "load_acquisition", "read_acquisition", "ready_to_recover"]
 
@@ -83,7 +84,10 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
     path = Path(path)
     config = read_acquisition(path)
     with input_files(path, config) as files:
-        return _acquisition(path, config, files, look=look)
+        acquired = _acquisition(path, config, files, look=look)
+    for image in (*acquired.bands, *acquired.frames):
+        set_source(image, acquired)
+    return acquired
 
 
 def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, look: bool) -> Acquisition:

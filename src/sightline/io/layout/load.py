@@ -24,6 +24,7 @@ from sightline.motion.layout.information import (
     listed_up_to,
 )
 from sightline.motion.layout.search import check_room
+from sightline.result import set_source
 
 #: Relative bandwidth of a tone that gives none.
 _BANDWIDTH = 0.01
@@ -46,7 +47,9 @@ def load_instrument(path: str | Path) -> FocalPlane:
     path = Path(path)
     file = validate(InstrumentFile, read_toml(path), path)
     with input_files(path, file):
-        return _instrument(path, file)
+        plane = _instrument(path, file)
+    set_source(plane, path)
+    return plane
 
 
 def _instrument(path: Path, file: InstrumentFile) -> FocalPlane:

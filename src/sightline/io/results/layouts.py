@@ -6,13 +6,13 @@ Not here: the page for people (``report/layout_page.py``).
 from __future__ import annotations
 
 import csv
-import hashlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sightline.applications.focal_plane import FocalPlane, JudgedLayout, LayoutChoice
+from sightline.io.acquisition.acquired import sha256
 from sightline.io.results.line_of_sight import write_json
 from sightline.version import VERSION
 from sightline.writing import whole
@@ -25,7 +25,9 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def write_layouts(folder: Path, choice: LayoutChoice, source: Path, *, wall_seconds: float) -> dict[str, Any]:
+def write_layouts(
+    folder: Path, choice: LayoutChoice, source: Path | None, *, wall_seconds: float
+) -> dict[str, Any]:
     """Write ``layouts.csv`` and ``summary.json``; gives the summary.
 
     Parameters
@@ -33,7 +35,7 @@ def write_layouts(folder: Path, choice: LayoutChoice, source: Path, *, wall_seco
     folder : Path
         Exists.
     choice : LayoutChoice
-    source : Path
+    source : Path or None
         The INSTRUMENT.toml.
     wall_seconds : float
         s; of the whole command so far.
@@ -44,17 +46,18 @@ def write_layouts(folder: Path, choice: LayoutChoice, source: Path, *, wall_seco
         table.writerow(COLUMNS)
         for rank, layout in enumerate(choice.ranked, 1):
             row = as_row(plane, layout)
-            table.writerow([rank, *(_cell(row[name]) for name in COLUMNS[1:])])
+            table.writerow([rank, *(cell(row[name]) for name in COLUMNS[1:])])
     summary = summarize_layouts(choice, source, wall_seconds=wall_seconds)
     write_json(folder / "summary.json", summary)
     return summary
 
 
-def summarize_layouts(choice: LayoutChoice, source: Path, *, wall_seconds: float) -> dict[str, Any]:
+def summarize_layouts(choice: LayoutChoice, source: Path | None, *, wall_seconds: float) -> dict[str, Any]:
     """The content of ``summary.json``: px, s, Hz."""
     plane = choice.focal_plane
     return {
         "name": plane.name,
+        "result": "LayoutChoice",
         "version": VERSION,
         "passband": list(choice.passband),
         "detectors": plane.detectors,
@@ -76,7 +79,7 @@ def summarize_layouts(choice: LayoutChoice, source: Path, *, wall_seconds: float
         "exhaustive": choice.exhaustive,
         "warnings": list(choice.warnings),
         "wall_seconds": wall_seconds,
-        "inputs": {source.name: hashlib.sha256(source.read_bytes()).hexdigest()},
+        "inputs": {} if source is None else {source.name: sha256(source)},
     }
 
 
@@ -106,7 +109,7 @@ def places_px(plane: FocalPlane, layout: JudgedLayout) -> list[float]:
     return [float(value) for value in np.round(px, 6)]
 
 
-def _cell(value: Any) -> Any:
+def cell(value: Any) -> Any:
     """A list as words apart by spaces; a number in full."""
     if isinstance(value, list | np.ndarray):
         return " ".join(f"{item:.10g}" for item in value)

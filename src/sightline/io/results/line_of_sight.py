@@ -39,6 +39,7 @@ from sightline.io.formats.tables import (
     write_motion,
     write_spectrum,
 )
+from sightline.io.results.hidden import TABLE as HIDDEN_TABLE
 from sightline.io.results.hidden import write_hidden
 from sightline.io.results.microvibration import microvibration_summary, write_smear
 from sightline.io.results.spin import spin_summary
@@ -93,17 +94,10 @@ def write_result(
         write_aem(
             folder / "attitude.aem", motion.t, attitude, acquisition.epoch, object_name=name, frame=frame
         )
-    summary = summarize(result, acquisition, wall_seconds=wall_seconds)
-    if isinstance(result, SpinAttitude):
-        summary["spin"] = spin_summary(result, acquisition.chip.names)
+    summary = whole_summary(result, acquisition, wall_seconds=wall_seconds)
     if result.hidden.shape[2]:
-        field = {"ifov": result.ifov, "half_field_px": acquisition.half_field_px}
-        left_out = motion.angles - less_hidden(motion.angles, result.hidden, **field)
-        entry = write_hidden(folder, motion.t, result.hidden, result.hidden_names, left_out)
-        words = words_of_hidden(result.hidden_names, motion.t, result.hidden, **field)
-        summary["hidden_directions"] = entry | {"words": list(words)}
-        if result.hidden_covariance is not None:
-            summary["hidden_directions"]["covariance"] = result.hidden_covariance.tolist()
+        left_out = motion.angles - less_hidden(motion.angles, result.hidden, **_field(result, acquisition))
+        write_hidden(folder, motion.t, result.hidden, result.hidden_names, left_out)
     _write_spectrum(folder / "spectrum.csv", result, summary["passbands"])
     if _is_strip(acquisition):
         write_smear(folder / "smear.csv", result, summary["microvibration"])
@@ -112,6 +106,26 @@ def write_result(
         _write_covariance(folder / "covariance.npz", result)
     write_json(folder / "summary.json", summary)
     return summary
+
+
+def whole_summary(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: float) -> dict[str, Any]:
+    """All of ``summary.json``: `summarize`, with what the spin and the hidden directions are."""
+    summary = summarize(result, acquisition, wall_seconds=wall_seconds)
+    if isinstance(result, SpinAttitude):
+        summary["spin"] = spin_summary(result, acquisition.chip.names)
+    if result.hidden.shape[2]:
+        field = _field(result, acquisition)
+        words = words_of_hidden(result.hidden_names, result.motion.t, result.hidden, **field)
+        entry = {"table": HIDDEN_TABLE, "names": list(result.hidden_names), "words": list(words)}
+        if result.hidden_covariance is not None:
+            entry["covariance"] = result.hidden_covariance.tolist()
+        summary["hidden_directions"] = entry
+    return summary
+
+
+def _field(result: LineOfSight, acquisition: Acquisition) -> dict[str, float]:
+    """What turns hidden directions into px."""
+    return {"ifov": result.ifov, "half_field_px": acquisition.half_field_px}
 
 
 def on_another_body(surface: Surface) -> bool:
@@ -175,6 +189,7 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
     bands = dict(zip(ANGLES, seen.passbands, strict=True))
     return {
         "name": acquisition.name,
+        "result": type(result).__name__,
         "version": VERSION,
         "epoch": acquisition.epoch,
         "images": list(result.image_names),
@@ -182,6 +197,7 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "ifov": result.ifov,
         "half_field_px": acquisition.half_field_px,
         "half_field": result.half_field,
+        "scale": _per_axis(result.scale),
         "reference_image": result.image_names[0],
         "method": _method(result),
         "highest_frequency": upper,

@@ -146,6 +146,7 @@ def summarize_noise(noise: DetectorNoise, inputs: Sequence[Path], *, wall_second
     """The content of ``summary.json``."""
     names = Counter(path.name for path in inputs)
     return {
+        "result": "DetectorNoise",
         "version": VERSION,
         "unit": noise.unit,
         "stages": noise.stages,

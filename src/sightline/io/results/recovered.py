@@ -23,6 +23,7 @@ from sightline.inputs import note
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.tables import read_motion
 from sightline.io.results.hidden import read_summary
+from sightline.result import set_source
 
 Array = NDArray[np.float64]
 
@@ -70,7 +71,9 @@ def read_recovered(folder: Path, acquisition: Acquisition) -> Recovered:
     _check_hashes(folder, summary, acquisition)
     table = read_motion(folder / "motion.csv")
     t, angles = _prolonged(folder, table.t, table.angles)
-    return Recovered(Motion(t, angles), _statics(folder, summary), summary)
+    recovered = Recovered(Motion(t, angles), _statics(folder, summary), summary)
+    set_source(recovered.motion, recovered)
+    return recovered
 
 
 def _check_hashes(folder: Path, summary: Mapping[str, Any], acquisition: Acquisition) -> None:

@@ -22,7 +22,6 @@ from sightline.geometry.camera import FrameCamera
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.tables import ANGLES
 from sightline.io.results.hidden import read_summary
-from sightline.io.results.line_of_sight import write_json
 from sightline.motion.spin.solve import SpinUnknowns, layers_of, spin_statics
 from sightline.products.frame_mosaic import Mosaic, frame_mosaic
 from sightline.writing import whole_raster
@@ -115,22 +114,15 @@ def _unknowns(summary: Mapping[str, Any], unknowns: SpinUnknowns, place: Path) -
     return np.concatenate([constants, np.ravel(departures)])
 
 
-def register_frames(folder: Path, acquisition: Acquisition, motion: Path) -> dict[str, Any]:
-    """Make the registered picture of an acquisition and write it into `folder`.
+def frames_picture(acquisition: Acquisition, motion: Path) -> Mosaic:
+    """The registered picture of an acquisition.
 
     Parameters
     ----------
-    folder : Path
-        Exists.
     acquisition : Acquisition
         Frames of a spinning camera.
     motion : Path
         Folder that ``sightline recover`` wrote for it.
-
-    Returns
-    -------
-    dict
-        What was written, as in ``picture.json``.
     """
     recovered = read_recovered_spin(motion, acquisition)
     mosaic = frame_mosaic(
@@ -146,19 +138,7 @@ def register_frames(folder: Path, acquisition: Acquisition, motion: Path) -> dic
             f"{acquisition.path}: no place of the picture is seen by every strip and lit; look at the images "
             "and at what was recovered of them: the frames must overlap, and show more than sky"
         )
-    cut = without_margin(mosaic)
-    write_values(folder / "picture.tif", cut)
-    write_colours(folder / "picture.png", cut)
-    summary = {
-        "name": acquisition.name,
-        "strips": list(cut.names),
-        "lines": cut.pixels.shape[1],
-        "columns": cut.pixels.shape[2],
-        "focal_length_px": cut.camera.detector.focal_length_px,
-        "files": ["picture.tif", "picture.png"],
-    }
-    write_json(folder / "picture.json", summary)
-    return summary
+    return mosaic
 
 
 def without_margin(mosaic: Mosaic) -> Mosaic:

@@ -65,6 +65,7 @@ def summarize_registration(
     ]
     return {
         "name": acquisition.name,
+        "result": "Registration",
         "version": VERSION,
         "onto": names[registration.reference],
         "shape": list(registration.after[registration.reference].shape),

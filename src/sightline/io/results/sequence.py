@@ -120,6 +120,7 @@ def summarize_sequence(
     return {
         "name": sequence.name,
         "epoch": problem.epoch,
+        "result": "SequencePoses",
         "version": VERSION,
         "frames": len(problem),
         "sources": {word: found.source.count(word) for word in SOURCES},

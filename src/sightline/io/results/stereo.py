@@ -145,6 +145,7 @@ def summarize_orientation(
     return {
         "name": stereo.name,
         "epoch": problem.epoch,
+        "result": "StereoOrientation",
         "version": VERSION,
         "method": result.method,
         "cameras": list(result.cameras),

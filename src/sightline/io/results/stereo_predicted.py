@@ -81,6 +81,7 @@ def summarize_prediction(
     entries = principal_sigmas(predicted)
     return {
         "name": problem.name,
+        "result": "StereoPrediction",
         "version": VERSION,
         "method": predicted.method,
         "cameras": list(predicted.cameras),

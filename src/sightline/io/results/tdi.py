@@ -72,6 +72,7 @@ def summarize_tdi(result: TdiResult, inputs: Iterable[Path], *, wall_seconds: fl
     codes, counts = np.unique(choice.limit, return_counts=True)
     return {
         "name": problem.name,
+        "result": "TdiResult",
         "version": VERSION,
         "columns": len(columns),
         "signals": len(problem.signals),

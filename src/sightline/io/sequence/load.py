@@ -40,6 +40,7 @@ from sightline.photogrammetry.block.point_priors import ControlPoints
 from sightline.photogrammetry.flight.outlook import unit_doubts
 from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.sightings import Images
+from sightline.result import set_source
 
 Array = NDArray[np.float64]
 
@@ -118,7 +119,9 @@ def read_sequence(path: Path) -> FrameSequence:
     """Everything a SEQUENCE.toml says; errors as of `load_sequence`."""
     file = validate(SequenceFile, read_toml(path), path)
     with input_files(path, file) as files:
-        return _sequence(path, file, files)
+        sequence = _sequence(path, file, files)
+    set_source(sequence.problem, sequence)
+    return sequence
 
 
 def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequence:

@@ -47,6 +47,7 @@ from sightline.io.stereo.tables import (
 )
 from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Images
+from sightline.result import set_source
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -146,7 +147,10 @@ def read_stereo(path: Path, *, planned: bool = False) -> Stereo:
     """
     file = read_stereo_file(path)
     with input_files(path, file) as files:
-        return _stereo(path, file, files, planned=planned)
+        stereo = _stereo(path, file, files, planned=planned)
+    set_source(stereo.problem, stereo)
+    set_source(stereo.problem.tracks, stereo)
+    return stereo
 
 
 def _stereo(path: Path, file: StereoFile, files: InputFolder, *, planned: bool) -> Stereo:

@@ -21,6 +21,7 @@ from sightline.io.stereo.load import camera_sections, detector_of, mount_of, rea
 from sightline.io.stereo.schema import StereoFile
 from sightline.photogrammetry.block.point_priors import HeightPrior
 from sightline.photogrammetry.block.pose_noise import PoseNoise
+from sightline.result import set_source
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,9 @@ def read_plan(path: Path) -> PlannedPass:
     """
     file = read_stereo_file(path)
     with input_files(path, file):
-        return _plan(path, file)
+        planned = _plan(path, file)
+    set_source(planned.plan, planned)
+    return planned
 
 
 def _plan(path: Path, file: StereoFile) -> PlannedPass:

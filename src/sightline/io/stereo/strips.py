@@ -31,7 +31,7 @@ from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class StripProblem(StereoProblem):
     """A problem whose images are strips: each stands for one image, posed as in its middle.
 

@@ -23,6 +23,7 @@ from sightline.io.config import read_toml, validate
 from sightline.io.formats.tables import header_of, read_columns
 from sightline.io.tdi.columns import columns_of_acquisition, optics_of, static_mtf
 from sightline.io.tdi.schema import MOST_COLUMNS, ChoiceSection, TdiFile
+from sightline.result import set_source
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
 from sightline.tdi.table import check_words_fit
 
@@ -56,7 +57,9 @@ def load_tdi(path: str | Path, motion: str | Path | None = None) -> TdiProblem:
     path = Path(path)
     file = validate(TdiFile, read_toml(path), path)
     with input_files(path, file) as files:
-        return _problem(path, file, files, motion)
+        problem = _problem(path, file, files, motion)
+    set_source(problem, tuple(tdi_inputs(path, None if motion is None else Path(motion))))
+    return problem
 
 
 def _problem(path: Path, file: TdiFile, files: InputFolder, motion: str | Path | None) -> TdiProblem:

@@ -19,9 +19,10 @@ from sightline.imaging.source import ImageSource
 from sightline.photogrammetry.block.point_priors import ControlPoints
 from sightline.photogrammetry.flight.poses import RoughPoses
 from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.result import one_line
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class SequenceProblem(ReadOnlyArrays):
     """What a SEQUENCE.toml says, as objects.
 
@@ -111,6 +112,18 @@ class SequenceProblem(ReadOnlyArrays):
             raise InputError(
                 f"frames, t, sources, images, known and excluded need as many entries each, got {sizes}"
             )
+
+    def __repr__(self) -> str:
+        """One line."""
+        lines, columns = self.detector.shape
+        facts = {
+            "frames": f"{len(self)} of {lines} x {columns} px, {int(self.usable.sum())} usable",
+            "times": f"{self.t[0]:g} to {self.t[-1]:g} s",
+            "positions": "given" if np.isfinite(self.known.position).any() else "not given",
+            "attitudes": "given" if np.isfinite(self.known.attitude).any() else "not given",
+            "surface": type(self.surface).__name__,
+        }
+        return one_line("SequenceProblem", facts)
 
     def __len__(self) -> int:
         """Number of frames."""

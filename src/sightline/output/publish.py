@@ -4,7 +4,7 @@ The journal lies beside the new files and those that they replace. As long as it
 happened: whoever finds it, the run itself after an error or the next one after a kill, puts everything back.
 Its removal is the moment from which the new files are the result.
 
-Not here: who may write, and when (``output.py``).
+Not here: who may write, and when (``folder.py``).
 """
 
 from __future__ import annotations

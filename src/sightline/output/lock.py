@@ -4,7 +4,7 @@ The lock is the system's (``flock``): it ends with the process that holds it, ho
 that is left says only who it was. Where a file system knows no such locks, the file itself is the lock and
 its owner is looked for among the processes of this machine.
 
-Not here: what is done in the folder (``output.py``).
+Not here: what is done in the folder (``folder.py``).
 """
 
 from __future__ import annotations

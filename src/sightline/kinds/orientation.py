@@ -1,0 +1,294 @@
+"""Attitude errors of cameras, and their bound: `orient`, `orient --predict`."""
+
+from __future__ import annotations
+
+import io
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.access import read_text
+from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
+from sightline.applications.stereo_prediction import Improvement, StereoPrediction, improvements
+from sightline.errors import FormatError, InputError, SightlineError, foreign_errors
+from sightline.evaluation.direction_words import AXES, angle_names
+from sightline.geometry.surface import Ellipsoid, Plane
+from sightline.geometry.units import ARCSEC
+from sightline.io.formats.tables import read_columns
+from sightline.io.results.stereo import ORIENTATION, write_stereo_result
+from sightline.io.results.stereo_exports import write_exports
+from sightline.io.results.stereo_predicted import write_prediction
+from sightline.io.stereo.load import Stereo
+from sightline.io.stereo.plan import PlannedPass
+from sightline.io.stereo.strips import StripProblem
+from sightline.io.stereo.tables import StereoPoseTable
+from sightline.kinds.kind import REPORT, SUMMARY, Columns, ResultKind, Tell, columns_of, given, warned
+from sightline.report.stereo_page import stereo_page
+from sightline.report.stereo_prediction_page import prediction_page
+from sightline.result import source_of
+
+Array = NDArray[np.float64]
+
+#: Sightings up to which it is reckoned what would improve the angles: eight bounds, each as long as a step.
+IMPROVED_SIGHTINGS = 200_000
+
+
+class Orientation(ResultKind):
+    """`StereoOrientation`."""
+
+    types: tuple[type[Any], ...] = (StereoOrientation,)
+    table, index = "orientation", ("camera",)
+    files: tuple[str, ...] = (
+        "orientation.csv", "covariance.csv", "matches_used.csv", "points.csv", "cameras_corrected.csv",
+        "attitude_*.csv", "attitude_*.aem", "colmap/*", SUMMARY, REPORT,
+    )  # fmt: skip
+    units = {
+        **dict.fromkeys(AXES, "rad"), **dict.fromkeys(("residual_px",), "px"), "t": "s",
+        **dict.fromkeys(("x", "y", "z", "height", "height_before"), "m"),
+    }  # fmt: skip
+
+    def facts(self, result: StereoOrientation) -> Mapping[str, str]:
+        """Cameras, method, the angles."""
+        said = {
+            "cameras": f"{len(result.cameras)} ({', '.join(result.cameras[:4])})",
+            "method": result.method,
+        }
+        for name, angles, sigma in list(zip(result.cameras, result.angles, result.sigma, strict=True))[:2]:
+            triple = zip(AXES, angles / ARCSEC, sigma / ARCSEC, strict=True)
+            words = ", ".join(f"{axis} {value:+.3g} ± {size:.2g}" for axis, value, size in triple)
+            said[f"camera {name}"] = f"{words} arcsec"
+        return {**said, **warned(result)}
+
+    def columns(self, result: StereoOrientation) -> Columns:
+        """``orientation.csv``."""
+        values = [np.array(result.cameras, dtype=object), *result.angles.T, *result.sigma.T]
+        return dict(zip(ORIENTATION, values, strict=True))
+
+    def numbers(self, result: Any, name: str) -> dict[str, NDArray[Any]]:
+        """``covariance.csv`` has its names in a comment."""
+        if name != "covariance":
+            return super().numbers(result, name)
+        names = angle_names(result.cameras)
+        return {key: column for key, column in zip(names, result.covariance.T, strict=True)}
+
+    def unit(self, column: str) -> str:
+        """As named; of the covariance rad^2, of drifts rad/s."""
+        head, _, camera = column.partition("_")
+        return "rad2" if head in AXES and camera else super().unit(column)
+
+    def variables(self, result: Any) -> Mapping[str, Any]:
+        """The covariance of all angles."""
+        return {"covariance": (("angle", "angle_too"), result.covariance, "rad2")}
+
+    def earlier(self, folder: Path) -> list[str]:
+        """Nothing."""
+        return []
+
+    def render(self, result: StereoOrientation, folder: Path, tell: Tell, begun: float) -> dict[str, Any]:
+        """Every file, and what would better the angles."""
+        stereo = stereo_of(result)
+        tell("what would improve it")
+        better = improvements_of(stereo.problem, result.method)
+        tell("writing")
+        notes = write_exports(folder, stereo, result)
+        seconds = time.perf_counter() - begun
+        summary = write_stereo_result(
+            folder, stereo, result, better, wall_seconds=seconds, export_notes=list(notes)
+        )
+        stereo_page(stereo, result, summary).write(folder / REPORT)
+        return summary
+
+    def opened(self, folder: Path, summary: dict[str, Any]) -> dict[str, Any]:
+        """Angles with their covariance, drifts, points."""
+        cameras, angles, _ = _orientation(folder / "orientation.csv")
+        advice = "run `sightline orient` again"
+        with foreign_errors(folder / SUMMARY, "is no summary of `orient`", advice):
+            drift = summary["drift"]
+            rates = None if drift is None else [drift[name] for name in cameras]
+            found = {
+                "method": str(summary["method"]),
+                "unchecked": summary["matches"]["unchecked"],
+                "cost": summary["cost"],
+                "degrees_of_freedom": summary["degrees_of_freedom"],
+                "iterations": summary["iterations"],
+                "solve_seconds": summary["solve_seconds"],
+                "warnings": tuple(summary["warnings"]),
+                "bias": None
+                if summary["bias_removed"] is None
+                else np.array(summary["bias_removed"], dtype=float),
+                "drift": None if rates is None else _per_camera(rates, ""),
+                "drift_sigma": None if rates is None else _per_camera(rates, "sigma_"),
+            }
+        points = read_columns(folder / "points.csv", ("x", "y", "z"), infinite=("x", "y", "z"))
+        return {
+            **found,
+            "cameras": cameras,
+            "angles": angles,
+            "covariance": _covariance(folder / "covariance.csv", len(cameras)),
+            "points": np.column_stack([np.asarray(points[axis], dtype=np.float64) for axis in "xyz"]),
+        }
+
+    def draw(self, result: Any, axes: Sequence[Any]) -> None:
+        """Angles with 1 sigma, arcsec."""
+        found = self.numbers(result, self.table)
+        place = np.arange(len(found["camera"]))
+        for k, axis in enumerate(AXES):
+            value, sigma = found[axis] / ARCSEC, found[f"sigma_{axis}"] / ARCSEC
+            seen = np.isfinite(sigma)
+            shown = np.where(np.isfinite(value), value, 0.0)
+            at = (place + 0.2 * (k - 1))[seen]
+            axes[0].errorbar(at, shown[seen], sigma[seen], fmt="o", capsize=3, label=axis)
+        axes[0].set_xticks(place, [f"camera {name}" for name in found["camera"]])
+        axes[0].set_ylabel("angle ± 1 sigma (arcsec)")
+        axes[0].legend()
+
+
+class Prediction(Orientation):
+    """`StereoPrediction`."""
+
+    types = (StereoPrediction,)
+    files = ("orientation.csv", "covariance.csv", "tables.csv", SUMMARY, REPORT)
+
+    def facts(self, result: Any) -> Mapping[str, str]:
+        """Cameras, method, the bounds."""
+        said = {
+            "cameras": f"{len(result.cameras)} ({', '.join(result.cameras[:4])})",
+            "method": result.method,
+        }
+        for name, sigma in list(zip(result.cameras, result.sigmas, strict=True))[:2]:
+            words = ", ".join(f"{axis} ± {s / ARCSEC:.3g}" for axis, s in zip(AXES, sigma, strict=True))
+            said[f"camera {name}"] = f"{words} arcsec"
+        return said
+
+    def columns(self, result: Any) -> Columns:
+        """``orientation.csv``, without angles."""
+        values = [
+            np.array(result.cameras, dtype=object),
+            *np.full((3, len(result.cameras)), np.nan),
+            *result.sigmas.T,
+        ]
+        return dict(zip(ORIENTATION, values, strict=True))
+
+    def render(self, result: Any, folder: Path, tell: Tell, begun: float) -> dict[str, Any]:
+        """Every file."""
+        values = given(result)
+        tell("writing")
+        problem: Stereo | PlannedPass
+        if "plan" in values:
+            source = source_of(values["plan"])
+            problem = (
+                source if isinstance(source, PlannedPass) else _Unsaved(Path(), "prediction", values["plan"])
+            )
+        else:
+            problem = stereo_of(result)
+        summary = write_prediction(folder, problem, result, wall_seconds=time.perf_counter() - begun)
+        prediction_page(result, summary).write(folder / REPORT)
+        return summary
+
+    def opened(self, folder: Path, summary: dict[str, Any]) -> dict[str, Any]:
+        """The bounds."""
+        cameras, _, _ = _orientation(folder / "orientation.csv")
+        with foreign_errors(folder / SUMMARY, "is no summary of `orient --predict`", "run it again"):
+            return {
+                "method": str(summary["method"]),
+                "cameras": cameras,
+                "covariance": _covariance(folder / "covariance.csv", len(cameras)),
+                "points": summary["points"],
+                "shots": summary["shots"],
+                "sightings": summary["sightings"],
+                "baseline": summary["baseline"],
+                "window": summary["window_seconds"],
+                "how": summary["points_from"],
+            }
+
+
+class _Unsaved(PlannedPass):
+    """A plan that is in no file."""
+
+    def input_hashes(self) -> dict[str, str]:
+        """None."""
+        return {}
+
+
+def stereo_of(result: Any) -> Stereo:
+    """What a result was found from: the file that was loaded, or what the call was given."""
+    values = given(result)
+    problem = values["problem"] if "problem" in values else _strip_problem(values, result)
+    source = source_of(values.get("problem", values.get("tracks")))
+    if isinstance(source, Stereo):
+        return source
+    images = problem.images
+    names = np.asarray(problem.shot_names, dtype=np.float64)
+    poses = StereoPoseTable(
+        problem.cameras, images.camera, images.shot, names, images.t, images.position,
+        images.world_from_body.as_quat(),
+    )  # fmt: skip
+    return Stereo(
+        path=Path("stereo.toml"),
+        name="orientation",
+        problem=problem,
+        surface=Plane(0.0) if problem.radii is None else Ellipsoid(*problem.radii),
+        world="local" if problem.radii is None else "earth-fixed",
+        another_body=False,
+        poses=poses,
+        pairs=None,
+        pictures=None,
+        inputs=(),
+    )
+
+
+def _strip_problem(values: Mapping[str, Any], result: StereoOrientation) -> StereoProblem:
+    """What `orient_pushbroom` was given, as a problem."""
+    source = source_of(values["tracks"])
+    if isinstance(source, Stereo):
+        return source.problem
+    raise InputError(
+        "an orientation of strips is written with what its file says besides: name the strips in a "
+        "STEREO.toml ([[strip]]) and give what load_stereo reads of it"
+    )
+
+
+def improvements_of(problem: StereoProblem, method: str) -> tuple[Improvement, ...]:
+    """What would better the angles of frames, by the bound; none for strips and very many sightings."""
+    if isinstance(problem, StripProblem) or len(problem.tracks) > IMPROVED_SIGHTINGS:
+        return ()
+    try:
+        return improvements(problem, method)
+    except SightlineError:  # the orientation stands without advice
+        return ()
+
+
+def _orientation(path: Path) -> tuple[tuple[str, ...], Array, Array]:
+    """Names, angles and sigmas of ``orientation.csv``; not observable ones are NaN and infinite."""
+    table = columns_of(path.read_text(encoding="utf-8"), path)
+    if set(ORIENTATION) - set(table):
+        raise FormatError(
+            f"{path}: columns {', '.join(ORIENTATION)} are expected; run `sightline orient` again"
+        )
+    with foreign_errors(path, "is no table of angles", "run `sightline orient` again"):
+        angles, sigma = (
+            np.column_stack([np.asarray(table[f"{head}{axis}"], dtype=np.float64) for axis in AXES])
+            for head in ("", "sigma_")
+        )
+    return tuple(str(name) for name in table["camera"]), angles, sigma
+
+
+def _covariance(path: Path, cameras: int) -> Array:
+    """``covariance.csv``."""
+    text = read_text(path, "a covariance", advice="run `sightline orient` again")
+    with foreign_errors(path, "is no covariance", "run `sightline orient` again"):
+        found = np.loadtxt(io.StringIO(text), delimiter=",", ndmin=2)
+    if found.shape != (3 * cameras, 3 * cameras):
+        raise FormatError(
+            f"{path}: {found.shape} numbers for {cameras} cameras; run `sightline orient` again"
+        )
+    return found
+
+
+def _per_camera(rates: Sequence[Mapping[str, Any]], head: str) -> Array:
+    """(C, 3) of a summary's entries by axis; NaN where null."""
+    return np.array([[entry[f"{head}{axis}"] for axis in AXES] for entry in rates], dtype=np.float64)
