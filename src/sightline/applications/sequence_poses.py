@@ -49,9 +49,10 @@ from sightline.photogrammetry.flight.solving_order import solving_order
 from sightline.photogrammetry.flight.start import begun
 from sightline.photogrammetry.flight.subset import Subset, choose_subset
 from sightline.photogrammetry.flight.table_check import (
+    misfits,
     motion_warnings,
     refuse_apart,
-    table_warnings,
+    refuse_contradicted,
     unsolved_words,
 )
 from sightline.photogrammetry.flight.warnings import (
@@ -230,6 +231,7 @@ def georeference_sequence(
     except DivergedError as error:
         raise EstimationError(unsolved_words(problem)) from error
     problem, poses = screened(problem, tracks, found.poses, _without_control(followed, tracks))
+    refuse_contradicted(problem, poses)
     source, reason = _sources(problem, followed, subset, poses)
     words = (
         *_warnings(problem, poses, source, followed),
@@ -505,4 +507,4 @@ def _warnings(
     out += focal_warnings(problem, poses)
     # ground at another height moves otherwise too: said once
     out += ground_warnings(problem, poses) or motion_warnings(problem, followed)
-    return out + table_warnings(problem, poses) + bow_warnings(problem, poses)
+    return out + [misfit.words for misfit in misfits(problem, poses)] + bow_warnings(problem, poses)

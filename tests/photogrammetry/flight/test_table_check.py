@@ -6,6 +6,7 @@ second.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -13,12 +14,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from sightline.errors import EstimationError
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Plane
 from sightline.photogrammetry.flight.outlook import ground_motion
 from sightline.photogrammetry.flight.poses import RoughPoses
-from sightline.photogrammetry.flight.table_check import motion_warnings, table_warnings
+from sightline.photogrammetry.flight.table_check import misfits, motion_warnings, refuse_contradicted
 from sightline.photogrammetry.sightings import Images
 
 COUNT, NOISE = 60, 0.5
@@ -35,7 +37,15 @@ def problem():
     images = Images(np.zeros(COUNT, dtype=int), order, t, position, Rotation.concatenate([NORTH] * COUNT))
     known = RoughPoses(np.full((COUNT, 3), NOISE), np.full((COUNT, 3), 0.01))
     return SimpleNamespace(
-        t=t, images=images, known=known, detector=detector, mount=NADIR_MOUNT, surface=Plane(0.0)
+        t=t,
+        images=images,
+        known=known,
+        detector=detector,
+        mount=NADIR_MOUNT,
+        surface=Plane(0.0),
+        height_sigma=1.0,
+        radii=None,
+        frames=tuple(f"f{k}" for k in range(COUNT)),
     )
 
 
@@ -71,22 +81,103 @@ def test_a_flight_that_hardly_moves_says_nothing(problem):
     assert not motion_warnings(problem, followed(0.1, problem))
 
 
+def solution(problem, scale=1.0, **more):
+    """Poses and points whose path is the given one and whose heights are `scale` times the given ones."""
+    rng = np.random.default_rng(2)
+    truth = np.column_stack([np.zeros(COUNT), 2.0 * problem.t, np.full(COUNT, 50.0)])
+    points = np.column_stack([rng.uniform(-20.0, 140.0, (30, 2)), np.full(30, 50.0 * (1.0 - scale))])
+    turned = Rotation.from_rotvec(rng.normal(0.0, 0.01, (COUNT, 3)))
+    given = {"position": truth, "points": points, "bias": np.zeros(6), "detector": lambda detector: detector}
+    more = {"world_from_body": NORTH * turned} | more
+    return SimpleNamespace(**given | more)
+
+
+def said(problem, found):
+    return [misfit.words for misfit in misfits(problem, found)]
+
+
+def test_what_goes_together_says_nothing(problem):
+    assert not said(problem, solution(problem))
+
+
+@pytest.mark.parametrize(
+    ("scale", "sigma", "hopeless"), [(1.5, 1.0, True), (0.5, 1.0, True), (1.5, 5.0, False)]
+)
+def test_a_lens_that_contradicts_heights_is_told_with_what_would_go_together(problem, scale, sigma, hopeless):
+    problem.height_sigma = sigma
+    (found,) = misfits(problem, solution(problem, scale))
+    assert found.hopeless == hopeless
+    assert "focal_length_px, [surface] height and the positions contradict one another" in found.words
+    # 100 px let heights of 50 m be `scale` times as many: to the noise of a path of 120 m
+    assert float(re.search(r"focal_length_px = ([0-9.]+)", found.words)[1]) == pytest.approx(
+        100 / scale, rel=0.02
+    )
+    height = float(re.search(r"height = (-?[0-9.]+) m \(now 0\)", found.words)[1])
+    assert height == pytest.approx(50.0 * (1.0 - scale), abs=1.0)
+    # of 50 * |scale - 1| m, the height of the ground known to sigma; places hardly count
+    sigmas = float(re.search(r"by ([0-9.]+) sigmas", found.words)[1])
+    assert sigmas == pytest.approx(25.0 / sigma, rel=0.1)
+    if hopeless:
+        with pytest.raises(EstimationError, match=r"contradicts itself.*focal_length_px"):
+            refuse_contradicted(problem, solution(problem, scale))
+    # a ground of which nothing is known contradicts nothing
+    problem.height_sigma = 0.0
+    assert not said(problem, solution(problem, scale))
+
+
+def test_three_frames_are_enough_to_contradict(problem):
+    few = np.arange(3)
+    problem.images, problem.known = problem.images[few], problem.known[few]
+    truth = np.array([[0.0, 0.0, 50.0], [0.0, 10.0, 50.0], [0.0, 20.0, 50.0]])
+    problem.images = replace(problem.images, position=truth)
+    given = {"position": truth, "world_from_body": problem.images.world_from_body}
+    assert not said(problem, solution(problem, 1.0, **given))
+    assert "contradict one another" in said(problem, solution(problem, 1.5, **given))[0]
+
+
+@pytest.mark.parametrize(("size", "status"), [(1.0, "nothing"), (12.0, "warned"), (25.0, "refused")])
+def test_constant_errors_beyond_their_sigma_name_their_key(problem, size, status):
+    problem.known = replace(problem.known, position_bias=2.0, attitude_bias=0.01)
+    problem.images = replace(problem.images, position=problem.images.position + np.array([size, 0.0, 0.0]))
+    found = solution(problem, bias=np.array([size, 0.0, 0.0, 0.0, 0.0, 0.0]))
+    words = said(problem, found)
+    if status == "nothing":
+        assert not words
+        return
+    # chi squared of three numbers is beyond 21 once in 10,000
+    assert f"is {size / 2.0:.3g} times position_bias_sigma = 2 m" in words[0]
+    assert misfits(problem, found)[0].hopeless == (status == "refused")
+    found.bias = np.array([0.0, 0.0, 0.0, 0.06, 0.0, 0.0])
+    problem.images = replace(problem.images, position=found.position)
+    assert any("6 times attitude_bias_sigma" in text for text in said(problem, found))
+
+
+def test_a_single_gross_row_is_named(problem):
+    place = problem.images.position.copy()
+    place[17, 0] += 20.0
+    problem.images = replace(problem.images, position=place)
+    (words,) = said(problem, solution(problem))
+    missed = re.search(r"positions of frames f17 miss the poses found by up to ([0-9.]+) m", words)
+    assert float(missed[1]) == pytest.approx(20.0, abs=4.0 * NOISE)
+
+
 def test_rows_that_miss_the_poses_found_are_told(problem):
     rng = np.random.default_rng(2)
-    found = SimpleNamespace(
+    found = solution(
+        problem,
         position=problem.images.position - [5.0, 0.0, 0.0] - rng.normal(0.0, NOISE, (COUNT, 3)),
         world_from_body=problem.images.world_from_body
         * Rotation.from_rotvec(rng.normal(0.0, 0.01, (COUNT, 3))),
         bias=np.array([5.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
     )
     # a bias found is none of the rows' own errors
-    assert not table_warnings(problem, found)
+    assert not said(problem, found)
     found.bias = np.zeros(6)
-    (words,) = table_warnings(problem, found)
+    (words,) = said(problem, found)
     assert "positions of the tables miss the poses found by 5" in words
     found.bias[0] = 5.0
     problem.known = RoughPoses(problem.known.position, np.full((COUNT, 3), 0.001))
-    (words,) = table_warnings(problem, found)
+    (words,) = said(problem, found)
     # ten times too small a sigma; the median of 60 squares is good to 15 per cent
     assert "attitudes of the tables miss" in words
     assert float(words.split("degrees, ")[1].split(" times")[0]) == pytest.approx(10.0, rel=0.2)

@@ -1,15 +1,20 @@
-"""Whether the images go with what tables told: rough poses against how frames moved, and against poses found.
+"""Whether what is given goes together: rough poses against how frames moved, everything against poses found.
 
 Not here: control points (``control_check.py``), heights of the ground (``found_ground.py``).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
+from scipy.stats import chi2
 
 from sightline.errors import EstimationError
 from sightline.geometry.checks import Array
+from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.matching.follow import Followed
+from sightline.photogrammetry.block.point_priors import HeightPrior, level_axes
 from sightline.photogrammetry.flight.outlook import ground_motion, overlap_of
 from sightline.photogrammetry.flight.poses import FramePoses
 from sightline.photogrammetry.flight.problem import SequenceProblem
@@ -20,8 +25,21 @@ _MOST = 2.0
 MOST_APART = 3.0
 #: Frames' worth of ground that a flight passes over at least before its motion says anything.
 _FRAMES_FLOWN = 0.25
-#: Times their sigma by which rows of tables may miss the poses found, rms; told rows for that to be said.
-_MISSED, _ROWS = 3.0, 6
+#: Times their sigma by which rows of tables may miss the poses found, rms, before it is worth a word.
+_MISSED = 3.0
+#: Share of good flights in which chance alone goes so far.
+_CHANCE = 1e-4
+#: Sigmas from which on what is given contradicts itself too far for an answer, as of an orientation; and the
+#: factor of scale from which on such a contradiction is material.
+WORST_FIT, _MATERIAL = 10.0, 1.1
+#: Axes of a constant error, by its unit.
+_BIAS_AXES = {"m": ("x", "y", "z"), "rad": ("roll", "pitch", "yaw")}
+#: Of its sigma, below which a constant error is shown as 0.
+_SHOWN = 1e-3
+#: Times the scale of a path is found without rows that are far off.
+_ROUNDS = 3
+#: Rows that are named.
+_NAMED = 3
 #: What is wrong where images and tables do not go together.
 _CHECK = (
     "check units and axes of the positions ([world]), [surface] height, [camera] focal_length_px, "
@@ -84,8 +102,161 @@ def _told(problem: SequenceProblem) -> str:
     )
 
 
-def table_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
-    """Warnings where rows of the tables miss the poses found by more than their sigmas allow."""
+@dataclass(frozen=True)
+class Misfit:
+    """Something given beforehand that the poses found do not go with.
+
+    Attributes
+    ----------
+    words : str
+        What, by how much, and which keys tell it.
+    hopeless : bool
+        So far beyond chance that the poses mean nothing.
+    """
+
+    words: str
+    hopeless: bool
+
+
+def refuse_contradicted(problem: SequenceProblem, poses: FramePoses) -> None:
+    """EstimationError where what is given contradicts itself by far more than chance: no poses go with it."""
+    found = misfits(problem, poses)
+    if any(misfit.hopeless for misfit in found):
+        raise EstimationError(
+            "what is given contradicts itself, so that the poses found would be confident and wrong: "
+            + "; ".join(misfit.words for misfit in found)
+        )
+
+
+def misfits(problem: SequenceProblem, poses: FramePoses) -> list[Misfit]:
+    """What is given beforehand and missed by the poses found: rows, constant errors, scale of the scene.
+
+    Parameters
+    ----------
+    problem : SequenceProblem
+    poses : FramePoses
+        Of all its frames.
+
+    Notes
+    -----
+    Residuals of what is given spread no more than it does itself, as the solution follows it: sigmas given
+    beforehand and quantiles of chi squared are bounds.
+    """
+    return [*_scale_misfits(problem, poses), *_bias_misfits(problem, poses), *_row_misfits(problem, poses)]
+
+
+def _bias_misfits(problem: SequenceProblem, poses: FramePoses) -> list[Misfit]:
+    """Constant errors of the tables beyond their sigmas."""
+    out = []
+    for what, name, bias, sigma, unit, check in (
+        (
+            "positions", "position_bias_sigma", poses.bias[:3], problem.known.position_bias, "m",
+            "[camera] focal_length_px, [surface] height and its sigma, and what heights of the positions are "
+            "above",
+        ),
+        (
+            "attitudes", "attitude_bias_sigma", poses.bias[3:], problem.known.attitude_bias, "rad",
+            "[camera] mount and principal_point_px, and axes and signs of the attitudes",
+        ),
+    ):  # fmt: skip
+        if not sigma > 0.0:
+            continue
+        ratio = float(np.linalg.norm(bias)) / sigma
+        if ratio**2 <= chi2.isf(_CHANCE, 3):
+            continue
+        turned = "" if unit == "m" else f" ({np.degrees(np.linalg.norm(bias)):.3g} degrees in all)"
+        named = ", ".join(f"{axis} {value:+.3g}" for axis, value in zip(_BIAS_AXES[unit], bias, strict=True))
+        out.append(
+            Misfit(
+                f"the constant error found of the {what} ({named} {unit}{turned}) is {ratio:.3g} times "
+                f"{name} = {sigma:.3g} {unit}: check {check}, or give a larger {name}",
+                ratio > WORST_FIT,
+            )
+        )
+    return out
+
+
+def _scale_misfits(problem: SequenceProblem, poses: FramePoses) -> list[Misfit]:
+    """Whether the lens, the height of the ground, and the positions agree on how high the frames flew.
+
+    Images tell heights above the ground in lengths of the path, for the focal length given: how far apart the
+    positions are makes them metres, and so do heights of positions above the surface.
+    """
+    known, images = problem.known, problem.images
+    rows = np.flatnonzero(np.isfinite(known.position).all(axis=1))
+    points = poses.points[np.isfinite(poses.points).all(axis=1)]
+    if not problem.height_sigma > 0.0 or len(rows) < 2 or not len(points):
+        return []
+    surface = HeightPrior(problem.surface, problem.height_sigma, problem.radii)
+    ground = float(np.nanmedian(surface.above(points)[0]))
+    given = surface.above(np.asarray(images.position[rows]))[0]
+    found = surface.above(np.asarray(poses.position[rows]))[0] - ground
+    if not (np.isfinite(given).any() and np.isfinite(found).any() and np.isfinite(ground)):
+        return []
+    sigma = known.along_world()[rows]
+    up = level_axes(np.asarray(images.position[rows]), problem.radii)[0]
+    level = np.sqrt((sigma**2 * up**2).sum(axis=1))
+    scale, loose = _scale(images.position[rows], poses.position[rows], sigma)
+    by_heights, seen = float(np.nanmedian(given)), float(np.nanmedian(found))
+    by_path = scale * seen
+    spread = np.sqrt(
+        problem.height_sigma**2 + known.position_bias**2 + 1.0 / (level**-2.0).sum() + (seen * loose) ** 2
+    )
+    sigmas = abs(by_heights - by_path) / spread
+    if not sigmas**2 > chi2.isf(_CHANCE, 1) or not min(by_heights, by_path) > 0.0:
+        return []
+    factor = by_heights / by_path
+    focal = poses.detector(problem.detector).focal_length_px
+    higher = by_heights - by_path
+    return [
+        Misfit(
+            "[camera] focal_length_px, [surface] height and the positions contradict one another by "
+            f"{sigmas:.3g} sigmas: heights of the positions above [surface] are {by_heights:.4g} m, the "
+            f"images with distances between positions say {by_path:.4g} m; it would go together with "
+            f"focal_length_px = {focal * factor:.4g} ({factor:.3g} times {focal:.6g}), or [surface] height "
+            f"{_height_words(problem, higher)}, or positions {abs(higher):.3g} m "
+            f"{'lower' if higher > 0.0 else 'higher'}, or {factor:.3g} times as far apart",
+            bool(sigmas > WORST_FIT and abs(np.log(factor)) > np.log(_MATERIAL)),
+        )
+    ]
+
+
+def _height_words(problem: SequenceProblem, higher: float) -> str:
+    """Ground that lies so much higher than the given one."""
+    if isinstance(problem.surface, Plane | Ellipsoid):
+        return f"= {problem.surface.height + higher:.4g} m (now {problem.surface.height:g})"
+    return f"{abs(higher):.3g} m {'higher' if higher > 0.0 else 'lower'}"
+
+
+def _scale(given: Array, found: Array, sigma: Array) -> tuple[float, float]:
+    """Times as long as the path found is the given one, and its sigma; inf where rows tell none.
+
+    Rows (m, 3) far from what the others say do not count.
+    """
+    weight = (sigma**-2.0) * np.isfinite(found).all(axis=1)[:, None]
+    for _ in range(_ROUNDS):
+        total = weight.sum(axis=0)
+        if not (total > 0.0).all():
+            return 1.0, np.inf
+        x = found - (weight * found).sum(axis=0) / total
+        y = given - (weight * given).sum(axis=0) / total
+        information = float((weight * x**2).sum())
+        if not information > 0.0:
+            return 1.0, np.inf
+        scale = float((weight * x * y).sum()) / information
+        square = ((y - scale * x) ** 2 / sigma**2).sum(axis=1)
+        near = np.asarray(square < chi2.isf(_CHANCE, 3) * max(1.0, _usual(square[weight[:, 0] > 0.0])))
+        weight = weight * near[:, None]
+    return scale, information**-0.5
+
+
+def _usual(square: Array) -> float:
+    """Robust size of squares of errors (n,) of three numbers over their sigmas: 1 where these are true."""
+    return float(np.median(square)) / _CHI_SQUARED_3
+
+
+def _row_misfits(problem: SequenceProblem, poses: FramePoses) -> list[Misfit]:
+    """Rows of the tables that miss the poses found by more than their sigmas allow."""
     moved = problem.images.position - poses.position - poses.bias[:3]
     turned = (poses.world_from_body.inv() * problem.images.world_from_body).as_rotvec() - poses.bias[3:]
     out = []
@@ -93,20 +264,31 @@ def table_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
         ("positions", moved, problem.known.along_world(), "m", 1.0),
         ("attitudes", turned, problem.known.attitude, "degrees", float(np.degrees(1.0))),
     ):
-        ratio, size = _missed(error, sigma)
-        if ratio > _MISSED:
+        given = np.flatnonzero(np.isfinite(sigma).all(axis=1) & np.isfinite(error).all(axis=1))
+        if not len(given):
+            continue
+        square = ((error[given] / sigma[given]) ** 2).sum(axis=1)
+        size = factor * np.linalg.norm(error[given], axis=1)
+        ratio = float(np.sqrt(_usual(square)))
+        if ratio > _MISSED and square.sum() > chi2.isf(_CHANCE, 3 * len(given)):
             out.append(
-                f"{what} of the tables miss the poses found by {factor * size:.2g} {unit}, {ratio:.2g} "
-                "times their sigma: are the sigmas too small, or rows of other frames?"
+                Misfit(
+                    f"{what} of the tables miss the poses found by {float(np.median(size)):.2g} {unit}, "
+                    f"{ratio:.2g} times their sigma: are the sigmas too small, or rows of other frames?",
+                    False,
+                )
+            )
+        gross = np.flatnonzero(square > max(1.0, ratio**2) * chi2.isf(_CHANCE / len(given), 3))
+        if len(gross):
+            worst = int(gross[np.argmax(square[gross])])
+            names = [str(problem.frames[k]) for k in given[gross[:_NAMED]]]
+            more = f" and {len(gross) - _NAMED} more" if len(gross) > _NAMED else ""
+            out.append(
+                Misfit(
+                    f"{what} of frames {', '.join(names)}{more} miss the poses found by up to "
+                    f"{size[worst]:.3g} {unit}, {np.sqrt(square[worst]):.3g} of their sigmas, far more than "
+                    "other rows: they pull the poses near them; take those rows out, or give larger sigmas",
+                    False,
+                )
             )
     return out
-
-
-def _missed(error: Array, sigma: Array) -> tuple[float, float]:
-    """Robust rms of errors (M, 3) over their sigmas, and their median size; 0 where too few are told."""
-    told = np.isfinite(sigma).all(axis=1) & np.isfinite(error).all(axis=1)
-    if told.sum() < _ROWS:
-        return 0.0, 0.0
-    square = ((error[told] / sigma[told]) ** 2).sum(axis=1)
-    size = np.linalg.norm(error[told], axis=1)
-    return float(np.sqrt(np.median(square) / _CHI_SQUARED_3)), float(np.median(size))
