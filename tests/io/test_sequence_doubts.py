@@ -24,7 +24,8 @@ from sightline.io.sequence.schema import SequenceFile
 
 
 def understood(made, folder):
-    return "\n".join(describe_sequence(read_sequence(made.write(folder)))["understood"])
+    said = describe_sequence(read_sequence(made.write(folder)))
+    return "\n".join(said["understood"] + said["missing"])
 
 
 def test_the_field_of_view_shows_a_focal_length_in_mm(tmp_path):
@@ -182,3 +183,55 @@ def test_whole_seconds_of_a_fast_camera(speed, stamp, doubted):
     # 0.3 s at 60 m/s are 18 m
     said = [words for words in warnings if "whole seconds" in words]
     assert bool(said) == doubted and (not doubted or "leaves 18 m along the flight" in said[0])
+
+
+@pytest.mark.parametrize(
+    ("frame", "row", "said", "doubted"),
+    [
+        ("local", lambda k: [0.0, 5.0 * k, 100.0], "x 0, y 0, z 100 m, flies north", ""),
+        # 1e-4 degrees a step, 5 of them: of latitude
+        ("local", lambda k: [2.35, 48.85 + 1e-4 * k, 100.0], "flies north", "span 0.0005 m.*degrees.*lonlat"),
+        ("local", lambda k: [0.0, 0.005 * k, 100.0], "flies north", "span 0.025 m.*in km"),
+        ("lonlat", lambda k: [-2.35 - 1e-4 * k, -48.85, 100.0], "2.35 W 48.85 S, 100 m, flies west", ""),
+    ],
+)
+def test_check_says_where_the_flight_is_and_doubts_degrees_taken_for_metres(
+    tmp_path, frame, row, said, doubted
+):
+    made = flight()
+    made.toml = made.toml.replace('"local"', f'"{frame}"')
+    for k, given in enumerate(made.positions):
+        given[2:5] = row(k)
+    if frame == "lonlat":  # attitudes in Earth-fixed axes are not of interest
+        made.toml = made.toml.replace('attitudes = "attitudes.csv"\n', "")
+        made.toml = made.toml.replace("attitude_bias_sigma = 0.01\n", "")
+    path = made.write(tmp_path)
+    description = describe_sequence(read_sequence(path))
+    assert any(said in words for words in description["understood"])
+    doubts = [words for words in description["missing"] if words.startswith("suspicious: positions span")]
+    assert bool(doubts) == bool(doubted)
+    if doubted:
+        assert re.search(doubted, doubts[0])
+        assert any(re.search(doubted, words) for words in read_sequence(path).problem.warnings)
+
+
+def test_sigmas_that_differ_are_each_said(tmp_path):
+    said = understood(flight(), tmp_path)
+    assert "positions of 6 frames, sigma x 1, y 1.5, z 2 m" in said
+    assert "attitudes of 6 frames, sigma roll 0.01, pitch 0.02, yaw 0.03 rad (roll 0.573" in said
+
+
+@pytest.mark.parametrize(("pitch", "refused"), [(0.0, False), (-60.0, False), (-90.0, True)])
+def test_pitch_of_a_gimbal_is_asked_about(tmp_path, pitch, refused):
+    made = flight()
+    made.headers["attitudes"] = "frame,t,yaw,pitch,roll"
+    made.attitudes = [[k, 0.5 * k, 0.0, pitch, 0.0] for k in range(6)]
+    path = made.write(tmp_path)
+    if refused:
+        with pytest.raises(FormatError, match=r"pitch, -90 degrees.*of the body.*gimbal"):
+            read_sequence(path)
+        return
+    warned = read_sequence(path).problem.warnings
+    assert any("gimbal" in words for words in warned) == (pitch < 0.0)
+    # no column of the table tells a sigma
+    assert any("6 attitudes tell no sigma: 0.035 rad (2.01 degrees)" in words for words in warned)

@@ -195,7 +195,8 @@ def test_geo_txt_gives_positions_and_angle_tables_attitudes(tmp_path):
     made.extra["opk.csv"] = "frame,omega,phi,kappa\n" + "".join(f"{k},0,0,180\n" for k in range(6))
     problem = load_sequence(made.write(tmp_path))
     up = problem.images.position / np.linalg.norm(problem.images.position, axis=1)[:, None]
-    assert len(problem.warnings) == 1 and "geo.txt: 6 heights are taken as they are" in problem.warnings[0]
+    heights, sigma = problem.warnings
+    assert "geo.txt: 6 heights are taken as they are" in heights and "6 attitudes tell no sigma" in sigma
     assert (problem.known.position_bias, problem.known.attitude_bias) == (2.0, 0.01)
     level = local_axes(np.radians(11.0), np.radians(48.0))
     body = level.inv() * problem.images.world_from_body

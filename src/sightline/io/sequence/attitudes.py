@@ -19,6 +19,7 @@ from sightline.io.acquisition.ground import exchanged_view_words
 from sightline.io.formats.angle_tables import (
     ENU_FROM_NED,
     OPK,
+    YPR,
     body_of_ypr,
     camera_of_opk,
     kind_of_angles,
@@ -38,6 +39,8 @@ ATTITUDE_SIGMAS = ("sigma_roll", "sigma_pitch", "sigma_yaw")
 QUATERNION = ("qx", "qy", "qz", "qw")
 #: rad from straight down beyond which angles of a mapping camera are taken to be wrong.
 _OFF_NADIR = np.radians(80.0)
+#: Degrees; pitch of a table of angles from which down on it is asked whether it is that of a gimbal.
+_GIMBAL_PITCH = -45.0
 
 
 def told_attitudes(
@@ -53,11 +56,11 @@ def told_attitudes(
     radii = radii_of(file)
     if file.attitudes is not None:
         path = files(file.attitudes)
-        told = _table_attitudes(file, path, frames, mount, position)
+        told = _table_attitudes(file, path, frames, mount, position, warnings)
     elif model is not None:
         path, told = model.path, model.attitudes
     elif frames.xmp:
-        path, told = frames.path, _gimbal_attitudes(file, frames, mount, position)
+        path, told = frames.path, _gimbal_attitudes(file, frames, mount, position, warnings)
     else:
         return None
     if told is None:
@@ -66,6 +69,7 @@ def told_attitudes(
     looks = Rotation.from_quat(told.values).apply(mount.as_matrix()[:, 2])
     off = np.arccos(np.clip(np.einsum("ni,ni->n", down, looks), -1.0, 1.0))
     wrong = off > _OFF_NADIR
+    gimbal = _gimbal_words(path) if file.attitudes is not None else ""
     exchanged = exchanged_view_words(position_at(frames.t, position, told.t), looks, radii)
     if wrong.all():
         raise FormatError(
@@ -73,8 +77,10 @@ def told_attitudes(
             "from straight down, "
             "away from the ground, in every frame; check qx,qy,qz,qw (world_from_body, scalar last), "
             "[camera] mount, "
-            f"and [world]; or remove the attitudes{exchanged}"
+            f"and [world]; or remove the attitudes{exchanged}{gimbal}"
         )
+    if gimbal:
+        warnings.append(f"{path.name}: {gimbal.removeprefix('; ')}")
     if exchanged:
         warnings.append(f"{path.name}: {exchanged.removeprefix('; ')}")
     if wrong.any():
@@ -87,13 +93,31 @@ def told_attitudes(
     return in_time(told.frame, told.t, told.values, told.sigma, ~wrong, common=told.common)
 
 
+def _gimbal_words(path: Path) -> str:
+    """A doubt, to end a message, where pitch of a table of angles is that of a gimbal."""
+    if kind_of_angles(path) != YPR:
+        return ""
+    pitch = float(np.median(np.asarray(read_columns(path, ("pitch",))["pitch"], dtype=np.float64)))
+    if pitch > _GIMBAL_PITCH:
+        return ""
+    return (
+        f"; pitch, {pitch:.3g} degrees in the middle, is that of the body: 0 in level flight with the camera "
+        "straight down. Is it that of a gimbal, which is -90 there? Then add 90 to each"
+    )
+
+
 def position_at(t: Array, position: Array, at: Array) -> Array:
     """Positions (n, 3) at other times than those of the frames."""
     return np.column_stack([np.interp(at, t, axis) for axis in position.T])
 
 
 def _table_attitudes(
-    file: SequenceFile, path: Path, frames: FrameList, mount: Rotation, position: Array
+    file: SequenceFile,
+    path: Path,
+    frames: FrameList,
+    mount: Rotation,
+    position: Array,
+    warnings: list[str],
 ) -> Told | None:
     header = header_of(path)
     kind = kind_of_angles(path)
@@ -118,6 +142,8 @@ def _table_attitudes(
         level = _axes_of_angles(file, path, position_at(frames.t, position, np.nan_to_num(t)))
         body = camera_of_opk(values) * mount.inv() if kind == OPK else body_of_ypr(values)
         attitude = level * body
+    if not with_sigma:
+        _say_assumed(file, warnings, len(t))
     sigma = sigmas_of(path, table, with_sigma, len(t), file.attitude_sigma)
     return in_time(frame, t, attitude.as_quat(), sigma, np.ones(len(t), dtype=np.bool_))
 
@@ -130,7 +156,18 @@ def _axes_of_angles(file: SequenceFile, path: Path, position: Array) -> Rotation
     return Rotation.concatenate([local_axes(*np.radians(origin[:2]))] * len(position))
 
 
-def _gimbal_attitudes(file: SequenceFile, frames: FrameList, mount: Rotation, position: Array) -> Told | None:
+def _say_assumed(file: SequenceFile, warnings: list[str], count: int) -> None:
+    """The sigma that is taken where none is given."""
+    if count and "attitude_sigma" not in file.model_fields_set:
+        warnings.append(
+            f"{count} attitudes tell no sigma: {file.attitude_sigma:.3g} rad "
+            f"({np.degrees(file.attitude_sigma):.3g} degrees) per axis is assumed; set attitude_sigma"
+        )
+
+
+def _gimbal_attitudes(
+    file: SequenceFile, frames: FrameList, mount: Rotation, position: Array, warnings: list[str]
+) -> Told | None:
     """Attitudes by the gimbals of photographs."""
     rows, turns = [], []
     for k, xmp in enumerate(frames.xmp):
@@ -143,6 +180,7 @@ def _gimbal_attitudes(file: SequenceFile, frames: FrameList, mount: Rotation, po
     frame = np.array(rows, dtype=np.intp)
     level = level_at(position[frame], radii_of(file))
     body = level * ENU_FROM_NED * Rotation.concatenate(turns) * mount.inv()
+    _say_assumed(file, warnings, len(rows))
     sigma = np.full((len(rows), 3), file.attitude_sigma)
     kept = np.ones(len(rows), dtype=np.bool_)
     return in_time(frame, frames.t[frame], body.as_quat(), sigma, kept, common=True)

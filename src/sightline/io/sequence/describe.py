@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.geometry.surface import Ellipsoid, Plane
-from sightline.io.camera_schema import field_of_view, wide_words
+from sightline.io.camera_schema import field_of_view
 from sightline.io.sequence.load import FrameSequence
 from sightline.io.sequence.outlook import map_words, overlap_words, program_words, time_words
+from sightline.io.whereabouts import flight_words
 from sightline.photogrammetry.flight.problem import SequenceProblem, seen_ground
 
 Array = NDArray[np.float64]
@@ -27,7 +28,7 @@ def describe_sequence(sequence: FrameSequence) -> dict[str, Any]:
     problem = sequence.problem
     return {
         "understood": _understood(sequence),
-        "missing": _missing(problem) + program_words(sequence),
+        "missing": _missing(sequence) + program_words(sequence),
         "observable": _observable(problem) + map_words(sequence),
         "frames": len(problem),
         "usable": int(problem.usable.sum()),
@@ -53,6 +54,9 @@ def _understood(sequence: FrameSequence) -> list[str]:
         _focal_words(problem),
         _filter_words(problem),
     ]
+    known = np.isfinite(problem.known.position).all(axis=1)
+    if known.any():
+        said.append(f"the first position: {flight_words(problem.images.position[known], problem.radii)}")
     if np.isfinite(problem.known.position).any():
         said.append(
             f"by the rough poses{_over(problem)} a frame covers {length:.4g} m along its lines; a subset of "
@@ -71,16 +75,28 @@ def _understood(sequence: FrameSequence) -> list[str]:
         own = np.isfinite(sigma).all(axis=1)
         if own.any():
             said.append(
-                f"{what} of {int(own.sum())} frames, sigma {float(np.median(sigma[own])):.3g} {unit}"
-                + (f" ({np.degrees(float(np.median(sigma[own]))):.3g} degrees)" if unit == "rad" else "")
+                f"{what} of {int(own.sum())} frames, sigma {_sigma_words(sigma[own], unit)}"
                 + (f", with a constant error of {bias:.3g} {unit}" if bias else "")
                 + (f" ({np.degrees(bias):.3g} degrees)" if bias and unit == "rad" else "")
             )
     if problem.control is not None and problem.control_tracks is not None:
         said.append(f"{len(problem.control.point)} control points, seen {len(problem.control_tracks)} times")
-    doubted = wide_words(problem.detector)
-    said += [f"note: {words}" for words in problem.warnings if words not in doubted]
+    said += [f"note: {words}" for words in problem.warnings if words not in sequence.doubts]
     return said
+
+
+def _sigma_words(sigma: Array, unit: str) -> str:
+    """Usual sigma of each axis (n, 3) m or rad, once where they are alike."""
+    usual = [f"{value:.3g}" for value in np.median(sigma, axis=0)]
+    axes = ("x", "y", "z") if unit == "m" else ("roll", "pitch", "yaw")
+    degrees = [f"{value:.3g}" for value in np.degrees(np.median(sigma, axis=0))]
+
+    def each(values: list[str], unit: str) -> str:
+        if len(set(values)) == 1:
+            return f"{values[0]} {unit}"
+        return ", ".join(f"{axis} {value}" for axis, value in zip(axes, values, strict=True)) + f" {unit}"
+
+    return each(usual, unit) + (f" ({each(degrees, 'degrees')})" if unit == "rad" else "")
 
 
 def _over(problem: SequenceProblem) -> str:
@@ -118,9 +134,10 @@ def _filter_words(problem: SequenceProblem) -> str:
     return "no filter: panchromatic"
 
 
-def _missing(problem: SequenceProblem) -> list[str]:
+def _missing(sequence: FrameSequence) -> list[str]:
+    problem = sequence.problem
     lost = np.flatnonzero(~problem.usable)
-    said = [f"suspicious: {words}" for words in wide_words(problem.detector)]
+    said = [f"suspicious: {words}" for words in sequence.doubts]
     said += [f"frame {problem.frames[k]}: {problem.excluded[k]}" for k in lost[:LISTED]]
     if len(lost) > LISTED:
         said.append(f"and {len(lost) - LISTED} more frames that cannot be used")

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError, GeometryError
 from sightline.geometry.checks import read_only
-from sightline.geometry.earth import to_geodetic
+from sightline.geometry.earth import from_geodetic, to_geodetic
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Dem, Surface
@@ -36,9 +36,10 @@ from sightline.io.sequence.matched_rows import is_local, radii_of
 from sightline.io.sequence.poses import check_places, starting_poses
 from sightline.io.sequence.positions import place_of
 from sightline.io.sequence.schema import LEAST_NM, CubeSection, SequenceCamera, SequenceFile, WavelengthRange
+from sightline.io.whereabouts import level_axes_at, span_doubts
 from sightline.photogrammetry.block.point_priors import ControlPoints
 from sightline.photogrammetry.flight.outlook import unit_doubts
-from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.photogrammetry.flight.problem import SequenceProblem, seen_ground
 from sightline.photogrammetry.sightings import Images
 from sightline.result import set_source
 
@@ -75,6 +76,8 @@ class FrameSequence:
         Image of each frame.
     inputs : tuple of Path
         Every other file that was read.
+    doubts : tuple of str
+        What was given and is hardly meant; the problem's warnings have it too.
     """
 
     path: Path
@@ -84,6 +87,7 @@ class FrameSequence:
     cube: CubeSection
     files: tuple[Path, ...] = field(repr=False)
     inputs: tuple[Path, ...] = field(repr=False)
+    doubts: tuple[str, ...] = ()
 
     def input_hashes(self) -> dict[str, str]:
         """SHA-256 of every input file by its name, and of all images together as ``frames``."""
@@ -178,10 +182,27 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
             *_lost(frames, reasons),
         ),
     )
-    problem = replace(problem, warnings=(*problem.warnings, *unit_doubts(problem)))
+    doubts = (*unit_doubts(problem), *_span_doubts(problem, file))
+    problem = replace(problem, warnings=(*problem.warnings, *doubts))
     return FrameSequence(
-        path, file.sequence.name, problem, file.world, file.cube, frames.files, tuple(files.used)
-    )
+        path, file.sequence.name, problem, file.world, file.cube, frames.files, tuple(files.used),
+        (*wide_words(detector), *doubts),
+    )  # fmt: skip
+
+
+def _span_doubts(problem: SequenceProblem, file: SequenceFile) -> tuple[str, ...]:
+    """A doubt where the places of a table of metres hardly differ."""
+    known = np.isfinite(problem.known.position).all(axis=1)
+    if file.world.frame != "local" or not known.any():
+        return ()
+    places = problem.images.position[known]
+    if problem.radii is not None and file.world.origin is not None:
+        lon, lat, height = file.world.origin
+        origin = from_geodetic([[*np.radians([lon, lat]), height]], problem.radii)[0]
+        places = (places - origin) @ level_axes_at(origin, problem.radii).T
+    seen = np.linalg.norm(seen_ground(problem) - problem.images.position, axis=1)
+    seen = seen[np.isfinite(seen)]
+    return span_doubts(places, float(np.median(seen))) if len(seen) else ()
 
 
 def _exchanged_words(

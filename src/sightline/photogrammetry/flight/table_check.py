@@ -188,21 +188,21 @@ def _scale_misfits(problem: SequenceProblem, poses: FramePoses) -> list[Misfit]:
     if not problem.height_sigma > 0.0 or len(rows) < 2 or not len(points):
         return []
     surface = HeightPrior(problem.surface, problem.height_sigma, problem.radii)
-    ground = float(np.nanmedian(surface.above(points)[0]))
+    above = surface.above(points)[0]
     given = surface.above(np.asarray(images.position[rows]))[0]
-    found = surface.above(np.asarray(poses.position[rows]))[0] - ground
-    if not (np.isfinite(given).any() and np.isfinite(found).any() and np.isfinite(ground)):
+    found = surface.above(np.asarray(poses.position[rows]))[0]
+    if not all(np.isfinite(heights).any() for heights in (above, given, found)):
         return []
     sigma = known.along_world()[rows]
     up = level_axes(np.asarray(images.position[rows]), problem.radii)[0]
     level = np.sqrt((sigma**2 * up**2).sum(axis=1))
     scale, loose = _scale(images.position[rows], poses.position[rows], sigma)
-    by_heights, seen = float(np.nanmedian(given)), float(np.nanmedian(found))
+    by_heights, seen = float(np.nanmedian(given)), float(np.nanmedian(found) - np.nanmedian(above))
     by_path = scale * seen
     spread = np.sqrt(
         problem.height_sigma**2 + known.position_bias**2 + 1.0 / (level**-2.0).sum() + (seen * loose) ** 2
     )
-    sigmas = abs(by_heights - by_path) / spread
+    sigmas = abs(by_heights - by_path) / float(spread)
     if not sigmas**2 > chi2.isf(_CHANCE, 1) or not min(by_heights, by_path) > 0.0:
         return []
     factor = by_heights / by_path
@@ -233,7 +233,7 @@ def _scale(given: Array, found: Array, sigma: Array) -> tuple[float, float]:
 
     Rows (m, 3) far from what the others say do not count.
     """
-    weight = (sigma**-2.0) * np.isfinite(found).all(axis=1)[:, None]
+    weight = (sigma**-2.0) * np.expand_dims(np.isfinite(found).all(axis=1), 1)
     for _ in range(_ROUNDS):
         total = weight.sum(axis=0)
         if not (total > 0.0).all():
@@ -245,8 +245,8 @@ def _scale(given: Array, found: Array, sigma: Array) -> tuple[float, float]:
             return 1.0, np.inf
         scale = float((weight * x * y).sum()) / information
         square = ((y - scale * x) ** 2 / sigma**2).sum(axis=1)
-        near = np.asarray(square < chi2.isf(_CHANCE, 3) * max(1.0, _usual(square[weight[:, 0] > 0.0])))
-        weight = weight * near[:, None]
+        near = np.array(square < chi2.isf(_CHANCE, 3) * max(1.0, _usual(square[weight[:, 0] > 0.0])))
+        weight = weight * np.expand_dims(near, 1)
     return scale, information**-0.5
 
 
