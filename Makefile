@@ -17,9 +17,6 @@ UV ?= uv
 # Compiled kernels are kept here between runs and shared by the worker processes of the tests.
 export NUMBA_CACHE_DIR ?= $(abspath $(VENV))/numba-cache
 
-# Figures on real data are made of these sets; nothing else looks for them (the tests do so themselves).
-validate bench: export SIGHTLINE_DATA ?= $(abspath ../shared/data)
-
 .PHONY: all check style test fuzz demo validate bench report-check constraints environment clean
 
 all: check test
@@ -59,7 +56,7 @@ test: $(DEV)  ## all tests; what had to be left out is named at the end
 fuzz: $(DEV)  ## spoilt inputs for every reader, MINUTES long; a new seed each time unless SEED is given
 	OMP_NUM_THREADS=1 $(BIN)/python -m tests.fuzz --minutes $(MINUTES) $(if $(filter command line environment,$(origin SEED)),--seed $(SEED)) $(ARGS)
 
-validate: $(DEV)  ## accuracy and honesty of sigma against truth: refreshes docs/validation.md, ends with 1 for a missed figure
+validate: $(DEV)  ## accuracy and honesty of sigma against truth (SIGHTLINE_DATA names the folder of the real data): refreshes docs/validation.md, ends with 1 for a missed figure
 	@missed=; for script in $(filter-out %/gates.py %/point_flights.py,$(wildcard validation/*.py)); do echo "== $$script"; $(BIN)/python $$script || missed="$$missed $$script"; done; \
 		test -z "$$missed" || { echo "figures missed, or not printed, by:$$missed"; exit 1; }
 

@@ -333,6 +333,33 @@ def test_warnings_of_other_libraries_are_not_shown(monkeypatch, capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.parametrize(
+    ("name", "given"),
+    [
+        *(("SOURCE_DATE_EPOCH", given) for given in ("abc", "1e9", "", "1" * 23)),
+        *(("TERMINAL_WIDTH", given) for given in ("abc", " ", "9" * 5000)),
+    ],
+)
+@pytest.mark.parametrize("words", [["version"], ["check", "a.toml"], ["recover", "--help"]])
+def test_a_variable_that_libraries_stumble_over_is_refused_before_any_command(
+    monkeypatch, capsys, name, given, words
+):
+    monkeypatch.setenv(name, given)
+    assert command.run(words) == 2
+    assert f"error: {name} is" in capsys.readouterr().err
+
+
+def test_a_variable_that_the_compiler_stumbles_over_is_refused():
+    code = (
+        "from sightline.cli import main, check\n"
+        "check.describe = lambda file: __import__('sightline.compiled')\n"
+        "raise SystemExit(main.run(['check', 'a.toml']))"
+    )
+    given = {**os.environ, "NUMBA_NUM_THREADS": "0"}
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=given, timeout=120)
+    assert run.returncode == 2 and "NUMBA_" in run.stderr and "defect" not in run.stderr, run.stderr
+
+
 def test_what_a_command_lets_be_opened_ends_with_it(tmp_path, monkeypatch):
     from sightline.access import current_access
 

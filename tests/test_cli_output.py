@@ -549,6 +549,22 @@ def test_undoing_goes_through_no_link(tmp_path):
     assert content(tmp_path / "data") == before and staging.exists()
 
 
+@pytest.mark.parametrize("linked", ["old", "new", "old/maps", "new/maps"])
+def test_undoing_takes_nothing_from_behind_a_link_in_what_was_left(tmp_path, linked):
+    write(tmp_path / "out", EARLIER)
+    staging = _as_killed_when_all_was_moved(tmp_path / "out")
+    place, data = staging / linked, tmp_path / "data"
+    shutil.copytree(place, data) if place.is_dir() else data.mkdir()
+    write(data, {"motion.csv": "precious", "maps/1.tif": "precious", "1.tif": "precious"})
+    shutil.rmtree(place, ignore_errors=True)
+    _link(place, data)
+    before, there = content(data), content(tmp_path / "out")
+    with pytest.raises(InputError, match=r"is no folder|was changed after a run was killed"):
+        with output_folder(tmp_path / "out", overwrite=True):
+            pass
+    assert content(data) == before and content(tmp_path / "out") == there
+
+
 def test_a_move_that_fails_half_way_puts_everything_back(tmp_path, monkeypatch):
     write(tmp_path, EARLIER)
     before, rename = content(tmp_path), os.rename

@@ -225,7 +225,20 @@ def test_a_process_has_the_whole_processors_of_its_quota_and_one_at_least(groups
 
 @pytest.mark.parametrize(
     ("asked", "processors"),
-    [("1", 1), ("3", 3), (" 5 ", 5), ("4,2", 4), ("64", 16), ("0", 16), ("-2", 16), ("all", 16), ("", 16)],
+    [
+        ("1", 1),
+        ("3", 3),
+        (" 5 ", 5),
+        ("4,2", 4),
+        ("64", 16),
+        ("0", 16),
+        ("-2", 16),
+        ("all", 16),
+        ("", 16),
+        ("9" * 5000, 16),
+        ("0" * 5000, 16),
+        ("00003", 3),
+    ],
 )
 def test_omp_num_threads_bounds_the_threads_and_a_word_without_a_number_does_not(
     groups, monkeypatch, asked, processors

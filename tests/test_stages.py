@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 import time
 from dataclasses import dataclass
 
@@ -56,7 +57,7 @@ def test_a_result_is_the_same_when_it_is_found(tmp_path):
     assert not (tmp_path / "kept").exists()
 
 
-@pytest.mark.parametrize("damage", ["cut", "flipped", "text", "empty", "other"])
+@pytest.mark.parametrize("damage", ["cut", "flipped", "text", "empty", "newer", "locked", "method", "other"])
 def test_damaged_and_foreign_files_are_passed_over_with_a_warning(tmp_path, damage):
     Stages(tmp_path).stage("one", Result, result)
     path = tmp_path / "one.stage.npz"
@@ -67,6 +68,15 @@ def test_damaged_and_foreign_files_are_passed_over_with_a_warning(tmp_path, dama
         # a bit within the numbers, which the sum of the archive's member tells
         at = data.index(result().numbers.tobytes()[:16])
         data[at] ^= 1
+        path.write_bytes(data)
+    elif damage in ("newer", "locked", "method"):
+        # version, flags and method of compression that each entry of the archive's directory claims
+        for at in (found.start() for found in re.finditer(b"PK\x01\x02", data)):
+            data[at + {"newer": 6, "locked": 8, "method": 10}[damage]] = {
+                "newer": 100,
+                "locked": 1,
+                "method": 99,
+            }[damage]
         path.write_bytes(data)
     elif damage == "text":
         path.write_text("not an archive")

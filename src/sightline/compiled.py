@@ -24,15 +24,23 @@ from functools import cache as once
 from hashlib import sha256
 from typing import Any
 
-import numba
-from numba.core import config
-from numba.core.caching import (
-    CompileResultCacheImpl,
-    FunctionCache,
-    InTreeCacheLocator,
-    UserProvidedCacheLocator,
-    UserWideCacheLocator,
-)
+from sightline.errors import InputError, foreign_errors
+
+with foreign_errors(
+    "the compiler of the kernels",
+    "numba cannot be loaded",
+    "look at the environment variables that begin with NUMBA_, and unset them",
+    raises=InputError,
+):
+    import numba
+    from numba.core import config
+    from numba.core.caching import (
+        CompileResultCacheImpl,
+        FunctionCache,
+        InTreeCacheLocator,
+        UserProvidedCacheLocator,
+        UserWideCacheLocator,
+    )
 
 # Modules may be imported on several threads: one choice, said once.
 _LOCK = threading.RLock()

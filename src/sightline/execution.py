@@ -36,6 +36,8 @@ _IN_FLIGHT_PER_WORKER = 3
 #: What libraries of linear algebra read when they are loaded; more particular than OMP_NUM_THREADS.
 BLAS_THREADS = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 
+# Of a number of threads that is read at all: Python refuses thousands of them.
+_DIGITS = 9
 # What the system says of this process.
 _PROC = Path("/proc/self")
 
@@ -302,8 +304,9 @@ def available_processors() -> int:
         counts = [os.cpu_count() or 1]
     counts += [int(quota) for quota in _control_limits("cpu", ("cpu.max", "cpu.cfs_quota_us"), _processors)]
     asked = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()  # "4,2": two nested levels
-    if asked.isdecimal() and int(asked) > 0:
-        counts.append(int(asked))
+    if asked.isdecimal():
+        most = int(asked[:_DIGITS]) if len(asked) <= _DIGITS else counts[0]  # more than there are, or zeros
+        counts.append(most or counts[0])
     return max(1, min(counts))
 
 

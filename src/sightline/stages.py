@@ -16,7 +16,6 @@ import os
 import time
 import types
 import typing
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar
@@ -25,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sightline.errors import said_by
 from sightline.version import VERSION
 
 T = TypeVar("T")
@@ -91,8 +91,8 @@ class Stages:
             try:
                 seconds = float(held.pop(_SECONDS))
                 result = unpack(kind, held)
-            except (KeyError, TypeError, ValueError) as error:
-                self._pass_over(name, str(error))
+            except Exception as error:  # whatever arrays that are not those of `kind` lead to
+                self._pass_over(name, said_by(error))
             else:
                 self.found.append(name)
                 self.taken_over += seconds
@@ -170,8 +170,8 @@ class Stages:
                     self._pass_over(name, "it is of other frames, options or another version")
                     return None
                 return {key: file[key] for key in file.files if key != _KEY}
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-            self._pass_over(name, f"it cannot be read ({error})")
+        except Exception as error:  # a damaged file: whatever unpacking it raises
+            self._pass_over(name, f"it cannot be read ({said_by(error)})")
             return None
 
     def _pass_over(self, name: str, why: str) -> None:

@@ -332,10 +332,44 @@ def test_formats_that_hold_their_pixels_are_drivers_that_there_are():
     with rasterio.Env() as environment:
         known = environment.drivers()
     # those left out of this build of GDAL are in others
-    assert {"GTiff", "PNG", "JPEG", "ENVI", "ISIS3", "PDS4", "netCDF", "JP2OpenJPEG"} <= set(
-        LOCAL_DRIVERS
-    ) & set(known)
+    assert {"GTiff", "PNG", "JPEG", "ENVI", "ISIS3", "PDS4", "JP2OpenJPEG"} <= set(LOCAL_DRIVERS) & set(known)
     assert not {"VRT", "GTI", "WMS", "WMTS", "WCS", "HTTP", "STACIT", "STACTA", "MRF"} & set(LOCAL_DRIVERS)
+    assert not {"HDF4", "HDF5", "HDF5Image", "netCDF", "BAG", "KEA", "S102", "PCIDSK", "SDTS"} & set(
+        LOCAL_DRIVERS
+    )
+
+
+@pytest.mark.parametrize("before", [0, 512, 4096])
+@pytest.mark.parametrize("listed", [False, True])
+def test_hdf5_and_netcdf_4_are_refused_as_their_data_may_lie_anywhere(tmp_path, before, listed):
+    path = tmp_path / "a.nc"
+    path.write_bytes(bytes(before) + b"\x89HDF\r\n\x1a\n" + bytes(2000))
+    (tmp_path / "folder").mkdir()
+    asked = write(tmp_path / "folder", a_vrt=vrt("../a.nc")) if listed else path
+    with pytest.raises(FormatError, match=r"is HDF5 \(as netCDF-4 is\)"):
+        open_raster(asked, Access((tmp_path,)))
+
+
+def classic_netcdf() -> bytes:
+    """Two by three bytes as netCDF-3: dimensions y, x; one variable."""
+
+    def name(text: str) -> bytes:
+        return len(text).to_bytes(4, "big") + text.encode().ljust(4, b"\0")
+
+    def number(value: int) -> bytes:
+        return value.to_bytes(4, "big")
+
+    head = b"CDF\1" + number(0) + number(10) + number(2) + name("y") + number(2) + name("x") + number(3)
+    head += number(0) * 2 + number(11) + number(1) + name("z") + number(2) + number(0) + number(1)
+    head += number(0) * 2 + number(1) + number(8)
+    return head + number(len(head) + 4) + bytes([1, 2, 3, 4, 5, 6, 0, 0])
+
+
+def test_classic_netcdf_holds_its_data_and_is_read(tmp_path):
+    path = tmp_path / "a.nc"
+    path.write_bytes(classic_netcdf())
+    with open_raster(path) as dataset:
+        assert sorted(dataset.read(1).ravel().tolist()) == [1, 2, 3, 4, 5, 6]
 
 
 @pytest.mark.parametrize(

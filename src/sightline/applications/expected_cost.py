@@ -235,14 +235,19 @@ def maps_cost(frames: int, shape: tuple[int, int], grid: tuple[int, int], bands:
     seen, made = float(frames) * shape[0] * shape[1], float(grid[0]) * grid[1] * bands
     if made > MOST_MAPPED:
         raise InputError(
-            f"[cube] {bands:,} maps of {grid[0]:,} rows x {grid[1]:,} columns are {size_words(4.0 * made)} "
+            f"[cube] {_maps(bands)} of {grid[0]:,} rows x {grid[1]:,} columns: {size_words(4.0 * made)} "
             "before compression; give a larger gsd (m), fewer bands, or correct positions and heights"
         )
     return Cost(
         3e-7 * (seen + made),
         BASE_BYTES + 0.3e9,
-        f"[cube] {bands:,} maps of {grid[0]:,} rows x {grid[1]:,} columns (gsd)",
+        f"[cube] {_maps(bands)} of {grid[0]:,} rows x {grid[1]:,} columns (gsd)",
     )
+
+
+def _maps(bands: int) -> str:
+    """So many maps, in words."""
+    return f"{bands:,} map{'s' if bands != 1 else ''}"
 
 
 def rendering_cost(pixels: float, ground: float, of: str) -> Cost:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import os
+import re
 import signal
 import sys
 from contextvars import copy_context
@@ -35,9 +36,10 @@ from sightline.cli import (
     version,
 )
 from sightline.cli.terminal import complain, warnings_as_messages
-from sightline.errors import EstimationError, GeometryError, SightlineError
+from sightline.errors import EstimationError, GeometryError, InputError, SightlineError
 from sightline.execution import BLAS_THREADS
 from sightline.output.folder import Interrupted, published
+from sightline.writing import creation_date
 
 # Named through typer, because its newer versions carry a click of their own.
 _UsageError: Any = typer.BadParameter.__base__
@@ -143,6 +145,7 @@ def run(words: list[str], *, debug: bool = False) -> int:
     _ended_by.clear()
     published.clear()
     try:
+        _check_environment()
         with warnings_as_messages():
             # what a command lets be opened ends with it
             status = copy_context().run(app, words, prog_name="sightline", standalone_mode=False)
@@ -162,6 +165,17 @@ def run(words: list[str], *, debug: bool = False) -> int:
     except Exception as error:
         return _failed(error, debug)
     return status if isinstance(status, int) else 0
+
+
+def _check_environment() -> None:
+    """InputError for variables that libraries read where they are loaded, in words of their own."""
+    creation_date()
+    given = os.environ.get("TERMINAL_WIDTH", "")
+    if given and not re.fullmatch("[0-9]{1,5}", given):
+        raise InputError(
+            f"TERMINAL_WIDTH is {given[:40]!r}; columns of the terminal are expected, at most 99999; "
+            "correct it, or unset it"
+        )
 
 
 def _failed(error: Exception, debug: bool) -> int:

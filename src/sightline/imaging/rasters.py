@@ -36,18 +36,18 @@ from sightline.errors import FormatError, SightlineError, foreign_errors
 #: strips); an environment variable GDAL_CACHEMAX that is already set prevails.
 CACHE_MIB = 64
 #: Drivers of GDAL whose files hold their pixels, or have them in files of the same name beside them, or refer
-#: to others by labels that `_pointed` reads.
+#: to others by labels that are read here. None of HDF4, HDF5 and what is built on it (netCDF-4, BAG, KEA,
+#: S-100), PCIDSK, PAux, SNODAS and SDTS: they name other files where only their own libraries find them.
 LOCAL_DRIVERS = (
     "GTiff", "COG", "LIBERTIFF", "SNAP_TIFF", "JPEG", "JPEGXL", "PNG", "GIF", "BIGGIF", "BMP", "WEBP",
     "AVIF", "HEIF", "JP2OpenJPEG", "JP2KAK", "JP2ECW", "JP2Lura", "JP2MrSID", "JPEGLS", "ECW", "MrSID",
-    "ENVI", "EHdr", "NITF", "HFA", "netCDF", "HDF4", "HDF4Image", "HDF5", "HDF5Image", "BAG", "KEA", "S102",
-    "S104", "S111", "GRIB", "FITS", "ISIS2", "ISIS3", "PDS", "PDS4", "VICAR", "PCIDSK", "SRTMHGT", "DTED",
-    "USGSDEM", "AAIGrid", "GRASSASCIIGrid", "ISG", "GSAG", "GSBG", "GS7BG", "XYZ", "ACE2", "AIG", "BT",
-    "BYN", "GTX", "NTv2", "CTable2", "NGSGEOID", "LOSLAS", "ROI_PAC", "ISCE", "RMF", "SAGA", "RST",
+    "ENVI", "EHdr", "NITF", "HFA", "GRIB", "FITS", "ISIS2", "ISIS3", "PDS", "PDS4", "VICAR", "SRTMHGT",
+    "DTED", "USGSDEM", "AAIGrid", "GRASSASCIIGrid", "ISG", "GSAG", "GSBG", "GS7BG", "XYZ", "ACE2", "AIG",
+    "BT", "BYN", "GTX", "NTv2", "CTable2", "NGSGEOID", "LOSLAS", "ROI_PAC", "ISCE", "RMF", "SAGA", "RST",
     "RRASTER", "PCRaster", "ZMap", "SGI", "PNM", "TGA", "XPM", "Leveller", "Terragen", "HF2", "GXF",
-    "SIGDEM", "NWT_GRD", "NWT_GRC", "LCP", "SDTS", "CEOS", "SAR_CEOS", "JAXAPALSAR", "ESAT", "L1B",
+    "SIGDEM", "NWT_GRD", "NWT_GRC", "LCP", "CEOS", "SAR_CEOS", "JAXAPALSAR", "ESAT", "L1B",
     "NOAA_B", "COSAR", "AirSAR", "DIPEx", "ELAS", "FIT", "GFF", "GSC", "IRIS", "JDEM", "KRO", "LAN",
-    "MSGN", "NSIDCbin", "PAux", "BSB", "BLX", "CALS", "CTG", "DOQ1", "DOQ2", "E00GRID", "GenBin", "SNODAS",
+    "MSGN", "NSIDCbin", "BSB", "BLX", "CALS", "CTG", "DOQ1", "DOQ2", "E00GRID", "GenBin",
 )  # fmt: skip
 #: Bytes of a file that are looked at to tell what it is, and that a description of other files may have.
 HEAD, LARGEST_LIST = 65536, 64 << 20
@@ -71,7 +71,10 @@ _POINTER = re.compile(r"^\s*\^\s*\w+\s*=\s*\(?\s*(?:\"([^\"\n]+)\"|'([^'\n]+)'|(
 _BESIDE, _NOTES = (".ovr", ".OVR", ".msk", ".MSK"), ".aux.xml"
 _RASTERS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"EHFA")
 #: What files begin with that nothing but a driver of `LOCAL_DRIVERS` takes.
-_KNOWN = (*_RASTERS, b"\xff\xd8\xff", b"\x89PNG", b"\0\0\0\x0cjP", b"NITF", b"CDF", b"\x89HDF")
+_CLASSIC = (b"CDF\1", b"CDF\2", b"CDF\5")  # of netCDF: such files hold all of their data
+_KNOWN = (*_RASTERS, b"\xff\xd8\xff", b"\x89PNG", b"\0\0\0\x0cjP", b"NITF", *_CLASSIC)
+#: What HDF5 begins with, at the start or after a block of 512 bytes, 1024, 2048 ...
+_HDF5 = b"\x89HDF\r\n\x1a\n"
 
 # Filters of warnings belong to the process: only one thread at a time may change them.
 _OPENING = threading.Lock()
@@ -126,7 +129,7 @@ def open_raster(path: Path, access: Access | None = None) -> Any:
     check_file(path)
     check = _References(path, access)
     try:
-        drivers = ("VRT",) if check.follow(path) else drivers
+        drivers = check.follow(path) or drivers
     except FormatError as error:
         if str(error).startswith(f"{path}: "):
             raise
@@ -182,15 +185,15 @@ class _References:
         self.folders = folders_for(owner, access)
         self.seen: set[Path] = set()
 
-    def follow(self, path: Path, depth: int = 0, *, bare: bool = False) -> bool:
-        """Check a file, those beside it and those that it names; whether it is a VRT."""
+    def follow(self, path: Path, depth: int = 0, *, bare: bool = False) -> tuple[str, ...]:
+        """Check a file, those beside it and those that it names; the drivers it is for, none: the usual."""
         advice = "check the name" if depth == 0 else f"{self.owner.name} refers to it"
         check_file(path, advice)
         if depth:
             check_inside(path, self.folders, self.owner)
         real = path.resolve()
         if bare or real in self.seen:
-            return False
+            return ()
         self.seen.add(real)
         if len(self.seen) > MOST_FILES or depth > DEEPEST:
             raise FormatError(
@@ -205,7 +208,13 @@ class _References:
         asks = _ASKS.search(text)
         if marked and _LISTS in text:
             self._names(path, _named_in(path), depth)
-            return True
+            return ("VRT",)
+        if any(head.startswith(_HDF5, at) for at in (0, *(512 << k for k in range(8)))):
+            raise FormatError(
+                f"{self.owner}: {'' if depth == 0 else f'refers to {path}, which '}is HDF5 (as netCDF-4 is), "
+                "whose data may lie in other files that cannot be checked; make a GeoTIFF of it "
+                "(gdal_translate)"
+            )
         if marked and asks is not None:
             if not self.access.network:
                 word = (asks[1] or asks[0]).decode("latin-1").strip('"')
@@ -221,7 +230,7 @@ class _References:
             raise FormatError(f"{self.owner}: refers to {path}, which holds no pixels; name rasters that do")
         elif depth and not head.startswith(_KNOWN):
             _opened(path, os.path.abspath(path), LOCAL_DRIVERS, self.access).close()
-        return False
+        return ("netCDF",) if head.startswith(_CLASSIC) else ()
 
     def counted(self, names: Sequence[str]) -> None:
         """Check what GDAL itself counts among the files of the raster."""

@@ -17,7 +17,8 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 
-from sightline.errors import InputError
+from sightline.access import read_json
+from sightline.errors import InputError, SightlineError
 from sightline.inputs import Inputs
 from sightline.writing import whole
 
@@ -169,10 +170,19 @@ def roll_back(folder: Path, staging: Path) -> None:
     journal = staging / JOURNAL
     if kind_of(journal) != "file":
         return
-    for move in reversed(_read(journal)):
+    moves = _read(journal)
+    for place in (staging / OLD, staging / NEW):
+        if kind_of(place) != "folder":
+            raise InputError(
+                f"{place}: is no folder, as where a run was killed that was moving files; nothing was moved: "
+                f"look at {staging}, then remove it"
+            )
+    for move in moves:  # before the first of them is undone
+        for place in (folder, staging / OLD, staging / NEW):
+            if not _unlinked(place, move.name):
+                raise _cannot_undo(move.at(place), staging)
+    for move in reversed(moves):
         final, old, new = (move.at(place) for place in (folder, staging / OLD, staging / NEW))
-        if not _unlinked(folder, move.name):
-            raise _cannot_undo(final, staging)
         if move.kind == "folder":
             with suppress(OSError):
                 final.rmdir()
@@ -192,9 +202,9 @@ def roll_back(folder: Path, staging: Path) -> None:
 def _read(journal: Path) -> list[_Move]:
     """The steps of a journal; InputError where it is none of ours."""
     try:
-        moves = [_Move(**entry) for entry in json.loads(journal.read_text(encoding="utf-8"))]
+        moves = [_Move(**entry) for entry in read_json(journal, "a journal")]
         valid = all(isinstance(move.name, str) and move.is_safe() for move in moves)
-    except (OSError, ValueError, TypeError, RecursionError):
+    except (SightlineError, TypeError):
         valid = False
     if not valid:
         raise InputError(
