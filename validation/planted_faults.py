@@ -80,6 +80,11 @@ EQUIVALENT = {
     "if places[0] * places[0] <= _MOST_DIRECT:": "the other way to the same surface",
     "position = np.column_stack([1e4 * (2 * camera - 1) + 2500.0 * shot, 0.0 * shot, "
     "np.full(2 * shots, 5e4)])": "numbers that only load compiled code",
+    "value = position[m, axis] + less * nodes[m]": "a steady shift by the way of others",
+    "points = rays.origins - ranges[rows, None] * rays.directions": "of the same tangents",
+    "back = [mount.T @ _TURNS @ mount for mount in mounts]": "of each error only the square counts",
+    "scale = 1.01 * distance[:, -1:] - 1e-9": "what keeps a distance of nothing from being divided by",
+    "loose = 2.5 * plan.pointing_error * partner.detector.focal_length_px / k": "a margin of a search",
     "peak[k, axis] += np.clip(0.625 * (low - high) / bend, -0.5, 0.5)": "a start of steps",
 }
 

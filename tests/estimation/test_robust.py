@@ -8,7 +8,7 @@ import pytest
 from sightline.errors import InputError
 from sightline.estimation.evidence import posterior
 from sightline.estimation.prior import Matern, Spectrum
-from sightline.estimation.robust import expected_innovations, student_weights
+from sightline.estimation.robust import expected_innovations, robust_sigma, robust_sigmas, student_weights
 from sightline.estimation.series import DifferenceSeries, Grid, normal_equations
 
 STEP, N = 1e-3, 500
@@ -75,3 +75,16 @@ def test_bad_input_is_named() -> None:
         student_weights(np.ones(3), degrees=0.0)
     with pytest.raises(InputError, match="30 subdiagonals"):
         expected_innovations(PRIOR, np.zeros(N), np.zeros((5, N)))
+
+
+def test_the_robust_sigma_is_that_of_gaussian_numbers_whatever_a_few_outliers_are():
+    rng = np.random.default_rng(3)
+    noise = rng.normal(size=(20_000, 3)) * [1.0, 2.0, 5.0]
+    # the median size of n numbers is known to 1.17 / sqrt(n)
+    np.testing.assert_allclose(robust_sigmas(noise, axis=0), [1.0, 2.0, 5.0], rtol=0.03)
+    assert robust_sigma(noise[:, 1]) == pytest.approx(2.0, rel=0.03)
+    # one in a hundred outliers moves it as far as the quantile 0.505 lies from 0.5 of sizes: 1 %
+    noise[::100] = 1e9
+    np.testing.assert_allclose(robust_sigmas(noise.T, axis=1), [1.0, 2.0, 5.0], rtol=0.05)
+    # nothing is subtracted: numbers about another place are not about zero
+    assert robust_sigma([10.0, -10.0, 10.0]) == pytest.approx(14.826)

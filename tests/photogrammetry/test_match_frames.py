@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from sightline.applications.stereo_matching import match_problem
 from sightline.applications.stereo_orientation import StereoProblem, orient
 from sightline.errors import EstimationError, InputError
-from sightline.geometry.surface import Ellipsoid
+from sightline.geometry.camera import FrameCamera
+from sightline.geometry.instrument import AreaDetector
+from sightline.geometry.pointing import FixedMount
+from sightline.geometry.surface import Ellipsoid, Plane
+from sightline.geometry.trajectory import Trajectory
 from sightline.imaging.source import ArrayImage, MaskedImage
 from sightline.photogrammetry.frame_cameras import frame_cameras
 from sightline.photogrammetry.match_frames import TrackPlan, choose_hubs, match_frames, shared_views
@@ -91,6 +96,45 @@ def test_images_in_angles_out(flown):
     assert found.rejected.mean() < 0.02
     # chi-square with six degrees of freedom: above 22.5 once in a thousand
     assert whitened @ np.linalg.solve(found.covariance, whitened) < 22.5
+
+
+def level_camera(x: float, y: float, tilt: float = 0.0, height: float = 1000.0) -> FrameCamera:
+    """Flying north (world x east, y north, z up), tilted forward by `tilt`; 101 x 201 px of 2 mrad."""
+    north = Rotation.from_matrix([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
+    turn = north * Rotation.from_rotvec([[0.0, tilt, 0.0]])
+    flight = Trajectory(np.zeros(1), np.array([[x, y, height]]), np.zeros(1), turn)
+    return FrameCamera(AreaDetector("frame", (101, 201), 500.0, (50.0, 100.0)), flight, FixedMount(), 0.0)
+
+
+def test_a_frame_shares_the_part_that_the_other_sees_times_the_cosine_between_their_views():
+    # 200 m forward and 400 m across from first to last of 5 x 5 probes, which lie 50 and 100 m apart
+    cameras = [level_camera(0.0, 0.0), level_camera(90.0, 40.0), level_camera(0.0, 0.0, height=4000.0)]
+    cameras += [level_camera(5000.0, 0.0), level_camera(0.0, 90.0, tilt=1.5)]
+    shared = shared_views(cameras, Plane(0.0), 0.5)
+
+    def views(x: float, y: float, height: float, probes: np.ndarray) -> np.ndarray:
+        sight = np.column_stack([probes - [x, y], np.full(len(probes), -height)])
+        return sight / np.linalg.norm(sight, axis=1, keepdims=True)
+
+    across, forward = np.meshgrid(np.linspace(-200.0, 200.0, 5), np.linspace(-100.0, 100.0, 5))
+    probes = np.column_stack([across.ravel(), forward.ravel()])
+    seen = probes[(probes[:, 0] >= -110.0) & (probes[:, 1] >= -60.0)]
+    assert len(seen) == 4 * 4
+    cosine = (views(0.0, 0.0, 1000.0, seen) * views(90.0, 40.0, 1000.0, seen)).sum(axis=1).mean()
+    assert shared[0, 1] == pytest.approx(16 / 25 * cosine, rel=1e-9)
+    # all of it is seen from above, of which it shows one of 25 probes: too little
+    cosine = (views(0.0, 0.0, 1000.0, probes) * views(0.0, 0.0, 4000.0, probes)).sum(axis=1).mean()
+    assert shared[0, 2] == pytest.approx(cosine, rel=1e-9)
+    assert shared[2, 0] == 0.0
+    # what lies elsewhere, and oneself
+    assert not shared[3].any() and not shared[:, 3].any() and not np.diag(shared).any()
+
+
+def test_a_frame_that_looks_past_the_horizon_shares_the_ground_that_it_sees():
+    # from 1.5 rad off the vertical: four of five probed lines look 1.40 to 1.55 rad, one past the horizon; of
+    # their five columns the one at the border is out of sight of the other, 50 m to the east
+    tilted = [level_camera(0.0, 0.0, tilt=1.5), level_camera(50.0, 0.0, tilt=1.48)]
+    assert shared_views(tilted, Plane(0.0), 0.5)[0, 1] == pytest.approx(16 / 25, rel=1e-3)
 
 
 def test_a_masked_part_has_no_points(flown):

@@ -14,8 +14,9 @@ from sightline.products.cube_bands import frame_bands, line_bands
 from sightline.products.cube_fit import error_map, fit_pairs, pairs_of
 from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
 from sightline.products.cube_kernels import PHASES, fill_bands, place_weights, see_places
-from sightline.products.frame_cube import line_gain
-from sightline.products.ground_model import fit_ground
+from sightline.products.cube_tally import CubePicture, picture_factor
+from sightline.products.frame_cube import FilledTile, Tile, line_gain
+from sightline.products.ground_model import GroundModel, fit_ground
 from sightline.products.resample import BEFORE, TAPS, delay_weights
 
 
@@ -102,6 +103,19 @@ def test_a_surface_through_points_is_better_than_they_are():
     assert not model.used[::40].any() and model.used.sum() > 650
 
 
+def test_heights_between_nodes_are_bilinear_and_go_on_level_beyond_the_border():
+    # h = 5 + 2 r - 3 c + r c at node (r, c): bilinear as it is; rows go north from 20 m, 10 m apart
+    row, column = np.indices((4, 6)).astype(float)
+    height = 5.0 + 2.0 * row - 3.0 * column + row * column
+    model = GroundModel(100.0, 20.0, 10.0, height, 0.1, np.ones(3, dtype=bool))
+    rng = np.random.default_rng(9)
+    x, y = rng.uniform(70.0, 180.0, (8, 50)), rng.uniform(-10.0, 80.0, (8, 50))
+    # the four corners, the border and both sides of nodes too
+    x[0, :8], y[0, :8] = [100, 150, 100, 150, 150, 125, 110, 129.9], [20, 20, 50, 50, 33, 50, 30, 49.9]
+    c, r = np.clip((x - 100.0) / 10.0, 0.0, 5.0), np.clip((y - 20.0) / 10.0, 0.0, 3.0)
+    assert model.at(x, y) == pytest.approx(5.0 + 2.0 * r - 3.0 * c + r * c, abs=1e-9)
+
+
 def test_a_surface_in_blocks_has_no_steps():
     flat = np.random.default_rng(1).uniform(0.0, 1.0, (1200, 2)) * [300.0, 8.0]
     model = fit_ground(np.column_stack([flat, np.sin(flat[:, 0] / 9.0)]), posting=1.0)
@@ -179,6 +193,25 @@ def test_lines_are_as_bright_as_their_filter_makes_them():
     assert line_gain([[None, None]], 24).tolist() == [[1.0] * 24]
 
 
+def filled(image: np.ndarray, pixels: np.ndarray) -> np.ndarray:
+    """One band of a plain image at pixels (N, 2)."""
+    out = np.full((1, len(pixels)), np.nan, dtype=np.float32)
+    fill_bands(
+        np.arange(len(pixels), dtype=np.int32), pixels, image, np.zeros(image.shape, dtype=bool), np.zeros(2),
+        np.array([1, 1]), np.array([0, 1]), np.array([0]), np.zeros((1, 2), dtype=int),
+        np.ones(1, dtype=np.float32), place_weights(), 0.02, out,
+    )  # fmt: skip
+    return out[0]
+
+
+def test_every_pixel_is_its_own_value_up_to_all_borders():
+    image = np.random.default_rng(6).uniform(0.0, 1000.0, (24, 30)).astype(np.float32)
+    pixels = np.stack(np.indices(image.shape), axis=-1).reshape(-1, 2).astype(float)
+    # the last place stands a thousandth of a 256th of a pixel before its own weights, which change over the
+    # whole of it by some 3 / 256 of the contrast on each axis: 0.02; twice that for 32 bits besides
+    assert filled(image, pixels) == pytest.approx(image.ravel(), abs=0.04)
+
+
 def test_each_cell_of_a_mosaic_is_read_where_it_lies():
     # bands of six cells, each on a plane of its own: resampling a plane is exact, a cell taken for its
     # neighbour shows as the slope times a pixel
@@ -248,3 +281,36 @@ def test_a_rolling_shutter_sees_a_place_by_the_pose_of_its_own_line():
         (lines, 300), still,
     )  # fmt: skip
     assert np.abs(still - pixels).max() > 2.0
+
+
+def test_the_picture_is_the_mean_of_tiles_and_its_window_where_all_its_bands_meet():
+    shape = (2500, 1300)
+    factor = picture_factor(shape)
+    assert factor == 3 and picture_factor((1200, 900)) == 1
+    picture = CubePicture(CubeGrid(MapSystem(), 0.0, 0.0, 1.0, shape), 3)
+    nothing = np.zeros((1, 0, 0))
+    assert picture.window() == (slice(None), slice(None))
+    # bands 4, 0 and 2 of five over rows and columns (from, to) of their own, in two tiles side by side
+    extents = {4: ((30, 300), (60, 900)), 0: ((90, 600), (0, 600)), 2: ((0, 240), (150, 720))}
+    row, column = np.indices(shape)
+    value = {4: 1.0 * row, 0: 2.0 * column, 2: 7.0 + 0.0 * row}
+    for first, last in ((0, 500), (500, 1300)):
+        values = np.full((5, shape[0], last - first), np.nan, dtype=np.float32)
+        for band, ((top, end), (left, right)) in extents.items():
+            rows, columns = slice(top, end), slice(max(left, first), min(right, last))
+            values[band, rows, columns.start - first : max(columns.stop, first) - first] = value[band][
+                rows, columns
+            ]
+        tile = Tile(0, first, shape[0], last - first)
+        picture.add(FilledTile(tile, values, nothing, nothing, nothing), (4, 0, 2))
+    # in pixels of the picture: rows 90 to 240, columns 150 to 600 of the map
+    assert picture.window() == (slice(30, 80), slice(50, 200))
+    limits = np.array([[0.0, 2540.0], [0.0, 2540.0], [0.0, 14.0]])
+    image, used = picture.image(limits)
+    assert image.shape == (834, 434, 3) and (used == limits).all()
+    # pixel (40, 60): rows 120 to 122, columns 180 to 182 of the map, in steps of a 254th
+    assert image[40, 60].tolist() == [1 + 12, 1 + 36, 1 + 127]
+    assert not image[500].any()
+    # limits of one's own: a hundredth of the pixels of each band lie beyond each
+    own = picture.image()[1]
+    assert own[0] == pytest.approx([31.0 + 0.01 * 267.0, 31.0 + 0.99 * 267.0], abs=3.0)

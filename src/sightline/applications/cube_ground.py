@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.errors import EstimationError, InputError
+from sightline.estimation.robust import robust_sigma
 from sightline.geometry.checks import read_only
 from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface, level_surface
 from sightline.photogrammetry.flight.found_ground import level_ground
@@ -94,7 +95,7 @@ def _missed(points: Array, heights: Heights) -> float:
     flat = points[np.isfinite(points).all(axis=1)]
     off = flat[:, 2] - heights(flat[:, 0], flat[:, 1])
     known = off[np.isfinite(off)]
-    return 1.4826 * float(np.median(np.abs(known))) if len(known) else np.inf
+    return robust_sigma(known) if len(known) else np.inf
 
 
 def _height_sigmas(found: SequencePoses, problem: SequenceProblem) -> Array:

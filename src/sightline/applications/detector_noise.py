@@ -29,6 +29,7 @@ from sightline.applications.strip_noise import (
     measured_figure,
 )
 from sightline.errors import EstimationError, InputError
+from sightline.estimation.robust import robust_sigma
 from sightline.imaging.noise_estimation import (
     BLOCK,
     ORDER,
@@ -470,7 +471,7 @@ def _columns(images: Sequence[ImageNoise]) -> tuple[Array, Array, Flags]:
     unknown = (count == 0) | (flags & DEAD != 0)
     flags |= np.where(unknown, GAIN_UNKNOWN, 0).astype(np.uint8)
     usual = pattern[~unknown]
-    sigma = 1.4826 * float(np.median(np.abs(usual - np.median(usual)))) if len(usual) else 0.0
+    sigma = robust_sigma(usual - np.median(usual)) if len(usual) else 0.0
     departs = ~unknown & (np.abs(pattern) > OUTLIER_SIGMAS * sigma) & (sigma > 0.0)
     flags |= np.where(departs, OUTLYING, 0).astype(np.uint8)
     gain = np.where(unknown, 1.0, 1.0 + pattern)
@@ -603,7 +604,7 @@ def _pattern(means: Array) -> ColumnPattern:
         filled = _filled(means, usual)
         found = pattern_of_means(filled)
         size = np.where(usual, np.abs(np.nan_to_num(found.pattern)), 0.0)
-        sigma = 1.4826 * float(np.median(size[usual]))
+        sigma = robust_sigma(size[usual])
         # the shadow of a larger one beside it is none itself
         out = (size > OUTLIER_SIGMAS * sigma) & (size == maximum_filter1d(size, SMOOTH))
         if sigma == 0.0 or not out.any():

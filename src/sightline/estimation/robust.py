@@ -1,4 +1,4 @@
-"""Where a motion jumps: weights of the prior's innovations, and of measurements that do not fit.
+"""What outliers do not move: a robust sigma; weights of a prior's innovations where a motion jumps.
 
 A stationary prior takes a single step or the switch-on of a tone for something it cannot be, and
 smears it over its neighbours. With innovations of Student's distribution instead of a Gaussian one,
@@ -11,7 +11,7 @@ Not here: the estimate under given weights (``evidence.py``).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sightline.compiled import njit
 from sightline.errors import InputError
@@ -21,6 +21,24 @@ Array = NDArray[np.float64]
 
 #: Degrees of freedom of the innovations: 4 lets one epoch in a thousand be 7 times its sigma.
 DEGREES = 4.0
+#: Sigma over the median size of Gaussian numbers.
+_GAUSSIAN = 1.4826
+
+
+def robust_sigma(residuals: ArrayLike) -> float:
+    """1-sigma of Gaussian numbers about zero from their median size, which outliers hardly move.
+
+    Parameters
+    ----------
+    residuals : array
+        In any unit; at least one, none of them NaN.
+    """
+    return _GAUSSIAN * float(np.median(np.abs(residuals)))
+
+
+def robust_sigmas(residuals: ArrayLike, axis: int) -> Array:
+    """As `robust_sigma`, of the numbers along an axis: one for each place of the others."""
+    return np.asarray(_GAUSSIAN * np.median(np.abs(residuals), axis=axis))
 
 
 def expected_innovations(prior: Autoregressive, mean: Array, covariance_band: Array) -> Array:

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sightline.estimation.robust import robust_sigma
+
 Array = NDArray[np.float64]
 
 #: Neighbours that a local quadratic is fitted to: four for each of its six terms. Fewer, or windows that lie
@@ -21,7 +23,7 @@ Array = NDArray[np.float64]
 NEIGHBOURS = 24
 #: Fewest points for a quadratic; a plane is fitted to fewer, a mean to less than `LEAST_PLANE`.
 LEAST_QUADRATIC, LEAST_PLANE = 15, 6
-#: Residuals of so many of the field's own spread (1.4826 times the median size) carry no weight.
+#: Residuals of so many of the field's own spread (`robust_sigma`) carry no weight.
 CUT = 5.0
 #: px; spread below which residuals are not told apart: what relief leaves between neighbours.
 LEAST_SPREAD = 0.1
@@ -52,7 +54,7 @@ class DisplacementField:
             if weights.sum() < LEAST_PLANE:
                 break
             miss = np.hypot(*(self.values - self._fit(self.points, weights, own=False)).T)
-            spread = max(1.4826 * float(np.median(miss[weights > 0.0])), LEAST_SPREAD)
+            spread = max(robust_sigma(miss[weights > 0.0]), LEAST_SPREAD)
             weights = np.clip(1.0 - (miss / (CUT * spread)) ** 2, 0.0, None) ** 2
         return weights
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
+from sightline.estimation.robust import robust_sigmas
 from sightline.imaging.source import ImageSource
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import MASKED, OUTSIDE
@@ -121,7 +122,7 @@ def fit_bands(
     kept = found.kept
     if kept.any():
         middle = np.median(offset[kept], axis=0)
-        spread = 1.4826 * np.median(np.abs(offset[kept] - middle), axis=0) + 1e-6
+        spread = robust_sigmas(offset[kept] - middle, axis=0) + 1e-6
         kept = kept & (np.abs(np.nan_to_num(offset) - middle) <= OUTLYING * spread).all(axis=1)
     tried = int((~np.isin(found.status, (OUTSIDE, MASKED))).sum())
     return BandFit(images, found.a[kept], offset[kept], found.sigma_px[kept], tried)

@@ -18,6 +18,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import cKDTree
 
 from sightline.errors import EstimationError
+from sightline.estimation.robust import robust_sigma, robust_sigmas
 from sightline.geometry.checks import ReadOnlyArrays, frozen
 
 Array = NDArray[np.float64]
@@ -157,8 +158,8 @@ def _standing_out(places: Array) -> Flags:
     around = np.asarray(cKDTree(places[:, :2]).query(places[:, :2], near + 1)[1])
     off = places[around[:, 1:]] - places[:, None, :]
     middle = np.median(off[:, :, 2], axis=1)
-    spread = np.median(np.abs(off[:, :, 2] - middle[:, None]), axis=1)
-    scale = np.maximum(1.4826 * spread, 1.4826 * np.median(np.abs(middle)))
+    spread = robust_sigmas(off[:, :, 2] - middle[:, None], axis=1)
+    scale = np.maximum(spread, robust_sigma(middle))
     return np.asarray(np.abs(middle) > 2.0 * _WRONG * np.maximum(scale, 1e-9))
 
 
@@ -204,7 +205,7 @@ def _solve(
         heights = splu(normal, permc_spec="MMD_AT_PLUS_A").solve(right)
         residual = target - design @ heights
         size_of = np.sqrt(np.maximum(weight, 1e-12)) * np.abs(residual)
-        scale = max(1.4826 * float(np.median(size_of[weight > 0.0])), 1e-12)
+        scale = max(robust_sigma(size_of[weight > 0.0]), 1e-12)
         ratio = size_of / scale
         robust = weight * np.where(ratio > _WRONG, 0.0, np.minimum(1.0, _HUBER / np.maximum(ratio, 1e-9)))
     return heights.reshape(shape) + level, np.where(ratio > _WRONG, np.nan, residual)
@@ -283,4 +284,4 @@ def _missed(
     heights, _ = _solve(places[~out], weight[~out], frame, stiffness, rounds=2)
     row, column, share = _cells(places[out, 0], places[out, 1], west, south, step, shape)
     found = (heights.ravel()[_corners(row, column, shape[1])] * share).sum(axis=1)
-    return 1.4826 * float(np.median(np.abs(places[out, 2] - found)))
+    return robust_sigma(places[out, 2] - found)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -15,6 +17,7 @@ from sightline.motion.frames.hidden import hidden_directions, relative_covarianc
 from sightline.motion.frames.lens_field import LensField
 from sightline.motion.frames.linear import linearise_frames
 from sightline.motion.frames.noise import FrameNoise, GroundField, learn_noise
+from sightline.motion.frames.passes import _weighed
 from sightline.motion.frames.solve import FrameUnknowns, solve_frames, time_statics
 from sightline.motion.statics import frame_statics
 
@@ -89,6 +92,31 @@ def test_the_covariance_is_that_of_everything_that_errs_carried_through_the_esti
     np.testing.assert_allclose(
         carried / np.outer(sigma, sigma), found.covariance / np.outer(sigma, sigma), atol=1e-6
     )
+
+
+def test_windows_that_saw_something_else_lose_their_weight_and_only_they():
+    truth = walk(4)
+    stars = pinholes.stars(truth, rng=np.random.default_rng(2))
+    moved = stars[1].measured.copy()
+    both = [np.flatnonzero(np.isfinite(star.measured).all(axis=(1, 2))) for star in stars]
+    cloud, drifting = both[1][[2, 7]], both[2][4]
+    moved[cloud] += 4.0  # of noise of a tenth
+    stars[1] = replace(stars[1], measured=moved)
+    found = solve_frames(
+        stars, FrameUnknowns(pinholes.cameras(4), ()), Plane(), FrameNoise.start(LAGS), steps=4
+    )
+    drift = [np.zeros(len(star.pixels), dtype=bool) for star in stars]
+    drift[2][drifting] = True
+    for given in (None, drift):
+        weights = [star.weight for star in _weighed(stars, found, given)]
+        assert weights[1][cloud].max() < 1e-3
+        assert (weights[2][drifting] == 0.0).all() == (given is not None)
+        weights[1][cloud] = weights[2][drifting] = np.nan
+        seen = [np.isfinite(star.measured).all(axis=2) for star in stars]
+        left = np.concatenate([line[rows] for line, rows in zip(weights, seen, strict=True)])
+        # a match in a hundred is beyond three sigmas by chance
+        left = left[np.isfinite(left)]
+        assert len(left) > 50 and np.mean(left > 0.5) > 0.95
 
 
 def normalised_square(error, covariance) -> tuple[float, int]:

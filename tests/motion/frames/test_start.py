@@ -16,6 +16,7 @@ from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.frames.start import (
     CoarseShift,
+    coarse_frames,
     coarse_shifts,
     standing_still,
     turn_about_axis,
@@ -43,6 +44,20 @@ def frames(count: int, step: tuple[int, int], dust: bool = False) -> list[ArrayI
 def test_the_shift_of_neighbours_is_found_without_any_camera():
     for shift in coarse_shifts(frames(3, (37, -12))):
         assert np.abs(shift.shift_px - [37, -12]).max() <= shift.sigma_px
+
+
+def test_contrast_is_evened_out_down_to_a_fifth_of_the_usual_one():
+    # noise of 100 over three quarters of a frame and of 30, 15 or 5 over the last; contrast of 1 is wanted
+    rng = np.random.default_rng(4)
+    noise = rng.normal(size=SIZE)
+    for weak, wanted in ((30.0, 1.0), (15.0, 15.0 / 20.0), (5.0, 5.0 / 20.0)):
+        pixels = 1000.0 + np.where(np.arange(SIZE[1]) < 225, 100.0, weak) * noise
+        flat, factor = coarse_frames([ArrayImage(pixels.astype(np.float32))])
+        assert factor == 1 and flat.shape == (1, *SIZE)
+        # over 13 x 13 px contrast is known to 6 %, and the usual one is the median of all
+        assert flat[0, :, :210].std() == pytest.approx(1.0, rel=0.06)
+        assert flat[0, :, 240:].std() == pytest.approx(wanted, rel=0.06)
+        assert np.abs(flat).max() <= 3.0
 
 
 def test_dust_that_stands_still_does_not_pretend_that_the_ground_does():

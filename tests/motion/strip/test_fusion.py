@@ -127,6 +127,21 @@ def test_a_misaligned_gyro_takes_the_turn_of_the_reference_for_motion():
     assert abs(predicted[0]) > 1e-7
 
 
+def test_what_a_gyro_may_err_by_is_its_bias_and_the_turn_of_its_axes():
+    # increments over 0.1 s of a body that turns by (1, -2, 3) mrad in each; axes known to 4 mrad
+    sigma, turned, count = 4e-3, np.array([1e-3, -2e-3, 3e-3]), 3
+    edges = 0.1 * np.arange(count + 1)
+    for bias in (0.0, 5e-5):
+        rows = rows_of(gyro(edges, np.tile(turned, (count, 1)), 1e-9, alignment=sigma, bias=bias))
+        spread = rows.own @ np.linalg.inv(rows.own_precision) @ rows.own.T
+        # m x turned for m of that sigma about each axis: all increments alike, bias times width besides
+        drawn = np.cross(sigma * np.eye(3), turned)
+        each = drawn.T @ drawn + (0.1 * bias) ** 2 * np.eye(3)
+        # rows are axis by axis
+        wanted = np.kron(each, np.ones((count, count)))
+        np.testing.assert_allclose(spread, wanted, atol=1e-9 * wanted.max())
+
+
 def test_tones_that_a_gyro_may_not_feel_are_whitened_away():
     tone = Spectrum((*SPECTRUM.components, Tone(0.3 * IFOV, 47.0, 0.8)))
     edges = np.arange(0.0, 0.3001, 0.01)

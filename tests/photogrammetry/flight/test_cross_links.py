@@ -67,6 +67,18 @@ def test_pairs_are_of_different_lines_that_see_the_same_ground():
     assert {j for _, j, _ in left_out} == {5}
 
 
+def test_frames_are_compared_that_moved_on_by_an_eighth_of_their_lines():
+    # 0.12 of the 139 px from the first line to the last are 16.68 px; both lines begin anew, whatever lies
+    # between them; the last frame is of the second line and sees all that the others do
+    moved_px = np.array([0.0, 16.5, 16.8, 33.4, 33.6, 33.6, 20.0])
+    group = np.array([0, 0, 0, 0, 0, -1, 1])
+    position = np.column_stack([np.zeros(7), moved_px * HEIGHT / FOCAL, np.full(7, HEIGHT)])
+    attitude = Rotation.from_matrix(np.stack([NORTH] * 7))
+    images = Images(np.zeros(7), np.arange(7), np.arange(7.0), position, attitude)
+    pairs = cross_pairs(images, detector(), NADIR_MOUNT, Plane(0.0), group, 5)
+    assert [(i, j) for i, j, _ in pairs] == [(0, 6), (2, 6), (4, 6)]
+
+
 def test_lines_of_like_wavelengths_only_are_compared():
     # lines run forward: what line l of a northbound frame sees, line 139 - l of a southbound one beside it
     # sees; over 450 to 900 nm they are alike within 90 nm in 140 * 90 / 450 = 28 lines about the middle

@@ -22,7 +22,7 @@ from photogrammetry.stereo_scene import (
 from sightline.errors import InputError
 from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.pair.pairs import PairOrientation, SightingPairs, pair_sightings
-from sightline.photogrammetry.pair.plane import common_aim, orient_by_plane
+from sightline.photogrammetry.pair.plane import _rows, _seen_apart, common_aim, orient_by_plane
 from sightline.photogrammetry.pair.relief import correlation_length, relief_spread
 
 SHORT = Plan(shots=16)
@@ -113,6 +113,46 @@ def test_a_wrong_height_of_the_plane_is_a_difference_of_pitch():
     # 100 m over some 550 km seen at 30 degrees from the vertical: 100 sin(30) / 550e3 = 19 arcsec
     assert 10.0 < abs(shift[0, 1]) < 30.0
     assert shift[0, 1] * shift[1, 1] < 0.0
+
+
+def test_a_misfit_on_the_ground_is_as_long_as_the_second_camera_sees_it():
+    # a wide field and pixels three times as fine across, so that every term counts
+    rng = np.random.default_rng(8)
+    plan = Plan(shots=3, field=50.0)
+    points = ground(rng, 40, 200e3, 0.0, "smooth")
+    shot = shoot(plan, QUIET, points, rng, np.zeros((2, 3)))
+    sightings = shot.sightings(1e-3)
+    sightings = replace(sightings, px_per_tangent=sightings.px_per_tangent * np.array([[1.0], [3.0]]))
+    pairs = pair_sightings(sightings)
+    misfit = rng.normal(size=(3, 40, 3))  # m, of each shot and point
+    left = misfit.reshape(-1, 3).T.copy()
+    found = _seen_apart(pairs, _rows(pairs, np.zeros((2, 3)), AIM, UP), left)
+    # the points are on the plane: where the second camera sees them, and what lies beside them (S2's axes)
+    two = np.broadcast_to(points, (3, 40, 3)) - shot.d[1][:, None]
+    seen, moved = (np.einsum("kab,knb->kna", shot.r[1], two + sign * misfit) for sign in (0.0, 1.0))
+    tangents = moved[..., :2] / moved[..., 2:] - seen[..., :2] / seen[..., 2:]
+    wanted = np.hypot(tangents[..., 0], 3.0 * tangents[..., 1]) / plan.pixel
+    # of second order in metres over 500 km
+    np.testing.assert_allclose(found.reshape(3, 40), wanted, rtol=1e-4)
+
+
+def test_residuals_are_those_of_points_above_the_plane():
+    # five of 150 points stand 100 m above the plane: too few to move the plane by much
+    rng = np.random.default_rng(8)
+    points = ground(rng, 150, 11e3, 0.0, "smooth")
+    high = np.arange(150) % 37 == 0
+    points[high, 2] = 100.0
+    shot = shoot(SHORT, QUIET, points, rng, np.zeros((2, 3)))
+    residual = orient(pair_sightings(shot.sightings(1e-3))).residual_px.reshape(SHORT.shots, 150)
+    # where each line of sight of the first camera meets the plane, seen by the second
+    one, two = shot.d
+    along = points - one[:, None]
+    place = one[:, None] - along * one[:, None, 2:] / along[..., 2:]
+    seen = np.einsum("kab,knb->kna", shot.r[1], place - two[:, None])
+    apart = np.linalg.norm(seen[..., :2] / seen[..., 2:] - shot.m[1], axis=-1) / SHORT.pixel
+    # what the high points move angles and plane by is less than a tenth of what they stand out
+    np.testing.assert_allclose(residual[:, high], apart[:, high], rtol=0.1)
+    assert residual[:, ~high].max() < 0.1 * apart[:, high].max()
 
 
 def test_the_aim_point_is_where_the_axes_meet():

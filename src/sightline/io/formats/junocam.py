@@ -19,6 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.access import read_json
 from sightline.errors import FormatError, foreign_errors
+from sightline.estimation.robust import robust_sigma
 from sightline.geometry.earth import from_geodetic
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.two_body import propagate, velocity_between
@@ -174,7 +175,7 @@ def radiation_hits(framelet: Pixels, dark: float) -> tuple[NDArray[np.bool_], ND
     level = framelet.astype(np.float32)
     median = ndimage.median_filter(level, 5)
     lit = median > dark
-    spread = 1.4826 * float(np.median(np.abs(level - median)[lit])) if lit.sum() > 100 else 1.0
+    spread = robust_sigma((level - median)[lit]) if lit.sum() > 100 else 1.0
     hit = np.abs(level - median) > max(HIT_SIGMAS * max(spread, 0.7), HIT_LEVELS)
     # the limb is steep, and no hit
     steep = ndimage.maximum_filter(median, 5) - ndimage.minimum_filter(median, 5) > 4.0 * HIT_LEVELS

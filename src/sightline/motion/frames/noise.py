@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.estimation.robust import robust_sigma
 from sightline.motion.measure.observations import Star
 
 Array = NDArray[np.float64]
@@ -218,7 +219,7 @@ def _spreads(stars: Sequence[Star], clean_px: Sequence[Array], lags: Sequence[in
                 good = star.present[:, k] & np.isfinite(part[:, k])
                 pools[image - star.hub].append(np.abs(part[good, k]))
     medians = [np.concatenate(pool) if pool else np.empty(0) for pool in pools.values()]
-    return np.array([1.4826 * float(np.median(pool)) if len(pool) else 1.0 for pool in medians])
+    return np.array([robust_sigma(pool) if len(pool) else 1.0 for pool in medians])
 
 
 def _free_of_height(star: Star, clean_px: Array, relief: bool) -> tuple[list[Array], Array]:

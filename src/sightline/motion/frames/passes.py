@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
+from sightline.estimation.robust import robust_sigma
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource, MaskedImage
@@ -269,7 +270,7 @@ def _drifting(estimate: FrameEstimate, before: list[NDArray[np.bool_]]) -> list[
     field = estimate.fields[1]
     used = field.precision > 0
     centre = float(np.median(field.value[used]))
-    spread = 1.4826 * float(np.median(np.abs(field.value[used] - centre)))
+    spread = robust_sigma(field.value[used] - centre)
     far = used & (np.abs(field.value - centre) > DRIFTING * max(spread, 1e-9))
     return [old | new for old, new in zip(before, estimate.per_star(far), strict=True)]
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import EstimationError
+from sightline.estimation.robust import robust_sigma
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Surface
@@ -155,7 +156,7 @@ def coarse_shift(frames: Array, hub: int, partner: int, factor: int) -> CoarseSh
     dl, dc = fft.fftfreq(shape[0], 1.0 / shape[0]), fft.fftfreq(shape[1], 1.0 / shape[1])
     common = np.outer(np.maximum(1 - np.abs(dl) / lines, 0.0), np.maximum(1 - np.abs(dc) / columns, 0.0))
     significance = np.where(common >= MIN_OVERLAP, cross / np.sqrt(np.maximum(common, 1e-9)), 0.0)
-    spread = 1.4826 * float(np.median(np.abs(significance[common >= MIN_OVERLAP])))
+    spread = robust_sigma(significance[common >= MIN_OVERLAP])
     row, column = np.unravel_index(int(significance.argmax()), shape)
     shift = factor * np.array([dl[row], dc[column]])
     peak = float(significance[row, column] / max(spread, 1e-12))

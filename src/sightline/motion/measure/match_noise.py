@@ -12,6 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.estimation.robust import robust_sigmas
 from sightline.motion.measure.observations import Star, scale_residuals, shared_image_correlation
 
 Array = NDArray[np.float64]
@@ -179,5 +180,5 @@ def robust_weights(star: Star, post_px: Array) -> Array:
 
 def _distance(z: Array, trusted: NDArray[np.bool_]) -> Array:
     """Distance (G,) from zero in robust sigmas; spread by the median, so that mismatches do not widen it."""
-    spread = np.maximum(1.4826 * np.median(np.abs(z[trusted]), axis=0), 1.0)
+    spread = np.maximum(robust_sigmas(z[trusted], axis=0), 1.0)
     return np.asarray(np.sqrt(((z / spread) ** 2).sum(axis=1)))

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import EstimationError
+from sightline.estimation.robust import robust_sigma
 
 Array = NDArray[np.float64]
 
@@ -100,6 +101,6 @@ def attitude_from_limb(
         )
         x = fit.x
         left = np.abs(miss(x))
-        kept = left < 3.0 * 1.4826 * np.median(left) + SOFT
+        kept = left < 3.0 * robust_sigma(left) + SOFT
     rms = float(np.sqrt((miss(x)[kept] ** 2).mean()))
     return LimbFit(Rotation.from_rotvec(x[:3]), float(x[3]), rms, int(kept.sum()))

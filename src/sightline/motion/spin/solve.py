@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sightline.estimation.robust import robust_sigmas
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Infinity, Surface
@@ -588,7 +589,7 @@ class _Fit:
             if not len(of):
                 continue
             trusted = of if first else of[self.kept[of]]
-            robust = 1.4826 * np.median(np.abs(z[trusted if len(trusted) else of]), axis=0)
+            robust = robust_sigmas(z[trusted if len(trusted) else of], axis=0)
             distance = np.sqrt(((z[of] / np.maximum(robust, 1e-3)) ** 2).sum(axis=1))
             self.kept[of] = distance < REJECT
             good = of[self.kept[of]]

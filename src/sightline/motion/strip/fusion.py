@@ -19,6 +19,7 @@ from scipy.linalg import block_diag
 from scipy.sparse import csr_array, diags_array
 
 from sightline.estimation.prior import Spectrum, Tone
+from sightline.estimation.robust import robust_sigma
 from sightline.geometry.trajectory import Trajectory
 from sightline.motion.measure.predict import ANGLE_STEP, MovingCamera, StaticParameter, turned
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
@@ -579,7 +580,7 @@ def reweighted(
     for axis in range(3):
         mine = rows.axis == axis
         if mine.sum() >= ENOUGH and not believed:
-            size = (1.4826 * float(np.median(np.abs(left[mine])))) ** 2
+            size = robust_sigma(left[mine]) ** 2
             # the squared median of n Gaussian numbers scatters by 2.33 / sqrt(n): twice that is no sign
             scale[mine] = size if size > 1.0 + 2.0 * 2.33 / np.sqrt(mine.sum()) else 1.0
     weight = np.minimum(1.0, (CUT * np.sqrt(scale) / np.maximum(np.abs(left), 1e-12)) ** 2)

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
+from sightline.estimation.robust import robust_sigma
 from sightline.geometry.checks import Array
 from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.pair.estimating_equations import observe
@@ -238,7 +239,7 @@ def noise_ratios(pairs: SightingPairs, noise: PoseNoise, angles: Array) -> tuple
     slope = _volumes(pairs, _Rays.of(pairs), _forms(*arms)[:, 6])[1].sum(axis=0)
     count = np.diff(pairs.starts)
     middle = np.add.reduceat(residual, pairs.starts[:-1]) / count
-    image = float(1.4826 * np.median(np.abs(residual - middle[pairs.shot]) / sigma)) ** 2
+    image = robust_sigma((residual - middle[pairs.shot]) / sigma) ** 2
     shared = float(_pose_variance(pairs, noise, arms, slope).sum())
     own = image * float((np.add.reduceat(sigma**2, pairs.starts[:-1]) / count**2).sum())
     return image, max(float((middle**2).sum()) - own, 0.0) / shared if shared > 0.0 else 1.0
@@ -263,7 +264,7 @@ def _far(
     order = np.lexsort((residual, pairs.shot))
     lower, upper = (residual[order[pairs.starts[:-1] + half]] for half in ((count - 1) // 2, count // 2))
     middle = 0.5 * (lower + upper)
-    spread = (1.4826 * float(np.median(np.abs(residual - middle[pairs.shot])))) ** 2
+    spread = robust_sigma(residual - middle[pairs.shot]) ** 2
     variance = np.maximum(variance, spread)
     trust, left = np.ones_like(middle), np.zeros_like(middle)
     if estimated:
