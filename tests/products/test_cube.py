@@ -212,6 +212,20 @@ def test_every_pixel_is_its_own_value_up_to_all_borders():
     assert filled(image, pixels) == pytest.approx(image.ravel(), abs=0.04)
 
 
+def test_between_pixels_a_plane_goes_on_up_to_all_borders():
+    line, column = np.indices((24, 30)).astype(np.float32)
+    image = np.asarray(1e3 + 40.0 * line - 25.0 * column, dtype=np.float32)
+    pixels = np.random.default_rng(7).uniform(0.0, [23.0, 29.0], (300, 2))
+    pixels = np.concatenate([pixels, [[22.999, 28.999], [0.001, 0.001], [22.9, 0.2], [0.3, 28.8]]])
+    found, wanted = filled(image, pixels), 1e3 + 40.0 * pixels[:, 0] - 25.0 * pixels[:, 1]
+    # weights of taps on one side are as true as can be without more noise: a wave is a tenth off at worst
+    assert found == pytest.approx(wanted, abs=0.1 * (40.0 + 25.0))
+    # with seven taps on the shorter side it is the plane, in 32 bits
+    middle = ((pixels > 7.0) & (pixels < [15.0, 21.0])).all(axis=1)
+    assert middle.sum() > 20
+    assert found[middle] == pytest.approx(wanted[middle], abs=0.05)
+
+
 def test_each_cell_of_a_mosaic_is_read_where_it_lies():
     # bands of six cells, each on a plane of its own: resampling a plane is exact, a cell taken for its
     # neighbour shows as the slope times a pixel
