@@ -9,6 +9,7 @@ from sightline.applications.registration import fit_pairs, recovered_cameras, re
 from sightline.errors import InputError
 from sightline.geometry.surface import Dem, Plane
 from sightline.motion.measure.predict import predict_match
+from sightline.motion.strip.relief import RowRelief
 from sightline.simulate.scenarios import line_of_sight_case
 
 
@@ -64,6 +65,37 @@ def test_another_band_may_be_the_reference(strip):
     assert found.reference == 2
     assert found.after[2] is bands[2].image
     assert misfit(found.after, (2, 3))[0] < 1.3 * misfit(found.after, (2, 3))[1]
+
+
+def test_ground_that_was_found_is_as_good_as_one_that_was_given(strip):
+    scenario, bands, _, statics = strip
+    t = scenario.cameras[0].times(np.array([0.0, 599.0]))
+    # 150 m all over, over a ground told 150 m too low: the same rays meet the same places
+    relief = RowRelief(0, t, np.array([[150.0, 0.0], [150.0, 0.0]]), np.ones((2, 2)))
+    given = register_bands(bands, Plane(150.0), scenario.motion, statics)
+    found = register_bands(bands, Plane(), scenario.motion, statics, relief=relief)
+    places = np.arange(100.0, 500.0, 50.0), np.arange(10.0, 150.0, 20.0)
+    for k in (1, 3):
+        np.testing.assert_allclose(
+            found.after[k].mapping(*places), given.after[k].mapping(*places), atol=1e-6
+        )
+
+
+def test_a_slope_that_was_found_raises_one_side(strip):
+    scenario, bands, _, statics = strip
+    t = scenario.cameras[0].times(np.array([0.0, 599.0]))
+    relief = RowRelief(0, t, np.array([[0.0, 0.0], [200.0, 100.0]]), np.ones((2, 2)))
+    found = register_bands(bands, Plane(), scenario.motion, statics, relief=relief)
+    # line 299.5 is in the middle of the rows: 100 m, and 50 m more at the last column
+    lines, ends = np.array([299.5]), np.array([0.0, 79.5, 159.0])
+    for column, height in zip(ends, (50.0, 100.0, 150.0), strict=True):
+        given = register_bands(bands, Plane(height), scenario.motion, statics)
+        # the ground is met by a ray of the told surface, 1 px beside for 100 m: a third of a metre of slope
+        np.testing.assert_allclose(
+            found.after[3].mapping(lines, np.array([column])),
+            given.after[3].mapping(lines, np.array([column])),
+            atol=2e-4,
+        )
 
 
 def test_a_band_that_is_not_there_is_refused_by_name(strip):

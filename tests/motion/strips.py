@@ -7,6 +7,8 @@ is (y, -x, 1), and a small turn w of the body changes it by w x (y, -x, 1).
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -85,3 +87,11 @@ def plain_star(rows: int, blocks: int, pairs: int, sigma: float = 0.05, duration
         correlation=shared_image_correlation(pairs),
         weight=np.ones((g, pairs)),
     )
+
+
+def told_bands(names, offset_sigma_px, rotation_sigma, scale_sigma=None):
+    """What is told of detector lines, as far as statics ask."""
+    scales = [0.0] * len(names) if scale_sigma is None else scale_sigma
+    keys = ("name", "offset_sigma_px", "rotation_sigma", "scale_sigma")
+    rows = zip(names, offset_sigma_px, rotation_sigma, scales, strict=True)
+    return [SimpleNamespace(**dict(zip(keys, row, strict=True))) for row in rows]

@@ -48,6 +48,7 @@ from sightline.motion.strip.joint import (
     remove_directions,
 )
 from sightline.motion.strip.lag_sign import matches_backwards
+from sightline.motion.strip.relief import RowRelief
 from sightline.motion.strip.strip import RecoverOptions, Strip, prepared
 from sightline.motion.strip.viewing_axes import (
     turned_amplitudes,
@@ -370,6 +371,18 @@ def _change(strip: Strip, old: StripState, new: StripState) -> float:
     return float(np.sqrt((moved**2).mean(axis=0) / variance.mean(axis=0)).max())
 
 
+def _relief(strip: Strip, state: StripState) -> RowRelief | None:
+    """The ground that was found, at the exposures of the image whose rows carry it."""
+    estimate = state.estimate
+    if estimate.relief is None:
+        return None
+    hub = state.records[0].star.hub
+    camera = strip.nominal[hub]
+    first, last = camera.times(np.array([-0.5, camera.lines - 0.5]))
+    rows = (strip.grid.nodes >= first) & (strip.grid.nodes <= last)
+    return RowRelief(hub, strip.grid.nodes[rows], estimate.relief[rows], estimate.relief_sigma()[rows])
+
+
 def _hidden_names(drifts: Sequence[int], turn: Array) -> tuple[str, ...]:
     """Names of the constants, and of the drifts of these axes; some, not all, are of the line of sight's."""
     axes = ("roll", "pitch", "yaw")
@@ -379,9 +392,9 @@ def _hidden_names(drifts: Sequence[int], turn: Array) -> tuple[str, ...]:
 
 
 def _result(strip: Strip, state: StripState, changes: list[float], window: tuple[int, int]) -> LineOfSight:
-    """The last state as a result at the lines of the first band."""
-    camera, estimate = strip.nominal[0], state.estimate
-    t = camera.times(np.arange(camera.lines, dtype=float))
+    """The last state as a result at the lines of the first band, gone on to all exposures."""
+    estimate, lines = state.estimate, strip.lines()
+    t = strip.nominal[0].times(lines.astype(np.float64))
     turn, drifts = strip.turn, estimate.hidden_drifts()
     on_grid = turned_directions(estimate.hidden_directions(drifts), turn)
     hidden = directions_at(strip.grid, on_grid, t)
@@ -421,5 +434,7 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
             strip.grid.nodes, estimate.nodes @ turn.T, turned_band(estimate.covariance_band(), turn)
         ),
         functional_covariance=partial(estimate.functional_covariance, t, turn=turn),
+        relief=_relief(strip, state),
+        lines=lines,
         warnings=strip_warnings(strip, state, motion, observed, changes),
     )

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sightline.errors import InputError, computes
 from sightline.geometry.camera import PushbroomCamera
@@ -17,10 +19,14 @@ from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import ImageSource
 from sightline.motion.band import Band
+from sightline.motion.measure.windows import field_positions
 from sightline.motion.statics import apply_statics, band_statics
+from sightline.motion.strip.relief import RowRelief
 from sightline.products.band_fit import BandFit, fit_bands
-from sightline.products.register_bands import RegisteredImage, band_map
+from sightline.products.register_bands import RaisedGround, RegisteredImage, band_map
 from sightline.result import Result, makes_result
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -55,9 +61,7 @@ def recovered_cameras(
         Name of a static parameter to its value; names of other things than these bands' are passed over.
     """
     moved = [band.camera.with_trajectory(band.camera.trajectory.with_motion(motion)) for band in bands]
-    parameters = band_statics(
-        [b.name for b in bands], [b.offset_sigma_px for b in bands], [b.rotation_sigma for b in bands]
-    )
+    parameters = band_statics(bands)
     values = np.array([statics.get(parameter.name, 0.0) for parameter in parameters])
     return tuple(c for c in apply_statics(moved, parameters, values) if isinstance(c, PushbroomCamera))
 
@@ -70,6 +74,7 @@ def register_bands(
     motion: Motion,
     statics: Mapping[str, float] | None = None,
     *,
+    relief: RowRelief | None = None,
     onto: str | None = None,
 ) -> Registration:
     """Bands of one strip on the grid of one of them; nothing is read before its pixels are asked for.
@@ -82,7 +87,9 @@ def register_bands(
     motion : Motion
         As recovered.
     statics : mapping, optional
-        Offsets and rotations of the bands as recovered, by name.
+        Offsets, rotations and scales of the bands as recovered, by name.
+    relief : RowRelief, optional
+        Ground that was found beside the motion: with it, as with the motion, bands fit.
     onto : str, optional
         Name of the band whose grid is wanted; the first by default.
 
@@ -102,16 +109,28 @@ def register_bands(
     nominal = tuple(band.camera for band in bands)
     refined = recovered_cameras(bands, motion, statics or {})
 
-    def laid(cameras: Sequence[PushbroomCamera]) -> tuple[ImageSource, ...]:
+    def laid(
+        cameras: Sequence[PushbroomCamera], raised: RaisedGround | None = None
+    ) -> tuple[ImageSource, ...]:
         shape = bands[reference].image.shape
         return tuple(
             band.image
             if k == reference
-            else RegisteredImage(band.image, band_map(cameras[reference], cameras[k], surface), shape)
+            else RegisteredImage(band.image, band_map(cameras[reference], cameras[k], surface, raised), shape)
             for k, band in enumerate(bands)
         )
 
-    return Registration(reference, laid(nominal), laid(refined))
+    raised = None if relief is None else partial(heights_of_rows, relief, refined[relief.image])
+    return Registration(reference, laid(nominal), laid(refined, raised))
+
+
+def heights_of_rows(relief: RowRelief, camera: PushbroomCamera, places: Array) -> Array:
+    """Heights (N,) m that were found at places (N, 3) of the surface, by where `camera` sees them.
+
+    Before and after its image those of the first and the last row go on.
+    """
+    pixels = camera.project(places, line_margin=float(camera.lines))
+    return relief.at(camera.times(pixels[:, 0]), field_positions(pixels[:, 1], camera.columns))
 
 
 def fit_pairs(images: Sequence[ImageSource], *, search_px: tuple[int, int] = (8, 8)) -> list[BandFit]:

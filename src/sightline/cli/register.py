@@ -113,6 +113,11 @@ def register_into(
         )
     recovered = read_recovered(motion, acquired)
     registration = register_bands(
-        acquired.bands, acquired.surface, recovered.motion, recovered.statics, onto=onto
+        acquired.bands,
+        acquired.surface,
+        recovered.motion,
+        recovered.statics,
+        relief=recovered.relief,
+        onto=onto,
     )
     return Registered().render(registration, folder, report, begin, pixels=pixels, stack=stack)

@@ -160,8 +160,10 @@ class LineDetector(ReadOnlyArrays):
         curve_at(self.tangents, read_only(np.atleast_1d(columns)), t)
         return _unit(t[:, 0], t[:, 1])
 
-    def adjusted(self, line_px: float = 0.0, column_px: float = 0.0, rotation: float = 0.0) -> LineDetector:
-        """The same row shifted and turned about its own centre.
+    def adjusted(
+        self, line_px: float = 0.0, column_px: float = 0.0, rotation: float = 0.0, scale: float = 0.0
+    ) -> LineDetector:
+        """The same row shifted, turned and stretched about its own centre.
 
         Parameters
         ----------
@@ -169,6 +171,8 @@ class LineDetector(ReadOnlyArrays):
             Shift in units of `pixel_step`: the row looks that much further toward larger lines, columns.
         rotation : float
             rad; positive looks further toward larger lines at larger columns.
+        scale : float
+            Relative change of its length: 1e-3 makes a row of 1000 pixels see one pixel more.
 
         Returns
         -------
@@ -178,7 +182,7 @@ class LineDetector(ReadOnlyArrays):
         """
         middle = self.tangents[[(self.columns - 1) // 2, self.columns // 2]].mean(axis=0)
         sine, cosine = np.sin(rotation), np.cos(rotation)
-        x, y = (self.tangents - middle).T
+        x, y = (1.0 + scale) * (self.tangents - middle).T
         step = self.pixel_step
         return replace(
             self,

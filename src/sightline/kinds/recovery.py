@@ -20,6 +20,7 @@ from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.tables import ANGLES, MOTION, MotionTable, read_columns, read_motion
 from sightline.io.results.hidden import read_hidden
 from sightline.io.results.line_of_sight import RESULT_FILES, whole_summary, write_result
+from sightline.io.results.relief import read_relief
 from sightline.kinds.kind import REPORT, Columns, ResultKind, Tell, given, per_axis, warned
 from sightline.motion.band import ChipKnowledge, LensKnowledge
 from sightline.motion.estimators.differences import AngleDifferences
@@ -65,6 +66,7 @@ class Recovery(ResultKind):
         """``motion.csv``."""
         motion = result.motion
         values = [motion.t, *motion.angles.T, *result.sigma.T, *result.absolute_sigma.T, result.observed]
+        values.append([""] * len(motion.t) if result.lines is None else result.lines)
         return dict(zip(MOTION, values, strict=True))
 
     def summarize(self, result: LineOfSight) -> dict[str, Any]:
@@ -105,6 +107,7 @@ class Recovery(ResultKind):
                 "motion": Motion(table.t, table.angles, np.einsum("ni,ij->nij", sigma**2, np.eye(3))),
                 "absolute_sigma": absolute,
                 "observed": table.observed,
+                "lines": table.lines,
                 "hidden": hidden[0],
                 "hidden_names": tuple(hidden[1]),
                 "hidden_covariance": None if covariance is None else np.array(covariance, dtype=np.float64),
@@ -121,6 +124,7 @@ class Recovery(ResultKind):
                 "warnings": tuple(summary["warnings"]),
                 "method": _method(summary["method"], count),
                 "band": _band(folder / "covariance.npz"),
+                "relief": read_relief(folder, summary, tuple(summary["images"])),
                 "differences": _differences(folder / "differences.csv", tuple(summary["images"])),
             }
 

@@ -28,6 +28,8 @@ class Band:
         px; how well the line's place in the focal plane is known, along and across (0: exactly).
     rotation_sigma : float
         rad; how well its rotation is known (0: exactly).
+    scale_sigma : float
+        Relative; how well its magnification beside the first band's is known (0: exactly).
     match_sigma : (columns, 2) or None
         Relative sigma along lines and columns of matches at each column, as predicted from MTF and SNR.
     """
@@ -37,6 +39,7 @@ class Band:
     camera: PushbroomCamera
     offset_sigma_px: float = 1.0
     rotation_sigma: float = 3e-4
+    scale_sigma: float = 1e-3
     match_sigma: NDArray[np.float64] | None = None
 
 

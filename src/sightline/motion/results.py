@@ -20,6 +20,7 @@ from sightline.matching.matches import MASKED, NOT_CHOSEN, OUTSIDE, STATUS_NAMES
 from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.measure.stars import END, StarRecord
 from sightline.motion.strip.fusion import SensorUse
+from sightline.motion.strip.relief import RowRelief
 from sightline.result import Result
 
 Array = NDArray[np.float64]
@@ -92,8 +93,8 @@ class LineOfSight(Result):
     Attributes
     ----------
     motion : Motion
-        At the lines of the first image (or at the frames): departures from the reference attitude, with the
-        covariance of the motion less its hidden part.
+        From the first exposure of any image to the last, at the lines of the first (or at the frames):
+        departures from the reference attitude, with the covariance of the motion less its hidden part.
     absolute_sigma : (N, 3)
         rad; hidden part included, infinite where nothing ties it.
     hidden : (N, 3, H)
@@ -128,6 +129,11 @@ class LineOfSight(Result):
         S1's step b, one per pair of images: rows of windows that show all three angles. None of frames.
     method : NamedMethod or None
         None: the joint estimate.
+    relief : RowRelief or None
+        Ground that was found beside the motion, where its height is not known well enough.
+    lines : (N,) int or None
+        Lines of the first image at which the motion is given; before it negative, behind it beyond its last.
+        None of frames.
     warnings : tuple of str
     """
 
@@ -153,6 +159,8 @@ class LineOfSight(Result):
     sensors: tuple[SensorUse, ...] = ()
     differences: tuple[AngleDifferences, ...] = ()
     method: NamedMethod | None = None
+    relief: RowRelief | None = None
+    lines: NDArray[np.int64] | None = None
     warnings: tuple[str, ...] = ()
 
     @property

@@ -14,35 +14,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.motion.band import Band
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
 
 Array = NDArray[np.float64]
 
 
-def band_statics(
-    names: Sequence[str], offset_sigma_px: Sequence[float], rotation_sigma: Sequence[float]
-) -> list[StaticParameter]:
-    """Offset along, offset across and rotation of each detector line; those with sigma 0 are left out.
+def band_statics(bands: Sequence[Band]) -> list[StaticParameter]:
+    """Offsets along and across, rotation and scale of each detector line; those with sigma 0 are left out.
 
     Parameters
     ----------
-    names : sequence of str
-        Of the bands, in the order of the cameras.
-    offset_sigma_px : sequence of float
-        px; how well each line's place in the focal plane is known.
-    rotation_sigma : sequence of float
-        rad; how well its rotation is known.
+    bands : sequence of Band
+        In the order of the cameras.
+
+    Notes
+    -----
+    The scale of all bands together is the height of the platform: the first band is the others' measure.
     """
     out = []
-    for image, name in enumerate(names):
-        if offset_sigma_px[image] > 0.0:
-            sigma = float(offset_sigma_px[image])
-            for axis, key in (("along", "line_px"), ("across", "column_px")):
-                change = _adjust(image, key)
-                out.append(StaticParameter(f"{name} offset {axis}", "px", sigma, 0.1, change, (image,)))
-        if rotation_sigma[image] > 0.0:
-            sigma, change = float(rotation_sigma[image]), _adjust(image, "rotation")
-            out.append(StaticParameter(f"{name} rotation", "rad", sigma, 1e-4, change, (image,)))
+    for image, band in enumerate(bands):
+        known = [
+            ("offset along", "line_px", "px", band.offset_sigma_px, 0.1),
+            ("offset across", "column_px", "px", band.offset_sigma_px, 0.1),
+            ("rotation", "rotation", "rad", band.rotation_sigma, 1e-4),
+            ("scale", "scale", "", band.scale_sigma if image else 0.0, 1e-4),
+        ]
+        out += [
+            StaticParameter(f"{band.name} {name}", unit, float(sigma), step, _adjust(image, key), (image,))
+            for name, key, unit, sigma, step in known
+            if sigma > 0.0
+        ]
     return out
 
 

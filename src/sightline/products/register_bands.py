@@ -9,7 +9,7 @@ Not here: the kernel (``resample.py``), how often the map is evaluated (``image_
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -38,7 +38,13 @@ _FILL = 8
 BLOCK_PIXELS = 2_000_000
 
 
-def band_map(reference: PushbroomCamera, camera: PushbroomCamera, surface: Surface) -> Mapping:
+#: Heights (N,) m above the surface at places (N, 3) of it; NaN where nothing is known.
+RaisedGround = Callable[[Array], Array]
+
+
+def band_map(
+    reference: PushbroomCamera, camera: PushbroomCamera, surface: Surface, raised: RaisedGround | None = None
+) -> Mapping:
     """Where pixels of one image lie in another.
 
     Parameters
@@ -47,6 +53,8 @@ def band_map(reference: PushbroomCamera, camera: PushbroomCamera, surface: Surfa
         Of the grid, and of the image to be laid on it.
     surface : Surface
         What both see.
+    raised : callable, optional
+        Ground above it that was found; where nothing is known of it, it is the surface.
 
     Returns
     -------
@@ -60,7 +68,12 @@ def band_map(reference: PushbroomCamera, camera: PushbroomCamera, surface: Surfa
         out = np.full((len(lines), len(columns), 2), np.nan)
         known = np.flatnonzero((lines >= low) & (lines <= high))
         pixels = np.stack(np.meshgrid(lines[known], columns, indexing="ij"), axis=-1).reshape(-1, 2)
-        places = camera.project(reference.locate(pixels, surface), line_margin=_MARGIN_LINES)
+        ground = reference.locate(pixels, surface)
+        if raised is not None:
+            # along each ray, which a height of some hundred metres does not bend
+            height = np.nan_to_num(raised(ground))
+            ground = ground + height[:, None] * (reference.locate(pixels, surface.raised(1.0)) - ground)
+        places = camera.project(ground, line_margin=_MARGIN_LINES)
         out[known] = places.reshape(-1, len(columns), 2)
         return out
 

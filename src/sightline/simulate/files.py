@@ -120,6 +120,7 @@ def acquisition_toml(
             f"offset_sigma_px = {options.offset_sigma_px!r}",
             "rotation = 0.0",
             f"rotation_sigma = {options.rotation_sigma!r}",
+            *([f"scale_sigma = {options.scale_sigma!r}"] if options.scale_sigma else []),
             "first_line_time = 0.0",
         ]
     lines += ["", "[surface]", *_surface_lines(scenario.scene.relief, dem)]

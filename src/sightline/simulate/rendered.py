@@ -86,8 +86,12 @@ class RenderedStrip(ABC):
         """
         rendered: Sequence[NDArray[np.generic]]
         rendered = images or [self.image(band) for band in range(len(self.bands))]
-        sigmas = (self.options.offset_sigma_px, self.options.rotation_sigma)
+        told = {
+            name: getattr(self.options, name)
+            for name in ("offset_sigma_px", "rotation_sigma", "scale_sigma")
+            if getattr(self.options, name, 0.0) > 0.0 or name != "scale_sigma"
+        }
         return [
-            Band(band.name, ArrayImage(image), camera, *sigmas)
+            Band(band.name, ArrayImage(image), camera, **told)
             for band, image, camera in zip(self.bands, rendered, self.nominal_cameras, strict=True)
         ]

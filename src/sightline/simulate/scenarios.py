@@ -80,6 +80,8 @@ class BandTruth:
     rotation : float
         rad, true rotation; nominally 0.
     nominal, true : LineDetector
+    scale : float
+        True magnification beside the first band's, less 1; nominally 0.
     """
 
     name: str
@@ -89,6 +91,7 @@ class BandTruth:
     rotation: float
     nominal: LineDetector
     true: LineDetector
+    scale: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -292,6 +295,8 @@ def _draw_bands(options: StripOptions, seed: np.random.SeedSequence) -> tuple[Ba
     rng = np.random.default_rng(seed)
     offsets = options.offset_sigma_px * rng.standard_normal((len(options.names), 2))
     rotations = options.rotation_sigma * rng.standard_normal(len(options.names))
+    scales = options.scale_sigma * rng.standard_normal(len(options.names))
+    scales[0] = 0.0
     bands = []
     for index, (name, lag) in enumerate(zip(options.names, options.lags, strict=True)):
         offset = (float(offsets[index, 0]), float(offsets[index, 1]))
@@ -308,7 +313,10 @@ def _draw_bands(options: StripOptions, seed: np.random.SeedSequence) -> tuple[Ba
             )
             for shift, turn in (((0.0, 0.0), 0.0), (offset, rotation))
         )
-        bands.append(BandTruth(name, lag, look_ahead, offset, rotation, nominal, true))
+        scale = float(scales[index])
+        if scale:
+            true = true.adjusted(scale=scale)
+        bands.append(BandTruth(name, lag, look_ahead, offset, rotation, nominal, true, scale))
     return tuple(bands)
 
 

@@ -43,6 +43,8 @@ class StripOptions:
         Mean over noise; standard deviation over mean of the ground; system MTF at Nyquist.
     offset_sigma_px, rotation_sigma : float
         px and rad, sizes of the unknown offsets and rotations of the bands (true values are drawn).
+    scale_sigma : float
+        The same of their magnifications beside the first band's, relative.
     motion : str
         "nominal" (drift, broadband, tones), "curve" (measured), "other-family" (measured curve, chirp,
         step), "real" (measured curve, tones of 40-120 Hz), "ck" (C kernel of MRO), "isd" (attitudes of a
@@ -78,6 +80,7 @@ class StripOptions:
     mtf_nyquist: float = 0.15
     offset_sigma_px: float = 1.0
     rotation_sigma: float = 3e-4
+    scale_sigma: float = 0.0
     motion: str = "nominal"
     relief: str = "none"
     relief_rms: float = 300.0

@@ -1,8 +1,11 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from sightline.io.acquisition.describe import describe_acquisition
+from sightline.io.acquisition.ground import shared_ground
 from sightline.io.acquisition.load import load_acquisition
 
 
@@ -17,6 +20,17 @@ def test_lags_blind_frequencies_and_overlap_are_those_of_the_geometry(folder):
     # parallax: 1 m of height between views 2e-4 apart: 2e-4 m = 2e-4 / 3.5 px
     assert pair["parallax"] == pytest.approx(2e-4 / 3.5, rel=0.01)
     assert any("lag -20 ms, 80 % common ground, blind at 50, 100" in line for line in said["observable"])
+
+
+@pytest.mark.parametrize("columns", [3, 8])
+def test_images_of_few_columns_share_what_they_share(folder, columns):
+    acquisition = load_acquisition(folder.write())
+    some = [
+        camera.with_detector(replace(camera.detector, directions=camera.detector.directions[:columns]))
+        for camera in acquisition.cameras
+    ]
+    # the edges of pixels count, not their middles: 80 % of the lines, all columns
+    assert shared_ground(*some, acquisition.surface) == pytest.approx(0.8, abs=1 / 65)
 
 
 def test_frequencies_below_one_period_of_the_strip_are_not_promised(folder):

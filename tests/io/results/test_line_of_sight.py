@@ -21,7 +21,7 @@ from sightline.motion.sensors import AttitudeSensor
 
 HEADER = (
     "t,roll,pitch,yaw,sigma_roll,sigma_pitch,sigma_yaw,"
-    "sigma_absolute_roll,sigma_absolute_pitch,sigma_absolute_yaw,observed"
+    "sigma_absolute_roll,sigma_absolute_pitch,sigma_absolute_yaw,observed,line"
 )
 
 
@@ -30,6 +30,7 @@ def test_the_motion_has_one_row_per_line_of_the_first_band_under_the_agreed_head
     assert rows[0] == HEADER and len(rows) == 1 + 640
     motion = read_motion(recovery.folder / "motion.csv")
     np.testing.assert_allclose(motion.t, recovery.acquisition.cameras[0].times(np.arange(640.0)), atol=1e-12)
+    assert motion.lines.tolist() == list(range(640))  # all bands are exposed together
     np.testing.assert_allclose(motion.angles, recovery.result.motion.angles, rtol=1e-8, atol=1e-15)
     # Nothing ties the hidden part: its sigma is infinite, written as such.
     assert np.isinf(motion.sigma_absolute).all()

@@ -5,7 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.linalg import toeplitz
-from tests.motion.strips import ALTITUDE, IFOV, PERIOD, SPEED, moved_by_turn, plain_star, strip_cameras
+from tests.motion.strips import (
+    ALTITUDE,
+    IFOV,
+    PERIOD,
+    SPEED,
+    moved_by_turn,
+    plain_star,
+    strip_cameras,
+    told_bands,
+)
 
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.geometry.trajectory import Trajectory
@@ -222,7 +231,7 @@ def test_one_control_point_does_not_tie_yaw():
 
 def test_a_control_point_shares_the_offset_of_its_band():
     cameras = strip_cameras((0.0, 40.0))
-    parameters = band_statics(["a", "b"], [1.0, 1.0], [0.0, 0.0])
+    parameters = band_statics(told_bands(["a", "b"], [1.0, 1.0], [0.0, 0.0]))
     control = ControlPoints(
         np.array([[0.0, 100 * PERIOD * SPEED, 0.0]]),
         np.array([1.0]),

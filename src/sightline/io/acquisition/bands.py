@@ -88,6 +88,7 @@ def build_bands(config: AcquisitionFile, files: InputFolder, *, look: bool = Tru
             ),
             band.offset_sigma_px,
             band.rotation_sigma,
+            band.scale_sigma,
             match_sigma_of(band, image, files),
         )
         for band, image, (detector, timing) in zip(config.band, images, plans, strict=True)

@@ -42,7 +42,7 @@ _SAMPLING_KEYS = (
     "ground_speed (m/s)"
 )
 #: Lines and columns of the grid with which common ground is looked for.
-OVERLAP_GRID = (65, 5)
+OVERLAP_GRID = (65, 33)
 #: Heights (m) between which the ground of a large DEM is looked for.
 SEARCH_HEIGHTS = (-500.0, 9000.0)
 
@@ -420,16 +420,14 @@ def _least_lag(camera: MovingCamera) -> float:
 
 def _common(camera: MovingCamera, other: MovingCamera, surface: Surface) -> tuple[Array, Array]:
     """Pixels of a grid over `camera` and where `other` sees their ground; NaN rows where it does not."""
-    lines, columns = camera.shape
-    grid = np.meshgrid(
-        np.linspace(0, lines - 1, OVERLAP_GRID[0]),
-        np.linspace(0, columns - 1, OVERLAP_GRID[1]),
-        indexing="ij",
-    )
-    pixels = np.stack(grid, axis=-1).reshape(-1, 2)
+    # the middles of equal parts of the image, which reaches half a pixel beyond the middles of its ends
+    parts = [
+        (np.arange(count) + 0.5) / count * size - 0.5
+        for size, count in zip(camera.shape, OVERLAP_GRID, strict=True)
+    ]
+    pixels = np.stack(np.meshgrid(*parts, indexing="ij"), axis=-1).reshape(-1, 2)
     seen = other.project(camera.locate(pixels, base_surface(surface)))
-    last = np.array(other.shape) - 1.0
-    seen[~np.all((seen >= 0.0) & (seen <= last), axis=1)] = np.nan
+    seen[~np.all((seen >= -0.5) & (seen <= np.array(other.shape) - 0.5), axis=1)] = np.nan
     return pixels, seen
 
 

@@ -62,6 +62,7 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
                 _placed(model, band, config),
                 band.offset_sigma_px,
                 band.rotation_sigma,
+                band.scale_sigma,
                 match_sigma_of(band, image, files),
             )
         )

@@ -267,6 +267,10 @@ class BandSection(LineGeometry):
     rotation_sigma: AngleSigma = Field(
         default=3e-4, description="How well the rotation is known, rad; 0 = exactly"
     )
+    scale_sigma: Scale = Field(
+        default=1e-3,
+        description="How well its magnification beside the first band's is known, relative; 0 = exactly",
+    )
     first_line_time: Seconds | None = Field(
         default=None, description="s, centre of the exposure of line 0 (default 0)"
     )

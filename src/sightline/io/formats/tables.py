@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.access import read_text
-from sightline.errors import FormatError, InputError, reads
+from sightline.errors import FormatError, InputError, foreign_errors, reads
 from sightline.io.quantities import QUATERNION_TOLERANCE, shown
 from sightline.motion.estimators.differences import AngleDifferences
 from sightline.writing import whole
@@ -46,6 +46,7 @@ MOTION = (
     *(f"sigma_{axis}" for axis in ANGLES),
     *(f"sigma_absolute_{axis}" for axis in ANGLES),
     "observed",
+    "line",
 )
 SPECTRUM = ("frequency", *(f"{kind}_{axis}" for kind in ("psd", "error", "observed") for axis in ANGLES))
 
@@ -68,6 +69,8 @@ class MotionTable:
         rad, 1-sigma; None in a table of truth.
     observed : (N,) bool or None
         False where only the prior or interpolation speaks.
+    lines : (N,) int or None
+        Lines of the first image, gone on before and after it; None of frames, and where a table says nothing.
     """
 
     t: Array
@@ -75,6 +78,7 @@ class MotionTable:
     sigma: Array | None = None
     sigma_absolute: Array | None = None
     observed: NDArray[np.bool_] | None = None
+    lines: NDArray[np.int64] | None = None
 
 
 @reads("a CSV table")
@@ -470,8 +474,9 @@ def _check_count(path: Path, name: str, values: Array) -> None:
 def read_motion(path: Path) -> MotionTable:
     """A ``motion.csv`` or a ``truth.csv``: whichever columns it has beyond t, roll, pitch, yaw."""
     header = [name.strip() for name in _rows(path)[0][1]]
-    full = all(name in header for name in MOTION)
-    table = read_columns(path, MOTION if full else TRUTH, infinite=MOTION[7:10])
+    full = all(name in header for name in MOTION[:-1])
+    names = tuple(name for name in MOTION if name in header) if full else TRUTH
+    table = read_columns(path, names, text=("line",), infinite=MOTION[7:10])
     t = _matrix(table, ["t"])[:, 0]
     check_times(path, t)
     angles = _matrix(table, ANGLES)
@@ -483,7 +488,16 @@ def read_motion(path: Path) -> MotionTable:
         _matrix(table, MOTION[4:7]),
         _matrix(table, MOTION[7:10]),
         np.asarray(_matrix(table, ["observed"])[:, 0] != 0.0),
+        _lines_of(path, table.get("line", [])),
     )
+
+
+def _lines_of(path: Path, words: Sequence[str] | Array) -> NDArray[np.int64] | None:
+    """The column `line`; None where it is empty."""
+    if not any(words):
+        return None
+    with foreign_errors(path, "column 'line' holds no whole numbers", "give lines, or leave all empty"):
+        return np.array([int(word) for word in words], dtype=np.int64)
 
 
 def write_columns(
@@ -555,13 +569,14 @@ def write_differences(path: Path, differences: Sequence[AngleDifferences], names
 
 
 def write_motion(path: Path, motion: MotionTable) -> None:
-    """``motion.csv`` by the contract: one row per image line, angles and sigmas in rad."""
+    """``motion.csv`` by the contract: one row per line or frame, angles and sigmas in rad."""
     n = len(motion.t)
     if motion.sigma is None:
         raise InputError("a motion without sigma was given; `motion.csv` states one per line")
     absolute = np.full((n, 3), np.inf) if motion.sigma_absolute is None else motion.sigma_absolute
     observed = np.ones(n, dtype=bool) if motion.observed is None else motion.observed
-    values = [motion.t, *motion.angles.T, *motion.sigma.T, *absolute.T, observed]
+    lines = [""] * n if motion.lines is None else motion.lines
+    values = [motion.t, *motion.angles.T, *motion.sigma.T, *absolute.T, observed, lines]
     write_columns(path, dict(zip(MOTION, values, strict=True)), {axis: "%.12g" for axis in ANGLES})
 
 

@@ -1,7 +1,8 @@
 """A recovered line of sight → the files of its folder: what a chain reads, and the summary.
 
-``motion.csv``, ``attitude.csv``, ``attitude.aem``, ``differences.csv``, ``hidden.csv``, ``spectrum.csv``,
-``smear.csv``, ``covariance.npz``, ``summary.json``; their columns are described in ``docs/formats.md``.
+``motion.csv``, ``attitude.csv``, ``attitude.aem``, ``differences.csv``, ``hidden.csv``, ``relief.csv``,
+``spectrum.csv``, ``smear.csv``, ``covariance.npz``, ``summary.json``; their columns are described in
+``docs/formats.md``.
 
 Not here: the page for people (``report/``).
 """
@@ -42,6 +43,7 @@ from sightline.io.formats.tables import (
 from sightline.io.results.hidden import TABLE as HIDDEN_TABLE
 from sightline.io.results.hidden import write_hidden
 from sightline.io.results.microvibration import microvibration_summary, write_smear
+from sightline.io.results.relief import RELIEF, write_relief
 from sightline.io.results.spin import spin_summary
 from sightline.motion.observability import Passbands
 from sightline.motion.results import LineOfSight
@@ -54,7 +56,7 @@ Array = NDArray[np.float64]
 #: Every file a recovery may leave in its folder; which of them it does depends on the data.
 RESULT_FILES = (
     "attitude.aem", "attitude.csv", "covariance.npz", "differences.csv", "hidden.csv", "motion.csv",
-    "report.html", "smear.csv", "spectrum.csv", "summary.json",
+    "relief.csv", "report.html", "smear.csv", "spectrum.csv", "summary.json",
 )  # fmt: skip
 #: The highest frequency spoken of, in units of the line rate: windows of some lines cut beyond.
 HIGHEST_FREQUENCY = 0.25
@@ -85,7 +87,8 @@ def write_result(
         The summary, as in ``summary.json``.
     """
     motion = result.motion
-    table = MotionTable(motion.t, motion.angles, result.sigma, result.absolute_sigma, result.observed)
+    sigmas = result.sigma, result.absolute_sigma
+    table = MotionTable(motion.t, motion.angles, *sigmas, result.observed, result.lines)
     write_motion(folder / "motion.csv", table)
     attitude = refined_attitude(result, acquisition)
     write_attitudes(folder / "attitude.csv", motion.t, attitude)
@@ -102,6 +105,8 @@ def write_result(
     if _is_strip(acquisition):
         write_smear(folder / "smear.csv", result, summary["microvibration"])
         write_differences(folder / "differences.csv", result.differences, result.image_names)
+    if result.relief is not None:
+        write_relief(folder / RELIEF, result.relief)
     if result.band is not None:
         _write_covariance(folder / "covariance.npz", result)
     write_json(folder / "summary.json", summary)
@@ -218,6 +223,7 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "residual_rms_rejected_px": _rms(result, result.after_px, rejected=True),
         "matches": _matches(result),
         "pairs": [_pair(result, k) for k in range(len(result.pairs))],
+        "relief": _relief(result),
         "statics": [vars(static) for static in result.statics],
         "sensors": [vars(sensor) for sensor in result.sensors],
         "absolute_sigma_px": _per_axis(np.sqrt((result.absolute_sigma**2).mean(axis=0)) / result.scale),
@@ -227,6 +233,23 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "wall_seconds": wall_seconds,
         "peak_memory_bytes": peak_memory(),
         "inputs": acquisition.input_hashes(),
+    }
+
+
+def _relief(result: LineOfSight) -> dict[str, Any] | None:
+    """Which file holds the ground that was found, and how far it goes; None where none was sought."""
+    found = result.relief
+    if found is None:
+        return None
+    rms = np.sqrt((found.heights**2).mean(axis=0))
+    sigma = np.sqrt((found.sigma**2).mean(axis=0))
+    return {
+        "file": RELIEF,
+        "image": result.image_names[found.image],
+        "rms_height": float(rms[0]),
+        "rms_slope": float(rms[1]),
+        "sigma_height": float(sigma[0]),
+        "sigma_slope": float(sigma[1]),
     }
 
 

@@ -1,7 +1,8 @@
 """The folder that ``recover`` wrote → motion and statics, checked to be those of an acquisition.
 
 ``motion.csv`` gives the angles at the lines of the first band; beyond its span ``covariance.npz``, where it
-is there, goes on to the lines of the others; ``summary.json`` gives the statics and the hashes of the inputs.
+is there, goes on to the lines of the others; ``summary.json`` gives the statics and the hashes of the
+inputs, ``relief.csv`` the ground that was found.
 
 Not here: what is done with them (``applications/registration.py``).
 """
@@ -23,6 +24,8 @@ from sightline.inputs import note
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.tables import read_motion
 from sightline.io.results.hidden import read_summary
+from sightline.io.results.relief import read_relief
+from sightline.motion.strip.relief import RowRelief
 from sightline.result import set_source
 
 Array = NDArray[np.float64]
@@ -36,6 +39,8 @@ class Recovered:
     ----------
     motion : Motion
         rad; without covariance.
+    relief : RowRelief or None
+        Ground that was found, images counted as the bands of the acquisition.
     statics : dict
         Name of a static parameter, as ``motion.statics`` names it, to its value.
     summary : dict
@@ -45,6 +50,7 @@ class Recovered:
     motion: Motion
     statics: dict[str, float]
     summary: dict[str, Any]
+    relief: RowRelief | None = None
 
 
 def read_recovered(folder: Path, acquisition: Acquisition) -> Recovered:
@@ -71,7 +77,8 @@ def read_recovered(folder: Path, acquisition: Acquisition) -> Recovered:
     _check_hashes(folder, summary, acquisition)
     table = read_motion(folder / "motion.csv")
     t, angles = _prolonged(folder, table.t, table.angles)
-    recovered = Recovered(Motion(t, angles), _statics(folder, summary), summary)
+    relief = read_relief(folder, summary, acquisition.names)
+    recovered = Recovered(Motion(t, angles), _statics(folder, summary), summary, relief)
     set_source(recovered.motion, recovered)
     return recovered
 

@@ -171,6 +171,12 @@ class JointEstimate:
         """Node values with relief where there is any, (count, 3 or 5)."""
         return self.nodes if self.relief is None else np.concatenate([self.nodes, self.relief], axis=1)
 
+    def relief_sigma(self) -> Array:
+        """Sigma (count, 2) m of the relief, constants of the motion held."""
+        block = self._data.block
+        variance = self._factor(constants=False).covariance_band(0)[0].reshape(-1, block)
+        return np.sqrt(np.maximum(variance[:, 3:], 0.0))
+
     def hidden_drifts(self) -> tuple[int, ...]:
         """Axes (0 roll, 1 pitch, 2 yaw) whose linear drift free static parameters hide from the images.
 

@@ -12,11 +12,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.estimation.prior import Autoregressive, autoregressive
+from sightline.geometry.checks import ReadOnlyArrays
 from sightline.geometry.surface import Surface
 from sightline.motion.measure.match_noise import scatter
 from sightline.motion.measure.observations import Star
@@ -36,6 +38,33 @@ LONGEST, LEAST_SLOPE = 2.0, 0.1
 #: Nor is it rougher than hills of such slopes: foreign windows, and textures that err more along lines than
 #: along columns, scatter as fine relief would, which averages out of a row and would own nothing.
 STEEPEST_SLOPE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class RowRelief(ReadOnlyArrays):
+    """Ground that was found beside the motion: rows of it, as one image sees them.
+
+    Attributes
+    ----------
+    image : int
+        Number of that image.
+    t : (N,)
+        s; when it sees each row.
+    heights : (N, 2)
+        m above the surface that was given: mean of the row, and what its end at the last column adds.
+    sigma : (N, 2)
+        m; of both.
+    """
+
+    image: int
+    t: Array
+    heights: Array
+    sigma: Array
+
+    def at(self, t: Array, field: Array) -> Array:
+        """Heights (N,) m where the image sees ground at times `t` (N,) and places `field` (N,), -1 to 1."""
+        mean, slope = (np.interp(t, self.t, column) for column in self.heights.T)
+        return np.asarray(mean + slope * field)
 
 
 def relief_matters(stars: Sequence[Star], height_sigma: float) -> bool:

@@ -158,6 +158,18 @@ class Strip:
         """(3,) rad; one pixel of roll, of pitch, and of yaw at the edge of the field."""
         return np.array([self.pixel_angle, self.pixel_angle, self.pixel_angle / self.half_field])
 
+    def lines(self) -> NDArray[np.int64]:
+        """Lines of the first band, gone on before and after its image from the first exposure of any band to
+        the last."""
+        camera = self.nominal[0]
+        last = camera.lines - 1
+        at = camera.times(np.array([-1.0, 0.0, last, last + 1.0]))
+        ends = np.array([c.times(np.array([0.0, c.lines - 1.0])) for c in self.nominal])
+        before = (at[1] - ends.min()) / (at[1] - at[0])
+        after = (ends.max() - at[2]) / (at[3] - at[2])
+        # what is less than a thousandth of a line outside is rounding
+        return np.arange(-np.ceil(before - 1e-3), last + np.ceil(after - 1e-3) + 1.0).astype(np.int64)
+
     def cameras(self, nodes: Array, statics: Array) -> list[MovingCamera]:
         """Cameras that carry the motion and statics found so far."""
         return self._moved(self.nominal, self._motion(nodes), statics)
@@ -198,9 +210,7 @@ def prepared(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
     views = common_views([band.camera for band in bands], surface, pairs)
     axes = viewing_axes([band.camera for band in bands], views)
     cameras = tuple(band.camera if axes is None else in_axes(band.camera, axes) for band in bands)
-    parameters = band_statics(
-        [b.name for b in bands], [b.offset_sigma_px for b in bands], [b.rotation_sigma for b in bands]
-    )
+    parameters = band_statics(bands)
     ends = np.array([[c.times(np.array([-2.0]))[0], c.times(np.array([c.lines + 1.0]))[0]] for c in cameras])
     period = min((ends[k, 1] - ends[k, 0]) / (c.lines + 3) for k, c in enumerate(cameras))
     step = options.grid_lines * period

@@ -1,0 +1,38 @@
+"""The strip that is estimated: which lines its motion is given at."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from motion.strips import PERIOD, strip_cameras
+from sightline.geometry.surface import Plane
+from sightline.imaging.source import ArrayImage
+from sightline.motion.band import Band
+from sightline.motion.strip.strip import RecoverOptions, prepared
+
+SHAPE = (401, 220)
+
+
+@pytest.mark.parametrize(
+    ("starts", "first", "last"),
+    [
+        ((0.0, 0.0), 0, 400),
+        # exposed 30.5 lines later, and 12 earlier
+        ((0.0, 30.5), 0, 431),
+        ((0.0, -12.0), -12, 400),
+        # times as tables tell them, to a nanosecond
+        ((0.0, 20.0 + 1e-9 / PERIOD), 0, 420),
+    ],
+)
+def test_the_motion_is_given_from_the_first_exposure_of_any_band_to_the_last(starts, first, last):
+    image = ArrayImage(np.random.default_rng(0).standard_normal(SHAPE))
+    cameras = [
+        replace(camera, first_line_time=camera.first_line_time + start * PERIOD)
+        for camera, start in zip(strip_cameras((30.0, 0.0), *SHAPE), starts, strict=True)
+    ]
+    bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(cameras)]
+    lines = prepared(bands, Plane(), RecoverOptions()).lines()
+    assert (lines[0], lines[-1]) == (first, last) and (np.diff(lines) == 1).all()
