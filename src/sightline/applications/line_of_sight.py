@@ -30,7 +30,7 @@ from sightline.motion.measure.pair_order import best_first, pair_correlations
 from sightline.motion.measure.stars import MatchingPlan, StarRecord, hub_windows, match_star
 from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
 from sightline.motion.sensors import AttitudeSensor, ControlPoints
-from sightline.motion.strip.checks import checked, farthest_control
+from sightline.motion.strip.checks import checked, farthest_control, farthest_sensor
 from sightline.motion.strip.estimate import (
     DRAFT_ROUNDS,
     ROUNDS,
@@ -248,7 +248,8 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
         raise EstimationError(
             f"the images do not match where the cameras say: {kept} of {tried} windows kept within "
             f"{options.search_px} px of the prediction ({_counts(records)}); check look angles, line times "
-            f"and that the bands overlap, or search farther: [matching] search_px{farthest_control(strip)}"
+            "and that the bands overlap, or search farther: [matching] search_px"
+            f"{farthest_control(strip)}{farthest_sensor(strip, options.search_px)}"
         )
     state = solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
     # once more about the motion found: what was left of the first linearisation is gone before dense matching

@@ -30,13 +30,17 @@ def level_axes_at(place: Array, radii: tuple[float, float] | None) -> Array:
 def place_words(place: Array, radii: tuple[float, float] | None) -> str:
     """A place (3,) m: ``2.35 E 48.85 N, 60 m``, or x, y, z of a flat world."""
     if radii is None:
-        return "x {:.6g}, y {:.6g}, z {:.6g} m".format(*place)
+        x, y, z = (_rounded(v, 3) for v in place)
+        return f"x {x}, y {y}, z {z} m"
     lon, lat, height = to_geodetic(place[np.newaxis], radii)[0]
     lon, lat = np.degrees([lon, lat])
-    return (
-        f"{abs(lon):.6g} {'E' if lon >= 0.0 else 'W'} {abs(lat):.6g} {'N' if lat >= 0.0 else 'S'}, "
-        f"{height:.6g} m"
-    )
+    east, north = "E" if lon >= 0.0 else "W", "N" if lat >= 0.0 else "S"
+    return f"{_rounded(abs(lon), 6)} {east} {_rounded(abs(lat), 6)} {north}, {_rounded(height, 1)} m"
+
+
+def _rounded(value: float, digits: int) -> str:
+    """A number without zeros at its end, nor a sign of zero."""
+    return f"{round(float(value), digits) + 0.0:.12g}"
 
 
 def direction_words(direction: Array, axes: Array) -> str:

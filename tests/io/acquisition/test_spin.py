@@ -184,7 +184,7 @@ def test_a_sweep_may_begin_and_end_past_the_limb(folder):
     over = SPIN.replace("[0.0, 0.0, 700e3]", "[7078137.0, 0.0, 0.0]")
     # the attitude of a flat world points the other way: nothing is seen
     said = message(folder.replace(spin, over), GeometryError)
-    assert "100 % of image number 1 looks past the ground" in said
+    assert "100 % of PAN looks past the ground" in said
 
 
 @pytest.mark.parametrize(

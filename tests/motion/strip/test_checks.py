@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from sightline.imaging.source import ArrayImage
 from sightline.matching.select import Selection
 from sightline.motion.band import Band
 from sightline.motion.sensors import ControlPoints
-from sightline.motion.strip.checks import checked, farthest_control
+from sightline.motion.strip.checks import checked, farthest_control, farthest_sensor
 from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.strip import RecoverOptions, prepared
 
@@ -113,3 +114,15 @@ class TestControlPoints:
         # 1e-3 rad off the straight line down
         assert said.startswith("; matching began where control points say: control point 1 (")
         assert "lies 0.001 rad from where 'band 0' looked at line 80, column 100" in said
+
+
+@pytest.mark.parametrize(("kind", "size", "px"), [("star-tracker", 1.2, "2.4e+05"), ("gyro", 0.1, "2e+05")])
+def test_a_sensor_that_moves_the_cameras_farther_than_is_searched_is_named(kind, size, px):
+    angles = np.tile([size, 0.0, 0.0], (10, 1))
+    sensor = SimpleNamespace(name="ST", kind=kind, angles=angles)
+    strip = SimpleNamespace(sensors=(sensor,), turn=np.eye(3), scale=np.full(3, 5e-6))
+    # increments of a gyro add up
+    assert f"attitude sensor ST says, up to {px} px" in farthest_sensor(strip, (8, 8))
+    sensor.angles = angles * 1e-6
+    assert farthest_sensor(strip, (8, 8)) == ""
+    assert farthest_sensor(SimpleNamespace(sensors=()), (8, 8)) == ""

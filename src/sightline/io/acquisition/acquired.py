@@ -73,6 +73,8 @@ class Acquisition:
         rad/s; how fast directions may drift because the platform moves (ground at infinity).
     inputs : tuple of Path
         Every file that was read or will be.
+    doubts : tuple of str
+        What was given and is hardly meant.
     """
 
     path: Path
@@ -94,6 +96,7 @@ class Acquisition:
     attitude_sigma: AttitudeSigma | None
     parallax_sigma: float
     inputs: tuple[Path, ...] = field(repr=False)
+    doubts: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         """One line."""

@@ -18,6 +18,7 @@ from sightline.geometry.camera import PushbroomCamera
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.acquisition.describe_spin import describe_spin, ground_words
 from sightline.io.acquisition.ground import ground_steps, sampling_doubts, shared_ground
+from sightline.io.acquisition.looks import look_words
 from sightline.motion.observability import Passbands, blind_frequencies, passbands
 
 # Lines and columns at which a pair is looked for, as parts of the image: the middle first; staggered
@@ -162,6 +163,7 @@ def _understood(acquisition: Acquisition) -> list[str]:
     along, across = ground_steps(acquisition.cameras[0], acquisition.surface)
     if np.isfinite(along):
         lines.append(f"on the ground lines are {along:.3g} m apart and pixels {across:.3g} m wide")
+    lines += look_words(acquisition)
     lines.append(
         f"ground: {ground_words(acquisition.surface)}, height known to {acquisition.height_sigma:g} m"
     )
@@ -201,7 +203,8 @@ def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
         for pair in pairs
         if pair.lag == 0.0
     ]
-    lines += sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
+    doubts = sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
+    lines += [f"suspicious: {words}" for words in (*doubts, *acquisition.doubts)]
     names = [("focal length", acquisition.lens.focal_length_sigma_px, "px")]
     names += [("principal point", acquisition.lens.principal_point_sigma_px, "px")]
     names += [("distortion k1", acquisition.lens.distortion_sigma, "")]

@@ -151,7 +151,13 @@ def _horizontal(points: Array, local: bool, radii: tuple[float, float]) -> Array
 
 
 def check_coverage(
-    path: Path, surface: Surface, cameras: Sequence[MovingCamera], *, sweeps: bool = False
+    path: Path,
+    surface: Surface,
+    cameras: Sequence[MovingCamera],
+    names: Sequence[str],
+    *,
+    sweeps: bool = False,
+    otherwise: Callable[[MovingCamera], str] = lambda _: "",
 ) -> None:
     """Refuse a ground that the cameras look past, or an elevation raster that ends inside the strip.
 
@@ -161,8 +167,11 @@ def check_coverage(
         The TOML file, named in the message.
     surface : Surface
     cameras : sequence of cameras
+    names : sequence of str
     sweeps : bool
         Whether a spin or a mirror carries them over the ground, and past its limb.
+    otherwise : callable, optional
+        Ends a refusal of a camera: what its attitudes would be if they were written otherwise.
 
     Raises
     ------
@@ -177,11 +186,12 @@ def check_coverage(
     missed = [float(np.mean(~np.isfinite(p[:, 0]))) for p in points]
     worst = int(np.argmax(missed))
     if missed[worst] > (LIMB_SHARE if sweeps else UNCOVERED_SHARE):
-        _refuse_wide_field(path, base, cameras[worst], worst + 1)
+        _refuse_wide_field(path, base, cameras[worst], names[worst])
         raise GeometryError(
-            f"{path}: {100 * missed[worst]:.0f} % of image number {worst + 1} looks past the ground; check "
-            "the attitudes (quaternions qx,qy,qz,qw of world_from_body, scalar last), the positions and the "
-            f"mount{_exchanged_view_of(cameras[worst], surface)}"
+            f"{path}: {100 * missed[worst]:.0f} % of {names[worst]} looks past the ground; check the "
+            "attitudes (quaternions qx,qy,qz,qw of world_from_body, scalar last), the positions, [world] "
+            "frame, whose axes both are in, and the mount"
+            f"{_exchanged_view_of(cameras[worst], surface)}{otherwise(cameras[worst])}"
         )
     if not isinstance(surface, Dem):
         return
@@ -205,7 +215,7 @@ def _exchanged_view_of(camera: MovingCamera, surface: Surface) -> str:
     return exchanged_view_words(rays.origins, rays.directions, radii)
 
 
-def _refuse_wide_field(path: Path, surface: Surface, camera: MovingCamera, number: int) -> None:
+def _refuse_wide_field(path: Path, surface: Surface, camera: MovingCamera, name: str) -> None:
     """InputError where the middle of an image sees the ground and neither of its sides does."""
     lines, columns = camera.shape
     middle, end = (lines - 1) / 2.0, columns - 1.0
@@ -221,7 +231,7 @@ def _refuse_wide_field(path: Path, surface: Surface, camera: MovingCamera, numbe
     angle = np.degrees(np.arccos(np.clip(first @ last, -1.0, 1.0)))
     field = f"{angle:.3g} degrees" if np.isfinite(angle) else "more than its distortion allows"
     raise InputError(
-        f"{path}: image number {number} sees the ground in its middle and past it on all sides: {columns} "
+        f"{path}: {name} sees the ground in its middle and past it on all sides: {columns} "
         f"columns reach over {field}; check {keys}"
     )
 

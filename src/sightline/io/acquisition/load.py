@@ -31,6 +31,7 @@ from sightline.io.acquisition.ground import (
     check_sampling,
     check_seen,
 )
+from sightline.io.acquisition.looks import look_doubts, otherwise_written, sensor_doubts
 from sightline.io.acquisition.model_bands import build_model_bands
 from sightline.io.acquisition.platform import to_world
 from sightline.io.acquisition.schema import (
@@ -106,9 +107,14 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         check_seen(path, surface, cameras)
     else:
         sweeps = config.platform.kind == "spin" or config.pointing.kind == "scan-mirror"
-        check_coverage(path, surface, cameras, sweeps=sweeps)
+        check_coverage(
+            path, surface, cameras, names, sweeps=sweeps,
+            otherwise=lambda camera: otherwise_written(config, camera, surface),
+        )  # fmt: skip
         check_sampling(path, surface, cameras, names)
         check_overlap(path, surface, cameras, names)
+    sensors = tuple(read_sensor(entry, files) for entry in config.attitude_sensor)
+    exposed = np.concatenate([camera.times(np.array([0.0, camera.shape[0] - 1.0])) for camera in cameras])
     return Acquisition(
         path=path,
         name=config.acquisition.name,
@@ -117,7 +123,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         frames=frames,
         surface=surface,
         height_sigma=config.surface.height_sigma,
-        sensors=tuple(read_sensor(entry, files) for entry in config.attitude_sensor),
+        sensors=sensors,
         control_points=read_control(config, files, names),
         known_motion=read_known_motion(config, files),
         lens=lens_knowledge(config, frames[0].image.shape if frames else None),
@@ -129,6 +135,10 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         attitude_sigma=attitude_sigma(config),
         parallax_sigma=config.surface.parallax_sigma,
         inputs=tuple(files.used),
+        doubts=(
+            *look_doubts(config, cameras, names, surface),
+            *sensor_doubts(sensors, (float(exposed.min()), float(exposed.max()))),
+        ),
     )
 
 

@@ -287,7 +287,8 @@ def _method(result: LineOfSight) -> dict[str, Any]:
 
 def _doubts(acquisition: Acquisition) -> tuple[str, ...]:
     """What was given and is hardly meant."""
-    return sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
+    own = sampling_doubts(acquisition.surface, acquisition.cameras, acquisition.names)
+    return (*own, *acquisition.doubts)
 
 
 def _by_axis(tones: Sequence[DetectedTone]) -> dict[str, list[dict[str, Any]]]:

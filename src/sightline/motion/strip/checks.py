@@ -13,6 +13,7 @@ from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import TabulatedPsd
 from sightline.motion.measure.stars import hub_windows, within_image
 from sightline.motion.measure.windows import WindowGrid, predict_windows
+from sightline.motion.sensors import AttitudeSensor
 from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.strip import RecoverOptions, Strip
 
@@ -188,6 +189,27 @@ def farthest_control(strip: Strip) -> str:
         return ""
     k = max(angles, key=lambda point: angles[point])
     return f"; matching began where control points say: {_control_words(strip, k, angles[k])}"
+
+
+def farthest_sensor(strip: Strip, search_px: tuple[int, int]) -> str:
+    """The attitude sensor that moved the cameras by more than is searched, as the end of a refusal; "" if
+    none did."""
+    if not strip.sensors:
+        return ""
+
+    def moved(sensor: AttitudeSensor) -> float:
+        angles = sensor.angles if sensor.kind != "gyro" else np.cumsum(sensor.angles, axis=0)
+        # px at the edge of the field where the angle is yaw; about the axes of the estimate
+        return float(np.abs(angles @ strip.turn / strip.scale).max(initial=0.0))
+
+    worst = max(strip.sensors, key=moved)
+    if moved(worst) <= max(search_px):
+        return ""
+    return (
+        f"; matching began where attitude sensor {worst.name} says, up to {moved(worst):.3g} px from where "
+        "the cameras look without it: are its angles in rad, about body axes, relative to the reference "
+        "attitude?"
+    )
 
 
 def _control_angles(strip: Strip) -> dict[int, float]:
