@@ -142,7 +142,8 @@ class ResultKind:
     files : tuple of str
         Patterns of the names of all files that there may be.
     units : dict
-        Unit of each column; of ``sigma_X`` that of ``X`` where it is not named. "1" where there is none.
+        Unit of each column, as ``column``, or ``table:column`` where tables differ; of ``sigma_X`` that of
+        ``X`` where it is not named. "1" where there is none.
     options : tuple of str
         What `write` may be given.
     panels : int
@@ -257,7 +258,9 @@ class ResultKind:
         summary = self.summary(result)
         name = type(result).__name__
         rows = [[_cell(value) for value in row] for row in zip(*columns.values(), strict=True)]
-        heads = [f"{key} ({self.unit(key)})" if _is_number(columns[key]) else key for key in columns]
+        heads = [
+            f"{key} ({self.unit(key, self.table)})" if _is_number(columns[key]) else key for key in columns
+        ]
         most = rows[:PLAIN_ROWS]
         left_out = [f"The first {len(most)} of {len(rows)} rows."] if len(rows) > len(most) else []
         sections = [
@@ -279,39 +282,43 @@ class ResultKind:
         name = self.table if table is None else table
         columns = self.numbers(result, name)
         frame = pandas.DataFrame({key: _native(values) for key, values in columns.items()})
-        frame.attrs["units"] = {key: self.unit(key) for key in columns if _is_number(columns[key])}
+        frame.attrs["units"] = {key: self.unit(key, name) for key in columns if _is_number(columns[key])}
         frame.attrs["name"] = name
         return frame
 
     def numbers(self, result: Any, name: str) -> dict[str, NDArray[Any]]:
         """Columns of a table."""
-        if isinstance(result.origin, OpenedFolder):
-            tables = [
-                Path(one).stem for one in result.origin.names if one.endswith(".csv") and "/" not in one
-            ]
-            if name not in tables:
-                raise _no_table(name, tables, result)
-            return columns_of(result.origin.text(f"{name}.csv"), result.origin.folder / f"{name}.csv")
-        if name == self.table:
+        opened = result.origin if isinstance(result.origin, OpenedFolder) else None
+        if name == self.table and (opened is None or f"{name}.csv" not in self.files):
             return {key: np.asarray(values) for key, values in self.columns(result).items()}
-        if not any(fnmatchcase(f"{name}.csv", pattern) for pattern in self.files):
-            raise _no_table(name, [one[:-4] for one in self.files if one.endswith(".csv")], result)
+        if opened is not None:
+            if f"{name}.csv" not in opened.names:
+                raise self._no_table(name, opened.names, result)
+            return columns_of(opened.text(f"{name}.csv"), opened.folder / f"{name}.csv")
+        if not any(_matches(f"{name}.csv", pattern) for pattern in self.files):
+            raise self._no_table(name, self.files, result)
 
         def read(folder: Path, _: Any) -> dict[str, NDArray[Any]]:
             path = folder / f"{name}.csv"
             if not path.is_file():
-                raise _no_table(name, sorted(one.stem for one in folder.glob("*.csv")), result)
+                raise self._no_table(name, sorted(one.name for one in folder.iterdir()), result)
             return columns_of(path.read_text(encoding="utf-8"), path)
 
         return self._rendered(result, read)
 
-    def unit(self, column: str) -> str:
-        """Unit of a column."""
-        if column in self.units:
-            return self.units[column]
+    def _no_table(self, name: str, files: Sequence[str], result: Any) -> InputError:
+        tables = [one[:-4] for one in files if one.endswith(".csv") and "/" not in one]
+        tables = list(dict.fromkeys([self.table, *tables]))
+        return InputError(f"a {type(result).__name__} has no table {name!r}; there are: {', '.join(tables)}")
+
+    def unit(self, column: str, table: str) -> str:
+        """Unit of a column of a table."""
+        for key in (f"{table}:{column}", column):
+            if key in self.units:
+                return self.units[key]
         for prefix in ("sigma_absolute_", "sigma_"):
             if column.startswith(prefix):
-                return self.unit(column.removeprefix(prefix))
+                return self.unit(column.removeprefix(prefix), table)
         return "1"
 
     def dataset(self, result: Any) -> Any:
@@ -326,12 +333,16 @@ class ResultKind:
         for name, values in columns.items():
             if name in axes:
                 continue
-            attributes = {"units": self.unit(name)} if _is_number(values) else {}
+            attributes = {"units": self.unit(name, self.table)} if _is_number(values) else {}
             variables[name] = (self.index, _native(values).reshape(shape), attributes)
         for name, (dimensions, array, unit) in self.variables(result).items():
             variables[name] = (dimensions, np.asarray(array), {"units": unit})
         coordinates = {
-            name: ((name,), _native(values), {"units": self.unit(name)} if _is_number(values) else {})
+            name: (
+                (name,),
+                _native(values),
+                {"units": self.unit(name, self.table)} if _is_number(values) else {},
+            )
             for name, values in axes.items()
         }
         return xarray.Dataset(variables, coordinates, {"result": type(result).__name__, **self.facts(result)})
@@ -449,10 +460,6 @@ def _native(values: Any) -> NDArray[Any]:
     """Words as objects, which every library takes."""
     array = np.asarray(values)
     return array.astype(object) if array.dtype.kind in "US" else array
-
-
-def _no_table(name: str, tables: Iterable[str], result: Any) -> InputError:
-    return InputError(f"a {type(result).__name__} has no table {name!r}; there are: {', '.join(tables)}")
 
 
 def _begun(result: Any) -> float:

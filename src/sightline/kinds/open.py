@@ -61,10 +61,12 @@ def open_result(folder: str | Path) -> Result:
     path = place / SUMMARY
     if not path.is_file():
         lacking = f"{SUMMARY} is missing" if place.is_dir() else "there is no such folder"
-        raise FormatError(f"{place}: no result ({lacking}); give a folder that a command wrote with --out")
+        raise FormatError(
+            f"{place}: no result ({lacking}); give a folder that a command, or `write` of a result, wrote"
+        )
     summary = read_summary(place)
     name = summary.get("result")
-    if name not in _OF_NAME:
+    if not isinstance(name, str) or name not in _OF_NAME:
         said = "does not say which result it is of" if name is None else f"is of {str(name)[:60]!r}"
         raise FormatError(
             f"{path}: `result` {said}; {', '.join(sorted(_OF_NAME))} can be opened; run the command again"

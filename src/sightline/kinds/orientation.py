@@ -75,10 +75,11 @@ class Orientation(ResultKind):
         names = angle_names(result.cameras)
         return {key: column for key, column in zip(names, result.covariance.T, strict=True)}
 
-    def unit(self, column: str) -> str:
-        """As named; of the covariance rad^2, of drifts rad/s."""
-        head, _, camera = column.partition("_")
-        return "rad2" if head in AXES and camera else super().unit(column)
+    def unit(self, column: str, table: str) -> str:
+        """As named; of the angles of cameras, such as ``roll_1``, rad, of their covariance rad^2."""
+        if table == "covariance":
+            return "rad2"
+        return "rad" if column.partition("_")[0] in AXES else super().unit(column, table)
 
     def variables(self, result: Any) -> Mapping[str, Any]:
         """The covariance of all angles."""

@@ -37,8 +37,9 @@ class Recovery(ResultKind):
     types = (LineOfSight, FrameAttitude, SpinAttitude)
     table, index, files = "motion", ("t",), RESULT_FILES
     units = {
-        "t": "s", "lag": "s", "roll": "rad", "pitch": "rad", "yaw": "rad", "value": "rad", "sigma": "rad",
-        "frequency": "Hz", **{f"{kind}_{axis}": "rad2/Hz" for kind in ("psd", "error") for axis in ANGLES},
+        **dict.fromkeys((*ANGLES, "value", "sigma"), "rad"), "t": "s", "lag": "s", "frequency": "Hz",
+        **{f"smear:{axis}": "px" for axis in ANGLES},
+        **{f"{kind}_{axis}": "rad2/Hz" for kind in ("psd", "error") for axis in ANGLES},
     }  # fmt: skip
     panels = 3
 
@@ -56,11 +57,9 @@ class Recovery(ResultKind):
             **warned(result),
         }
 
-    def unit(self, column: str) -> str:
+    def unit(self, column: str, table: str) -> str:
         """As named; hidden directions and what was left out in rad."""
-        if column.rpartition(" ")[2] in ANGLES and " " in column:
-            return "rad"
-        return super().unit(column)
+        return "rad" if table == "hidden" and column != "t" else super().unit(column, table)
 
     def columns(self, result: LineOfSight) -> Columns:
         """``motion.csv``."""

@@ -190,7 +190,7 @@ class Picture(ResultKind):
 
     def draw(self, result: Mosaic, axes: Sequence[Any]) -> None:
         """The picture in grey."""
-        axes[0].imshow(np.nanmean(result.pixels, axis=0), cmap="gray")
+        axes[0].imshow(np.nan_to_num(result.pixels).mean(axis=0), cmap="gray")
         axes[0].set_xlabel("column")
         axes[0].set_ylabel("line")
 

@@ -55,6 +55,7 @@ class Poses(ResultKind):
     units = {
         "t": "s", **dict.fromkeys("xyz", "m"), **dict.fromkeys(("roll", "pitch", "yaw"), "rad"),
         "residual_px": "px", "parallax": "rad", **dict.fromkeys(("omega", "phi", "kappa"), "degrees"),
+        **dict.fromkeys(("ypr:yaw", "ypr:pitch", "ypr:roll"), "degrees"),
     }  # fmt: skip
     options = ("maps",)
 
