@@ -307,6 +307,30 @@ _row(
     lambda folder, read: read(folder / "result", folder / "orientation-truth.csv"),
 )  # fmt: skip
 
+
+def _opened(seed: str, place: str, targets: str) -> None:
+    """A row for a result's folder, opened and shown."""
+
+    def call(folder: Path) -> None:
+        from sightline import open_result
+
+        result = open_result(folder / place)
+        for shown in (repr(result), result._repr_html_(), str(result.summary())):
+            assert shown
+
+    name = f"open_result ({seed}/{place})"
+    READERS[name] = Reader(name, seed, tuple(f"{place}/{target}" for target in targets.split()), call)
+
+
+_opened("recovered", "result", "summary.json motion.csv hidden.csv covariance.npz")
+_opened("georeferenced", "result", "summary.json poses.csv frames_used.csv covariance.npz")
+for _place, _targets in (
+    ("choice", "summary.json choice.csv table.bin"), ("angles", "summary.json *.csv"),
+    ("detector", "summary.json columns.csv"), ("places", "summary.json layouts.csv"), ("score", "*"),
+    ("bands", "*"), ("sky", "*"), ("cube", "*"),
+):  # fmt: skip
+    _opened("results", _place, _targets)
+
 # Commands ---------------------------------------------------------------------------------------------------
 
 for _seed, _toml in (

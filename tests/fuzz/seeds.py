@@ -795,7 +795,14 @@ def georeferenced(folder: Path) -> None:
         made / "covariance.npz", PoseCovariance(names, square, np.zeros(6), np.eye(6), focal)
     )
     table(folder / "truth-focal.csv", "camera,focal_length_px", [("camera", 40.0)])
+    used = [
+        (k, 0.5 * int(k), word, 3, 3, 0.1, 1.0, 0, 1, 0.8, 0.1, "")
+        for k, word in zip(names, source, strict=True)
+    ]
+    heads = "frame,t,source,windows,sightings,residual_px,sharpness,stretch,subset,overlap,parallax,reason"
+    table(made / "frames_used.csv", heads, used)
     summary = {"name": "x", "sources": {"solved": 2}, "inputs": {}, "world": {"frame": "local"}}
+    summary |= {"result": "SequencePoses", "stages": {"all poses": 1.0}, "taken_over": {}, "warnings": []}
     (made / "summary.json").write_text(json.dumps(summary))
     rows = [(k, a, *(p + 0.3), *NORTH) for k, a, p in zip(names, t, position, strict=True)]
     table(folder / "poses-truth.csv", "frame,t,x,y,z,qx,qy,qz,qw", rows)
@@ -1018,14 +1025,24 @@ def recovered(folder: Path) -> None:
     density = np.tile(1e-14 / f[:, None] ** 2, (1, 3))
     write_spectrum(made / "spectrum.csv", f, density, 0.01 * density, np.ones((20, 3)))
     grid = np.linspace(-0.01, LINES * PERIOD + 0.01, 40)
-    np.savez_compressed(made / "covariance.npz", t=grid, angles=np.zeros((40, 3)))
+    np.savez_compressed(made / "covariance.npz", t=grid, angles=np.zeros((40, 3)), band=np.ones((4, 120)))
     summary = {
         "inputs": load_acquisition(folder / "acquisition.toml").input_hashes(),
-        "statics": [{"name": "XS offset along", "value": 1e-7, "sigma": 1e-8}],
+        "statics": [
+            {"name": "XS offset along", "unit": "px", "value": 1e-7, "sigma": 1e-8, "prior_sigma": 1.0}
+        ],
         "hidden_directions": write_hidden(made, t, drift, ["constant roll", "drift pitch"])
         | {"covariance": [[1e-12, 0.0], [0.0, 1e-10]]},
         "ifov": IFOV,
         "half_field_px": COLUMNS / 2,
+        "half_field": IFOV * COLUMNS / 2,
+        "scale": {"roll": IFOV, "pitch": IFOV, "yaw": 2.0 / COLUMNS},
+        "result": "LineOfSight",
+        "method": {"name": "joint"},
+        "images": ["PAN", "XS"],
+        "sensors": [],
+        "changes": [0.1],
+        "warnings": ["short"],
     }
     (made / "summary.json").write_text(json.dumps(summary))
     table(folder / "truth.csv", "t,roll,pitch,yaw", np.column_stack([t, angles + 1e-7]))
@@ -1058,6 +1075,80 @@ name = "ours"
 positions_px = [0, 20, 30]
 """
     )
+
+
+@seed
+def results(folder: Path) -> None:
+    """Folders of results by every command whose result has no other seed, in their least form."""
+    import rasterio
+
+    from sightline.evaluation.score import AXES
+    from sightline.io.results.stereo import write_covariance, write_orientation
+
+    tdi(folder)
+    (folder / "result").rename(folder / "choice")
+    (folder / "tags.bin").unlink()
+
+    def summary(place: str, **content: object) -> Path:
+        (folder / place).mkdir(exist_ok=True)
+        (folder / place / "summary.json").write_text(json.dumps({"version": "0", "warnings": [], **content}))
+        return folder / place
+
+    spread = {"min": 3.0, "mean": 5.0, "max": 9.0}
+    made = summary(
+        "choice", result="TdiResult", columns=2, signals=1, stages=spread, integration_ratio=spread,
+        table={"bytes": 100, "certified_loss": 0.001},
+    )  # fmt: skip
+    rows = [(k, 900, 5, 0.5, 0.4, 0.4, 20.0, 3.0, "none") for k in range(2)]
+    heads = "column,signal,stages,integration_ratio,mtf_x,mtf_y,snr,merit,limit"
+    table(made / "choice.csv", heads, rows)
+    made = summary(
+        "angles", result="StereoOrientation", method="ml-track", matches={"unchecked": 0.1}, cost=2.0,
+        degrees_of_freedom=3, iterations=4, solve_seconds=0.1, bias_removed=None,
+        drift={name: {f"{s}{axis}": 1e-9 for s in ("", "sigma_") for axis in AXES} for name in ("1", "2")},
+    )  # fmt: skip
+    write_orientation(made / "orientation.csv", ("1", "2"), np.zeros((2, 3)), np.full((2, 3), 1e-5))
+    write_covariance(made / "covariance.csv", ("1", "2"), 1e-10 * np.eye(6))
+    table(made / "points.csv", "point,x,y,z", [(1, 0.0, 1.0, 2.0), (2, 3.0, 1.0, 2.0)])
+    made = summary(
+        "detector", result="DetectorNoise", noise={"gain": 1e-4, "read": 3.0}, unit="DN", stages=4,
+        electrons_per_dn=None, signals=[3.0, 900.0], full_well_sum=None,
+    )  # fmt: skip
+    table(made / "columns.csv", "column,gain,offset,flags", [(k, 1.0, 3.0, k % 2) for k in range(4)])
+    layout = {"positions_s": [0.0, 0.1], "worst_images": 0.5, "worst_frequency": 47.0}
+    spans = {"span_s": [0.1], "worst_information": [3.0], "harmonic_sigma_px": [0.1]}
+    made = summary(
+        "places", result="LayoutChoice", passband=[40.0, 150.0], duration=1.0, highest_frequency=200.0,
+        tried=3.0, exhaustive=True, by_span=spans, ranked=[layout],
+    )  # fmt: skip
+    table(made / "layouts.csv", "rank,name,positions_px", [(1, "best", "0 20"), (2, "ours", "0 30")])
+    axis = {
+        "unit": "px",
+        **dict.fromkeys("rms max sigma nees effective_samples nees_low nees_high".split(), 1.0),
+    }
+    axis["coverage_95"] = 0.95
+    summary(
+        "score", result="Score", lines=9, hidden_directions_removed=["constant roll"], left_out=[],
+        absolute={"roll": axis}, **dict.fromkeys(AXES, axis),
+    )  # fmt: skip
+    fit = {"rms_px": [0.1, 0.2], "noise_px": [0.1, None], "windows": 9, "kept": 8}
+    made = summary(
+        "bands", result="Registration", onto="PAN", files=["PAN.tif", "XS.tif"],
+        bands=[{"name": "PAN"}, {"name": "XS"}],
+        pairs=[{"images": ["PAN", "XS"], "before": fit, "after": fit}],
+    )  # fmt: skip
+    for place in (
+        made / "PAN.tif",
+        made / "XS.tif",
+        summary("sky", result="Mosaic", strips=["a"]) / "picture.tif",
+    ):
+        with rasterio.open(place, "w", driver="GTiff", width=9, height=8, count=1, dtype="float32") as raster:
+            raster.write(np.ones((1, 8, 9), np.float32))
+    band = dict.fromkeys("wavelength_nm coverage passed beyond map_share seams seam_jump".split(), 0.5)
+    summary(
+        "cube", result="CubeSummary", bands=[{"name": "b", **band}], shape=[3, 4], gsd=0.5, frames_used=2,
+        surface="given", area=3.0, unread=[], seconds={},
+    )  # fmt: skip
 
 
 # Raw products of instruments ------------------------------------------------------------------------------

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.access import check_file, read_bytes
-from sightline.errors import FormatError, InputError
+from sightline.errors import FormatError, InputError, foreign_errors
 from sightline.inputs import note
 from sightline.io.formats.json_text import plain
 from sightline.output.folder import output_folder
@@ -373,8 +373,12 @@ class ResultKind:
         result = object.__new__(cls)
         origin = _opened_folder(folder, summary, self.patterns(summary))
         object.__setattr__(result, "origin", origin)
-        for name, value in self.opened(folder, summary).items():
-            object.__setattr__(result, name, value)
+        # whatever its files hold, an opened result shows itself
+        with foreign_errors(folder, "cannot be opened as a result", "run the command that wrote it again"):
+            for name, value in self.opened(folder, summary).items():
+                object.__setattr__(result, name, value)
+            self.facts(result)
+            self.numbers(result, self.table)
         return result
 
 
