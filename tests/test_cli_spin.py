@@ -126,6 +126,22 @@ def test_the_registered_picture_shows_one_sky_in_all_strips(recovered, tmp_path)
     assert json.loads((tmp_path / "summary.json").read_text())["strips"] == list(AXIS_LINES)
 
 
+def test_the_results_are_opened_and_written_again(recovered, tmp_path):
+    import sightline
+
+    made = tmp_path / "picture"
+    assert run(["register", str(recovered[0]), "--motion", str(recovered[1]), "--out", str(made)]) == 0
+    for number, (folder, kind) in enumerate(((recovered[1], "SpinAttitude"), (made, "Mosaic"))):
+        opened = sightline.open_result(folder)
+        assert type(opened).__name__ == kind and len(repr(opened)) < 400
+        again = opened.write(tmp_path / str(number))
+        files = sorted(path.name for path in folder.iterdir())
+        assert sorted(path.name for path in again.iterdir()) == files
+        assert all((again / name).read_bytes() == (folder / name).read_bytes() for name in files)
+    with pytest.raises(AttributeError, match="`estimate` of this SpinAttitude is not there"):
+        sightline.open_result(recovered[1]).estimate  # noqa: B018
+
+
 def test_a_result_of_something_else_is_refused(recovered, tmp_path):
     acquisition = load_acquisition(recovered[0])
     (tmp_path / "summary.json").write_text("{}")

@@ -77,6 +77,8 @@ def test_the_tdi_files_and_python_of_the_pages_run_as_stated(tmp_path):
     (tmp_path / "columns.csv").write_text(columns, encoding="utf-8")
     python, text = (re.findall(rf"```{kind}\n(.*?)```", PYTHON, re.DOTALL) for kind in ("python", "text"))
     assert run(["-c", python[1]], tmp_path) == text[1]
+    assert run(["-c", python[4]], tmp_path) == text[4]
+    assert (tmp_path / "copy" / "table.bin").read_bytes() == (tmp_path / "tdi" / "table.bin").read_bytes()
 
 
 @pytest.mark.slow

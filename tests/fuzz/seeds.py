@@ -393,7 +393,7 @@ def mirror(folder: Path) -> None:
         "--case",
         "mirror-leo",
         "--lines",
-        124,
+        127,
         "--columns",
         224,
         "--out",
@@ -410,7 +410,7 @@ def spin(folder: Path) -> None:
         "--case",
         "spin-leo",
         "--lines",
-        124,
+        127,
         "--columns",
         224,
         "--out",
@@ -1142,7 +1142,9 @@ def results(folder: Path) -> None:
         made / "XS.tif",
         summary("sky", result="Mosaic", strips=["a"]) / "picture.tif",
     ):
-        with rasterio.open(place, "w", driver="GTiff", width=9, height=8, count=1, dtype="float32") as raster:
+        form = {"width": 9, "height": 8, "count": 1, "dtype": "float32"}
+        form["transform"] = rasterio.Affine(2.0, 0.0, 5.0, 0.0, 2.0, 5.0)
+        with rasterio.open(place, "w", driver="GTiff", **form) as raster:
             raster.write(np.ones((1, 8, 9), np.float32))
     band = dict.fromkeys("wavelength_nm coverage passed beyond map_share seams seam_jump".split(), 0.5)
     summary(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -282,7 +281,8 @@ def _covariance(path: Path, cameras: int) -> Array:
     """``covariance.csv``."""
     text = read_text(path, "a covariance", advice="run `sightline orient` again")
     with foreign_errors(path, "is no covariance", "run `sightline orient` again"):
-        found = np.loadtxt(io.StringIO(text), delimiter=",", ndmin=2)
+        lines = [line for line in text.splitlines() if line and not line.startswith("#")]
+        found = np.array([line.split(",") for line in lines], dtype=np.float64)
     if found.shape != (3 * cameras, 3 * cameras):
         raise FormatError(
             f"{path}: {found.shape} numbers for {cameras} cameras; run `sightline orient` again"
