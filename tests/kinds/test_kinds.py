@@ -101,7 +101,9 @@ def register_case(recovery, flight, folder) -> Case:
     quiet("register", toml, "--motion", recovery.folder, "--out", folder / "out")
     acquired = sightline.load_acquisition(toml)
     found = read_recovered(recovery.folder, acquired)
-    result = sightline.register_bands(acquired.bands, acquired.surface, found.motion, found.statics)
+    result = sightline.register_bands(
+        acquired.bands, acquired.surface, found.motion, found.statics, relief=found.relief
+    )
     return Case(result, folder / "out", "pairs", {"before_along": "px", "kept": "1"}, ("pair",))
 
 

@@ -38,6 +38,7 @@ class Recovery(ResultKind):
     table, index, files = "motion", ("t",), RESULT_FILES
     units = {
         **dict.fromkeys((*ANGLES, "value", "sigma"), "rad"), "t": "s", "lag": "s", "frequency": "Hz",
+        "height": "m", "slope": "m",
         **{f"smear:{axis}": "px" for axis in ANGLES},
         **{f"{kind}_{axis}": "rad2/Hz" for kind in ("psd", "error") for axis in ANGLES},
     }  # fmt: skip

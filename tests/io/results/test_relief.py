@@ -32,5 +32,5 @@ def test_heights_go_on_beyond_the_rows_and_tilt_across(tmp_path):
 @pytest.mark.parametrize("entry", [{"image": "R"}, {}, 3])
 def test_relief_of_another_image_is_refused(tmp_path, entry):
     write_relief(tmp_path / "relief.csv", FOUND)
-    with pytest.raises(FormatError, match="summary.json"):
+    with pytest.raises(FormatError, match=r"summary\.json"):
         read_relief(tmp_path, {"relief": entry}, ("B", "G"))
