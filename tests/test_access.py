@@ -199,3 +199,18 @@ def test_a_place_stands_before_the_path(tmp_path):
         FormatError, match=rf"^a\.toml: \[\[band\]\] 2 image: {tmp_path}/x: no such file; look$"
     ):
         check_file(tmp_path / "x", "look", "a.toml: [[band]] 2 image")
+
+
+@pytest.mark.parametrize("place", ["os.stat", "pathlib.Path.open"])
+def test_a_file_that_may_not_be_read_asks_for_its_permissions(tmp_path, monkeypatch, place):
+    path = tmp_path / "orbit.csv"
+    path.write_text("t,x,y,z\n")
+
+    def refuse(*_args, **_more):
+        raise PermissionError(13, "Permission denied", str(path))
+
+    monkeypatch.setattr(place, refuse)
+    with pytest.raises(FormatError, match=r"Permission denied\); .*see its permissions") as caught:
+        read_text(path, "a CSV table")
+    monkeypatch.undo()
+    assert "check the name" not in str(caught.value)

@@ -169,6 +169,13 @@ def refuse_network(place: object, what: str) -> FormatError:
     )
 
 
+def _advice(error: BaseException, advice: str) -> str:
+    """What to do about an error of opening: the name is right where only the right to read is missing."""
+    if isinstance(error, PermissionError):
+        return "the file is there, but may not be read: see its permissions and those of its folder"
+    return advice
+
+
 def check_file(path: Path, advice: str = "check the name", place: object = None, most: int = 0) -> None:
     """FormatError unless `path` is a regular file that is there.
 
@@ -195,7 +202,7 @@ def check_file(path: Path, advice: str = "check the name", place: object = None,
         raise FormatError(f"{where}: no such file; {advice}") from None
     except (OSError, ValueError) as error:  # too long a name, a zero in it
         said = error.strerror if isinstance(error, OSError) else str(error)
-        raise FormatError(f"{where}: cannot be opened ({said}); {advice}") from None
+        raise FormatError(f"{where}: cannot be opened ({said}); {_advice(error, advice)}") from None
     if not stat.S_ISREG(status.st_mode):
         kind = _KINDS.get(stat.S_IFMT(status.st_mode), "no file")
         raise FormatError(f"{where}: is {kind}; a regular file is expected; {advice}")
@@ -223,9 +230,14 @@ def read_bytes(path: Path, what: str, *, most: int = TABLE, advice: str = "check
         If it is missing, no regular file, too large, or cannot be read.
     """
     check_file(path, advice, most=most)
-    with foreign_errors(path, f"cannot be read as {what}", advice), path.open("rb") as stream:
-        size = min(os.fstat(stream.fileno()).st_size, most)
-        content = stream.read(size + 1)  # memory is taken for all that is asked for
+    with foreign_errors(path, f"cannot be read as {what}", advice):
+        try:
+            with path.open("rb") as stream:
+                size = min(os.fstat(stream.fileno()).st_size, most)
+                content = stream.read(size + 1)  # memory is taken for all that is asked for
+        except PermissionError as error:
+            said = f"cannot be opened ({error.strerror}); {_advice(error, advice)}"
+            raise FormatError(f"{path}: {said}") from None
     if len(content) > size:
         raise FormatError(f"{path}: grows while it is read; give a file that is finished")
     return content

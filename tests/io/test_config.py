@@ -9,6 +9,7 @@ from sightline.io.acquisition.load import load_acquisition, read_acquisition
 from sightline.io.acquisition.schema import AcquisitionFile
 from sightline.io.config import json_schema, validate
 from sightline.io.stereo.schema import StereoFile
+from sightline.io.tdi.schema import TdiFile
 
 
 def message(folder) -> str:
@@ -182,3 +183,24 @@ def test_choices_of_matching_are_those_of_the_recovery(folder):
 )
 def test_choices_of_matching_that_do_not_fit_are_refused(folder, text, words):
     assert words in message(folder.add(f"[matching]\n{text}\n"))
+
+
+@pytest.mark.parametrize(
+    ("written", "words"),
+    [
+        ("5,5", "'5,5' has a decimal comma: numbers are written with a decimal point, 5.5"),
+        ("0,00042 # s", "'0,00042' has a decimal comma: numbers are written with a decimal point, 0.00042"),
+        ("5e-4 ms", "5e-4 ms: numbers are written without units"),
+        ("'", "correct it there"),
+    ],
+)
+def test_decimal_commas_and_units_in_toml_are_recognised(folder, written, words):
+    said = message(folder.replace("line_period = 5e-4", f"line_period = {written}"))
+    assert ("not valid TOML" in said and said.endswith(words)) or words in said
+
+
+def test_a_missing_table_names_its_keys_as_they_are_written(tmp_path):
+    given = {"columns": {"count": 4}, "grid": {"stages": [1], "integration_ratio": [1.0]}}
+    with pytest.raises(FormatError) as caught:
+        validate(TdiFile, given | {"noise": {}, "mtf": {}}, tmp_path)
+    assert "key 'signals' is missing; add it: it may hold list, from, to, count, " in str(caught.value)

@@ -235,3 +235,11 @@ def test_pitch_of_a_gimbal_is_asked_about(tmp_path, pitch, refused):
     assert any("gimbal" in words for words in warned) == (pitch < 0.0)
     # no column of the table tells a sigma
     assert any("6 attitudes tell no sigma: 0.035 rad (2.01 degrees)" in words for words in warned)
+
+
+def test_a_date_in_other_form_is_told_both_forms_that_are_read(tmp_path):
+    made = flight()
+    for row in made.frames:
+        row[1] = "31/12/2026 12:00:00"
+    with pytest.raises(FormatError, match=r"neither seconds from the epoch.*as 2026-01-31T12:00:00Z"):
+        read_sequence(made.write(tmp_path))

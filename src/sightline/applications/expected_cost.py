@@ -157,7 +157,8 @@ def strip_cost(bands: Sequence[Band], options: RecoverOptions) -> Cost:
     return Cost(
         10.0 + 0.39e-6 * pixels * (0.9 * max(rows, 0.1) + 0.1 * searched),
         BASE_BYTES + 0.2e9 + 1.9 * pixels * max(windows, 0.05) + 200.0 * first,
-        f"{len(bands)} bands of {lines:,} lines x {columns:,} columns in {pairs:,} pairs",
+        f"{len(bands)} bands of {lines:,} lines x {columns:,} columns in {pairs:,} "
+        f"{'pair' if pairs == 1 else 'pairs'}",
     )
 
 

@@ -54,7 +54,7 @@ def noise(
     as_json: Json = False,
     allow_network: AllowNetwork = False,
 ) -> None:
-    """Estimate a detector's noise law and its columns from raw images, as the [noise] that `tdi` reads."""
+    r"""Estimate a detector's noise law and its columns from raw images, as the \[noise] that `tdi` reads."""
     import time
 
     from sightline.cli.output import output_folder

@@ -52,7 +52,7 @@ Overwrite = Annotated[
     bool,
     typer.Option(
         "--overwrite",
-        help="Replace files of the same names in DIR (of `recover`: all of an earlier result).",
+        help="Write into DIR though it holds files: an earlier result is replaced, other files stay.",
     ),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON on stdout.")]

@@ -171,7 +171,7 @@ class PushbroomCamera(ReadOnlyArrays):
             raise SpanError(
                 f"no line of the image is exposed inside the trajectory: lines 0 to {self.lines - 1} at "
                 f"t = [{t[_MARGIN_LINES]:.6f}, {t[-_MARGIN_LINES - 1]:.6f}] s, trajectory span "
-                f"[{begin:.6f}, {end:.6f}] s; check the epoch and `first_line_time`"
+                f"[{begin:.6f}, {end:.6f}] s; check the epoch, `first_line_time` and `line_period` (s)"
             )
         first = int(places[covered[0]])
         lever_arm = as_vector(self.lever_arm, "lever_arm")

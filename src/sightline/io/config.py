@@ -96,12 +96,31 @@ def read_toml(path: Path) -> dict[str, Any]:
     try:
         return _parsed(text)
     except tomllib.TOMLDecodeError as error:
-        raise FormatError(f"{path}: not valid TOML: {error}; correct it there") from None
+        raise FormatError(f"{path}: not valid TOML: {error}; {_meant(text, error)}") from None
     except (ValueError, RecursionError) as error:
         deep = isinstance(error, RecursionError)
         what = "is nested too deeply" if deep else "holds a number that is none, or has too many digits"
         place = _longest(text, r"[\[{]+" if deep else r"\d+")
         raise FormatError(f"{path}: not valid TOML: {place} {what}; correct it there") from None
+
+
+def _meant(text: str, error: tomllib.TOMLDecodeError) -> str:
+    """What to do about a line that is no TOML: numbers with decimal commas or units are recognised."""
+    place = re.search(r"line (\d+)", str(error))
+    lines = text.splitlines()
+    number = min(int(place[1]), len(lines)) if place else 0
+    line = lines[number - 1] if number else ""
+    value = re.search(r"[=\[,]\s*([-+]?\d+),(\d+(?:[eE][-+]?\d+)?)\s*(?:#.*)?$", line)
+    if value is not None:
+        given, right = f"{value[1]},{value[2]}", f"{value[1]}.{value[2]}"
+        return f"{given!r} has a decimal comma: numbers are written with a decimal point, {right}"
+    value = re.search(r"=\s*([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*([A-Za-z%\u00b0\u00b5]+\S*)\s*(?:#.*)?$", line)
+    if value is not None:
+        return (
+            f"{value[1]} {value[2]}: numbers are written without units, in SI units and rad unless the name "
+            f"of the key says otherwise: {value[1]}"
+        )
+    return "correct it there"
 
 
 @lru_cache(maxsize=2)
@@ -176,10 +195,12 @@ def _held(model: type[BaseModel], error: Any) -> str:
     if len(inner) != 1:
         return ""
     fields = inner[0].model_fields
-    needed = [name for name, field in fields.items() if field.is_required()]
-    optional = [name for name in fields if name not in needed]
-    said = f": it holds {', '.join(needed)}" if needed else ""
-    return said + (f"; if wanted also {', '.join(optional)}" if optional else "")
+    names = {name: field.alias or name for name, field in fields.items()}  # as they are written in a file
+    needed = [names[name] for name, field in fields.items() if field.is_required()]
+    optional = [name for name in names.values() if name not in needed]
+    if not needed:
+        return f": it may hold {', '.join(optional)}"
+    return f": it holds {', '.join(needed)}" + (f"; if wanted also {', '.join(optional)}" if optional else "")
 
 
 def _others(first: str, errors: Sequence[Any]) -> str:

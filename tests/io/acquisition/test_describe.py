@@ -2,8 +2,12 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
+import rasterio
+from tests.io.conftest import noise
 
+from sightline.errors import GeometryError
 from sightline.io.acquisition.describe import describe_acquisition
 from sightline.io.acquisition.ground import shared_ground
 from sightline.io.acquisition.load import load_acquisition
@@ -55,3 +59,32 @@ def test_what_is_missing_is_named(folder):
     assert "a DEM: the height's sigma" in missing
     assert "exact focal-plane offsets of XS" in missing
     assert "sigma_absolute is infinite" in missing
+
+
+def test_what_is_assumed_is_said_to_be(folder):
+    said = describe_acquisition(load_acquisition(folder.write()))
+    assumed = "height = 0 and height_sigma = 0"
+    assert f"ground: a plane, height known to 0 m (assumed: {assumed})" in said["understood"]
+    assert any(line.startswith(f"[surface] {assumed}: not given but assumed") for line in said["missing"])
+    folder.replace('00:00:00Z"', '00:00:00"').add("[surface]\nheight = 0.0\nheight_sigma = 0.0\n")
+    said = describe_acquisition(load_acquisition(folder.write()))
+    assert "t = 0 at 2026-01-01T00:00:00 (assumed: UTC, as it has no Z)" in said["understood"][0]
+    assert not any("assumed" in line for line in said["understood"][1:] + said["missing"])
+
+
+@pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+def test_which_band_of_a_file_is_taken_is_said(folder):
+    with rasterio.open(folder.path / "PAN.tif") as source:
+        profile = source.profile | {"count": 3}
+    with rasterio.open(folder.path / "XS.tif", "w", **profile) as target:
+        target.write(np.stack([noise(k) for k in range(3)]))
+    said = describe_acquisition(load_acquisition(folder.write()))["understood"]
+    assert any(line.startswith("XS: ") and line.endswith("(XS.tif: band 1 of 3, uint16)") for line in said)
+    assert not any("PAN.tif" in line for line in said)
+
+
+def test_an_angle_in_degrees_shows_in_the_refusal(folder):
+    folder.replace("look_ahead = 2e-4", "look_ahead = 0.2")
+    # tan 0.2 of 700 km
+    with pytest.raises(GeometryError, match=r"rad ahead.* 142 km from that of the nearest other.*in rad\?"):
+        load_acquisition(folder.write())

@@ -183,3 +183,16 @@ def test_a_quote_that_is_never_closed_is_named_by_its_line(tmp_path):
 def test_a_quote_within_a_cell_is_part_of_it(tmp_path):
     path = csv(tmp_path, 'name,x\nlens of 2" ,1\n')
     assert tables.read_columns(path, ("name", "x"), text=("name",))["name"] == ['lens of 2"']
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("t,x,y,z\n0,5,1,5,2,5,3,5\n", "line 2 has 8 values, the header has 4; are there decimal commas"),
+        ("t,x,y,z\n0,1,2\n", "line 2 has 3 values, the header has 4; correct that line"),
+        ('t,x,y,z\n0,"1,5",2,3\n', "'1,5' is not a number; numbers are written with a decimal point: 1.5"),
+        ("t,x,y,z\n31/12/2026 12:00:00,1,2,3\n", "is not a number; seconds from the epoch (t = 0)"),
+    ],
+)
+def test_decimal_commas_and_dates_are_recognised(tmp_path, text, words):
+    assert words in message(tables.read_positions, csv(tmp_path, text))

@@ -75,6 +75,8 @@ class Acquisition:
         Every file that was read or will be.
     doubts : tuple of str
         What was given and is hardly meant.
+    assumed : tuple of str
+        What of the ground is not given, with what is taken for it.
     """
 
     path: Path
@@ -97,6 +99,7 @@ class Acquisition:
     parallax_sigma: float
     inputs: tuple[Path, ...] = field(repr=False)
     doubts: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         """One line."""

@@ -19,6 +19,8 @@ from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.acquisition.describe_spin import describe_spin, ground_words
 from sightline.io.acquisition.ground import ground_steps, sampling_doubts, shared_ground
 from sightline.io.acquisition.looks import look_words
+from sightline.io.formats.ccsds import epoch_words
+from sightline.io.formats.images import RasterImage
 from sightline.motion.observability import Passbands, blind_frequencies, passbands
 
 # Lines and columns at which a pair is looked for, as parts of the image: the middle first; staggered
@@ -144,7 +146,7 @@ def _from(lowest: float, bands: Passbands) -> Passbands:
 def _understood(acquisition: Acquisition) -> list[str]:
     """What the file says, in the words of the conventions."""
     kind = "bands" if acquisition.bands else "frames"
-    epoch = f"t = 0 at {acquisition.epoch}" if acquisition.epoch else "no epoch"
+    epoch = epoch_words(acquisition.epoch)
     lines = [
         f"{acquisition.name}: {len(acquisition.names)} {kind}, platform {acquisition.platform}, "
         f"world {acquisition.world}, {epoch}"
@@ -155,7 +157,8 @@ def _understood(acquisition: Acquisition) -> list[str]:
             when = f"exposed from t = {start:.4f} to {end:.4f} s"
         else:
             when = f"exposed at t = {camera.t:.4f} s"
-        lines.append(f"{name}: {image.shape[0]} lines x {image.shape[1]} columns, {when}")
+        of = f" ({image.words})" if isinstance(image, RasterImage) and image.count > 1 else ""
+        lines.append(f"{name}: {image.shape[0]} lines x {image.shape[1]} columns, {when}{of}")
     ifov = acquisition.ifov * 1e6
     lines.append(
         f"one pixel is {ifov:.4g} urad; the field reaches {acquisition.half_field_px:.0f} px from its middle"
@@ -166,6 +169,7 @@ def _understood(acquisition: Acquisition) -> list[str]:
     lines += look_words(acquisition)
     lines.append(
         f"ground: {ground_words(acquisition.surface)}, height known to {acquisition.height_sigma:g} m"
+        + (f" (assumed: {' and '.join(acquisition.assumed)})" if acquisition.assumed else "")
     )
     first, last = _strip_times(acquisition)
     for sensor in acquisition.sensors:
@@ -217,6 +221,11 @@ def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
         lines.append("[acquisition] epoch: without it no CCSDS file can be written")
     if not acquisition.sensors and acquisition.control_points is None:
         lines.append("attitude sensors or control points: without them sigma_absolute is infinite")
+    if acquisition.assumed:
+        lines.append(
+            f"[surface] {' and '.join(acquisition.assumed)}: not given but assumed; give height and "
+            "height_sigma, or a dem"
+        )
     if acquisition.height_sigma > 0.0:
         lines.append("a DEM: the height's sigma widens that of pitch")
     free = [band.name for band in acquisition.bands if band.offset_sigma_px > 0.0]

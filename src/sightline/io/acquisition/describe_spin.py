@@ -13,6 +13,7 @@ import numpy as np
 
 from sightline.geometry.surface import Dem, Ellipsoid, Infinity, Plane, Surface
 from sightline.io.acquisition.acquired import Acquisition
+from sightline.io.formats.ccsds import epoch_words
 from sightline.motion.spin.matches import StripPair, strip_pairs
 
 
@@ -62,7 +63,7 @@ def _understood(acquisition: Acquisition, interval: float) -> list[str]:
     assert spin is not None  # the caller looked
     frames = acquisition.frames
     times = sorted({frame.camera.t for frame in frames})
-    epoch = f"t = 0 at {acquisition.epoch}" if acquisition.epoch else "no epoch"
+    epoch = epoch_words(acquisition.epoch)
     lines = [
         f"{acquisition.name}: {len(times)} exposures of {len(acquisition.chip.names)} strips on a spinning "
         f"platform, {epoch}",

@@ -70,6 +70,15 @@ def build_surface(config: AcquisitionFile, files: InputFolder, cameras: Sequence
     return surface_of(config.surface, files, ground, local=world_kind(config) == "local", radii=radii)
 
 
+def assumed_ground(section: SurfaceSection) -> tuple[str, ...]:
+    """What of ``[surface]`` is not given, with what is taken for it."""
+    given = section.model_fields_set
+    if section.kind == "infinity" or section.dem is not None:
+        return ()
+    out = () if "height" in given else (f"height = {section.height:g}",)
+    return out if "height_sigma" in given else (*out, f"height_sigma = {section.height_sigma:g}")
+
+
 def surface_of(
     section: SurfaceSection,
     files: InputFolder,
@@ -415,12 +424,40 @@ def check_overlap(
             keys = "first_line_time, look_ahead (forward positive) and ifov"
             if isinstance(camera, FrameCamera):
                 keys = "the times of the frames, altitude and speed, and focal_length_px"
-            raise GeometryError(f"{path}: {names[k]} shares no ground with any other image; check {keys}")
+            raise GeometryError(
+                f"{path}: {names[k]} shares no ground with any other image; check {keys}"
+                f"{_ahead_words(camera, [cameras[j] for j in others], surface)}"
+            )
     if not moving:
         raise GeometryError(
             f"{path}: all images see the same ground at the same time (lag 0), so motion cannot be seen; "
             "check look_ahead and first_line_time"
         )
+
+
+def _ahead_words(camera: MovingCamera, others: Sequence[MovingCamera], surface: Surface) -> str:
+    """How far a detector looks ahead, to end a refusal: angles in degrees show here."""
+    if not isinstance(camera, PushbroomCamera) or isinstance(surface, Infinity):
+        return ""
+    middle = camera.detector.directions[camera.columns // 2]
+    # camera y is to later lines
+    ahead = float(np.arctan2(middle[1], middle[2]))
+    here = camera.locate((np.array([camera.shape]) - 1.0) / 2.0, base_surface(surface))[0]
+    apart = [
+        float(
+            np.linalg.norm(
+                other.locate((np.array([other.shape]) - 1.0) / 2.0, base_surface(surface))[0] - here
+            )
+        )
+        for other in others
+    ]
+    apart = [distance for distance in apart if np.isfinite(distance)]
+    if not apart:
+        return ""
+    return (
+        f"; it looks {ahead:.3g} rad ahead, {np.degrees(ahead):.3g} degrees, and its middle sees ground "
+        f"{min(apart) / 1e3:.3g} km from that of the nearest other: are its angles in rad?"
+    )
 
 
 def _least_lag(camera: MovingCamera) -> float:

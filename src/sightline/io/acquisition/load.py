@@ -25,6 +25,7 @@ from sightline.io.acquisition.acquired import Acquisition, InputFolder, input_fi
 from sightline.io.acquisition.bands import build_bands
 from sightline.io.acquisition.frames import build_frames, lens_knowledge
 from sightline.io.acquisition.ground import (
+    assumed_ground,
     build_surface,
     check_coverage,
     check_overlap,
@@ -135,6 +136,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         attitude_sigma=attitude_sigma(config),
         parallax_sigma=config.surface.parallax_sigma,
         inputs=tuple(files.used),
+        assumed=assumed_ground(config.surface),
         doubts=(
             *look_doubts(config, cameras, names, surface),
             *sensor_doubts(sensors, (float(exposed.min()), float(exposed.max()))),

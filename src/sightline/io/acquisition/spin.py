@@ -110,6 +110,6 @@ def must_cover(path: object, what: str, t: Array, span: tuple[float, float]) -> 
         return
     raise SpanError(
         f"{path}: the {what} cover [{t[0]:.6f}, {t[-1]:.6f}] s, the images are exposed in "
-        f"[{span[0]:.6f}, {span[1]:.6f}] s; supply {what} over that span, or check the epoch and "
-        f"first_line_time"
+        f"[{span[0]:.6f}, {span[1]:.6f}] s; supply {what} over that span, or check the epoch, "
+        "first_line_time, and line_period (s, from line to line)"
     )

@@ -70,6 +70,14 @@ class AttitudeEphemeris:
     quat_xyzw: Array
 
 
+def epoch_words(epoch: str | None) -> str:
+    """When t = 0 is, in words; that a time without a zone is taken as UTC."""
+    if epoch is None:
+        return "no epoch"
+    zoned = epoch.strip().endswith(("Z", "+00:00"))
+    return f"t = 0 at {epoch}" + ("" if zoned else " (assumed: UTC, as it has no Z)")
+
+
 def parse_utc(text: str, place: str) -> tuple[datetime, float]:
     """A UTC instant as whole seconds and the fraction that datetime would cut at a microsecond.
 

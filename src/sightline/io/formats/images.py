@@ -62,7 +62,8 @@ class RasterImage:
         self.access = current_access()
         self._local = threading.local()
         dataset = self._dataset()
-        count: int = dataset.count
+        self.count: int = dataset.count
+        count = self.count
         if isinstance(band, int) and not 1 <= band <= count:
             raise FormatError(
                 f"{self.path}: band {band} is asked for; the file has {count}; choose 1 to {count}"
@@ -99,6 +100,12 @@ class RasterImage:
     def dtype(self) -> np.dtype[Any]:
         """Type of its pixels in the file."""
         return self._type
+
+    @property
+    def words(self) -> str:
+        """``red.tif: band 1 of 3, uint8``."""
+        which = "mean of" if self._band == "luminance" else f"band {self._band} of"
+        return f"{self.path.name}: {which} {self.count}, {self._type}"
 
     @property
     def bands(self) -> int:

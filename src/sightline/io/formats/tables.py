@@ -50,6 +50,8 @@ MOTION = (
 )
 SPECTRUM = ("frequency", *(f"{kind}_{axis}" for kind in ("psd", "error", "observed") for axis in ANGLES))
 
+#: Columns that hold instants.
+_TIMES = ("t", "t_start", "t_end")
 _QUOTE = '"'
 #: What a cell in quotes alone can hold.
 _QUOTED = re.compile(r'[",\r\n]|^\s*#')
@@ -124,8 +126,8 @@ def read_columns(
     for number, row in body:
         if len(row) != len(header):
             raise FormatError(
-                f"{path}: line {number} has {len(row)} values, the header has {len(header)}; correct that "
-                f"line"
+                f"{path}: line {number} has {len(row)} values, the header has {len(header)}; "
+                + _row_advice(row, len(header))
             )
     result: dict[str, list[str] | Array] = {}
     for name in columns:
@@ -133,6 +135,13 @@ def read_columns(
         words = [row[at].strip() for _, row in body]
         result[name] = words if name in text else _numbers(path, name, words, body, name in infinite)
     return result
+
+
+def _row_advice(row: Sequence[str], columns: int) -> str:
+    """What to do about a row of another length than the header: commas may be decimal ones."""
+    if len(row) > columns and sum(cell.strip().isdigit() for cell in row) >= len(row) - columns:
+        return "are there decimal commas in it? Numbers are written with a decimal point (0.5)"
+    return "correct that line"
 
 
 @reads("a CSV table")
@@ -266,6 +275,7 @@ def _numbers(
             except ValueError:
                 raise FormatError(
                     f"{path}: line {number}, column {name!r}: {word!r} is not a number"
+                    f"{_number_advice(name, word)}"
                 ) from None
         raise
     bad = np.isnan(values) if infinite else ~np.isfinite(values)
@@ -277,6 +287,15 @@ def _numbers(
             "finite numbers are expected; remove the row or supply the value"
         )
     return values
+
+
+def _number_advice(name: str, word: str) -> str:
+    """What is expected in place of a word that is no number."""
+    if name in _TIMES:
+        return "; seconds from the epoch (t = 0) are expected, as 12.5"
+    if re.fullmatch(r"[-+]?\d*,\d+(?:[eE][-+]?\d+)?", word):
+        return f"; numbers are written with a decimal point: {word.replace(',', '.')}"
+    return ""
 
 
 def check_images(path: Path, images: Sequence[str]) -> None:

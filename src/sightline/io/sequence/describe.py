@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.io.camera_schema import field_of_view
+from sightline.io.formats.ccsds import epoch_words
 from sightline.io.sequence.load import FrameSequence
 from sightline.io.sequence.outlook import map_words, overlap_words, program_words, time_words
 from sightline.io.whereabouts import flight_words
@@ -51,6 +52,7 @@ def _understood(sequence: FrameSequence) -> list[str]:
     said = [
         f"{sequence.name}: {len(problem)} frames of {lines} lines x {columns} columns over "
         f"{np.ptp(problem.t):.6g} s, {int(problem.usable.sum())} of them usable",
+        epoch_words(problem.epoch),
         _focal_words(problem),
         _filter_words(problem),
     ]

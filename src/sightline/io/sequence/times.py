@@ -27,6 +27,18 @@ def first_instant(path: Path) -> str | None:
     return word if _INSTANT.fullmatch(word) else None
 
 
+def _refuse_other_dates(path: Path) -> None:
+    """FormatError where the `t` of the first row is neither a number nor a UTC instant."""
+    word = first_row(path).get("t", "0")
+    try:
+        float(word)
+    except ValueError:
+        raise FormatError(
+            f"{path}: line {line_of_row(path, 0)}, column 't': {word!r} is neither seconds from the epoch, "
+            "as 12.5, nor a UTC instant, as 2026-01-31T12:00:00Z (all rows of a table alike)"
+        ) from None
+
+
 @reads("a CSV table")
 def read_timed(
     path: Path,
@@ -44,6 +56,7 @@ def read_timed(
         As there; also where some rows are UTC and others not, and where UTC has no epoch to count from.
     """
     if first_instant(path) is None:
+        _refuse_other_dates(path)
         return read_columns(path, columns, text, infinite)
     if epoch is None:
         raise FormatError(

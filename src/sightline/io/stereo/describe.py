@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from sightline.applications.stereo_orientation import StereoProblem
 from sightline.geometry.units import ARCSEC
+from sightline.io.formats.ccsds import epoch_words
 from sightline.io.stereo.checks import boresights
 from sightline.io.stereo.load import Stereo
 
@@ -52,6 +53,8 @@ def _understood(stereo: Stereo) -> list[str]:
             else "attitudes rebuilt from positions for a common aim point"
         ),
     ]
+    if problem.epoch is not None:
+        said.append(epoch_words(problem.epoch))
     apart = separation(problem)
     if apart is not None:
         said.append(
