@@ -12,7 +12,8 @@ from tests.motion import pinholes
 from motion.frame_closure import closure
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.surface import Plane
-from sightline.motion.frames.errors import outcome_covariance
+from sightline.motion.frames import errors
+from sightline.motion.frames.errors import common_share, neighbour_covariance, outcome_covariance
 from sightline.motion.frames.hidden import hidden_directions, relative_covariance, without
 from sightline.motion.frames.lens_field import LensField
 from sightline.motion.frames.linear import linearise_frames
@@ -117,6 +118,28 @@ def test_windows_that_saw_something_else_lose_their_weight_and_only_they():
         # a match in a hundred is beyond three sigmas by chance
         left = left[np.isfinite(left)]
         assert len(left) > 50 and np.mean(left > 0.5) > 0.95
+
+
+def test_what_windows_share_is_the_same_in_blocks_of_any_size(monkeypatch):
+    unknowns = FrameUnknowns(pinholes.cameras(4), ())
+    found = solve_frames(pinholes.stars(walk(4)), unknowns, Plane(), FrameNoise.start(LAGS), steps=2)
+    whole = neighbour_covariance(found.influence, 0.5)
+    pairs = []
+
+    def counted(first, second, window):
+        pairs.append(len(first) * len(second))
+        return common_share(first, second, window)
+
+    monkeypatch.setattr(errors, "common_share", counted)
+    sigma = np.sqrt(np.diag(found.covariance))
+    for held in (10_000, 1):
+        pairs.clear()
+        monkeypatch.setattr(errors, "HELD", held)
+        apart = neighbour_covariance(found.influence, 0.5) - whole
+        # sums in another order: some thousand terms of float64
+        np.testing.assert_allclose(apart / np.outer(sigma, sigma), 0.0, atol=1e-12)
+        most = max(len(star.pixels) * 4 for star in found.influence.stars)  # windows of one image
+        assert len(pairs) > 4 and max(pairs) <= max(held, most)
 
 
 def normalised_square(error, covariance) -> tuple[float, int]:

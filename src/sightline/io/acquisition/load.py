@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.applications.expected_cost import Cost, frames_cost, strip_cost
+from sightline.applications.expected_cost import Cost, frames_cost, spin_cost, strip_cost
 from sightline.applications.line_of_sight import ready_strip
 from sightline.applications.spin_attitude import SpinOptions, seen_again
 from sightline.errors import FormatError, naming
@@ -164,12 +164,11 @@ def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:
             spun = SpinOptions.from_matching(given)
             lags = max((pair.lag for pair in seen_again(frames)), default=1)
             lines, columns = frames[0].image.shape
-            cost = frames_cost(frames, lines * columns / float(np.prod(spun.window)), lags)
+            cost = spin_cost(frames, lines * columns / float(np.prod(spun.window)), lags)
         elif frames:
-            plan = FrameOptions.from_matching(given)
-            lines, columns = frames[0].image.shape
-            windows = plan.windows if plan.step is None else lines * columns / float(plan.step) ** 2
-            cost = frames_cost(frames, windows, len(plan.lags))
+            cost = frames_cost(
+                frames, acquired.surface, FrameOptions.from_matching(given), acquired.height_sigma
+            )
         else:
             options = RecoverOptions(**given, method=method)
             cost = strip_cost(acquired.bands, options)

@@ -9,7 +9,7 @@ Not here: the estimate (``solve.py``), the laws of the errors (``noise.py``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +26,8 @@ Array = NDArray[np.float64]
 BIAS_PX = 0.0006
 #: How far such a region reaches, in windows.
 BIAS_LENGTH_WINDOWS = 3.0
+#: Pairs of windows of one image that are held at one time, 56 bytes each; more are gone through in blocks.
+HELD = 1 << 23
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,17 +124,20 @@ def neighbour_covariance(influence: Influence, shared: float) -> Array:
     star = influence.stars[0]
     length = BIAS_LENGTH_WINDOWS * max(star.window)
     for places, gains, gains_px in _uses(influence):
-        common = common_share(places, places, star.window)
-        np.fill_diagonal(common, 0.0)
-        apart = ((places[:, None] - places[None]) ** 2).sum(axis=2) / length**2
-        alike = BIAS_PX**2 * np.exp(-0.5 * apart)
-        for axis in range(2):
-            out += shared * gains[:, axis].T @ (common @ gains[:, axis])
-            out += gains_px[:, axis].T @ (alike @ gains_px[:, axis])
+        rows = max(HELD // max(len(places), 1), 1)
+        for first in range(0, len(places), rows):
+            block = slice(first, first + rows)
+            common = common_share(places[block], places, star.window)
+            np.fill_diagonal(common[:, first:], 0.0)
+            apart = ((places[block, None] - places[None]) ** 2).sum(axis=2) / length**2
+            alike = BIAS_PX**2 * np.exp(-0.5 * apart)
+            for axis in range(2):
+                out += shared * gains[block, axis].T @ (common @ gains[:, axis])
+                out += gains_px[block, axis].T @ (alike @ gains_px[:, axis])
     return np.asarray(0.5 * (out + out.T))
 
 
-def _uses(influence: Influence) -> list[tuple[Array, Array, Array]]:
+def _uses(influence: Influence) -> Iterator[tuple[Array, Array, Array]]:
     """Per image: places (M, 2) px of the windows that use it, their gains (M, 2, P), hubs erring backwards.
 
     Gains are given twice: per unit of the scaled error, and per px.
@@ -150,11 +155,9 @@ def _uses(influence: Influence) -> list[tuple[Array, Array, Array]]:
         for k, image in enumerate(star.images):
             rows = used[:, k]
             found[image].append((star.measured[rows, k], scaled_gain[rows, k], gain_px[rows, k]))
-    out = []
     for image in images:
-        places, gains, gains_px = (np.concatenate(column) for column in zip(*found[image], strict=True))
-        out.append((places, gains, gains_px))
-    return out
+        places, gains, gains_px = (np.concatenate(column) for column in zip(*found.pop(image), strict=True))
+        yield places, gains, gains_px
 
 
 def common_share(first: Array, second: Array, window: tuple[int, int]) -> Array:

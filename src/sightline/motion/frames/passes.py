@@ -87,6 +87,17 @@ class FrameOptions:
     passes: int = 4
     tolerance: float = 0.2
 
+    def spacing(
+        self, window: tuple[int, int], shape: tuple[int, int], frames: int, height_sigma: float
+    ) -> int:
+        """Distance of windows (px) in so many frames of a shape: `step`, or for about as many as wanted."""
+        if self.step is not None:
+            return self.step
+        wanted = self.windows
+        if height_sigma > 0.0:
+            wanted = min(wanted, max(MAX_HEIGHTS // frames, 24))
+        return max(8, round(math.sqrt((shape[0] - window[0]) * (shape[1] - window[1]) / wanted)))
+
     @classmethod
     def from_matching(cls, matching: Mapping[str, Any]) -> FrameOptions:
         """Options of a ``[matching]`` table, whose names are those for strips."""
@@ -119,12 +130,7 @@ class FramePasses:
 
     def step(self, window: tuple[int, int]) -> int:
         """Distance of windows (px) that gives about the wanted number of them."""
-        if self.options.step is not None:
-            return self.options.step
-        wanted = self.options.windows
-        if self.height_sigma > 0.0:
-            wanted = min(wanted, max(MAX_HEIGHTS // len(self.frames), 24))
-        return max(8, round(math.sqrt((self.shape[0] - window[0]) * (self.shape[1] - window[1]) / wanted)))
+        return self.options.spacing(window, self.shape, len(self.frames), self.height_sigma)
 
 
 @dataclass(frozen=True, eq=False)
