@@ -56,6 +56,22 @@ def test_nothing_sticks_out_of_the_window(recovery, open_page, width):
     assert opened.evaluate("document.documentElement.scrollWidth") <= width
 
 
+@pytest.mark.parametrize(("width", "fits"), [(900, True), (390, False)])
+def test_what_goes_on_to_the_right_says_so_until_its_end_is_seen(recovery, open_page, width, fits):
+    opened, problems = open_page(recovery.folder / "report.html")
+    opened.set_viewport_size({"width": width, "height": 900})
+    opened.wait_for_timeout(300)
+    cut = "Array.from(document.querySelectorAll('.scroll')).filter(e => e.scrollWidth > e.clientWidth + 2)"
+    count = opened.evaluate(f"{cut}.length")
+    hints = opened.locator("p.more:visible")
+    assert (count == 0) == fits and hints.count() == count
+    if not fits:
+        opened.evaluate(f"{cut}.forEach(e => e.scrollLeft = e.scrollWidth)")
+        opened.wait_for_timeout(300)
+        assert hints.count() == 0
+    assert problems == []
+
+
 def test_the_page_is_small_and_loads_nothing(text):
     addresses = re.findall(r"""(?:src|href)\s*=\s*["']([^"']*)["']""", text)
     assert addresses and all(address.startswith(("#", "data:")) for address in addresses)

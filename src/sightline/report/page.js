@@ -98,3 +98,19 @@ document.addEventListener("pointermove", event => {
 // The handle between two pictures of the same ground.
 for (const handle of document.querySelectorAll(".slider input"))
   handle.addEventListener("input", () => handle.parentNode.style.setProperty("--cut", `${handle.value}%`));
+
+// What is wider than the page says that it goes on to the right, until its end is seen.
+for (const box of document.querySelectorAll(".scroll")) {
+  const hint = document.createElement("p");
+  [hint.className, hint.textContent, hint.hidden] = ["more", "scroll sideways for the rest →", true];
+  hint.setAttribute("aria-hidden", "true");
+  box.before(hint);
+  const look = () => {
+    const rest = box.scrollWidth - box.clientWidth, ends = box.scrollLeft >= rest - 2;
+    hint.hidden = rest <= 2;
+    for (const one of [hint, box]) one.classList.toggle("ends", ends);
+    box.classList.toggle("cut", rest > 2);
+  };
+  box.addEventListener("scroll", look);
+  new ResizeObserver(look).observe(box);
+}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +12,15 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import GeometryError
 from sightline.io.acquisition.describe import describe_acquisition
 from sightline.io.acquisition.load import load_acquisition
+from sightline.io.formats.tables import read_star_tracker
 
 RADIUS, SPEED, LONGITUDE = 6378137.0 + 700e3, 7500.0, 10.0
-HEADERS = {"orbit": "t,x,y,z", "attitude": "t,qx,qy,qz,qw", "star": "t,roll,pitch,yaw,sigma"}
+HEADERS = {
+    "orbit": "t,x,y,z",
+    "attitude": "t,qx,qy,qz,qw",
+    "star": "t,roll,pitch,yaw,sigma",
+    "aocs": "t,qx,qy,qz,qw",
+}
 
 
 def orbit(t):
@@ -128,3 +135,30 @@ def test_a_sensor_in_degrees_is_asked_about(folder, size):
     assert bool(doubts) == (size > 1.0)
     if doubts:
         assert "star-tracker ST: up to 1.2 rad (68.8 degrees) from the reference attitude" in doubts[0]
+
+
+def test_the_documented_ephemeris_is_read_as_it_is_described(folder, monkeypatch):
+    page = (Path(__file__).parents[3] / "docs" / "formats.md").read_text()
+    platform = re.search(r"```toml\n(\[platform\]\nkind = \"ephemeris\".*?)```", page, re.DOTALL)
+    folder.replace(
+        '[platform]\nkind = "level-flight"\naltitude = 700e3\nground_speed = 7000.0\n', platform[1]
+    )
+    for name in ("orbit", "attitude"):
+        text = re.search(rf"`{name}\.csv`:\n\n```csv\n(.*?)```", page, re.DOTALL)[1]
+        (folder.path / f"{name}.csv").write_text(text)
+    understood, doubts = said(folder.write())
+    assert not doubts
+    assert any("at t = 0 s: 10 E 0 N, 500000 m, flies north" in w for w in understood)
+    assert any("PAN 0 degrees" in w for w in understood) and any(
+        "body x points 0 degrees" in w for w in understood
+    )
+    # the recipe beside it makes angles of a star tracker of a body turned by 20, -30 and 10 urad
+    monkeypatch.chdir(folder.path)
+    given = np.genfromtxt("attitude.csv", delimiter=",", names=True)
+    quat = np.column_stack([given[name] for name in ("qx", "qy", "qz", "qw")])
+    turned = (Rotation.from_quat(quat) * Rotation.from_rotvec([20e-6, -30e-6, 10e-6])).as_quat()
+    table(folder, "aocs", given["t"], turned)
+    exec(re.search(r"```python\n(import numpy as np\n.*?Slerp.*?)```", page, re.DOTALL)[1], {})
+    t, angles, _ = read_star_tracker(folder.path / "star_tracker.csv")
+    assert np.array_equal(t, given["t"])
+    np.testing.assert_allclose(angles, np.tile([20e-6, -30e-6, 10e-6], (3, 1)), atol=2e-9)
