@@ -25,8 +25,8 @@ from sightline.motion.frames.hidden import relative_covariance, without
 from sightline.simulate.frames import FrameScenario, frames_case
 
 FIRST_SEED = 100
-WIDE = {"count": 6, "shape": (288, 384), "focal_length_px": 600.0, "interval": 4.0, "step_sigma": 2e-3}
-NARROW = {"count": 5, "shape": (256, 320), "focal_length_px": 1200.0, "interval": 3.0}
+WIDE = {"frames": 6, "shape": (288, 384), "focal_length_px": 600.0, "interval": 4.0, "step_sigma": 2e-3}
+NARROW = {"frames": 5, "shape": (256, 320), "focal_length_px": 1200.0, "interval": 3.0}
 #: name -> (what is rendered, what is known of the lens, nominal focal length or None, height sigma)
 CASES: dict[str, tuple[dict[str, Any], LensKnowledge, float | None, float]] = {
     "lens known, narrow field": (NARROW, LensKnowledge(), None, 0.0),

@@ -20,7 +20,22 @@ def strip(tmp_path_factory):
     """A small rendered strip, long enough for the longest lag (345 lines)."""
     folder = tmp_path_factory.mktemp("strip") / "scene"
     size = ["--lines", str(LINES), "--columns", str(COLUMNS)]
-    assert run(["simulate", "line-of-sight", "--case", "relief", *size, "--gyro", "--out", str(folder)]) == 0
+    assert (
+        run(
+            [
+                "simulate",
+                "line-of-sight",
+                "--case",
+                "relief",
+                *size,
+                "--set",
+                "gyro=true",
+                "--out",
+                str(folder),
+            ]
+        )
+        == 0
+    )
     return folder
 
 

@@ -16,8 +16,9 @@ from sightline.io.sequence.load import load_sequence
 
 #: Level ground, and positions to 5 cm above it.
 WORDS = (
-    "--case small --frames 24 --truth-bands 0 --seed 5 --relief 0.001 --position-sigma 0.05 "
-    "--position-bias-sigma 0.05 --attitude-sigma 0.05 --distortion=-0.15 --focal-error 0.02"
+    "--case small --frames 24 --seed 5 --set truth_bands=0 --set relief=0.001 --set position_sigma=0.05 "
+    "--set position_bias_sigma=0.05 --set distortion=-0.15 --set focal_error=0.02 "
+    f"--set attitude_sigma={np.radians(0.05)}"
 ).split()
 
 
@@ -78,5 +79,5 @@ def test_words_on_the_terminal_and_the_page(flight, done, capsys):
 
 
 def test_an_error_beyond_half_is_refused(tmp_path, capsys):
-    assert run(["simulate", "frames", "--focal-error", "0.7", "--out", str(tmp_path / "no")]) == 2
+    assert run(["simulate", "frames", "--set", "focal_error=0.7", "--out", str(tmp_path / "no")]) == 2
     assert "focal_error" in capsys.readouterr().err and not (tmp_path / "no").exists()

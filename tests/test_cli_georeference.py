@@ -32,7 +32,7 @@ LOST = 11
 def flight(tmp_path_factory):
     """Twenty-four frames, one of which cannot be read."""
     out = tmp_path_factory.mktemp("georeference") / "flight"
-    words = ["--case", "small", "--frames", "24", "--truth-bands", "0", "--unreadable", str(LOST)]
+    words = ["--case", "small", "--frames", "24", "--set", "truth_bands=0", "--set", f"unreadable={LOST}"]
     assert run(["simulate", "frames", *words, "--seed", "3", "--out", str(out)]) == 0
     return out
 

@@ -35,8 +35,8 @@ def test_an_instrument_is_rendered_and_checked(tmp_path, capsys):
     arguments = [
         "--case",
         "spin-geo",
-        "--off-nadir",
-        "3",
+        "--set",
+        "off_nadir=0.05",
         "--lines",
         "240",
         "--columns",
@@ -54,17 +54,18 @@ def test_an_instrument_is_rendered_and_checked(tmp_path, capsys):
 
 def test_photographs_of_a_matrix_instrument_are_rendered(tmp_path):
     folder = tmp_path / "scene"
-    arguments = ["--case", "frames", "--count", "2", "--interval", "4", "--out", str(folder)]
+    arguments = ["--case", "frames", "--frames", "2", "--set", "interval=4", "--out", str(folder)]
     assert run(["simulate", "line-of-sight", *arguments]) == 0
     assert {"acquisition.toml", "frame-000.tif", "frame-001.tif"} <= {p.name for p in folder.iterdir()}
     assert "time = 4.0" in (folder / "acquisition.toml").read_text()
 
 
-@pytest.mark.parametrize("arguments", [["--off-nadir", "3"], ["--gyro"], ["--no-dem"], ["--motion", "none"]])
-def test_what_photographs_do_not_have_is_refused(tmp_path, capsys, arguments):
+@pytest.mark.parametrize("key", ["off_nadir=0.05", "gyro=true", "dem=false", "motion=none"])
+def test_what_photographs_do_not_have_is_refused(tmp_path, capsys, key):
     command = ["simulate", "line-of-sight", "--case", "frames", "--out", str(tmp_path / "scene")]
-    assert run([*command, *arguments]) == 2
-    assert f"{arguments[0]} is not for case 'frames'" in capsys.readouterr().err
+    assert run([*command, "--set", key]) == 2
+    said = f"unknown key '{key.partition('=')[0]}'; it belongs to `simulate line-of-sight`, case "
+    assert said in capsys.readouterr().err
 
 
 def test_check_finds_the_few_columns_that_staggered_detectors_share(tmp_path, capsys):
@@ -80,14 +81,19 @@ def test_check_finds_the_few_columns_that_staggered_detectors_share(tmp_path, ca
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["--case", "spin-leo", "--off-nadir", "80"], "looks past the Earth"),
-        (["--case", "nominal", "--off-nadir", "5"], "--off-nadir is not for case 'nominal'"),
-        (["--case", "mirror-leo", "--no-dem"], "--no-dem is not for case 'mirror-leo'"),
-        (["--case", "staggered", "--gyro"], "--gyro is not for case 'staggered'"),
-        (["--case", "multi-line", "--motion", "wobble"], "unknown motion: got 'wobble'"),
-        (["--case", "nominal", "--count", "3"], "--count is not for case 'nominal'; it is for: frames"),
-        (["--case", "spin-leo", "--estimate-camera"], "--estimate-camera is not for case 'spin-leo'"),
-        (["--case", "frames"], "--lines is not for case 'frames'"),
+        (["--case", "spin-leo", "--set", "off_nadir=1.4"], "looks past the Earth"),
+        (
+            ["--case", "nominal", "--set", "off_nadir=.1"],
+            "'off_nadir'; it belongs to `simulate line-of-sight`",
+        ),
+        (["--case", "multi-line", "--set", "motion=wobble"], "motion = 'wobble' is not known; allowed: 'nom"),
+        (["--case", "nominal", "--frames", "3"], "--frames is not for case 'nominal'; it belongs to"),
+        (
+            ["--case", "spin-leo", "--off-nadir", "3"],
+            "--off-nadir is a key of the scene: --set off_nadir=VALUE (rad",
+        ),
+        (["--case", "nominal", "--no-dem"], "--no-dem is a key of the scene: --set dem=VALUE"),
+        (["--case", "nominal", "--lins", "3"], "No such option: --lins"),
     ],
 )
 def test_what_an_instrument_does_not_have_is_refused(tmp_path, capsys, arguments, words):

@@ -98,7 +98,7 @@ def test_the_motion_of_another_strip_is_refused(recovery, tmp_path, capsys):
 
 def test_frames_are_refused(recovery, tmp_path, capsys):
     scene = tmp_path / "frames"
-    assert run(["simulate", "line-of-sight", "--case", "frames", "--count", "3", "--out", str(scene)]) == 0
+    assert run(["simulate", "line-of-sight", "--case", "frames", "--frames", "3", "--out", str(scene)]) == 0
     toml = scene / "acquisition.toml"
     assert run(["register", str(toml), "--motion", str(recovery.folder), "--out", str(tmp_path / "out")]) == 2
     assert "[[band]]" in capsys.readouterr().err

@@ -20,9 +20,9 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_what_is_simulated_is_understood(tmp_path, capsys, case):
     out = tmp_path / "flight"
-    shape = ["488", "496"] if case == "mosaic" else ["122", "136"]  # the least that can be followed
-    size = ["--frames", "12", "--shape", *shape, "--overlap", "0.9", "--truth-bands", "0"]
-    bad = ["--missing", "4", "--unreadable", "7"]
+    lines, columns = ("488", "496") if case == "mosaic" else ("122", "136")  # the least that can be followed
+    size = ["--frames", "12", "--lines", lines, "--columns", columns, "--set", "overlap=0.9"]
+    bad = ["--set", "missing=4", "--set", "unreadable=7", "--set", "truth_bands=0"]
     assert run(["simulate", "frames", "--case", case, *size, *bad, "--out", str(out)]) == 0
     capsys.readouterr()
     assert run(["check", str(out / "sequence.toml"), "--json"]) == 0
@@ -42,7 +42,7 @@ def test_what_is_simulated_is_understood(tmp_path, capsys, case):
 
 def test_check_is_read_by_people_too(tmp_path, capsys):
     out = tmp_path / "flight"
-    size = ["--frames", "6", "--shape", "128", "144", "--truth-bands", "0"]
+    size = ["--frames", "6", "--lines", "128", "--columns", "144", "--set", "truth_bands=0"]
     assert run(["simulate", "frames", *size, "--out", str(out)]) == 0
     capsys.readouterr()
     assert run(["check", str(out / "sequence.toml")]) == 0

@@ -48,7 +48,18 @@ def test_of_the_table_of_settings_with_a_recovered_motion(recovery, tmp_path):
 
 def test_of_a_flight_every_frame_too(tmp_path):
     flight = tmp_path / "flight"
-    words = ["--case", "small", "--frames", "5", "--truth-bands", "0", "--dem", "--out", str(flight)]
+    words = [
+        "--case",
+        "small",
+        "--frames",
+        "5",
+        "--set",
+        "truth_bands=0",
+        "--set",
+        "dem=true",
+        "--out",
+        str(flight),
+    ]
     assert run(["simulate", "frames", *words]) == 0
     with noted(tmp_path / "out") as seen:
         sequence = read_sequence(flight / "sequence.toml")
@@ -56,9 +67,9 @@ def test_of_a_flight_every_frame_too(tmp_path):
     assert real((*sequence.inputs, *sequence.files)) <= seen.places()
 
 
-@pytest.mark.parametrize("more", [["--control-points", "3"], ["--images"]], ids=["points", "pictures"])
+@pytest.mark.parametrize("more", ["control_points=3", "images=true"], ids=["points", "pictures"])
 def test_of_a_pass_of_spacecraft(tmp_path, more):
-    words = ["--shots", "3", "--points", "20", *more, "--out", str(tmp_path / "pass")]
+    words = ["--shots", "3", "--points", "20", "--set", more, "--out", str(tmp_path / "pass")]
     assert run(["simulate", "stereo", *words]) == 0
     with noted(tmp_path / "out") as seen:
         stereo = read_stereo(tmp_path / "pass" / "stereo.toml")

@@ -83,7 +83,7 @@ def prepared(folder: Path) -> list[Case]:
     for seed in ("1", "2"):
         size = ("--lines", "420", "--columns", "320", "--seed", seed)
         done(("simulate", "line-of-sight", *size), scenes / f"strip{seed}")
-        size = ("--case", "small", "--frames", "16", "--truth-bands", "0", "--seed", seed)
+        size = ("--case", "small", "--frames", "16", "--set", "truth_bands=0", "--seed", seed)
         done(("simulate", "frames", *size), scenes / f"flight{seed}")
         done(("simulate", "stereo", "--shots", "8", "--points", "60", "--seed", seed), scenes / f"pass{seed}")
         tdi = scenes / f"tdi{seed}"

@@ -24,7 +24,7 @@ from sightline.motion.frames.passes import FrameOptions
 from sightline.simulate.frames import FrameScenario, frames_case
 
 OPTIONS = FrameOptions(windows=90, passes=2)
-SMALL = {"count": 5, "shape": (224, 256), "interval": 3.0, "focal_length_px": 1000.0, "distortion": ()}
+SMALL = {"frames": 5, "shape": (224, 256), "interval": 3.0, "focal_length_px": 1000.0, "distortion": ()}
 
 
 def as_frames(scene: FrameScenario, detector: AreaDetector | None = None) -> list[Frame]:

@@ -178,7 +178,7 @@ class TestCommand:
 
     def test_frames_have_the_joint_estimate_only(self, tmp_path, capsys):
         scene = tmp_path / "scene"
-        few = ["--case", "frames", "--count", "3"]
+        few = ["--case", "frames", "--frames", "3"]
         assert run(["simulate", "line-of-sight", *few, "--out", str(scene)]) == 0
         words = ["recover", str(scene / "acquisition.toml"), "--out", str(tmp_path / "out")]
         assert run([*words, "--method", "polynomial"]) == 2

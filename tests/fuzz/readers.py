@@ -307,6 +307,11 @@ _row(
     lambda folder, read: read(folder / "result", folder / "orientation-truth.csv"),
 )  # fmt: skip
 
+_row(
+    "scene.recipe.read_recipe", "scene-files", ["pass.toml"],
+    lambda folder, read: read("stereo", folder / "pass.toml"),
+)  # fmt: skip
+
 
 def _opened(seed: str, place: str, targets: str) -> None:
     """A row for a result's folder, opened and shown."""
@@ -362,6 +367,11 @@ for _name, _seed, _targets, _words, _check in (
     ("orient", "pair", "stereo.toml *.csv", "orient @stereo.toml --out @out", "stereo.toml"),
     ("orient with a DEM", "simulated-pair", "*.csv dem.tif", "orient @stereo.toml --out @out", "stereo.toml"),
     ("orient --predict", "plan", "stereo.toml", "orient @stereo.toml --predict --out @out", "stereo.toml"),
+    ("scene: pass", "scene-files", "pass.toml", "simulate stereo --scene @pass.toml --out @out", ""),
+    ("scene: flight", "scene-files", "flight.toml", "simulate frames --scene @flight.toml --out @out", ""),
+    ("scene: strip", "scene-files", "strip.toml", "simulate line-of-sight --scene @strip.toml --out @out", ""),
+    ("scene: orbit", "scene-files", "orbit.toml", "simulate line-of-sight --scene @orbit.toml --out @out", ""),
+    ("scene: frames", "scene-files", "frames.toml", "simulate line-of-sight --scene @frames.toml --out @out", ""),
     ("tdi", "tdi", "tdi.toml columns.csv", "tdi @tdi.toml --out @out", "tdi.toml"),
     ("tdi --signals", "tdi", "t*.toml s*", "tdi @tdi.toml --signals @signals.npy --out @out", ""),
     ("tdi --motion", "recovered", "tdi.toml result/*", "tdi @tdi.toml --motion @result --out @out", ""),
@@ -378,9 +388,9 @@ for _name, _seed, _targets, _words, _check in (
 for _seed, _words in (
     ("plan", "simulate line-of-sight --lines 302 --columns 200 --out @out"),
     ("plan", "simulate line-of-sight --case mirror-leo --lines 124 --columns 224 --out @out"),
-    ("plan", "simulate line-of-sight --case frames --count 2 --out @out"),
+    ("plan", "simulate line-of-sight --case frames --frames 2 --out @out"),
     ("plan", "simulate stereo --shots 2 --points 10 --out @out"),
-    ("plan", "simulate frames --frames 3 --shape 122 122 --out @out"),
+    ("plan", "simulate frames --frames 3 --lines 122 --columns 122 --out @out"),
     ("level", "recover @acquisition.toml --out @out"),
     ("recovered", "register @acquisition.toml --motion @result --out @out"),
     ("pair", "orient @stereo.toml --out @out"),

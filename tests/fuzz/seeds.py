@@ -876,9 +876,35 @@ def pictures(folder: Path) -> None:
 
 
 @seed
+def scene_files(folder: Path) -> None:
+    """What simulated scenes are made of."""
+    (folder / "pass.toml").write_text(
+        'kind = "stereo"\nseed = 3\nshots = 2\npoints = 12\nsigma_px = 0.2\nfov = 0.03\n'
+        'relief = "smooth"\ntrack_shots = [1, 2]\ncontrol_points = 2\n'
+    )
+    (folder / "flight.toml").write_text(
+        'kind = "frames"\ncase = "small"\nframes = 4\nshape = [122, 136]\ndistortion = [-0.1]\n'
+        'missing = ["1-1"]\nwater = [[2, 3]]\njitter = 1e-3\nfilter = "pan"\ntruth_bands = 0\n'
+    )
+    (folder / "strip.toml").write_text(
+        'case = "clouds"\nlines = 420\ncolumns = 200\nnames = ["A", "B"]\nlags = [0.0, 0.15]\n'
+        "gains = [1, 1]\ngammas = [1, 0.9]\ncloud_banks = [[100, 50]]\nblank = []\nsnr = 60\ngyro = true\n"
+    )
+    (folder / "orbit.toml").write_text(
+        'case = "mirror-leo"\nlines = 124\ncolumns = 224\noff_nadir = 0.2\npairs = [["A", "B"]]\n'
+        '[[detectors]]\nname = "A"\nbehind = 0.0\n[[detectors]]\nname = "B"\nbehind = 20.0\ngain = 0.9\n'
+    )
+    (folder / "frames.toml").write_text(
+        'case = "frames"\nframes = 2\ninterval = 4\nshape = [240, 256]\nfocal_length_px = 900.0\n'
+        "relief_rms = 20.0\nestimate_camera = true\n"
+    )
+
+
+@seed
 def simulated_pair(folder: Path) -> None:
     """With a DEM."""
-    given = "--unpaired --relief smooth --dem-sigma 5 --control-points 3 --shots 4 --points 12".split()
+    keys = ("unpaired=true", "relief=smooth", "dem_sigma=5", "control_points=3")
+    given = ["--shots", "4", "--points", "12", *(word for key in keys for word in ("--set", key))]
     run("simulate", "stereo", *given, "--out", folder, "--overwrite")
     import rasterio
 

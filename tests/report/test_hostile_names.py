@@ -97,9 +97,8 @@ def strip(base, command):
 def frames(base, command):
     """Photographs of a matrix instrument."""
     folder = hostile_folder(base) / "photographs"
-    command(
-        "simulate", "line-of-sight", "--case", "frames", "--count", "2", "--interval", "4", "--out", folder
-    )
+    few = ["--frames", "2", "--set", "interval=4"]
+    command("simulate", "line-of-sight", "--case", "frames", *few, "--out", folder)
     toml = renamed(folder / "acquisition.toml", {}, ["frame-000.tif", "frame-001.tif"])
     names = iter((CLOSING, IMAGE + STEERING))
     toml.write_text(
@@ -162,7 +161,7 @@ def stereo_strips(base, command):
 def flight(base, command):
     """Frames of a flight, with maps and all that is written for other programs."""
     folder = hostile_folder(base) / "flight"
-    size = ["--frames", "12", "--truth-bands", "0", "--unreadable", "5"]
+    size = ["--frames", "12", "--set", "truth_bands=0", "--set", "unreadable=5"]
     command("simulate", "frames", "--case", "small", *size, "--seed", "1", "--out", folder)
     odd = (*NAMES[:3], ENDLESS, "=1+1", "#comment", "a b", "a_b", "../x", "CON", ".hidden", "'q'")
     names = {str(k): f"{name}{k}" for k, name in enumerate(odd)}

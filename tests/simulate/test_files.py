@@ -81,7 +81,7 @@ def test_without_a_dem_the_file_says_how_rough_the_ground_is(tmp_path):
 
 
 def test_frames_are_written_with_the_times_told_and_the_true_ones_apart(tmp_path):
-    scenario = frames_case(2, count=3, shape=(40, 60), time_sigma=0.3)
+    scenario = frames_case(2, frames=3, shape=(40, 60), time_sigma=0.3)
     write_frames(scenario, tmp_path, estimate_camera=True)
     told = tomllib.loads((tmp_path / "acquisition.toml").read_text())
     assert [frame["time"] for frame in told["frame"]] == [0.0, 6.0, 12.0]

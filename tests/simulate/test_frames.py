@@ -9,7 +9,7 @@ from sightline.simulate.sensor import footprint
 
 
 def test_a_pixel_of_a_frame_sees_the_ground_of_the_pinhole():
-    scenario = frames_case(4, count=3, shape=(60, 90), distortion=(), step_sigma=0.0)
+    scenario = frames_case(4, frames=3, shape=(60, 90), distortion=(), step_sigma=0.0)
     seen = footprint(scenario.cameras[2], (0, 60), 90, None, 4)
     gsd = 420e3 / 3600.0
     i, j = np.meshgrid(np.arange(60) - 29.5, np.arange(90) - 44.5, indexing="ij")
@@ -19,7 +19,9 @@ def test_a_pixel_of_a_frame_sees_the_ground_of_the_pinhole():
 
 
 def test_barrel_distortion_draws_the_corners_in():
-    bent = frames_case(4, count=2, shape=(60, 90), focal_length_px=100.0, distortion=(-0.05,), step_sigma=0.0)
+    bent = frames_case(
+        4, frames=2, shape=(60, 90), focal_length_px=100.0, distortion=(-0.05,), step_sigma=0.0
+    )
     seen = footprint(bent.cameras[0], (0, 60), 90, None, 4)
     # the ground at tangent r lands at r (1 - 0.05 r^2): invert by a few fixed-point steps
     i, j = np.meshgrid((np.arange(60) - 29.5) / 100.0, (np.arange(90) - 44.5) / 100.0, indexing="ij")
@@ -35,7 +37,7 @@ def test_barrel_distortion_draws_the_corners_in():
 def test_the_random_walk_of_the_attitude_has_its_step():
     steps = np.concatenate(
         [
-            np.diff(frames_case(seed, count=12, shape=(16, 16)).truth[:, 1:], axis=0).ravel()
+            np.diff(frames_case(seed, frames=12, shape=(16, 16)).truth[:, 1:], axis=0).ravel()
             for seed in range(6)
         ]
     )
@@ -44,7 +46,7 @@ def test_the_random_walk_of_the_attitude_has_its_step():
 
 
 def test_the_same_seed_gives_the_same_frames():
-    first, second = (frames_case(3, count=2, shape=(32, 48)).image(1) for _ in range(2))
+    first, second = (frames_case(3, frames=2, shape=(32, 48)).image(1) for _ in range(2))
     np.testing.assert_array_equal(first, second)
 
 

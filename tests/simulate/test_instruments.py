@@ -156,7 +156,7 @@ def test_a_view_past_the_earth_is_refused():
         instrument_case("spin")
     with pytest.raises(InputError, match="unknown option: colour"):
         instrument_case("spin-leo", colour=1)
-    with pytest.raises(InputError, match="too small"):
+    with pytest.raises(InputError, match="`lines` must be from 16"):
         instrument_case("spin-leo", lines=8)
 
 

@@ -143,7 +143,9 @@ def test_drift_focal_length_and_aim_point_are_written_where_they_matter(tmp_path
 
 
 def test_the_command_writes_what_its_options_say(tmp_path, capsys):
-    words = "--shots 3 --points 12 --sigma-attitude 0.5 --fov 2 --latitude 40 --error 20 --track-shots 2 3"
+    keys = {"sigma_attitude": 0.5 * ARCSEC, "fov": np.radians(2.0), "latitude": np.radians(40.0)}
+    keys |= {"error": 20.0 * ARCSEC, "track_shots": "2,3"}
+    words = "--shots 3 --points 12 " + " ".join(f"--set {key}={value}" for key, value in keys.items())
     out = tmp_path / "pass"
     assert run(["simulate", "stereo", "--seed", "5", *words.split(), "--out", str(out), "--json"]) == 0
     told = tomllib.loads((out / "stereo.toml").read_text(encoding="utf-8"))
@@ -159,8 +161,7 @@ def test_the_command_writes_what_its_options_say(tmp_path, capsys):
         CASE, 5, shots=3, points=12, sigma_attitude=0.5 * ARCSEC, fov=np.radians(2.0),
         latitude=np.radians(40.0), error=20.0 * ARCSEC, track_shots=(2, 3),
     )  # fmt: skip
-    # radians of the options are those of numpy to the last place or two
-    np.testing.assert_allclose(
+    np.testing.assert_array_equal(
         read(out / "matches.csv")["line_1"], same.tracks.pixels[: len(same.tracks) // 2, 0]
     )
 
@@ -173,11 +174,11 @@ def test_the_cases_in_the_help_are_the_cases():
     ("words", "message"),
     [
         ("--case Z", "unknown case: got 'Z'"),
-        ("--separation 0", "no baseline"),
-        ("--mismatch-share 2", "`mismatch_share`"),
-        ("--relief dem --dem-file nowhere.tif", "nowhere.tif"),
-        ("--control-points 1000", "control points"),
-        ("--window 2000", "below the horizon"),
+        ("--set separation=0", "no baseline"),
+        ("--set mismatch_share=2", "mismatch_share = 2 is not allowed: 0 to 0.9"),
+        ("--set relief=dem --set dem_file=nowhere.tif", "nowhere.tif"),
+        ("--set control_points=1000", "control points"),
+        ("--set window=2000", "below the horizon"),
     ],
 )
 def test_a_wrong_option_gives_one_error_and_writes_nothing(tmp_path, capsys, words, message):
@@ -189,10 +190,11 @@ def test_a_wrong_option_gives_one_error_and_writes_nothing(tmp_path, capsys, wor
 
 def test_frames_are_written_in_place_of_points(tmp_path):
     out = tmp_path / "pass"
-    words = "--images --shots 1 --columns 128 --fov 0.1 --relief none"
+    words = f"--set images=true --shots 1 --columns 128 --set fov={np.radians(0.1)} --set relief=none"
     assert run(["simulate", "stereo", *words.split(), "--out", str(out)]) == 0
     told = tomllib.loads((out / "stereo.toml").read_text(encoding="utf-8"))
     assert told["images"] == "images.csv" and "matches" not in told and "sigma_px" not in told["noise"]
     assert not (out / "matches.csv").exists() and not (out / "truth-points.csv").exists()
     assert len(list(out.glob("camera-*.tif"))) == 2
-    assert run(["simulate", "stereo", "--images", "--control-points", "3", "--out", str(tmp_path / "b")]) == 2
+    both = ["--set", "images=true", "--set", "control_points=3"]
+    assert run(["simulate", "stereo", *both, "--out", str(tmp_path / "b")]) == 2

@@ -2,188 +2,311 @@
 
 from __future__ import annotations
 
-import math
 import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import typer
+from typer.core import TyperCommand
 
-from sightline.cli.options import FRAMES_CASE, ORBIT_CASES, STRIP_CASES, Json, Out, Overwrite, Seed
+from sightline.cli.options import (
+    FRAMES_CASE,
+    ORBIT_CASES,
+    SEQUENCE_CASES,
+    STEREO_CASES,
+    STRIP_CASES,
+    Json,
+    Out,
+    Overwrite,
+)
 from sightline.cli.output import output_folder
-from sightline.cli.simulate_frames import frames
-from sightline.cli.simulate_stereo import stereo
-from sightline.cli.terminal import print_json, say
-from sightline.cli.usable import MOST_COLUMNS, MOST_LINES, refuse_useless_scene, refuse_useless_strip
+from sightline.cli.terminal import Progress, print_json, progress, say
+from sightline.cli.usable import (
+    least_points,
+    refuse_costly_photographs,
+    refuse_useless_flight,
+    refuse_useless_pass,
+    refuse_useless_scene,
+    refuse_useless_strip,
+)
 
 if TYPE_CHECKING:
     from sightline.geometry.camera import PushbroomCamera
+    from sightline.io.scene.recipe import SceneRecipe
+
+# Named through typer, because its newer versions carry a click of their own.
+_UsageError: Any = typer.BadParameter.__base__
+
+
+class _Command(TyperCommand):
+    """A command that says of an option that it does not have whether it is a key of its scenes."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """As click does; an option that is a key is answered with how a key is given."""
+        try:
+            return super().parse_args(ctx, args)
+        except _UsageError as error:
+            option = getattr(error, "option_name", None) or ""
+            key = option.lstrip("-").replace("-", "_")
+            said = _keys_of(str(self.name))
+            for name in (key, key.removeprefix("no_")):
+                if name in said:
+                    error.message = f"{option} is a key of the scene: --set {name}=VALUE ({said[name]})"
+                    error.possibilities = ()
+                    break
+            raise
+
+
+def _keys_of(kind: str) -> dict[str, str]:
+    """Keys of the scenes of a kind, with what they mean."""
+    from sightline.io.scene.models import FAMILIES, scene_model
+
+    return {
+        name: field.description or ""
+        for family in FAMILIES
+        if family.kind == kind
+        for name, field in scene_model(family.name).model_fields.items()
+    }
+
 
 app = typer.Typer(help="Render a scene whose truth is known.", no_args_is_help=True)
-app.command("stereo")(stereo)
-app.command("frames")(frames)
 
-# Said in --help, which must not wait for the import of the cases.
+#: Said in --help, which must not wait for the import of the cases.
 _LINES, _COLUMNS = "3000; real: 2400; instruments: 1500", "1000; real: 640; instruments: 640"
-_MOTIONS = "nominal, late-tone, step, curve, real, other-family, ck, isd, none"
+_CASE_OWN = "the case's"
+
+SceneFlag = Annotated[
+    Path | None,
+    typer.Option(
+        "--scene",
+        metavar="SCENE.toml",
+        help="Keys in place of the case's options, as the scene.toml that every scene has beside it.",
+    ),
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Any key of SCENE.toml, such as snr=40 or missing=3,20-40; may be repeated. `sightline schema "
+        "scene` describes them.",
+    ),
+]
+SeedFlag = Annotated[
+    int | None,
+    typer.Option(
+        "--seed", min=0, max=2**63 - 1, help="Same seed, same scene, bit for bit.", show_default="0"
+    ),
+]
 
 
-@app.command("line-of-sight")
+def _case(*cases: str, more: str = "") -> Any:
+    """The option --case, whose first is the default."""
+    return typer.Option(
+        "--case", metavar="CASE", help=f"One of: {', '.join(cases)}{more}.", show_default=cases[0]
+    )
+
+
+def _size(flag: str, text: str, default: str = _CASE_OWN) -> Any:
+    """A number that is the case's own unless it is given."""
+    return typer.Option(flag, help=text, show_default=default)
+
+
+Count: TypeAlias = int | None
+Word: TypeAlias = str | None
+
+
+@app.command("line-of-sight", cls=_Command)
 def line_of_sight(
     out: Out,
     case: Annotated[
-        str,
-        typer.Option(
-            "--case",
-            metavar="CASE",
-            help=f"One of: {', '.join(STRIP_CASES)}; over a real orbit: {', '.join(ORBIT_CASES)}; "
-            f"photographs of a matrix instrument: {FRAMES_CASE}. Made of real data, in the folder that "
-            "SIGHTLINE_DATA names: real, other-family.",
-        ),
-    ] = "nominal",
-    seed: Seed = 0,
-    lines: Annotated[
-        int | None,
-        typer.Option("--lines", min=16, max=MOST_LINES, help="Lines of every band.", show_default=_LINES),
-    ] = None,
-    columns: Annotated[
-        int | None,
-        typer.Option(
-            "--columns", min=16, max=MOST_COLUMNS, help="Columns of every band.", show_default=_COLUMNS
+        Word,
+        _case(
+            *STRIP_CASES,
+            more=f"; over a real orbit: {', '.join(ORBIT_CASES)}; photographs of a matrix instrument: "
+            f"{FRAMES_CASE}. Made of real data, in the folder that SIGHTLINE_DATA names: real, other-family",
         ),
     ] = None,
-    motion: Annotated[
-        str | None, typer.Option("--motion", metavar="NAME", help=f"In place of the case's: {_MOTIONS}.")
-    ] = None,
-    off_nadir: Annotated[
-        float | None, typer.Option("--off-nadir", help="Degrees, of the instruments over a real orbit.")
-    ] = None,
-    dem: Annotated[
-        bool, typer.Option("--dem/--no-dem", help="Write the relief, or only how rough it is.")
-    ] = True,
-    star_tracker: Annotated[bool, typer.Option("--star-tracker", help="Also write its table.")] = False,
-    gyro: Annotated[bool, typer.Option("--gyro", help="Also write its table.")] = False,
-    control_points: Annotated[
-        int,
-        typer.Option("--control-points", min=0, max=100_000, help="Also write so many, known to a metre."),
-    ] = 0,
-    count: Annotated[
-        int | None,
-        typer.Option("--count", min=2, max=10_000, help="Frames, of case frames.", show_default="10"),
-    ] = None,
-    interval: Annotated[
-        float | None,
-        typer.Option("--interval", min=0.0, help="Seconds between frames, of case frames.", show_default="6"),
-    ] = None,
-    relief_rms: Annotated[
-        float | None,
-        typer.Option("--relief-rms", min=0.0, help="Metres, of case frames.", show_default="0"),
-    ] = None,
-    estimate_camera: Annotated[
-        bool,
-        typer.Option(
-            "--estimate-camera", help="Of case frames: leave focal length and distortion to be estimated."
-        ),
-    ] = False,
+    seed: SeedFlag = None,
+    lines: Annotated[Count, _size("--lines", "Of every band.", _LINES)] = None,
+    columns: Annotated[Count, _size("--columns", "Of every band.", _COLUMNS)] = None,
+    frames: Annotated[Count, _size("--frames", "Photographs, of case frames.", "10")] = None,
+    scene: SceneFlag = None,
+    settings: Settings = None,
     overwrite: Overwrite = False,
     as_json: Json = False,
 ) -> None:
     """Bands of one pushbroom strip: ACQUISITION.toml for `recover`, and truth.csv for `score`."""
-    from sightline.errors import InputError
-    from sightline.geometry.surface import Plane
-    from sightline.simulate.files import write_strip
-    from sightline.simulate.scenarios import line_of_sight_case, planned_cameras
-    from sightline.simulate.strip_options import CASE_OPTIONS, StripOptions
+    flags = {"case": case, "seed": seed, "lines": lines, "columns": columns, "frames": frames}
+    _simulate("line-of-sight", out, scene, settings, flags, overwrite, as_json)
+
+
+@app.command("stereo", cls=_Command)
+def stereo(
+    out: Out,
+    case: Annotated[Word, _case(*STEREO_CASES)] = None,
+    seed: SeedFlag = None,
+    lines: Annotated[Count, _size("--lines", "Of a frame; 0: as many as columns.")] = None,
+    columns: Annotated[Count, _size("--columns", "Of a frame.")] = None,
+    shots: Annotated[Count, _size("--shots", "Of each camera.")] = None,
+    points: Annotated[Count, _size("--points", "On the ground.")] = None,
+    scene: SceneFlag = None,
+    settings: Settings = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Shots of synchronous cameras and points found in them: STEREO.toml for `orient`, and the truth."""
+    flags = {"case": case, "seed": seed, "lines": lines, "columns": columns, "shots": shots, "points": points}
+    _simulate("stereo", out, scene, settings, flags, overwrite, as_json)
+
+
+@app.command("frames", cls=_Command)
+def frames(
+    out: Out,
+    case: Annotated[Word, _case(*SEQUENCE_CASES)] = None,
+    seed: SeedFlag = None,
+    lines: Annotated[Count, _size("--lines", "Of a frame.")] = None,
+    columns: Annotated[Count, _size("--columns", "Of a frame.")] = None,
+    frames: Annotated[Count, _size("--frames", "Of every flight line.")] = None,
+    scene: SceneFlag = None,
+    settings: Settings = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+) -> None:
+    """Frames of an area detector behind a filter: SEQUENCE.toml for `georeference`, and the truth."""
+    flags = {"case": case, "seed": seed, "lines": lines, "columns": columns, "frames": frames}
+    _simulate("frames", out, scene, settings, flags, overwrite, as_json)
+
+
+def _simulate(
+    kind: str,
+    out: Path,
+    scene: Path | None,
+    settings: list[str] | None,
+    flags: dict[str, Any],
+    overwrite: bool,
+    as_json: bool,
+) -> None:
+    """Make the scene that is asked for, and write it with the file it can be made again from."""
+    from sightline.io.scene.recipe import read_recipe, write_recipe
+    from sightline.version import VERSION
 
     begin = time.perf_counter()
-    cases = (*STRIP_CASES, *ORBIT_CASES, FRAMES_CASE)
-    if case not in cases:
-        raise InputError(f"unknown case: got {case!r}; allowed are {', '.join(cases)}")
-    options: dict[str, Any] = {"lines": lines, "columns": columns, "motion": motion}
-    given = {k: v for k, v in options.items() if v is not None}
-    photographs = {"count": count, "interval": interval, "relief_rms": relief_rms}
-    asked = {k: v for k, v in photographs.items() if v is not None}
-    if case == FRAMES_CASE:
-        others = {f"--{name}": True for name in given}
-        others |= {"--off-nadir": off_nadir is not None, "--no-dem": not dem, "--gyro": gyro}
-        others |= {"--star-tracker": star_tracker, "--control-points": control_points > 0}
-        _refuse(others, f"case {case!r}")
-        names = _photographs(seed, asked, estimate_camera, out, overwrite)
-        _say(out, names, time.perf_counter() - begin, as_json)
+    recipe = read_recipe(kind, scene, settings or (), flags)
+    with output_folder(out, overwrite=overwrite) as folder, progress() as report:
+        names = _MAKERS[recipe.family.name](recipe, folder, report)
+        names.append(write_recipe(folder / "scene.toml", recipe).name)
+    seconds = round(time.perf_counter() - begin, 3)
+    if as_json:
+        of = {"kind": kind, "case": recipe.case, "seed": recipe.seed, "version": VERSION}
+        print_json({**of, "folder": out, "files": names, "wall_seconds": seconds})
         return
-    others = {f"--{name.replace('_', '-')}": True for name in asked}
-    _refuse(others | {"--estimate-camera": estimate_camera}, f"case {case!r}; it is for: {FRAMES_CASE}")
-    if case in ORBIT_CASES:
-        others = {"--no-dem": not dem, "--star-tracker": star_tracker, "--gyro": gyro}
-        others["--control-points"] = control_points > 0
-        _refuse(others, f"case {case!r}, which has no relief and no sensors")
-        if off_nadir is not None:
-            given["off_nadir"] = math.radians(off_nadir)
-        names = _instrument(case, seed, given, out, overwrite)
-        _say(out, names, time.perf_counter() - begin, as_json)
-        return
-    if off_nadir is not None:
-        raise InputError(f"--off-nadir is not for case {case!r}; it is for: {', '.join(ORBIT_CASES)}")
-    defaults = StripOptions(**CASE_OPTIONS[case])
-    size = lines or defaults.lines, columns or defaults.columns
+    command, file = _NEXT[kind]
+    say(f"rendered in {seconds:.1f} s: {out / file}")
+    say(f"next: sightline {command} {out / file} --out RESULT")
+
+
+#: What reads the scenes of each kind.
+_NEXT = {
+    "line-of-sight": ("recover", "acquisition.toml"),
+    "stereo": ("orient", "stereo.toml"),
+    "frames": ("georeference", "sequence.toml"),
+}
+
+
+def _strip(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
+    """A strip over a flat world; the names of its files."""
+    from sightline.geometry.surface import Plane
+    from sightline.simulate.files import write_strip
+    from sightline.simulate.scenarios import ground_cells, line_of_sight_case, planned_cameras
+
+    case, seed, options = recipe.case, recipe.seed, recipe.options
 
     def cameras_of(lines: int, columns: int) -> tuple[PushbroomCamera, ...]:
-        return planned_cameras(case, seed, lines=lines, columns=columns)
+        return planned_cameras(case, seed, **{**recipe.given, "lines": lines, "columns": columns})
 
-    with output_folder(out, overwrite=overwrite) as folder:
-        refuse_useless_strip(cameras_of, Plane(0.0), size)
-        scenario = line_of_sight_case(case, seed, **given)
-        written = write_strip(
-            scenario, folder, dem=dem, star_tracker=star_tracker, gyro=gyro, control_points=control_points
-        )
-        names = list(written)
-    _say(out, names, time.perf_counter() - begin, as_json)
+    size = options.lines, options.columns
+    refuse_useless_strip(cameras_of, Plane(0.0), size, ground=ground_cells(options))
+    report("rendering the bands, and the truth")
+    return list(write_strip(line_of_sight_case(case, seed, **recipe.given), folder, **recipe.files))
 
 
-def _instrument(case: str, seed: int, given: dict[str, Any], out: Path, overwrite: bool) -> list[str]:
-    """Render a strip of one of the instruments over a real orbit; the names of its files."""
+def _orbit(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
+    """A strip of one of the instruments over a real orbit; the names of its files."""
     from sightline.geometry.earth import WGS84
     from sightline.geometry.surface import Ellipsoid
     from sightline.simulate.instrument_files import write_instrument
-    from sightline.simulate.instruments import INSTRUMENT_OPTIONS, InstrumentOptions, instrument_case
+    from sightline.simulate.instruments import instrument_case
 
-    options = InstrumentOptions(**{**INSTRUMENT_OPTIONS[case], **given})
+    case, seed, options = recipe.case, recipe.seed, recipe.options
 
     def cameras_of(lines: int, columns: int) -> tuple[PushbroomCamera, ...]:
-        return instrument_case(case, seed, **{**given, "lines": lines, "columns": columns}).nominal_cameras
+        given = {**recipe.given, "lines": lines, "columns": columns}
+        return instrument_case(case, seed, **given).nominal_cameras
 
-    with output_folder(out, overwrite=overwrite) as folder:
-        size = options.lines, options.columns
-        refuse_useless_strip(cameras_of, Ellipsoid(*WGS84, 0.0), size, options.pairs)
-        return list(write_instrument(instrument_case(case, seed, **given), folder))
+    size = options.lines, options.columns
+    refuse_useless_strip(cameras_of, Ellipsoid(*WGS84, 0.0), size, options.pairs)
+    report("rendering the bands, and the truth")
+    return list(write_instrument(instrument_case(case, seed, **recipe.given), folder))
 
 
-def _photographs(
-    seed: int, given: dict[str, Any], estimate_camera: bool, out: Path, overwrite: bool
-) -> list[str]:
-    """Render frames of a matrix instrument; the names of their files."""
+def _photographs(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
+    """Frames of a matrix instrument; the names of their files."""
     from sightline.simulate.files import write_frames
     from sightline.simulate.frames import frames_case
 
-    with output_folder(out, overwrite=overwrite) as folder:
-        written = write_frames(frames_case(seed, **given), folder, estimate_camera=estimate_camera)
-        asked = " ".join(f"--{name.replace('_', '-')} {value}" for name, value in given.items())
-        refuse_useless_scene(folder / "acquisition.toml", asked or "these options")
-        return list(written)
+    refuse_costly_photographs(recipe.options)
+    report("rendering the frames, and the truth")
+    written = write_frames(frames_case(recipe.seed, **recipe.given), folder, **recipe.files)
+    refuse_useless_scene(folder / "acquisition.toml", "these options")
+    return list(written)
 
 
-def _refuse(asked: dict[str, bool], case: str) -> None:
-    """Refuse the first option that was `asked` for and is not for this `case`."""
-    from sightline.errors import InputError
+def _pass(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
+    """A pass of synchronous cameras; the names of its files."""
+    from sightline.simulate.stereo import stereo_case
+    from sightline.simulate.stereo_files import write_stereo
 
-    for name, given in asked.items():
-        if given:
-            raise InputError(f"{name} is not for {case}")
+    images = recipe.files["images"]
+
+    def fewest() -> str:
+        """More points, where those are too few."""
+
+        def write(place: Path, count: int) -> None:
+            more = stereo_case(recipe.case, recipe.seed, **{**recipe.given, "points": count})
+            write_stereo(more, place, **recipe.files)
+
+        return "" if images else least_points(folder, write, recipe.options.points)
+
+    refuse_useless_pass(recipe.options, images=images)
+    report("drawing the pass, and the truth")
+    scenario = stereo_case(recipe.case, recipe.seed, **recipe.given)
+    names = list(write_stereo(scenario, folder, **recipe.files))
+    refuse_useless_scene(folder / "stereo.toml", "these options", fewest)
+    return names
 
 
-def _say(out: Path, names: list[str], seconds: float, as_json: bool) -> None:
-    if as_json:
-        print_json({"folder": out, "files": names, "wall_seconds": round(seconds, 3)})
-    else:
-        say(f"rendered in {seconds:.1f} s: {out / 'acquisition.toml'}")
-        say(f"next: sightline recover {out / 'acquisition.toml'} --out RESULT")
+def _flight(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
+    """A flight of a filter camera; the names of its files."""
+    from sightline.simulate.sequence import sequence_case
+    from sightline.simulate.sequence_files import write_sequence
+
+    report("drawing the flight and the ground")
+    refuse_useless_flight(recipe.options)
+    scenario = sequence_case(recipe.case, recipe.seed, **recipe.given)
+    report(f"rendering {len(scenario.frames)} frames, and the truth")
+    names = list(write_sequence(scenario, folder, **recipe.files))
+    if scenario.options.position_sigma > 0.0:  # else it is the user who will add control points
+        refuse_useless_scene(folder / "sequence.toml", "these options")
+    return names
+
+
+#: What makes the scenes of each family.
+_MAKERS: dict[str, Callable[[SceneRecipe, Path, Progress], list[str]]] = {
+    "strip": _strip,
+    "orbit": _orbit,
+    "photographs": _photographs,
+    "pass": _pass,
+    "flight": _flight,
+}

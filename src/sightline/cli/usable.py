@@ -14,11 +14,12 @@ if TYPE_CHECKING:
     from sightline.applications.expected_cost import Cost
     from sightline.geometry.camera import PushbroomCamera
     from sightline.geometry.surface import Surface
+    from sightline.simulate.frames import FrameCaseOptions
     from sightline.simulate.sequence_options import SequenceOptions
     from sightline.simulate.stereo_options import StereoOptions
 
-#: px; up to which sizes are tried.
-MOST_LINES, MOST_COLUMNS = 1_000_000, 100_000
+#: Lines up to which sizes are tried.
+MOST_LINES = 1_000_000
 #: Windows of the first pass that lie in two images: 20 must match, and at edges some do not.
 LEAST_WHOLE = 24
 #: The same of each band: fewer tell nothing of it.
@@ -57,6 +58,7 @@ def refuse_useless_strip(
     surface: Surface,
     size: tuple[int, int],
     pairs: tuple[tuple[str, str], ...] = (),
+    ground: float = 0.0,
 ) -> None:
     """InputError for a strip of `size` (lines, columns) that ``recover`` could not use, or that is too large.
 
@@ -68,15 +70,17 @@ def refuse_useless_strip(
     size : (lines, columns)
     pairs : tuple of (str, str)
         Those that the acquisition will name; empty: all.
+    ground : float
+        Cells of the ground, where it is larger than what is seen.
     """
     from sightline.applications.expected_cost import rendering_cost
     from sightline.errors import InputError
 
     lines, columns = size
     bands = len(cameras_of(64, 64))
-    rendered, ground = float(lines) * columns * bands, (lines + 1000.0) * (columns + 128.0)
-    cost = rendering_cost(rendered, ground, f"--lines {lines:,} --columns {columns:,} of {bands} bands")
-    _afford(cost)
+    rendered, seen = float(lines) * columns * bands, (lines + 1000.0) * (columns + 128.0)
+    asked = f"--lines {lines:,} --columns {columns:,} of {bands} bands"
+    _afford(rendering_cost(rendered, max(seen, ground), asked))
 
     def why(lines: int, columns: int) -> str:
         return _why_useless(cameras_of(lines, columns), surface, pairs)
@@ -137,6 +141,21 @@ def _least(works: Callable[[int], bool], first: int, most: int) -> int | None:
     return high
 
 
+def refuse_costly_photographs(options: FrameCaseOptions) -> None:
+    """InputError for photographs that take more than this machine has."""
+    from sightline.applications.expected_cost import rendering_cost
+
+    lines, columns = options.shape
+    walk = 3.0 * options.step_sigma * (options.frames + 2) ** 0.5 * options.focal_length_px
+    flown = options.ground_speed * options.interval * options.frames / options.gsd
+    across = 1.2 * (lines**2 + columns**2) ** 0.5 + 2.0 * walk
+    pixels = float(options.frames) * lines * columns
+    # a relief has a post every other pixel at most, and its spectrum twice as many each way
+    posts = across * (across + flown) if options.relief_rms > 0.0 else 0.0
+    seen = min(across, 8192.0) * min(across + flown, 8192.0)
+    _afford(rendering_cost(pixels, seen + posts, f"{options.frames:,} frames of {lines} x {columns} px"))
+
+
 def refuse_useless_flight(options: SequenceOptions) -> None:
     """InputError for a flight of frames that ``georeference`` could not follow, or that is too large."""
     from sightline.applications.expected_cost import rendering_cost
@@ -149,7 +168,7 @@ def refuse_useless_flight(options: SequenceOptions) -> None:
     cost = rendering_cost(
         float(frames) * lines * columns,
         flown * lines * wide,
-        f"{frames:,} frames of --shape {lines} {columns}",
+        f"{frames:,} frames of --lines {lines} --columns {columns}",
     )
     _afford(cost)
     try:
@@ -158,7 +177,7 @@ def refuse_useless_flight(options: SequenceOptions) -> None:
         )
     except InputError as error:
         raise InputError(
-            f"--shape {lines} {columns} make frames that `georeference` could not use: {error}"
+            f"--lines {lines} --columns {columns} make frames that `georeference` could not use: {error}"
         ) from None
 
 

@@ -22,6 +22,7 @@ from sightline.errors import FormatError, foreign_errors
 from sightline.io.acquisition.schema import AcquisitionFile
 from sightline.io.layout.schema import InstrumentFile
 from sightline.io.quantities import shown
+from sightline.io.scene.schema import SceneFile
 from sightline.io.sequence.schema import SequenceFile
 from sightline.io.stereo.schema import StereoFile
 from sightline.io.tdi.schema import TdiFile
@@ -32,6 +33,7 @@ Model = TypeVar("Model", bound=BaseModel)
 SCHEMAS: dict[str, type[BaseModel]] = {
     "acquisition": AcquisitionFile,
     "instrument": InstrumentFile,
+    "scene": SceneFile,
     "sequence": SequenceFile,
     "stereo": StereoFile,
     "tdi": TdiFile,
@@ -41,6 +43,7 @@ SCHEMAS: dict[str, type[BaseModel]] = {
 COMMANDS = {
     "acquisition": "recover",
     "instrument": "layout",
+    "scene": "simulate",
     "sequence": "georeference",
     "stereo": "orient",
     "tdi": "tdi",
@@ -65,7 +68,7 @@ def json_schema(name: str) -> dict[str, Any]:
     Parameters
     ----------
     name : str
-        ``"acquisition"``, ``"instrument"``, ``"sequence"``, ``"stereo"`` or ``"tdi"``.
+        ``"acquisition"``, ``"instrument"``, ``"scene"``, ``"sequence"``, ``"stereo"`` or ``"tdi"``.
 
     Returns
     -------
@@ -81,6 +84,10 @@ def json_schema(name: str) -> dict[str, Any]:
         raise FormatError(
             f"no schema is called {name!r}{_near(name, SCHEMAS)}; there are: {', '.join(sorted(SCHEMAS))}"
         )
+    if name == "scene":
+        from sightline.io.scene.models import scene_schema
+
+        return scene_schema()
     return SCHEMAS[name].model_json_schema()
 
 
@@ -139,7 +146,12 @@ def _longest(text: str, pattern: str) -> str:
     return f"line {number + 1}" + (f": {key.strip()[:_LONGEST_KEY]}" if equals else "")
 
 
-def validate(model: type[Model], data: dict[str, Any], path: Path) -> Model:
+def validate(
+    model: type[Model],
+    data: dict[str, Any],
+    path: Path,
+    elsewhere: Mapping[str, str] = MappingProxyType({}),
+) -> Model:
     """`data` as a `model`; FormatError names file, key, value and what is allowed.
 
     Parameters
@@ -150,19 +162,21 @@ def validate(model: type[Model], data: dict[str, Any], path: Path) -> Model:
         Tables of the file.
     path : Path
         Named in messages.
+    elsewhere : mapping, optional
+        Keys that it does not have, with whose they are.
 
     Returns
     -------
     Model
     """
     with foreign_errors(path, "its keys cannot be checked", "look for values that are very long or deep"):
-        return _validated(model, data, path)
+        return _validated(model, data, path, elsewhere)
 
 
-def _validated(model: type[Model], data: dict[str, Any], path: Path) -> Model:
-    unknown = next(_unknown_keys(model, data, ()), None)
+def _validated(model: type[Model], data: dict[str, Any], path: Path, elsewhere: Mapping[str, str]) -> Model:
+    unknown = next(_unknown_keys(model, data, (), elsewhere), None)
     if unknown is not None:
-        raise FormatError(f"{path}: {_meant_for_another(model, data) or unknown}")
+        raise FormatError(f"{path}: {_meant_for_another(model, data, elsewhere) or unknown}")
     try:
         return model.model_validate(data)
     except ValidationError as error:
@@ -172,12 +186,12 @@ def _validated(model: type[Model], data: dict[str, Any], path: Path) -> Model:
         ) from None
 
 
-def _meant_for_another(model: type[BaseModel], data: dict[str, Any]) -> str:
+def _meant_for_another(model: type[BaseModel], data: dict[str, Any], known: Mapping[str, str]) -> str:
     """Which command a file is for that holds more tables of another schema than of `model`; else empty."""
-    own = len(data.keys() & model.model_fields.keys())
+    own = len(data.keys() & {*model.model_fields, *known})
     shared = {name: len(data.keys() & other.model_fields.keys()) for name, other in SCHEMAS.items()}
     best = max(shared, key=lambda name: shared[name])
-    name = next((name for name, other in SCHEMAS.items() if other is model), None)
+    name = next((name for name, other in SCHEMAS.items() if issubclass(model, other)), None)
     if name is None or shared[best] <= own:
         return ""
     return (

@@ -236,7 +236,7 @@ def write_frames(scenario: FrameScenario, folder: Path, *, estimate_camera: bool
         What was written, by file name. ``truth-frames.csv`` holds each frame's written and true time.
     """
     written: list[Path] = []
-    names = [f"frame-{index:03d}.tif" for index in range(scenario.options.count)]
+    names = [f"frame-{index:03d}.tif" for index in range(scenario.options.frames)]
     for index, name in enumerate(names):
         written.append(write_image(folder / name, scenario.options.shape, scenario.chunks(index)))
     if scenario.scene.relief is not None:

@@ -6,10 +6,10 @@ strips are in ``scenarios.py``; files are written by ``files.py``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ from sightline.geometry.camera import FrameCamera
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.trajectory import Motion, Trajectory
-from sightline.simulate.option_checks import options_of
+from sightline.simulate.option_checks import check_options, options_of
 from sightline.simulate.scene import Extent, Scene, TextureLaw, random_relief, scene_layers
 from sightline.simulate.sensor import Radiometry, render_chunks
 from sightline.simulate.texture import Array
@@ -33,30 +33,37 @@ class FrameCaseOptions:
 
     Parameters
     ----------
-    count : int
-        Frames.
+    frames : int
+        How many.
     interval : float
         s between frames.
     shape : (int, int)
-        Lines and columns of a frame; lines run forward.
+        px, lines and columns of a frame; lines run forward.
     focal_length_px : float
+        px
     principal_point_px : (float, float) or None
-        Line and column; None: the middle of the frame.
+        px, line and column; None: the middle of the frame.
     distortion : tuple of float
         k1, k2, p1, p2, k3 in normalised coordinates.
-    altitude, ground_speed : float
-        m, m/s
+    altitude : float
+        m
+    ground_speed : float
+        m/s
     step_sigma : float
         rad, of the random walk of each axis from frame to frame.
     time_sigma : float
         s, error of the time written for each frame.
-    snr, contrast, mtf_nyquist : float
-        See :class:`~sightline.simulate.scenarios.StripOptions`.
+    snr : float
+        Mean over noise.
+    contrast : float
+        Standard deviation over mean of the ground.
+    mtf_nyquist : float
+        System MTF at half a cycle per pixel.
     relief_rms : float
         m; 0 is the plane z = 0.
     """
 
-    count: int = 10
+    frames: int = 10
     interval: float = 6.0
     shape: tuple[int, int] = (768, 1024)
     focal_length_px: float = 3600.0
@@ -71,10 +78,17 @@ class FrameCaseOptions:
     mtf_nyquist: float = 0.15
     relief_rms: float = 0.0
 
+    WORDS: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
+        "frames": (2, 10_000), "interval": (1e-4, 1e4), "shape": (16, 40_000), "focal_length_px": (10.0, 1e7),
+        "principal_point_px": (-1e6, 1e6), "distortion": (-100.0, 100.0), "altitude": (1.0, 1e8),
+        "ground_speed": (0.01, 1e5), "step_sigma": (0.0, 0.05), "time_sigma": (0.0, 1e4), "snr": (0.1, 1e5),
+        "contrast": (0.0, 10.0), "mtf_nyquist": (1e-3, 0.9), "relief_rms": (0.0, 5000.0),
+    }  # fmt: skip
+
     def __post_init__(self) -> None:
         """Refuse what cannot be rendered."""
-        if self.count < 2:
-            raise InputError(f"`count` must be 2 or more frames, got {self.count}")
+        check_options(self)
         if self.interval <= 4.0 * self.time_sigma:
             raise InputError(
                 f"`time_sigma` is too large: {self.time_sigma:g} s with frames every {self.interval:g} s; "
@@ -175,9 +189,9 @@ def frames_case(seed: int = 0, **overrides: Any) -> FrameScenario:
 def _draw_motion(options: FrameCaseOptions, seed: np.random.SeedSequence) -> tuple[Array, Array, Motion]:
     """Nominal times, true times, and a random walk with knots at (and one interval beyond) the true times."""
     rng = np.random.default_rng(seed)
-    nominal = options.interval * np.arange(options.count, dtype=np.float64)
-    times = nominal + options.time_sigma * rng.standard_normal(options.count)
-    walk = np.cumsum(options.step_sigma * rng.standard_normal((options.count + 2, 3)), axis=0)
+    nominal = options.interval * np.arange(options.frames, dtype=np.float64)
+    times = nominal + options.time_sigma * rng.standard_normal(options.frames)
+    walk = np.cumsum(options.step_sigma * rng.standard_normal((options.frames + 2, 3)), axis=0)
     knots = np.concatenate([[times[0] - options.interval], times, [times[-1] + options.interval]])
     return nominal, times, Motion(knots, walk)
 
@@ -194,7 +208,7 @@ def _draw_scene(
     reach = 0.6 * float(np.hypot(*options.shape)) * gsd + options.altitude * float(
         np.abs(motion.angles).max()
     )
-    track = options.ground_speed * options.interval * options.count
+    track = options.ground_speed * options.interval * options.frames
     extent = Extent(-reach, reach, -reach - 1e-9, track + reach)
     texture, bands = scene_layers(texture_seed, extent, law, (1.0,), (1.0,), (1.0,))
     relief = None

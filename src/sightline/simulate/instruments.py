@@ -11,10 +11,10 @@ Not here: the reference strips over a flat world (``scenarios.py``); rendering (
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,11 +31,18 @@ from sightline.geometry.spin import Spin
 from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.simulate.earth_view import ViewPlane, earth_chunks
 from sightline.simulate.jitter import nominal_profile
-from sightline.simulate.option_checks import options_of
+from sightline.simulate.option_checks import (
+    MOST_COLUMNS,
+    MOST_LINES,
+    check_names,
+    check_options,
+    options_of,
+)
 from sightline.simulate.rendered import RenderedStrip
 from sightline.simulate.scenarios import GROUND_MARGIN_PX, MOTION_MARGIN_LINES, motion_profile
 from sightline.simulate.scene import Scene, TextureLaw, scene_layers
 from sightline.simulate.sensor import Radiometry
+from sightline.simulate.strip_options import MOTIONS
 from sightline.simulate.texture import Array
 
 _TRUE_STEP, _MARGIN = 0.1, 3.0
@@ -49,16 +56,17 @@ class DetectorOptions:
     Parameters
     ----------
     name : str
+        Of it, and of its image.
     behind : float
         px (of the first detector) by which it looks behind the first: lines until it sees the same ground.
     columns : int
-        0: those of the instrument.
+        px; 0: those of the instrument.
     aside : float
         px of its own, from the middle of the focal plane towards larger columns.
     fineness : float
         Its IFOV over that of the first detector.
     gain, gamma : float
-        Of its brightness.
+        Of its brightness: factor and exponent.
     """
 
     name: str
@@ -68,6 +76,18 @@ class DetectorOptions:
     fineness: float = 1.0
     gain: float = 1.0
     gamma: float = 1.0
+
+    WORDS: ClassVar[Mapping[str, tuple[str, ...]]] = {}
+    RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
+        "behind": (-1e5, 1e5), "columns": (0, MOST_COLUMNS), "aside": (-1e5, 1e5), "fineness": (0.1, 10.0),
+        "gain": (0.01, 3.0), "gamma": (0.1, 3.0),
+    }  # fmt: skip
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be built."""
+        check_options(self)
+        if 0 < self.columns < 16:
+            raise InputError(f"`columns` of a detector must be 16 or more, or 0, got {self.columns}")
 
 
 _COLOURS = (
@@ -87,26 +107,36 @@ class InstrumentOptions:
     ----------
     scan : str
         "pushbroom", "spin" or "mirror".
-    altitude, inclination : float
-        m, rad; of the circular orbit.
+    altitude : float
+        m, of the circular orbit.
+    inclination : float
+        rad, of the orbit.
     off_nadir : float
         rad, of the line of sight in the middle of the strip.
     ifov : float
         rad per pixel of the first detector.
     line_period : float
-        s
-    scan_rate : float
-        rad/s of the line of sight; for spin and mirror ``ifov / line_period`` covers the ground evenly.
+        s; spin and mirror turn the line of sight by ``ifov / line_period``, which covers the ground evenly.
     lines, columns : int
+        Of every image.
     detectors : tuple of DetectorOptions
+        The detector lines of the focal plane.
     pairs : tuple of (str, str)
         Pairs to match, by name; empty: all.
-    coherence, snr, contrast, mtf_nyquist : float
-        As of a strip.
-    offset_sigma_px, rotation_sigma : float
-        px and rad, sizes of the unknown offsets and rotations of the detector lines.
+    coherence : float
+        Amplitude correlation of the textures of any two bands.
+    snr : float
+        Mean over noise.
+    contrast : float
+        Standard deviation over mean of the ground.
+    mtf_nyquist : float
+        System MTF at half a cycle per pixel.
+    offset_sigma_px : float
+        px, size of the unknown offsets of the detector lines.
+    rotation_sigma : float
+        rad, size of their unknown rotations.
     motion : str
-        "nominal" or "none".
+        One of those of a strip.
     """
 
     scan: str = "pushbroom"
@@ -127,12 +157,26 @@ class InstrumentOptions:
     rotation_sigma: float = 3e-4
     motion: str = "nominal"
 
+    WORDS: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "scan": ("pushbroom", "spin", "mirror"), "motion": MOTIONS,
+    }  # fmt: skip
+    RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
+        "altitude": (1e5, 1e8), "inclination": (0.0, np.pi), "off_nadir": (-1.5, 1.5), "ifov": (1e-8, 1e-2),
+        "line_period": (1e-6, 1.0), "lines": (16, MOST_LINES), "columns": (16, MOST_COLUMNS),
+        "coherence": (0.01, 1.0), "snr": (0.1, 1e5), "contrast": (0.0, 10.0), "mtf_nyquist": (1e-3, 0.9),
+        "offset_sigma_px": (0.0, 1e3), "rotation_sigma": (0.0, 0.1),
+    }  # fmt: skip
+
     def __post_init__(self) -> None:
         """Refuse what cannot be rendered."""
-        if self.lines < 16 or self.columns < 16:
-            raise InputError(
-                f"the strip is too small: {self.lines} lines x {self.columns} columns; at least 16 x 16"
-            )
+        check_options(self)
+        names = tuple(detector.name for detector in self.detectors)
+        if not names:
+            raise InputError("`detectors` must hold one detector line or more, got none")
+        check_names("detectors", names)
+        for pair in self.pairs:
+            if not set(pair) <= set(names) or pair[0] == pair[1]:
+                raise InputError(f"`pairs` must be of two of {', '.join(names)}, got {' and '.join(pair)}")
         limit = 0.98 * np.arcsin(6.35e6 / (6.37e6 + self.altitude))
         if not abs(self.off_nadir) < limit:
             raise InputError(

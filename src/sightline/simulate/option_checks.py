@@ -6,13 +6,23 @@ Not here: what depends on several options at once (their own modules).
 from __future__ import annotations
 
 import dataclasses
+import inspect
 import math
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, TypeVar
 
-from sightline.errors import InputError
+from sightline.errors import InputError, printable
 
 _Options = TypeVar("_Options")
+
+#: Largest seed: TOML holds whole numbers of 64 bits.
+MOST_SEED = 2**63 - 1
+#: px; the most lines and columns that a strip may have.
+MOST_LINES, MOST_COLUMNS = 1_000_000, 100_000
+_PLAIN_NAME = re.compile(r"[A-Za-z0-9_-]{1,40}")
+#: Other images of a scene, and devices of Windows.
+_OTHER_FILES = {"dem", "con", "prn", "aux", "nul"}
 
 
 def options_of(
@@ -28,34 +38,51 @@ def options_of(
     return kind(**{**cases[case], **overrides})
 
 
-def check_finite(options: Any) -> None:
-    """No number among the fields of `options` is infinite or NaN."""
-    for name, value in vars(options).items():
-        if isinstance(value, float) and not math.isfinite(value):
-            raise InputError(f"`{name}` must be finite, got {value}")
+def check_options(options: Any) -> None:
+    """Numbers of `options` lie within its `RANGES`, words among its `WORDS`, each of several too.
+
+    The schema of scenes is made of the same two tables, so that a file is refused for what a call is.
+    """
+    for name, allowed in options.WORDS.items():
+        if getattr(options, name) not in allowed:
+            raise InputError(f"`{name}` must be one of {', '.join(allowed)}, got {getattr(options, name)!r}")
+    for name, (low, high) in options.RANGES.items():
+        for number in _numbers(getattr(options, name)):
+            if not math.isfinite(number):
+                raise InputError(f"`{name}` must be finite, got {number}")
+            if not low <= number <= high:
+                unit = " rad" if descriptions(type(options))[name].startswith("rad") else ""
+                degrees = f"; {number:g} degrees are {math.radians(number):.4g} rad" if unit else ""
+                raise InputError(
+                    f"`{name}` must be from {low:.6g} to {high:.6g}{unit}, got {number}{degrees}"
+                )
 
 
-def check_one_of(options: Any, name: str, allowed: Sequence[str]) -> None:
-    """The option `name` is one of some words."""
-    if getattr(options, name) not in allowed:
-        raise InputError(f"`{name}` must be one of {', '.join(allowed)}, got {getattr(options, name)!r}")
+def descriptions(kind: type[Any]) -> dict[str, str]:
+    """What the docstring of a class of options says of each, on one line: the unit first."""
+    found: dict[str, str] = {}
+    section = inspect.cleandoc(kind.__doc__ or "").partition("Parameters\n----------\n")[2]
+    for names, text in re.findall(r"^(\w+(?:, \w+)*) : .*\n((?: +.*\n?)*)", section, re.MULTILINE):
+        found |= dict.fromkeys(names.split(", "), " ".join(text.split()))
+    return found
 
 
-def check_positive(options: Any, *names: str) -> None:
-    """The options `names` are above 0."""
+def _numbers(value: Any) -> Iterator[float]:
+    """The numbers of an option: one, none, or those of a list of lists."""
+    if isinstance(value, tuple | list):
+        for item in value:
+            yield from _numbers(item)
+    elif value is not None:
+        yield value
+
+
+def check_names(option: str, names: Sequence[str]) -> None:
+    """Names of images, which become those of files: plain, no two alike, none that a scene writes beside."""
     for name in names:
-        if not getattr(options, name) > 0.0:
-            raise InputError(f"`{name}` must be positive, got {getattr(options, name)}")
-
-
-def check_least(options: Any, least: float, *names: str) -> None:
-    """The options `names` are `least` or more."""
-    for name in names:
-        if not getattr(options, name) >= least:
-            raise InputError(f"`{name}` must be {least:g} or more, got {getattr(options, name)}")
-
-
-def check_within(options: Any, name: str, low: float, high: float) -> None:
-    """The option `name` lies from `low` to `high`."""
-    if not low <= getattr(options, name) <= high:
-        raise InputError(f"`{name}` must be from {low:g} to {high:g}, got {getattr(options, name)}")
+        if not _PLAIN_NAME.fullmatch(name) or name.casefold() in _OTHER_FILES:
+            raise InputError(
+                f"`{option}` must be letters, digits, - and _, up to 40 (the name becomes that of an image "
+                f"file), and not {', '.join(sorted(_OTHER_FILES))}; got {printable(name)!r}"
+            )
+    if len({name.casefold() for name in names}) < len(names):
+        raise InputError(f"`{option}` must differ from each other, got {', '.join(names)}")

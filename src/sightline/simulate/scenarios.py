@@ -43,6 +43,7 @@ from sightline.simulate.jitter import (
 from sightline.simulate.option_checks import options_of
 from sightline.simulate.rendered import RenderedStrip
 from sightline.simulate.scene import (
+    POSTING,
     BandShine,
     Clouds,
     Extent,
@@ -54,7 +55,7 @@ from sightline.simulate.scene import (
     scene_layers,
 )
 from sightline.simulate.sensor import Radiometry, render_chunks
-from sightline.simulate.strip_options import CASE_OPTIONS, StripOptions
+from sightline.simulate.strip_options import CASE_OPTIONS, MOTIONS, StripOptions
 from sightline.simulate.texture import Array, raster_layer
 
 MOTION_MARGIN_LINES = 64
@@ -279,8 +280,7 @@ def motion_profile(name: str, data: Path | None = None) -> JitterProfile:
         return curve_profile(*measured.isd_attitude_curve(path), rms_px=0.5, stretch=4.0, extra=tones)
     extras = {"curve": (), "real": tones, "other-family": foreign}
     if name not in extras:
-        allowed = "nominal, late-tone, step, curve, real, other-family, ck, isd, none"
-        raise InputError(f"unknown motion: got {name!r}; allowed are {allowed}")
+        raise InputError(f"unknown motion: got {name!r}; allowed are {', '.join(MOTIONS)}")
     return curve_profile(*measured.hirise_curve(data), extra=extras[name])
 
 
@@ -332,6 +332,16 @@ def _ground_extent(options: StripOptions) -> Extent:
     behind = options.ground_speed * max(*options.lags, 0.0) + GROUND_MARGIN_PX * gsd_y
     ahead = options.ground_speed * max(0.0, -min(options.lags)) + (options.lines + GROUND_MARGIN_PX) * gsd_y
     return Extent(-half, half, -behind, ahead)
+
+
+def ground_cells(options: StripOptions) -> float:
+    """About how many numbers the ground of a strip is made of: no side of a texture has above 8192."""
+    width, height = _ground_extent(options).size
+    cells = min(2.0 * width / options.gsd[0], 8192.0) * min(2.0 * height / options.gsd[1], 8192.0)
+    if options.relief == "spectrum":
+        width, height = _ground_extent(options).grown(600.0).size
+        cells += 4.0 * (width / POSTING) * (height / POSTING)
+    return cells
 
 
 def _stretches(options: StripOptions, lines: tuple[tuple[int, int], ...]) -> tuple[tuple[float, float], ...]:

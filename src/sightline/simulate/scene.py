@@ -21,6 +21,10 @@ OUTER_SCALE_PX = 1800.0
 """Period, px, beyond which the texture's spectrum stops growing (that of S1's reference scenes)."""
 
 
+#: m, between the posts of a relief.
+POSTING = 30.0
+
+
 @dataclass(frozen=True)
 class Extent:
     """A rectangle on the ground, metres."""
@@ -259,7 +263,7 @@ def random_relief(
     seed: np.random.SeedSequence,
     extent: Extent,
     rms: float,
-    posting: float = 30.0,
+    posting: float = POSTING,
     outer_scale: float = 5000.0,
     slope: float = 5.0,
 ) -> Relief:

@@ -5,19 +5,14 @@ Flights are drawn from their options in ``sequence.py``.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from sightline.errors import InputError
-from sightline.simulate.option_checks import (
-    check_finite,
-    check_least,
-    check_one_of,
-    check_positive,
-    check_within,
-)
+from sightline.simulate.option_checks import check_options
 
 FILTERS = ("lvf", "stepwise", "mosaic", "rgb", "pan")
 SPECTRA = ("auto", "law", "rededge", "landsat")
@@ -41,14 +36,15 @@ class SequenceOptions:
     frames : int
         Of every flight line.
     shape : (int, int)
-        Lines and columns of a frame; lines run forward.
+        px, lines and columns of a frame; lines run forward.
     focal_length_px : float
+        px
     principal_point_px : (float, float) or None
-        Line and column; None: the middle of the frame.
+        px, line and column; None: the middle of the frame.
     distortion : tuple of float
         k1, k2, p1, p2, k3 in normalised coordinates.
     focal_error : float
-        Relative: the true focal length is so much longer than the one told; not 0: told with that 1-sigma.
+        Relative: the true focal length is so much longer than the one given; not 0: given with that 1-sigma.
     altitude : float
         m above the mean ground; with the focal length it gives the size of a ground pixel.
     frame_rate : float
@@ -67,12 +63,12 @@ class SequenceOptions:
         "lvf" (linear variable: the wavelength runs along the lines), "stepwise" (groups of lines of one
         wavelength), "mosaic" (a small pattern repeated over the frame), "rgb" (three images at once), "pan".
     wavelengths_nm : (float, float)
-        Of the first and the last line (or cell of the pattern).
+        nm, of the first and the last line (or cell of the pattern).
     fwhm_nm : float
-        Width of the Gaussian pass-band of a filter; of "rgb" 80, whatever is given.
+        nm, width of the Gaussian pass-band of a filter; of "rgb" 80, whatever is given.
     bands : int
-        "stepwise": groups of lines. "lvf": groups of lines of which one wavelength is told each; 0: every
-        line is told its own.
+        "stepwise": groups of lines. "lvf": groups of lines of which one wavelength is given each; 0: one of
+        every line.
     pattern : int
         "mosaic": side of the pattern, px.
     jitter : float
@@ -81,9 +77,9 @@ class SequenceOptions:
     position_jitter : float
         m rms along each axis, below 0.4 Hz at 25 frames/s.
     position_sigma, position_bias_sigma : float
-        m per axis: noise of every position told, and of a constant common to all; sigma 0: none told.
+        m per axis: noise of every position given, and of a constant common to all; sigma 0: none given.
     attitude_sigma, attitude_bias_sigma : float
-        rad per body axis, likewise.
+        rad per body axis: noise of every attitude given, and of a constant common to all; sigma 0: none.
     relief : float
         Half the range of heights over the altitude.
     relief_scale : float
@@ -103,10 +99,14 @@ class SequenceOptions:
         Of the converter: up to 8 are written in 8, more in 16.
     water : tuple of (int, int)
         First and last frame, counted on the first flight line, that see nothing but water.
-    missing, unreadable, blurred : tuple of int
-        Frames that were never delivered, whose files are cut short, that are out of focus.
+    missing : tuple of int
+        Frames that were never delivered.
+    unreadable : tuple of int
+        Frames whose files are cut short.
+    blurred : tuple of int
+        Frames that are out of focus.
     blur_px : float
-        Sigma of the blur of the last.
+        px, sigma of their blur.
     """
 
     frames: int = 640
@@ -147,61 +147,45 @@ class SequenceOptions:
     blurred: tuple[int, ...] = ()
     blur_px: float = 4.0
 
+    WORDS: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "filter": FILTERS, "spectra": SPECTRA, "texture": TEXTURES,
+    }  # fmt: skip
+    RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
+        "frames": (2, 1_000_000), "shape": (16, MOST_PIXELS), "focal_length_px": (10.0, 1e7),
+        "principal_point_px": (-1e6, 1e6), "distortion": (-100.0, 100.0), "focal_error": (-0.49, 0.49),
+        "altitude": (1.0, 1e7), "frame_rate": (1e-4, 1e5), "overlap": (0.0, 0.999),
+        "flight_lines": (1, 1000), "cross_lines": (0, 1000), "side_overlap": (0.0, 0.95),
+        "readout_time": (-1e4, 1e4), "wavelengths_nm": (400.0, 1000.0), "fwhm_nm": (0.1, 500.0),
+        "bands": (0, MOST_PIXELS), "pattern": (2, 8), "jitter": (0.0, 0.02), "position_jitter": (0.0, 1e4),
+        "position_sigma": (0.0, 1e5), "position_bias_sigma": (0.0, 1e5), "attitude_sigma": (0.0, 0.5),
+        "attitude_bias_sigma": (0.0, 0.5), "relief": (0.0, 0.2), "relief_scale": (1e-3, 100.0),
+        "contrast": (0.0, 10.0), "mtf_nyquist": (1e-3, 0.9), "snr": (0.1, 1e5), "bits": (4, 16),
+        "water": (0, 1_000_000), "missing": (0, 1_000_000_000), "unreadable": (0, 1_000_000_000),
+        "blurred": (0, 1_000_000_000), "blur_px": (0.0, 50.0),
+    }  # fmt: skip
+
     def __post_init__(self) -> None:
         """Refuse what cannot be flown."""
-        for name, allowed in (("filter", FILTERS), ("spectra", SPECTRA), ("texture", TEXTURES)):
-            check_one_of(self, name, allowed)
-        self._check_numbers()
-        self._check_filter()
-        self._check_frames()
-
-    def _check_numbers(self) -> None:
-        check_finite(self)
-        check_positive(self, "focal_length_px", "altitude", "frame_rate", "relief_scale", "fwhm_nm", "snr")
-        check_least(self, 0, "jitter", "position_jitter", "position_sigma", "position_bias_sigma")
-        check_least(self, 0, "attitude_sigma", "attitude_bias_sigma", "cross_lines", "contrast", "blur_px")
-        for name, low, high in (
-            ("overlap", 0.0, 0.999), ("side_overlap", 0.0, 0.95), ("relief", 0.0, 0.2),
-            ("mtf_nyquist", 1e-3, 0.9), ("bits", 4, 16), ("jitter", 0.0, 0.02), ("contrast", 0.0, 10.0),
-            ("focal_length_px", 10.0, 1e7), ("altitude", 1.0, 1e7), ("frame_rate", 1e-4, 1e5),
-            ("relief_scale", 1e-3, 100.0), ("fwhm_nm", 0.1, 500.0), ("snr", 0.1, 1e5), ("blur_px", 0.0, 50.0),
-            ("position_jitter", 0.0, 1e4), ("position_sigma", 0.0, 1e5), ("position_bias_sigma", 0.0, 1e5),
-            ("attitude_sigma", 0.0, 0.5), ("attitude_bias_sigma", 0.0, 0.5), ("frames", 2, 1_000_000),
-            ("flight_lines", 1, 1000), ("cross_lines", 0, 1000),
-        ):  # fmt: skip
-            check_within(self, name, low, high)
-        if not abs(self.focal_error) < 0.5:
-            raise InputError(f"`focal_error` must be between -0.5 and 0.5, got {self.focal_error}")
+        check_options(self)
         if not abs(self.readout_time) < 1.0 / self.frame_rate:
             raise InputError(
                 f"`readout_time` must be shorter than the {1.0 / self.frame_rate:g} s between frames, "
                 f"got {self.readout_time}"
             )
+        self._check_filter()
+        self._check_frames()
 
     def _check_filter(self) -> None:
-        if min(self.shape) < 16 or max(self.shape) > MOST_PIXELS:
-            raise InputError(
-                f"`shape` must be from 16 x 16 to {MOST_PIXELS} x {MOST_PIXELS}, got {self.shape[0]} x "
-                f"{self.shape[1]}"
-            )
         low, high = self.wavelengths_nm
-        if not 400.0 <= low < high <= 1000.0:
-            raise InputError(
-                f"`wavelengths_nm` must rise and lie within 400 to 1000 nm, got {low:g} to {high:g}"
-            )
+        if not low < high:
+            raise InputError(f"`wavelengths_nm` must rise, got {low:g} to {high:g}")
         fewest = 2 if self.filter == "stepwise" else 0
         if not fewest <= self.bands <= self.shape[0]:
             raise InputError(
                 f"`bands` must be from {fewest} to the {self.shape[0]} lines of a frame, got {self.bands}"
             )
-        if not 2 <= self.pattern <= 8:
-            raise InputError(f"`pattern` must be from 2 to 8 px, got {self.pattern}")
 
     def _check_frames(self) -> None:
-        if self.frames < 2 or self.flight_lines < 1:
-            raise InputError(
-                f"a flight has 1 line of 2 frames or more, got {self.flight_lines} of {self.frames}"
-            )
         for name in ("missing", "unreadable", "blurred"):
             wrong = [frame for frame in getattr(self, name) if not 0 <= frame < self.total_frames]
             if wrong:

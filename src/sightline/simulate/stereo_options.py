@@ -5,22 +5,15 @@ Passes are drawn from their options in ``stereo.py``.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from sightline.errors import InputError
 from sightline.geometry.units import ARCSEC
-from sightline.simulate.option_checks import (
-    check_finite,
-    check_least,
-    check_one_of,
-    check_positive,
-    check_within,
-)
-
-"""rad"""
+from sightline.simulate.option_checks import MOST_SEED, check_options
 
 RELIEFS = ("none", "smooth", "white", "spectrum", "dem")
 JITTERS = ("white", "harmonic")
@@ -37,8 +30,10 @@ class StereoOptions:
     ----------
     altitude : float
         m above the equatorial radius.
-    inclination, latitude, longitude : float
-        rad: of the orbit; of the place that an undisplaced spacecraft passes at the middle of the pass.
+    inclination : float
+        rad, of the orbit.
+    latitude, longitude : float
+        rad, of the place that an undisplaced spacecraft passes at the middle of the pass.
     separation : float
         s between the first and the last spacecraft.
     cameras : int
@@ -49,8 +44,12 @@ class StereoOptions:
         rad, between the orbits of the last and the first spacecraft; 0: one orbit.
     cross_track : float
         m, of the aim point to the left of the track.
-    window, shots, offset : float, int, float
-        s, number, s: shots spread over a window whose middle is `offset` after the middle of the pass.
+    window : float
+        s, over which the shots are spread.
+    shots : int
+        Of each camera.
+    offset : float
+        s, of the window's middle after the middle of the pass.
     earth : str
         "sphere" (S2's, 6371 km) or "wgs84".
     fov : float
@@ -69,13 +68,18 @@ class StereoOptions:
     relief_range : float
         m, from the lowest to the highest ground of the scene; real heights keep their own.
     dem_file : str
-        Of "dem": a raster whose middle is laid under the aim point; empty: Mont Ventoux, SRTM.
+        Of "dem": a raster whose middle is laid under the aim point; empty: Mont Ventoux, SRTM, from
+        SIGHTLINE_DATA.
     ground_size : float
         m, side of the square on which the ground is known; 0: half as much again as the scene.
     dem_sigma : float
         m; above 0 the points stand so far from the DEM, which is then told with this sigma.
-    sigma_px, sigma_position, sigma_attitude : float
-        px per coordinate, m per axis, rad per axis: what is told of the noise, and drawn.
+    sigma_px : float
+        px per coordinate of a match: the noise that is given, and drawn.
+    sigma_position : float
+        m per axis, likewise.
+    sigma_attitude : float
+        rad per axis from shot to shot, likewise.
     noise_scale : float
         How much larger the noise drawn is than the noise told; 0: none.
     attitude_knowledge : str
@@ -84,7 +88,7 @@ class StereoOptions:
     jitter : str
         "white", or "harmonic": a mirror that swings with the same rms, about each axis with its own phase.
     jitter_frequency : float
-        Hz
+        Hz, of harmonic jitter.
     jitter_shared : bool
         Whether the mirrors of all cameras swing together.
     error : float
@@ -153,46 +157,32 @@ class StereoOptions:
     unpaired: bool = False
     scene_seed: int = -1
 
+    WORDS: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "relief": RELIEFS, "jitter": JITTERS, "attitude_knowledge": KNOWLEDGE, "earth": EARTHS,
+        "signs": SIGNS,
+    }  # fmt: skip
+    RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
+        "altitude": (1e3, 1e9), "inclination": (0.0, np.pi), "latitude": (-0.5 * np.pi, 0.5 * np.pi),
+        "longitude": (-2.0 * np.pi, 2.0 * np.pi), "separation": (0.0, 1e5), "cameras": (2, 1000),
+        "leader": (1, 1000), "node_offset": (-np.pi, np.pi), "inclination_offset": (-np.pi, np.pi),
+        "cross_track": (-1e7, 1e7), "window": (0.0, 1e5), "shots": (1, 100_000), "offset": (-1e5, 1e5),
+        "fov": (1e-7, 2.0943), "columns": (16, 40_000), "lines": (0, 40_000), "focal_error": (-0.49, 0.49),
+        "points": (1, 1_000_000), "scene_size": (1.0, 1e6), "relief_range": (0.0, 1e5),
+        "ground_size": (0.0, 5e5), "dem_sigma": (0.0, 1e4), "sigma_px": (1e-6, 100.0),
+        "sigma_position": (0.0, 1e6), "sigma_attitude": (0.0, 0.05), "noise_scale": (0.0, 100.0),
+        "jitter_frequency": (1e-6, 1e4), "error": (-0.1, 0.1), "angles": (-0.1, 0.1), "drift": (-0.01, 0.01),
+        "mismatch_share": (0.0, 0.9), "match_share": (1e-6, 1.0), "track_shots": (0, 100_000),
+        "missing_images": (0.0, 0.9), "scene_seed": (-1, MOST_SEED),
+    }  # fmt: skip
+
     def __post_init__(self) -> None:
         """Refuse what cannot be drawn; the orbit is checked where it is made."""
-        for name, allowed in (
-            ("relief", RELIEFS), ("jitter", JITTERS), ("attitude_knowledge", KNOWLEDGE), ("earth", EARTHS),
-            ("signs", SIGNS),
-        ):  # fmt: skip
-            check_one_of(self, name, allowed)
-        self._check_numbers()
-        self._check_sharing()
-
-    def _check_numbers(self) -> None:
-        check_finite(self)
-        check_positive(self, "fov", "scene_size", "sigma_px", "jitter_frequency")
-        check_least(self, 0, "relief_range", "ground_size", "dem_sigma", "sigma_position", "sigma_attitude")
-        check_least(self, 0, "noise_scale", "lines")
-        for name, low, high in (
-            ("points", 1, 1_000_000), ("shots", 1, 100_000), ("cameras", 2, 1000), ("columns", 16, 40_000),
-            ("lines", 0, 40_000), ("scene_size", 1.0, 1e6), ("ground_size", 0.0, 5e5),
-            ("sigma_px", 1e-6, 100.0),
-            ("sigma_position", 0.0, 1e6), ("sigma_attitude", 0.0, 0.05), ("dem_sigma", 0.0, 1e4),
-            ("noise_scale", 0.0, 100.0), ("jitter_frequency", 1e-6, 1e4), ("relief_range", 0.0, 1e5),
-            ("window", 0.0, 1e5), ("separation", 0.0, 1e5),
-        ):  # fmt: skip
-            check_within(self, name, low, high)
+        check_options(self)
         if 0 < self.lines < 16:
             raise InputError(f"`lines` must be 16 or more, or 0 for as many as columns, got {self.lines}")
-        if not self.fov < np.radians(120.0):
-            raise InputError(f"`fov` must be below 120 degrees, got {np.degrees(self.fov):g} (radians?)")
-        if not abs(self.latitude) <= 0.5 * np.pi:
-            raise InputError(
-                f"`latitude` must be from -90 to 90 degrees, got {np.degrees(self.latitude):g} degrees"
-            )
-        if not abs(self.focal_error) < 0.5:
-            raise InputError(f"`focal_error` must be between -0.5 and 0.5, got {self.focal_error}")
+        self._check_sharing()
 
     def _check_sharing(self) -> None:
-        check_within(self, "mismatch_share", 0.0, 0.9)
-        check_within(self, "missing_images", 0.0, 0.9)
-        if not 0.0 < self.match_share <= 1.0:
-            raise InputError(f"`match_share` must be above 0 and up to 1, got {self.match_share}")
         fewest, most_shots = self.track_shots
         if not (fewest == most_shots == 0 or 1 <= fewest <= most_shots <= self.shots):
             raise InputError(

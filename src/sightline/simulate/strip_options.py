@@ -5,13 +5,19 @@ Strips are drawn from their options in ``scenarios.py``.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from sightline.errors import InputError
+from sightline.simulate.option_checks import MOST_COLUMNS, MOST_LINES, check_names, check_options
 from sightline.simulate.texture import Array
+
+MOTIONS = ("nominal", "late-tone", "step", "curve", "real", "other-family", "ck", "isd", "none")
+RELIEFS = ("none", "spectrum", "srtm")
+GROUNDS = ("spectrum", "landsat")
 
 
 @dataclass(frozen=True)
@@ -22,39 +28,50 @@ class StripOptions:
     ----------
     lines, columns : int
         Of every band.
-    altitude, ground_speed : float
-        m, m/s: straight and level over a flat Earth, flying north.
+    altitude : float
+        m; straight and level over a flat Earth, flying north.
+    ground_speed : float
+        m/s
     ifov : float
         rad per pixel.
     line_period : float
         s
     names : tuple of str
+        Of the bands, and of their images.
     lags : tuple of float
         s after the first band at which a band sees the same ground: ``tan(look_ahead) = -V lag / H``, so
         the first band looks straight down and sees the ground first, the others look behind.
     gains, gammas : tuple of float
-        Of each band.
+        Of the brightness of each band: factor and exponent.
     coherence : float
         Amplitude correlation of the textures of any two bands.
     coherence_with_first : tuple of float
         In its place, that of each band with the first (whose own entry must be 1); empty: `coherence` for
         all. Two later bands then correlate as the product of theirs.
-    snr, contrast, mtf_nyquist : float
-        Mean over noise; standard deviation over mean of the ground; system MTF at Nyquist.
-    offset_sigma_px, rotation_sigma : float
-        px and rad, sizes of the unknown offsets and rotations of the bands (true values are drawn).
+    snr : float
+        Mean over noise.
+    contrast : float
+        Standard deviation over mean of the ground.
+    mtf_nyquist : float
+        System MTF at half a cycle per pixel.
+    offset_sigma_px : float
+        px, size of the unknown offsets of the bands (true values are drawn).
+    rotation_sigma : float
+        rad, size of the unknown rotations of the bands, likewise.
     scale_sigma : float
-        The same of their magnifications beside the first band's, relative.
+        Size of the unknown magnifications of the bands beside the first's, relative, likewise.
     motion : str
-        "nominal" (drift, broadband, tones), "curve" (measured), "other-family" (measured curve, chirp,
-        step), "real" (measured curve, tones of 40-120 Hz), "ck" (C kernel of MRO), "isd" (attitudes of a
-        line-scan model), "none".
+        "nominal" (drift, broadband, tones), "late-tone" (with a tone that begins half-way), "step" (with a
+        step), "curve" (measured), "other-family" (measured curve, chirp, step), "real" (measured curve, tones
+        of 40-120 Hz), "ck" (C kernel of MRO), "isd" (attitudes of a line-scan model), "none". Measured ones
+        are read from the folder that SIGHTLINE_DATA names.
     relief : str
-        "none", "spectrum" or "srtm".
+        "none", "spectrum" (power law) or "srtm" (real heights, from SIGHTLINE_DATA).
     relief_rms : float
         m, for "spectrum".
     ground : str
-        "spectrum" or "landsat" (four real bands, mirrored at their edges, one image pixel per pixel).
+        "spectrum" or "landsat" (four real bands, from SIGHTLINE_DATA, mirrored at their edges, one image
+        pixel per pixel).
     cloud_cover : float
         Share of the strip under scattered clouds.
     cloud_banks : tuple of (int, int)
@@ -89,21 +106,31 @@ class StripOptions:
     cloud_banks: tuple[tuple[int, int], ...] = ()
     blank: tuple[tuple[int, int], ...] = ()
 
+    WORDS: ClassVar[Mapping[str, tuple[str, ...]]] = {
+        "motion": MOTIONS, "relief": RELIEFS, "ground": GROUNDS,
+    }  # fmt: skip
+    RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
+        "lines": (16, MOST_LINES), "columns": (16, MOST_COLUMNS), "altitude": (100.0, 1e8),
+        "ground_speed": (1.0, 1e5), "ifov": (1e-8, 1e-2), "line_period": (1e-6, 1.0), "lags": (-100.0, 100.0),
+        "gains": (0.01, 3.0), "gammas": (0.1, 3.0), "coherence": (0.01, 1.0),
+        "coherence_with_first": (0.01, 1.0), "snr": (0.1, 1e5), "contrast": (0.0, 10.0),
+        "mtf_nyquist": (1e-3, 0.9), "offset_sigma_px": (0.0, 1e3), "rotation_sigma": (0.0, 0.1), "scale_sigma": (0.0, 0.1),
+        "relief_rms": (0.0, 3000.0), "cloud_cover": (0.0, 0.95), "cloud_banks": (0, MOST_LINES),
+        "blank": (0, MOST_LINES),
+    }  # fmt: skip
+
     def __post_init__(self) -> None:
         """Refuse what cannot be rendered."""
-        if self.lines < 16 or self.columns < 16:
-            raise InputError(
-                f"the strip is too small: {self.lines} lines x {self.columns} columns; at least 16 x 16"
-            )
+        check_options(self)
         lengths = {len(self.names), len(self.lags), len(self.gains), len(self.gammas)}
         if len(lengths) != 1 or min(lengths) < 1:
             raise InputError(
                 "`names`, `lags`, `gains` and `gammas` must have one entry per band, got lengths "
                 f"{len(self.names)}, {len(self.lags)}, {len(self.gains)}, {len(self.gammas)}"
             )
-
+        check_names("names", self.names)
         given = self.coherence_with_first
-        if given and (len(given) != len(self.names) or given[0] != 1.0 or min(given) <= 0 or max(given) > 1):
+        if given and (len(given) != len(self.names) or given[0] != 1.0):
             raise InputError(
                 "`coherence_with_first` must have one entry per band in (0, 1], 1 for the first; got "
                 f"{given} for {len(self.names)} bands"

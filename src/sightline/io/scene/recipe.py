@@ -1,0 +1,252 @@
+"""A SCENE.toml, and what replaces its keys, as the recipe of a scene; and a recipe as a SCENE.toml.
+
+Not here: keys and allowed values (``models.py``), how a scene is made (``simulate/``).
+"""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, get_args, get_origin
+
+from pydantic import BaseModel
+
+from sightline.errors import FormatError, InputError
+from sightline.io.config import read_toml, validate
+from sightline.io.names import toml_string
+from sightline.io.quantities import shown
+from sightline.io.scene.models import FAMILIES, Family, plain_options, scene_model
+from sightline.io.scene.schema import KINDS, SceneFile
+from sightline.simulate.instruments import DetectorOptions
+from sightline.version import VERSION
+from sightline.writing import whole
+
+#: Name of the file in the folder of a scene.
+SCENE = "scene.toml"
+#: m; side of the ground under rendered frames: those that look obliquely reach far beyond the scene.
+_FRAMED_GROUND = 60e3
+
+
+@dataclass(frozen=True)
+class SceneRecipe:
+    """Everything that a scene is made of.
+
+    Attributes
+    ----------
+    family : Family
+    case : str
+    seed : int
+    given : mapping
+        Options in place of those of the case.
+    files : mapping
+        What is written, by key.
+    """
+
+    family: Family
+    case: str
+    seed: int
+    given: Mapping[str, Any]
+    files: Mapping[str, Any]
+
+    @cached_property
+    def options(self) -> Any:
+        """All options."""
+        return self.family.options_of(self.case, self.given)
+
+
+def read_recipe(
+    kind: str, file: Path | None, settings: Sequence[str] = (), flags: Mapping[str, Any] | None = None
+) -> SceneRecipe:
+    """The recipe that a file gives, with what is given in place of its keys.
+
+    Parameters
+    ----------
+    kind : str
+        One of `KINDS`.
+    file : Path or None
+        A SCENE.toml; None: the first case of the kind.
+    settings : sequence of str
+        ``key=value``, the value as in TOML; texts need no quotation marks, lists no brackets.
+    flags : mapping, optional
+        Keys by name, None: not given. They replace those of `settings`, which replace those of the file.
+
+    Returns
+    -------
+    SceneRecipe
+
+    Raises
+    ------
+    FormatError
+        Names the file (or ``--set``), key, value and what is allowed.
+    InputError
+        Unknown case; options that do not go together.
+    """
+    asked = {name: value for name, value in (flags or {}).items() if value is not None}
+    tables = {} if file is None else read_toml(file)
+    case = _case(kind, file, tables, asked.pop("case", None))
+    family = next(one for one in FAMILIES if one.kind == kind and case in one.cases)
+    model = scene_model(family.name)
+    given = _checked(model, tables, file) if file else {}
+    if given.get("dem_file") and file is not None:
+        given["dem_file"] = str(file.parent / given["dem_file"])
+    given |= _checked(model, _parsed(model, settings), Path("--set"))
+    for name, value in asked.items():
+        given |= _flag(model, family, case, given, name, value)
+    seed = given.pop("seed", 0)
+    options = {key: value for key, value in given.items() if key not in (*family.files, "kind", "case")}
+    written = {key: model.model_fields[key].default for key in family.files}
+    written |= {key: given[key] for key in family.files if key in given}
+    if written.get("images"):
+        options.setdefault("ground_size", _FRAMED_GROUND)
+    recipe = SceneRecipe(family, case, seed, options, dict(sorted(written.items())))
+    try:
+        _ = recipe.options
+    except InputError as error:
+        raise (FormatError(f"{file}: {error}") if file else error) from None
+    return recipe
+
+
+def _case(kind: str, file: Path | None, tables: Mapping[str, Any], asked: str | None) -> str:
+    """The case that is meant."""
+    own, named = tables.get("kind", kind), tables.get("case")
+    if own != kind and own in KINDS:
+        raise FormatError(
+            f"{file}: kind = {shown(own)}: a scene for `sightline simulate {own}`; give it to that command"
+        )
+    if asked is not None and named not in (None, asked):
+        raise InputError(
+            f"--case {asked}: the scene of {file} is of case {shown(named)}, with options that are its own; "
+            "leave --case out, or change the file"
+        )
+    cases = [case for family in FAMILIES if family.kind == kind for case in family.cases]
+    case = asked or named or cases[0]
+    if case not in cases:
+        place = f"{file}: " if asked is None else ""
+        error = FormatError if asked is None else InputError
+        raise error(f"{place}unknown case: got {shown(case)}; allowed are {', '.join(cases)}")
+    return str(case)
+
+
+def _checked(model: type[SceneFile], tables: dict[str, Any], place: Path) -> dict[str, Any]:
+    """What was given, of the types of the options."""
+    found = validate(model, tables, place, elsewhere(model))
+    return {name: _as_option(getattr(found, name)) for name in found.model_fields_set}
+
+
+def _as_option(value: Any) -> Any:
+    """A value of a file as that of an option."""
+    if isinstance(value, tuple | list):
+        return tuple(_as_option(part) for part in value)
+    if isinstance(value, BaseModel):  # the only tables of a scene
+        return DetectorOptions(**{name: getattr(value, name) for name in value.model_fields_set})
+    return value
+
+
+def elsewhere(model: type[SceneFile]) -> dict[str, str]:
+    """Keys that `model` does not have, with whose they are."""
+    found: dict[str, str] = {}
+    for family in FAMILIES:
+        cases = list(family.cases)
+        few = f"{', '.join(cases[:3])}{', ...' if len(cases) > 3 else ''}"
+        for name in scene_model(family.name).model_fields:
+            if name not in model.model_fields:
+                found.setdefault(name, f"`simulate {family.kind}`, case {few}")
+    if "shape" in model.model_fields:
+        found |= dict.fromkeys(("lines", "columns"), "shape = [lines, columns]")
+    return found
+
+
+def _flag(
+    model: type[SceneFile], family: Family, case: str, given: Mapping[str, Any], name: str, value: Any
+) -> dict[str, Any]:
+    """What a flag of its own sets."""
+    place = Path(f"--{name}")
+    if name in ("lines", "columns") and "shape" in model.model_fields:
+        shape = list(given.get("shape", family.cases[case].get("shape", model.model_fields["shape"].default)))
+        shape[("lines", "columns").index(name)] = value
+        return _checked(model, {"shape": shape}, place)
+    if name not in model.model_fields:
+        raise InputError(f"--{name} is not for case {case!r}; it belongs to {elsewhere(model)[name]}")
+    return _checked(model, {name: value}, place)
+
+
+def _parsed(model: type[SceneFile], settings: Sequence[str]) -> dict[str, Any]:
+    """``key=value`` words as the tables of a file."""
+    tables: dict[str, Any] = {}
+    for setting in settings:
+        key, equals, text = setting.partition("=")
+        key = key.strip()
+        if not equals or not key:
+            raise InputError(f"--set {setting}: give a key and its value, as --set snr=40")
+        if key in ("kind", "case", "seed"):
+            there = "the word after `sightline simulate`" if key == "kind" else f"--{key}"
+            raise InputError(f"--set {setting}: {key} is given by {there}")
+        value = _value(text)
+        field = model.model_fields.get(key)
+        if field is not None and not isinstance(value, list) and _is_list(field.annotation):
+            value = [value]
+        tables[key] = value
+    return tables
+
+
+def _value(text: str) -> Any:
+    """A value of TOML; of what is none, a list where commas part it, and else the text itself."""
+    try:
+        (value,) = tomllib.loads(f"value = {text}").values()
+    except (ValueError, RecursionError):
+        parts = [part.strip() for part in text.split(",")]
+        if len(parts) > 1:
+            return [_value(part) for part in parts if part]
+        # numbers that TOML does not have: .3
+        return float(text) if re.fullmatch(r"[+-]?(\d+\.?|\d*\.\d+)(e[+-]?\d+)?", text, re.I) else text
+    return value
+
+
+def _is_list(annotation: Any) -> bool:
+    """Whether a key holds a list."""
+    origin = get_origin(annotation)
+    return origin is tuple or any(_is_list(part) for part in get_args(annotation) if origin is not None)
+
+
+def write_recipe(path: Path, recipe: SceneRecipe) -> Path:
+    """The file from which the same scene is made again, every option in it; the file."""
+    with whole(path) as draft:
+        draft.write_text(recipe_toml(recipe), encoding="utf-8")
+    return path
+
+
+def recipe_toml(recipe: SceneRecipe) -> str:
+    """The text of that file."""
+    options = plain_options(recipe.options)
+    if options.get("dem_file"):
+        options["dem_file"] = str(Path(options["dem_file"]).resolve())
+    keys = {"kind": recipe.family.kind, "case": recipe.case, "seed": recipe.seed, **options, **recipe.files}
+    detectors = keys.pop("detectors", [])
+    return "\n".join([
+        f"# A scene of sightline {VERSION}. To make it again, bit for bit:",
+        f"#     sightline simulate {recipe.family.kind} --scene {SCENE} --out DIR",
+        "# Units are SI and radians unless a name says otherwise; `sightline schema scene` says more.",
+        *_lines(keys),
+        *(line for detector in detectors for line in ("", "[[detectors]]", *_lines(detector))),
+        "",
+    ])  # fmt: skip
+
+
+def _lines(table: Mapping[str, Any]) -> Iterator[str]:
+    """Keys and values of a table; what is None is left out, as TOML has no such value."""
+    return (f"{key} = {_toml(value)}" for key, value in table.items() if value is not None)
+
+
+def _toml(value: Any) -> str:
+    """A value as TOML has it: numbers that read back to the same bits."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return toml_string(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(_toml(part) for part in value)}]"
+    return repr(value)
