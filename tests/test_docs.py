@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import json
 import re
 from pathlib import Path
 
@@ -65,6 +66,34 @@ def test_every_key_of_a_file_is_described(name):
     keys = {key for section in sections for key in section.get("properties", {})}
     undescribed = sorted(key for key in keys if not re.search(rf"[`\[.]{key}[`\] ]", text))
     assert not undescribed
+
+
+def test_the_tables_of_scenes_are_those_of_their_schema():
+    from typing import get_args
+
+    from sightline.io.scene.models import FAMILIES, scene_model
+    from sightline.io.scene.schema import SceneFile
+
+    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    text = text[text.index("## SCENE.toml") : text.index("## Tables read")]
+
+    def row(name, field):
+        if field.is_required():
+            default = "needed"
+        elif name == "detectors":
+            default = ", ".join(one["name"] for one in field.default)
+        else:
+            default = "none" if field.default is None else f"`{json.dumps(field.default)}`"
+        return f"| `{name}` | {field.description} | {default} |"
+
+    for family in FAMILIES:
+        fields = scene_model(family.name).model_fields
+        rows = [row(name, field) for name, field in fields.items() if name not in SceneFile.model_fields]
+        assert "\n".join(rows) in text, f"keys of {family.name}: write\n" + "\n".join(rows)
+        assert f"`simulate {family.kind}`, cases {', '.join(f'`{case}`' for case in family.cases)}." in text
+    (detector,) = (kind for kind in get_args(scene_model("orbit").model_fields["detectors"].annotation)[:1])
+    rows = [row(name, field) for name, field in detector.model_fields.items()]
+    assert "\n".join(rows) in text
 
 
 def test_every_key_of_the_summary_is_described():

@@ -175,10 +175,10 @@ def failing_numbers(what: str) -> Iterator[None]:
 
 @contextmanager
 def naming(place: object) -> Iterator[None]:
-    """Errors of a check that knows nothing of the file begin with `place`: InputError and EstimationError."""
+    """Errors of what knows nothing of the file begin with `place`: all that name none themselves."""
     try:
         yield
-    except (EstimationError, InputError) as error:
+    except (EstimationError, GeometryError, InputError) as error:
         raise type(error)(f"{place}: {error}") from None
 
 

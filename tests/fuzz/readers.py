@@ -367,11 +367,6 @@ for _name, _seed, _targets, _words, _check in (
     ("orient", "pair", "stereo.toml *.csv", "orient @stereo.toml --out @out", "stereo.toml"),
     ("orient with a DEM", "simulated-pair", "*.csv dem.tif", "orient @stereo.toml --out @out", "stereo.toml"),
     ("orient --predict", "plan", "stereo.toml", "orient @stereo.toml --predict --out @out", "stereo.toml"),
-    ("scene: pass", "scene-files", "pass.toml", "simulate stereo --scene @pass.toml --out @out", ""),
-    ("scene: flight", "scene-files", "flight.toml", "simulate frames --scene @flight.toml --out @out", ""),
-    ("scene: strip", "scene-files", "strip.toml", "simulate line-of-sight --scene @strip.toml --out @out", ""),
-    ("scene: orbit", "scene-files", "orbit.toml", "simulate line-of-sight --scene @orbit.toml --out @out", ""),
-    ("scene: frames", "scene-files", "frames.toml", "simulate line-of-sight --scene @frames.toml --out @out", ""),
     ("tdi", "tdi", "tdi.toml columns.csv", "tdi @tdi.toml --out @out", "tdi.toml"),
     ("tdi --signals", "tdi", "t*.toml s*", "tdi @tdi.toml --signals @signals.npy --out @out", ""),
     ("tdi --motion", "recovered", "tdi.toml result/*", "tdi @tdi.toml --motion @result --out @out", ""),
@@ -383,11 +378,18 @@ for _name, _seed, _targets, _words, _check in (
 ):  # fmt: skip
     command(_name, _seed, _targets, _words, _check)
 
+for _name, _kind in (
+    ("pass", "stereo"), ("flight", "frames"), ("strip", "line-of-sight"), ("orbit", "line-of-sight"),
+    ("frames", "line-of-sight"),
+):  # fmt: skip
+    _file = f"{_name}.toml"
+    command(f"scene: {_name}", "scene-files", _file, f"simulate {_kind} --scene @{_file} --out @out")
+
 # Options of commands ----------------------------------------------------------------------------------------
 
 for _seed, _words in (
     ("plan", "simulate line-of-sight --lines 302 --columns 200 --out @out"),
-    ("plan", "simulate line-of-sight --case mirror-leo --lines 124 --columns 224 --out @out"),
+    ("plan", "simulate line-of-sight --case mirror-leo --lines 128 --columns 224 --out @out"),
     ("plan", "simulate line-of-sight --case frames --frames 2 --out @out"),
     ("plan", "simulate stereo --shots 2 --points 10 --out @out"),
     ("plan", "simulate frames --frames 3 --lines 122 --columns 122 --out @out"),

@@ -887,11 +887,11 @@ def scene_files(folder: Path) -> None:
         'missing = ["1-1"]\nwater = [[2, 3]]\njitter = 1e-3\nfilter = "pan"\ntruth_bands = 0\n'
     )
     (folder / "strip.toml").write_text(
-        'case = "clouds"\nlines = 420\ncolumns = 200\nnames = ["A", "B"]\nlags = [0.0, 0.15]\n'
+        'case = "clouds"\nlines = 520\ncolumns = 200\nnames = ["A", "B"]\nlags = [0.0, 0.15]\n'
         "gains = [1, 1]\ngammas = [1, 0.9]\ncloud_banks = [[100, 50]]\nblank = []\nsnr = 60\ngyro = true\n"
     )
     (folder / "orbit.toml").write_text(
-        'case = "mirror-leo"\nlines = 124\ncolumns = 224\noff_nadir = 0.2\npairs = [["A", "B"]]\n'
+        'case = "mirror-leo"\nlines = 240\ncolumns = 224\noff_nadir = 0.2\npairs = [["A", "B"]]\n'
         '[[detectors]]\nname = "A"\nbehind = 0.0\n[[detectors]]\nname = "B"\nbehind = 20.0\ngain = 0.9\n'
     )
     (folder / "frames.toml").write_text(

@@ -13,7 +13,9 @@ from sightline.cli.options import AllowNetwork, Json
 def check(
     file: Annotated[
         Path,
-        typer.Argument(metavar="FILE.toml", help="An ACQUISITION, INSTRUMENT, SEQUENCE, STEREO or TDI.toml."),
+        typer.Argument(
+            metavar="FILE.toml", help="An ACQUISITION, INSTRUMENT, SCENE, SEQUENCE, STEREO or TDI.toml."
+        ),
     ],
     as_json: Json = False,
     allow_network: AllowNetwork = False,
@@ -44,6 +46,8 @@ def describe(file: Path) -> dict[str, Any]:
     from sightline.io.config import kind_of
     from sightline.io.layout.load import describe_instrument, load_instrument
     from sightline.io.results.cube_summary import ready_to_georeference
+    from sightline.io.scene.cost import scene_cost
+    from sightline.io.scene.recipe import describe_recipe, read_recipe
     from sightline.io.sequence.describe import describe_sequence
     from sightline.io.sequence.load import read_sequence
     from sightline.io.stereo.describe import describe_stereo
@@ -52,6 +56,9 @@ def describe(file: Path) -> dict[str, Any]:
     from sightline.io.tdi.load import describe_tdi, load_tdi
 
     match kind_of(file):
+        case "scene":
+            recipe = read_recipe(None, file)
+            description, cost = describe_recipe(recipe), scene_cost(recipe)
         case "instrument":
             plane = load_instrument(file)
             description, cost = describe_instrument(plane), layout_cost(plane)

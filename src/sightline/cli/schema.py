@@ -10,7 +10,9 @@ import typer
 def schema(
     name: Annotated[
         str,
-        typer.Argument(metavar="NAME", help="Which file: acquisition, instrument, sequence, stereo or tdi."),
+        typer.Argument(
+            metavar="NAME", help="Which file: acquisition, instrument, scene, sequence, stereo or tdi."
+        ),
     ],
 ) -> None:
     """Print the JSON Schema of one of the TOML files."""

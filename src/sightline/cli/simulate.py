@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
@@ -21,10 +22,9 @@ from sightline.cli.options import (
     Overwrite,
 )
 from sightline.cli.output import output_folder
-from sightline.cli.terminal import Progress, print_json, progress, say
+from sightline.cli.terminal import Progress, announce, print_json, progress, say
 from sightline.cli.usable import (
     least_points,
-    refuse_costly_photographs,
     refuse_useless_flight,
     refuse_useless_pass,
     refuse_useless_scene,
@@ -189,14 +189,20 @@ def _simulate(
     as_json: bool,
 ) -> None:
     """Make the scene that is asked for, and write it with the file it can be made again from."""
-    from sightline.io.scene.recipe import read_recipe, write_recipe
+    from sightline.errors import failing_numbers, naming
+    from sightline.io.scene.cost import scene_cost
+    from sightline.io.scene.recipe import SCENE, read_recipe, write_recipe
     from sightline.version import VERSION
 
     begin = time.perf_counter()
     recipe = read_recipe(kind, scene, settings or (), flags)
     with output_folder(out, overwrite=overwrite) as folder, progress() as report:
-        names = _MAKERS[recipe.family.name](recipe, folder, report)
-        names.append(write_recipe(folder / "scene.toml", recipe).name)
+        with naming(scene) if scene else nullcontext(), failing_numbers("the scene"):
+            cost = scene_cost(recipe)
+            cost.check()
+            announce(cost)
+            names = _MAKERS[recipe.family.name](recipe, folder, report)
+        names.append(write_recipe(folder / SCENE, recipe).name)
     seconds = round(time.perf_counter() - begin, 3)
     if as_json:
         of = {"kind": kind, "case": recipe.case, "seed": recipe.seed, "version": VERSION}
@@ -219,7 +225,7 @@ def _strip(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
     """A strip over a flat world; the names of its files."""
     from sightline.geometry.surface import Plane
     from sightline.simulate.files import write_strip
-    from sightline.simulate.scenarios import ground_cells, line_of_sight_case, planned_cameras
+    from sightline.simulate.scenarios import line_of_sight_case, planned_cameras
 
     case, seed, options = recipe.case, recipe.seed, recipe.options
 
@@ -227,7 +233,7 @@ def _strip(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
         return planned_cameras(case, seed, **{**recipe.given, "lines": lines, "columns": columns})
 
     size = options.lines, options.columns
-    refuse_useless_strip(cameras_of, Plane(0.0), size, ground=ground_cells(options))
+    refuse_useless_strip(cameras_of, Plane(0.0), size)
     report("rendering the bands, and the truth")
     return list(write_strip(line_of_sight_case(case, seed, **recipe.given), folder, **recipe.files))
 
@@ -256,7 +262,6 @@ def _photographs(recipe: SceneRecipe, folder: Path, report: Progress) -> list[st
     from sightline.simulate.files import write_frames
     from sightline.simulate.frames import frames_case
 
-    refuse_costly_photographs(recipe.options)
     report("rendering the frames, and the truth")
     written = write_frames(frames_case(recipe.seed, **recipe.given), folder, **recipe.files)
     refuse_useless_scene(folder / "acquisition.toml", "these options")
@@ -279,7 +284,8 @@ def _pass(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
 
         return "" if images else least_points(folder, write, recipe.options.points)
 
-    refuse_useless_pass(recipe.options, images=images)
+    if images:
+        refuse_useless_pass(recipe.options)
     report("drawing the pass, and the truth")
     scenario = stereo_case(recipe.case, recipe.seed, **recipe.given)
     names = list(write_stereo(scenario, folder, **recipe.files))

@@ -11,10 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from sightline.applications.expected_cost import Cost
     from sightline.geometry.camera import PushbroomCamera
     from sightline.geometry.surface import Surface
-    from sightline.simulate.frames import FrameCaseOptions
     from sightline.simulate.sequence_options import SequenceOptions
     from sightline.simulate.stereo_options import StereoOptions
 
@@ -45,22 +43,13 @@ class _Unread:
         raise NotImplementedError
 
 
-def _afford(cost: Cost) -> None:
-    """Refuse what this machine cannot render, warn of what takes long."""
-    from sightline.cli.terminal import announce
-
-    cost.check()
-    announce(cost)
-
-
 def refuse_useless_strip(
     cameras_of: Callable[[int, int], tuple[PushbroomCamera, ...]],
     surface: Surface,
     size: tuple[int, int],
     pairs: tuple[tuple[str, str], ...] = (),
-    ground: float = 0.0,
 ) -> None:
-    """InputError for a strip of `size` (lines, columns) that ``recover`` could not use, or that is too large.
+    """InputError for a strip of `size` (lines, columns) that ``recover`` could not use.
 
     Parameters
     ----------
@@ -70,17 +59,10 @@ def refuse_useless_strip(
     size : (lines, columns)
     pairs : tuple of (str, str)
         Those that the acquisition will name; empty: all.
-    ground : float
-        Cells of the ground, where it is larger than what is seen.
     """
-    from sightline.applications.expected_cost import rendering_cost
     from sightline.errors import InputError
 
     lines, columns = size
-    bands = len(cameras_of(64, 64))
-    rendered, seen = float(lines) * columns * bands, (lines + 1000.0) * (columns + 128.0)
-    asked = f"--lines {lines:,} --columns {columns:,} of {bands} bands"
-    _afford(rendering_cost(rendered, max(seen, ground), asked))
 
     def why(lines: int, columns: int) -> str:
         return _why_useless(cameras_of(lines, columns), surface, pairs)
@@ -141,36 +123,12 @@ def _least(works: Callable[[int], bool], first: int, most: int) -> int | None:
     return high
 
 
-def refuse_costly_photographs(options: FrameCaseOptions) -> None:
-    """InputError for photographs that take more than this machine has."""
-    from sightline.applications.expected_cost import rendering_cost
-
-    lines, columns = options.shape
-    walk = 3.0 * options.step_sigma * (options.frames + 2) ** 0.5 * options.focal_length_px
-    flown = options.ground_speed * options.interval * options.frames / options.gsd
-    across = 1.2 * (lines**2 + columns**2) ** 0.5 + 2.0 * walk
-    pixels = float(options.frames) * lines * columns
-    # a relief has a post every other pixel at most, and its spectrum twice as many each way
-    posts = across * (across + flown) if options.relief_rms > 0.0 else 0.0
-    seen = min(across, 8192.0) * min(across + flown, 8192.0)
-    _afford(rendering_cost(pixels, seen + posts, f"{options.frames:,} frames of {lines} x {columns} px"))
-
-
 def refuse_useless_flight(options: SequenceOptions) -> None:
-    """InputError for a flight of frames that ``georeference`` could not follow, or that is too large."""
-    from sightline.applications.expected_cost import rendering_cost
+    """InputError for a flight of frames that ``georeference`` could not follow."""
     from sightline.errors import InputError
     from sightline.matching.follow import FollowPlan, check_followable
 
     lines, columns = options.shape
-    frames, flown = options.total_frames, options.frames * (1.0 - options.overlap) + 1.0
-    wide = columns * (1.0 + (options.flight_lines + options.cross_lines) * (1.0 - options.side_overlap))
-    cost = rendering_cost(
-        float(frames) * lines * columns,
-        flown * lines * wide,
-        f"{frames:,} frames of --lines {lines} --columns {columns}",
-    )
-    _afford(cost)
     try:
         check_followable(
             options.shape, FollowPlan(reduction=options.pattern if options.filter == "mosaic" else 1)
@@ -181,23 +139,16 @@ def refuse_useless_flight(options: SequenceOptions) -> None:
         ) from None
 
 
-def refuse_useless_pass(options: StereoOptions, *, images: bool) -> None:
-    """InputError for a pass of cameras that is too large, or whose frames are too small to be matched."""
-    from sightline.applications.expected_cost import orientation_cost_of, rendering_cost
+def refuse_useless_pass(options: StereoOptions) -> None:
+    """InputError for a pass of cameras with frames too small to be matched."""
     from sightline.errors import InputError
 
     lines, columns = options.frame
-    of = f"--cameras {options.cameras:,} --shots {options.shots:,} --points {options.points:,}"
-    cost = orientation_cost_of(float(options.cameras) * options.shots * options.points, of)
-    if images:
-        pixels = float(options.cameras) * options.shots * lines * columns
-        cost = cost.then(rendering_cost(pixels, 4.0 * lines * columns, f"frames of {lines} x {columns} px"))
-        if min(lines, columns) < LEAST_MATCHED:
-            raise InputError(
-                f"--lines {lines} --columns {columns} make frames that `orient` could not find points in; "
-                f"the least that works is --lines {LEAST_MATCHED} --columns {LEAST_MATCHED}"
-            )
-    _afford(cost)
+    if min(lines, columns) < LEAST_MATCHED:
+        raise InputError(
+            f"--lines {lines} --columns {columns} make frames that `orient` could not find points in; "
+            f"the least that works is --lines {LEAST_MATCHED} --columns {LEAST_MATCHED}"
+        )
 
 
 def refuse_useless_scene(file: Path, asked: str, least: Callable[[], str] = str) -> None:

@@ -93,8 +93,16 @@ def json_schema(name: str) -> dict[str, Any]:
 
 def kind_of(path: Path) -> str:
     """Which of `SCHEMAS` a TOML file is meant for: the one that knows most of its keys, else acquisition."""
-    keys = set(read_toml(path))
-    return max(SCHEMAS, key=lambda name: len(keys & set(SCHEMAS[name].model_fields)))
+    shared = _shared(read_toml(path))
+    return max(shared, key=lambda name: shared[name])
+
+
+def _shared(data: dict[str, Any]) -> dict[str, int]:
+    """How many keys of `data` each of `SCHEMAS` has; those of scenes are all where it names kind or case."""
+    shared = {name: len(data.keys() & model.model_fields.keys()) for name, model in SCHEMAS.items()}
+    if {"kind", "case"} & data.keys():  # no other file has them at its top
+        shared["scene"] = len(data)
+    return shared
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -189,7 +197,7 @@ def _validated(model: type[Model], data: dict[str, Any], path: Path, elsewhere: 
 def _meant_for_another(model: type[BaseModel], data: dict[str, Any], known: Mapping[str, str]) -> str:
     """Which command a file is for that holds more tables of another schema than of `model`; else empty."""
     own = len(data.keys() & {*model.model_fields, *known})
-    shared = {name: len(data.keys() & other.model_fields.keys()) for name, other in SCHEMAS.items()}
+    shared = _shared(data)
     best = max(shared, key=lambda name: shared[name])
     name = next((name for name, other in SCHEMAS.items() if issubclass(model, other)), None)
     if name is None or shared[best] <= own:

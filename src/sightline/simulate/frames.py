@@ -42,7 +42,7 @@ class FrameCaseOptions:
     focal_length_px : float
         px
     principal_point_px : (float, float) or None
-        px, line and column; None: the middle of the frame.
+        px, line and column; left out: the middle of the frame.
     distortion : tuple of float
         k1, k2, p1, p2, k3 in normalised coordinates.
     altitude : float

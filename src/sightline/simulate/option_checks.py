@@ -63,7 +63,7 @@ def descriptions(kind: type[Any]) -> dict[str, str]:
     found: dict[str, str] = {}
     section = inspect.cleandoc(kind.__doc__ or "").partition("Parameters\n----------\n")[2]
     for names, text in re.findall(r"^(\w+(?:, \w+)*) : .*\n((?: +.*\n?)*)", section, re.MULTILINE):
-        found |= dict.fromkeys(names.split(", "), " ".join(text.split()))
+        found |= dict.fromkeys(names.split(", "), " ".join(text.split()).removesuffix("."))
     return found
 
 

@@ -40,7 +40,7 @@ class SequenceOptions:
     focal_length_px : float
         px
     principal_point_px : (float, float) or None
-        px, line and column; None: the middle of the frame.
+        px, line and column; left out: the middle of the frame.
     distortion : tuple of float
         k1, k2, p1, p2, k3 in normalised coordinates.
     focal_error : float
@@ -72,14 +72,16 @@ class SequenceOptions:
     pattern : int
         "mosaic": side of the pattern, px.
     jitter : float
-        rad, rms about each axis of what linear interpolation between true attitudes `ANCHOR_STRIDE` frames
-        apart leaves.
+        rad, rms about each axis of what linear interpolation between true attitudes 20 frames apart
+        leaves.
     position_jitter : float
         m rms along each axis, below 0.4 Hz at 25 frames/s.
     position_sigma, position_bias_sigma : float
-        m per axis: noise of every position given, and of a constant common to all; sigma 0: none given.
+        m per axis, of the noise of every position given, and of a constant common to all; sigma 0: none
+        given.
     attitude_sigma, attitude_bias_sigma : float
-        rad per body axis: noise of every attitude given, and of a constant common to all; sigma 0: none.
+        rad per body axis, of the noise of every attitude given, and of a constant common to all; sigma 0:
+        none given.
     relief : float
         Half the range of heights over the altitude.
     relief_scale : float
@@ -98,13 +100,13 @@ class SequenceOptions:
     bits : int
         Of the converter: up to 8 are written in 8, more in 16.
     water : tuple of (int, int)
-        First and last frame, counted on the first flight line, that see nothing but water.
+        Frames of the first flight line that see nothing but water, as [[20, 40]] or ["20-40"].
     missing : tuple of int
-        Frames that were never delivered.
+        Frames that were never delivered, as [3, "20-40"].
     unreadable : tuple of int
-        Frames whose files are cut short.
+        Frames whose files are cut short, likewise.
     blurred : tuple of int
-        Frames that are out of focus.
+        Frames that are out of focus, likewise.
     blur_px : float
         px, sigma of their blur.
     """

@@ -57,7 +57,7 @@ class StereoOptions:
     columns, lines : int
         Of a frame; 0 lines: as many as columns.
     focal_error : float
-        Relative: the true focal length is so much longer than the one told; not 0: told to be estimated.
+        Relative: the true focal length is so much longer than the one given; not 0: it is to be estimated.
     points : int
         On the ground, spread evenly at random.
     scene_size : float
@@ -73,7 +73,7 @@ class StereoOptions:
     ground_size : float
         m, side of the square on which the ground is known; 0: half as much again as the scene.
     dem_sigma : float
-        m; above 0 the points stand so far from the DEM, which is then told with this sigma.
+        m; above 0 the points stand so far from the DEM, which is then given with this sigma.
     sigma_px : float
         px per coordinate of a match: the noise that is given, and drawn.
     sigma_position : float
@@ -81,9 +81,9 @@ class StereoOptions:
     sigma_attitude : float
         rad per axis from shot to shot, likewise.
     noise_scale : float
-        How much larger the noise drawn is than the noise told; 0: none.
+        How much larger the noise drawn is than the noise given; 0: none.
     attitude_knowledge : str
-        "independent": attitudes told are those planned from true positions. "from-position": they are
+        "independent": attitudes given are those planned from true positions. "from-position": they are
         rebuilt from the noisy positions.
     jitter : str
         "white", or "harmonic": a mirror that swings with the same rms, about each axis with its own phase.
@@ -104,11 +104,11 @@ class StereoOptions:
     match_share : float
         Share of the points that are found in a shot.
     track_shots : (int, int)
-        Fewest and most shots in a row over which a point is tracked; (0, 0): all.
+        Fewest and most shots in a row over which a point is tracked; [0, 0]: all.
     missing_images : float
         Share of the images that were never taken.
     unpaired : bool
-        Sightings of a point by one camera alone are told too, and missed one by one.
+        Sightings of a point by one camera alone are given too, and missed one by one.
     scene_seed : int
         Of ground, points and signs; below 0: as the rest.
     """

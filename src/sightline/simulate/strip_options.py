@@ -114,8 +114,8 @@ class StripOptions:
         "ground_speed": (1.0, 1e5), "ifov": (1e-8, 1e-2), "line_period": (1e-6, 1.0), "lags": (-100.0, 100.0),
         "gains": (0.01, 3.0), "gammas": (0.1, 3.0), "coherence": (0.01, 1.0),
         "coherence_with_first": (0.01, 1.0), "snr": (0.1, 1e5), "contrast": (0.0, 10.0),
-        "mtf_nyquist": (1e-3, 0.9), "offset_sigma_px": (0.0, 1e3), "rotation_sigma": (0.0, 0.1), "scale_sigma": (0.0, 0.1),
-        "relief_rms": (0.0, 3000.0), "cloud_cover": (0.0, 0.95), "cloud_banks": (0, MOST_LINES),
+        "mtf_nyquist": (1e-3, 0.9), "offset_sigma_px": (0.0, 1e3), "rotation_sigma": (0.0, 0.1),
+        "scale_sigma": (0.0, 0.1), "relief_rms": (0.0, 3000.0), "cloud_cover": (0.0, 0.95), "cloud_banks": (0, MOST_LINES),
         "blank": (0, MOST_LINES),
     }  # fmt: skip
 

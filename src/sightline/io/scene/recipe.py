@@ -59,14 +59,14 @@ class SceneRecipe:
 
 
 def read_recipe(
-    kind: str, file: Path | None, settings: Sequence[str] = (), flags: Mapping[str, Any] | None = None
+    kind: str | None, file: Path | None, settings: Sequence[str] = (), flags: Mapping[str, Any] | None = None
 ) -> SceneRecipe:
     """The recipe that a file gives, with what is given in place of its keys.
 
     Parameters
     ----------
-    kind : str
-        One of `KINDS`.
+    kind : str or None
+        One of `KINDS`; None: that of the file, which must name one.
     file : Path or None
         A SCENE.toml; None: the first case of the kind.
     settings : sequence of str
@@ -87,6 +87,13 @@ def read_recipe(
     """
     asked = {name: value for name, value in (flags or {}).items() if value is not None}
     tables = {} if file is None else read_toml(file)
+    kind = kind or tables.get("kind")
+    if kind not in KINDS:
+        raise FormatError(
+            f"{file}: kind = {shown(kind)} is not known; allowed: {', '.join(KINDS)}"
+            if "kind" in tables
+            else f"{file}: key 'kind' is missing; allowed: {', '.join(KINDS)}"
+        )
     case = _case(kind, file, tables, asked.pop("case", None))
     family = next(one for one in FAMILIES if one.kind == kind and case in one.cases)
     model = scene_model(family.name)
@@ -210,6 +217,29 @@ def _is_list(annotation: Any) -> bool:
     """Whether a key holds a list."""
     origin = get_origin(annotation)
     return origin is tuple or any(_is_list(part) for part in get_args(annotation) if origin is not None)
+
+
+def describe_recipe(recipe: SceneRecipe) -> dict[str, Any]:
+    """A scene in words: `understood`, `missing` and `observable`, and the same as data.
+
+    Returns
+    -------
+    dict
+        As of the other files that `check` reads, with `kind`, `case`, `seed`, and `given`: options in place
+        of those of the case.
+    """
+    kind, given = recipe.family.kind, plain_options(recipe.options)
+    changed = {name: given[name] for name in given if name in recipe.given}
+    understood = [f"a scene for `sightline simulate {kind} --scene`: case {recipe.case}, seed {recipe.seed}"]
+    understood += [f"{name} = {_toml(value)}" for name, value in changed.items() if name != "detectors"]
+    understood += [f"detector {detector['name']}" for detector in changed.get("detectors", ())]
+    understood += [f"{name} = {_toml(value)}" for name, value in recipe.files.items()]
+    return {
+        "understood": understood,
+        "missing": [],
+        "observable": [f"make it, then check what `simulate {kind}` wrote"],
+        **{"kind": kind, "case": recipe.case, "seed": recipe.seed, "given": changed},
+    }
 
 
 def write_recipe(path: Path, recipe: SceneRecipe) -> Path:
