@@ -115,8 +115,8 @@ class StripOptions:
         "gains": (0.01, 3.0), "gammas": (0.1, 3.0), "coherence": (0.01, 1.0),
         "coherence_with_first": (0.01, 1.0), "snr": (0.1, 1e5), "contrast": (0.0, 10.0),
         "mtf_nyquist": (1e-3, 0.9), "offset_sigma_px": (0.0, 1e3), "rotation_sigma": (0.0, 0.1),
-        "scale_sigma": (0.0, 0.1), "relief_rms": (0.0, 3000.0), "cloud_cover": (0.0, 0.95), "cloud_banks": (0, MOST_LINES),
-        "blank": (0, MOST_LINES),
+        "scale_sigma": (0.0, 0.1), "relief_rms": (0.0, 3000.0), "cloud_cover": (0.0, 0.95),
+        "cloud_banks": (0, MOST_LINES), "blank": (0, MOST_LINES),
     }  # fmt: skip
 
     def __post_init__(self) -> None:
