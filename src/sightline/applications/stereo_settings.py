@@ -225,7 +225,7 @@ def setting_of_plan(plan: StereoPlan) -> Setting:
     )  # fmt: skip
 
 
-def _lattice(count: int) -> Array:
+def _even_places(count: int) -> Array:
     """Points (count, 2) spread evenly over the unit square: Fibonacci's lattice, any number of points."""
     n = np.arange(count)
     return np.column_stack([(n + 0.5) / count, np.mod((n + 0.5) * (np.sqrt(5.0) - 1.0) / 2.0, 1.0)])
@@ -236,7 +236,7 @@ def _square(pair: OrbitPair, size: float, count: int, ahead: Array) -> Array:
     up = pair.world_from_local.apply([0.0, 0.0, 1.0])
     along = ahead - (ahead @ up) * up
     along = along / np.linalg.norm(along)
-    flat = (_lattice(count) - 0.5) * size
+    flat = (_even_places(count) - 0.5) * size
     geodetic = to_geodetic(
         pair.aim_point + flat[:, :1] * along + flat[:, 1:] * np.cross(up, along), pair.radii
     )
@@ -298,7 +298,7 @@ def _laid_out(problem: StereoProblem) -> Setting:
     body = images.world_from_body[int(middle)] * problem.mounts[camera]
 
     def ground(count: int) -> Array:
-        pixels = _lattice(count) * np.array(detector.shape) - 0.5
+        pixels = _even_places(count) * np.array(detector.shape) - 0.5
         rays = body.apply(detector.directions(pixels))
         origins = np.tile(images.position[middle], (count, 1))
         points = surface.intersect(read_only(origins), read_only(rays))

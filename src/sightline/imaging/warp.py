@@ -9,6 +9,7 @@ Not here: the kernel (``resample.py``), registered products.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -16,6 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.compiled import njit
+from sightline.geometry.checks import read_only
+from sightline.geometry.interpolation import interpolate
 from sightline.imaging.resample import TAPS, fill_weights, kernel_table, sample_at
 from sightline.imaging.source import ImageSource
 
@@ -25,6 +28,8 @@ Array = NDArray[np.float64]
 REACH = TAPS // 2
 #: Change of a position against the regular grid within one interval up to which the fast path serves, px.
 SLACK = 0.25
+#: px between places where a map is computed exactly, where `lattice_map` makes it.
+_LATTICE = 8.0
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -107,6 +112,33 @@ def _warp(image, position, nodes, start, slack, table, out):  # type: ignore[no-
                 done = _fast_interval(image, l0, l1, c0, c1, first, last, table, w, v, out[i])
             if not done:
                 _slow_interval(image, l0, l1, c0, c1, first, last, table, wy, wx, out[i])
+
+
+def lattice_map(exact: Callable[[Array], Array]) -> Callable[[Array, Array], Array]:
+    """The mapping of a `WarpedImage` by cubics between places `_LATTICE` px apart: only there it is computed.
+
+    Parameters
+    ----------
+    exact : callable
+        Pixels (N, 2) of the grid to places (N, 2) in the source, smooth over some `_LATTICE`.
+    """
+
+    def mapping(lines: Array, columns: Array) -> Array:
+        rows, places = _lattice(lines), _lattice(columns)
+        grid = np.stack(np.meshgrid(rows, places, indexing="ij"), axis=-1).reshape(-1, 2)
+        along = interpolate(rows, exact(grid).reshape(len(rows), -1), read_only(lines))
+        turned = along.reshape(len(lines), len(places), 2).transpose(1, 0, 2).reshape(len(places), -1)
+        out = interpolate(places, np.ascontiguousarray(turned), read_only(columns))
+        return np.ascontiguousarray(out.reshape(len(columns), len(lines), 2).transpose(1, 0, 2))
+
+    return mapping
+
+
+def _lattice(places: Array) -> Array:
+    """Places `_LATTICE` px apart that enclose all of `places`."""
+    first, last = float(places.min()) - _LATTICE, float(places.max()) + _LATTICE
+    count = max(4, math.ceil((last - first) / _LATTICE) + 1)
+    return first + _LATTICE * np.arange(count, dtype=np.float64)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,12 +21,10 @@ from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.camera import FrameCamera
-from sightline.geometry.checks import read_only
-from sightline.geometry.interpolation import interpolate
 from sightline.geometry.surface import Surface
 from sightline.imaging.reduce import ReducedImage, reduced_pixels, whole_pixels
 from sightline.imaging.source import ArrayImage, ImageSource
-from sightline.imaging.warp import WarpedImage
+from sightline.imaging.warp import WarpedImage, lattice_map
 from sightline.matching import matches as codes
 from sightline.matching.displacement import DisplacementField
 from sightline.matching.match_images import match_images
@@ -45,9 +43,7 @@ _LONGEST_SEARCH = 16
 _FINE_SEARCH = 3
 #: Fewest windows along a side of the coarsest scale.
 _COARSE_WINDOWS = 3
-#: px between places where the map between two frames is computed exactly; cubic between them.
-_LATTICE = 8.0
-#: Columns between places where it is handed to the resampler.
+#: Columns between places where the map between two frames is handed to the resampler.
 _SPACING = 4
 #: Share of the windows tried that must agree with those around them, or the search is widened by the next of
 #: these factors of the pointing error.
@@ -320,19 +316,11 @@ class _Pair:
     def laid(self, scale: int) -> ImageSource:
         """The partner in the geometry of the hub, both reduced by `scale`."""
 
-        def mapping(lines: Array, columns: Array) -> Array:
-            rows, places = _lattice(lines), _lattice(columns)
-            grid = np.stack(np.meshgrid(rows, places, indexing="ij"), axis=-1).reshape(-1, 2)
-            exact = reduced_pixels(self.map(whole_pixels(grid, scale)), scale).reshape(
-                len(rows), len(places), 2
-            )
-            along = interpolate(rows, exact.reshape(len(rows), -1), read_only(lines))
-            turned = along.reshape(len(lines), len(places), 2).transpose(1, 0, 2).reshape(len(places), -1)
-            out = interpolate(places, np.ascontiguousarray(turned), read_only(columns))
-            return np.ascontiguousarray(out.reshape(len(columns), len(lines), 2).transpose(1, 0, 2))
+        def exact(pixels: Array) -> Array:
+            return reduced_pixels(self.map(whole_pixels(pixels, scale)), scale)
 
         lines, columns = _at_scale(self.hub, scale).shape
-        warped = WarpedImage(_at_scale(self.partner, scale), mapping, (lines, columns), _SPACING)
+        warped = WarpedImage(_at_scale(self.partner, scale), lattice_map(exact), (lines, columns), _SPACING)
         # windows and tiles read it again and again: one frame at a time is kept
         return ArrayImage(warped.read((0, lines), (0, columns)))
 
@@ -341,13 +329,6 @@ class _Pair:
         planned = self.partner_camera.project(self.hub_camera.locate(points, self.surface))
         field = DisplacementField(points, where - planned)
         return _Pair(self.hub, self.partner, self.hub_camera, self.partner_camera, self.surface, field)
-
-
-def _lattice(places: Array) -> Array:
-    """Places `_LATTICE` px apart that enclose all of `places`."""
-    first, last = float(places.min()) - _LATTICE, float(places.max()) + _LATTICE
-    count = max(4, int(np.ceil((last - first) / _LATTICE)) + 1)
-    return first + _LATTICE * np.arange(count, dtype=np.float64)
 
 
 def _at_scale(source: ImageSource, scale: int) -> ImageSource:

@@ -270,6 +270,19 @@ def sight_frames(
     )
 
 
+def rays_of(
+    images: Images, detectors: Sequence[AreaDetector], mounts: Sequence[Rotation], tracks: Tracks
+) -> Array:
+    """Directions (N, 3) in world axes of what was seen, by the planned poses; NaN where no light comes."""
+    camera = images.camera[tracks.image]
+    directions = np.empty((len(tracks), 3))
+    for number, (detector, mount) in enumerate(zip(detectors, mounts, strict=True)):
+        rows = camera == number
+        directions[rows] = detector.directions(tracks.pixels[rows]) @ mount.as_matrix().T
+    body = images.world_from_body.as_matrix()
+    return np.einsum("nij,nj->ni", body[tracks.image], directions)
+
+
 def stretched_sightings(sightings: Sightings, stretch: float) -> Sightings:
     """Sightings of a camera whose focal length was refined, in tangents of the one that was told.
 

@@ -1,4 +1,4 @@
-"""Two or more sightings of a point to its position, with covariance.
+"""Two or more sightings of a point to its position, with covariance; where planned rays meet.
 
 Each point by itself: weighted least squares of its residuals (px) under given poses. What is not known of the
 poses enters the covariance, not the weights.
@@ -19,6 +19,9 @@ from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.photogrammetry.block.pose_noise import PoseNoise, aim_sensitivity
 from sightline.photogrammetry.sightings import Index, Sightings, as_index, frames_of
 from sightline.photogrammetry.triangulate_kernels import meet, spread
+
+#: rad; rays that turn by less than this from image to image have no point in common.
+_PARALLEL = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +118,56 @@ def triangulate(
         as_index(point, "point"), None if shot is None else as_index(shot, "shot"), as_index(row, "row"),
         as_index(np.diff(begin), "count"), frozen(positions), frozen(covariance),
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Meeting:
+    """Where planned rays of each point meet, as near as they come.
+
+    Attributes
+    ----------
+    points : (n, 3)
+        m; NaN where rays are parallel.
+    miss : (N,)
+        rad; between each ray and the direction to its point; more than pi/2 behind the camera.
+    """
+
+    points: Array
+    miss: Array
+
+
+def meet_rays(origins: Array, directions: Array, point: Index, count: int) -> Meeting:
+    """Least-squares meeting of rays that share a point, all of one weight.
+
+    Parameters
+    ----------
+    origins, directions : (N, 3)
+        m; unit vectors.
+    point : (N,) int
+        Below `count`.
+    count : int
+    """
+    middle = origins.mean(axis=0)
+    o = origins - middle
+    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
+    seen = np.bincount(point, minlength=count).astype(np.float64)
+    share = np.maximum(seen, 1.0)[:, None]
+    normal = group_sums(across.reshape(-1, 9), point, count).reshape(-1, 3, 3) / share[:, None]
+    right = group_sums(np.einsum("nij,nj->ni", across, o), point, count) / share
+    crossing = np.linalg.eigvalsh(normal)[:, 0] > (_PARALLEL / 2.0) ** 2
+    points = np.full((count, 3), np.nan)
+    points[crossing] = np.linalg.solve(normal[crossing], right[crossing][:, :, None])[:, :, 0]
+    to = points[point] - o
+    distance = np.linalg.norm(to, axis=1)
+    along = np.einsum("ni,ni->n", to, directions)
+    across_m = np.linalg.norm(to - along[:, None] * directions, axis=1)
+    miss = np.where(distance > 0.0, np.arctan2(across_m, along), np.pi)
+    return Meeting(points + middle, miss)
+
+
+def group_sums(values: Array, group: Index, count: int) -> Array:
+    """Sums (count, k) of the rows of `values` (N, k) by group."""
+    return np.stack([np.bincount(group, column, count) for column in values.T], axis=1)
 
 
 def _rows(sightings: Sightings, by_shot: bool) -> tuple[Index, Index, Index | None]:

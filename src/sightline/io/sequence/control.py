@@ -23,10 +23,10 @@ from sightline.io.formats.tables import read_control_points
 from sightline.io.sequence.frames import FrameList
 from sightline.io.sequence.matched_rows import radii_of
 from sightline.io.sequence.schema import SequenceFile
-from sightline.io.stereo.checks import meet, rays_of
 from sightline.io.stereo.tables import check_inside, refuse_seen_twice
 from sightline.photogrammetry.block.point_priors import ControlPoints
-from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.photogrammetry.sightings import Images, Tracks, rays_of
+from sightline.photogrammetry.triangulate import meet_rays
 
 Array = NDArray[np.float64]
 
@@ -89,7 +89,7 @@ def placed_by_control(
     """
     # a frame is where the lines meet along which it sees its points
     look = rays_of(images, [detector], [mount], seen)
-    places = meet(control.position[seen.point], look, seen.image, len(images)).points
+    places = meet_rays(control.position[seen.point], look, seen.image, len(images)).points
     places = places[np.isfinite(places).all(axis=1)]
     if not len(places):
         return images

@@ -9,7 +9,6 @@ Not here: what can be observed (``photogrammetry/block/observability.py``).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -17,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import EstimationError, FormatError, GeometryError
-from sightline.geometry.instrument import AreaDetector
 from sightline.photogrammetry.sightings import Images, Tracks
+from sightline.photogrammetry.triangulate import Meeting, group_sums, meet_rays
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -27,76 +26,10 @@ Index = NDArray[np.intp]
 FAR = np.radians(5.0)
 #: rad beyond which linearised estimators lose digits: worth a warning.
 LARGE = np.radians(0.1)
-#: Conjugate rays that turn by less than this from image to image have no point in common (rad).
-PARALLEL = 1e-6
 #: Sigmas of position, and m, within which two cameras are at the same place.
 SAME_PLACE, SAME_PLACE_M = 3.0, 1e-3
 #: px, and sigmas of points, within which points lie on one line.
 ON_A_LINE, ON_A_LINE_PX = 5.0, 1.0
-
-
-@dataclass(frozen=True, eq=False)
-class Meeting:
-    """Where planned rays of each point meet, as near as they come.
-
-    Attributes
-    ----------
-    points : (n, 3)
-        m; NaN where rays are parallel.
-    miss : (N,)
-        rad; between each ray and the direction to its point; more than pi/2 behind the camera.
-    """
-
-    points: Array
-    miss: Array
-
-
-def rays_of(
-    images: Images, detectors: Sequence[AreaDetector], mounts: Sequence[Rotation], tracks: Tracks
-) -> Array:
-    """Directions (N, 3) in world axes of what was seen, by the planned poses; NaN where no light comes."""
-    camera = images.camera[tracks.image]
-    directions = np.empty((len(tracks), 3))
-    for number, (detector, mount) in enumerate(zip(detectors, mounts, strict=True)):
-        rows = camera == number
-        directions[rows] = detector.directions(tracks.pixels[rows]) @ mount.as_matrix().T
-    body = images.world_from_body.as_matrix()
-    return np.einsum("nij,nj->ni", body[tracks.image], directions)
-
-
-def meet(origins: Array, directions: Array, point: Index, count: int) -> Meeting:
-    """Least-squares meeting of rays that share a point.
-
-    Parameters
-    ----------
-    origins, directions : (N, 3)
-        m; unit vectors.
-    point : (N,) int
-        Below `count`.
-    count : int
-    """
-    middle = origins.mean(axis=0)
-    o = origins - middle
-    across = np.eye(3) - directions[:, :, None] * directions[:, None, :]
-    seen = np.bincount(point, minlength=count).astype(np.float64)
-    normal = (
-        _sums(across.reshape(-1, 9), point, count).reshape(-1, 3, 3) / np.maximum(seen, 1.0)[:, None, None]
-    )
-    right = _sums(np.einsum("nij,nj->ni", across, o), point, count) / np.maximum(seen, 1.0)[:, None]
-    told = np.linalg.eigvalsh(normal)[:, 0] > (PARALLEL / 2.0) ** 2
-    points = np.full((count, 3), np.nan)
-    points[told] = np.linalg.solve(normal[told], right[told][:, :, None])[:, :, 0]
-    to = points[point] - o
-    distance = np.linalg.norm(to, axis=1)
-    along = np.einsum("ni,ni->n", to, directions)
-    across_m = np.linalg.norm(to - along[:, None] * directions, axis=1)
-    miss = np.where(distance > 0.0, np.arctan2(across_m, along), np.pi)
-    return Meeting(points + middle, miss)
-
-
-def _sums(values: Array, group: Index, count: int) -> Array:
-    """Sums (count, k) of the rows of `values` (N, k) by group."""
-    return np.stack([np.bincount(group, column, count) for column in values.T], axis=1)
 
 
 def check_baseline(path: Path, names: Sequence[str], images: Images, sigma: float) -> None:
@@ -209,9 +142,9 @@ def check_spread(path: Path, camera: Index, tracks: Tracks) -> None:
     kept = seen >= 3
     if not kept.any():
         return
-    mean = _sums(tracks.pixels, group, groups) / np.maximum(seen, 1)[:, None]
+    mean = group_sums(tracks.pixels, group, groups) / np.maximum(seen, 1)[:, None]
     off = tracks.pixels - mean[group]
-    scatter = _sums(np.einsum("ni,nj->nij", off, off).reshape(-1, 4), group, groups).reshape(-1, 2, 2)
+    scatter = group_sums(np.einsum("ni,nj->nij", off, off).reshape(-1, 4), group, groups).reshape(-1, 2, 2)
     across = np.sqrt(np.maximum(np.linalg.eigvalsh(scatter[kept])[:, 0] / seen[kept], 0.0))
     least = ON_A_LINE * float(np.median(tracks.sigma_px)) + ON_A_LINE_PX
     if across.max() < least:
@@ -231,7 +164,7 @@ def boresights(images: Images, mounts: Sequence[Rotation]) -> Array:
 def aim_of(path: Path, images: Images, mounts: Sequence[Rotation]) -> Array:
     """Point (3,) nearest to all planned boresights; GeometryError where they do not converge."""
     looks = boresights(images, mounts)
-    meeting = meet(images.position, looks, np.zeros(len(images), dtype=np.intp), 1)
+    meeting = meet_rays(images.position, looks, np.zeros(len(images), dtype=np.intp), 1)
     if not np.isfinite(meeting.points).all():
         raise GeometryError(
             f"{path}: planned boresights are parallel: they have no common aim point; give [noise] "

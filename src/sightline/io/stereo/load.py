@@ -31,7 +31,6 @@ from sightline.io.stereo.checks import (
     check_aim,
     check_baseline,
     check_spread,
-    rays_of,
 )
 from sightline.io.stereo.points import block_of, check_points, ground_of, without_single
 from sightline.io.stereo.schema import StereoCamera, StereoFile
@@ -46,7 +45,7 @@ from sightline.io.stereo.tables import (
     read_poses,
 )
 from sightline.photogrammetry.block.pose_noise import PoseNoise
-from sightline.photogrammetry.sightings import Images
+from sightline.photogrammetry.sightings import Images, rays_of
 from sightline.result import set_source
 
 Array = NDArray[np.float64]

@@ -17,11 +17,12 @@ from sightline.geometry.surface import Dem, Surface
 from sightline.io.acquisition.acquired import InputFolder
 from sightline.io.acquisition.ground import exchanged_view_words, exchanged_words, inside_raster, surface_of
 from sightline.io.acquisition.platform import points_to_world
-from sightline.io.stereo.checks import check_directions, check_enough, meet
+from sightline.io.stereo.checks import check_directions, check_enough
 from sightline.io.stereo.schema import StereoFile
 from sightline.io.stereo.tables import ControlTable, PointTable, StereoPoseTable, check_inside, read_control
 from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior
 from sightline.photogrammetry.sightings import Tracks
+from sightline.photogrammetry.triangulate import meet_rays
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -172,7 +173,7 @@ def ground_of(
     places: Array | None = None
     if len(tracks):
         _check_light(path, looks, tracks)
-        meeting = meet(origins, looks, tracks.point, int(tracks.point.max()) + 1)
+        meeting = meet_rays(origins, looks, tracks.point, int(tracks.point.max()) + 1)
         try:
             warnings, places = check_directions(path, names, camera, meeting), meeting.points
         except GeometryError as error:

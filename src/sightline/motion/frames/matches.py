@@ -10,7 +10,6 @@ Not here: the first guess (``start.py``), sensitivities (``linear.py``), the est
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -18,11 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.geometry.camera import FrameCamera
-from sightline.geometry.checks import read_only
-from sightline.geometry.interpolation import interpolate
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ArrayImage, ImageSource
-from sightline.imaging.warp import WarpedImage
+from sightline.imaging.warp import WarpedImage, lattice_map
 from sightline.matching import matches as codes
 from sightline.matching.match_images import match_images
 from sightline.matching.whitening import Whitening
@@ -31,11 +28,9 @@ from sightline.motion.measure.windows import WindowGrid, predict_windows, window
 
 Array = NDArray[np.float64]
 
-#: px between places where the map between two frames is computed exactly; cubic between them.
-MAP_LATTICE = 8.0
-#: Columns between places where it is handed to the resampler, which goes in straight lines between: h px bias
-#: a window by about d h^2 / (6 f^2) for a displacement d and focal length f, 3e-4 px for d = 100, h = 4 and
-#: f = 1000.
+#: Columns between places where the map between two frames is handed to the resampler, which goes in straight
+#: lines between: h px bias a window by about d h^2 / (6 f^2) for a displacement d and focal length f, 3e-4 px
+#: for d = 100, h = 4 and f = 1000.
 MAP_SPACING = 4
 #: Fewest windows a pair must share to be matched at all.
 MIN_WINDOWS = 6
@@ -156,25 +151,10 @@ def laid_frame(
     """The partner's frame in the geometry of the hub, as far as the cameras know it."""
     source, target = cameras[hub], cameras[partner]
 
-    def exact(lines: Array, columns: Array) -> Array:
-        pixels = np.stack(np.meshgrid(lines, columns, indexing="ij"), axis=-1).reshape(-1, 2)
-        return target.project(source.locate(pixels, surface)).reshape(len(lines), len(columns), 2)
+    def exact(pixels: Array) -> Array:
+        return target.project(source.locate(pixels, surface))
 
-    def mapping(lines: Array, columns: Array) -> Array:
-        rows, places = _lattice(lines), _lattice(columns)
-        at_lines = interpolate(rows, exact(rows, places).reshape(len(rows), -1), read_only(lines))
-        turned = at_lines.reshape(len(lines), len(places), 2).transpose(1, 0, 2).reshape(len(places), -1)
-        out = interpolate(places, np.ascontiguousarray(turned), read_only(columns))
-        return np.ascontiguousarray(out.reshape(len(columns), len(lines), 2).transpose(1, 0, 2))
-
-    return WarpedImage(images[partner], mapping, images[hub].shape, MAP_SPACING)
-
-
-def _lattice(places: Array) -> Array:
-    """Places `MAP_LATTICE` px apart that enclose all of `places`."""
-    first, last = float(places.min()) - MAP_LATTICE, float(places.max()) + MAP_LATTICE
-    count = max(4, math.ceil((last - first) / MAP_LATTICE) + 1)
-    return first + MAP_LATTICE * np.arange(count, dtype=np.float64)
+    return WarpedImage(images[partner], lattice_map(exact), images[hub].shape, MAP_SPACING)
 
 
 def match_hub(
