@@ -22,6 +22,8 @@ from sightline.execution import (
     one_blas_thread,
     process,
     serial,
+    size_words,
+    time_words,
 )
 
 
@@ -277,3 +279,20 @@ def test_a_command_takes_one_thread_for_linear_algebra():
         [sys.executable, "-c", ask], env=environment, capture_output=True, text=True, check=True
     )
     assert ran.stdout.splitlines()[-1] == "{1}"
+
+
+def test_durations_and_sizes_are_in_the_unit_in_which_they_are_read():
+    times = (0.3, 59.2, 119.0, 120.0, 5400.0, 7200.0, 9000.0, 10 * 86400.0, 1e9)
+    assert [time_words(t) for t in times] == [
+        "0 s", "59 s", "119 s", "2 min", "90 min", "2 h", "2.5 h", "10 days", "32 years"
+    ]  # fmt: skip
+    sizes = (0, 1200, 2.5e6, 99e6, 0.12e9, 5.44e9, 123e9, 1.3e12)
+    assert [size_words(n) for n in sizes] == [
+        "0 kB", "2 kB", "2.5 MB", "99 MB", "0.12 GB", "5.4 GB", "123 GB", "1.3 TB"
+    ]  # fmt: skip
+    # where two sizes are compared, digits that tell them apart
+    assert [size_words(n, 3) for n in (1.234e9, 1.244e9, 2.0**70)] == [
+        "1.23 GB",
+        "1.24 GB",
+        "1,180,591,621 TB",
+    ]

@@ -19,7 +19,6 @@ from sightline.errors import InputError
 from sightline.io.formats.ccsds import write_aem
 from sightline.writing import (
     creation_date,
-    in_bytes,
     is_complete,
     must_fit,
     scratch_folder,
@@ -160,11 +159,9 @@ def test_a_picture_that_is_cut_is_none(tmp_path):
 
 
 def test_what_cannot_fit_is_refused_with_the_sizes(tmp_path):
-    with pytest.raises(InputError, match=rf"{tmp_path}: the cube needs .* GiB, .* are free; take less or"):
+    with pytest.raises(InputError, match=rf"{tmp_path}: the cube needs [0-9,]+ TB, .*B are free; take"):
         must_fit(tmp_path, 2**70, "the cube", "take less")
     must_fit(tmp_path, 1, "the cube", "take less")
-    sizes = (0, 1023, 2048, 5 * 2**19, 2**40)
-    assert [in_bytes(n) for n in sizes] == ["0 B", "1.02e+03 B", "2 KiB", "2.5 MiB", "1024.0 GiB"]
 
 
 def test_scratch_files_go_beside_the_result_unless_the_user_says_where(tmp_path, monkeypatch):

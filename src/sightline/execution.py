@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache, wraps
-from math import isfinite
+from math import ceil, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec, Protocol, Self, TypeVar
 
@@ -266,6 +266,27 @@ def machine_memory() -> float:
     with suppress(AttributeError, OSError, ValueError):  # not a POSIX system
         limits.append(float(os.sysconf("SC_PAGE_SIZE")) * float(os.sysconf("SC_PHYS_PAGES")))
     return min(limits, default=float("inf"))
+
+
+def time_words(seconds: float) -> str:
+    """A duration in the unit in which it is read: ``"3 min"``, ``"2.5 h"``."""
+    for unit, size in (("years", 365.25 * 86400.0), ("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * size:
+            return f"{_rounded(seconds / size, 2)} {unit}"
+    return f"{seconds:.0f} s"
+
+
+def size_words(size: float, digits: int = 2) -> str:
+    """A number of bytes in the unit in which it is read: ``"40 MB"``, ``"0.6 GB"``."""
+    for unit, many in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
+        if size >= (0.1 * many if unit == "GB" else many):
+            return f"{_rounded(size / many, digits)} {unit}"
+    return f"{ceil(size / 1e3)} kB"
+
+
+def _rounded(number: float, digits: int) -> str:
+    """To some digits, or to a whole number where that has more."""
+    return f"{number:,.0f}" if number >= 10**digits - 0.5 else f"{number:.{digits}g}"
 
 
 def silent(stage: str, done: int, total: int) -> None:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from sightline.errors import InputError
+from sightline.execution import size_words
 
 #: Environment variables by which a user says where scratch files go.
 _SCRATCH_VARIABLES = ("TMPDIR", "TEMP", "TMP")
@@ -195,18 +196,9 @@ def must_fit(folder: Path, size: int, what: str, advice: str) -> None:
     free = shutil.disk_usage(folder).free
     if size > free:
         raise InputError(
-            f"{folder}: {what} needs {in_bytes(size)}, {in_bytes(free)} are free; {advice} or give another "
-            "folder"
+            f"{folder}: {what} needs {size_words(size, 3)}, {size_words(free, 3)} are free; {advice} or give "
+            "another folder"
         )
-
-
-def in_bytes(size: float) -> str:
-    """A size in the unit that suits it."""
-    for unit in ("B", "KiB", "MiB"):
-        if size < 1024.0:
-            return f"{size:.3g} {unit}"
-        size /= 1024.0
-    return f"{size:.1f} GiB"
 
 
 @contextmanager

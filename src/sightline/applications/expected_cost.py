@@ -8,7 +8,6 @@ Not here: what single keys may hold (``io/quantities.py``).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -16,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sightline.errors import InputError
-from sightline.execution import machine_memory
+from sightline.execution import machine_memory, size_words, time_words
 from sightline.motion.frames.errors import HELD
 from sightline.motion.layout.search import EXHAUSTIVE, MOST_CELLS, choices, expected_trials
 from sightline.motion.measure.windows import window_grid
@@ -66,7 +65,7 @@ class Cost:
     @property
     def words(self) -> str:
         """``"some 3 min of a processor and 0.6 GB of memory, for 30,000 columns x ..."``."""
-        time, size = time_words(self.seconds), size_words(self.bytes)
+        time, size = time_words(max(self.seconds, 1.0)), size_words(self.bytes)
         return f"some {time} of a processor and {size} of memory, for {self.of}"
 
     @property
@@ -94,23 +93,6 @@ class Cost:
             raise InputError(
                 f"{self.of} would take {time_words(self.seconds)} of a processor; give less at once"
             )
-
-
-def time_words(seconds: float) -> str:
-    """A duration in the unit in which it is read."""
-    for unit, size in (("years", 365.25 * 86400.0), ("days", 86400.0), ("h", 3600.0), ("min", 60.0)):
-        if seconds >= 2.0 * size:
-            return (
-                f"{seconds / size:,.2g} {unit}" if seconds < 1000 * size else f"{seconds / size:,.0f} {unit}"
-            )
-    return f"{max(math.ceil(seconds), 1)} s"
-
-
-def size_words(size: float) -> str:
-    """A number of bytes in the unit in which it is read."""
-    if size >= 1e12:
-        return f"{size / 1e12:,.3g} TB"
-    return f"{size / 1e9:.2g} GB" if size >= 1e8 else f"{max(size / 1e6, 1.0):.0f} MB"
 
 
 def search_cost(candidates: Candidates, noise: RowNoise) -> Cost:

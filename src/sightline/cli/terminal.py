@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Protocol
 
 from sightline.errors import UnobservableBandWarning, printable, shortened
+from sightline.execution import time_words
 
 if TYPE_CHECKING:
     from sightline.applications.expected_cost import Cost
@@ -62,7 +63,7 @@ class _Log:
     def _finish(self) -> None:
         took = time.monotonic() - self._begun
         if self._stage and took >= _WORTH_A_LINE:
-            _progress_line(f"{self._stage}: {_duration(took)}")
+            _progress_line(f"{self._stage}: {time_words(took)}")
 
     def _tell_now_and_then(self) -> None:
         while not self._ended.wait(_EVERY):
@@ -72,28 +73,19 @@ class _Log:
     def _under_way(self) -> str:
         """How far the stage has come, and the time left by its pace so far."""
         took, done = time.monotonic() - self._begun, self._done - self._first
-        text = f"{self._stage}: {_duration(took)} so far"
+        text = f"{self._stage}: {time_words(took)} so far"
         if self._total <= 1:
             return text
         text += f", {self._done} of {self._total}"
         if done <= 0 or self._done >= self._total:
             return text
-        return f"{text}, about {_duration(took * (self._total - self._done) / done)} left"
+        return f"{text}, about {time_words(took * (self._total - self._done) / done)} left"
 
 
 def _progress_line(text: str) -> None:
     """Say how far a run is; one that nobody reads any more goes on."""
     with suppress(OSError, ValueError):
         complain("progress", text)
-
-
-def _duration(seconds: float) -> str:
-    """Whole seconds, minutes from two on, hours from two on."""
-    if seconds < 120.0:
-        return f"{seconds:.0f} s"
-    if seconds < 7200.0:
-        return f"{seconds / 60.0:.0f} min"
-    return f"{seconds / 3600.0:.1f} h"
 
 
 @contextmanager

@@ -22,10 +22,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from sightline.errors import InputError, SightlineError
+from sightline.execution import size_words
 from sightline.inputs import Inputs, changed_error, noted
 from sightline.output.lock import LOCK, Lock, take
 from sightline.output.publish import JOURNAL, NEW, OLD, kind_of, publish, roll_back
-from sightline.writing import creation_date, in_bytes, scratch_in
+from sightline.writing import creation_date, scratch_in
 
 #: In the folder: finished stages of a long run, kept until it has ended well.
 PARTIAL, STAGES = ".partial", "stages"
@@ -355,7 +356,9 @@ def _advice(error: OSError, path: Path) -> str:
     words = f"({error.strerror or error})"
     place = next((p for p in (path, *path.parents) if os.path.exists(p)), Path())
     with suppress(OSError):
-        words += f"; without the files of this run {in_bytes(shutil.disk_usage(place).free)} are free there"
+        words += (
+            f"; without the files of this run {size_words(shutil.disk_usage(place).free, 3)} are free there"
+        )
     return f"{words}; make room, or give a folder on another disk with --out"
 
 

@@ -99,7 +99,7 @@ def test_what_cannot_be_written_is_told_before_work_starts(tmp_path, monkeypatch
     with pytest.raises(InputError, match="which is not installed; run `pip install zarr`"):
         CubeFolder(tmp_path, ["zarr"])
     grid = CubeGrid(MapSystem(), 0.0, 0.0, 1e-3, (10**8, 10**8))
-    with pytest.raises(InputError, match="GiB are free"):
+    with pytest.raises(InputError, match="GB are free"):
         CubeFolder(tmp_path).begin(grid, frame_bands((20, 20)))
     assert not list(tmp_path.iterdir())
 

@@ -14,7 +14,7 @@ from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.io.camera_schema import field_of_view
 from sightline.io.formats.ccsds import epoch_words
 from sightline.io.sequence.load import FrameSequence
-from sightline.io.sequence.outlook import map_words, overlap_words, program_words, time_words
+from sightline.io.sequence.outlook import cadence_words, map_words, overlap_words, program_words
 from sightline.io.whereabouts import flight_words
 from sightline.photogrammetry.flight.problem import SequenceProblem, seen_ground
 
@@ -67,7 +67,7 @@ def _understood(sequence: FrameSequence) -> list[str]:
         )
         if len(steps):
             said.append(f"frames are {float(np.median(steps)):.4g} m apart, by the rough positions")
-    said += time_words(problem)
+    said += cadence_words(problem)
     if problem.readout_time > 0.0:
         said.append(f"rolling shutter: {problem.readout_time:g} s from the first line to the last")
     for what, sigma, bias, unit in (

@@ -12,6 +12,7 @@ import numpy as np
 
 from sightline.applications.cube_outlook import expected_cube
 from sightline.errors import InputError
+from sightline.execution import size_words
 from sightline.geometry.surface import Dem, Ellipsoid, Plane
 from sightline.io.results.cube_summary import check_bands, cube_plan
 from sightline.io.sequence.load import FrameSequence
@@ -35,7 +36,7 @@ LISTED = 3
 _FEW = 3
 
 
-def time_words(problem: SequenceProblem) -> list[str]:
+def cadence_words(problem: SequenceProblem) -> list[str]:
     """Stretches and gaps."""
     times, names = times_of(problem.t), problem.frames
     if not np.isfinite(times.step):
@@ -116,7 +117,7 @@ def map_words(sequence: FrameSequence) -> list[str]:
     size = 4.0 * rows * columns * len(layout) * len(cube.formats)
     return [
         f"maps of {bands} of {rows} rows x {columns} columns of {grid.gsd:.3g} m: some "
-        f"{_bytes(size)} as {', '.join(cube.formats)} before compression (--poses-only: none)"
+        f"{size_words(size)} as {', '.join(cube.formats)} before compression (--poses-only: none)"
         + _by_ground(problem),
         f"heights of the maps: {_heights(sequence)}",
     ]
@@ -139,10 +140,6 @@ def _heights(sequence: FrameSequence) -> str:
     if sequence.cube.surface == "model":
         return "those of the points that are found, as [cube] surface asks for"
     return f"those of the points that are found, or those {given} if points meet them as well"
-
-
-def _bytes(size: float) -> str:
-    return f"{size / 1e9:.2g} GB" if size >= 1e9 else f"{max(size / 1e6, 1.0):.0f} MB"
 
 
 def program_words(sequence: FrameSequence) -> list[str]:
