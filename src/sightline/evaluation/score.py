@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError, SpanError, computes
+from sightline.evaluation.consistency import consistency
 from sightline.geometry.checks import as_points, as_times, same_length
 from sightline.geometry.trajectory import Motion
 from sightline.result import Result, makes_result
@@ -28,9 +29,6 @@ if TYPE_CHECKING:  # reading a folder's score needs none of what made it
 Array = NDArray[np.float64]
 
 AXES = ("roll", "pitch", "yaw")
-
-#: Two-sided 95 % point of the normal distribution.
-Z95 = 1.959963984540054
 
 #: Part of a hidden direction from which what it brings on another axis is named; of its power that a straight
 #: line, or a parabola, must explain to be called so.
@@ -303,27 +301,18 @@ def effective_samples(x: Array) -> float:
 
 def _score_axis(error: Array, sigma: Array, unit: str, scale: float) -> AxisScore:
     normalised = error / sigma
-    nees = float(np.mean(normalised**2))
-    samples = effective_samples(normalised)
-    low, high = _chi_square_mean(samples)
+    stated = consistency(normalised, effective_samples(normalised))
     return AxisScore(
         unit=unit,
         rms=float(np.sqrt(np.mean(error**2))) * scale,
         max=float(np.abs(error).max()) * scale,
         sigma=float(np.sqrt(np.mean(sigma**2))) * scale,
-        nees=nees,
-        effective_samples=samples,
-        nees_low=low,
-        nees_high=high,
-        coverage_95=float(np.mean(np.abs(normalised) <= Z95)),
+        nees=stated.nees,
+        effective_samples=stated.samples,
+        nees_low=stated.nees_low,
+        nees_high=stated.nees_high,
+        coverage_95=stated.coverage_95,
     )
-
-
-def _chi_square_mean(samples: float) -> tuple[float, float]:
-    """Range that holds the mean of `samples` squared normal numbers 95 times in 100 (Wilson and Hilferty)."""
-    spread = 2.0 / (9.0 * samples)
-    low, high = (max(1.0 - spread + sign * Z95 * math.sqrt(spread), 0.0) ** 3 for sign in (-1.0, 1.0))
-    return low, high
 
 
 def _units(ifov: float | None, half_field_px: float | None) -> list[tuple[str, float]]:

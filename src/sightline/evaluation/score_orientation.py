@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
+from sightline.evaluation.consistency import consistency, squares_over_covariance
 from sightline.evaluation.direction_words import AXES
-from sightline.evaluation.score import Z95
 from sightline.geometry.units import ARCSEC
 
 Array = NDArray[np.float64]
@@ -61,7 +61,7 @@ def score_orientation(
     }
     some = error[known] / ARCSEC
     count = int(known.sum())
-    low, high = _chi_square_range(count)
+    stated = consistency(scaled[known])
     return {
         "cameras": rows,
         "rms_arcsec": float(np.sqrt((some**2).mean())),
@@ -69,9 +69,9 @@ def score_orientation(
         "nees": None if covariance is None else _nees(error, known, covariance),
         "nees_independent": float((scaled[known] ** 2).sum()),
         "expected": count,
-        "nees_low": low,
-        "nees_high": high,
-        "coverage_95": float((np.abs(scaled[known]) <= Z95).mean()),
+        "nees_low": count * stated.nees_low,
+        "nees_high": count * stated.nees_high,
+        "coverage_95": stated.coverage_95,
         "not_observable": [
             f"{axis}_{camera}"
             for c, camera in enumerate(cameras)
@@ -86,15 +86,8 @@ def _nees(error: Array, known: NDArray[np.bool_], covariance: Array) -> float:
     rows = np.flatnonzero(known.ravel())
     some = np.asarray(error).ravel()[rows]
     try:
-        return float(some @ np.linalg.solve(covariance[np.ix_(rows, rows)], some))
+        return float(squares_over_covariance(some[None], covariance[np.ix_(rows, rows)][None])[0])
     except np.linalg.LinAlgError:
         raise InputError(
             "the covariance of the angles is singular: it claims that a combination of them is known exactly"
         ) from None
-
-
-def _chi_square_range(count: int) -> tuple[float, float]:
-    """Where a chi-square variable of so many degrees of freedom falls 95 times in 100."""
-    from scipy.stats import chi2
-
-    return float(chi2.ppf(0.025, count)), float(chi2.ppf(0.975, count))

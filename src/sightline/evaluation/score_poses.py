@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
-from sightline.evaluation.score import Z95
+from sightline.evaluation.consistency import consistency, squares_over_covariance
 
 Array = NDArray[np.float64]
 
@@ -194,11 +194,11 @@ def _entries(errors: Array, sigma: Array | None, covariance: Array | None) -> di
         }
         known = None if sigma is None else np.isfinite(sigma[:, k]) & (sigma[:, k] > 0.0)
         if sigma is not None and known is not None and known.any():
-            scaled = errors[known, k] / sigma[known, k]
+            stated = consistency(errors[known, k] / sigma[known, k])
             entry |= {
                 "sigma": float(np.sqrt((sigma[known, k] ** 2).mean())),
-                "nees": float((scaled**2).mean()),
-                "coverage_95": float((np.abs(scaled) <= Z95).mean()),
+                "nees": stated.nees,
+                "coverage_95": stated.coverage_95,
             }
         out[name] = entry
     if covariance is not None:
@@ -210,7 +210,6 @@ def _entries(errors: Array, sigma: Array | None, covariance: Array | None) -> di
 def _nees(errors: Array, covariance: Array) -> float | None:
     """Mean squared error in units of the covariance."""
     try:
-        whole = np.linalg.solve(covariance, errors[:, :, None])[:, :, 0]
+        return float(squares_over_covariance(errors, covariance).mean())
     except np.linalg.LinAlgError:
         return None
-    return float(np.einsum("mi,mi->m", errors, whole).mean())
