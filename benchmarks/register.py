@@ -34,7 +34,7 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "src"))
 
 from sightline.execution import available_processors, in_threads  # noqa: E402
-from sightline.products.resample import kernel_table, resample_rows  # noqa: E402
+from sightline.products.resample import product_kernel, resample_rows  # noqa: E402
 
 Array = np.ndarray
 MTF_AT_NYQUIST, OUTER_SCALE = 0.15, 1800.0
@@ -297,7 +297,7 @@ def main() -> None:
     for general in (False, True):  # compile before the clock runs
         position, nodes = places(512, (np.zeros(512), np.zeros(512)), general)
         resample_rows(
-            warm, position[:4] - [10, 0], nodes, np.empty((4, 512), np.float32), table=kernel_table()
+            warm, position[:4] - [10, 0], nodes, np.empty((4, 512), np.float32), table=product_kernel()
         )
     both_cases(given.size, threads, not given.no_spline)
     errors_by_cut(min(given.size, 2048))

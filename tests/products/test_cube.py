@@ -17,7 +17,7 @@ from sightline.products.cube_kernels import PHASES, fill_bands, place_weights, s
 from sightline.products.cube_tally import CubePicture, picture_factor
 from sightline.products.frame_cube import FilledTile, Tile, line_gain
 from sightline.products.ground_model import GroundModel, fit_ground
-from sightline.products.resample import BEFORE, TAPS, delay_weights
+from sightline.products.resample import BEFORE, TAPS, product_weights
 
 
 @pytest.mark.parametrize(
@@ -35,7 +35,7 @@ def test_weights_keep_a_wave_up_to_the_border_of_the_frame(place, worst):
 def test_weights_in_the_middle_are_those_of_all_products():
     fraction = np.array([0.0, 0.25, 0.5])
     rows = np.round((BEFORE + fraction) * PHASES).astype(int)
-    assert place_weights()[rows] == pytest.approx(delay_weights(fraction), abs=2e-3)
+    assert place_weights()[rows] == pytest.approx(product_weights(fraction), abs=2e-3)
 
 
 def own_lines(layout):

@@ -13,7 +13,7 @@ from sightline.products.register_bands import (
     band_map,
     line_blocks,
 )
-from sightline.products.resample import delay_weights
+from sightline.products.resample import product_weights
 
 SHAPE = (96, 120)
 
@@ -64,7 +64,7 @@ def test_the_mask_grows_by_what_the_kernel_weighs_too_much(pixels):
     unusable[40, 50] = True
     spoiled = np.where(unusable, np.float32(1e6), pixels)
     seen = whole(RegisteredImage(ArrayImage(spoiled, unusable), shifted(0.5, 0.0), SHAPE))
-    weights = np.abs(delay_weights(np.array([0.5])))[0]
+    weights = np.abs(product_weights(np.array([0.5])))[0]
     assert np.isnan(seen[20:70, 50]).sum() == (weights > MASK_SHARE).sum()
     assert not np.isnan(seen[20:70, [48, 49, 51, 52]]).any()
     clean = whole(RegisteredImage(ArrayImage(pixels), shifted(0.5, 0.0), SHAPE))

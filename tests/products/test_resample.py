@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sightline.products import resample
-from sightline.products.resample import BEFORE, TAPS, delay_weights, kernel_table, resample_rows
+from sightline.products.resample import BEFORE, TAPS, product_kernel, product_weights, resample_rows
 
 SIZE, PAD = 256, 24
 
@@ -64,7 +64,7 @@ def by_definition(image, position, nodes):
     out = np.empty((len(position), len(j)))
     for i, row in enumerate(position):
         line, column = (np.interp(j, nodes, row[:, k]) for k in (0, 1))
-        wy, wx = delay_weights(line % 1.0), delay_weights(column % 1.0)
+        wy, wx = product_weights(line % 1.0), product_weights(column % 1.0)
         reach = np.arange(TAPS) - BEFORE
         rows, columns = (
             np.floor(line).astype(int)[:, None] + reach,
@@ -79,7 +79,7 @@ def rms(values):
 
 
 def test_weights_sum_to_one_and_a_whole_pixel_is_itself():
-    weights = delay_weights(np.linspace(0.0, 1.0, 11))
+    weights = product_weights(np.linspace(0.0, 1.0, 11))
     np.testing.assert_allclose(weights.sum(axis=1), 1.0, atol=1e-9)
     itself = np.zeros(TAPS)
     itself[BEFORE] = 1.0
@@ -89,7 +89,7 @@ def test_weights_sum_to_one_and_a_whole_pixel_is_itself():
 
 def test_weights_are_symmetric():
     np.testing.assert_allclose(
-        delay_weights(np.array([0.3])), delay_weights(np.array([0.7]))[:, ::-1], atol=1e-9
+        product_weights(np.array([0.3])), product_weights(np.array([0.7]))[:, ::-1], atol=1e-9
     )
 
 
@@ -97,7 +97,7 @@ def test_weights_are_symmetric():
 def test_a_wave_within_the_band_comes_through(frequency, most):
     """LANCZOS4 with its table of 32 phases leaves 1e-2, 2e-2, 4e-2 and 0.2 of these."""
     d, k = np.linspace(0.0, 1.0, 21), np.arange(TAPS) - BEFORE
-    seen = delay_weights(d) @ np.exp(2j * np.pi * frequency * k)
+    seen = product_weights(d) @ np.exp(2j * np.pi * frequency * k)
     assert np.abs(seen - np.exp(2j * np.pi * frequency * d)).max() < most
 
 
@@ -155,12 +155,12 @@ def test_magnitudes_of_weights_of_flags():
     flags[32, 32] = 1.0
     position = np.array([[[32.0, 20.25], [32.0, 44.25]]])
     out = np.empty((1, 24), np.float32)
-    resample_rows(flags, position, np.array([0, 24]), out, table=kernel_table(absolute=True))
-    weights = np.abs(delay_weights(np.array([0.25])))[0]
+    resample_rows(flags, position, np.array([0, 24]), out, table=product_kernel(absolute=True))
+    weights = np.abs(product_weights(np.array([0.25])))[0]
     expected = [weights[k] if 0 <= (k := 32 - (20 + j) + BEFORE) < TAPS else 0.0 for j in range(24)]
     np.testing.assert_allclose(out[0], expected, atol=2e-6)
 
 
 def test_the_table_reaches_as_far_as_a_stretch_may_ask():
-    margin = (len(kernel_table()) - 1 - resample.PHASES) // 2
+    margin = (len(product_kernel()) - 1 - resample.PHASES) // 2
     assert margin / resample.PHASES > resample.PARABOLA

@@ -6,6 +6,7 @@ image carries. Not the resampling of whole products: that is in `sightline.produ
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -13,7 +14,15 @@ from numpy.typing import NDArray
 
 from sightline.compiled import njit
 
-__all__ = ["PHASES", "TAPS", "delay_weights", "kernel_table", "sample", "weights_of_sum_one"]
+__all__ = [
+    "PHASES",
+    "TAPS",
+    "delay_weights",
+    "kernel_table",
+    "natural_correlation",
+    "sample",
+    "weights_of_sum_one",
+]
 
 TAPS = 8
 """Taps of the kernel along each axis; the sample lies between taps 3 and 4."""
@@ -23,7 +32,7 @@ PHASES = 256
 
 
 def delay_weights(
-    fractions: NDArray[np.float64], taps: int = TAPS, band: float = 0.38
+    fractions: NDArray[np.float64], taps: int = TAPS, band: float = 0.38, *, natural: bool = False
 ) -> NDArray[np.float64]:
     """Interpolation weights for positions between two samples.
 
@@ -35,6 +44,8 @@ def delay_weights(
         Number of taps, even.
     band : float
         Highest frequency (cycles per sample) that must come through faithfully.
+    natural : bool
+        Frequencies count by the power that natural ground has there (`natural_correlation`); else all alike.
 
     Returns
     -------
@@ -42,8 +53,9 @@ def delay_weights(
 
     Notes
     -----
-    Row d minimises the integral over |f| < band of ``|sum_k w_k exp(2i pi f k) - exp(2i pi f d)|^2`` under
-    ``sum w = 1``: normal matrix ``2 band sinc(2 band (k - l))``, right side ``2 band sinc(2 band (k - d))``.
+    Row d minimises the integral over |f| < band of ``|sum_k w_k exp(2i pi f k) - exp(2i pi f d)|^2 S(f)``
+    under ``sum w = 1``: the normal matrix is the autocorrelation of S at ``k - l``, the right side at
+    ``k - d``; ``2 band sinc(2 band lag)`` where S is flat.
 
     Examples
     --------
@@ -52,9 +64,30 @@ def delay_weights(
     np.float64(1.0)
     """
     k = np.arange(taps, dtype=np.float64) - (taps // 2 - 1)
-    normal = 2 * band * np.sinc(2 * band * (k[:, None] - k[None, :]))
-    right = 2 * band * np.sinc(2 * band * (k[:, None] - np.asarray(fractions, dtype=np.float64)[None, :]))
-    return weights_of_sum_one(normal + 1e-9 * np.eye(taps), right)
+
+    def flat(lag: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(2 * band * np.sinc(2 * band * lag))
+
+    correlation, least = (natural_correlation(band, 400), 1e-13) if natural else (flat, 1e-9)
+    right = correlation(k[:, None] - np.asarray(fractions, dtype=np.float64)[None, :])
+    return weights_of_sum_one(correlation(k[:, None] - k[None, :]) + least * np.eye(taps), right)
+
+
+def natural_correlation(band: float, nodes: int) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Autocorrelation, by lag in samples, of natural ground up to a frequency.
+
+    Its power falls with 1/f^2 and is flat below 1/200 cycles per sample; `nodes` of Gauss's quadrature up to
+    `band` (cycles per sample).
+    """
+    at, share = np.polynomial.legendre.leggauss(nodes)
+    f = 0.5 * band * (at + 1.0)
+    power = share / (f + 1.0 / 200.0) ** 2
+    power /= power.sum()
+
+    def correlation(lag: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(np.cos(2.0 * np.pi * lag[..., None] * f) @ power)
+
+    return correlation
 
 
 def weights_of_sum_one(normal: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sightline.compiled import njit
 from sightline.geometry.camera_kernels import brown
-from sightline.imaging.resample import weights_of_sum_one
+from sightline.imaging.resample import natural_correlation, weights_of_sum_one
 from sightline.products.resample import BAND, TAPS
 
 Array = NDArray[np.float64]
@@ -36,16 +36,9 @@ def place_weights() -> Array32:
     the ends, for places near the border of an image, they are as true as taps on one side can be without
     doubling the noise.
     """
-    nodes, share = np.polynomial.legendre.leggauss(200)
-    f = 0.5 * BAND * (nodes + 1.0)
-    power = share / (f + 1.0 / 200.0) ** 2
-    power /= power.sum()
+    correlation = natural_correlation(BAND, 200)
     taps = np.arange(TAPS, dtype=np.float64)
     places = np.arange((TAPS - 1) * PHASES + 1) / PHASES
-
-    def correlation(lag: Array) -> Array:
-        return np.asarray(np.cos(2.0 * np.pi * lag[..., None] * f) @ power)
-
     right = correlation(taps[:, None] - places[None, :])
     normal = correlation(taps[:, None] - taps[None, :])
     best = np.zeros((len(places), TAPS))

@@ -20,7 +20,7 @@ from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
 from sightline.products.image_map import Mapping, sample_map
-from sightline.products.resample import BEFORE, TAPS, kernel_table, resample_rows
+from sightline.products.resample import BEFORE, TAPS, product_kernel, resample_rows
 
 Array = NDArray[np.float64]
 Pixels = NDArray[np.float32]
@@ -204,7 +204,7 @@ def _blank_masked(values: Pixels, bad: NDArray[np.bool_], position: Array, nodes
             position[:, m : m + 2],
             nodes[m : m + 2] - nodes[m],
             share,
-            table=kernel_table(absolute=True),
+            table=product_kernel(absolute=True),
         )
         values[:, nodes[m] : nodes[m + 1]][share > MASK_SHARE] = np.nan
 

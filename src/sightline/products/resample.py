@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.compiled import njit
-from sightline.imaging.resample import weights_of_sum_one
+from sightline.imaging.resample import delay_weights
 
-__all__ = ["BEFORE", "TAPS", "delay_weights", "kernel_table", "resample_rows"]
+__all__ = ["BEFORE", "TAPS", "product_kernel", "product_weights", "resample_rows"]
 
 Array = NDArray[np.float64]
 
@@ -45,49 +45,19 @@ STRETCH, SHORTEST = 64, 8
 STEEP = 1.0 / 16.0
 
 
-def delay_weights(fractions: Array, taps: int = TAPS, band: float = BAND) -> Array:
-    """Interpolation weights for places between two samples.
-
-    Parameters
-    ----------
-    fractions : (N,)
-        Place after the tap number ``taps/2 - 1``, in samples, 0 to 1.
-    taps : int
-        Number of taps, even.
-    band : float
-        Highest frequency (cycles per sample) that must come through faithfully.
-
-    Returns
-    -------
-    (N, taps) weights, each row of sum 1; a fraction of 0 is that sample itself.
-
-    Notes
-    -----
-    Row d minimises the integral over f < band of ``|sum_k w_k exp(2i pi f k) - exp(2i pi f d)|^2 S(f)`` under
-    ``sum w = 1``, with S the 1/f^2 power of natural ground, flat below 1/200 cycles per sample.
-    """
-    nodes, share = np.polynomial.legendre.leggauss(400)
-    f = 0.5 * band * (nodes + 1.0)
-    power = share / (f + 1.0 / 200.0) ** 2
-    power /= power.sum()
-    k = np.arange(taps, dtype=np.float64) - (taps // 2 - 1)
-
-    def correlation(lag: Array) -> Array:
-        return np.asarray(np.cos(2.0 * np.pi * lag[..., None] * f) @ power)
-
-    normal = correlation(k[:, None] - k[None, :]) + 1e-13 * np.eye(taps)
-    right = correlation(k[:, None] - np.asarray(fractions, dtype=np.float64)[None, :])
-    return weights_of_sum_one(normal, right)
+def product_weights(fractions: Array) -> Array:
+    """Weights (N, TAPS) of places so far (N,), in samples, after tap `BEFORE`; a fraction of 0 is that sample."""
+    return delay_weights(fractions, TAPS, BAND, natural=True)
 
 
 @cache
-def kernel_table(*, absolute: bool = False) -> NDArray[np.float32]:
+def product_kernel(*, absolute: bool = False) -> NDArray[np.float32]:
     """Weights for `resample_rows`, float32, read-only: row p is the fraction (p - MARGIN) / PHASES.
 
     Fractions run a little beyond 0 and 1, because weights of a stretch begin where its middle does. With
     `absolute` their magnitudes: what they give of an image of flags is how much flagged pixels weigh.
     """
-    weights = delay_weights(np.arange(-MARGIN, PHASES + MARGIN + 1) / PHASES)
+    weights = product_weights(np.arange(-MARGIN, PHASES + MARGIN + 1) / PHASES)
     table = (np.abs(weights) if absolute else weights).astype(np.float32)
     table.setflags(write=False)
     return table
@@ -320,7 +290,7 @@ def resample_rows(
     out : (rows, columns) float32
         Written.
     table : (PHASES + 2 MARGIN + 1, TAPS) float32, optional
-        Weights; those of `kernel_table` by default.
+        Weights; those of `product_kernel` by default.
 
     Notes
     -----
@@ -328,7 +298,7 @@ def resample_rows(
     columns of v. For smooth maps that is the two-dimensional kernel but for a shear of the spectrum by the
     slope of the row of places, at most `STEEP`.
     """
-    weights = kernel_table() if table is None else table
+    weights = product_kernel() if table is None else table
     _resample_rows(
         np.ascontiguousarray(image, dtype=np.float32),
         np.ascontiguousarray(position, dtype=np.float64),
