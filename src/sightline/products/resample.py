@@ -46,7 +46,7 @@ STEEP = 1.0 / 16.0
 
 
 def product_weights(fractions: Array) -> Array:
-    """Weights (N, TAPS) of places so far (N,), in samples, after tap `BEFORE`; a fraction of 0 is that sample."""
+    """Weights (N, TAPS) of places so far after tap `BEFORE`, (N,) in samples; at 0 that sample itself."""
     return delay_weights(fractions, TAPS, BAND, natural=True)
 
 
