@@ -31,10 +31,10 @@ from sightline.applications.focal_plane import (
 )
 from sightline.estimation.evidence import posterior
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.series import Grid, normal_equations
+from sightline.estimation.series import Grid, series_equations
 from sightline.estimation.split import split
 from sightline.motion.estimators.differences import AngleDifferences
-from sightline.motion.estimators.smoother import scalar_series, smooth
+from sightline.motion.estimators.smoother import axis_series, smooth
 from sightline.motion.layout.information import RowNoise
 from sightline.motion.layout.search import Candidates, search_layouts
 from sightline.motion.layout.sigma import harmonic_sigma, smoother_sigma
@@ -250,7 +250,7 @@ def band_rms(error: Array) -> float:
 def nees(data: list[AngleDifferences], axis: int, error: Array) -> float:
     """Squared error per degree of freedom every 5 ms, full covariance, constant removed."""
     grid = Grid.covering(-3.0 * GRID, DURATION + 3.0 * GRID, GRID)
-    equations = normal_equations(scalar_series(data, axis), grid, spectrum=PRIOR)
+    equations = series_equations(axis_series(data, axis), grid, spectrum=PRIOR)
     prior = split(PRIOR, GRID, 60, grid.count, width=len(equations.band) - 1)
     now = posterior(equations, prior or PRIOR.autoregressive(GRID, 60, grid.count))
     chosen = np.arange(0, len(error), 5)

@@ -25,11 +25,11 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 from motion.estimators.s1_combinations import max_band
 from sightline.estimation.evidence import Posterior, posterior
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.series import Grid, normal_equations
+from sightline.estimation.series import Grid, series_equations
 from sightline.estimation.split import split
 from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.estimators.inverse import inverse
-from sightline.motion.estimators.smoother import fit_spectra, scalar_series, smooth
+from sightline.motion.estimators.smoother import axis_series, fit_spectra, smooth
 
 Array = NDArray[np.float64]
 
@@ -110,7 +110,7 @@ def axis_posterior(
     differences: Sequence[AngleDifferences], axis: int, prior: Spectrum, noise: float = 1.0
 ) -> Posterior:
     """Posterior of one axis on the 1 ms grid."""
-    equations = normal_equations(scalar_series(differences, axis), GRID)
+    equations = series_equations(axis_series(differences, axis), GRID)
     parts = split(prior, STEP, 60, COUNT, width=len(equations.band) - 1)
     return posterior(equations, parts or prior.autoregressive(STEP, 60, COUNT), noise_scale=noise)
 

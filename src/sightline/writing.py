@@ -59,7 +59,7 @@ def whole(path: Path) -> Iterator[Path]:
         If it cannot be written; carries `path`, also where the system's own error names no file.
     """
     draft = path.with_name(f".{path.name}.part{path.suffix}")
-    with naming(path):
+    with naming_file(path):
         try:
             # one that is a link must not lead elsewhere
             draft.unlink(missing_ok=True)
@@ -168,7 +168,7 @@ def _gdal_errors() -> Iterator[list[str]]:
 
 
 @contextmanager
-def naming(path: Path) -> Iterator[None]:
+def naming_file(path: Path) -> Iterator[None]:
     """What the system refuses in the block carries `path`: of a write that fails it names no file itself."""
     try:
         yield
@@ -222,7 +222,7 @@ def scratch_folder() -> Iterator[Path]:
         except OSError as error:
             if error.filename is not None:
                 raise
-            with naming(Path(folder)):
+            with naming_file(Path(folder)):
                 raise
 
 

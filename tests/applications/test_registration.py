@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sightline.applications.registration import fit_pairs, recovered_cameras, register_bands
+from sightline.applications.registration import fit_every_pair, recovered_cameras, register_bands
 from sightline.errors import InputError
 from sightline.geometry.surface import Dem, Plane
 from sightline.motion.measure.predict import predict_match
@@ -27,7 +27,7 @@ def strip():
 
 
 def misfit(registration, pair):
-    fits = {fit.images: fit for fit in fit_pairs(registration)}
+    fits = {fit.images: fit for fit in fit_every_pair(registration)}
     return float(np.hypot(*fits[pair].rms_px)), float(np.hypot(*fits[pair].noise_px))
 
 

@@ -15,7 +15,7 @@ from sightline.applications.stereo_prediction import improvements, predict, pred
 from sightline.applications.stereo_settings import (
     StereoPlan,
     moved,
-    seen_at,
+    pixels_of_places,
     setting_of_plan,
     with_control,
     with_points,
@@ -48,7 +48,7 @@ def problem(given: StereoPlan, *, matched: bool = True) -> StereoProblem:
     setting = setting_of_plan(given)
     rows = slice(None) if matched else slice(0)
     image, point = setting.image[rows], setting.point[rows]
-    pixels = seen_at(setting.images, setting.detectors, setting.mounts, image, setting.places[point])
+    pixels = pixels_of_places(setting.images, setting.detectors, setting.mounts, image, setting.places[point])
     return StereoProblem(
         ("1", "2"), setting.images, np.arange(setting.shots), setting.detectors, setting.mounts,
         Tracks(image, point, pixels, np.full(len(image), given.sigma_px)), np.arange(given.points),
@@ -114,7 +114,7 @@ def test_moved_images_are_those_of_other_plans():
     assert apart.baseline == pytest.approx(1.5 * base.baseline)
     middle = base.places.mean(axis=0)
     for setting in (base, apart):
-        seen = seen_at(
+        seen = pixels_of_places(
             setting.images, setting.detectors, setting.mounts, np.arange(32), np.tile(middle, (32, 1))
         )
         assert np.abs(seen - 349.5).max() < 25.0

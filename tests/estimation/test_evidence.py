@@ -9,7 +9,7 @@ import pytest
 
 from sightline.estimation.evidence import Posterior, posterior
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.series import DifferenceSeries, Grid, image_variances, normal_equations
+from sightline.estimation.series import DifferenceSeries, Grid, image_variances, series_equations
 
 STEP = 1e-3
 N = 300
@@ -58,7 +58,7 @@ def scene(pairs: list[tuple[int, int]]) -> tuple[list[DifferenceSeries], np.ndar
 
 
 def solved(series: list[DifferenceSeries], offsets: bool) -> Posterior:
-    equations = normal_equations(series, Grid(0.0, STEP, N), offsets=offsets)
+    equations = series_equations(series, Grid(0.0, STEP, N), offsets=offsets)
     return posterior(equations, spectrum().autoregressive(STEP, N - 1, N), offset_sigma=0.5)
 
 
@@ -94,13 +94,13 @@ def test_the_variance_of_each_image_follows_from_those_of_closed_pairs() -> None
 def test_an_independent_part_makes_closing_pairs_count_again() -> None:
     series = scene(CLOSED)[0]
     grid = Grid(0.0, STEP, N)
-    assert normal_equations(series, grid, independent=0.1).measurements == 6 * len(series[0].t)
-    assert normal_equations(series, grid).measurements == 3 * len(series[0].t)
+    assert series_equations(series, grid, independent=0.1).measurements == 6 * len(series[0].t)
+    assert series_equations(series, grid).measurements == 3 * len(series[0].t)
 
 
 def test_the_gradient_by_moments_is_the_slope_of_the_deviance() -> None:
     series = scene(TREE)[0]
-    equations = normal_equations(series, Grid(0.0, STEP, N), offsets=True)
+    equations = series_equations(series, Grid(0.0, STEP, N), offsets=True)
 
     def at(p: np.ndarray) -> Posterior:
         prior = spectrum(*p[:3]).autoregressive(STEP, 40, N)
@@ -137,7 +137,7 @@ def test_the_evidence_of_a_very_long_lag_is_that_of_celerite2() -> None:
     process.compute(t, diag=np.full(n, sigma**2))
     y = 0.3 * np.sin(2.0 * np.pi * 20.0 * t) + sigma * rng.normal(size=n)
     grid = Grid(0.0, step, 600)
-    equations = normal_equations([DifferenceSeries(t, np.full(n, 2.0), y, np.full(n, sigma**2))], grid)
+    equations = series_equations([DifferenceSeries(t, np.full(n, 2.0), y, np.full(n, sigma**2))], grid)
     now = posterior(equations, Spectrum((part,)).autoregressive(step, 100, grid.count))
     expected = -2.0 * process.log_likelihood(y) - n * np.log(2.0 * np.pi)
     assert now.deviance == pytest.approx(expected, abs=1e-4)

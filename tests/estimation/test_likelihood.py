@@ -10,7 +10,7 @@ from sightline.estimation.evidence import posterior
 from sightline.estimation.likelihood import default_step, fit_spectrum
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.search import mean_variance_unseen
-from sightline.estimation.series import DifferenceSeries, Grid, normal_equations
+from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 
 STEP, N = 1e-3, 1000
 LAGS = (86, 22, 7, 15)
@@ -71,7 +71,7 @@ def test_the_smoother_is_as_good_with_what_was_found_as_with_the_truth(
     series: list[DifferenceSeries],
     fitted,  # type: ignore[no-untyped-def]
 ) -> None:
-    equations = normal_equations(series, Grid(0.0, STEP, N))
+    equations = series_equations(series, Grid(0.0, STEP, N))
 
     def rms(spectrum: Spectrum, noise: float) -> float:
         error = posterior(equations, spectrum.autoregressive(STEP, 60, N), noise_scale=noise).mean - motion

@@ -9,7 +9,7 @@ from sightline.errors import InputError
 from sightline.estimation.evidence import posterior
 from sightline.estimation.prior import Matern, Spectrum
 from sightline.estimation.robust import expected_innovations, robust_sigma, robust_sigmas, student_weights
-from sightline.estimation.series import DifferenceSeries, Grid, normal_equations
+from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 
 STEP, N = 1e-3, 500
 PRIOR = Spectrum((Matern(0.5, 0.1, "5/2"), Matern(0.02, 0.01))).autoregressive(STEP, 30, N)
@@ -29,7 +29,7 @@ def measured(x: np.ndarray) -> list[DifferenceSeries]:
 
 def settled(x: np.ndarray, rounds: int) -> tuple[np.ndarray, np.ndarray]:
     """Weights and error after some rounds."""
-    equations = normal_equations(measured(x), Grid(0.0, STEP, N))
+    equations = series_equations(measured(x), Grid(0.0, STEP, N))
     weights = np.ones(N)
     for _ in range(rounds + 1):
         now = posterior(equations, PRIOR, weights=weights)
@@ -45,7 +45,7 @@ def smooth_motion() -> np.ndarray:
 
 
 def test_the_expected_squares_are_those_of_the_full_covariance() -> None:
-    equations = normal_equations(measured(smooth_motion()), Grid(0.0, STEP, N))
+    equations = series_equations(measured(smooth_motion()), Grid(0.0, STEP, N))
     now = posterior(equations, PRIOR)
     covariance = now.covariance_times(np.eye(N))
     unit = np.eye(N)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sightline.errors import InputError
-from sightline.estimation.series import DifferenceSeries, Grid, normal_equations
+from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 
 
 def series(t: np.ndarray, lag: float, values: np.ndarray, **options: object) -> DifferenceSeries:
@@ -43,7 +43,7 @@ def test_a_fractional_lag_acts_at_its_own_time() -> None:
     x = np.sin(2.0 * np.pi * 2.0 * grid.nodes)
     t = np.linspace(0.1, 0.7, 30)
     y = np.sin(2.0 * np.pi * 2.0 * (t + 0.0537)) - np.sin(2.0 * np.pi * 2.0 * t)
-    e = normal_equations([series(t, 0.0537, y)], grid)
+    e = series_equations([series(t, 0.0537, y)], grid)
     residual = e.misfit - 2.0 * e.rhs @ x + x @ dense(e.band) @ x
     # 50 nodes per period: interpolation errs by (2 pi / 50)^6 * 5 / 1024 = 2e-8.
     assert residual < len(t) * (1e-7) ** 2 + 1e-12
@@ -53,8 +53,8 @@ def test_a_negative_lag_is_the_same_pair_seen_from_the_other_image() -> None:
     grid = Grid(0.0, 0.01, 60)
     t = np.linspace(0.1, 0.4, 11)
     y = np.random.default_rng(0).normal(size=11)
-    forward = normal_equations([series(t, 0.0537, y)], grid)
-    backward = normal_equations([series(t + 0.0537, -0.0537, -y)], grid)
+    forward = series_equations([series(t, 0.0537, y)], grid)
+    backward = series_equations([series(t + 0.0537, -0.0537, -y)], grid)
     np.testing.assert_allclose(backward.band, forward.band, atol=1e-12)
     np.testing.assert_allclose(backward.rhs, forward.rhs, atol=1e-12)
 
@@ -64,7 +64,7 @@ def test_measurements_without_value_or_with_endless_variance_are_left_out() -> N
     values, variance = np.array([1.0, 1.0, np.nan, 1.0, 1.0]), np.array([1.0, 1.0, 1.0, np.inf, 1e12])
     s = DifferenceSeries(t, np.full(5, 0.05), values, variance)
     assert s.used.tolist() == [True, True, False, False, False]
-    assert normal_equations([s], Grid(0.0, 0.01, 60)).measurements == 2
+    assert series_equations([s], Grid(0.0, 0.01, 60)).measurements == 2
 
 
 def test_a_poor_pair_of_a_patch_keeps_its_excess_to_itself() -> None:
@@ -80,7 +80,7 @@ def test_a_poor_pair_of_a_patch_keeps_its_excess_to_itself() -> None:
             np.append(variance * one, np.full(50, 2.0)), images, patch=np.append(999, many),
         )  # fmt: skip
 
-    e = normal_equations(
+    e = series_equations(
         [pair(0.1, 0.1, 2.0, (0, 1)), pair(0.2, 0.1, 2.0, (1, 2)), pair(0.1, 0.2, 200.0, (0, 2))], grid
     )
     assert e.measurements == 50 * 2 + 3
@@ -93,6 +93,6 @@ def test_bad_input_is_named() -> None:
     with pytest.raises(InputError, match="`patch` must have shape"):
         series(t, 0.1, t, patch=np.arange(3))
     with pytest.raises(InputError, match="outside the grid"):
-        normal_equations([series(t, 10.0, t)], Grid(0.0, 0.01, 60))
+        series_equations([series(t, 10.0, t)], Grid(0.0, 0.01, 60))
     with pytest.raises(InputError, match="no series holds a finite measurement"):
-        normal_equations([series(t, 0.1, t * np.nan)], Grid(0.0, 0.01, 60))
+        series_equations([series(t, 0.1, t * np.nan)], Grid(0.0, 0.01, 60))

@@ -8,7 +8,7 @@ import pytest
 from sightline.errors import InputError
 from sightline.estimation.evidence import posterior
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.series import DifferenceSeries, Grid, normal_equations
+from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 from sightline.estimation.split import Layout, coarse_ratio, gather_band, split, spread_band
 
 STEP = 1e-3
@@ -38,7 +38,7 @@ def test_across_a_gap_longer_than_its_memory_mean_and_sigma_are_those_of_the_exa
     series, rows = gappy(n, (250, 400), (90, 22, 7))
     y = np.concatenate([s.values for s in series])
     exact = dense.solve(dense.covariance(n), rows, 9e-4 * np.eye(len(y)), y)
-    equations = normal_equations(series, Grid(0.0, STEP, n))
+    equations = series_equations(series, Grid(0.0, STEP, n))
     apart = split(SPECTRUM, STEP, 60, n, width=90)
     assert apart is not None
     now = posterior(equations, apart)
@@ -57,7 +57,7 @@ def test_across_a_gap_longer_than_its_memory_mean_and_sigma_are_those_of_the_exa
 
 def test_mean_band_and_product_of_one_posterior_agree() -> None:
     series, _ = gappy(300, (120, 160), (40, 7))
-    equations = normal_equations(series, Grid(0.0, STEP, 300))
+    equations = series_equations(series, Grid(0.0, STEP, 300))
     apart = split(SPECTRUM, STEP, 30, 300, width=40)
     assert apart is not None
     now = posterior(equations, apart)

@@ -25,7 +25,7 @@ from sightline.io.formats.angle_tables import (
 )
 from sightline.io.formats.colmap import read_colmap_model, write_colmap_model
 from sightline.io.formats.envi import read_envi_wavelengths
-from sightline.io.formats.footprints import outlines, rings_of, write_footprints
+from sightline.io.formats.footprints import ground_outlines, rings_of, write_footprints
 from sightline.io.formats.odm import read_gcp_list, read_geo, write_geo
 from sightline.io.formats.opensfm import read_opensfm, write_opensfm
 from sightline.io.formats.reconstruction import Reconstruction
@@ -261,7 +261,7 @@ def test_footprints_are_the_ground_under_the_corners(tmp_path):
     level = local_axes(lon, lat)
     position = from_geodetic([[lon, lat, height]])
     detector = AreaDetector("c", SHAPE, f, (23.5, 31.5))
-    edge = outlines(
+    edge = ground_outlines(
         detector, Rotation.identity(), position, level * Rotation.concatenate([DOWN]), Ellipsoid()
     )
     assert edge.shape == (1, 16, 3)
@@ -319,7 +319,9 @@ def test_a_frame_across_180_degrees_is_a_multipolygon(tmp_path):
     lon, lat = np.pi, np.radians(-17.0)
     detector = AreaDetector("c", SHAPE, 80.0, (23.5, 31.5))
     attitude = local_axes(lon, lat) * Rotation.concatenate([DOWN])
-    edge = outlines(detector, Rotation.identity(), from_geodetic([[lon, lat, 1000.0]]), attitude, Ellipsoid())
+    edge = ground_outlines(
+        detector, Rotation.identity(), from_geodetic([[lon, lat, 1000.0]]), attitude, Ellipsoid()
+    )
     write_footprints(tmp_path / "f.geojson", ["a"], edge)
     geometry = json.loads((tmp_path / "f.geojson").read_text())["features"][0]["geometry"]
     assert geometry["type"] == "MultiPolygon" and len(geometry["coordinates"]) == 2
@@ -333,7 +335,7 @@ def test_a_frame_across_180_degrees_is_a_multipolygon(tmp_path):
 def test_a_frame_that_looks_past_the_ground_has_no_footprint(tmp_path):
     position = from_geodetic([[0.0, 0.0, 1000.0]])
     detector = AreaDetector("c", SHAPE, 80.0, (23.5, 31.5))
-    edge = outlines(
+    edge = ground_outlines(
         detector, Rotation.identity(), position, Rotation.from_quat([[0, 0, 0, 1.0]]), Ellipsoid()
     )
     assert write_footprints(tmp_path / "f.geojson", ["a"], edge) == 0

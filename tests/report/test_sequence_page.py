@@ -26,7 +26,7 @@ from sightline.photogrammetry.flight.warnings import bow_warnings
 from sightline.photogrammetry.sightings import Images, Tracks
 from sightline.report import sequence_cube, sequence_page, sequence_words
 from sightline.report.sequence_cube import CubeView
-from sightline.report.sequence_figures import departure_figure, sigma_figure, time_axis
+from sightline.report.sequence_figures import departure_figure, pose_sigma_figure, time_axis
 from sightline.report.sequence_overlap_figure import NODES, shared_points
 from sightline.report.sequence_trajectory_figure import trajectory_figure
 from sightline.report.sequence_view import control_places, sequence_view
@@ -223,7 +223,7 @@ def test_bow_that_nothing_tells_and_poses_that_nothing_ties_are_called_so():
     assert "no table told positions" in text and "The bow is not observable about pitch in stretch 1" in text
     assert sequence_words.bow_rows(problem, found, view)[0][-1] == "not observable about pitch"
     assert "positions are not tied" in trajectory_figure(view, np.zeros((0, 3)))[0, 0].title
-    assert "not known: nothing ties it" in sigma_figure(view, None).html("figure-a")
+    assert "not known: nothing ties it" in pose_sigma_figure(view, None).html("figure-a")
 
 
 def test_bow_that_only_the_tables_hold_is_called_so():
@@ -299,7 +299,7 @@ def test_thousands_of_frames_make_a_small_page_in_seconds(cube):
     covariance = np.array(found.poses.covariance)
     covariance[5777] *= 1e4
     view = sequence_view(problem, replace(found, poses=replace(found.poses, covariance=covariance)))
-    figure = sigma_figure(view, None)
+    figure = pose_sigma_figure(view, None)
     assert np.nanmax(figure[0].named("up").y) == pytest.approx(20.0)
 
 

@@ -80,7 +80,7 @@ def test_the_tables_have_a_row_for_every_pair_static_and_tone(recovery):
     assert len(words.tone_rows(recovery.result, tones)) == len(tones) >= 3
     assert len(words.static_rows(recovery.result)) == len(recovery.result.statics)
     tried = [pair for pair in recovery.result.pairs if pair.tried]
-    assert len(words.pair_rows(recovery.result)) == len(tried)
+    assert len(words.pair_table(recovery.result)) == len(tried)
 
 
 def test_where_only_constants_are_hidden_no_detector_line_is_blamed(recovery):

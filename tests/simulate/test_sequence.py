@@ -17,7 +17,7 @@ from sightline.simulate.sequence import sequence_case
 from sightline.simulate.sequence_ground import SimulatedGround
 from sightline.simulate.sequence_motion import draw_flight, unseen_motion
 from sightline.simulate.sequence_options import CASE_OPTIONS, SequenceOptions
-from sightline.simulate.sequence_render import _meet, render_frame
+from sightline.simulate.sequence_render import _meet, render_channels
 
 LEVEL = {"jitter": 0.0, "position_jitter": 0.0, "relief": 0.0, "spectra": "law"}
 
@@ -139,7 +139,7 @@ def test_a_ray_that_looks_up_is_refused():
     scenario = small()
     upside = np.diag([1.0, 1.0, 1.0])[None]
     with pytest.raises(GeometryError, match="looks upwards"):
-        render_frame(
+        render_channels(
             scenario._tangents, upside, np.array([[0.0, 0.0, 80.0]]), scenario.ground, scenario._weights, 0.3
         )
 

@@ -18,7 +18,7 @@ from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface, level_sur
 from sightline.photogrammetry.flight.found_ground import level_ground
 from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.products.cube_grid import MapSystem
-from sightline.products.frame_cube import FrameViews, Heights, outlines
+from sightline.products.frame_cube import FrameViews, Heights, map_outlines
 from sightline.products.ground_model import GroundModel, fit_ground
 
 Array = NDArray[np.float64]
@@ -137,7 +137,7 @@ def frame_outlines(
     middle, low, high = _levels(problem, ground)
 
     def on(surface: Surface) -> Array:
-        return outlines(views, lambda p, d: system.places(surface.intersect(read_only(p), read_only(d))))
+        return map_outlines(views, lambda p, d: system.places(surface.intersect(read_only(p), read_only(d))))
 
     parts = [on(level_surface(problem.radii, h)) for h in ((middle,) if low == high else (middle, low, high))]
     return parts[0], np.concatenate(parts, axis=1)

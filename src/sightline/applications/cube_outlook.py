@@ -13,7 +13,7 @@ from sightline.photogrammetry.flight.outlook import overlap_of
 from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.products.cube_bands import BandLayout
 from sightline.products.cube_grid import CubeGrid
-from sightline.products.frame_cube import grid_of
+from sightline.products.frame_cube import covering_grid
 
 
 def expected_cube(problem: SequenceProblem, plan: CubePlan) -> tuple[CubeGrid, BandLayout]:
@@ -36,4 +36,4 @@ def expected_cube(problem: SequenceProblem, plan: CubePlan) -> tuple[CubeGrid, B
     overlap = overlap_of(problem)
     step = None if overlap is None else overlap.step / gsd
     layout = choose_bands(problem, plan, outline, gsd, step)
-    return grid_of(outline[np.isfinite(views.penalty)].reshape(-1, 2), system, gsd), layout
+    return covering_grid(outline[np.isfinite(views.penalty)].reshape(-1, 2), system, gsd), layout

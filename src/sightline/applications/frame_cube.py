@@ -34,7 +34,7 @@ from sightline.products.cube_tally import CubePicture, CubeTally, picture_bands,
 from sightline.products.frame_cube import (
     CubeMaker,
     FrameViews,
-    grid_of,
+    covering_grid,
     line_gain,
     tiles_of,
 )
@@ -230,7 +230,7 @@ def assemble_cube(
     outline, reach = frame_outlines(problem, system, ground, views)
     gsd = plan.gsd or pixel_size(problem, views, outline)
     layout = choose_bands(problem, plan, outline, gsd)
-    grid = grid_of(outline[np.isfinite(views.penalty)].reshape(-1, 2), system, gsd)
+    grid = covering_grid(outline[np.isfinite(views.penalty)].reshape(-1, 2), system, gsd)
     channels = images_of(problem)
     report("cube: lines made alike", 0, 1)
     by_line = problem.detector.wavelength_nm is not None and plan.flatten

@@ -133,7 +133,7 @@ def heights_of_rows(relief: RowRelief, camera: PushbroomCamera, places: Array) -
     return relief.at(camera.times(pixels[:, 0]), field_positions(pixels[:, 1], camera.columns))
 
 
-def fit_pairs(images: Sequence[ImageSource], *, search_px: tuple[int, int] = (8, 8)) -> list[BandFit]:
+def fit_every_pair(images: Sequence[ImageSource], *, search_px: tuple[int, int] = (8, 8)) -> list[BandFit]:
     """How every pair of images of one grid fits (`products.band_fit.fit_bands`)."""
     pairs = combinations(range(len(images)), 2)
     return [fit_bands(images[a], images[b], (a, b), search_px=search_px) for a, b in pairs]

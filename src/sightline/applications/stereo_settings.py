@@ -157,13 +157,15 @@ class Setting(ReadOnlyArrays):
 
     def sightings(self) -> Sightings:
         """The sightings as planned."""
-        pixels = seen_at(self.images, self.detectors, self.mounts, self.image, self.places[self.point])
+        pixels = pixels_of_places(
+            self.images, self.detectors, self.mounts, self.image, self.places[self.point]
+        )
         return sight_frames(
             self.images, self.detectors, self.mounts, Tracks(self.image, self.point, pixels, self.sigma_px)
         )
 
 
-def seen_at(
+def pixels_of_places(
     images: Images,
     detectors: tuple[AreaDetector, ...],
     mounts: tuple[Rotation, ...],
@@ -250,7 +252,7 @@ def _shown(
     """Image and point of everything that is in a frame, for points that two frames or more show."""
     image = np.repeat(np.arange(len(images)), len(places))
     point = np.tile(np.arange(len(places)), len(images))
-    pixels = seen_at(images, detectors, mounts, image, places[point])
+    pixels = pixels_of_places(images, detectors, mounts, image, places[point])
     kept = in_frame(images, detectors, image, pixels)
     kept &= np.bincount(point[kept], minlength=len(places))[point] >= 2
     if not kept.any():

@@ -133,9 +133,9 @@ def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any])
 
 def _view_words(sequence: FrameSequence, found: SequencePoses) -> str:
     """The field of view, which shows a focal length in other units."""
-    from sightline.io.camera_schema import field_of_view
+    from sightline.io.camera_schema import field_degrees
 
-    along, across = field_of_view(found.poses.detector(sequence.problem.detector))
+    along, across = field_degrees(found.poses.detector(sequence.problem.detector))
     return f"field of view {along:.3g} degrees along x {across:.3g} across"
 
 

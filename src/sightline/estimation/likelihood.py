@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from sightline.errors import InputError
 from sightline.estimation.prior import Matern, Spectrum
 from sightline.estimation.search import NoiseModel, Search
-from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations, normal_equations
+from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations, series_equations
 
 Array = NDArray[np.float64]
 
@@ -94,7 +94,7 @@ def fit_spectrum(
     offset_sigma : float, optional
         Prior sigma of an unknown constant of every image; none by default.
     independent : float
-        See `normal_equations`.
+        See `series_equations`.
     iterations : int
         Of the last search.
     work : float
@@ -117,7 +117,7 @@ def fit_spectrum(
     grid, inside = _fitting_grid(scaled, step, work)
 
     def summed(spectrum: Spectrum | None) -> SeriesEquations:
-        return normal_equations(
+        return series_equations(
             inside, grid, offsets=offset_sigma is not None, independent=independent, spectrum=spectrum
         )
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.estimation.prior import Spectrum, Tone
-from sightline.estimation.series_kernels import TAPS, accumulate, fill_weights
+from sightline.estimation.series_kernels import TAPS, accumulate, fill_grid_weights
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -103,7 +103,7 @@ class Grid:
         t = np.ascontiguousarray(t, dtype=np.float64)
         first = np.empty(len(t), dtype=np.int64)
         weights = np.empty((len(t), _support(window, self.step, self.count)))
-        fill_weights(t, float(window), self.start, self.step, self.count, first, weights)
+        fill_grid_weights(t, float(window), self.start, self.step, self.count, first, weights)
         return first, weights
 
 
@@ -141,7 +141,7 @@ class SeriesEquations:
     measurements: int
 
 
-def normal_equations(
+def series_equations(
     series: Sequence[DifferenceSeries],
     grid: Grid,
     *,

@@ -43,7 +43,7 @@ def _window_weights(t, window, start, step, count, support, weights):  # type: i
 
 
 @njit(cache=True, nogil=True)
-def fill_weights(t, window, start, step, count, first, weights):  # type: ignore[no-untyped-def]
+def fill_grid_weights(t, window, start, step, count, first, weights):  # type: ignore[no-untyped-def]
     """Rows of interpolation weights for many instants."""
     for k in range(len(t)):
         first[k] = _window_weights(t[k], window, start, step, count, weights.shape[1], weights[k])

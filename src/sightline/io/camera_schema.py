@@ -10,8 +10,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field, model_validator
+from scipy.spatial.transform import Rotation
 
 from sightline.geometry.instrument import AreaDetector
+from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.io.acquisition.schema import SchemaSection
 from sightline.io.quantities import (
     Distortion,
@@ -54,8 +56,13 @@ class FrameCameraSection(SchemaSection):
             )
         return self
 
+    @property
+    def mounting(self) -> Rotation:
+        """body <- camera."""
+        return NADIR_MOUNT if self.body_from_camera is None else Rotation.from_quat(self.body_from_camera)
 
-def field_of_view(detector: AreaDetector) -> tuple[float, float]:
+
+def field_degrees(detector: AreaDetector) -> tuple[float, float]:
     """Degrees from the first line to the last (along), and across the columns, without distortion."""
     lines, columns = (
         2.0 * float(np.degrees(np.arctan(0.5 * size / detector.focal_length_px))) for size in detector.shape
@@ -65,7 +72,7 @@ def field_of_view(detector: AreaDetector) -> tuple[float, float]:
 
 def wide_words(detector: AreaDetector) -> tuple[str, ...]:
     """A doubt of a focal length that makes the view wider than any lens but a fisheye has it; else none."""
-    along, across = field_of_view(detector)
+    along, across = field_degrees(detector)
     if max(along, across) <= _WIDEST:
         return ()
     return (

@@ -29,7 +29,7 @@ from sightline.output.folder import output_folder
 from sightline.report.page import Page, Section, Table
 from sightline.result import Made, Result, logger, made
 from sightline.version import VERSION
-from sightline.writing import naming, scratch_folder, whole
+from sightline.writing import naming_file, scratch_folder, whole
 
 Columns = Mapping[str, ArrayLike]
 #: Told in words what is being done; the progress of a command is one.
@@ -111,7 +111,7 @@ class OpenedFolder:
         for name in self.names:
             target = folder / name
             target.parent.mkdir(parents=True, exist_ok=True)
-            with naming(target):
+            with naming_file(target):
                 if name in self.held:
                     target.write_bytes(self.held[name])
                 else:

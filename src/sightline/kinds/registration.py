@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.applications.registration import Registration, fit_pairs
+from sightline.applications.registration import Registration, fit_every_pair
 from sightline.errors import foreign_errors
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.images import open_image
@@ -90,8 +90,8 @@ class Registered(ResultKind):
         search_px = (int(search[0]), int(search[1]))
         with write_products(folder, result, acquired, pixels=pixels, stack=stack, tell=tell) as written:
             tell("matching all pairs of bands, as they were and as they are now")
-            before = fit_pairs(written.before, search_px=search_px)
-            after = fit_pairs(written.after, search_px=search_px)
+            before = fit_every_pair(written.before, search_px=search_px)
+            after = fit_every_pair(written.after, search_px=search_px)
             summary = summarize_registration(acquired, result, _recovered(result), written, before, after)
             summary["wall_seconds"] = time.perf_counter() - begun
             tell("writing the report")

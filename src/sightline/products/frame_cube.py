@@ -136,7 +136,7 @@ def tiles_of(grid: CubeGrid, layout: BandLayout) -> list[Tile]:
     ]
 
 
-def outlines(views: FrameViews, ground: Callable[[Array, Array], Array]) -> Array:
+def map_outlines(views: FrameViews, ground: Callable[[Array, Array], Array]) -> Array:
     """Map places (M, n, 2) around each frame; NaN where a line of sight misses the ground.
 
     Parameters
@@ -161,7 +161,7 @@ def outlines(views: FrameViews, ground: Callable[[Array, Array], Array]) -> Arra
     return out
 
 
-def grid_of(places: Array, system: object, gsd: float) -> CubeGrid:
+def covering_grid(places: Array, system: object, gsd: float) -> CubeGrid:
     """The map that holds all places (N, 2), its corner at whole pixels."""
     known = places[np.isfinite(places).all(axis=1)]
     if not len(known):
@@ -181,7 +181,7 @@ class CubeMaker:
     layout : BandLayout
     views : FrameViews
     outline : (M, n, 2)
-        Map places around each frame, as `outlines` gives them, on low and on high ground.
+        Map places around each frame, as `map_outlines` gives them, on low and on high ground.
     heights : callable
         Of the ground, by map places.
     channels : sequence of sequences of ImageSource

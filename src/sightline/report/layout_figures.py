@@ -21,7 +21,7 @@ from sightline.applications.focal_plane import (
 from sightline.motion.layout.sigma import posterior_psd
 from sightline.report.figure import Figure
 from sightline.report.marks import Line, Points, Spans
-from sightline.report.style import AXIS_COLOURS, MUTED, label
+from sightline.report.style import AXIS_COLOURS, MUTED, short_label
 
 #: One colour and dash per layout that stands out; the user's and the published ones have their own.
 _LOOK = {
@@ -47,7 +47,7 @@ def information_figure(choice: LayoutChoice) -> Figure:
     shown = [*standing_out(choice), *(x for x in choice.compared if x.source == "published")]
     figure, f = Figure(len(shown), height=95), np.linspace(start, top, _POINTS)
     for panel, layout in zip(figure.panels, shown, strict=True):
-        name, count = label(layout.name), len(layout.positions)
+        name, count = short_label(layout.name), len(layout.positions)
         worth = layout.information(f) / float(layout.noise.weights.mean())
         panel.title = f"{name} ({count} detectors)"
         panel.add(
@@ -79,10 +79,16 @@ def places_figure(choice: LayoutChoice) -> Figure:
         panel.add(
             Line(x=x, y=y, colour=look["colour"], width=1.0, hover=False),
             Points(
-                x=x, y=y, colour=look["colour"], symbol="tick", size=18, name=label(layout.name), key=False
+                x=x,
+                y=y,
+                colour=look["colour"],
+                symbol="tick",
+                size=18,
+                name=short_label(layout.name),
+                key=False,
             ),
         )
-    panel.y.ticks, panel.y.downward = [(float(k), label(x.name)) for k, x in enumerate(shown)], True
+    panel.y.ticks, panel.y.downward = [(float(k), short_label(x.name)) for k, x in enumerate(shown)], True
     panel.y.low, panel.y.high = -0.6, len(shown) - 0.4
     panel.x.title, panel.x.tight = "time at which each detector sees the ground, after the first (ms)", False
     return figure
@@ -100,7 +106,7 @@ def span_figure(choice: LayoutChoice) -> Figure:
         if layout.span > 1.05 * float(choice.spans.max()):
             continue
         for panel, value in zip(figure.panels, (layout.worst_images, layout.harmonic_sigma_px), strict=True):
-            mark = {"colour": _line(choice, layout)["colour"], "name": label(layout.name), "size": 10.0}
+            mark = {"colour": _line(choice, layout)["colour"], "name": short_label(layout.name), "size": 10.0}
             panel.add(Points(x=[1e3 * layout.span], y=[value], **mark))
     figure[0].y.title, figure[0].y.from_zero = "worst case in the band (images' worth)", True
     figure[1].y.title, figure[1].y.log = "posterior sigma (px)", True
@@ -118,7 +124,7 @@ def remaining_figure(choice: LayoutChoice) -> Figure:
     for layout in standing_out(choice):
         left = posterior_psd(f, layout.positions, layout.noise, choice.prior)
         lowest.append(float(left.min()))
-        panel.add(Line(x=f, y=left, name=label(layout.name), **_line(choice, layout)))
+        panel.add(Line(x=f, y=left, name=short_label(layout.name), **_line(choice, layout)))
     panel.add(Spans(spans=[choice.passband], colour=AXIS_COLOURS[0], opacity=0.08, name="pass-band"))
     panel.y.title, panel.y.log = "unknown motion (px²/Hz)", True
     panel.y.low, panel.y.high = 0.5 * min(lowest), 2.5 * float(motion.max())

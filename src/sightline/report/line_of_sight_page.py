@@ -250,7 +250,7 @@ def _tables(result: LineOfSight, summary: Mapping[str, Any], *, pairs: bool) -> 
             "sigma asks for.",
             Table(
                 "pair|lag (s)|windows|kept|others|before (px)|after (px)|expected (px)".split("|"),
-                words.pair_rows(result) if pairs else [],
+                words.pair_table(result) if pairs else [],
                 [0, 4],
             ),
         ),

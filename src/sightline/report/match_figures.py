@@ -18,7 +18,7 @@ from sightline.motion.results import LineOfSight
 from sightline.report.figure import Figure
 from sightline.report.marks import Bars, Line, Map
 from sightline.report.reduce import cell_edges, cell_means, cell_modes
-from sightline.report.style import AFTER, BEFORE, label, labels
+from sightline.report.style import AFTER, BEFORE, labels, short_label
 
 Array = NDArray[np.float64]
 #: One colour per status code of a match, in the order of ``STATUS_NAMES``.
@@ -81,7 +81,7 @@ def residual_map_figure(result: LineOfSight, view: PairView) -> Figure:
         own = residual[:, view.partner]
         reach = _reach(own[kept])
         maps += [(*_as_map(record, np.where(kept, own[:, k], np.nan)), reach) for k in (0, 1)]
-    return offset_maps(maps, f"line of {label(view.images[0])} (px)")
+    return offset_maps(maps, f"line of {short_label(view.images[0])} (px)")
 
 
 def offset_maps(maps: Sequence[tuple[Array, Array, Array, float]], title: str) -> Figure:

@@ -137,7 +137,7 @@ def _dots(
         panel.add(Points(x=axis.x[rows], y=values[rows], name=name, says=says, **look))
 
 
-def residual_figure(view: SequenceView, epoch: str | None) -> Figure:
+def frame_residual_figure(view: SequenceView, epoch: str | None) -> Figure:
     """Reprojection error, good sightings and share rejected of every frame."""
     figure = Figure(3, height=150)
     every, axis = np.arange(len(view.t)), time_axis(view, epoch)
@@ -189,7 +189,7 @@ def departure_figure(view: SequenceView, epoch: str | None) -> Figure:
     return figure
 
 
-def sigma_figure(view: SequenceView, epoch: str | None) -> Figure:
+def pose_sigma_figure(view: SequenceView, epoch: str | None) -> Figure:
     """1-sigma of six parameters and of the ground under each frame, against time, logarithmic."""
     figure, axis = Figure(3, height=185), time_axis(view, epoch)
     worst, best = view.ground_sigma_px.T

@@ -87,7 +87,7 @@ def _tables(
     problem: SequenceProblem, found: SequencePoses, view: SequenceView, cube_seconds: Any
 ) -> list[Section]:
     """Constant errors and bow, the subset, time."""
-    biases = words.bias_rows(problem, found) + words.focal_row(problem, found)
+    biases = words.bias_table(problem, found) + words.focal_row(problem, found)
     bows, subset = words.bow_rows(problem, found, view), words.subset_rows(problem, found)
     stages, count = words.stage_rows(found, cube_seconds), len(found.subset)
     constant: list[str | Table] = [
@@ -179,7 +179,7 @@ def sections(problem: SequenceProblem, found: SequencePoses, view: SequenceView)
                 "How far points seen in a frame lie from where the solution puts them. Frames that stand out "
                 "above the dotted line blur, show moving things, or moved while they were read out otherwise "
                 "than modelled.",
-                sequence_figures.residual_figure(view, problem.epoch),
+                sequence_figures.frame_residual_figure(view, problem.epoch),
             ],
         ),
         Section(
@@ -202,7 +202,7 @@ def sections(problem: SequenceProblem, found: SequencePoses, view: SequenceView)
                 "are frames without evidence of their own, ends of stretches are known less. Wide lines lie "
                 "under narrow ones of the same value. On the ground, errors of place and of tilt partly make "
                 "up for each other.",
-                sequence_figures.sigma_figure(view, problem.epoch),
+                sequence_figures.pose_sigma_figure(view, problem.epoch),
             ],
         ),
         Section(

@@ -136,7 +136,7 @@ def _fit(found: SequencePoses, view: SequenceView) -> str:
     return text
 
 
-def bias_rows(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]:
+def bias_table(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]:
     """Per constant error sought: name, value, sigma, sigma beforehand, verdict."""
     rows = []
     sigmas = np.sqrt(np.diag(found.poses.bias_covariance))
@@ -164,7 +164,7 @@ def bias_rows(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]
 
 def _biases(problem: SequenceProblem, found: SequencePoses) -> str:
     """Constant errors of the tables."""
-    rows = bias_rows(problem, found)
+    rows = bias_table(problem, found)
     if not rows:
         return ""
     told = [f"{name} {value}" for name, value, _, _, verdict in rows if verdict == "observable"]
@@ -184,7 +184,7 @@ def _biases(problem: SequenceProblem, found: SequencePoses) -> str:
 
 
 def focal_row(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]:
-    """As of `bias_rows`: the focal length where it was sought, one row or none."""
+    """As of `bias_table`: the focal length where it was sought, one row or none."""
     focal = found.poses.focal
     if focal is None:
         return []

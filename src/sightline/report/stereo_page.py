@@ -73,7 +73,7 @@ def stereo_page(stereo: Stereo, result: StereoOrientation, summary: Mapping[str,
             Section(
                 "improve",
                 "What would improve it",
-                [*improvements(summary, result.cameras), advice(problem, summary)],
+                [*improvement_rows(summary, result.cameras), advice(problem, summary)],
             ),
             inputs(summary, Table(["what", "how many"], counts(summary))),
         ],
@@ -94,7 +94,7 @@ def angle_rows(summary: Mapping[str, Any]) -> list[list[str]]:
     return rows
 
 
-def improvements(summary: Mapping[str, Any], cameras: Sequence[str]) -> list[str | Table]:
+def improvement_rows(summary: Mapping[str, Any], cameras: Sequence[str]) -> list[str | Table]:
     """Per change, sigma (arcsec) of every angle and how far it falls; nothing where none was judged."""
     rows = [
         [entry["change"], *(_better(s, r) for s, r in zip(entry["sigmas"], entry["ratio"], strict=True))]

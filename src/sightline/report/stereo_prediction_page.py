@@ -14,7 +14,7 @@ from sightline.evaluation.direction_words import AXES
 from sightline.geometry.units import ARCSEC
 from sightline.report import stereo_figures, stereo_prediction_figures
 from sightline.report.page import Page, Section, Table, inputs
-from sightline.report.stereo_page import improvements
+from sightline.report.stereo_page import improvement_rows
 from sightline.report.stereo_words import several
 from sightline.report.words import digits
 
@@ -125,7 +125,7 @@ def sections(predicted: StereoPrediction, summary: Mapping[str, Any]) -> list[Se
                     "What each change leaves of the sigmas: bars show roll, pitch and yaw each of the camera "
                     "known least, the table all cameras.",
                     stereo_prediction_figures.improvements_figure(predicted.improvements),
-                    *improvements(summary, predicted.cameras)[1:],
+                    *improvement_rows(summary, predicted.cameras)[1:],
                 ],
             )
         )

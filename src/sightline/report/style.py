@@ -31,7 +31,7 @@ def labels(names: Iterable[str], longest: int = LABEL) -> list[str]:
     return list(numbered((shortened(printable(name), longest) for name in names), str))
 
 
-def label(name: str, longest: int = LABEL) -> str:
+def short_label(name: str, longest: int = LABEL) -> str:
     """One name as `labels` has it."""
     return labels([name], longest)[0]
 

@@ -185,7 +185,7 @@ def sensor_rows(result: LineOfSight) -> list[list[str]]:
     return rows
 
 
-def pair_rows(result: LineOfSight) -> list[list[str]]:
+def pair_table(result: LineOfSight) -> list[list[str]]:
     """Table of pairs: names, lag, windows tried and kept, reasons, residuals before, after, expected."""
     rows = []
     for pair in result.pairs:

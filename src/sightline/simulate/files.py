@@ -63,15 +63,15 @@ def write_strip(
     if relief is not None and dem:
         written.append(write_dem(folder / "dem.tif", relief.heights, relief.transform))
     header = "t,roll,pitch,yaw"
-    written.append(write_table(folder / "truth.csv", header, scenario.truth))
+    written.append(write_numbers(folder / "truth.csv", header, scenario.truth))
     written.append(_write_band_truth(folder / "truth-bands.csv", scenario))
     sensors = []
     if star_tracker:
-        written.append(write_table(folder / "star_tracker.csv", header + ",sigma", scenario.star_tracker()))
+        written.append(write_numbers(folder / "star_tracker.csv", header + ",sigma", scenario.star_tracker()))
         sensors.append(("star-tracker", "star_tracker.csv"))
     if gyro:
         columns = "t_start,t_end,roll,pitch,yaw,sigma"
-        written.append(write_table(folder / "gyro.csv", columns, scenario.gyro()))
+        written.append(write_numbers(folder / "gyro.csv", columns, scenario.gyro()))
         sensors.append(("gyro", "gyro.csv"))
     if control_points > 0:
         written.append(_write_control(folder / CONTROL_POINTS, *scenario.control_points(control_points)))
@@ -192,7 +192,7 @@ def write_rows(path: Path, header: str, rows: Iterable[Iterable[object]]) -> Pat
     return path
 
 
-def write_table(path: Path, header: str, table: Array) -> Path:
+def write_numbers(path: Path, header: str, table: Array) -> Path:
     """A CSV of numbers that read back to the same float64."""
     rows = [",".join(repr(float(value)) for value in row) for row in table]
     path.write_text("\n".join([header, *rows]) + "\n")
@@ -242,9 +242,9 @@ def write_frames(scenario: FrameScenario, folder: Path, *, estimate_camera: bool
     if scenario.scene.relief is not None:
         relief = scenario.scene.relief
         written.append(write_dem(folder / "dem.tif", relief.heights, relief.transform))
-    written.append(write_table(folder / "truth.csv", "t,roll,pitch,yaw", scenario.truth))
+    written.append(write_numbers(folder / "truth.csv", "t,roll,pitch,yaw", scenario.truth))
     times = np.column_stack([scenario.nominal_times, scenario.times])
-    written.append(write_table(folder / "truth-frames.csv", "time_written,time_true", times))
+    written.append(write_numbers(folder / "truth-frames.csv", "time_written,time_true", times))
     toml = folder / "acquisition.toml"
     toml.write_text(frames_toml(scenario, names, estimate_camera=estimate_camera))
     return {path.name: path for path in [toml, *written]}

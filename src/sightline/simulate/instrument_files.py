@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline.geometry.rotations import to_quat_xyzw
-from sightline.simulate.files import write_image, write_table
+from sightline.simulate.files import write_image, write_numbers
 from sightline.simulate.instruments import (
     InstrumentScenario,
     mirror_angles,
@@ -46,16 +46,16 @@ def write_instrument(scenario: InstrumentScenario, folder: Path) -> dict[str, Pa
         written.append(write_image(path, camera.shape, scenario.chunks(index)))
     t = table_times(options, _POSITION_STEP)
     position, _ = scenario.orbit.earth_fixed(t)
-    written.append(write_table(folder / "positions.csv", "t,x,y,z", np.column_stack([t, position])))
+    written.append(write_numbers(folder / "positions.csv", "t,x,y,z", np.column_stack([t, position])))
     if scenario.spin is None:
         t = table_times(options, _ATTITUDE_STEP)
         quaternions = to_quat_xyzw(nominal_attitude(options, scenario.orbit, t))
         table = np.column_stack([t, quaternions])
-        written.append(write_table(folder / "attitudes.csv", "t,qx,qy,qz,qw", table))
+        written.append(write_numbers(folder / "attitudes.csv", "t,qx,qy,qz,qw", table))
     if options.scan == "mirror":
         table = np.column_stack(mirror_angles(options))
-        written.append(write_table(folder / "mirror.csv", "t,angle", table))
-    written.append(write_table(folder / "truth.csv", "t,roll,pitch,yaw", scenario.truth))
+        written.append(write_numbers(folder / "mirror.csv", "t,angle", table))
+    written.append(write_numbers(folder / "truth.csv", "t,roll,pitch,yaw", scenario.truth))
     written.append(_write_band_truth(folder / "truth-bands.csv", scenario))
     toml = folder / "acquisition.toml"
     toml.write_text(instrument_toml(scenario))

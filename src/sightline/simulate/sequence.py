@@ -25,7 +25,7 @@ from sightline.simulate.sequence_filter import FilterLayout, filter_layout, filt
 from sightline.simulate.sequence_ground import SimulatedGround, draw_ground
 from sightline.simulate.sequence_motion import Flight, draw_flight
 from sightline.simulate.sequence_options import CASE_OPTIONS, SequenceOptions
-from sightline.simulate.sequence_render import render_frame
+from sightline.simulate.sequence_render import render_channels
 from sightline.simulate.texture import Array, Array32
 
 EPOCH = "2026-01-01T00:00:00Z"
@@ -103,7 +103,9 @@ class SequenceScenario:
         """Noiseless relative signal (channels, lines, columns) of a frame, out of focus or not."""
         position, world_from_body = self.line_poses(frame)
         matrices = (world_from_body * NADIR_MOUNT).as_matrix()
-        light = render_frame(self._tangents, matrices, position, self.ground, self._weights, self.options.gsd)
+        light = render_channels(
+            self._tangents, matrices, position, self.ground, self._weights, self.options.gsd
+        )
         if frame in self.options.blurred:
             from scipy.ndimage import gaussian_filter
 

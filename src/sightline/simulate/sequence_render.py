@@ -15,7 +15,7 @@ from sightline.simulate.texture import Array, Array32
 _TOLERANCE_PX = 1e-5  # of a ray's meeting with the relief
 
 
-def render_frame(
+def render_channels(
     tangents: Array, matrices: Array, positions: Array, ground: SimulatedGround, weights: Array32, gsd: float
 ) -> Array32:
     """Noiseless relative signal (channels, lines, columns) of a frame.

@@ -20,7 +20,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.estimators.harmonic import Bins, restore
 from sightline.motion.estimators.inverse import inverse
-from sightline.motion.estimators.polynomial import checked
+from sightline.motion.estimators.polynomial import checked_differences
 
 Estimator = Callable[[Sequence[AngleDifferences], ArrayLike], Motion]
 """Every function of ``estimators/``, its options filled in (``functools.partial``)."""
@@ -91,7 +91,7 @@ def in_turn(
     S1, claims 9 and 10 and fig. 15: the estimate less its estimated error is the next estimate.
     """
     times = as_times(t, "t", increasing=True)
-    pairs = checked(differences)
+    pairs = checked_differences(differences)
     if rounds < 1:
         raise InputError(f"`rounds` must be 1 or more, got {rounds}")
     total = Motion(times, np.zeros((len(times), 3)))

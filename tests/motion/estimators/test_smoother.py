@@ -9,7 +9,7 @@ from sightline.errors import InputError
 from sightline.estimation.likelihood import FittedSpectrum
 from sightline.estimation.prior import Matern, Spectrum
 from sightline.motion.estimators.differences import AngleDifferences
-from sightline.motion.estimators.smoother import fit_spectra, scalar_series, smooth
+from sightline.motion.estimators.smoother import axis_series, fit_spectra, smooth
 
 LAGS = (86, 22, 7, 15)
 
@@ -181,7 +181,7 @@ def test_a_fitted_noise_scale_scales_sigma(series) -> None:  # type: ignore[no-u
 
 def test_bad_input_is_named(series) -> None:  # type: ignore[no-untyped-def]
     with pytest.raises(InputError, match="`differences` is empty"):
-        scalar_series([], 0)
+        axis_series([], 0)
     pairs = series.measure(np.zeros((200, 3)), (7,), 0.03, np.random.default_rng(0))
     with pytest.raises(InputError, match="one spectrum or one for each of"):
         smooth(pairs, np.arange(3) * 0.01, prior=[series.scene, series.scene])

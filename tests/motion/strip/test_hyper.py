@@ -22,7 +22,6 @@ from sightline.motion.strip.hyper import (
     angle_differences,
     averaged,
     fit_prior_model,
-    scalar_series,
 )
 from sightline.motion.strip.joint import JointEstimate, JointPrior
 from sightline.motion.strip.normal_equations import TimeGrid, normal_equations
@@ -136,7 +135,7 @@ class TestDifferences:
 def test_one_axis_of_the_differences_keeps_times_and_variances():
     star = plain_star(20, 8, 1, SIGMA, duration=0.002)
     (found,) = angle_differences([star], [star.residual_px], estimate_of(star, still))
-    series = scalar_series(found, 1)
+    series = found.of_axis(1)
     assert_allclose(series.variance, found.covariance[:, 1, 1])
     assert_allclose(series.lag, found.lag)
     assert series.window == 0.002 and series.images == (0, 1)

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 _DIGITS = 9
 
 
-def outlines(
+def ground_outlines(
     detector: AreaDetector,
     mount: Rotation,
     position: Array,
@@ -83,7 +83,7 @@ def write_footprints(
     names : sequence of str
         Of the frames: property ``frame``.
     edges : (M, k, 3)
-        m, Earth-centred; as of `outlines`.
+        m, Earth-centred; as of `ground_outlines`.
     radii : (float, float) or None
         Of the ellipsoid.
     properties : mapping, optional

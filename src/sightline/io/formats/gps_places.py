@@ -32,7 +32,7 @@ _FAR_APART, _TOGETHER = 0.5, 0.1
 _BACK = 0.2
 
 
-def wrapped(degrees: Array) -> Array:
+def wrapped_degrees(degrees: Array) -> Array:
     """Differences of longitudes from -180 up to 180 degrees."""
     return np.asarray((degrees + 180.0) % 360.0 - 180.0)
 
@@ -90,7 +90,7 @@ def exchanged(place: Array, other: Array) -> bool:
     place, other : (2,)
         Longitude, latitude (degrees).
     """
-    if abs(float(wrapped(place[:1])[0])) > 90.0:
+    if abs(float(wrapped_degrees(place[:1])[0])) > 90.0:
         return False  # no latitude
     as_told, turned = _apart(place, other), _apart(place[::-1], other)
     return as_told > _FAR_APART and turned < _TOGETHER * as_told
@@ -107,7 +107,7 @@ def _middle(degrees: Array) -> float:
     """Median of angles that may lie about 180 degrees."""
     turns = np.exp(1j * np.radians(degrees)).sum()
     mean = float(np.degrees(np.angle(turns)))
-    return float(wrapped(np.array(mean + np.median(wrapped(degrees - mean)))))
+    return float(wrapped_degrees(np.array(mean + np.median(wrapped_degrees(degrees - mean)))))
 
 
 def mirrored(t: Array, degrees: Array) -> Bools:
@@ -125,7 +125,7 @@ def mirrored(t: Array, degrees: Array) -> Bools:
     (n,) bool
     """
     middle = _middle(degrees)
-    off = wrapped(degrees - middle)
+    off = wrapped_degrees(degrees - middle)
     other = (degrees * middle < 0.0) & (np.abs(off) > _LEAST_OFF)
     nothing = np.zeros_like(other)
     if not other.any() or other.all():
@@ -138,5 +138,5 @@ def mirrored(t: Array, degrees: Array) -> Bools:
     if rest.any():
         order = np.flatnonzero(rest)[np.argsort(t[rest], kind="stable")]
         expected[timed] = middle + np.interp(t[timed], t[order], off[order])
-    away, back = np.abs(wrapped(degrees - expected)), np.abs(wrapped(-degrees - expected))
+    away, back = np.abs(wrapped_degrees(degrees - expected)), np.abs(wrapped_degrees(-degrees - expected))
     return np.asarray(other & (away > _LEAST_OFF) & (back < _BACK * away))

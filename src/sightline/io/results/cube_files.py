@@ -24,7 +24,7 @@ from sightline.io.names import file_stem
 from sightline.io.results.registered import TILE, optimise
 from sightline.products.cube_bands import BandLayout
 from sightline.products.cube_grid import CubeGrid
-from sightline.writing import must_fit, naming, whole, whole_raster
+from sightline.writing import must_fit, naming_file, whole, whole_raster
 
 Pixels = NDArray[np.float32]
 
@@ -105,7 +105,7 @@ class CubeFolder:
         self.grid, self.layout = grid, layout
         size = len(layout) * grid.shape[0] * grid.shape[1] * _BYTES
         must_fit(self.folder, size, "the cube", "ask for fewer bands or a larger gsd,")
-        with naming(self.draft), self.draft.open("wb") as file:
+        with naming_file(self.draft), self.draft.open("wb") as file:
             file.truncate(size)
 
     def write(self, row: int, column: int, values: Pixels) -> None:
@@ -113,7 +113,7 @@ class CubeFolder:
         rows, width = self.grid.shape
         data = np.ascontiguousarray(values, dtype="<f4")
         # buffered: a bare write takes a part of the bytes where a disk runs full, and only returns how many
-        with naming(self.draft), self.draft.open("r+b") as file:
+        with naming_file(self.draft), self.draft.open("r+b") as file:
             for band in range(len(data)):
                 for line in range(data.shape[1]):
                     file.seek(((band * rows + row + line) * width + column) * _BYTES)
@@ -135,7 +135,7 @@ class CubeFolder:
         if "zarr" in self.formats:
             tell("writing Zarr", 0, 1)
             workers = _zarr().config.set({"threading.max_workers": available_processors()})
-            with workers, naming(self.folder / ZARR):
+            with workers, naming_file(self.folder / ZARR):
                 written.append(self._write_zarr())
         if "envi" in self.formats:
             tell("writing ENVI", 0, 1)

@@ -27,7 +27,7 @@ from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.images import open_image
 from sightline.io.names import file_stems
 from sightline.products.register_bands import line_blocks
-from sightline.writing import must_fit, naming, whole_raster
+from sightline.writing import must_fit, naming_file, whole_raster
 
 Pixels = NDArray[np.float32]
 
@@ -152,7 +152,7 @@ def write_products(
 def _stored(folder: Path, registration: Registration) -> tuple[ImageSource, ...]:
     """The bands by the nominal cameras as files, so that nothing is resampled twice; the reference itself."""
     moved = [k for k in range(len(registration.before)) if k != registration.reference]
-    with naming(folder), ExitStack() as stack:
+    with naming_file(folder), ExitStack() as stack:
         # written, not mapped: a page that a full disk cannot take would end the process without a word
         tables = {k: stack.enter_context((folder / f"{k}.npy").open("wb")) for k in moved}
         for k, table in tables.items():

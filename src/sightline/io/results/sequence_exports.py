@@ -22,7 +22,7 @@ from sightline.geometry.checks import frozen
 from sightline.geometry.earth import from_geodetic, local_axes, to_geodetic
 from sightline.io.formats.angle_tables import OPK, YPR, AngleTable, opk_of_camera, write_angles, ypr_of_body
 from sightline.io.formats.colmap import write_colmap_model
-from sightline.io.formats.footprints import outlines, write_footprints
+from sightline.io.formats.footprints import ground_outlines, write_footprints
 from sightline.io.formats.odm import write_geo
 from sightline.io.formats.opensfm import write_opensfm
 from sightline.io.formats.reconstruction import Reconstruction
@@ -245,7 +245,7 @@ def _write_places(
     lonlat = np.column_stack([np.degrees(geodetic[:, :2]), geodetic[:, 2]])
     write_geo(folder / "geo.txt", names, lonlat, np.column_stack([horizontal, np.sqrt(variance[:, 2])]))
     detector, ground = poses.detector(problem.detector), level_ground(problem, poses)
-    edges = outlines(detector, problem.mount, poses.position, poses.world_from_body, ground)
+    edges = ground_outlines(detector, problem.mount, poses.position, poses.world_from_body, ground)
     write_footprints(
         folder / "footprints.geojson",
         problem.frames,

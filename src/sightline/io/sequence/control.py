@@ -23,7 +23,7 @@ from sightline.io.formats.tables import read_control_points
 from sightline.io.sequence.frames import FrameList
 from sightline.io.sequence.matched_rows import radii_of
 from sightline.io.sequence.schema import SequenceFile
-from sightline.io.stereo.tables import check_inside, refuse_seen_twice
+from sightline.io.stereo.tables import check_in_frames, refuse_seen_twice
 from sightline.photogrammetry.block.point_priors import ControlPoints
 from sightline.photogrammetry.sightings import Images, Tracks, rays_of
 from sightline.photogrammetry.triangulate import meet_rays
@@ -59,7 +59,7 @@ def control_of(
     point = np.asarray(point, dtype=np.intp).reshape(-1)
     image = _frames_of(path, images, frames)
     refuse_seen_twice(path, image, point.astype(np.float64))
-    check_inside(path, image, np.zeros(len(frames.names), dtype=np.intp), pixels, [shape])
+    check_in_frames(path, image, np.zeros(len(frames.names), dtype=np.intp), pixels, [shape])
     _, first = np.unique(point, return_index=True)
     control = ControlPoints(np.arange(len(first)), position[first], sigma[first])
     return control, Tracks(image, point, pixels, np.full(len(point), file.control_sigma_px))

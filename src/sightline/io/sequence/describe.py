@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.geometry.surface import Ellipsoid, Plane
-from sightline.io.camera_schema import field_of_view
+from sightline.io.camera_schema import field_degrees
 from sightline.io.formats.ccsds import epoch_words
 from sightline.io.sequence.load import FrameSequence
 from sightline.io.sequence.outlook import cadence_words, map_words, overlap_words, program_words
@@ -110,7 +110,7 @@ def _over(problem: SequenceProblem) -> str:
 
 def _focal_words(problem: SequenceProblem) -> str:
     """The focal length, and whether it is found with the poses."""
-    sigma, view = problem.focal_length_sigma_px, field_of_view(problem.detector)
+    sigma, view = problem.focal_length_sigma_px, field_degrees(problem.detector)
     said = (
         f"focal length {problem.detector.focal_length_px:.6g} px (a field of view of {view[0]:.3g} degrees "
         f"along x {view[1]:.3g} across)"

@@ -20,7 +20,6 @@ from sightline.errors import FormatError, GeometryError
 from sightline.geometry.checks import read_only
 from sightline.geometry.earth import from_geodetic, to_geodetic
 from sightline.geometry.instrument import AreaDetector
-from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Dem, Surface
 from sightline.io.acquisition.acquired import InputFolder, input_files, sha256
 from sightline.io.acquisition.ground import exchanged_words, raster_corners, surface_of
@@ -131,7 +130,7 @@ def read_sequence(path: Path) -> FrameSequence:
 def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequence:
     """The file with everything that it names."""
     frames = read_frames(file, files)
-    mount = mount_of(file.camera)
+    mount = file.camera.mounting
     start = starting_poses(file, files, frames, mount)
     probes = probe_frames(frames)
     shape = file.camera.shape or shape_of(probes)
@@ -139,7 +138,7 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
         raise FormatError(f"{frames.path}: no frame can be read: {probes[0].reason}; check the files")
     channels = len(file.camera.channel_nm or ())
     reasons = excluded(frames, probes, shape, channels)
-    detector, focal_sigma, lens_words = detector_of(file.camera, files, frames, shape)
+    detector, focal_sigma, lens_words = sequence_detector(file.camera, files, frames, shape)
     _check_mosaic(file.camera, shape, path)
     _check_readout(file.camera, frames, path)
     bands = {p.bands for p, reason in zip(probes, reasons, strict=True) if not reason}
@@ -255,12 +254,7 @@ def _lost(frames: FrameList, reasons: Sequence[str]) -> tuple[str, ...]:
     )
 
 
-def mount_of(camera: SequenceCamera) -> Rotation:
-    """body_from_camera."""
-    return NADIR_MOUNT if camera.body_from_camera is None else Rotation.from_quat(camera.body_from_camera)
-
-
-def detector_of(
+def sequence_detector(
     camera: SequenceCamera, files: InputFolder, frames: FrameList, shape: tuple[int, int]
 ) -> tuple[AreaDetector, float, tuple[str, ...]]:
     """The detector, 1-sigma (px) of its focal length, and what was noticed.

@@ -18,7 +18,6 @@ from sightline.applications.stereo_orientation import StereoProblem
 from sightline.errors import FormatError, GeometryError
 from sightline.geometry.earth import WGS84
 from sightline.geometry.instrument import AreaDetector
-from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Surface
 from sightline.io.acquisition.acquired import InputFolder, attitude_to_world, input_files, sha256
 from sightline.io.acquisition.platform import points_to_world
@@ -172,9 +171,9 @@ def _stereo(path: Path, file: StereoFile, files: InputFolder, *, planned: bool) 
     poses = read_poses(poses_path)
     cameras = camera_sections(file.camera, poses.cameras, path)
     detectors = tuple(
-        detector_of(name, section) for name, section in zip(poses.cameras, cameras, strict=True)
+        stereo_detector(name, section) for name, section in zip(poses.cameras, cameras, strict=True)
     )
-    mounts = tuple(mount_of(section) for section in cameras)
+    mounts = tuple(section.mounting for section in cameras)
     images = _images(poses, poses_path, file)
     check_baseline(poses_path, poses.cameras, images, file.noise.sigma_position)
     table, points_path = _points(file, files, poses)
@@ -279,7 +278,7 @@ def camera_sections(
     return [by_name[name] for name in names]
 
 
-def detector_of(name: str, section: StereoCamera) -> AreaDetector:
+def stereo_detector(name: str, section: StereoCamera) -> AreaDetector:
     """The detector of a camera; the principal point is the centre of the frame unless given."""
     middle = (section.shape[0] - 1) / 2.0, (section.shape[1] - 1) / 2.0
     return AreaDetector(
@@ -289,11 +288,6 @@ def detector_of(name: str, section: StereoCamera) -> AreaDetector:
         section.principal_point_px or middle,
         tuple(section.distortion),
     )
-
-
-def mount_of(section: StereoCamera) -> Rotation:
-    """body_from_camera."""
-    return NADIR_MOUNT if section.body_from_camera is None else Rotation.from_quat(section.body_from_camera)
 
 
 def _focal_sigma(cameras: list[StereoCamera]) -> tuple[float, ...] | None:

@@ -17,7 +17,7 @@ from sightline.geometry.earth import WGS84
 from sightline.geometry.orbit_pair import OrbitPair
 from sightline.geometry.surface import Ellipsoid
 from sightline.io.acquisition.acquired import input_files, sha256
-from sightline.io.stereo.load import camera_sections, detector_of, mount_of, read_stereo_file
+from sightline.io.stereo.load import camera_sections, read_stereo_file, stereo_detector
 from sightline.io.stereo.schema import StereoFile
 from sightline.photogrammetry.block.point_priors import HeightPrior
 from sightline.photogrammetry.block.pose_noise import PoseNoise
@@ -104,8 +104,8 @@ def _plan(path: Path, file: StereoFile) -> PlannedPass:
         file.stereo.name,
         StereoPlan(
             pair=pair,
-            detectors=tuple(detector_of(name, s) for name, s in zip(names, cameras, strict=True)),
-            mounts=tuple(mount_of(section) for section in cameras),
+            detectors=tuple(stereo_detector(name, s) for name, s in zip(names, cameras, strict=True)),
+            mounts=tuple(section.mounting for section in cameras),
             noise=PoseNoise(
                 file.noise.sigma_position, file.noise.sigma_attitude, pair.aim_point if aimed else None
             ),

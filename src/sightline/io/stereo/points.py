@@ -19,7 +19,13 @@ from sightline.io.acquisition.ground import exchanged_view_words, exchanged_word
 from sightline.io.acquisition.platform import points_to_world
 from sightline.io.stereo.checks import check_directions, check_enough
 from sightline.io.stereo.schema import StereoFile
-from sightline.io.stereo.tables import ControlTable, PointTable, StereoPoseTable, check_inside, read_control
+from sightline.io.stereo.tables import (
+    ControlTable,
+    PointTable,
+    StereoPoseTable,
+    check_in_frames,
+    read_control,
+)
 from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior
 from sightline.photogrammetry.sightings import Tracks
 from sightline.photogrammetry.triangulate import meet_rays
@@ -61,7 +67,7 @@ def block_of(
         The world is flat: coordinates stay as they are.
     """
     if table is not None:
-        check_inside(table.path, table.image, camera, table.pixels, shapes)
+        check_in_frames(table.path, table.image, camera, table.pixels, shapes)
     if table is None:
         nothing: Array = np.empty(0)
         table = PointTable(files.toml, np.empty(0, dtype=np.intp), nothing, np.empty((0, 2)), nothing)
@@ -77,7 +83,7 @@ def block_of(
         if read.seen is None:
             which = _known(path, read, numbers)
         else:
-            check_inside(path, read.seen.image, camera, read.seen.pixels, shapes)
+            check_in_frames(path, read.seen.image, camera, read.seen.pixels, shapes)
             # control points seen in pixels of their own are points of their own, numbered below all others
             which = len(numbers) + np.arange(len(places))
             first = min(0.0, float(numbers.min(initial=0.0))) - len(places)

@@ -418,7 +418,7 @@ def _sigma(path: Path, table: dict[str, Any]) -> Array:
     return sigma
 
 
-def check_inside(
+def check_in_frames(
     path: Path, image: Index, camera: Index, pixels: Array, shapes: Sequence[tuple[int, int]]
 ) -> None:
     """Refuse points that lie outside the frames.

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
+from sightline.estimation.series import DifferenceSeries
 from sightline.geometry.checks import as_points, as_times, frozen, same_length
 
 Array = NDArray[np.float64]
@@ -85,6 +86,18 @@ class AngleDifferences:
     def __len__(self) -> int:
         """Number of differences."""
         return len(self.t)
+
+    def of_axis(self, axis: int) -> DifferenceSeries:
+        """One axis (0 roll, 1 pitch, 2 yaw) by itself, its variance being the marginal one."""
+        return DifferenceSeries(
+            self.t,
+            self.lag,
+            self.angles[:, axis],
+            self.covariance[:, axis, axis],
+            images=self.images,
+            window=self.window,
+            patch=None if self.patch is None else np.asarray(self.patch, dtype=np.int64),
+        )
 
     def sigma(self) -> Array:
         """(N, 3) rad; of each angle by itself."""

@@ -19,7 +19,7 @@ from sightline.geometry.checks import as_times
 from sightline.geometry.interpolation import interpolate
 from sightline.geometry.trajectory import Motion
 from sightline.motion.estimators.differences import AngleDifferences
-from sightline.motion.estimators.polynomial import PolynomialFit, checked, fit_polynomial
+from sightline.motion.estimators.polynomial import PolynomialFit, checked_differences, fit_polynomial
 from sightline.motion.observability import transfer
 
 Array = NDArray[np.float64]
@@ -155,7 +155,7 @@ def restore(
         A slow error that every pair agrees with is not in it.
     """
     times = as_times(t, "t", increasing=True)
-    pairs = checked(differences)
+    pairs = checked_differences(differences)
     fit = fit_polynomial(pairs, degree=degree) if degree else None
     step = common_step(pairs)
     even = [even_pair(_without(d, fit), step) for d in pairs]

@@ -25,7 +25,7 @@ from sightline.geometry.interpolation import stencils
 from sightline.geometry.trajectory import Motion
 from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.estimators.harmonic import common_step
-from sightline.motion.estimators.polynomial import checked
+from sightline.motion.estimators.polynomial import checked_differences
 
 Array = NDArray[np.float64]
 AxisPriors = Spectrum | tuple[Spectrum, Spectrum, Spectrum]
@@ -139,7 +139,7 @@ def kalman(
     is free, and held by the condition that the mean of the motion is zero: the only one it needs.
     """
     times = as_times(t, "t", increasing=True)
-    pairs = checked(differences)
+    pairs = checked_differences(differences)
     axes = (prior, prior, prior) if isinstance(prior, Spectrum) else prior
     first = min(float(np.minimum(d.t, d.t + d.lag).min()) for d in pairs)
     last = max(float(np.maximum(d.t, d.t + d.lag).max()) for d in pairs)

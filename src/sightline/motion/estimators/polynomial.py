@@ -83,7 +83,7 @@ def fit_polynomial(differences: Sequence[AngleDifferences], *, degree: int = 5) 
     """
     if degree < 1:
         raise InputError(f"`degree` must be 1 or more, got {degree}; the constant is never observable")
-    pairs = checked(differences)
+    pairs = checked_differences(differences)
     t = np.concatenate([d.t for d in pairs])
     end = np.concatenate([d.t + d.lag for d in pairs])
     if len(t) < degree:
@@ -141,7 +141,7 @@ def unexplained_variance(differences: Sequence[AngleDifferences], fit: Polynomia
     own errors; slower jitter shows less and is underestimated.
     """
     excess, weights = np.zeros(3), np.zeros(3)
-    for d in checked(differences):
+    for d in checked_differences(differences):
         own = np.einsum("nii->ni", d.covariance)
         residual = d.angles - fit.differences(d.t, d.lag)
         excess += ((residual**2 - own) / own).sum(axis=0)
@@ -149,7 +149,7 @@ def unexplained_variance(differences: Sequence[AngleDifferences], fit: Polynomia
     return np.asarray(np.maximum(0.5 * excess / weights, 0.0))
 
 
-def checked(differences: Sequence[AngleDifferences]) -> Sequence[AngleDifferences]:
+def checked_differences(differences: Sequence[AngleDifferences]) -> Sequence[AngleDifferences]:
     """The same differences, refused where there is none."""
     if isinstance(differences, AngleDifferences):
         raise InputError(

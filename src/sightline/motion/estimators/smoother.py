@@ -19,7 +19,7 @@ from sightline.estimation.evidence import Posterior, posterior
 from sightline.estimation.likelihood import FittedSpectrum, default_step, fit_spectrum, span
 from sightline.estimation.prior import Spectrum
 from sightline.estimation.robust import expected_innovations, student_weights
-from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations, normal_equations
+from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations, series_equations
 from sightline.estimation.series_kernels import TAPS
 from sightline.estimation.split import split
 from sightline.geometry.checks import as_times
@@ -101,7 +101,7 @@ def smooth(
     True
     """
     times = as_times(t, "t", increasing=True)
-    series = [scalar_series(differences, axis) for axis in range(3)]
+    series = [axis_series(differences, axis) for axis in range(3)]
     step = default_step(series[0]) if grid_step is None else grid_step
     first, last = span(series[0])
     margin = 0.5 * TAPS * step
@@ -113,7 +113,7 @@ def smooth(
     angles = np.empty((len(times), 3))
     covariance = np.zeros((len(times), 3, 3))
     for axis, believed in enumerate(_three(prior)):
-        equations = normal_equations(
+        equations = series_equations(
             series[axis],
             grid,
             offsets=offset_sigma is not None,
@@ -157,7 +157,7 @@ def fit_spectra(
     """
     roll, pitch, yaw = (
         fit_spectrum(
-            scalar_series(differences, axis),
+            axis_series(differences, axis),
             step=grid_step,
             offset_sigma=offset_sigma,
             independent=independent,
@@ -168,17 +168,11 @@ def fit_spectra(
     return roll, pitch, yaw
 
 
-def scalar_series(differences: Sequence[AngleDifferences], axis: int) -> list[DifferenceSeries]:
+def axis_series(differences: Sequence[AngleDifferences], axis: int) -> list[DifferenceSeries]:
     """One axis (0 roll, 1 pitch, 2 yaw) of all pairs, its variance being the marginal one."""
     if len(differences) == 0:
         raise InputError("`differences` is empty; give the angle differences of at least one image pair")
-    return [
-        DifferenceSeries(
-            d.t, d.lag, d.angles[:, axis], d.covariance[:, axis, axis], d.images, d.window,
-            None if d.patch is None else np.asarray(d.patch, dtype=np.int64),
-        )
-        for d in differences
-    ]  # fmt: skip
+    return [d.of_axis(axis) for d in differences]
 
 
 def reduced(now: Posterior, t: Array, *, trend: bool = False) -> tuple[Array, Array]:

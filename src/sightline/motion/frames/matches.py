@@ -124,7 +124,7 @@ class FrameStar:
         return self.measured - predicted
 
 
-def match_frames(
+def match_neighbours(
     images: Sequence[ImageSource], cameras: Sequence[FrameCamera], surface: Surface, plan: FramePlan
 ) -> list[FrameStar]:
     """Match every frame with its neighbours at the plan's lags.

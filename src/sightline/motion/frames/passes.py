@@ -21,7 +21,7 @@ from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource, MaskedImage
 from sightline.motion.band import Frame
 from sightline.motion.frames.lens_field import LensField
-from sightline.motion.frames.matches import FramePlan, FrameStar, match_frames
+from sightline.motion.frames.matches import FramePlan, FrameStar, match_neighbours
 from sightline.motion.frames.noise import FrameNoise, GroundField, learn_field, learn_noise
 from sightline.motion.frames.solve import FrameEstimate, FrameUnknowns, solve_frames
 from sightline.motion.frames.start import (
@@ -209,7 +209,7 @@ def first_pass(sequence: FramePasses, x: Array) -> PassState:
     plan = FramePlan(
         options.first_window, sequence.step(options.first_window), options.first_search_px, options.lags[:1]
     )
-    stars = match_frames(sequence.images, unknowns.cameras(x), sequence.surface, plan)
+    stars = match_neighbours(sequence.images, unknowns.cameras(x), sequence.surface, plan)
     kept = sum(int(star.present.sum()) for star in stars)
     if kept < 20:
         raise EstimationError(
@@ -229,7 +229,7 @@ def next_pass(sequence: FramePasses, before: PassState, number: int) -> PassStat
     """Match again at all lags with the cameras found; solve, weigh, learn the errors."""
     options = sequence.options
     plan = FramePlan(options.window, sequence.step(options.window), options.search_px, options.lags)
-    stars = match_frames(sequence.images, before.estimate.cameras, sequence.surface, plan)
+    stars = match_neighbours(sequence.images, before.estimate.cameras, sequence.surface, plan)
     fields = _ground_fields(sequence, before.estimate, plan)
     if number == 0:
         field = LensField.over(sequence.shape, FIELD_START_PX) if sequence.free_lens else None

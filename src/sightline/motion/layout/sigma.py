@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sightline.estimation.evidence import posterior
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.series import DifferenceSeries, Grid, normal_equations
+from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 from sightline.estimation.series_kernels import TAPS
 from sightline.estimation.split import split
 from sightline.motion.estimators.smoother import ORDER, reduced
@@ -165,7 +165,7 @@ def smoother_sigma(
     step = noise.period if step is None else step
     margin = 0.5 * TAPS * step
     grid = Grid.covering(-margin, duration + margin, step)
-    equations = normal_equations(series, grid, spectrum=prior)
+    equations = series_equations(series, grid, spectrum=prior)
     apart = split(prior, grid.step, ORDER, grid.count, width=len(equations.band) - 1)
     believed = prior.autoregressive(grid.step, ORDER, grid.count) if apart is None else apart
     every = max(step, noise.period)

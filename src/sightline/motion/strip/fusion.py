@@ -531,7 +531,7 @@ def tie(rows: Sequence[SensorRows], grid: TimeGrid, block: int) -> Ties:
     return Ties(tuple(rows), equations, own, _tied(rows))
 
 
-def joined(images: NormalEquations, ties: Ties) -> NormalEquations:
+def add_ties(images: NormalEquations, ties: Ties) -> NormalEquations:
     """The information of images and sensors together."""
     more = ties.equations
     ab = np.zeros((max(len(images.ab), len(more.ab)), images.ab.shape[1]))

@@ -326,7 +326,7 @@ def fit_prior_model(
         possible: Sequence[float] = (),
         corner: float | None = None,
     ) -> FittedSpectrum:
-        series = [scalar_series(d, axis) for d in differences]
+        series = [d.of_axis(axis) for d in differences]
         if jumps:
             series = [_without_jumps(one, jumps[axis]) for one in series]
         return fit_spectrum(
@@ -416,16 +416,3 @@ def _without_jumps(series: DifferenceSeries, jumps: Array) -> DifferenceSeries:
     if across.mean() > MOST_ACROSS:
         return series
     return replace(series, variance=np.where(across, np.inf, series.variance))
-
-
-def scalar_series(differences: AngleDifferences, axis: int) -> DifferenceSeries:
-    """One axis of a set of differences (0 roll, 1 pitch, 2 yaw)."""
-    return DifferenceSeries(
-        differences.t,
-        differences.lag,
-        differences.angles[:, axis],
-        differences.covariance[:, axis, axis],
-        images=differences.images,
-        window=differences.window,
-        patch=differences.patch,
-    )

@@ -21,7 +21,7 @@ from scipy.linalg import block_diag
 from sightline.estimation.banded import BandedFactor, BorderedFactor, band_times
 from sightline.estimation.prior import Autoregressive, Spectrum, Tone
 from sightline.estimation.split import LaidFactor, Layout, SplitPrior, farthest, spread_band
-from sightline.motion.strip.fusion import Ties, joined
+from sightline.motion.strip.fusion import Ties, add_ties
 from sightline.motion.strip.normal_equations import NormalEquations, TimeGrid
 
 Array = NDArray[np.float64]
@@ -156,7 +156,7 @@ class JointEstimate:
     @cached_property
     def _data(self) -> NormalEquations:
         """Information of images and sensors."""
-        return self._images if self.ties is None else joined(self._images, self.ties)
+        return self._images if self.ties is None else add_ties(self._images, self.ties)
 
     @cached_property
     def _banded(self) -> _Banded:
@@ -453,7 +453,7 @@ def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = 
     """
     data = images
     if ties is not None:
-        data = joined(images, ties)
+        data = add_ties(images, ties)
         loose = np.where(ties.tied, TIED_SIGMA, prior.constant_sigma)
         prior = replace(
             prior, own_precision=ties.own_precision, constant_sigma=(loose[0], loose[1], loose[2])

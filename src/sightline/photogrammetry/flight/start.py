@@ -15,7 +15,7 @@ from sightline.errors import EstimationError
 from sightline.matching.follow import Followed
 from sightline.photogrammetry.flight.poses import FramePoses
 from sightline.photogrammetry.flight.problem import SequenceProblem
-from sightline.photogrammetry.flight.turned_frames import carried_attitudes, quarter_turns, turned
+from sightline.photogrammetry.flight.turned_frames import carried_attitudes, quarter_turns, turned_images
 from sightline.photogrammetry.sightings import Tracks
 
 #: Share of a frame's longer side by which points may lie off the rough poses; each round sees this finer.
@@ -40,7 +40,7 @@ def begun(problem: SequenceProblem, followed: Followed) -> SequenceProblem:
     images, camera = problem.images, (problem.detector, problem.mount)
     if told.any():
         quarters = quarter_turns(images, problem.known, *camera, problem.surface, followed)
-        images = turned(images, np.asarray(0.5 * np.pi * quarters, dtype=np.float64), *camera)
+        images = turned_images(images, np.asarray(0.5 * np.pi * quarters, dtype=np.float64), *camera)
         for number in (1, 2, 3):
             rows = np.flatnonzero(quarters == number)
             if len(rows):

@@ -136,7 +136,7 @@ def _quarters(angle: float) -> tuple[int, bool]:
     return number, abs(angle - 0.5 * np.pi * number) < _CLEAR
 
 
-def turned(images: Images, angle: Array, detector: AreaDetector, mount: Rotation) -> Images:
+def turned_images(images: Images, angle: Array, detector: AreaDetector, mount: Rotation) -> Images:
     """Images whose frames (M,) are turned about their axes by `angle` rad, from line towards column."""
     by = _about_axis(-angle, detector)
     return replace(images, world_from_body=images.world_from_body * mount * by * mount.inv())
