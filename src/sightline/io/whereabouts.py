@@ -15,6 +15,8 @@ Array = NDArray[np.float64]
 _COMPASS = ("north", "north-east", "east", "south-east", "south", "south-west", "west", "north-west")
 #: Share of the distance to the ground that a path spans at least: below it nothing is seen from two sides.
 _LEAST_SPAN = 0.01
+#: m/s; slower than what flies.
+_SLOWEST = 0.1
 #: Degrees from the horizontal beyond which a direction is up or down.
 _STEEP = 60.0
 
@@ -61,12 +63,13 @@ def flight_words(positions: Array, radii: tuple[float, float] | None) -> str:
     return f"{said}, flies {direction_words(moved, level_axes_at(positions[0], radii))}"
 
 
-def span_doubts(positions: Array, distance: float) -> tuple[str, ...]:
-    """A doubt where positions (n, 3) in metres hardly differ beside the distance (m) to what they see."""
+def span_doubts(positions: Array, t: Array, distance: float) -> tuple[str, ...]:
+    """A doubt where positions (n, 3) m hardly differ, over times t (n,) and beside the distance (m) to
+    what they see."""
     if len(positions) < 2:
         return ()
     span = float(np.linalg.norm(np.ptp(positions[:, :2], axis=0)))
-    if not 0.0 < span < _LEAST_SPAN * distance:
+    if not 0.0 < span < min(_LEAST_SPAN * distance, _SLOWEST * float(np.ptp(t))):
         return ()
     x, y = np.abs(positions[:, :2]).max(axis=0)
     degrees = 'degrees? then [world] frame = "lonlat"; or are they ' if x <= 360.0 and y <= 90.0 else ""

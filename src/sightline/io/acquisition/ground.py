@@ -39,7 +39,7 @@ LARGEST_STEP_RATIO = 50.0
 DOUBTFUL_STEP_RATIO = 4.0
 _SAMPLING_KEYS = (
     "ifov (a tangent, pixel pitch / focal length, about 1e-5) or directions, line_period (s), altitude (m), "
-    "ground_speed (m/s)"
+    'ground_speed (m/s); of tables the positions (m, unless [world] frame = "lonlat") and their t (s)'
 )
 #: Lines and columns of the grid with which common ground is looked for.
 OVERLAP_GRID = (65, 33)

@@ -201,7 +201,7 @@ def _span_doubts(problem: SequenceProblem, file: SequenceFile) -> tuple[str, ...
         places = (places - origin) @ level_axes_at(origin, problem.radii).T
     seen = np.linalg.norm(seen_ground(problem) - problem.images.position, axis=1)
     seen = seen[np.isfinite(seen)]
-    return span_doubts(places, float(np.median(seen))) if len(seen) else ()
+    return span_doubts(places, problem.t[known], float(np.median(seen))) if len(seen) else ()
 
 
 def _exchanged_words(

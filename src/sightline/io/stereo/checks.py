@@ -44,7 +44,7 @@ def check_baseline(path: Path, names: Sequence[str], images: Images, sigma: floa
         raise FormatError(
             f"{path}: no baseline: {who} {largest:.4g} m at most, within the noise of positions "
             f"({sigma:g} m, 1-sigma); attitude errors of cameras at one place cannot be told apart: check "
-            "x, y, z, "
+            'x, y, z (m; degrees with [world] frame = "lonlat" alone), '
             "and that rows of one camera are not given twice"
         )
 
