@@ -49,7 +49,7 @@ from sightline.motion.strip.joint import (
 )
 from sightline.motion.strip.lag_sign import matches_backwards
 from sightline.motion.strip.relief import RowRelief
-from sightline.motion.strip.strip import RecoverOptions, Strip, prepared
+from sightline.motion.strip.strip import RecoverOptions, Strip, prepared, suited
 from sightline.motion.strip.viewing_axes import (
     turned_amplitudes,
     turned_band,
@@ -132,6 +132,8 @@ def recover_line_of_sight(
     """
     options = options or RecoverOptions()
     tell = progress or (lambda text: None)
+    if len(bands) > 1:
+        options = suited(options, bands, surface)
     strip = ready_strip(bands, surface, sensors, control_points, known, options)
     strip, state, result = joint_line_of_sight(strip, options, height_sigma, tell)
     if options.method == "joint":

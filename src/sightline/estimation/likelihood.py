@@ -42,7 +42,7 @@ class FittedSpectrum:
     deviance : float
         -2 log marginal likelihood at the optimum, on the grid of the fit.
     step : float
-        s; grid step of the fit. Nothing above about 0.3 / step was looked for.
+        s; grid step of the fit. Nothing above about 0.3 / step was looked for, nor what the windows average away.
     significance : tuple of float
         Of each tone of `spectrum.tones`: log-likelihood gained by a sinusoid there, when it was found.
     """
@@ -92,7 +92,8 @@ def fit_spectrum(
     fit_noise : bool
         Whether the variances are scaled by a fitted factor.
     offset_sigma : float, optional
-        Prior sigma of an unknown constant of every image; none by default.
+        Prior sigma of an unknown constant of every image; none by default. With it no tone is looked for at
+        the rate of the measurements, or its multiples: it would be such a constant.
     independent : float
         See `series_equations`.
     iterations : int
@@ -122,7 +123,9 @@ def fit_spectrum(
         )
 
     offset = 1.0 if offset_sigma is None else offset_sigma / unit
-    search = Search(summed(None), offset, fit_noise, grid.step * grid.count, corner)
+    window = min(s.window for s in scaled)
+    rates = () if offset_sigma is None else _rates(scaled)
+    search = Search(summed(None), offset, fit_noise, grid.step * grid.count, corner, rates, window)
     guesses = _guesses(inside, grid) + ([] if start is None else [NoiseModel.of(start.scaled(1.0 / unit))])
     model = min(guesses, key=search.deviance)
     model = search.with_given_tones(model, known_tones)
@@ -158,6 +161,16 @@ def default_step(series: Sequence[DifferenceSeries]) -> float:
     if not math.isfinite(spacing):
         raise InputError("the series hold fewer than two measurement times; give `grid_step`")
     return float(np.clip(shortest / 7.0, spacing / 5.0, spacing))
+
+
+def _rates(series: Sequence[DifferenceSeries]) -> tuple[float, ...]:
+    """Rates (Hz) at which the series are sampled evenly."""
+    rates = set()
+    for s in series:
+        steps = np.diff(np.unique(s.t[s.used]))
+        if len(steps):
+            rates.add(float(f"{1.0 / float(np.median(steps)):.6g}"))
+    return tuple(sorted(rates))
 
 
 def span(series: Sequence[DifferenceSeries]) -> tuple[float, float]:

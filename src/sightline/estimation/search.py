@@ -40,6 +40,12 @@ CORNER_BELIEF = 0.7
 #: A smoother broadband part is believed when it lowers the deviance by this much (Akaike's price of a
 #: parameter, thrice: there are three steps to take).
 SMOOTHER = 6.0
+#: Tones nearer to the rate of the differences than this, in units of one over the length of the data, turn by
+#: so few periods against it that offsets of the images, and drifts, take their place.
+NEAR_RATE = 4.0
+#: Highest frequency of a tone that is looked for, in units of one over the time that a measurement averages
+#: over: a quarter of such a tone is left in it.
+SEEN_THROUGH = 0.8
 #: Longest time scale of a drift, in lengths of the data: longer ones look alike in them, but claim ever more
 #: where measurements leave the drift to the prior.
 LONGEST_DRIFT = 1.0
@@ -106,6 +112,11 @@ class Search:
         s; of the data: its inverse is the resolution in frequency.
     corner : float, optional
         Hz; where the broadband part is believed to bend, within CORNER_BELIEF.
+    rates : sequence of float
+        Hz; at which differences are sampled: a tone there, or at a multiple, is a constant of every image,
+        and none is looked for.
+    window : float
+        s; over which measurements average.
     """
 
     def __init__(
@@ -115,8 +126,12 @@ class Search:
         fit_noise: bool,
         length: float,
         corner: float | None = None,
+        rates: Sequence[float] = (),
+        window: float = 0.0,
     ) -> None:
         self._corner = corner
+        self._highest = min(0.3 / equations.grid.step, SEEN_THROUGH / max(window, 1e-12))
+        self._rates = tuple(rates)
         self._equations = equations
         self._offset_sigma = offset_sigma
         self._fit_noise = fit_noise
@@ -269,11 +284,12 @@ class Search:
         now = self.posterior(model)
         u = band_times(now.prior_band, now.mean)
         frequency, ratio = self._approximate_gain(now, u)
-        lowest, highest = 2.0 / self._length, 0.3 / self._equations.grid.step
+        lowest, highest = 2.0 / self._length, self._highest
         known = [tone.frequency for tone in model.tones]
         usable = (frequency > lowest) & (frequency < highest)
         for f in known:
             usable &= np.abs(frequency - f) > 1.5 / self._length
+        usable &= ~self._constant(frequency) & ~self._alias(frequency, known)
         peak = np.zeros(len(ratio), dtype=bool)
         peak[1:-1] = (ratio[1:-1] >= ratio[:-2]) & (ratio[1:-1] > ratio[2:])
         where = np.flatnonzero(peak & usable)
@@ -288,6 +304,27 @@ class Search:
                 sigma = math.sqrt(2.0 * float(power[k])) / float(expected[k])
                 tones.append((Tone(sigma, float(frequency[where[k]]), 1.0 / self._length), float(gain[k])))
         return tones
+
+    def _constant(self, frequency: Array) -> NDArray[np.bool_]:
+        """Whether tones of these frequencies (Hz) are hardly more than constants of the differences."""
+        out = np.zeros(len(frequency), dtype=bool)
+        for rate in self._rates:
+            nearest = np.maximum(np.rint(frequency / rate), 1.0) * rate
+            out |= np.abs(frequency - nearest) < NEAR_RATE / self._length
+        return out
+
+    def _alias(self, frequency: Array, known: Sequence[float]) -> NDArray[np.bool_]:
+        """Whether frequencies (Hz) above half a rate look like a tone that is known already.
+
+        What a tone leaves, because it is not quite a tone, shows there again.
+        """
+        out = np.zeros(len(frequency), dtype=bool)
+        for rate in self._rates:
+            folded = np.abs(frequency - rate * np.rint(frequency / rate))
+            for f in known:
+                same = np.abs(folded - abs(f - rate * round(f / rate))) < NEAR_RATE / self._length
+                out |= same & (frequency > 0.5 * rate)
+        return out
 
     def without_aliases(self, model: NoiseModel, false_alarm: float) -> NoiseModel:
         """The model with every tone moved to another frequency where that explains the data better.
@@ -374,12 +411,13 @@ class Search:
         """
         apart = 1.5 / self._length
         new = [f for f in possible if all(abs(tone.frequency - f) > apart for tone in model.tones)]
+        new = [f for f, constant in zip(new, self._constant(np.array(new)), strict=True) if not constant]
         if not new:
             return model
         now = self.posterior(model)
         u = band_times(now.prior_band, now.mean)
         power, expected = self._exact_gain(now, u, np.array(new))
-        threshold = math.log(0.3 / self._equations.grid.step * self._length / false_alarm)
+        threshold = math.log(self._highest * self._length / false_alarm)
         for frequency, gained, information in zip(new, power / expected, expected, strict=True):
             # a tone of this variance would gain 1 + information variance / 2 on average
             per_variance = 0.5 * float(information)

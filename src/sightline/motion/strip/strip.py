@@ -37,6 +37,8 @@ METHODS = ("joint", "inverse", "wiener", "polynomial", "kalman")
 HYBRIDISE = ("global", "iterative")
 #: Lines at which the ground of a strip is sought.
 GROUND_PLACES = 9
+#: Rows of windows in the shortest lag at least, and lines of a window at least.
+ROWS_IN_LAG, LEAST_WINDOW = 1.8, 2
 
 
 @dataclass(frozen=True)
@@ -190,6 +192,45 @@ class Strip:
     ) -> list[MovingCamera]:
         moved = [c.with_trajectory(c.trajectory.with_motion(motion)) for c in cameras]
         return apply_statics(moved, self.parameters, statics)
+
+
+def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> RecoverOptions:
+    """Options with rows of windows near enough to each other for the shortest lag of the bands.
+
+    A pair sees motion by how it differs over its lag: rows farther apart than some half of that sample what
+    the pair sees too coarsely, and windows as high as that average it away. Windows, rows or nodes that were
+    asked for stay as they are.
+    """
+    usual = RecoverOptions()
+    for key in ("window", "step", "grid_lines"):
+        if getattr(options, key) != getattr(usual, key):
+            return options
+    step = int(_shortest_lag([band.camera for band in bands], surface) / ROWS_IN_LAG)
+    if step >= usual.step:
+        return options
+    step = max(step, 1)
+    return replace(
+        options,
+        window=(max(step, LEAST_WINDOW), usual.window[1]),
+        step=step,
+        grid_lines=usual.grid_lines * step / usual.step,
+    )
+
+
+def _shortest_lag(cameras: Sequence[PushbroomCamera], surface: Surface) -> float:
+    """Lines of the first of the pair between its sight of a place and the other's; inf where none has any."""
+    shortest = math.inf
+    for k, camera in enumerate(cameras):
+        lines = np.linspace(0.0, camera.lines - 1.0, GROUND_PLACES)
+        pixels = np.column_stack([lines, np.full(len(lines), (camera.columns - 1) / 2.0)])
+        ground, period = camera.locate(pixels, surface), camera.detector.line_period
+        for other in cameras[k + 1 :]:
+            seen = other.project(ground)
+            lag = np.abs(other.times(seen[:, 0]) - camera.times(lines)) / period
+            known = lag[np.isfinite(lag) & (lag > 0.5)]  # half a line is none
+            if len(known):
+                shortest = min(shortest, float(np.median(known)))
+    return shortest
 
 
 def prepared(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -> Strip:
