@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -220,3 +222,17 @@ def test_at_a_blind_frequency_a_known_tone_may_be_as_large_as_the_drift(motion) 
     )
     # |G| is 2 at the one and 0 at the other
     assert blind > 5.0 * seen
+
+
+def test_at_the_rate_of_the_rows_offsets_take_the_place_of_a_tone(motion: np.ndarray) -> None:
+    # differences every 8 ms: at 125 Hz, and at 250, a tone is the same in all of them
+    given = [replace(one, images=(0, k + 1)) for k, one in enumerate(measured(motion, 0.03, every=8))]
+    asked = [80.0, 125.0, 126.0, 250.0]
+
+    def near(offset_sigma: float | None) -> list[float]:
+        tones = fit_spectrum(given, offset_sigma=offset_sigma, possible=asked).spectrum.tones
+        return [f for f in asked if any(abs(tone.frequency - f) < 0.1 for tone in tones)]
+
+    assert near(None) == asked
+    # 4 periods over the 1 s of the data against the rate are needed
+    assert near(1.0) == [80.0]

@@ -42,7 +42,8 @@ class FittedSpectrum:
     deviance : float
         -2 log marginal likelihood at the optimum, on the grid of the fit.
     step : float
-        s; grid step of the fit. Nothing above about 0.3 / step was looked for, nor what the windows average away.
+        s; grid step of the fit. Nothing above about 0.3 / step was looked for, nor what windows average
+        away.
     significance : tuple of float
         Of each tone of `spectrum.tones`: log-likelihood gained by a sinusoid there, when it was found.
     """

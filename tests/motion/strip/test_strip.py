@@ -11,7 +11,7 @@ from motion.strips import PERIOD, strip_cameras
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Band
-from sightline.motion.strip.strip import RecoverOptions, prepared
+from sightline.motion.strip.strip import RecoverOptions, prepared, suited
 
 SHAPE = (401, 220)
 
@@ -36,3 +36,18 @@ def test_the_motion_is_given_from_the_first_exposure_of_any_band_to_the_last(sta
     bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(cameras)]
     lines = prepared(bands, Plane(), RecoverOptions()).lines()
     assert (lines[0], lines[-1]) == (first, last) and (np.diff(lines) == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("lag", "step", "window", "grid_lines"),
+    [(83.0, 4, 4, 2.0), (7.3, 4, 4, 2.0), (6.0, 3, 3, 1.5), (3.7, 2, 2, 1.0), (1.0, 1, 2, 0.5)],
+)
+def test_rows_follow_a_short_lag(lag, step, window, grid_lines):
+    image = ArrayImage(np.random.default_rng(0).standard_normal(SHAPE))
+    cameras = strip_cameras((0.0, -lag), *SHAPE)
+    bands = [Band(f"band {k}", image, camera) for k, camera in enumerate(cameras)]
+    found = suited(RecoverOptions(), bands, Plane())
+    assert (found.step, found.window, found.grid_lines) == (step, (window, 100), grid_lines)
+    # what was asked for stays
+    asked = RecoverOptions(step=3)
+    assert suited(asked, bands, Plane()) is asked

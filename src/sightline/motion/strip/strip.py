@@ -205,10 +205,10 @@ def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> 
     for key in ("window", "step", "grid_lines"):
         if getattr(options, key) != getattr(usual, key):
             return options
-    step = int(_shortest_lag([band.camera for band in bands], surface) / ROWS_IN_LAG)
-    if step >= usual.step:
+    rows = _shortest_lag([band.camera for band in bands], surface) / ROWS_IN_LAG
+    if rows >= usual.step:
         return options
-    step = max(step, 1)
+    step = max(int(rows), 1)
     return replace(
         options,
         window=(max(step, LEAST_WINDOW), usual.window[1]),
