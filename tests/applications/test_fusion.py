@@ -14,7 +14,7 @@ from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.evaluation.score import score_motion, score_result
 from sightline.geometry.trajectory import Motion, Trajectory
 from sightline.io.formats.tables import read_motion
-from sightline.motion.sensors import AttitudeSensor, ControlPoints
+from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.strip import RecoverOptions
 
@@ -60,12 +60,12 @@ def tracker(truth: Motion, rng, sigma: float) -> AttitudeSensor:
     return AttitudeSensor("tracker", "star-tracker", t, t, angles, np.full(10, sigma), 0.0, 0.0, 0.0)
 
 
-def control(bands, truth: Motion, surface, rng, count: int) -> ControlPoints:
+def control(bands, truth: Motion, surface, rng, count: int) -> ControlSightings:
     """Points of the first band, whose true place in its focal plane is not known: sigma 3.4 m is one px."""
     camera = bands[0].camera.with_trajectory(bands[0].camera.trajectory.with_motion(truth))
     pixels = rng.uniform([20.0, 0.0], [620.0, 319.0], (count, 2))
     points = camera.locate(pixels, surface) + 3.4 * rng.standard_normal((count, 3)) * [1.0, 1.0, 0.0]
-    return ControlPoints(points, np.full(count, 3.4), np.zeros(count, dtype=np.intp), pixels)
+    return ControlSightings(points, np.full(count, 3.4), np.zeros(count, dtype=np.intp), pixels)
 
 
 def kept_share(result) -> float:

@@ -176,7 +176,7 @@ def _with_poses(place: str, targets: str, *more: Any) -> None:
 
 function("stereo.tables.read_poses", "pair", "cameras.csv")
 _with_poses("stereo.tables.read_matches", "matches.csv", 0.1)
-_with_poses("stereo.tables.read_control", "control.csv", 0.1)
+_with_poses("stereo.tables.read_stereo_control", "control.csv", 0.1)
 _with_poses("stereo.tables.read_image_list", "images.csv")
 _with_poses("stereo.tables.read_observations", "observations.csv", 0.1)
 function("results.stereo_score.read_orientation", "pair", "result/orientation.csv")

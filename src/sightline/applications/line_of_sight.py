@@ -29,7 +29,7 @@ from sightline.motion.band import Band
 from sightline.motion.measure.pair_order import best_first, pair_correlations
 from sightline.motion.measure.stars import MatchingPlan, StarRecord, hub_windows, match_star
 from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
-from sightline.motion.sensors import AttitudeSensor, ControlPoints
+from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.strip.checks import checked, farthest_control, farthest_sensor
 from sightline.motion.strip.estimate import (
     DRAFT_ROUNDS,
@@ -88,7 +88,7 @@ def recover_line_of_sight(
     *,
     height_sigma: float = 0.0,
     sensors: Sequence[AttitudeSensor] = (),
-    control_points: ControlPoints | None = None,
+    control_points: ControlSightings | None = None,
     known: KnownContent | None = None,
     options: RecoverOptions | None = None,
     progress: Progress | None = None,
@@ -105,7 +105,7 @@ def recover_line_of_sight(
         m; what is not known of the surface's height: the sigma then owns what relief can hide.
     sensors : sequence of AttitudeSensor
         Star trackers and gyros: where matching starts, and observations in the same estimate.
-    control_points : ControlPoints, optional
+    control_points : ControlSightings, optional
         Likewise.
     known : KnownContent, optional
         Frequencies of the motion that are known beforehand.
@@ -146,7 +146,7 @@ def ready_strip(
     bands: Sequence[Band],
     surface: Surface,
     sensors: Sequence[AttitudeSensor],
-    control_points: ControlPoints | None,
+    control_points: ControlSightings | None,
     known: KnownContent | None,
     options: RecoverOptions,
 ) -> Strip:

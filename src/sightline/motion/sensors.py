@@ -47,22 +47,22 @@ class AttitudeSensor:
 
 
 @dataclass(frozen=True, eq=False)
-class ControlPoints:
-    """Ground points of known coordinates and where they were seen.
+class ControlSightings:
+    """Where ground points of known coordinates were seen, one row each time.
 
     Attributes
     ----------
-    points : (N, 3)
+    position : (N, 3)
         m, world axes.
     sigma : (N,)
         m, per coordinate.
-    images : (N,) int
+    image : (N,) int
         Number of the band or frame.
     pixels : (N, 2)
         (line, column).
     """
 
-    points: Array
+    position: Array
     sigma: Array
-    images: NDArray[np.intp]
+    image: NDArray[np.intp]
     pixels: Array

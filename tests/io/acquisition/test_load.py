@@ -163,8 +163,8 @@ def test_control_points_come_from_the_file_and_from_a_table(folder):
         '[[control_point]]\nx = 5.0\ny = 6.0\nz = 0.0\nsigma = 1.0\nimage = "PAN"\nline = 3.0\ncolumn = 4.0\n'
     )
     points = load_acquisition(folder.write()).control_points
-    np.testing.assert_array_equal(points.points, [[5, 6, 0], [1, 2, 3]])
-    np.testing.assert_array_equal(points.images, [0, 1])
+    np.testing.assert_array_equal(points.position, [[5, 6, 0], [1, 2, 3]])
+    np.testing.assert_array_equal(points.image, [0, 1])
     np.testing.assert_array_equal(points.pixels, [[3, 4], [10, 20]])
 
 

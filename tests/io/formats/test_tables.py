@@ -48,7 +48,7 @@ def test_a_motion_comes_back_with_its_sigmas(tmp_path):
     header = (tmp_path / "motion.csv").read_text().splitlines()[0]
     assert header == (
         "t,roll,pitch,yaw,sigma_roll,sigma_pitch,sigma_yaw,"
-        "sigma_absolute_roll,sigma_absolute_pitch,sigma_absolute_yaw,observed"
+        "sigma_absolute_roll,sigma_absolute_pitch,sigma_absolute_yaw,observed,line"
     )
     again = tables.read_motion(tmp_path / "motion.csv")
     np.testing.assert_array_equal(again.t, given.t)

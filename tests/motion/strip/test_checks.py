@@ -15,7 +15,7 @@ from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.matching.select import Selection
 from sightline.motion.band import Band
-from sightline.motion.sensors import ControlPoints
+from sightline.motion.sensors import ControlSightings
 from sightline.motion.strip.checks import checked, farthest_control, farthest_sensor
 from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.strip import RecoverOptions, prepared
@@ -93,7 +93,7 @@ class TestControlPoints:
     def points(self, strip, moved, sigma=1.0):
         pixel = np.array([[80.0, 100.0]])
         ground = strip.nominal[0].locate(pixel, Plane())
-        return ControlPoints(ground + moved, np.array([sigma]), np.array([0]), pixel)
+        return ControlSightings(ground + moved, np.array([sigma]), np.array([0]), pixel)
 
     def test_a_point_grossly_out_of_place_is_named(self, strip):
         # seen across the track under about 0.2 rad instead of 0

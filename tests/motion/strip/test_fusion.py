@@ -18,7 +18,7 @@ from tests.motion.strips import (
 
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.geometry.trajectory import Trajectory
-from sightline.motion.sensors import AttitudeSensor, ControlPoints
+from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.statics import band_statics
 from sightline.motion.strip.fusion import (
     POINTED_PX,
@@ -204,7 +204,7 @@ def test_a_control_point_sees_the_turn_of_the_body():
     points = np.stack([-(pixels[:, 1] - 159.5) * flat, pixels[:, 0] * PERIOD * SPEED, np.zeros(2)], axis=1)
     turn = np.array([3.0, -2.0, 40.0]) * IFOV
     seen = pixels + np.einsum("nij,j->ni", moved_by_turn(pixels, 0.0), turn)
-    control = ControlPoints(points, np.full(2, 0.01), np.zeros(2, dtype=np.intp), seen)
+    control = ControlSightings(points, np.full(2, 0.01), np.zeros(2, dtype=np.intp), seen)
     rows = control_rows(control, [camera], [], GRID, np.zeros((GRID.count, 3)), np.zeros(0))
     assert rows is not None
     assert np.allclose(rows.by[:, 1].reshape(2, 2, 3), moved_by_turn(pixels, 0.0), rtol=1e-4, atol=2.0)
@@ -218,7 +218,7 @@ def test_a_control_point_sees_the_turn_of_the_body():
 
 def test_one_control_point_does_not_tie_yaw():
     camera = strip_cameras((0.0,))[0]
-    control = ControlPoints(
+    control = ControlSightings(
         np.array([[0.0, 100 * PERIOD * SPEED, 0.0]]),
         np.array([1.0]),
         np.zeros(1, dtype=np.intp),
@@ -232,7 +232,7 @@ def test_one_control_point_does_not_tie_yaw():
 def test_a_control_point_shares_the_offset_of_its_band():
     cameras = strip_cameras((0.0, 40.0))
     parameters = band_statics(told_bands(["a", "b"], [1.0, 1.0], [0.0, 0.0]))
-    control = ControlPoints(
+    control = ControlSightings(
         np.array([[0.0, 100 * PERIOD * SPEED, 0.0]]),
         np.array([1.0]),
         np.ones(1, dtype=np.intp),

@@ -31,7 +31,7 @@ from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
 from sightline.io.acquisition.schema import AcquisitionFile, InputFile, WorldSection
 from sightline.motion.band import Band, ChipKnowledge, Frame, LensKnowledge
-from sightline.motion.sensors import AttitudeSensor, ControlPoints
+from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.spin.solve import AttitudeSigma
 from sightline.motion.strip.hyper import KnownContent
 from sightline.result import one_line
@@ -54,7 +54,7 @@ class Acquisition:
     height_sigma : float
         m; what is not known about it.
     sensors : tuple of AttitudeSensor
-    control_points : ControlPoints or None
+    control_points : ControlSightings or None
     known_motion : KnownContent
     lens : LensKnowledge
     matching : dict
@@ -87,7 +87,7 @@ class Acquisition:
     surface: Surface
     height_sigma: float
     sensors: tuple[AttitudeSensor, ...]
-    control_points: ControlPoints | None
+    control_points: ControlSightings | None
     known_motion: KnownContent
     lens: LensKnowledge
     matching: dict[str, Any]

@@ -47,7 +47,7 @@ from sightline.io.config import read_toml, validate
 from sightline.io.formats import tables
 from sightline.matching.select import Selection
 from sightline.motion.frames.passes import FrameOptions
-from sightline.motion.sensors import AttitudeSensor, ControlPoints
+from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.strip import RecoverOptions
 from sightline.result import set_source
@@ -228,29 +228,18 @@ def read_matching(config: AcquisitionFile, files: InputFolder, names: Sequence[s
     return {**given, "selection": Selection(**options, **chosen)}
 
 
-def read_control(config: AcquisitionFile, files: InputFolder, names: Sequence[str]) -> ControlPoints | None:
+def read_control(
+    config: AcquisitionFile, files: InputFolder, names: Sequence[str]
+) -> ControlSightings | None:
     """Control points of the file and of the table it names; None if there are none."""
-    listed = config.control_point
-    points = [(point.x, point.y, point.z) for point in listed]
-    sigma = [point.sigma for point in listed]
-    images = [point.image for point in listed]
-    pixels = [(point.line, point.column) for point in listed]
-    if config.acquisition.control_points is not None:
-        table = tables.read_control_points(files(config.acquisition.control_points))
-        points += [tuple(row) for row in table[0].tolist()]
-        sigma += table[1].tolist()
-        images += table[2]
-        pixels += [tuple(row) for row in table[3].tolist()]
-    if not points:
+    table = config.acquisition.control_points
+    given = tables.control_points(config.control_point, None if table is None else files(table))
+    if given is None:
         return None
-    unknown = [name for name in images if name not in names]
+    unknown = [name for name in given.image if name not in names]
     if unknown:
         raise FormatError(
             f"{files.toml}: a control point names the image {unknown[0]!r}; images are: {', '.join(names)}"
         )
-    return ControlPoints(
-        to_world(np.array(points, dtype=np.float64), config),
-        np.array(sigma, dtype=np.float64),
-        np.array([names.index(name) for name in images], dtype=np.intp),
-        np.array(pixels, dtype=np.float64),
-    )
+    numbers = np.array([names.index(name) for name in given.image], dtype=np.intp)
+    return ControlSightings(to_world(given.position, config), given.sigma, numbers, given.pixels)

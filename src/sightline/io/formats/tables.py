@@ -15,7 +15,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -34,7 +34,8 @@ STAR_TRACKER = ("t", "roll", "pitch", "yaw", "sigma")
 FEATURES = ("image", "line", "column")
 PSD = ("f", "roll", "pitch", "yaw")
 GYRO = ("t_start", "t_end", "roll", "pitch", "yaw", "sigma")
-CONTROL_POINTS = ("x", "y", "z", "sigma", "image", "line", "column")
+CONTROL = ("x", "y", "z", "sigma")
+CONTROL_POINTS = (*CONTROL, "image", "line", "column")
 DIRECTIONS = ("column", "x", "y", "z")
 LINE_TIMES = ("line", "t")
 MIRROR_ANGLES = ("t", "angle")
@@ -394,23 +395,101 @@ def read_gyro(path: Path) -> tuple[Array, Array, Array, Array]:
     return start, end, _matrix(table, ANGLES), _sigma(path, table)
 
 
-def _sigma(path: Path, table: Mapping[str, list[str] | Array]) -> Array:
-    """The column sigma; positive everywhere."""
+def _sigma(path: Path, table: Mapping[str, list[str] | Array], unit: str = "") -> Array:
+    """The column sigma, in `unit` of messages; positive everywhere."""
     sigma = _matrix(table, ["sigma"])[:, 0]
     if np.any(sigma <= 0.0):
         row = int(np.flatnonzero(sigma <= 0.0)[0])
         raise FormatError(
-            f"{path}: row {row + 1}: sigma = {sigma[row]:.6g}; a 1-sigma error must be positive"
+            f"{path}: row {row + 1}: sigma = {sigma[row]:.6g}{unit}; a 1-sigma error must be positive"
         )
     return sigma
 
 
+@dataclass(frozen=True, eq=False)
+class ControlTable:
+    """Control points as they are given, row by row.
+
+    Attributes
+    ----------
+    position : (N, 3)
+        In whatever axes ``[world]`` says.
+    sigma : (N,)
+        m.
+    point : (N,) or None
+        Number of each; None where they were seen in pixels of their own.
+    image : list of str
+        Where each was seen; ``camera/shot`` of stereo. None of them where rows are numbers of points.
+    pixels : (N, 2)
+        (line, column).
+    sigma_px : (N,) or None
+        px, of each pixel, where the table says it.
+    """
+
+    position: Array
+    sigma: Array
+    point: Array | None
+    image: list[str]
+    pixels: Array
+    sigma_px: Array | None
+
+
 @reads("a CSV table")
-def read_control_points(path: Path) -> tuple[Array, Array, list[str], Array]:
-    """``x,y,z,sigma,image,line,column``: points (N, 3), sigma (N,) m, image names, pixels (N, 2)."""
-    table = read_columns(path, CONTROL_POINTS, text=("image",))
-    names = [str(name) for name in table["image"]]
-    return _matrix(table, "xyz"), _sigma(path, table), names, _matrix(table, ("line", "column"))
+def read_control_points(path: Path, *, stereo: bool = False) -> ControlTable:
+    """``x,y,z,sigma,image,line,column``, and of stereo images ``x,y,z,sigma`` with less or more.
+
+    Those may have ``point`` in place of a pixel, ``camera,shot`` in place of ``image``, and ``sigma_px``.
+    """
+    header = header_of(path) if stereo else list(CONTROL_POINTS)
+    if "point" in header:
+        table = read_columns(path, (*CONTROL, "point"))
+        position, number = _matrix(table, "xyz"), _matrix(table, ["point"])[:, 0]
+        return ControlTable(position, _sigma(path, table, " m"), number, [], np.empty((0, 2)), None)
+    named, words = (("image",), ("image",)) if "image" in header else (("camera", "shot"), ("camera",))
+    if not set(named) <= set(header):
+        raise FormatError(
+            f"{path}: the header is {','.join(header)!r}; besides {','.join(CONTROL)} give point (of the "
+            'table of points), or camera,shot,line,column, or image,line,column with image = "camera/shot"'
+        )
+    own = [name for name in ("sigma_px",) if name in header]
+    table = read_columns(path, (*CONTROL, *named, "line", "column", *own), text=words)
+    images = [str(name) for name in table[words[0]]]
+    if words == ("camera",):
+        images = [f"{name}/{float(shot)!r}" for name, shot in zip(images, table["shot"], strict=True)]
+    return ControlTable(
+        _matrix(table, "xyz"), _sigma(path, table, " m"), None, images, _matrix(table, ("line", "column")),
+        np.asarray(table["sigma_px"], dtype=np.float64) if own else None,
+    )  # fmt: skip
+
+
+class ControlEntry(Protocol):
+    """One ``[[control_point]]``."""
+
+    x: float
+    y: float
+    z: float
+    sigma: float
+    image: str
+    line: float
+    column: float
+
+
+def control_points(listed: Sequence[ControlEntry], table: Path | None) -> ControlTable | None:
+    """Control points that a TOML file lists and those of the table that it names; None if there are none."""
+    own = ControlTable(
+        np.array([(p.x, p.y, p.z) for p in listed], dtype=np.float64).reshape(-1, 3),
+        np.array([p.sigma for p in listed], dtype=np.float64), None, [p.image for p in listed],
+        np.array([(p.line, p.column) for p in listed], dtype=np.float64).reshape(-1, 2), None,
+    )  # fmt: skip
+    if table is None:
+        return own if len(listed) else None
+    read = read_control_points(table)
+    if not listed:
+        return read
+    return ControlTable(
+        np.concatenate([own.position, read.position]), np.concatenate([own.sigma, read.sigma]), None,
+        own.image + read.image, np.concatenate([own.pixels, read.pixels]), None,
+    )  # fmt: skip
 
 
 @reads("a CSV table")

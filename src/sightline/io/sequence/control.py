@@ -19,7 +19,7 @@ from sightline.geometry.instrument import AreaDetector
 from sightline.io.acquisition.acquired import InputFolder
 from sightline.io.acquisition.platform import points_to_world
 from sightline.io.formats.odm import read_gcp_list
-from sightline.io.formats.tables import read_control_points
+from sightline.io.formats.tables import control_points
 from sightline.io.sequence.frames import FrameList
 from sightline.io.sequence.matched_rows import radii_of
 from sightline.io.sequence.schema import SequenceFile
@@ -49,13 +49,15 @@ def control_of(
         position = from_geodetic(radians, radii_of(file) or WGS84)
         sigma, images, pixels = np.full(len(position), file.gcp_sigma), listed.images, listed.pixels
         _, point = np.unique(np.array(listed.names, dtype=str), return_inverse=True)
-    elif file.control_points is not None or file.control_point:
-        path, given, sigma, images, pixels = _of_tables(file, files)
-        position = points_to_world(given, file.world, file.surface.radii, path)
-        rows = np.column_stack([given, sigma])
-        _, point = np.unique(rows, axis=0, return_inverse=True)
     else:
-        return None, None
+        table = None if file.control_points is None else files(file.control_points)
+        given = control_points(file.control_point, table)
+        if given is None:
+            return None, None
+        path, sigma, images, pixels = table or files.toml, given.sigma, given.image, given.pixels
+        position = points_to_world(given.position, file.world, file.surface.radii, path)
+        rows = np.column_stack([given.position, sigma])
+        _, point = np.unique(rows, axis=0, return_inverse=True)
     point = np.asarray(point, dtype=np.intp).reshape(-1)
     image = _frames_of(path, images, frames)
     refuse_seen_twice(path, image, point.astype(np.float64))
@@ -94,21 +96,6 @@ def placed_by_control(
     if not len(places):
         return images
     return replace(images, position=np.tile(np.median(places, axis=0), (len(images), 1)))
-
-
-def _of_tables(file: SequenceFile, files: InputFolder) -> tuple[Path, Array, Array, Sequence[str], Array]:
-    """File, coordinates as given, sigma, image and pixels of each sighting."""
-    if file.control_points is not None:
-        path = files(file.control_points)
-        return path, *read_control_points(path)
-    points = file.control_point
-    return (
-        files.toml,
-        np.array([[p.x, p.y, p.z] for p in points]),
-        np.array([p.sigma for p in points]),
-        [p.image for p in points],
-        np.array([[p.line, p.column] for p in points]),
-    )
 
 
 def _frames_of(path: Path, images: Sequence[str], frames: FrameList) -> NDArray[np.intp]:

@@ -20,11 +20,11 @@ from sightline.io.acquisition.platform import points_to_world
 from sightline.io.stereo.checks import check_directions, check_enough
 from sightline.io.stereo.schema import StereoFile
 from sightline.io.stereo.tables import (
-    ControlTable,
     PointTable,
+    StereoControl,
     StereoPoseTable,
     check_in_frames,
-    read_control,
+    read_stereo_control,
 )
 from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior
 from sightline.photogrammetry.sightings import Tracks
@@ -76,7 +76,7 @@ def block_of(
     control = None
     if file.control_points is not None:
         path = files(file.control_points)
-        read = read_control(path, poses, file.noise.sigma_px)
+        read = read_stereo_control(path, poses, file.noise.sigma_px)
         places = read.position
         if not local:
             places = points_to_world(places, file.world, file.surface.radii, path)
@@ -96,7 +96,7 @@ def block_of(
     return Tracks(image, point, pixels, sigma), numbers, control
 
 
-def _known(path: Path, read: ControlTable, numbers: Array) -> Index:
+def _known(path: Path, read: StereoControl, numbers: Array) -> Index:
     """Which of the points each control point is."""
     point = np.asarray(read.point)
     place = np.clip(np.searchsorted(numbers, point), 0, max(len(numbers) - 1, 0))

@@ -22,6 +22,7 @@ from sightline.io.formats.tables import (
     header_of,
     line_of_row,
     read_columns,
+    read_control_points,
     read_long_columns,
 )
 
@@ -31,7 +32,6 @@ Index = NDArray[np.intp]
 CAMERAS = ("camera", "shot", "t", "x", "y", "z", "qx", "qy", "qz", "qw")
 MATCHES = ("shot", "point", "line_1", "column_1", "line_2", "column_2")
 OBSERVATIONS = ("camera", "shot", "point", "line", "column")
-CONTROL = ("x", "y", "z", "sigma")
 IMAGES = ("camera", "shot", "image")
 
 #: s; images of one shot are exposed together, as far as clocks and rounded tables can tell.
@@ -325,7 +325,7 @@ def _sigma_px(path: Path, table: dict[str, Any], count: int, sigma_px: float | N
 
 
 @dataclass(frozen=True, eq=False)
-class ControlTable:
+class StereoControl:
     """Points of known coordinates.
 
     Attributes
@@ -347,44 +347,27 @@ class ControlTable:
 
 
 @reads("a CSV table")
-def read_control(path: Path, poses: StereoPoseTable, sigma_px: float | None) -> ControlTable:
+def read_stereo_control(path: Path, poses: StereoPoseTable, sigma_px: float | None) -> StereoControl:
     """``x,y,z,sigma`` and ``point``, or ``camera,shot,line,column``, or ``image,line,column``."""
-    header = header_of(path)
-    if "point" in header:
-        table = read_columns(path, (*CONTROL, "point"))
-        point = whole_numbers(path, "point", np.asarray(table["point"], dtype=np.float64))
+    read = read_control_points(path, stereo=True)
+    if read.point is not None:
+        point = whole_numbers(path, "point", read.point)
         twice = repeated(point)
         if twice is not None:
             raise FormatError(
                 f"{path}: rows {twice[0] + 1} and {twice[1] + 1} are both point {point[twice[1]]:g}; "
                 "remove one"
             )
-        return ControlTable(_coordinates(table), _sigma(path, table), point, None)
-    by_image = "image" in header
-    named = ("image",) if by_image else ("camera", "shot")
-    if not set(named) <= set(header):
-        raise FormatError(
-            f"{path}: the header is {','.join(header)!r}; besides {','.join(CONTROL)} give point (of the "
-            "table "
-            'of points), or camera,shot,line,column, or image,line,column with image = "camera/shot"'
-        )
-    optional = [name for name in ("sigma_px",) if name in header]
-    words = ("image",) if by_image else ("camera",)
-    raw: dict[str, Any] = dict(
-        read_columns(path, (*CONTROL, *named, "line", "column", *optional), text=words)
-    )
-    if by_image:
-        raw["camera"], raw["shot"] = _images_apart(path, raw["image"])
-    camera = numbers_of(path, poses.cameras, raw["camera"])
-    shot = whole_numbers(path, "shot", np.asarray(raw["shot"], dtype=np.float64))
-    image = poses.image_of(path, camera, shot)
-    rows = np.column_stack([_coordinates(raw), _sigma(path, raw)])
-    different, place = np.unique(rows, axis=0, return_inverse=True)
+        return StereoControl(read.position, read.sigma, point, None)
+    names, shots = _images_apart(path, read.image)
+    camera = numbers_of(path, poses.cameras, names)
+    image = poses.image_of(path, camera, whole_numbers(path, "shot", shots))
+    different, place = np.unique(np.column_stack([read.position, read.sigma]), axis=0, return_inverse=True)
     which = np.asarray(place, dtype=np.float64).reshape(-1)
     refuse_seen_twice(path, image, which)
-    pixels = np.column_stack([raw["line"], raw["column"]])
-    seen = PointTable(path, image, which, pixels, _sigma_px(path, raw, len(which), sigma_px))
-    return ControlTable(different[:, :3].copy(), different[:, 3].copy(), None, seen)
+    own = {} if read.sigma_px is None else {"sigma_px": read.sigma_px}
+    seen = PointTable(path, image, which, read.pixels, _sigma_px(path, own, len(which), sigma_px))
+    return StereoControl(different[:, :3].copy(), different[:, 3].copy(), None, seen)
 
 
 def _images_apart(path: Path, images: Sequence[str]) -> tuple[list[str], Array]:
@@ -402,20 +385,6 @@ def _images_apart(path: Path, images: Sequence[str]) -> tuple[list[str], Array]:
             )
         cameras.append(camera)
     return cameras, np.array(shots)
-
-
-def _coordinates(table: dict[str, Any]) -> Array:
-    return np.column_stack([np.asarray(table[axis], dtype=np.float64) for axis in "xyz"])
-
-
-def _sigma(path: Path, table: dict[str, Any]) -> Array:
-    sigma = np.asarray(table["sigma"], dtype=np.float64)
-    bad = np.flatnonzero(sigma <= 0.0)
-    if bad.size:
-        raise FormatError(
-            f"{path}: row {int(bad[0]) + 1}: sigma = {sigma[bad[0]]:g} m; a 1-sigma error must be positive"
-        )
-    return sigma
 
 
 def check_in_frames(

@@ -215,13 +215,13 @@ def farthest_sensor(strip: Strip, search_px: tuple[int, int]) -> str:
 def _control_angles(strip: Strip) -> dict[int, float]:
     """rad; how far each control point within the images lies from where its camera is said to look."""
     points, out = strip.control, {}
-    for k, image in enumerate([] if points is None else points.images):
+    for k, image in enumerate([] if points is None else points.image):
         assert points is not None
         camera, pixel = strip.nominal[image], points.pixels[k : k + 1]
         if not -1.0 <= pixel[0, 0] <= camera.lines:
             continue  # outside the estimated time: such points are left out and counted
         rays = camera.rays(pixel)
-        there = points.points[k] - rays.origins[0]
+        there = points.position[k] - rays.origins[0]
         there = there / max(float(np.abs(there).max()), 1e-9)
         across = np.cross(rays.directions[0], there)
         out[k] = float(np.arctan2(np.sqrt(across @ across), rays.directions[0] @ there))
@@ -232,8 +232,8 @@ def _control_words(strip: Strip, k: int, angle: float) -> str:
     """Which control point lies how far from where its band looked."""
     points = strip.control
     assert points is not None
-    (x, y, z), (line, column) = points.points[k], points.pixels[k]
+    (x, y, z), (line, column) = points.position[k], points.pixels[k]
     return (
         f"control point {k + 1} ({x:g}, {y:g}, {z:g} m) lies {angle:.3g} rad from where "
-        f"{strip.bands[points.images[k]].name!r} looked at line {line:g}, column {column:g}"
+        f"{strip.bands[points.image[k]].name!r} looked at line {line:g}, column {column:g}"
     )

@@ -22,7 +22,7 @@ from sightline.estimation.prior import Spectrum, Tone
 from sightline.estimation.robust import robust_sigma
 from sightline.geometry.trajectory import Trajectory
 from sightline.motion.measure.predict import ANGLE_STEP, MovingCamera, StaticParameter, turned
-from sightline.motion.sensors import AttitudeSensor, ControlPoints
+from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.strip.normal_equations import NormalEquations, TimeGrid
 
 Array = NDArray[np.float64]
@@ -387,7 +387,7 @@ def _block_diagonal(parts: Sequence[csr_array]) -> csr_array:
 
 
 def control_rows(
-    points: ControlPoints,
+    points: ControlSightings,
     cameras: Sequence[MovingCamera],
     parameters: Sequence[StaticParameter],
     grid: TimeGrid,
@@ -398,7 +398,7 @@ def control_rows(
 
     Parameters
     ----------
-    points : ControlPoints
+    points : ControlSightings
     cameras : sequence of cameras
         Carrying the motion `nodes` (count, 3) of `grid` and `statics` (Q,).
     parameters : sequence of StaticParameter
@@ -406,7 +406,7 @@ def control_rows(
     """
     blocks = [
         _control_of_image(points, k, cameras, parameters, grid, nodes, statics)
-        for k in np.unique(points.images)
+        for k in np.unique(points.image)
     ]
     t, by, by_static, value, whiten = (np.concatenate(part) for part in zip(*blocks, strict=True))
     if len(t) == 0:
@@ -431,7 +431,7 @@ def control_rows(
 
 
 def _control_of_image(
-    points: ControlPoints,
+    points: ControlSightings,
     image: int,
     cameras: Sequence[MovingCamera],
     parameters: Sequence[StaticParameter],
@@ -440,8 +440,8 @@ def _control_of_image(
     statics: Array,
 ) -> tuple[Array, Array, Array, Array, Array]:
     """Times (M,), sensitivities (M, 2, 3), (M, 2, Q), values (M, 2), whitening (M, 2, 2) of one image."""
-    chosen = points.images == image
-    camera, ground, seen = cameras[image], points.points[chosen], points.pixels[chosen]
+    chosen = points.image == image
+    camera, ground, seen = cameras[image], points.position[chosen], points.pixels[chosen]
 
     by = np.empty((len(ground), 2, 3))
     by_ground = np.empty((len(ground), 2, 3))

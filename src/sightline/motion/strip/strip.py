@@ -21,7 +21,7 @@ from sightline.motion.band import Band
 from sightline.motion.measure.common_view import Views, common_views
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
 from sightline.motion.measure.stars import SIMILARITIES, WEIGHTINGS, MatchingPlan
-from sightline.motion.sensors import AttitudeSensor, ControlPoints
+from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.statics import apply_statics, band_statics
 from sightline.motion.strip.hyper import BROAD, KnownContent, PriorModel
 from sightline.motion.strip.normal_equations import TimeGrid
@@ -130,7 +130,7 @@ class Strip:
     ground_speed: float
     broad: PriorModel
     sensors: tuple[AttitudeSensor, ...] = ()
-    control: ControlPoints | None = None
+    control: ControlSightings | None = None
     known: KnownContent = field(default_factory=KnownContent)
     draft: bool = False
 
