@@ -19,6 +19,7 @@ from sightline.motion.sensors import ControlSightings
 from sightline.motion.strip.checks import checked, farthest_control, farthest_sensor
 from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.strip import RecoverOptions, prepared
+from sightline.motion.strip.warnings import _factor_words
 
 SHAPE = (401, 220)
 
@@ -126,3 +127,15 @@ def test_a_sensor_that_moves_the_cameras_farther_than_is_searched_is_named(kind,
     sensor.angles = angles * 1e-6
     assert farthest_sensor(strip, (8, 8)) == ""
     assert farthest_sensor(SimpleNamespace(sensors=()), (8, 8)) == ""
+
+
+@pytest.mark.parametrize(
+    ("factors", "words"),
+    [
+        ((1.0, 51.0, 1.5), "51 times (pitch)"),
+        ((3.0, 1.0, 4.0), "3 times (roll), 4 times (yaw)"),
+        ((6.0,), "6 times"),
+    ],
+)
+def test_the_axes_of_a_sensor_that_scatter_are_named(factors, words):
+    assert _factor_words(factors) == words and _factor_words((1.0, 1.0, 1.0)) == ""

@@ -132,19 +132,21 @@ def _sensor_warnings(strip: Strip, estimate: JointEstimate) -> list[str]:
     if strip.control is not None and "control points" not in {use.kind for use in used}:
         out.append("no control point is seen where its image says: they take no part; check x, y, z and line")
     for use in used:
-        # points of the ground have one factor for all
-        axes = (" of roll", " of pitch", " of yaw") if len(use.sigma_factor) > 1 else ("",)
-        off = [
-            f"{factor:.2g} times{axis}"
-            for factor, axis in zip(use.sigma_factor, axes, strict=True)
-            if factor > DOUBTFUL
-        ]
+        off = _factor_words(use.sigma_factor)
         if off:
             out.append(
-                f"{use.name}: its residuals are {', '.join(off)} what its sigma says, and it is believed so "
+                f"{use.name}: its residuals are {off} what its sigma says, and it is believed so "
                 "much less; check its sigma, its axes (alignment_sigma) and its times"
             )
     return out
+
+
+def _factor_words(factors: tuple[float, ...]) -> str:
+    """Which axes of a sensor scatter by how many times their sigma; "" where none does. Control points have one
+    factor for all."""
+    axes = (" (roll)", " (pitch)", " (yaw)") if len(factors) > 1 else ("",)
+    named = zip(factors, axes, strict=True)
+    return ", ".join(f"{factor:.2g} times{axis}" for factor, axis in named if factor > DOUBTFUL)
 
 
 def strip_warnings(
