@@ -142,8 +142,8 @@ def _sensor_warnings(strip: Strip, estimate: JointEstimate) -> list[str]:
 
 
 def _factor_words(factors: tuple[float, ...]) -> str:
-    """Which axes of a sensor scatter by how many times their sigma; "" where none does. Control points have one
-    factor for all."""
+    """By how many times their sigma the axes of a sensor scatter; "" where none does."""
+    # control points have one factor for all axes
     axes = (" (roll)", " (pitch)", " (yaw)") if len(factors) > 1 else ("",)
     named = zip(factors, axes, strict=True)
     return ", ".join(f"{factor:.2g} times{axis}" for factor, axis in named if factor > DOUBTFUL)
