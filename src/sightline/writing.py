@@ -70,6 +70,12 @@ def whole(path: Path) -> Iterator[Path]:
                 draft.unlink()
 
 
+def whole_text(path: Path, text: str) -> None:
+    """Write a text (UTF-8) under its name complete or not at all; errors as of `whole`."""
+    with whole(path) as draft:
+        draft.write_text(text, encoding="utf-8")
+
+
 @contextmanager
 def whole_raster(path: Path) -> Iterator[Path]:
     """As `whole`, for a raster that GDAL writes.

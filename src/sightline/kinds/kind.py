@@ -29,7 +29,7 @@ from sightline.output.folder import output_folder
 from sightline.report.page import Page, Section, Table
 from sightline.result import Made, Result, logger, made
 from sightline.version import VERSION
-from sightline.writing import naming_file, scratch_folder, whole
+from sightline.writing import naming_file, scratch_folder, whole_text
 
 Columns = Mapping[str, ArrayLike]
 #: Told in words what is being done; the progress of a command is one.
@@ -237,8 +237,7 @@ class ResultKind:
         if path.is_dir() or not path.parent.is_dir():
             what = "is a folder" if path.is_dir() else f"there is no folder {path.parent}"
             raise InputError(f"{path}: {what}; give the name of a file to write, in a folder that exists")
-        with whole(path) as draft:
-            draft.write_text(self.page(result), encoding="utf-8")
+        whole_text(path, self.page(result))
 
     def page(self, result: Any) -> str:
         """The page as text."""

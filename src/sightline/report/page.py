@@ -16,7 +16,7 @@ from markupsafe import Markup
 
 from sightline.errors import printable, shortened
 from sightline.report.figure import Figure
-from sightline.writing import whole
+from sightline.writing import whole_text
 
 #: Characters of a word on a page.
 LONGEST_WORD = 160
@@ -126,8 +126,7 @@ class Page:
     def write(self, path: Path) -> None:
         """Write the page, complete or not at all."""
         text = self.html
-        with whole(path) as draft:
-            draft.write_text(text, encoding="utf-8")
+        whole_text(path, text)
 
 
 def _shown(value: Any) -> Any:

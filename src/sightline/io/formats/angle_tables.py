@@ -28,7 +28,7 @@ from scipy.spatial.transform import Rotation
 from sightline.access import read_text
 from sightline.errors import FormatError, reads
 from sightline.io.formats.tables import header_of, read_columns, write_columns
-from sightline.writing import whole
+from sightline.writing import whole_text
 
 Array = NDArray[np.float64]
 
@@ -138,5 +138,4 @@ def write_angles(path: Path, table: AngleTable) -> None:
     if table.origin is not None:
         text = path.read_text(encoding="utf-8")
         top = "# origin = " + ",".join(f"{value:.12g}" for value in table.origin)
-        with whole(path) as draft:
-            draft.write_text(f"{top}\n{text}", encoding="utf-8")
+        whole_text(path, f"{top}\n{text}")

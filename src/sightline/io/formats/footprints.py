@@ -21,7 +21,7 @@ from sightline.geometry.checks import read_only
 from sightline.geometry.earth import WGS84, to_geodetic
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.surface import Surface
-from sightline.writing import whole
+from sightline.writing import whole_text
 
 Array = NDArray[np.float64]
 
@@ -119,8 +119,7 @@ def write_footprints(
                 "geometry": geometry,
             }
         )
-    with whole(path) as draft:
-        draft.write_text(json.dumps({"type": "FeatureCollection", "features": features}), encoding="utf-8")
+    whole_text(path, json.dumps({"type": "FeatureCollection", "features": features}))
     return len(features)
 
 

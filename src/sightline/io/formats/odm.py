@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from sightline.access import read_text
 from sightline.errors import FormatError, reads
-from sightline.writing import whole
+from sightline.writing import whole_text
 
 Array = NDArray[np.float64]
 
@@ -133,8 +133,7 @@ def write_geo(path: Path, names: Sequence[str], lonlat: Array, sigma: Array | No
         if sigma is not None:
             line += f" 0 0 0 {sigma[k, 0]:.6g} {sigma[k, 1]:.6g}"
         lines.append(line)
-    with whole(path) as draft:
-        draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    whole_text(path, "\n".join(lines) + "\n")
 
 
 def _rows(path: Path, least: int) -> tuple[Any, list[tuple[int, list[str]]]]:

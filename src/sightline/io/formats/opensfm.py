@@ -22,7 +22,7 @@ from sightline.access import read_json
 from sightline.errors import FormatError, foreign_errors, reads
 from sightline.geometry.instrument import AreaDetector
 from sightline.io.formats.reconstruction import Reconstruction
-from sightline.writing import whole
+from sightline.writing import whole_text
 
 #: Relative difference of the two focal lengths up to which pixels are square.
 _SQUARE = 1e-3
@@ -65,8 +65,7 @@ def write_opensfm(
     if reference is not None:
         longitude, latitude, height = reference
         content["reference_lla"] = {"latitude": latitude, "longitude": longitude, "altitude": height}
-    with whole(path) as draft:
-        draft.write_text(json.dumps([content], indent=1), encoding="utf-8")
+    whole_text(path, json.dumps([content], indent=1))
 
 
 def _name(camera: int) -> str:

@@ -24,7 +24,7 @@ from sightline.io.names import file_stem
 from sightline.io.results.registered import TILE, optimise
 from sightline.products.cube_bands import BandLayout
 from sightline.products.cube_grid import CubeGrid
-from sightline.writing import must_fit, naming_file, whole, whole_raster
+from sightline.writing import must_fit, naming_file, whole_raster, whole_text
 
 Pixels = NDArray[np.float32]
 
@@ -229,8 +229,7 @@ class CubeFolder:
 
     def _write_envi(self) -> list[str]:
         self.draft.replace(self.folder / "cube.dat")
-        with whole(self.folder / "cube.hdr") as draft:
-            draft.write_text(envi_header(self.grid, self.layout), encoding="utf-8")
+        whole_text(self.folder / "cube.hdr", envi_header(self.grid, self.layout))
         return ["cube.dat", "cube.hdr"]
 
 

@@ -49,7 +49,7 @@ from sightline.motion.observability import Passbands
 from sightline.motion.results import LineOfSight
 from sightline.motion.tones import DetectedTone, detect_tones, spectrum
 from sightline.version import VERSION
-from sightline.writing import whole
+from sightline.writing import whole, whole_text
 
 Array = NDArray[np.float64]
 
@@ -358,8 +358,7 @@ def _write_covariance(path: Path, result: LineOfSight) -> None:
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
     """A JSON file, complete or not at all; numbers that are not finite become null."""
-    with whole(path) as draft:
-        draft.write_text(json_text(content) + "\n", encoding="utf-8")
+    whole_text(path, json_text(content) + "\n")
 
 
 def peak_memory() -> int | None:

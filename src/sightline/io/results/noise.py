@@ -28,7 +28,7 @@ from sightline.io.acquisition.acquired import sha256
 from sightline.io.formats.tables import write_columns
 from sightline.io.results.line_of_sight import write_json
 from sightline.version import VERSION
-from sightline.writing import whole
+from sightline.writing import whole_text
 
 #: Every file that is written.
 NOISE_FILES = ("columns.csv", "noise.toml", "summary.json", "tdi.toml")
@@ -51,10 +51,8 @@ def write_noise(
     wall_seconds : float
         s; of the whole command so far.
     """
-    with whole(folder / "noise.toml") as draft:
-        draft.write_text(noise_toml(noise), encoding="utf-8")
-    with whole(folder / "tdi.toml") as draft:
-        draft.write_text(tdi_toml(noise), encoding="utf-8")
+    whole_text(folder / "noise.toml", noise_toml(noise))
+    whole_text(folder / "tdi.toml", tdi_toml(noise))
     numbers = np.arange(len(noise.gain))
     columns: dict[str, ArrayLike] = {
         "column": numbers,

@@ -23,7 +23,7 @@ from sightline.io.results.line_of_sight import peak_memory, write_json
 from sightline.io.stereo.load import Stereo
 from sightline.photogrammetry.triangulate import triangulate
 from sightline.version import VERSION
-from sightline.writing import whole
+from sightline.writing import whole_text
 
 Array = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -81,8 +81,7 @@ def write_covariance(path: Path, cameras: tuple[str, ...], covariance: Array) ->
     """``covariance.csv``: rad^2, rows and columns as the comment at its top names them."""
     lines = ["# " + ",".join(csv_cell(printable(name)) for name in angle_names(cameras))]
     lines += [",".join(f"{value:.17g}" for value in row) for row in covariance]
-    with whole(path) as draft:
-        draft.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    whole_text(path, "\n".join(lines) + "\n")
 
 
 def used(stereo: Stereo, result: StereoOrientation) -> tuple[Array, BoolArray]:

@@ -23,7 +23,7 @@ from sightline.io.scene.models import FAMILIES, Family, plain_options, scene_mod
 from sightline.io.scene.schema import KINDS, SceneFile
 from sightline.simulate.instruments import DetectorOptions
 from sightline.version import VERSION
-from sightline.writing import whole
+from sightline.writing import whole_text
 
 #: Name of the file in the folder of a scene.
 SCENE = "scene.toml"
@@ -244,8 +244,7 @@ def describe_recipe(recipe: SceneRecipe) -> dict[str, Any]:
 
 def write_recipe(path: Path, recipe: SceneRecipe) -> Path:
     """The file from which the same scene is made again, every option in it; the file."""
-    with whole(path) as draft:
-        draft.write_text(recipe_toml(recipe), encoding="utf-8")
+    whole_text(path, recipe_toml(recipe))
     return path
 
 

@@ -23,6 +23,11 @@ from sightline.photogrammetry.sightings import Images, Index, Sightings
 _TURNED = 0.5
 
 
+def line_delays(lines: Array, readout_time: float, shape: tuple[int, int]) -> Array:
+    """s (N,) from the exposure of a frame's first line to those of `lines`, fractions allowed."""
+    return np.asarray(readout_time * lines / (shape[0] - 1.0))
+
+
 def line_poses(
     estimated: Images, image: Index, delay: Array, linked: Index | None = None
 ) -> tuple[Array, Rotation]:

@@ -19,7 +19,7 @@ from sightline.photogrammetry.flight.blocks import PartSolution
 from sightline.photogrammetry.flight.cross_links import CrossPlan
 from sightline.photogrammetry.flight.poses import FramePoses, adjust_frames
 from sightline.photogrammetry.flight.problem import SequenceProblem, seen_ground
-from sightline.photogrammetry.flight.rolling_shutter import as_of_first_lines
+from sightline.photogrammetry.flight.rolling_shutter import as_of_first_lines, line_delays
 from sightline.photogrammetry.flight.start import approached
 from sightline.photogrammetry.flight.track_noise import with_drift
 from sightline.photogrammetry.pair.relief import points_alike
@@ -153,7 +153,7 @@ class SequenceSolver:
                 : len(points)
             ]
             if shutter:
-                delay = p.readout_time * tracks.pixels[:, 0] / (p.detector.shape[0] - 1.0)
+                delay = line_delays(tracks.pixels[:, 0], p.readout_time, p.detector.shape)
                 estimated, linked = estimated_images(p.images, before), self.followed.linked()
                 sightings = as_of_first_lines(sightings, estimated, points, delay, linked)
             if before.focal is not None:
@@ -214,7 +214,7 @@ def first_line_pixels(
             rate[frame] += each
             weight[frame] += 1.0
     rate /= np.maximum(weight, 1.0)[:, None]
-    delay = readout_time * tracks.pixels[:, 0] / (shape[0] - 1.0)
+    delay = line_delays(tracks.pixels[:, 0], readout_time, shape)
     moved = rate[tracks.image] * delay[:, None]
     x = tracks.pixels - 0.5 * (np.array(shape) - 1.0)
     turn, growth = moved[:, 2], moved[:, 3]
