@@ -175,11 +175,13 @@ def failing_numbers(what: str) -> Iterator[None]:
 
 @contextmanager
 def naming(place: object) -> Iterator[None]:
-    """Errors of what knows nothing of the file begin with `place`: all that name none themselves."""
+    """Errors of what knows nothing of the file begin with `place`, unless they name it."""
     try:
         yield
-    except (EstimationError, GeometryError, InputError) as error:
-        raise type(error)(f"{place}: {error}") from None
+    except (EstimationError, GeometryError, InputError, SpanError) as error:
+        if f"{place}" in str(error):
+            raise
+        raise type(error)(f"{place}: {error}") from error
 
 
 def computes(what: str) -> Callable[[Callable[_Given, _Result]], Callable[_Given, _Result]]:

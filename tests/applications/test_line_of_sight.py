@@ -79,6 +79,13 @@ class TestRefused:
         with pytest.raises(EstimationError, match="too little ground in common: 0 windows of 10 x 100 px"):
             recover_line_of_sight(bands((4000.0, 0.0)), Plane())
 
+    @pytest.mark.parametrize("asked", [{"window": (10, 200)}, {"step": 50}, {"window": (4, 150), "step": 40}])
+    def test_windows_of_the_later_passes_that_make_too_few_rows_are_refused_before_matching(self, asked):
+        with pytest.raises(EstimationError, match=r"\[matching\] window, step\) make \d rows with two side"):
+            recover_line_of_sight(
+                bands(), Plane(), options=RecoverOptions(first_window=(10, 60), **asked), progress=pytest.fail
+            )
+
     def test_the_refusal_counts_the_windows_by_what_became_of_them(self):
         with pytest.raises(EstimationError, match=r"0 of \d+ windows kept within .* \(\d+ no convergence, "):
             recover_line_of_sight(bands(images=[np.full(SHAPE, 7.0)] * 2), Plane())

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
-from sightline.errors import InputError
+from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import NUGGET, Matern, Spectrum, TabulatedPsd, Tone, autoregressive
 
 STEP = 1e-3
@@ -130,7 +130,7 @@ def test_wrong_values_are_named() -> None:
         Tone(1.0, 2.0, float("nan"))
     with pytest.raises(InputError, match="at least one component"):
         Spectrum(())
-    with pytest.raises(InputError, match="no stationary process"):
+    with pytest.raises(EstimationError, match="no stationary process"):
         autoregressive([1.0, 2.0], 1, 5)
     with pytest.raises(InputError, match="must hold 4 finite lags"):
         autoregressive([1.0, 0.5], 3, 5)

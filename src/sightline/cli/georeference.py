@@ -72,6 +72,7 @@ def georeference(
     from sightline.applications.sequence_poses import georeference_sequence
     from sightline.cli.output import output_folder, stages_folder
     from sightline.cli.terminal import announce, complain, print_json, progress, say
+    from sightline.errors import naming
     from sightline.io.results.cube_summary import check_cube, ready_to_georeference
     from sightline.io.sequence.load import read_sequence
     from sightline.kinds.sequence import Poses
@@ -88,10 +89,11 @@ def georeference(
         announce(ready_to_georeference(sequence, maps=not poses_only))
         if not poses_only:
             check_cube(sequence)  # maps that cannot be made are refused before hours of work, not after
-        found = georeference_sequence(sequence.problem, stride=stride, progress=report, stages=stages)
-        if method is not SubsetMethod.ALL_FRAMES:
-            report(f"frames between the subset's by {method.value}")
-            found = interpolate_between(found, method.value)
+        with naming(file):
+            found = georeference_sequence(sequence.problem, stride=stride, progress=report, stages=stages)
+            if method is not SubsetMethod.ALL_FRAMES:
+                report(f"frames between the subset's by {method.value}")
+                found = interpolate_between(found, method.value)
         summary = Poses().render(found, folder, report, begun, maps=not poses_only, method=method.value)
     if as_json:
         print_json(summary)

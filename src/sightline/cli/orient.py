@@ -63,11 +63,12 @@ def orient(
 
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.errors import naming
     from sightline.kinds.orientation import Orientation
 
     begun = time.perf_counter()
     if predict:
-        with output_folder(out, overwrite=overwrite) as folder, progress() as report:
+        with output_folder(out, overwrite=overwrite) as folder, progress() as report, naming(file):
             summary = foretell(file, method, folder, report)
         if as_json:
             print_json(summary)
@@ -76,7 +77,8 @@ def orient(
             say(f"{out / 'orientation.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
         return
     with output_folder(out, overwrite=overwrite) as folder, progress() as report:
-        stereo, found = estimate(file, method, report, raw=raw, drift=drift)
+        with naming(file):
+            stereo, found = estimate(file, method, report, raw=raw, drift=drift)
         summary = Orientation().render(found, folder, report, begun)
     if as_json:
         print_json(summary)

@@ -80,6 +80,7 @@ def recover_into(
     import time
 
     from sightline.cli.terminal import announce
+    from sightline.errors import naming
     from sightline.io.acquisition.load import load_acquisition, ready_to_recover
     from sightline.io.formats.tables import read_motion
     from sightline.kinds.recovery import Recovery
@@ -88,7 +89,8 @@ def recover_into(
     report("reading the acquisition")
     acquired = load_acquisition(acquisition)
     announce(ready_to_recover(acquired, method))
-    result = recover_acquisition(acquired, report, method=method)
+    with naming(acquisition):
+        result = recover_acquisition(acquired, report, method=method)
     true = None if truth is None else read_motion(truth)
     return Recovery().render(result, folder, report, begin, acquisition=acquired, truth=true)
 

@@ -89,7 +89,7 @@ def register_into(
     import time
 
     from sightline.applications.registration import register_bands
-    from sightline.errors import InputError
+    from sightline.errors import InputError, naming
     from sightline.io.acquisition.load import load_acquisition
     from sightline.io.results.recovered import read_recovered
     from sightline.io.results.registered_frames import frames_picture
@@ -105,19 +105,21 @@ def register_into(
                 "picture: leave them out"
             )
         report("laying the frames together")
-        return Picture().render(frames_picture(acquired, motion), folder, report, begin)
+        with naming(acquisition):
+            return Picture().render(frames_picture(acquired, motion), folder, report, begin)
     if not acquired.bands:
         raise InputError(
             f"{acquisition}: frames are given; `register` takes the bands of a strip ([[band]]), or frames "
             'of a camera that spins ([platform] kind = "spin")'
         )
     recovered = read_recovered(motion, acquired)
-    registration = register_bands(
-        acquired.bands,
-        acquired.surface,
-        recovered.motion,
-        recovered.statics,
-        relief=recovered.relief,
-        onto=onto,
-    )
+    with naming(acquisition):
+        registration = register_bands(
+            acquired.bands,
+            acquired.surface,
+            recovered.motion,
+            recovered.statics,
+            relief=recovered.relief,
+            onto=onto,
+        )
     return Registered().render(registration, folder, report, begin, pixels=pixels, stack=stack)

@@ -79,6 +79,7 @@ def choose_into(
     from sightline.applications.tdi_choice import choose_tdi
     from sightline.applications.tdi_lines import check_columns
     from sightline.cli.terminal import announce
+    from sightline.errors import naming
     from sightline.io.results.tdi_settings import open_signals
     from sightline.io.tdi.load import load_tdi
     from sightline.kinds.tdi import Choice
@@ -90,7 +91,9 @@ def choose_into(
         check_columns(image, problem.columns)
     announce(tdi_cost(problem))
     report(f"choosing among {len(problem.grid)} settings")
-    return Choice().render(choose_tdi(problem), folder, report, begun, pictures=pictures, signals=signals)
+    with naming(file):
+        chosen = choose_tdi(problem)
+    return Choice().render(chosen, folder, report, begun, pictures=pictures, signals=signals)
 
 
 def tell(summary: dict[str, Any]) -> None:

@@ -108,10 +108,11 @@ class BandedFactor:
             raise InputError("`band` holds values that are not finite; check the rows that were summed")
         try:
             self._lower: Array = cholesky_banded(band, lower=True, check_finite=False)
-        except np.linalg.LinAlgError as error:
+        except np.linalg.LinAlgError:
             raise EstimationError(
-                f"the normal equations are not positive definite ({error}); "
-                "give every unknown a prior or a measurement"
+                "the normal equations are not positive definite: some unknown is hardly seen, or sigmas are "
+                "looser than can be weighed; give every unknown a prior or a measurement, and smaller sigmas "
+                "of heights, offsets and rotations"
             ) from None
 
     @property
@@ -244,10 +245,11 @@ class BorderedFactor:
         scaled = schur / np.outer(self._scale, self._scale)
         try:
             self._schur = cho_factor(0.5 * (scaled + scaled.T), lower=True, check_finite=True)
-        except (np.linalg.LinAlgError, ValueError) as error:
+        except (np.linalg.LinAlgError, ValueError):
             raise EstimationError(
-                f"the constants beside the motion are not determined ({error}); "
-                "give each a finite prior sigma"
+                "the constants beside the motion are not determined: some is hardly seen, or sigmas are "
+                "looser than can be weighed; give each a finite prior sigma, and smaller ones of heights, "
+                "offsets and rotations"
             ) from None
 
     @property

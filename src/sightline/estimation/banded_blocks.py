@@ -68,10 +68,11 @@ class BlockwiseFactor:
         right[: len(held)] += held_right
         try:
             lower = cholesky_banded(band[:, :count], lower=True, check_finite=False)
-        except np.linalg.LinAlgError as error:
+        except np.linalg.LinAlgError:
             raise EstimationError(
-                f"the normal equations are not positive definite ({error}); "
-                "give every unknown a prior or a measurement"
+                "the normal equations are not positive definite: some unknown is hardly seen, or sigmas are "
+                "looser than can be weighed; give every unknown a prior or a measurement, and smaller sigmas "
+                "of heights, offsets and rotations"
             ) from None
         solved = dtbtrs(lower, right[:count], uplo="L")[0]
         self.gram += solved.T @ solved

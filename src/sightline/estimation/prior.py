@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.compiled import njit
-from sightline.errors import InputError
+from sightline.errors import EstimationError, InputError
 
 Array = NDArray[np.float64]
 
@@ -430,9 +430,10 @@ def autoregressive(
     r[0] *= 1.0 + nugget
     table, variances = _levinson(r)
     if not variances[-1] > 0.0 or not np.isfinite(variances).all():
-        raise InputError(
-            "`autocovariance` belongs to no stationary process: a prediction from the past has a variance of "
-            f"{variances.min():g}; check the lags or raise `nugget` (now {nugget:g})"
+        raise EstimationError(
+            "a covariance over time is that of no stationary process, to the precision of numbers: a "
+            f"prediction from the past has a variance of {variances.min():g}; give smaller sigmas of heights "
+            f"and motion, or raise `nugget` (now {nugget:g})"
         )
     return Autoregressive(n, table[order].copy(), table[:order], variances[:order], float(variances[order]))
 

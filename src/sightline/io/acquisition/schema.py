@@ -258,7 +258,7 @@ class BandSection(LineGeometry):
         default=(0.0, 0.0),
         description="The line looks this many pixels further (forward, toward larger columns) than nominal",
     )
-    offset_sigma_px: PixelSigma = Field(
+    offset_sigma_px: Annotated[float, Within(1e-7, 1e5, "px", zero=True)] = Field(
         default=1.0, description="How well the offset is known, px; 0 = exactly"
     )
     rotation: LineRotation = Field(
@@ -400,7 +400,9 @@ class SurfaceSection(SchemaSection):
     radii: tuple[Radius, Radius] | None = Field(
         default=None, description="[equatorial, polar] of another body, m"
     )
-    height_sigma: LengthSigma = Field(default=0.0, description="What is not known about the height, m")
+    height_sigma: Annotated[float, Within(1e-7, 3e4, "m", zero=True)] = Field(
+        default=0.0, description="What is not known about the height, m"
+    )
     parallax_sigma: RateSigma = Field(
         default=0.0,
         description="rad/s; speed of the platform over the distance of what it sees, where neither is known: "
@@ -492,9 +494,10 @@ BANDS_ONLY = frozenset(
     {"hybridise", "pairs", "select", "strength", "points", "features", "similarity", "weighting"}
 )
 #: px; windows of more than some hundred see the motion change under them.
-_Side = Annotated[int, Within(3, 4096, "px")]
+_Lines = Annotated[int, Within(3, 4096, "px")]
+_Columns = Annotated[int, Within(8, 4096, "px")]
 _Reach = Annotated[int, Within(0, 4096, "px")]
-WindowSize = tuple[_Side, _Side]
+WindowSize = tuple[_Lines, _Columns]
 
 
 class MatchingSection(SchemaSection):

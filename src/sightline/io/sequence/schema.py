@@ -168,7 +168,7 @@ class SequenceCamera(FrameCameraSection):
 class SubsetSection(SchemaSection):
     """``[subset]``: frames that photogrammetry is done on."""
 
-    overlap: Annotated[float, Within(0.01, 0.999, "", "a share of the frame: 0.8 for 80 %")] = Field(
+    overlap: Annotated[float, Within(0.3, 0.999, "", "a share of the frame: 0.8 for 80 %")] = Field(
         default=0.8, description="Wanted along the flight, share of the frame"
     )
 

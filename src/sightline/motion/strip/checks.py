@@ -14,7 +14,7 @@ from sightline.estimation.prior import TabulatedPsd
 from sightline.motion.measure.stars import hub_windows, within_image
 from sightline.motion.measure.windows import WindowGrid, predict_windows
 from sightline.motion.sensors import AttitudeSensor
-from sightline.motion.strip.hyper import KnownContent
+from sightline.motion.strip.hyper import FEWEST_ROWS, KnownContent
 from sightline.motion.strip.strip import RecoverOptions, Strip
 
 #: Tones nearer than this share of the lowest frequency that a strip holds are one.
@@ -40,6 +40,7 @@ def checked(strip: Strip, options: RecoverOptions) -> Strip:
     """
     _check_windows(strip, options)
     _check_common_ground(strip, options)
+    _check_compensated(strip, options)
     _check_features(strip, options)
     _check_control(strip)
     return replace(strip, known=known_content(strip))
@@ -98,6 +99,8 @@ class CommonWindows:
         How many have their middle, and all of themselves, in another image.
     side_by_side : int
         Most that one row has of the former.
+    rows : float
+        Rows that hold two of them, of the two images that share most such rows.
     whole_of : tuple of float
         Of each band: windows that lie whole in it and in another.
     """
@@ -105,15 +108,19 @@ class CommonWindows:
     seen: float
     whole: float
     side_by_side: int
+    rows: float
     whole_of: tuple[float, ...]
 
 
-def windows_in_common(strip: Strip, options: RecoverOptions) -> CommonWindows:
-    """Windows of the first pass on ground that another image sees too, by the nominal cameras."""
-    plan = strip.plan(options, options.first_window, 2 * options.first_window[0])
+def windows_in_common(
+    strip: Strip, options: RecoverOptions, window: tuple[int, int] | None = None, step: int = 0
+) -> CommonWindows:
+    """Windows on ground that another image sees too, by the nominal cameras; of the first pass by default."""
+    window, step = window or options.first_window, step or 2 * options.first_window[0]
+    plan = strip.plan(options, window, step)
     shapes = [(band.image.shape[0], band.image.shape[1]) for band in strip.bands]
     hubs = hub_windows(strip.nominal, strip.surface, shapes, strip.order, plan, strip.views)
-    common, within, side_by_side = 0.0, 0.0, 0
+    common, within, side_by_side, rows = 0.0, 0.0, 0, 0.0
     whole_of = np.zeros(len(strip.bands))
     for hub, partners, grid in hubs:
         asked = grid.lines[np.linspace(0, len(grid.lines) - 1, min(len(grid.lines), ROWS_ASKED)).astype(int)]
@@ -123,7 +130,9 @@ def windows_in_common(strip: Strip, options: RecoverOptions) -> CommonWindows:
             partners, predict_windows(strip.nominal, hub, partners, strip.surface, some), strict=True
         ):
             with np.errstate(invalid="ignore"):
-                seen |= ((found.b >= 0.0) & (found.b <= np.array(shapes[image]) - 1.0)).all(axis=1)
+                here = ((found.b >= 0.0) & (found.b <= np.array(shapes[image]) - 1.0)).all(axis=1)
+            seen |= here
+            rows = max(rows, share * float((here.reshape(some.shape).sum(axis=1) >= 2).sum()))
             inside = within_image(found.b, shapes[image], grid.window)
             whole |= inside
             whole_of[image] += share * float(inside.sum())
@@ -131,7 +140,7 @@ def windows_in_common(strip: Strip, options: RecoverOptions) -> CommonWindows:
         within += share * float(whole.sum())
         whole_of[hub] += share * float(whole.sum())
         side_by_side = max(side_by_side, int(seen.reshape(some.shape).sum(axis=1).max(initial=0)))
-    return CommonWindows(common, within, side_by_side, tuple(whole_of.tolist()))
+    return CommonWindows(common, within, side_by_side, rows, tuple(whole_of.tolist()))
 
 
 def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
@@ -153,6 +162,18 @@ def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
             f"{name} has {columns} columns, and no row holds two windows of {width} columns side by side, "
             f"which yaw is told by: {2 * width} columns in common are needed, or narrower windows: "
             f"[matching] first_window = [{height}, {half}], window = [{options.window[0]}, {half}]"
+        )
+
+
+def _check_compensated(strip: Strip, options: RecoverOptions) -> None:
+    """Enough rows of windows of the other passes see two windows in one other image."""
+    (height, width), step = options.window, options.step
+    found = windows_in_common(strip, options, options.window, step)
+    if found.rows < FEWEST_ROWS and strip.known.spectra is None:
+        raise EstimationError(
+            f"windows of {height} x {width} px every {step} lines ([matching] window, step) make "
+            f"{found.rows:.0f} rows with two side by side that two images share; {FEWEST_ROWS} are needed; "
+            "give lower or narrower windows, a smaller step, or longer images"
         )
 
 

@@ -46,6 +46,8 @@ SHOWN = 3.0
 ROUGH = 0.5
 #: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
 MOST_ACROSS = 0.5
+#: Fewest rows of windows that tell of a pair's differences.
+FEWEST_ROWS = 8
 
 
 @dataclass(frozen=True)
@@ -212,7 +214,7 @@ def angle_differences(
         for k, image in enumerate(star.images):
             part = _collapse(star, post, k, relief_sigmas)
             good = part.t_hub == part.t_hub
-            if good.sum() < 8:
+            if good.sum() < FEWEST_ROWS:
                 continue
             at_hub = averaged(estimate.grid, estimate.nodes, part.t_hub[good], star.duration)
             at_partner = averaged(estimate.grid, estimate.nodes, part.t[good], star.duration)
