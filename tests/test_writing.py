@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -162,6 +163,10 @@ def test_what_cannot_fit_is_refused_with_the_sizes(tmp_path):
     with pytest.raises(InputError, match=rf"{tmp_path}: the cube needs [0-9,]+ TB, .*B are free; take"):
         must_fit(tmp_path, 2**70, "the cube", "take less")
     must_fit(tmp_path, 1, "the cube", "take less")
+    staged = tmp_path / ".partial-abcd1234" / "new" / "bands"
+    staged.mkdir(parents=True)
+    with pytest.raises(InputError, match=f"^{re.escape(str(tmp_path / 'bands'))}: the cube needs"):
+        must_fit(staged, 2**70, "the cube", "take less")
 
 
 def test_scratch_files_go_beside_the_result_unless_the_user_says_where(tmp_path, monkeypatch):

@@ -61,9 +61,7 @@ optics_mtf = 0.35
 """
 MEASURES = ("sightline.inputs", "sightline.writing", "sightline.output.folder", "sightline.output.lock")
 #: Keys of summaries that hold measured times or memory.
-MEASURED = {
-    "wall_seconds", "peak_memory_bytes", "solve_seconds", "stages", "taken_over", "seconds",
-}  # fmt: skip
+MEASURED = {"wall_seconds", "peak_memory_bytes", "solve_seconds"}
 NOT_SAID = "wrong status or words"
 
 

@@ -202,9 +202,16 @@ def must_fit(folder: Path, size: int, what: str, advice: str) -> None:
     free = shutil.disk_usage(folder).free
     if size > free:
         raise InputError(
-            f"{folder}: {what} needs {size_words(size, 3)}, {size_words(free, 3)} are free; {advice} or give "
+            f"{_final(folder)}: {what} needs {size_words(size, 3)}, {size_words(free, 3)} are free; {advice} or give "
             "another folder"
         )
+
+
+def _final(folder: Path) -> Path:
+    """The folder in which the files of one that is not yet published will lie."""
+    parts = folder.parts
+    staged = [k for k, part in enumerate(parts) if part.startswith(".partial-")]
+    return Path(*parts[: staged[-1]], *parts[staged[-1] + 2 :]) if staged else folder
 
 
 @contextmanager

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from tests.motion import pinholes
 
-from sightline.applications.expected_cost import BASE_BYTES, frames_cost
+from sightline.applications.expected_cost import BASE_BYTES, Cost, frames_cost, maps_cost
 from sightline.errors import InputError
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
@@ -38,3 +38,12 @@ def test_unknown_heights_are_one_dense_solution_that_may_not_fit():
 def test_frames_without_common_ground_cost_no_matches():
     apart = frames_cost(flight(40)[::39], Plane(), FrameOptions(step=2), 0.0)
     assert apart.seconds == 12.0
+
+
+def test_maps_that_the_disk_has_no_room_for_are_said(tmp_path):
+    maps = maps_cost(10, (100, 100), (200_000, 200_000), 20)
+    assert maps.disk == 4.0 * 200_000**2 * 20
+    flown = Cost(1.0, 1e8, "10 frames").then(maps)
+    said = flown.lacks_room(tmp_path / "not" / "yet")
+    assert said.startswith(f"{tmp_path / 'not' / 'yet'}: the files need 3.2 TB, ") and "gsd" in said
+    assert maps_cost(10, (100, 100), (20, 20), 1).lacks_room(tmp_path) == ""

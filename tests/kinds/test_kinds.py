@@ -33,7 +33,7 @@ from sightline.products.cube_store import MemoryStore
 from sightline.result import makes_result
 
 #: What "the same bits" leaves out.
-TIMES = {"wall_seconds", "peak_memory_bytes", "solve_seconds", "stages", "taken_over", "seconds"}
+TIMES = {"wall_seconds", "peak_memory_bytes", "solve_seconds"}
 NAMES = (
     "recover", "register", "layout", "orient", "predict", "tdi", "georeference", "noise", "score", "cube",
     "picture",

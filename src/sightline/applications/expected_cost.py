@@ -8,8 +8,10 @@ Not here: what single keys may hold (``io/quantities.py``).
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -51,16 +53,24 @@ class Cost:
         Of memory, at most at one time.
     of : str
         What it is so much for, with the keys that say so.
+    disk : float
+        Bytes of files, before compression, where these are worth a word.
     """
 
     seconds: float
     bytes: float
     of: str
+    disk: float = 0.0
 
     def then(self, other: Cost) -> Cost:
         """Of one after the other."""
         parts = [part for part in (self.of, other.of) if part]
-        return Cost(self.seconds + other.seconds, max(self.bytes, other.bytes), " and ".join(parts))
+        return Cost(
+            self.seconds + other.seconds,
+            max(self.bytes, other.bytes),
+            " and ".join(parts),
+            self.disk + other.disk,
+        )
 
     @property
     def words(self) -> str:
@@ -80,6 +90,17 @@ class Cost:
                 f"be used, for {self.of}"
             )
         return tuple(said)
+
+    def lacks_room(self, folder: Path) -> str:
+        """That the files have no room on the disk of a folder, in words; "" where they have."""
+        place = next(path for path in (folder.absolute(), *folder.absolute().parents) if path.exists())
+        free = shutil.disk_usage(place).free
+        if self.disk <= free:
+            return ""
+        return (
+            f"{folder}: the files need {size_words(self.disk)}, {size_words(free)} are free there, for "
+            f"{self.of}; give less at once, or a folder on another disk with --out"
+        )
 
     def check(self) -> None:
         """InputError for what this machine cannot hold, and nobody can wait for."""
@@ -272,6 +293,7 @@ def maps_cost(frames: int, shape: tuple[int, int], grid: tuple[int, int], bands:
         3e-7 * (seen + made),
         BASE_BYTES + 0.3e9,
         f"[cube] {_maps(bands)} of {grid[0]:,} rows x {grid[1]:,} columns (gsd)",
+        4.0 * made,
     )
 
 

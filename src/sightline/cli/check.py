@@ -83,4 +83,5 @@ def describe(file: Path) -> dict[str, Any]:
             description = describe_acquisition(acquired)
     description["understood"].append(f"the run will take {cost.words}")
     expected = {"seconds": cost.seconds, "bytes": cost.bytes, "of": cost.of}
-    return {**description, "expected": expected, "warnings": list(cost.warnings)}
+    room = cost.lacks_room(Path.cwd())
+    return {**description, "expected": expected, "warnings": [*cost.warnings, *([room] if room else [])]}

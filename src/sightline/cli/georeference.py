@@ -72,7 +72,7 @@ def georeference(
     from sightline.applications.sequence_poses import georeference_sequence
     from sightline.cli.output import output_folder, stages_folder
     from sightline.cli.terminal import announce, complain, print_json, progress, say
-    from sightline.errors import naming
+    from sightline.errors import InputError, naming
     from sightline.io.results.cube_summary import check_cube, ready_to_georeference
     from sightline.io.sequence.load import read_sequence
     from sightline.kinds.sequence import Poses
@@ -86,7 +86,10 @@ def georeference(
         stages = Stages(stages_folder(out), lambda text: complain("warning", text))
         report(f"reading {file}")
         sequence = read_sequence(file)
-        announce(ready_to_georeference(sequence, maps=not poses_only))
+        cost = ready_to_georeference(sequence, maps=not poses_only)
+        if cost.lacks_room(out):
+            raise InputError(f"{cost.lacks_room(out)}, or --poses-only")
+        announce(cost)
         if not poses_only:
             check_cube(sequence)  # maps that cannot be made are refused before hours of work, not after
         with naming(file):
@@ -95,13 +98,18 @@ def georeference(
                 report(f"frames between the subset's by {method.value}")
                 found = interpolate_between(found, method.value)
         summary = Poses().render(found, folder, report, begun, maps=not poses_only, method=method.value)
+    lacking = summary["cube"] is None and sequence.cube.make and not poses_only
     if as_json:
         print_json(summary)
+        if lacking:
+            raise typer.Exit(1)
         return
     for warning in summary["warnings"]:
         complain("warning", warning)
     tell(sequence, found, summary)
     say(f"{out / 'poses.csv'}, {out / 'report.html'}")
+    if lacking:  # asked for, and not among what was written
+        raise typer.Exit(1)
 
 
 def tell(sequence: FrameSequence, found: SequencePoses, summary: dict[str, Any]) -> None:

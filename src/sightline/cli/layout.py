@@ -49,7 +49,9 @@ def layout(
     from sightline.motion.layout.information import checked_passband
 
     begin = time.perf_counter()
-    place = nullcontext() if out is None else output_folder(out, overwrite=overwrite)
+    place = (
+        nullcontext() if out is None else output_folder(out, overwrite=overwrite, earlier=Layouts().earlier)
+    )
     with place as folder, progress() as report:
         plane = load_instrument(instrument)
         checked_passband(passband)

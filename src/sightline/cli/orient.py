@@ -64,11 +64,15 @@ def orient(
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.errors import naming
-    from sightline.kinds.orientation import Orientation
+    from sightline.kinds.orientation import Orientation, Prediction
 
     begun = time.perf_counter()
     if predict:
-        with output_folder(out, overwrite=overwrite) as folder, progress() as report, naming(file):
+        with (
+            output_folder(out, overwrite=overwrite, earlier=Prediction().earlier) as folder,
+            progress() as report,
+            naming(file),
+        ):
             summary = foretell(file, method, folder, report)
         if as_json:
             print_json(summary)
@@ -76,7 +80,10 @@ def orient(
             tell_bound(summary)
             say(f"{out / 'orientation.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
         return
-    with output_folder(out, overwrite=overwrite) as folder, progress() as report:
+    with (
+        output_folder(out, overwrite=overwrite, earlier=Orientation().earlier) as folder,
+        progress() as report,
+    ):
         with naming(file):
             stereo, found = estimate(file, method, report, raw=raw, drift=drift)
         summary = Orientation().render(found, folder, report, begun)

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sightline.access import check_file, read_bytes
-from sightline.errors import FormatError, InputError, foreign_errors
+from sightline.access import check_file, read_bytes, read_json
+from sightline.errors import FormatError, InputError, SightlineError, foreign_errors
 from sightline.inputs import note
 from sightline.io.formats.json_text import plain
 from sightline.output.folder import output_folder
@@ -32,6 +32,8 @@ from sightline.version import VERSION
 from sightline.writing import naming_file, scratch_folder, whole_text
 
 Columns = Mapping[str, ArrayLike]
+#: Of a model for COLMAP beside poses.
+MODEL_FILES = ("colmap/cameras.txt", "colmap/images.txt", "colmap/points3D.txt", "colmap/origin.csv")
 #: Told in words what is being done; the progress of a command is one.
 Tell = Callable[..., None]
 
@@ -189,7 +191,25 @@ class ResultKind:
         return self.files
 
     def earlier(self, folder: Path) -> Iterable[str]:
-        """Names below a folder of what an earlier result there is made of."""
+        """Names below a folder of what an earlier result there is made of, of any kind, by its summary."""
+        # once all kinds are known
+        from sightline.kinds.open import kind_named
+
+        try:
+            summary = read_json(folder / SUMMARY, "a summary")
+        except SightlineError:
+            return []
+        if not isinstance(summary, dict) or "version" not in summary:
+            return []
+        name = summary.get("result")
+        kind = (kind_named(name) if isinstance(name, str) else None) or self
+        try:
+            return kind.left(folder, summary)
+        except (KeyError, TypeError, ValueError, AttributeError):  # changed since, or nobody's
+            return []
+
+    def left(self, folder: Path, summary: dict[str, Any]) -> list[str]:
+        """Of the files that a result of this kind in a folder may have left there."""
         return [name for name in self.files if "*" not in name]
 
     def summarize(self, result: Any) -> dict[str, Any]:

@@ -35,6 +35,11 @@ def kind_of(result: Any) -> ResultKind:
     return next(_OF_TYPE[one] for one in type(result).__mro__ if one in _OF_TYPE)
 
 
+def kind_named(name: str) -> ResultKind | None:
+    """The kind of the results that ``summary.json`` knows by a name; None if there is none."""
+    return _OF_TYPE[_OF_NAME[name]] if name in _OF_NAME else None
+
+
 def open_result(folder: str | Path) -> Result:
     """The result in a folder that a command, or ``write`` of a result, wrote.
 

@@ -18,6 +18,7 @@ from sightline.evaluation.direction_words import AXES, angle_names
 from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.geometry.units import ARCSEC
 from sightline.io.formats.tables import read_columns
+from sightline.io.names import file_stems
 from sightline.io.results.stereo import ORIENTATION, write_stereo_result
 from sightline.io.results.stereo_exports import write_exports
 from sightline.io.results.stereo_predicted import write_prediction
@@ -25,7 +26,17 @@ from sightline.io.stereo.load import Stereo
 from sightline.io.stereo.plan import PlannedPass
 from sightline.io.stereo.strips import StripProblem
 from sightline.io.stereo.tables import StereoPoseTable
-from sightline.kinds.kind import REPORT, SUMMARY, Columns, ResultKind, Tell, columns_of, given, warned
+from sightline.kinds.kind import (
+    MODEL_FILES,
+    REPORT,
+    SUMMARY,
+    Columns,
+    ResultKind,
+    Tell,
+    columns_of,
+    given,
+    warned,
+)
 from sightline.report.stereo_page import stereo_page
 from sightline.report.stereo_prediction_page import prediction_page
 from sightline.result import source_of
@@ -84,9 +95,11 @@ class Orientation(ResultKind):
         """The covariance of all angles."""
         return {"covariance": (("angle", "angle_too"), result.covariance, "rad2")}
 
-    def earlier(self, folder: Path) -> list[str]:
-        """Nothing."""
-        return []
+    def left(self, folder: Path, summary: dict[str, Any]) -> list[str]:
+        """The tables, the model, attitudes of the cameras that the summary names."""
+        stems = file_stems([str(name) for name in summary["angles"]]) if "angles" in summary else []
+        attitudes = [f"attitude_{stem}.{kind}" for stem in stems for kind in ("csv", "aem")]
+        return [*super().left(folder, summary), *MODEL_FILES, *attitudes]
 
     def render(self, result: StereoOrientation, folder: Path, tell: Tell, begun: float) -> dict[str, Any]:
         """Every file, and what would better the angles."""

@@ -70,9 +70,10 @@ class Registered(ResultKind):
         """The bands by their names."""
         return (*(glob.escape(str(name)) for name in summary.get("files", ())), SUMMARY, REPORT)
 
-    def earlier(self, folder: Path) -> list[str]:
-        """Nothing: other bands of an earlier registration may be wanted beside these."""
-        return []
+    def left(self, folder: Path, summary: dict[str, Any]) -> list[str]:
+        """The bands that the summary lists."""
+        bands = [str(name) for name in summary["files"]]
+        return [SUMMARY, REPORT, *(name for name in bands if name.endswith(".tif") and "/" not in name)]
 
     def render(
         self,

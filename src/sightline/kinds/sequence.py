@@ -23,6 +23,7 @@ from sightline.io.results.sequence import write_sequence_result
 from sightline.io.sequence.load import FrameSequence
 from sightline.io.sequence.schema import CubeSection
 from sightline.kinds.kind import (
+    MODEL_FILES,
     REPORT,
     SUMMARY,
     Columns,
@@ -107,9 +108,10 @@ class Poses(ResultKind):
             )[2]
         return {"covariance": (("frame", "unknown", "unknown_too"), covariance, "m2, m rad, rad2")}
 
-    def earlier(self, folder: Path) -> list[str]:
-        """Maps that its summary lists."""
-        return earlier_cube(folder)
+    def left(self, folder: Path, summary: dict[str, Any]) -> list[str]:
+        """The tables, the models, maps that the summary lists."""
+        tables = [name for name in self.files if "*" not in name and not name.startswith("cube.")]
+        return [*tables, *MODEL_FILES, *earlier_cube(folder, summary.get("cube") or {})]
 
     def render(
         self,
@@ -124,11 +126,11 @@ class Poses(ResultKind):
         """Every file; `maps` as ``[cube]`` asks for them. Those that cannot be made are a warning."""
         sequence = sequence_of(result)
         more: dict[str, Any] = {"method": method, "cube": None}
-        view = None
+        view, spent = None, None
         if maps and sequence.cube.make:
             try:
                 made, files = write_cube(folder, sequence, result, progress=tell)
-                more["cube"], view = cube_summary(made, files), cube_view(made)
+                more["cube"], view, spent = cube_summary(made, files), cube_view(made), made.seconds
             except SightlineError as error:
                 # the poses took hours and are good: they are not lost with the maps
                 remove_cube(folder)
@@ -137,7 +139,7 @@ class Poses(ResultKind):
         tell("writing")
         seconds = time.perf_counter() - begun
         summary = write_sequence_result(folder, sequence, result, wall_seconds=seconds, **more)
-        sequence_page(sequence.problem, result, summary, cube=view).write(folder / REPORT)
+        sequence_page(sequence.problem, result, summary, cube=view, cube_seconds=spent).write(folder / REPORT)
         return summary
 
     def opened(self, folder: Path, summary: dict[str, Any]) -> dict[str, Any]:
@@ -155,8 +157,9 @@ class Poses(ResultKind):
                 "reason": tuple(str(word) for word in used["reason"]),
                 "stretch": np.asarray(used["stretch"]).astype(np.intp),
                 "covariance": covariance,
-                "seconds": {key: float(value) for key, value in summary["stages"].items()},
-                "taken_over": {key: float(value) for key, value in summary["taken_over"].items()},
+                # said by the page alone: the same result has the same summary, however long it took
+                "seconds": {},
+                "taken_over": {},
                 "warnings": tuple(summary["warnings"]),
             }
 
@@ -185,6 +188,10 @@ class Cube(ResultKind):
     table, index = "bands", ("name",)
     files = (*_CUBE_FILES, SUMMARY)
     units = {"wavelength_nm": "nm"}
+
+    def left(self, folder: Path, summary: dict[str, Any]) -> list[str]:
+        """Maps that the summary lists."""
+        return [SUMMARY, *earlier_cube(folder, summary)]
 
     def facts(self, result: CubeSummary) -> Mapping[str, str]:
         """Bands and the map."""
@@ -252,7 +259,7 @@ class Cube(ResultKind):
                 "area": summary["area"],
                 "frames_used": summary["frames_used"],
                 "unread": tuple(summary["unread"]),
-                "seconds": summary["seconds"],
+                "seconds": {},
                 "warnings": tuple(summary["warnings"]),
             }
 

@@ -61,10 +61,6 @@ class Choice(ResultKind):
         ]  # fmt: skip
         return {name: np.ravel(value) for name, value in zip(COLUMNS, values, strict=True)}
 
-    def earlier(self, folder: Path) -> list[str]:
-        """What an image of signals gave."""
-        return [SETTINGS, TAGS]
-
     def summarize(self, result: TdiResult) -> dict[str, Any]:
         """Nothing has to be written for it."""
         return summarize_tdi(result, _inputs(result), wall_seconds=result.origin.seconds)

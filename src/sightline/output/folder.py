@@ -106,6 +106,7 @@ def output_folder(
         with _locked(folder, made, note):
             _clear_after_killed(folder)
             _refuse_content(folder, overwrite)
+            left = list(earlier(folder)) if overwrite else []
             with (
                 _stages(folder, resume, note, overwrite=overwrite),
                 _staging(folder) as staging,
@@ -118,7 +119,7 @@ def output_folder(
                     _refuse_changed(inputs, folder if resume is not None else None, error)
                     raise
                 _refuse_changed(inputs, folder if resume is not None else None)
-                publish(folder, staging, earlier(folder) if overwrite else (), inputs)
+                publish(folder, staging, left, inputs)
                 published.append(folder)
     except OSError as error:
         refusal = _refusal(error, folder)

@@ -26,6 +26,7 @@ def sequence_page(
     summary: Mapping[str, Any],
     *,
     cube: CubeView | None = None,
+    cube_seconds: Mapping[str, float] | None = None,
 ) -> Page:
     """The page of a georeferenced sequence.
 
@@ -38,6 +39,8 @@ def sequence_page(
         SHA-256), `files` (names written beside the page), `warnings` (those of `found` otherwise).
     cube : CubeView, optional
         The cube that was made with these poses.
+    cube_seconds : mapping, optional
+        CPU seconds of its stages.
     """
     view = sequence_view(problem, found)
     files = ", ".join(summary.get("files", []))
@@ -53,7 +56,7 @@ def sequence_page(
             *_idle(problem, found, view),
             *([] if cube is None else _pictures(cube) + cube_sections(cube)),
             *sections(problem, found, view),
-            *_tables(problem, found, view, (summary.get("cube") or {}).get("seconds")),
+            *_tables(problem, found, view, cube_seconds),
             *([inputs(summary)] if summary.get("inputs") else []),
         ],
         footer=f"{beside}1 sigma means 68 times in 100; px are of the frames, on the ground one spans what "

@@ -243,6 +243,11 @@ def band_files(layout: BandLayout) -> list[str]:
     return out
 
 
+def is_map_file(name: str) -> bool:
+    """Whether a name, from the folder of the result on, is one that files of maps have."""
+    return re.fullmatch(r"bands/[^/]+\.tif|cube\.(tif|dat|hdr)", name) is not None
+
+
 def is_zarr_file(name: str) -> bool:
     """Whether a file, named from the folder of the result on, is part of its Zarr store."""
     return _ZARR_FILE.fullmatch(name) is not None

@@ -5,9 +5,8 @@ Not here: the pixels (``cube_files.py``).
 
 from __future__ import annotations
 
-import json
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +17,14 @@ from sightline.applications.expected_cost import Cost, flight_cost, maps_cost
 from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube, choose_bands
 from sightline.applications.sequence_poses import SequencePoses, check_flight
 from sightline.errors import EstimationError, InputError, SightlineError
-from sightline.io.results.cube_files import ZARR, CubeFolder, check_formats, crs_wkt, is_zarr_file
+from sightline.io.results.cube_files import (
+    ZARR,
+    CubeFolder,
+    check_formats,
+    crs_wkt,
+    is_map_file,
+    is_zarr_file,
+)
 from sightline.io.sequence.load import FrameSequence
 from sightline.io.sequence.schema import CubeSection
 
@@ -139,18 +145,15 @@ def remove_cube(folder: Path) -> None:
         (folder / name).unlink(missing_ok=True)
 
 
-def earlier_cube(folder: Path) -> list[str]:
-    """Files below a folder of the maps that an earlier result there lists in its summary."""
-    try:
-        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
-        listed = [str(name) for name in summary["cube"]["files"]]
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
-        return []
-    if ZARR not in listed:
-        return listed
+def earlier_cube(folder: Path, cube: Mapping[str, Any]) -> list[str]:
+    """Files below a folder of the maps that the `cube` of a summary there lists: names that maps have."""
+    listed = [str(name) for name in cube.get("files", ())]
+    maps = [name for name in listed if is_map_file(name)]
+    if ZARR not in listed or (folder / ZARR).is_symlink():
+        return maps
     # the store is named as one; what is in it belongs to it by its form
     inside = [path.relative_to(folder).as_posix() for path in (folder / ZARR).rglob("*") if path.is_file()]
-    return [name for name in listed if name != ZARR] + [name for name in inside if is_zarr_file(name)]
+    return maps + [name for name in inside if is_zarr_file(name)]
 
 
 def cube_summary(cube: CubeSummary, files: Sequence[str] = ()) -> dict[str, Any]:
@@ -191,6 +194,5 @@ def cube_summary(cube: CubeSummary, files: Sequence[str] = ()) -> dict[str, Any]
         "pairs": pairs,
         "frames_used": cube.frames_used,
         "unread": list(cube.unread),
-        "seconds": cube.seconds,
         "warnings": list(cube.warnings),
     }

@@ -136,8 +136,6 @@ def summarize_sequence(
         "bow": [dict(zip(DATUM[3:], map(float, bow), strict=True)) for bow in poses.bow],
         "sightings": _sightings(found),
         "points": int(np.isfinite(poses.points).all(axis=1).sum()),
-        "stages": found.seconds,
-        "taken_over": found.taken_over,
         "warnings": list(found.warnings),
         "wall_seconds": wall_seconds,
         "peak_memory_bytes": peak_memory(),
