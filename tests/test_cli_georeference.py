@@ -217,7 +217,13 @@ def test_an_earlier_result_is_replaced_with_the_maps_it_lists_and_no_file_of_the
     for name in ("99-old.tif", "mine.tif"):
         (out / "bands" / name).write_text(name)
     (out / "summary.json").write_text(
-        json.dumps({"version": "1", "cube": {"files": ["bands/99-old.tif", "bands/gone.tif"]}})
+        json.dumps(
+            {
+                "version": "1",
+                "result": "SequencePoses",
+                "cube": {"files": ["bands/99-old.tif", "bands/gone.tif"]},
+            }
+        )
     )
     assert run([*words, str(out), "--overwrite"]) == 0
     assert not (out / "bands" / "99-old.tif").exists()

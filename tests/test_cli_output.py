@@ -18,10 +18,8 @@ import pytest
 from sightline.cli.output import output_folder, stages_folder
 from sightline.errors import FormatError, InputError
 from sightline.inputs import note
-from sightline.kinds.layouts import Layouts
-from sightline.kinds.orientation import Orientation, Prediction
-from sightline.kinds.registration import Registered
-from sightline.kinds.sequence import Poses
+from sightline.kinds import open as kinds_known
+from sightline.kinds.kind import earlier
 from sightline.output import folder as output
 from sightline.output import publish
 
@@ -229,22 +227,23 @@ MINE = ["bands/mine.txt", "bands/other.tif", "mine.tif", "attitude_mine.csv", "c
 
 
 @pytest.mark.parametrize(
-    ("kind", "summary", "goes"),
+    ("summary", "goes"),
     [
-        (Prediction, {"result": "StereoOrientation", "angles": {"A": 0, "B/2": 0}},
+        ({"result": "StereoOrientation", "angles": {"A": 0, "B/2": 0}},
          ["attitude_A.aem", "cameras_corrected.csv", "points.csv", "matches_used.csv", "colmap/images.txt"]),
-        (Poses, {"result": "SequencePoses", "cube": {"files": ["bands/0-red.tif", "notes.txt", "../a.tif"]}},
+        ({"result": "SequencePoses", "cube": {"files": ["bands/0-red.tif", "notes.txt", "../a.tif"]}},
          ["geo.txt", "footprints.geojson", "bands/0-red.tif", "colmap/cameras.txt"]),
-        (Registered, {"result": "Registration", "files": ["B1.tif", "notes.txt", "../a.tif"]}, ["B1.tif"]),
-        (Layouts, {"result": "LineOfSight"}, ["motion.csv", "attitude.aem"]),
-        (Poses, {"result": "SequencePoses", "cube": {"files": 3}}, []),
-        (Poses, {"result": ["SequencePoses"], "cube": None}, ["geo.txt"]),
+        ({"result": "Registration", "files": ["B1.tif", "notes.txt", "../a.tif"]}, ["B1.tif"]),
+        ({"result": "LineOfSight"}, ["motion.csv", "attitude.aem"]),
+        ({"result": "SequencePoses", "cube": {"files": 3}}, []),
+        ({"result": ["SequencePoses"], "cube": None}, []),
     ],
 )  # fmt: skip
-def test_of_an_earlier_result_all_goes_that_its_kind_makes_and_nothing_else(tmp_path, kind, summary, goes):
+def test_of_an_earlier_result_all_goes_that_its_kind_makes_and_nothing_else(tmp_path, summary, goes):
     write(tmp_path, dict.fromkeys([*goes, *MINE], "x"))
+    assert kinds_known.KINDS
     write(tmp_path, {"summary.json": json.dumps({"version": "0", **summary})})
-    with output_folder(tmp_path, overwrite=True, earlier=kind().earlier) as staging:
+    with output_folder(tmp_path, overwrite=True, earlier=earlier) as staging:
         write(staging, {"summary.json": "new"})
     files = {name for name, text in content(tmp_path).items() if text is not None}
     assert files == {"summary.json", *MINE}
@@ -258,7 +257,7 @@ def test_a_folder_without_a_summary_of_ours_keeps_files_with_names_of_results(tm
     elif there != "nothing":
         said = {"text": "{", "list": "[1]", "of another program": '{"result": "StereoOrientation"}'}
         write(tmp_path, {"summary.json": said[there]})
-    with output_folder(tmp_path, overwrite=True, earlier=Orientation().earlier) as staging:
+    with output_folder(tmp_path, overwrite=True, earlier=earlier) as staging:
         write(staging, {"orientation.csv": "new"})
     assert (tmp_path / "points.csv").read_text() == (tmp_path / "motion.csv").read_text() == "mine"
 

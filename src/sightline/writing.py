@@ -202,8 +202,8 @@ def must_fit(folder: Path, size: int, what: str, advice: str) -> None:
     free = shutil.disk_usage(folder).free
     if size > free:
         raise InputError(
-            f"{_final(folder)}: {what} needs {size_words(size, 3)}, {size_words(free, 3)} are free; {advice} or "
-            "give another folder"
+            f"{_final(folder)}: {what} needs {size_words(size, 3)}, {size_words(free, 3)} are free; "
+            f"{advice} or give another folder"
         )
 
 

@@ -80,7 +80,7 @@ def georeference(
 
     begun = time.perf_counter()
     with (
-        output_folder(out, overwrite=overwrite, earlier=Poses().earlier, resume=resume) as folder,
+        output_folder(out, overwrite=overwrite, resume=resume) as folder,
         progress() as report,
     ):
         stages = Stages(stages_folder(out), lambda text: complain("warning", text))

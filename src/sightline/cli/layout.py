@@ -49,9 +49,7 @@ def layout(
     from sightline.motion.layout.information import checked_passband
 
     begin = time.perf_counter()
-    place = (
-        nullcontext() if out is None else output_folder(out, overwrite=overwrite, earlier=Layouts().earlier)
-    )
+    place = nullcontext() if out is None else output_folder(out, overwrite=overwrite)
     with place as folder, progress() as report:
         plane = load_instrument(instrument)
         checked_passband(passband)

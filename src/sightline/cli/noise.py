@@ -64,7 +64,7 @@ def noise(
     _check(dark_level, electrons_per_dn, stages)
     begun = time.perf_counter()
     with (
-        output_folder(out, overwrite=overwrite, earlier=Noise().earlier) as folder,
+        output_folder(out, overwrite=overwrite) as folder,
         progress() as report,
     ):
         found = estimate(raw, dark or [], report, dark_level, electrons_per_dn, stages)

@@ -64,12 +64,12 @@ def orient(
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.errors import naming
-    from sightline.kinds.orientation import Orientation, Prediction
+    from sightline.kinds.orientation import Orientation
 
     begun = time.perf_counter()
     if predict:
         with (
-            output_folder(out, overwrite=overwrite, earlier=Prediction().earlier) as folder,
+            output_folder(out, overwrite=overwrite) as folder,
             progress() as report,
             naming(file),
         ):
@@ -81,7 +81,7 @@ def orient(
             say(f"{out / 'orientation.csv'}, {out / 'covariance.csv'}, {out / 'report.html'}")
         return
     with (
-        output_folder(out, overwrite=overwrite, earlier=Orientation().earlier) as folder,
+        output_folder(out, overwrite=overwrite) as folder,
         progress() as report,
     ):
         with naming(file):

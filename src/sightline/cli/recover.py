@@ -35,14 +35,13 @@ def recover(
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.io.results.hidden import TABLE
-    from sightline.kinds.recovery import Recovery
     from sightline.motion.strip.strip import RecoverOptions
     from sightline.report.words import grouped
 
     RecoverOptions(method=method)  # a word that is none is refused before anything is read
     # a file of another acquisition beside this motion.csv would be taken for a part of the same result
     with (
-        output_folder(out, overwrite=overwrite, earlier=Recovery().earlier) as folder,
+        output_folder(out, overwrite=overwrite) as folder,
         progress() as report,
     ):
         summary = recover_into(folder, acquisition, report, method=method)

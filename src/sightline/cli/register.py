@@ -44,10 +44,9 @@ def register(
     """Lay the bands of a strip on one of them, or the frames of a spinning camera into one picture."""
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
-    from sightline.kinds.registration import Registered
 
     with (
-        output_folder(out, overwrite=overwrite, earlier=Registered().earlier) as folder,
+        output_folder(out, overwrite=overwrite) as folder,
         progress() as report,
     ):
         summary = register_into(

@@ -45,10 +45,9 @@ def tdi(
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.io.results.tdi_settings import SETTINGS, TAGS
-    from sightline.kinds.tdi import Choice
 
     with (
-        output_folder(out, overwrite=overwrite, earlier=Choice().earlier) as folder,
+        output_folder(out, overwrite=overwrite) as folder,
         progress() as report,
     ):
         summary = choose_into(folder, file, motion, report, pictures=pictures, signals=signals)

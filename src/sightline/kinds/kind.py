@@ -130,6 +130,20 @@ def _stamp(path: Path) -> tuple[int, int]:
     return known.st_size, known.st_mtime_ns
 
 
+#: Every kind by the names by which ``summary.json`` knows its results; filled in ``open.py``, which knows all.
+NAMED: dict[str, ResultKind] = {}
+
+
+def earlier(folder: Path) -> Iterable[str]:
+    """Names below a folder of what the result there is made of, by its summary; none where there is none."""
+    try:
+        summary = read_json(folder / SUMMARY, "a summary")
+        kind = NAMED[summary["result"]] if "version" in summary else None
+        return [] if kind is None else kind.left(folder, summary)
+    except (SightlineError, KeyError, TypeError, ValueError, AttributeError):  # nobody's, or changed since
+        return []
+
+
 class ResultKind:
     """One kind of result; each has a class of its own.
 
@@ -190,24 +204,6 @@ class ResultKind:
         """Of the names of the files that belong to an opened result."""
         return self.files
 
-    def earlier(self, folder: Path) -> Iterable[str]:
-        """Names below a folder of what an earlier result there is made of, of any kind, by its summary."""
-        # once all kinds are known
-        from sightline.kinds.open import kind_named
-
-        try:
-            summary = read_json(folder / SUMMARY, "a summary")
-        except SightlineError:
-            return []
-        if not isinstance(summary, dict) or "version" not in summary:
-            return []
-        name = summary.get("result")
-        kind = (kind_named(name) if isinstance(name, str) else None) or self
-        try:
-            return kind.left(folder, summary)
-        except (KeyError, TypeError, ValueError, AttributeError):  # changed since, or nobody's
-            return []
-
     def left(self, folder: Path, summary: dict[str, Any]) -> list[str]:
         """Of the files that a result of this kind in a folder may have left there."""
         return [name for name in self.files if "*" not in name]
@@ -241,7 +237,7 @@ class ResultKind:
         if not isinstance(result.origin, OpenedFolder):
             made(result)
         try:
-            with output_folder(folder, overwrite=overwrite, earlier=self.earlier) as new:
+            with output_folder(folder, overwrite=overwrite, earlier=earlier) as new:
                 if isinstance(result.origin, OpenedFolder):
                     for name in result.origin.stamps:
                         note(result.origin.place(name))

@@ -10,7 +10,7 @@ from typing import Any
 
 from sightline.errors import FormatError
 from sightline.io.results.hidden import read_summary
-from sightline.kinds.kind import SUMMARY, ResultKind
+from sightline.kinds.kind import NAMED, SUMMARY, ResultKind
 from sightline.kinds.layouts import Layouts
 from sightline.kinds.noise import Noise
 from sightline.kinds.orientation import Orientation, Prediction
@@ -28,16 +28,12 @@ KINDS: tuple[ResultKind, ...] = (
 )  # fmt: skip
 _OF_TYPE: dict[type[Result], ResultKind] = {one: kind for kind in KINDS for one in kind.types}
 _OF_NAME: dict[str, type[Result]] = {one.__name__: one for one in _OF_TYPE}
+NAMED.update({one.__name__: kind for one, kind in _OF_TYPE.items()})
 
 
 def kind_of(result: Any) -> ResultKind:
     """The kind of a result."""
     return next(_OF_TYPE[one] for one in type(result).__mro__ if one in _OF_TYPE)
-
-
-def kind_named(name: str) -> ResultKind | None:
-    """The kind of the results that ``summary.json`` knows by a name; None if there is none."""
-    return _OF_TYPE[_OF_NAME[name]] if name in _OF_NAME else None
 
 
 def open_result(folder: str | Path) -> Result:
