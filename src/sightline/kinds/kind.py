@@ -130,7 +130,7 @@ def _stamp(path: Path) -> tuple[int, int]:
     return known.st_size, known.st_mtime_ns
 
 
-#: Every kind by the names by which ``summary.json`` knows its results; filled in ``open.py``, which knows all.
+#: Every kind by the names by which ``summary.json`` knows its results: filled in ``open.py``.
 NAMED: dict[str, ResultKind] = {}
 
 
