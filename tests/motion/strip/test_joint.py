@@ -11,6 +11,7 @@ from sightline.motion.measure.observations import Star, shared_image_correlation
 from sightline.motion.strip import normal_equations as equations
 from sightline.motion.strip.joint import (
     CONSTANT_SIGMA,
+    DRIFT_SIGMA,
     JointEstimate,
     JointPrior,
     directions_at,
@@ -137,18 +138,18 @@ def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool) -> None:
         k[axis:size:block, axis:size:block] = dense[axis] + (CONSTANT_SIGMA[axis] ** 2 if axis < 3 else 0.0)
     k[size:, size:] = np.diag(prior.statics_sigma**2)
     gain = k @ rows.T @ np.linalg.inv(rows @ k @ rows.T + noise)
-    # the estimate is also given that roll and pitch have no mean and no drift but for their constants' sigma
-    held = np.zeros((4, size + 2))
+    # the estimate is also given that no axis has a mean or a drift but for their sigmas
+    held = np.zeros((6, size + 2))
     u = np.linspace(-1.0, 1.0, COUNT)
-    for axis in range(2):
+    for axis in range(3):
         held[axis, axis:size:block] = 1.0 / COUNT
-        held[2 + axis, axis:size:block] = u / (u @ u)
+        held[3 + axis, axis:size:block] = u / (u @ u)
     rows_held = np.concatenate([rows, held])
     noise_held = np.zeros((len(rows_held), len(rows_held)))
     noise_held[: len(rows), : len(rows)] = noise
-    noise_held[len(rows) :, len(rows) :] = np.diag(np.square(CONSTANT_SIGMA[:2] * 2))
+    noise_held[len(rows) :, len(rows) :] = np.diag(np.square(CONSTANT_SIGMA + DRIFT_SIGMA))
     spread = rows_held @ k @ rows_held.T + noise_held
-    mean = k @ rows_held.T @ np.linalg.solve(spread, np.concatenate([y, np.zeros(4)]))
+    mean = k @ rows_held.T @ np.linalg.solve(spread, np.concatenate([y, np.zeros(6)]))
     covariance = k - gain @ rows @ k
     expected = mean[:size].reshape(COUNT, block)
     sigma = np.sqrt(np.diag(covariance)[:size].reshape(COUNT, block)[:, :3])
@@ -167,7 +168,10 @@ def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool) -> None:
         sums[axis:size:block, axis] = 1.0 / COUNT
     for k, axis in enumerate((2, 0)):
         sums[axis:size:block, 3 + k] = u / (u @ u)
-    found, want = estimate.hidden_covariance((2, 0)), sums.T @ covariance @ sums
+    # the drift of yaw is also given by itself, as the reference attitude is known
+    one = held[5:] @ covariance
+    known = covariance - one.T @ one / (one @ held[5] + DRIFT_SIGMA[2] ** 2)
+    found, want = estimate.hidden_covariance((2, 0)), sums.T @ known @ sums
     np.testing.assert_allclose(found, want, atol=2e-3 * want.max())
 
 

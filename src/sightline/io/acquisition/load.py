@@ -10,6 +10,7 @@ trajectories and surfaces (``platform.py``, ``ground.py``).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -38,6 +39,7 @@ from sightline.io.acquisition.platform import to_world
 from sightline.io.acquisition.schema import (
     AcquisitionFile,
     CameraModelPlatform,
+    KnownAttitude,
     SensorSection,
     SpinPlatform,
 )
@@ -201,13 +203,16 @@ def read_sensor(entry: SensorSection, files: InputFolder) -> AttitudeSensor:
 
 
 def read_known_motion(config: AcquisitionFile, files: InputFolder) -> KnownContent:
-    """Tones, or the spectra of the table that ``[known_motion]`` names."""
-    section = config.known_motion
+    """Tones, or the spectra of the table of ``[known_motion]``, and how well the attitude is known."""
+    section, platform = config.known_motion, config.platform
+    known = KnownContent(tuple(section.tones))
+    if isinstance(platform, KnownAttitude):
+        known = replace(known, attitude_sigma=platform.attitude_sigma, rate_sigma=platform.rate_sigma)
     if section.psd is None:
-        return KnownContent(tuple(section.tones))
+        return known
     f, density = tables.read_psd(files(section.psd))
     spectra = [Spectrum((TabulatedPsd(tuple(f.tolist()), tuple(column.tolist())),)) for column in density.T]
-    return KnownContent((), (spectra[0], spectra[1], spectra[2]))
+    return replace(known, tones=(), spectra=(spectra[0], spectra[1], spectra[2]))
 
 
 def read_matching(config: AcquisitionFile, files: InputFolder, names: Sequence[str]) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from sightline.io.formats.ccsds import parse_utc
 from sightline.io.quantities import (
     Altitude,
     AngleSigma,
+    AngleSigmaAbove0,
     BandNumber,
     Coordinate,
     CorrelationTime,
@@ -127,7 +128,18 @@ class HeaderSection(DatedSection):
     )
 
 
-class LevelFlight(SchemaSection):
+class KnownAttitude(SchemaSection):
+    """How well the reference attitude of ``[platform]`` is known."""
+
+    attitude_sigma: AngleSigmaAbove0 = Field(
+        default=1e-2, description="How far constant angles may be from the reference attitude, rad"
+    )
+    rate_sigma: RateSigma = Field(
+        default=1e-3, description="How far even rates may be from those of the reference attitude, rad/s"
+    )
+
+
+class LevelFlight(KnownAttitude):
     """``[platform]`` kind level-flight: straight and level over a flat Earth, flying north."""
 
     kind: Literal["level-flight"]
@@ -135,7 +147,7 @@ class LevelFlight(SchemaSection):
     ground_speed: Speed = Field(description="m/s")
 
 
-class EphemerisPlatform(SchemaSection):
+class EphemerisPlatform(KnownAttitude):
     """``[platform]`` kind ephemeris: positions and attitudes from tables."""
 
     kind: Literal["ephemeris"]
@@ -146,7 +158,7 @@ class EphemerisPlatform(SchemaSection):
     )
 
 
-class CameraModelPlatform(SchemaSection):
+class CameraModelPlatform(KnownAttitude):
     """``[platform]`` kind camera-model: geometry from a sensor-model file."""
 
     kind: Literal["camera-model"]

@@ -28,6 +28,8 @@ from sightline.motion.strip.fusion import (
 )
 from sightline.motion.strip.hyper import ORDER, PriorModel
 from sightline.motion.strip.joint import (
+    CONSTANT_SIGMA,
+    DRIFT_SIGMA,
     JointEstimate,
     JointPrior,
     innovation_weights,
@@ -128,7 +130,8 @@ def solve_strip(
     delays = [hub_delay(strip.nominal, strip.surface, s.hub, stars[0].hub) for s in stars]
     sigmas = np.array([p.sigma for p in strip.parameters])
     unknown_relief = relief_matters(stars, height_sigma)
-    prior = JointPrior(model.processes(grid), sigmas)
+    constant, drift = _gauge(strip)
+    prior = JointPrior(model.processes(grid), sigmas, constant_sigma=constant, drift_sigma=drift)
     length = before.relief_length if before is not None else 2.0 * strip.half_width
     beside = 0.0
     if unknown_relief:
@@ -174,6 +177,17 @@ def solve_strip(
         length = relief_length(stars, without, height_sigma, strip.half_width)
     kept = tuple(StarRecord(s, r.status, r.score) for s, r in zip(stars, records, strict=True))
     return StripState(estimate, prior, model, kept, tuple(post), tuple(without), tuple(measured), length)
+
+
+def _gauge(strip: Strip) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """How far constants and even drifts may lie from the reference attitude, as it is known."""
+    half = 0.5 * strip.grid.step * (strip.grid.count - 1)
+    known = strip.known.attitude_sigma, half * strip.known.rate_sigma
+    constant, drift = (
+        (min(usual[0], sigma), min(usual[1], sigma), sigma)
+        for usual, sigma in zip((CONSTANT_SIGMA, DRIFT_SIGMA), known, strict=True)
+    )
+    return constant, drift
 
 
 def _reweighted(rows: Sequence[SensorRows], estimate: JointEstimate, *, believed: bool) -> list[SensorRows]:

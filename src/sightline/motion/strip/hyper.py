@@ -169,7 +169,7 @@ BROAD = PriorModel((_WIDE, _WIDE, _WIDE))
 
 @dataclass(frozen=True)
 class KnownContent:
-    """What is known of the motion's frequencies before the images are looked at (S1, claim 8).
+    """What is known of the motion before the images are looked at: frequencies (S1, claim 8), and its size.
 
     Attributes
     ----------
@@ -177,10 +177,15 @@ class KnownContent:
         Hz; tones of any axis that are there whether the images show them or not.
     spectra : three Spectrum or None
         Of roll, pitch, yaw (rad): taken as they are, nothing is fitted.
+    attitude_sigma, rate_sigma : float
+        rad and rad/s; how far constant angles, and even rates, may be from the reference attitude. They bound
+        what no image sees.
     """
 
     tones: tuple[float, ...] = ()
     spectra: tuple[Spectrum, Spectrum, Spectrum] | None = None
+    attitude_sigma: float = 1e-2
+    rate_sigma: float = 1e-3
 
 
 def angle_differences(

@@ -28,11 +28,12 @@ Array = NDArray[np.float64]
 Index = NDArray[np.int64]
 Factor = BorderedFactor | LaidFactor
 
-#: 1-sigma of the constant of roll, pitch and yaw (rad). Images of one strip never see a constant of roll or
-#: pitch, which stay where the reference attitude puts them: let loose, errors of linearisation would carry
-#: them away, and a constant pitch of D turns the yaw y(t) into a roll -D y(t). That of yaw turns bands that
-#: look ahead sideways.
+#: 1-sigma of the constant of roll, pitch and yaw, and of even drifts from the middle of the strip to its end
+#: (rad). Images of one strip never see a constant of roll or pitch, which stay where the reference attitude
+#: puts them: let loose, errors of linearisation would carry them away, and a constant pitch of D turns the
+#: yaw y(t) into a roll -D y(t). That of yaw turns bands that look ahead sideways.
 CONSTANT_SIGMA = (1e-5, 1e-5, 1e-2)
+DRIFT_SIGMA = (1e-5, 1e-5, 1e-2)
 #: The same of an axis that sensors or control points tie to the world (rad): they alone say where it is.
 TIED_SIGMA = 1.0
 
@@ -61,8 +62,8 @@ class JointPrior:
         Mean height and cross-track slope (at the field edge) of each row of ground (m).
     innovation_weights : (count, 3) or None
         Below 1 where the motion may jump.
-    constant_sigma : (3,)
-        rad; of the free constant of each axis.
+    constant_sigma, drift_sigma : (3,)
+        rad; of the free constant of each axis, and of its even drift from the middle of the strip to its end.
     apart : three SplitPrior or None
         The same processes with their drifts on a coarse grid of their own, of one ratio: for gaps longer than
         the memory of `angles`.
@@ -77,6 +78,7 @@ class JointPrior:
     constant_sigma: tuple[float, float, float] = CONSTANT_SIGMA
     apart: tuple[SplitPrior, SplitPrior, SplitPrior] | None = None
     own_precision: Array | None = None
+    drift_sigma: tuple[float, float, float] = DRIFT_SIGMA
 
     @property
     def border_precision(self) -> Array:
@@ -299,7 +301,13 @@ class JointEstimate:
             weights[:, axis, k] = fit[shape]
         flat = weights.reshape(-1, len(own))
         spread, _ = self._factor(constants=True).times(flat)
-        return np.asarray(flat.T @ spread)
+        covariance = np.asarray(flat.T @ spread)
+        sigma = self._prior.drift_sigma[2]
+        if (1, 2) in own and self._prior.constant_sigma[2] < TIED_SIGMA and sigma > 0.0:
+            # as the solution was held: how fast the body turns about its vertical is known by itself
+            column = covariance[:, own.index((1, 2))]
+            covariance = covariance - np.outer(column, column) / (column[own.index((1, 2))] + sigma**2)
+        return covariance
 
     def absolute_sigma(self, t: Array, turn: Array | None = None) -> Array:
         """Sigma (N, 3) rad of the motion at `t`, hidden part included; infinite on axes that nothing ties.
@@ -482,7 +490,7 @@ def solve_joint(images: NormalEquations, prior: JointPrior, ties: Ties | None = 
 def _held(
     factor: Factor, data: NormalEquations, prior: JointPrior, x: Array, y: Array
 ) -> tuple[Array, Array]:
-    """The solution given that roll and pitch have neither mean nor drift but for their constants' sigma.
+    """The solution given that no axis has a mean or a drift but for the sigma of its constant and its drift.
 
     A slow process of large sigma would carry a mean of its own past the prior of the constant; conditioning
     on the mean over the grid is an exact update of small rank. What it moves is hidden: relative covariances
@@ -497,7 +505,7 @@ def _held(
     images, or sensors, do see is far better known than the constants' sigma, and stays.
     """
     block, count = data.block, data.grid.count
-    axes = [axis for axis in range(2) if prior.constant_sigma[axis] < TIED_SIGMA]
+    axes = [axis for axis in range(3) if prior.constant_sigma[axis] < TIED_SIGMA]
     u = np.linspace(-1.0, 1.0, count)
     shapes = np.stack([np.full(count, 1.0 / count), u / (u @ u)], axis=1)
     # the mean over the grid, and the drift from its middle to its end
@@ -505,7 +513,8 @@ def _held(
     for k, axis in enumerate(axes):
         seen[axis::block, 2 * k : 2 * k + 2] = shapes
     top, bottom = factor.times(seen)
-    held = np.diag(np.square(np.repeat([prior.constant_sigma[axis] for axis in axes], 2)))
+    sigmas = [(prior.constant_sigma[axis], prior.drift_sigma[axis]) for axis in axes]
+    held = np.diag(np.square(np.array(sigmas).ravel()))
     gain = np.linalg.solve(seen.T @ top + held, seen.T @ x)
     return x - top @ gain, y - bottom @ gain
 

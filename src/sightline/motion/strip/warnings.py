@@ -28,6 +28,9 @@ FEWEST_KEPT, LEAST_SHARE = 10, 0.1
 #: Matches that span less than this share of the field hardly tell yaw.
 ENOUGH_FIELD = 0.3
 
+#: Sigmas stated beforehand by which what was found may be off, unsaid.
+FAR_OFF = 3.0
+
 
 def observed_lines(strip: Strip, state: StripState, t: Array) -> NDArray[np.bool_]:
     """Lines within half a window, and half a step of the grid, of an instant at which a match was exposed."""
@@ -149,6 +152,27 @@ def _factor_words(factors: tuple[float, ...]) -> str:
     return ", ".join(f"{factor:.2g} times{axis}" for factor, axis in named if factor > DOUBTFUL)
 
 
+def _far_off(strip: Strip, estimate: JointEstimate, motion: Motion) -> list[str]:
+    """Statics and constant angles far from what was given, by what was said of them beforehand."""
+    said = []
+    for parameter, value in zip(strip.parameters, estimate.statics, strict=True):
+        ratio = abs(float(value)) / parameter.sigma
+        if ratio > FAR_OFF:
+            said.append(
+                f"{parameter.name} is {value:.3g} {parameter.unit}".rstrip() + f" ({ratio:.2g} sigmas)"
+            )
+    sigma = strip.known.attitude_sigma
+    for axis, mean in zip(("roll", "pitch", "yaw"), motion.angles.mean(axis=0), strict=True):
+        if abs(float(mean)) > FAR_OFF * sigma > 0.0:
+            said.append(f"a constant {axis} of {mean:.3g} rad ({abs(float(mean)) / sigma:.2g} sigmas)")
+    if not said:
+        return []
+    return [
+        f"far from what was given: {', '.join(said)}; check ifov or directions, look_ahead, rotation, line "
+        "times and attitudes, or the sigmas that are stated of them"
+    ]
+
+
 def strip_warnings(
     strip: Strip, state: StripState, motion: Motion, observed: NDArray[np.bool_], changes: list[float]
 ) -> tuple[str, ...]:
@@ -170,6 +194,7 @@ def strip_warnings(
             f"{(~observed).sum()} of {len(observed)} lines are seen by no match: the motion there is "
             "interpolated, its sigma grown"
         )
+    out += _far_off(strip, state.estimate, motion)
     out += _sensor_warnings(strip, state.estimate)
     covariance = motion.covariance
     assert covariance is not None

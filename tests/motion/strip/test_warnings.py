@@ -1,0 +1,32 @@
+"""What a user should know of a strip before trusting its numbers."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from sightline.geometry.trajectory import Motion
+from sightline.motion.strip.hyper import KnownContent
+from sightline.motion.strip.warnings import _far_off
+
+
+def test_what_was_found_far_from_what_was_given_is_named():
+    parameters = [
+        SimpleNamespace(name=name, unit=unit, sigma=sigma)
+        for name, unit, sigma in (
+            ("R offset across", "px", 1.0),
+            ("R rotation", "rad", 3e-4),
+            ("R scale", "", 1e-3),
+        )
+    ]
+    strip = SimpleNamespace(parameters=parameters, known=KnownContent(attitude_sigma=1e-3))
+    still = Motion(np.arange(3.0), np.zeros((3, 3)))
+    # two and a half sigmas each
+    near = SimpleNamespace(statics=np.array([2.5, -7.5e-4, 2.5e-3]))
+    assert _far_off(strip, near, still) == []
+    far = SimpleNamespace(statics=np.array([-8.6, 0.0, 4e-3]))
+    turned = Motion(np.arange(3.0), np.tile([0.0, 0.0, 0.042], (3, 1)))
+    (said,) = _far_off(strip, far, turned)
+    assert "R offset across is -8.6 px (8.6 sigmas), R scale is 0.004 (4 sigmas)" in said
+    assert "a constant yaw of 0.042 rad (42 sigmas)" in said and "rotation is" not in said
