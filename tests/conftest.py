@@ -15,15 +15,32 @@ import io
 import os
 import shutil
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
+
+from sightline.io.results import line_of_sight
+from sightline.io.results.schema import check_summary
 
 REQUIRE_ALL = os.environ.get("SIGHTLINE_REQUIRE_ALL", "") not in ("", "0")
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("SIGHTLINE_DATA", ROOT / ".." / "shared" / "data")).resolve()
+
+_write_json = line_of_sight.write_json
+
+
+def _write_checked_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Every summary that a test has written follows the published schema."""
+    _write_json(path, content)
+    if path.name == "summary.json":
+        check_summary(path.read_text(encoding="utf-8"))
+
+
+# before any module takes it by its name
+line_of_sight.write_json = _write_checked_json
 
 
 @pytest.fixture(scope="session", autouse=True)

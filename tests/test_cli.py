@@ -185,7 +185,7 @@ def test_the_help_of_simulate_states_the_size_of_every_case(name):
     [
         (["simulate", "line-of-sight"], ["3000; real: 2400", "1000; real: 640"]),
         (["recover"], ["per line of a strip's bands, or per frame"]),
-        (["schema"], ["acquisition, instrument, scene, sequence, stereo or tdi"]),
+        (["schema"], ["acquisition, instrument, scene, sequence, stereo, tdi; summary"]),
     ],
 )
 def test_help_says_what_a_first_reader_asks(capsys, words, said):

@@ -96,27 +96,58 @@ def test_the_tables_of_scenes_are_those_of_their_schema():
     assert "\n".join(rows) in text
 
 
-def test_every_key_of_the_summary_is_described():
-    results = ROOT / "src" / "sightline" / "io" / "results"
-    tree = ast.parse((results / "line_of_sight.py").read_text(encoding="utf-8"))
-    function = next(node for node in tree.body if getattr(node, "name", "") == "summarize")
-    returned = next(node.value for node in ast.walk(function) if isinstance(node, ast.Return))
-    keys = [ast.literal_eval(key) for key in returned.keys]
-    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
-    part = text[text.index("### `summary.json`") : text.index("## Written by `simulate`")]
-    assert keys and not [key for key in keys if f"`{key}`" not in part]
+#: Where the page describes the summary of each kind of result: from the first text to the second.
+SUMMARIES = {
+    "LineOfSight": ("### `summary.json`", "## Written by `register`"),
+    "Registration": ("## Written by `register`", "### `spin` of"),
+    "Mosaic": ("The registered picture that", "## Written by `simulate`"),
+    "LayoutChoice": ("## Written by `layout`", "## Written by `orient`"),
+    "StereoOrientation": ("## Written by `orient`", "With `--predict` nothing"),
+    "StereoPrediction": ("With `--predict` nothing", "`sightline score DIR orientation-truth.csv`"),
+    "SequencePoses": ("## Written by `georeference`", "## Written by `noise`"),
+    "CubeSummary": ("Entry `cube` of `summary.json`", "## STEREO.toml"),
+    "DetectorNoise": ("## Written by `noise`", "## Written by `tdi`"),
+    "TdiResult": ("## Written by `tdi`", "## Tags of TDI lines"),
+    "Score": ("## Printed by `score`", "### Of poses"),
+}
 
 
-def test_every_key_of_the_summary_of_layouts_is_described():
-    results = ROOT / "src" / "sightline" / "io" / "results"
-    tree = ast.parse((results / "layouts.py").read_text(encoding="utf-8"))
+def test_every_key_of_a_summary_is_described_where_its_command_is():
+    from typing import get_args
+
+    from sightline.io.results import schema
+
     text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
-    part = text[text.index("## Written by `layout`") :]
-    for name in ("summarize_layouts", "as_row"):
-        function = next(node for node in tree.body if getattr(node, "name", "") == name)
-        returned = next(node.value for node in ast.walk(function) if isinstance(node, ast.Return))
-        keys = [ast.literal_eval(key) for key in returned.keys]
-        assert keys and not [key for key in keys if f"`{key}`" not in part]
+    common = set(schema.RunSummary.model_fields)
+    first = text[text.index(SUMMARIES["LineOfSight"][0]) :].split("| Key |")[0]
+    assert not [key for key in common if f"`{key}`" not in first]
+    for model in schema.SUMMARIES:
+        begin, end = SUMMARIES[get_args(model.model_fields["result"].annotation)[0]]
+        start = text.index(begin)
+        part = text[start : text.index(end, start)]
+        inner = [schema.RankedLayout] if model is schema.LayoutSummary else []
+        keys = {key for one in (model, *inner) for key in one.model_fields} - common
+        assert not [key for key in keys if f"`{key}`" not in part], model.__name__
+
+
+def test_the_schema_of_summaries_is_of_every_result_that_can_be_opened():
+    from typing import get_args
+
+    from sightline.io.config import json_schema
+    from sightline.io.results import schema
+    from sightline.kinds.open import KINDS
+
+    known = [name for one in schema.SUMMARIES for name in get_args(one.model_fields["result"].annotation)]
+    assert sorted(known) == sorted(one.__name__ for kind in KINDS for one in kind.types)
+    printed = json_schema("summary")
+    assert set(printed["discriminator"]["mapping"]) == set(known)
+    bare = [
+        f"{name}.{key}"
+        for name, part in printed["$defs"].items()
+        for key, value in part["properties"].items()
+        if name.endswith("Summary") and "description" not in value
+    ]
+    assert not bare
 
 
 def test_the_readme_lists_every_command():

@@ -1,4 +1,4 @@
-"""``sightline schema``: the JSON Schema of a TOML file that a command reads."""
+"""``sightline schema``: the JSON Schema of a TOML file that a command reads, or of what they write."""
 
 from __future__ import annotations
 
@@ -11,11 +11,12 @@ def schema(
     name: Annotated[
         str,
         typer.Argument(
-            metavar="NAME", help="Which file: acquisition, instrument, scene, sequence, stereo or tdi."
+            metavar="NAME",
+            help="One of: acquisition, instrument, scene, sequence, stereo, tdi; summary.",
         ),
     ],
 ) -> None:
-    """Print the JSON Schema of one of the TOML files."""
+    """Print the JSON Schema of one of the TOML files, or of every summary.json."""
     from sightline.cli.terminal import print_json
     from sightline.io.config import json_schema
 

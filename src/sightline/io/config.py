@@ -22,6 +22,7 @@ from sightline.errors import FormatError, foreign_errors
 from sightline.io.acquisition.schema import AcquisitionFile
 from sightline.io.layout.schema import InstrumentFile
 from sightline.io.quantities import shown
+from sightline.io.results.schema import summary_schema
 from sightline.io.scene.schema import SceneFile
 from sightline.io.sequence.schema import SequenceFile
 from sightline.io.stereo.schema import StereoFile
@@ -63,12 +64,13 @@ KINDS = {
 
 
 def json_schema(name: str) -> dict[str, Any]:
-    """JSON Schema of one of our TOML files.
+    """JSON Schema of one of our TOML files, or of every ``summary.json``.
 
     Parameters
     ----------
     name : str
-        ``"acquisition"``, ``"instrument"``, ``"scene"``, ``"sequence"``, ``"stereo"`` or ``"tdi"``.
+        ``"acquisition"``, ``"instrument"``, ``"scene"``, ``"sequence"``, ``"stereo"``,
+        ``"summary"`` or ``"tdi"``.
 
     Returns
     -------
@@ -80,10 +82,11 @@ def json_schema(name: str) -> dict[str, Any]:
     FormatError
         If there is no such schema; the message lists them.
     """
-    if name not in SCHEMAS:
-        raise FormatError(
-            f"no schema is called {name!r}{_near(name, SCHEMAS)}; there are: {', '.join(sorted(SCHEMAS))}"
-        )
+    known = sorted([*SCHEMAS, "summary"])
+    if name not in known:
+        raise FormatError(f"no schema is called {name!r}{_near(name, known)}; there are: {', '.join(known)}")
+    if name == "summary":
+        return summary_schema()
     if name == "scene":
         from sightline.io.scene.models import scene_schema
 

@@ -14,7 +14,7 @@ from sightline.applications.registration import Registration, fit_every_pair
 from sightline.errors import foreign_errors
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.images import open_image
-from sightline.io.results.line_of_sight import write_json
+from sightline.io.results.line_of_sight import peak_memory, write_json
 from sightline.io.results.recovered import Recovered
 from sightline.io.results.registered import write_products
 from sightline.io.results.registered_frames import without_margin, write_colours, write_values
@@ -174,7 +174,9 @@ class Picture(ResultKind):
             "columns": cut.pixels.shape[2],
             "focal_length_px": cut.camera.detector.focal_length_px,
             "files": ["picture.tif", "picture.png"],
+            "warnings": [],
             "wall_seconds": time.perf_counter() - begun,
+            "peak_memory_bytes": peak_memory(),
             "inputs": {} if acquired is None else acquired.input_hashes(),
         }
         write_json(folder / SUMMARY, summary)

@@ -13,7 +13,7 @@ import numpy as np
 
 from sightline.applications.focal_plane import FocalPlane, JudgedLayout, LayoutChoice
 from sightline.io.acquisition.acquired import sha256
-from sightline.io.results.line_of_sight import write_json
+from sightline.io.results.line_of_sight import peak_memory, write_json
 from sightline.version import VERSION
 from sightline.writing import whole
 
@@ -79,6 +79,7 @@ def summarize_layouts(choice: LayoutChoice, source: Path | None, *, wall_seconds
         "exhaustive": choice.exhaustive,
         "warnings": list(choice.warnings),
         "wall_seconds": wall_seconds,
+        "peak_memory_bytes": peak_memory(),
         "inputs": {} if source is None else {source.name: sha256(source)},
     }
 

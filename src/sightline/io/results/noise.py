@@ -26,7 +26,7 @@ from sightline.applications.detector_noise import (
 from sightline.applications.strip_noise import NoiseFigure
 from sightline.io.acquisition.acquired import sha256
 from sightline.io.formats.tables import write_columns
-from sightline.io.results.line_of_sight import write_json
+from sightline.io.results.line_of_sight import peak_memory, write_json
 from sightline.version import VERSION
 from sightline.writing import whole_text
 
@@ -144,6 +144,7 @@ def summarize_noise(noise: DetectorNoise, inputs: Sequence[Path], *, wall_second
     """The content of ``summary.json``."""
     names = Counter(path.name for path in inputs)
     return {
+        "name": ", ".join(image.name for image in noise.images),
         "result": "DetectorNoise",
         "version": VERSION,
         "unit": noise.unit,
@@ -164,6 +165,7 @@ def summarize_noise(noise: DetectorNoise, inputs: Sequence[Path], *, wall_second
         },
         "warnings": list(noise.warnings),
         "wall_seconds": wall_seconds,
+        "peak_memory_bytes": peak_memory(),
         "inputs": {path.name if names[path.name] == 1 else str(path): sha256(path) for path in inputs},
     }
 

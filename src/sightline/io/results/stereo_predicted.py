@@ -13,7 +13,7 @@ import numpy as np
 from sightline.applications.stereo_prediction import SigmaTable, StereoPrediction
 from sightline.evaluation.direction_words import AXES, angle_names
 from sightline.io.formats.tables import write_columns
-from sightline.io.results.line_of_sight import write_json
+from sightline.io.results.line_of_sight import peak_memory, write_json
 from sightline.io.results.stereo import (
     baseline_turn,
     improvement_entry,
@@ -103,6 +103,7 @@ def summarize_prediction(
         "improvements": [improvement_entry(change) for change in predicted.improvements],
         "warnings": list(problem.problem.warnings) if isinstance(problem, Stereo) else [],
         "wall_seconds": wall_seconds,
+        "peak_memory_bytes": peak_memory(),
         "inputs": problem.input_hashes(),
     }
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from sightline.applications.tdi_choice import OtherWay, TdiResult
 from sightline.io.acquisition.acquired import sha256
-from sightline.io.results.line_of_sight import write_json
+from sightline.io.results.line_of_sight import peak_memory, write_json
 from sightline.tdi.choose import LIMITS, TdiChoice
 from sightline.tdi.hysteresis import SteadyChoice
 from sightline.tdi.merit import ColumnMtf
@@ -96,6 +96,7 @@ def summarize_tdi(result: TdiResult, inputs: Iterable[Path], *, wall_seconds: fl
         "predicted_loss": None if result.predicted_loss is None else _predicted(result.predicted_loss),
         "warnings": list(result.warnings),
         "wall_seconds": wall_seconds,
+        "peak_memory_bytes": peak_memory(),
         "inputs": {path.name: sha256(path) for path in inputs},
     }
 
