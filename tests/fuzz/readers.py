@@ -291,6 +291,12 @@ _row(
     ["result/summary.json"],
     lambda folder, read: read(folder / "result"),
 )
+_row(
+    "results.relief.read_relief",
+    "recovered",
+    ["result/relief.csv"],
+    lambda folder, read: read(folder / "result", {"relief": {"image": "PAN"}}, ("PAN",)),
+)
 _row("results.hidden.read_hidden", "recovered", ["result/hidden.csv", "result/summary.json"], _hidden)
 _of_acquisition("results.recovered.read_recovered", "recovered", "result/*", "result")
 _of_acquisition("tdi.motion.read_motion_knowledge", "recovered", "result/*", "result")

@@ -1031,6 +1031,8 @@ def recovered(folder: Path) -> None:
     from sightline.io.acquisition.load import load_acquisition
     from sightline.io.formats.tables import MotionTable, write_motion, write_spectrum
     from sightline.io.results.hidden import write_hidden
+    from sightline.io.results.relief import write_relief
+    from sightline.motion.strip.relief import RowRelief
 
     bands(folder)
     (folder / "acquisition.toml").write_text(
@@ -1045,6 +1047,8 @@ def recovered(folder: Path) -> None:
     angles = 1e-6 * np.stack([np.sin(300.0 * t), np.cos(200.0 * t), 3.0 * np.sin(100.0 * t)], axis=1)
     sigma = np.full((LINES, 3), 1e-7)
     write_motion(made / "motion.csv", MotionTable(t, angles, sigma, 10.0 * sigma, np.ones(LINES, dtype=bool)))
+    rows = np.stack([np.sin(t), np.cos(t)], axis=1)
+    write_relief(made / "relief.csv", RowRelief(0, t, rows, np.ones_like(rows)))
     drift = np.zeros((LINES, 3, 2))
     drift[:, 0, 0], drift[:, 1, 1] = 1.0, t - t.mean()
     f = np.linspace(1.0, 1000.0, 20)
