@@ -394,7 +394,7 @@ for _name, _kind in (
 # Options of commands ----------------------------------------------------------------------------------------
 
 for _seed, _words in (
-    ("plan", "simulate line-of-sight --lines 302 --columns 200 --out @out"),
+    ("plan", "simulate line-of-sight --lines 360 --columns 200 --out @out"),
     ("plan", "simulate line-of-sight --case mirror-leo --lines 128 --columns 224 --out @out"),
     ("plan", "simulate line-of-sight --case frames --frames 2 --out @out"),
     ("plan", "simulate stereo --shots 2 --points 10 --out @out"),

@@ -247,12 +247,13 @@ def prediction_cost(cameras: int, shots: int, points: int) -> Cost:
 
     32 shots of 300 points took 6 s and 0.32 GB, of 3,000 points 58 s and 0.74 GB.
     """
-    from sightline.applications.stereo_prediction import MOST_POINTS, MOST_SHOTS
+    from sightline.applications.stereo_prediction import MOST_POINTS, MOST_SHOTS, MOST_TABLED
 
     sightings = float(cameras) * shots * points
     more = max(min(4.0, MOST_SHOTS / shots), min(4.0, MOST_POINTS / points), 1.0)
+    each = 2.7e-4 if sightings <= MOST_TABLED else 4e-5
     return Cost(
-        6.0 + 2.7e-4 * sightings,
+        6.0 + each * sightings,
         BASE_BYTES + 1000.0 * sightings * more,
         f"[plan] {shots:,} shots x {points:,} points x {cameras:,} cameras",
     )

@@ -41,6 +41,9 @@ BOUNDED = ("ml-track", "ml-pair")
 FACTORS = (0.125, 0.25, 0.5, 1.0, 2.0, 4.0)
 #: Most shots and points that a table goes up to.
 MOST_SHOTS, MOST_POINTS = 256, 1200
+#: Sightings up to which tables are made and it is reckoned what would better the angles: tens of bounds, each
+#: as long as a step of the solution.
+MOST_TABLED = 200_000
 #: In a radian.
 #: What is offered to better a plan.
 DEM_SIGMA, CONTROL_POINTS, CONTROL_SIGMA = 10.0, 5, 1.0

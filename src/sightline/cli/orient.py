@@ -156,27 +156,28 @@ def foretell(file: Path, method: OrientMethod, folder: Path, report: Progress) -
     import time
 
     from sightline.applications.expected_cost import prediction_cost
-    from sightline.applications.stereo_prediction import predict, predict_plan
+    from sightline.applications.stereo_prediction import MOST_TABLED, predict, predict_plan
     from sightline.cli.terminal import announce
     from sightline.errors import InputError
     from sightline.io.stereo.load import read_stereo
     from sightline.io.stereo.plan import has_plan, read_plan
     from sightline.io.stereo.strips import StripProblem
-    from sightline.kinds.orientation import IMPROVED_SIGHTINGS, Prediction
+    from sightline.kinds.orientation import Prediction
 
     begun = time.perf_counter()
     report("bounds")
     if has_plan(file):
         plan = read_plan(file).plan
         announce(prediction_cost(plan.pair.cameras, plan.shots, plan.points))
-        predicted = predict_plan(plan, method.value)
+        tables = plan.pair.cameras * plan.shots * plan.points <= MOST_TABLED
+        predicted = predict_plan(plan, method.value, tables=tables)
     else:
         problem = read_stereo(file, planned=True)
         if isinstance(problem.problem, StripProblem):
             raise InputError(
                 "--predict is for frames: [[strip]] has no prediction; orient its points instead"
             )
-        tables = len(problem.problem.tracks) <= IMPROVED_SIGHTINGS
+        tables = len(problem.problem.tracks) <= MOST_TABLED
         predicted = predict(problem.problem, method.value, tables=tables)
     return Prediction().render(predicted, folder, report, begun)
 

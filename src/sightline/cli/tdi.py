@@ -87,7 +87,8 @@ def choose_into(
     image = None if signals is None else open_signals(signals)
     problem = load_tdi(file, motion)
     if image is not None:  # refused before anything is chosen
-        check_columns(image, problem.columns)
+        with naming(signals):
+            check_columns(image, problem.columns)
     announce(tdi_cost(problem))
     report(f"choosing among {len(problem.grid)} settings")
     with naming(file):

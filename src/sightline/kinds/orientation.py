@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sightline.access import read_text
 from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
-from sightline.applications.stereo_prediction import Improvement, StereoPrediction, improvements
+from sightline.applications.stereo_prediction import MOST_TABLED, Improvement, StereoPrediction, improvements
 from sightline.errors import FormatError, InputError, SightlineError, foreign_errors
 from sightline.evaluation.direction_words import AXES, angle_names
 from sightline.geometry.surface import Ellipsoid, Plane
@@ -42,9 +42,6 @@ from sightline.report.stereo_prediction_page import prediction_page
 from sightline.result import source_of
 
 Array = NDArray[np.float64]
-
-#: Sightings up to which it is reckoned what would improve the angles: eight bounds, each as long as a step.
-IMPROVED_SIGHTINGS = 200_000
 
 
 class Orientation(ResultKind):
@@ -267,7 +264,7 @@ def _strip_problem(values: Mapping[str, Any], result: StereoOrientation) -> Ster
 
 def improvements_of(problem: StereoProblem, method: str) -> tuple[Improvement, ...]:
     """What would better the angles of frames, by the bound; none for strips and very many sightings."""
-    if isinstance(problem, StripProblem) or len(problem.tracks) > IMPROVED_SIGHTINGS:
+    if isinstance(problem, StripProblem) or len(problem.tracks) > MOST_TABLED:
         return ()
     try:
         return improvements(problem, method)
