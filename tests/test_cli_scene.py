@@ -55,6 +55,9 @@ def test_a_scene_that_no_machine_can_make_is_refused_before_it_is_begun(tmp_path
     uneven = ["--set", "relief_rms=9", "--set", "altitude=1e7"]
     assert run(["simulate", "line-of-sight", *walk, *uneven, "--out", str(tmp_path)]) == 2
     assert "TB of memory" in capsys.readouterr().err
+    near = ["--case", "small", "--set", "focal_length_px=1e7"]  # metres of swing are millions of pixels
+    assert run(["simulate", "frames", *near, "--out", str(tmp_path)]) == 2
+    assert "TB of memory" in capsys.readouterr().err
 
 
 def test_a_scene_given_to_another_command_is_pointed_back(tmp_path, capsys):

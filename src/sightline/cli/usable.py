@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from sightline.simulate.sequence_options import SequenceOptions
     from sightline.simulate.stereo_options import StereoOptions
 
-#: Lines up to which sizes are tried.
-MOST_LINES = 1_000_000
+#: Lines up to which sizes are tried; looking at more takes minutes.
+MOST_LINES = 30_000
 #: Windows of the first pass that lie in two images: 20 must match, and at edges some do not.
 LEAST_WHOLE = 24
 #: The same of each band: fewer tell nothing of it.
@@ -71,7 +71,7 @@ def refuse_useless_strip(
     if not reason:
         return
     wide = max(columns, 256)
-    least_lines = _least(lambda n: not why(n, wide), lines, MOST_LINES)
+    least_lines = _least(lambda n: not why(n, wide), lines, max(lines, MOST_LINES))
     said = f"--lines {lines} --columns {columns} make a strip that `recover` could not use: {reason}"
     if least_lines is None:
         raise InputError(said)

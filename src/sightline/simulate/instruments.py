@@ -162,7 +162,7 @@ class InstrumentOptions:
     }  # fmt: skip
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
         "altitude": (1e5, 1e8), "inclination": (0.0, np.pi), "off_nadir": (-1.5, 1.5), "ifov": (1e-8, 1e-2),
-        "line_period": (1e-6, 1.0), "lines": (16, MOST_LINES), "columns": (16, MOST_COLUMNS),
+        "line_period": (1e-5, 0.05), "lines": (16, MOST_LINES), "columns": (16, MOST_COLUMNS),
         "coherence": (0.01, 1.0), "snr": (0.1, 1e5), "contrast": (0.0, 10.0), "mtf_nyquist": (1e-3, 0.9),
         "offset_sigma_px": (0.0, 1e3), "rotation_sigma": (0.0, 0.1),
     }  # fmt: skip

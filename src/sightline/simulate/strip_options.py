@@ -111,7 +111,7 @@ class StripOptions:
     }  # fmt: skip
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
         "lines": (16, MOST_LINES), "columns": (16, MOST_COLUMNS), "altitude": (100.0, 1e8),
-        "ground_speed": (1.0, 1e5), "ifov": (1e-8, 1e-2), "line_period": (1e-6, 1.0), "lags": (-100.0, 100.0),
+        "ground_speed": (1.0, 1e5), "ifov": (1e-8, 1e-2), "line_period": (1e-5, 1.0), "lags": (-100.0, 100.0),
         "gains": (0.01, 3.0), "gammas": (0.1, 3.0), "coherence": (0.01, 1.0),
         "coherence_with_first": (0.01, 1.0), "snr": (0.1, 1e5), "contrast": (0.0, 10.0),
         "mtf_nyquist": (1e-3, 0.9), "offset_sigma_px": (0.0, 1e3), "rotation_sigma": (0.0, 0.1),

@@ -65,7 +65,10 @@ def _flight_cost(options: SequenceOptions, files: Mapping[str, Any]) -> Cost:
     frames, flown = options.total_frames, options.frames * (1.0 - options.overlap) + 1.0
     wide = columns * (1.0 + (options.flight_lines + options.cross_lines) * (1.0 - options.side_overlap))
     asked = f"{frames:,} frames of --lines {lines} --columns {columns}"
-    return rendering_cost(float(frames) * lines * columns, flown * lines * wide, asked)
+    # what the frames see when they swing, to 4 sigma on both sides
+    swing = 8.0 * (options.position_jitter / options.gsd + options.jitter * options.focal_length_px)
+    ground = (flown * lines + swing) * (wide + swing)
+    return rendering_cost(float(frames) * lines * columns, ground, asked)
 
 
 #: What it takes to make a scene of each family.
