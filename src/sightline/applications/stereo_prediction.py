@@ -244,10 +244,11 @@ def _predicted(
         raise InputError(f"bounds are those of {' and '.join(BOUNDED)}, got method {method!r}")
     pairs = method == "ml-pair"
     known = _bound(setting, pairs)
+    better = _improved(_sigmas(known), changes, pairs) if len(setting.image) <= MOST_TABLED else ()
     return StereoPrediction(
         method, cameras, frozen(known.covariance()), known, len(setting.places), setting.shots,
         len(setting.image), setting.baseline, setting.window, setting.how,
-        tuple(_table(sweep) for sweep in sweeps), _improved(_sigmas(known), changes, pairs),
+        tuple(_table(sweep) for sweep in sweeps), better,
     )  # fmt: skip
 
 

@@ -224,12 +224,15 @@ def _frames(value: object) -> Sequence[int]:
 
 
 #: Lists of frames may hold stretches of them, as "20-40".
-_Frames = Annotated[tuple[int, ...], BeforeValidator(_frames)]
+_Frame = Annotated[int, Within(0, _MOST_FRAMES - 1)]
+_Frames = Annotated[tuple[_Frame, ...], Field(max_length=_MOST_FRAMES), BeforeValidator(_frames)]
 _FRAME_LISTS = {
     "missing": _Frames,
     "unreadable": _Frames,
     "blurred": _Frames,
-    "water": Annotated[tuple[tuple[int, int], ...], BeforeValidator(_stretches)],
+    "water": Annotated[
+        tuple[tuple[_Frame, _Frame], ...], Field(max_length=MOST_LISTED), BeforeValidator(_stretches)
+    ],
 }
 
 
