@@ -132,9 +132,7 @@ def recover_line_of_sight(
     """
     options = options or RecoverOptions()
     tell = progress or (lambda text: None)
-    if len(bands) > 1:
-        options = suited(options, bands, surface)
-    strip = ready_strip(bands, surface, sensors, control_points, known, options)
+    strip, options = ready_strip(bands, surface, sensors, control_points, known, options)
     strip, state, result = joint_line_of_sight(strip, options, height_sigma, tell)
     if options.method == "joint":
         return result
@@ -149,8 +147,12 @@ def ready_strip(
     control_points: ControlSightings | None,
     known: KnownContent | None,
     options: RecoverOptions,
-) -> Strip:
-    """What `recover_line_of_sight` begins with; its errors, as far as files and geometry tell them."""
+) -> tuple[Strip, RecoverOptions]:
+    """What `recover_line_of_sight` begins with; its errors, as far as files and geometry tell them.
+
+    The options come back with the rows of windows that the strip is matched in.
+    """
+    options = suited(options, bands, surface)
     strip = replace(
         prepared(bands, surface, options),
         sensors=tuple(sensors),
@@ -159,7 +161,7 @@ def ready_strip(
     )
     strip = checked(strip, options)
     check_method(options.method, strip)
-    return strip
+    return strip, options
 
 
 def joint_line_of_sight(

@@ -98,7 +98,7 @@ def _why_useless(
     options = RecoverOptions(pairs=pairs)
     try:
         check_overlap(Path("acquisition.toml"), surface, cameras, names)
-        strip = ready_strip(bands, surface, (), None, None, options)
+        strip, options = ready_strip(bands, surface, (), None, None, options)
     except SightlineError as error:
         return str(error).removeprefix("acquisition.toml: ")
     found = windows_in_common(strip, options)
