@@ -541,7 +541,7 @@ def test_a_prediction_lays_points_out_where_there_are_none(tmp_path, capsys):
     assert run(["orient", path, "--predict", "--out", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out
     assert "camera 1: bound of 1 sigma: roll" in said and "points laid out evenly" in said
-    assert "image noise of 0.1 px, as told" in said
+    assert "image noise of 0.1 px, as given" in said
     assert run(["orient", path, "--out", str(tmp_path / "other")]) == 2
     assert "ask for the bound with --predict" in capsys.readouterr().err
     assert run(["orient", path, "--predict", "--method", "plane", "--out", str(tmp_path / "other")]) == 2
@@ -562,13 +562,13 @@ def test_a_prediction_without_matches_takes_the_noise_of_the_file(tmp_path, caps
         return np.array([entry["sigma"] for entry in summary["principal_sigmas"]]), summary["points_from"]
 
     fine, how = bound("fine", "sigma_px = 0.1\n")
-    assert "0.1 px, as told" in how
+    assert "0.1 px, as given" in how
     seen = np.isfinite(fine)
     coarse, how = bound("coarse", "sigma_px = 0.7\n")
     assert seen.sum() >= 5 and coarse[seen] == pytest.approx(7.0 * fine[seen], rel=1e-3)
-    assert "0.7 px, as told" in how
+    assert "0.7 px, as given" in how
     silent, how = bound("silent", "")
-    assert silent[seen] == pytest.approx(fine[seen]) and "0.1 px, assumed, as none is told" in how
+    assert silent[seen] == pytest.approx(fine[seen]) and "0.1 px, assumed, as none is given" in how
 
 
 PLAN = """

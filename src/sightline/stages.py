@@ -2,7 +2,7 @@
 
 Each stage's file carries a fingerprint of all that the stage depends on: the problem with names, sizes and
 times of its files, the options, the stages before, the version of the package. A file of other inputs, or one
-that cannot be read, is told of and passed over. Files appear whole or not at all.
+that cannot be read, is reported and passed over. Files appear whole or not at all.
 
 Not here: which stages there are (``applications/sequence_poses.py``).
 """

@@ -55,9 +55,9 @@ class UsedGround:
 def choose_ground(
     problem: SequenceProblem, found: SequencePoses, system: MapSystem, surface: str
 ) -> UsedGround:
-    """Heights of the points found, or of the surface given, whichever points tell to be better.
+    """Heights of the points found, or of the surface given, whichever fits the points better.
 
-    A single height that points do not bear out, as that of ground of which none is told, gives way to theirs.
+    A single height that points do not bear out, as that where none is given, gives way to theirs.
     """
     given, words = given_heights(problem.surface, system), "the surface given"
     points = system.places(found.poses.points)

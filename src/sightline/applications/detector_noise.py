@@ -360,7 +360,7 @@ def detector_noise(
             ),
             measured_figure("C^2 of the sum", "DN^2", rest, how),
         ]
-    told = [
+    figures = [
         *(dark.figures if dark is not None else ()),
         _gain_bound(images, rest)
         if gain_noise is None
@@ -406,7 +406,7 @@ def detector_noise(
         *_columns(images),
         signals=(least * scale / stages, most * scale / stages),
         full_well_sum=None if top is None else top * scale,
-        figures=tuple(told),
+        figures=tuple(figures),
         images=tuple(images),
         warnings=tuple(dict.fromkeys(warnings)),
     )
@@ -415,7 +415,7 @@ def detector_noise(
 def _law(
     images: Sequence[ImageNoise], dark: DarkNoise | None
 ) -> tuple[Estimate | None, Estimate, Estimate | None]:
-    """A, B and C^2 of the sum, DN; None where A, or C^2 too, is not told apart from B."""
+    """A, B and C^2 of the sum, DN; None where A, or C^2 too, cannot be separated from B."""
     parts = [one.rows for one in images]
     if dark is not None and dark.resting is not None:
         read = dark.resting

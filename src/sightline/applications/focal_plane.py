@@ -325,7 +325,7 @@ def choose_layout(
     exhaustive : bool, optional
         Go through all choices or not; by default where there are no more than a thousand million.
     progress : callable
-        Told what is being done.
+        Called with what is being done, in words.
 
     Returns
     -------

@@ -91,7 +91,7 @@ def recover_frame_attitude(
         m; what is not known of the surface's height: heights of all windows are then estimated too.
     options : FrameOptions, optional
     progress : callable, optional
-        Told in words what is being done.
+        Called with what is being done, in words.
 
     Returns
     -------

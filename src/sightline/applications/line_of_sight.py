@@ -111,7 +111,7 @@ def recover_line_of_sight(
         Frequencies of the motion that are known beforehand.
     options : RecoverOptions, optional
     progress : callable, optional
-        Told in words what is being done.
+        Called with what is being done, in words.
 
     Returns
     -------

@@ -59,7 +59,7 @@ from sightline.photogrammetry.flight.warnings import (
     bow_warnings,
     focal_warnings,
     part_warnings,
-    refuse_untold,
+    refuse_unobservable_focal,
     short_warnings,
 )
 from sightline.photogrammetry.flight.wide_links import followed_or_linked
@@ -106,7 +106,7 @@ class SequencePoses(Result):
         How many of the `seconds` are of earlier runs, by stage; without stages that are all of this one.
     problem : SequenceProblem or None
         As it was solved: frames turned as their images show, attitudes of the subset's model where none are
-        told.
+        given.
     """
 
     poses: FramePoses
@@ -147,7 +147,7 @@ def check_flight(
         raise InputError("no frame of the sequence can be used; see why each was excluded")
     if usable == 1:
         raise InputError(
-            f"1 of {len(problem)} frames can be used: poses are told by what frames share; give two or more "
+            f"1 of {len(problem)} frames can be used: poses come from what frames share; give two or more "
             "that overlap"
         )
     check_followable(problem.detector.shape, follow_plan(problem, plan))
@@ -187,7 +187,7 @@ def georeference_sequence(
     cross : bool
         Look for what stretches of the flight have in common.
     photogrammetry : bool, optional
-        Begin with a model of the subset by pycolmap (extra ``sfm``); where no attitude is told, otherwise.
+        Begin with a model of the subset by pycolmap (extra ``sfm``); by default where no attitude is given.
     progress : callable, optional
         Called with a stage's name, how much of it is done, and how much it is.
     stages : Stages, optional
@@ -261,7 +261,7 @@ def _without_control(
 def _with_model(
     problem: SequenceProblem, followed: Followed, subset: Subset, run: _Run
 ) -> tuple[SequenceProblem, RefinedModel]:
-    """The problem with attitudes where none are told, and the model of the subset they are of."""
+    """The problem with attitudes where none are given, and the model of the subset they are of."""
     p, images = problem, problem.images
     run.progress(MODELLED, 0, 1)
     model = run.stages.stage(
@@ -283,10 +283,10 @@ def _with_model(
     )  # fmt: skip
     own = np.isfinite(p.known.attitude.sum(axis=1))[:, None]
     quat = np.where(own, images.world_from_body.as_quat(), attitude.as_quat())
-    told = np.isfinite(p.known.position.sum(axis=1))[:, None]
+    given = np.isfinite(p.known.position.sum(axis=1))[:, None]
     images = replace(
         images,
-        position=np.where(told, images.position, place),
+        position=np.where(given, images.position, place),
         world_from_body=Rotation.from_quat(quat),
     )
     start = replace(images, position=place, world_from_body=attitude)
@@ -294,7 +294,7 @@ def _with_model(
 
 
 def _reach(problem: SequenceProblem) -> Array:
-    """m (M,): the ground that a frame shows lies within this of its place; inf where no place is told."""
+    """m (M,): the ground that a frame shows lies within this of its place; inf where no place is given."""
     lines, columns = problem.detector.shape
     corner = problem.detector.directions(np.array([[0.0, 0.0], [lines - 1.0, columns - 1.0]]))
     slant = float(np.max(np.linalg.norm(corner[:, :2], axis=1) / corner[:, 2]))
@@ -406,7 +406,7 @@ def _all_poses(
             )
             run.progress(SOLVED_ALL, 1, 1)
             run.note(SOLVED_ALL)
-    refuse_untold(found.poses)
+    refuse_unobservable_focal(found.poses)
     return found, block.with_control(found.tracks)
 
 
@@ -477,7 +477,7 @@ def poses_of_windows(problem: SequenceProblem, followed: Followed) -> tuple[Fram
 def _sources(
     problem: SequenceProblem, followed: Followed, subset: Subset, poses: FramePoses
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """How each frame's pose came about, and why its image told nothing of it."""
+    """How each frame's pose came about, and why its image gave nothing for it."""
     chosen = set(subset.frames.tolist())
     source, reason = [], []
     for k in range(len(problem)):

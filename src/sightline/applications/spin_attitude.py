@@ -137,7 +137,7 @@ def recover_spin_attitude(
         rad/s; speed over distance of what is seen, where the surface is infinity and neither is known.
     options : SpinOptions, optional
     progress : callable, optional
-        Told in words what is being done.
+        Called with what is being done, in words.
 
     Returns
     -------

@@ -1,4 +1,4 @@
-"""S2: constant attitude errors of cameras that image one scene together, and what cannot be told of them.
+"""S2: constant attitude errors of cameras that image one scene together, and which are not observable.
 
 Not here: reading the problem (``io/stereo/load.py``), finding conjugate points in images
 (``stereo_matching.py``), what a plan would give (``stereo_prediction.py``).
@@ -447,8 +447,8 @@ def _stretches(found: Adjustment, cameras: int) -> tuple[Array | None, Array | N
 
 
 #: Relative sigma from which on a focal length that is sought freely counts as not observable; share of the
-#: sigma known beforehand from which on the data told nothing.
-_LOOSE_FOCAL, _UNTOLD_SHARE = 0.02, 0.5
+#: sigma known beforehand from which on the data added nothing.
+_LOOSE_FOCAL, _UNOBSERVABLE_SHARE = 0.02, 0.5
 #: Departure of chi-square per degree of freedom from 1 that is spoken of, in its own sigmas, and at least.
 CHI_SIGMAS, CHI_SHARE = 3.0, 0.1
 #: The same of the size of the poses' own errors.
@@ -456,8 +456,8 @@ _POSE_SIGMAS, _POSE_SHARE = 4.0, 0.15
 
 
 def focal_length_seen(sigma: float, before: float) -> bool:
-    """Whether data told a focal length, by its relative sigma after and before (inf: sought freely)."""
-    return bool(sigma <= (_UNTOLD_SHARE * before if np.isfinite(before) else _LOOSE_FOCAL))
+    """Whether the data give a focal length, by its relative sigma now and before (inf: sought freely)."""
+    return bool(sigma <= (_UNOBSERVABLE_SHARE * before if np.isfinite(before) else _LOOSE_FOCAL))
 
 
 def _adjustment_warnings(
@@ -565,8 +565,10 @@ def _orient_linear(
     residual, rejected = np.full(len(sightings), np.nan), np.ones(len(sightings), dtype=bool)
     for rows in kept.rows:
         residual[rows], rejected[rows] = np.abs(found.residual_px) / np.sqrt(2.0), False
-    known = observability(_tellable(found.information, sightings, problem.noise), _angle_names())
-    angles, of_angles = _told(found.angles, found.covariance, known)
+    known = observability(
+        _observable_information(found.information, sightings, problem.noise), _angle_names()
+    )
+    angles, of_angles = _observable_angles(found.angles, found.covariance, known)
     if known.hidden.any() and float(np.nanmax(np.abs(angles), initial=0.0)) > _LARGE:
         # noise in the coefficients, nothing else, is left of what the hidden direction spoilt
         angles, of_angles = np.full((2, 3), np.nan), np.full((6, 6), np.nan)
@@ -609,7 +611,7 @@ def _by_measured_noise(
     ]
 
 
-def _tellable(information: Array, sightings: Sightings, noise: PoseNoise) -> Array:
+def _observable_information(information: Array, sightings: Sightings, noise: PoseNoise) -> Array:
     """Information of a linear estimate without directions that no pair of rays can tell.
 
     Noise in its coefficients looks like information along them.
@@ -660,7 +662,7 @@ def _linear_warnings(
     return said
 
 
-def _told(angles: Array, covariance: Array, known: Observability) -> tuple[Array, Array]:
+def _observable_angles(angles: Array, covariance: Array, known: Observability) -> tuple[Array, Array]:
     """Angles (C, 3) and covariance with NaN and inf for those that take part in a hidden direction."""
     hidden = known.touched
     spread = np.where(hidden[:, None] | hidden[None, :], np.nan, covariance)

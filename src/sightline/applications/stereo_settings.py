@@ -313,9 +313,9 @@ def _laid_out(problem: StereoProblem) -> Setting:
     places = ground(int(POINTS * POINTS / max(len(np.unique(seen)), 1)))
     image, point = _shown(images, problem.detectors, problem.mounts, places)
     names, point = np.unique(point, return_inverse=True)
-    sigma, whose = problem.sigma_px, "as told"
+    sigma, whose = problem.sigma_px, "as given"
     if sigma is None:
-        sigma, whose = SIGMA_PX, "assumed, as none is told ([noise] sigma_px)"
+        sigma, whose = SIGMA_PX, "assumed, as none is given ([noise] sigma_px)"
     how = (
         f"{len(names)} points laid out evenly over the middle frame of camera {problem.cameras[camera]}, on "
         f"the surface, where another frame shows them too; image noise of {sigma:g} px, {whose}"

@@ -29,7 +29,7 @@ Array = NDArray[np.float64]
 #: 1e10 away from that, at the price of a white jitter 1e-5 times the size of the motion.
 NUGGET = 1e-10
 #: The same where a spectrum is given point by point: it may be zero outside a band, and such a motion is
-#: told by its past to the last digit.
+#: determined by its past to the last digit.
 BAND_NUGGET = 1e-6
 
 

@@ -150,7 +150,7 @@ class ScanMirror(ReadOnlyArrays):
 
 @dataclass(frozen=True, eq=False)
 class TurnedBody:
-    """A pointing told in other axes of the same body.
+    """A pointing given in other axes of the same body.
 
     Attributes
     ----------

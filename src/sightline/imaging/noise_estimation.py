@@ -1,6 +1,6 @@
 """Noise of a detector from one image of an unknown scene, and from pixels beside it that saw none.
 
-Three things are told apart by what they do along and across the strip:
+Three things are separated by what they do along and across the strip:
 
 - noise of pixels at rest (buffer, dark): the level drifts slowly, so the share of lines on either side of a
   code's edge says how wide the noise is, even where it is far below the step (an ordered probit);

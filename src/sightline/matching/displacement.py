@@ -25,7 +25,7 @@ NEIGHBOURS = 24
 LEAST_QUADRATIC, LEAST_PLANE = 15, 6
 #: Residuals of so many of the field's own spread (`robust_sigma`) carry no weight.
 CUT = 5.0
-#: px; spread below which residuals are not told apart: what relief leaves between neighbours.
+#: px; spread below which residuals are not distinguished: what relief leaves between neighbours.
 LEAST_SPREAD = 0.1
 #: Rounds of weights, as many as they take to settle while under a third of the points is wrong.
 _ROUNDS = 4

@@ -673,8 +673,8 @@ def follow_windows(
             follower.merge(kept)
             if keep is not None:
                 fields = follower.state(number, -1 if waiting is None else waiting.number, kept)
-                told = sharpness.copy(), contrast.copy(), tuple(reason)
-                keep(FollowState(**fields, sharpness=told[0], contrast=told[1], reason=told[2]))
+                copies = sharpness.copy(), contrast.copy(), tuple(reason)
+                keep(FollowState(**fields, sharpness=copies[0], contrast=copies[1], reason=copies[2]))
             kept = len(follower.image)
         frame = reader.read(number)
         if progress is not None:

@@ -63,7 +63,7 @@ class ToneHistory:
 
 @dataclass(frozen=True)
 class TonePair:
-    """Two tones within the resolution 1/T of the strip, told apart by fitting both.
+    """Two tones within the resolution 1/T of the strip, separated by fitting both.
 
     Attributes
     ----------

@@ -284,14 +284,14 @@ def rays_of(
 
 
 def stretched_sightings(sightings: Sightings, stretch: float) -> Sightings:
-    """Sightings of a camera whose focal length was refined, in tangents of the one that was told.
+    """Sightings of a camera whose focal length was refined, in tangents of the one given.
 
     Parameters
     ----------
     sightings : Sightings
         By the refined focal length, whose lens alone may have undone the distortion rightly.
     stretch : float
-        The refined focal length over the one told, less 1.
+        The refined focal length over the one given, less 1.
 
     Returns
     -------

@@ -21,7 +21,7 @@ _Entry = tuple[int, int, float, float, bool]
 
 #: Steps from frame to frame that a band of a continuous filter should have lines for: flights jitter.
 _STEPS = 1.5
-#: Bands of a continuous filter at most, unless more are asked for; distinct wavelengths told at most.
+#: Bands of a continuous filter at most, unless more are asked for; distinct wavelengths that may be given.
 _MOST = 256
 
 

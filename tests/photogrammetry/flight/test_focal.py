@@ -28,7 +28,7 @@ from sightline.photogrammetry.flight.focal import FocalStretch
 from sightline.photogrammetry.flight.poses import FramePoses, adjust_frames, frame_unknowns
 from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.flight.subset import Subset
-from sightline.photogrammetry.flight.warnings import focal_verdict, focal_warnings, refuse_untold
+from sightline.photogrammetry.flight.warnings import focal_verdict, focal_warnings, refuse_unobservable_focal
 from sightline.photogrammetry.sightings import (
     Images,
     Tracks,
@@ -165,11 +165,11 @@ def test_one_that_rests_on_perspective_alone_is_refused():
     loose = FocalStretch(-0.05, 0.04, np.inf, np.zeros(6))
     poses = solved(Flight(0, count=3), FOCAL, 0.0)
     with pytest.raises(EstimationError, match=r"known to 4 % at best.*focal_length_sigma_px"):
-        refuse_untold(replace(poses, focal=loose))
-    with pytest.raises(EstimationError, match="-97 % from the one told"):
-        refuse_untold(replace(poses, focal=replace(loose, stretch=-0.97, sigma=0.01)))
+        refuse_unobservable_focal(replace(poses, focal=loose))
+    with pytest.raises(EstimationError, match="-97 % from the one given"):
+        refuse_unobservable_focal(replace(poses, focal=replace(loose, stretch=-0.97, sigma=0.01)))
     for told in (None, replace(loose, sigma=0.02), replace(loose, prior=0.05)):
-        refuse_untold(replace(poses, focal=told))
+        refuse_unobservable_focal(replace(poses, focal=told))
 
 
 def test_one_far_from_what_was_told_is_told():

@@ -105,14 +105,14 @@ def _foreign(star: Star, post_px: Array, least: Array, relief_sigma: float) -> A
     shift = _common_shift(star, post_px)
     reaches = _reaches(star)
     matched = np.asarray(np.isfinite(post_px).all(axis=-1)).any(axis=1).reshape(rows, blocks)
-    told = shift.seen
-    shift = replace(shift, seen=told & ~_lonely(told, reaches[0]))
+    seen = shift.seen
+    shift = replace(shift, seen=seen & ~_lonely(seen, reaches[0]))
     shift = shift.scaled(_row_noise(shift, reaches[0]))
     by_height = _by_height(star, shift.lag)
     shift = replace(shift, lasting=(by_height * relief_sigma) ** 2)
     up = by_height / max(float(np.hypot(*by_height)), 1e-30)
     if star.brightness is not None:
-        # brightness has told of these: what is left is judged by itself
+        # brightness has judged these: the rest is judged by itself
         shifts = RowShifts(shift.x, shift.value, shift.variance + shift.lasting, shift.seen)
         brightness = star.brightness.reshape(star.shape)
         bright, tells = bright_windows(shifts, brightness, matched, _line_step(star))
@@ -123,9 +123,9 @@ def _foreign(star: Star, post_px: Array, least: Array, relief_sigma: float) -> A
     foreign = sum_along((shift.seen & (worst > FOREIGN)).sum(axis=1).astype(float), reaches[0])
     lost = foreign > MOST_FOREIGN * sum_along(shift.seen.sum(axis=1).astype(float), reaches[0])
     lost |= undermined
-    # images of one instant see a cloud where they see the ground: of their matches nothing is told
-    untold = np.where(matched & ~told, least, np.inf)
-    return np.where(shift.seen & ~lost[:, None], worst, untold)
+    # images of one instant see a cloud where they see the ground: their matches cannot be judged
+    unjudged = np.where(matched & ~seen, least, np.inf)
+    return np.where(shift.seen & ~lost[:, None], worst, unjudged)
 
 
 def _undermined(shift: _Shift, worst: Array, reaches: list[int], up: Array) -> Flags:
@@ -183,7 +183,7 @@ def _worst_departures(shift: _Shift, reaches: list[int], up: Array, least: Array
         worst = np.where(use, (departure**2 / (variance + shift.lasting)).sum(axis=-1), 0.0)
         worst = np.maximum(np.where(worst > FOREIGN, worst, 0.0), least)
         for reach in reaches:
-            # what has been told already must not smear over its neighbours
+            # what is known as foreign already must not smear over its neighbours
             left = use & (worst <= FOREIGN)
             worst = np.maximum(worst, _lasting(shift, departure, variance, left, weight > TRUSTED, reach))
         worst = _with_neighbours(worst, use, reaches[0])

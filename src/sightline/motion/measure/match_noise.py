@@ -26,7 +26,7 @@ ROW_REACH = 6
 ROW_LAGS = 8
 #: Errors beyond this many sigmas lose weight (1 % of two Gaussian components), beyond REJECT all (4e-6).
 SOFT, REJECT = 3.0, 5.0
-#: Blocks per row, and runs of rows, from which errors shared by neighbouring windows are told; their most.
+#: Blocks per row, and runs of rows, from which errors shared by neighbours are estimated; their most.
 LEAST_BESIDE, MOST_BESIDE = 6, 4.0
 #: Scaled residuals are cut to this size where covariances are summed.
 CLIP = 6.0

@@ -108,7 +108,7 @@ class Rank:
 
     @property
     def weakest(self) -> str:
-        """The direction told least (of those told at all), in words."""
+        """The observable direction that is estimated worst, in words."""
         k = min(self.blind, len(self.names) - 1)
         direction = self.directions[:, k]
         order = np.argsort(-np.abs(direction))

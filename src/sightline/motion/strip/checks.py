@@ -160,7 +160,7 @@ def _check_common_ground(strip: Strip, options: RecoverOptions) -> None:
         (height, width), half = options.first_window, max(columns // 2, 3)
         raise EstimationError(
             f"{name} has {columns} columns, and no row holds two windows of {width} columns side by side, "
-            f"which yaw is told by: {2 * width} columns in common are needed, or narrower windows: "
+            f"from which yaw is estimated: {2 * width} columns in common are needed, or narrower windows: "
             f"[matching] first_window = [{height}, {half}], window = [{options.window[0]}, {half}]"
         )
 

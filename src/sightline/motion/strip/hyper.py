@@ -142,7 +142,7 @@ def _bend(part: Matern, length: float) -> float:
     """Standard deviation (rad) of how far a motion bends away from a line over a strip of `length` s.
 
     Constants and even drifts are hidden where offsets are free; sigma and timescale of a drift longer than
-    the strip are then told only as what bends, sigma over timescale squared: either alone may be anything.
+    the strip are then observable only as what bends (sigma over timescale squared); either alone is not.
     """
     k = part.autocovariance(np.array([0.0, 0.5 * length, length]))
     return float(np.sqrt(max(6.0 * k[0] - 8.0 * k[1] + 2.0 * k[2], 0.0)))
@@ -402,7 +402,7 @@ def _row_sigma(differences: Sequence[AngleDifferences], axis: int) -> float:
 def _corners_elsewhere(spectra: Sequence[Spectrum], row_sigma: Sequence[float]) -> list[float | None]:
     """Corner (Hz) of the broadband jitter of the axis that shows it best, for axes whose rows do not show it.
 
-    Below the noise of a row, jitter and noise are told apart by how they follow in time alone: jitter of a
+    Below the noise of a row, jitter and noise are separated by how they follow in time alone: jitter of a
     corner above all that is seen would pass for noise, and noise for jitter. What shakes one axis of a body
     shakes the others about as fast.
     """

@@ -1,6 +1,6 @@
 """Whether two bands match where a lag of the other sign would have them.
 
-Not here: what a user is told (``warnings.py``).
+Not here: what is reported of it (``warnings.py``).
 """
 
 from __future__ import annotations

@@ -231,7 +231,7 @@ def adjust(
 
 
 def _pose_scale(fit: Fit, unknowns: PoseUnknowns) -> tuple[float, float]:
-    """Size of the shots' own unknowns over what they were to have, and their number that is told.
+    """Size of the shots' own unknowns over what they were to have, and how many of them are observable.
 
     Of each, the share that sightings tell is one less its variance afterwards; the sum of variances by random
     signs (M. F. Hutchinson, 1990), some per cent of it in error.
@@ -244,9 +244,9 @@ def _pose_scale(fit: Fit, unknowns: PoseUnknowns) -> tuple[float, float]:
         signs = rng.choice([-1.0, 1.0], fit.state.own.shape)
         step = known.solve(reduced.condense(signs, points, none))
         left += float((signs * reduced.solve(signs, points, none, step)[0]).sum()) / probes
-    told = fit.state.own.size - left
+    observed = fit.state.own.size - left
     size = float((fit.state.own**2).sum())
-    return (float(np.sqrt(size / told)), told) if told > 1.0 else (1.0, 0.0)
+    return (float(np.sqrt(size / observed)), observed) if observed > 1.0 else (1.0, 0.0)
 
 
 def bound(

@@ -35,7 +35,7 @@ from sightline.photogrammetry.triangulate import triangulate
 #: Steps end when the next would lower the cost by less (chi-square units): a millionth of a sigma.
 CONVERGED = 1e-10
 #: The same where steps have become many: a third of a sigma in one direction, along which a curved valley is
-#: followed slowly, such as the depth of one point that is hardly told and ill seen.
+#: followed slowly, such as the depth of one point that is hardly observable.
 NEAR = 0.1
 #: Largest number of steps for one set of weights, and of those with fresh normal equations; of such sets.
 STEPS, FRESH, ROUNDS = 100, 50, 12
@@ -289,7 +289,7 @@ def descend(
     now = usable.astype(np.float64) if weight is None else np.array(weight)
     softened, fit = weight is not None, None
     if robust and not softened:
-        # many gross errors are told long before the fit that they spoil has settled
+        # many gross errors are found long before the fit that they spoil has settled
         rough = _settle(block, state, now, usable, converged, enough=_ROUGHLY)
         state, fit = rough.state, rough
         if int(_gross(rough, usable, limit).sum()) > _FEW * int(usable.sum()):
@@ -385,7 +385,7 @@ def _settle(
 
 
 def _lowers(block: BlockSums, state: State, weight: Array, pull: _Pull, step: State, decrease: float) -> bool:
-    """Whether a whole step lowers the cost, as far as rounding lets it be told.
+    """Whether a whole step lowers the cost, as far as rounding lets it be known.
 
     None lowers it by more than it is; equations of an earlier state may promise that.
     """

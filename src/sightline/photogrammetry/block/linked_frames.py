@@ -84,16 +84,16 @@ class _Sums:
     def add(self, here: Index, there: Index, small: Array) -> None:
         """Blocks with rows of shots `here` and columns of shots `there`, here >= there; no pair twice."""
         i, j, h, t = self.place[here], self.place[there], self.last[here], self.last[there]
-        told = small.any(axis=(1, 2))
-        rows = np.flatnonzero(~h & ~t & told)
+        filled = small.any(axis=(1, 2))
+        rows = np.flatnonzero(~h & ~t & filled)
         self._add_band(i[rows], j[rows], small[rows])
         rows = np.flatnonzero(h & t)
         self.corner[i[rows], :, j[rows]] += small[rows]
         rows = rows[i[rows] != j[rows]]
         self.corner[j[rows], :, i[rows]] += np.swapaxes(small[rows], 1, 2)
-        rows = np.flatnonzero(~h & t & told)
+        rows = np.flatnonzero(~h & t & filled)
         self._ties.append((i[rows], j[rows], small[rows]))
-        rows = np.flatnonzero(h & ~t & told)
+        rows = np.flatnonzero(h & ~t & filled)
         self._ties.append((j[rows], i[rows], np.swapaxes(small[rows], 1, 2)))
 
     def _add_band(self, i: Index, j: Index, small: Array) -> None:

@@ -1,4 +1,4 @@
-"""What a set of constant angles can and cannot be told from its information matrix.
+"""Which constant angles an information matrix makes observable, and which it does not.
 
 Not here: the information itself (``reduced.py``).
 """

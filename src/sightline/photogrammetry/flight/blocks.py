@@ -178,7 +178,7 @@ def solve_in_blocks(
             sigma[result.block.rows[tracked]] = result.block.sightings.sigma_px[tracked]
             if progress is not None:
                 progress(number + 1, len(ranges) + 1)
-        poses = join_blocks(problem.images, problem.told, gathered.store, gathered.poses())
+        poses = join_blocks(problem.images, problem.known_poses, gathered.store, gathered.poses())
     for number in range(len(ranges)):
         stages.drop(f"block-{number}")
     tracks = Tracks(followed.image, followed.point, followed.pixels, sigma)

@@ -25,7 +25,7 @@ class FocalStretch(ReadOnlyArrays):
     Attributes
     ----------
     stretch : float
-        Relative: the focal length found over the one told, less 1.
+        Relative: the focal length found over the one given, less 1.
     sigma : float
         1-sigma of it.
     prior : float
@@ -87,11 +87,11 @@ def common_errors(
     return frozen(bias), frozen(bias_covariance), focal
 
 
-def untold(prior: float) -> EstimationError:
-    """What to say where frames were solved with the focal length told, but not with it as an unknown."""
+def unobservable_focal_length(prior: float) -> EstimationError:
+    """What to say where frames were solved with the focal length given, but not with it as an unknown."""
     size = "nothing known of it" if np.isinf(prior) else f"{100.0 * prior:.2g} %"
     return EstimationError(
-        "the frames can be adjusted with the focal length that was told, but not with it as an unknown "
+        "the frames can be adjusted with the focal length given, but not with it as an unknown "
         f"(1-sigma beforehand: {size}): they hardly tell it; give a smaller focal_length_sigma_px, or "
         "heights of positions above a known surface, or control points"
     )

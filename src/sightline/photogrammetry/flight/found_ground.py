@@ -1,4 +1,4 @@
-"""The ground that the images of a sequence show, beside the one that was told.
+"""The ground that the images of a sequence show, beside the one given.
 
 Not here: heights of the maps (``applications/cube_ground.py``).
 """
@@ -16,7 +16,7 @@ from sightline.photogrammetry.flight.problem import SequenceProblem
 
 #: Points from which on their median is the height of the ground.
 _ENOUGH = 10
-#: Share of the flying height by which told ground may be off before that is worth a word; sigmas likewise.
+#: Share of the flying height by which the given ground may be off before a warning; sigmas likewise.
 _OFF_SHARE, _OFF_SIGMAS = 0.05, 3.0
 
 
@@ -29,7 +29,7 @@ def found_heights(problem: SequenceProblem, poses: FramePoses) -> Array:
 
 
 def level_ground(problem: SequenceProblem, poses: FramePoses) -> Surface:
-    """The told surface; where that is a single height and points were found, level ground at theirs."""
+    """The given surface; where that is a single height and points were found, level ground at theirs."""
     if not isinstance(problem.surface, Plane | Ellipsoid):
         return problem.surface
     heights = found_heights(problem, poses)
@@ -39,7 +39,7 @@ def level_ground(problem: SequenceProblem, poses: FramePoses) -> Surface:
 
 
 def ground_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
-    """A warning where the ground that was found is not the one that was told (or taken, where none was).
+    """A warning where the ground that was found is not the one given (or taken, where none was).
 
     Nothing is said where the sigmas of the poses allow the difference: without positions or control points
     every height is possible.

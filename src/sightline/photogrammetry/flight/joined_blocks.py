@@ -371,10 +371,10 @@ def join_blocks(
         found = whole.forward()
         if found.cost > last * (1.0 + _RISE):
             break
-        told = observability(found.information, whole.unknowns.names, np.inf)
-        step = told.solve(found.right)
+        known = observability(found.information, whole.unknowns.names, np.inf)
+        step = known.solve(found.right)
         if found.decrease + float(found.right @ step) < _CONVERGED:
-            return _poses(whole, found, told.covariance(), start)
+            return _poses(whole, found, known.covariance(), start)
         whole.take(found.factor, step)
         last = found.cost
         if progress is not None:
@@ -393,7 +393,7 @@ def _poses(whole: _Whole, found: _Forward, of_globals: Array, start: BlockPoses)
     variance = np.diag(factor.gram)[len(trends) + 1 :] + np.einsum("gk,gh,hk->k", trends, of_globals, trends)
     points = np.full((whole.store.points, 3), np.nan)
     residual, rejected = np.zeros((whole.store.sightings, 2)), np.ones(whole.store.sightings, dtype=bool)
-    for at, names, places, left, used in _told(whole):
+    for at, names, places, left, used in _solved_blocks(whole):
         points[names], residual[at], rejected[at] = places, left, ~used
     final = moved_images(whole.images, whole.moved)
     return FramePoses(
@@ -413,7 +413,7 @@ def _poses(whole: _Whole, found: _Forward, of_globals: Array, start: BlockPoses)
     )
 
 
-def _told(whole: _Whole) -> Iterator[tuple[Index, Index, Array, Array, NDArray[np.bool_]]]:
+def _solved_blocks(whole: _Whole) -> Iterator[tuple[Index, Index, Array, Array, NDArray[np.bool_]]]:
     """Of each block: rows and names of the whole flight, points, residuals (px), which count."""
     for number in range(len(whole.store)):
         e = whole.equations(number)

@@ -31,7 +31,7 @@ from sightline.photogrammetry.flight.focal import (
     common_errors,
     focal_information,
     globals_of,
-    untold,
+    unobservable_focal_length,
 )
 from sightline.photogrammetry.flight.path import (
     UNITS,
@@ -170,11 +170,11 @@ class FramePoses(ReadOnlyArrays):
     bow: Array
     focal: FocalStretch | None = None
 
-    def detector(self, told: AreaDetector) -> AreaDetector:
-        """The camera of the frames with the focal length found, from the one that was told."""
+    def detector(self, given: AreaDetector) -> AreaDetector:
+        """The camera of the frames with the focal length found, from the one given."""
         if self.focal is None:
-            return told
-        return replace(told, focal_length_px=told.focal_length_px * (1.0 + self.focal.stretch))
+            return given
+        return replace(given, focal_length_px=given.focal_length_px * (1.0 + self.focal.stretch))
 
 
 def moved_images(images: Images, moved: Array) -> Images:
@@ -229,9 +229,9 @@ def frame_unknowns(
     pull = np.zeros((count, 6))
     for k in range(3):
         pull[rank[at + k - 2]] += row[:, k, None] * strength * bend
-    told = known.precision() * np.multiply.outer(UNITS, UNITS)
-    precision[rank, 0] += told
-    departed = np.einsum("mab,mb->ma", told, moved / UNITS)
+    prior = known.precision() * np.multiply.outer(UNITS, UNITS)
+    precision[rank, 0] += prior
+    departed = np.einsum("mab,mb->ma", prior, moved / UNITS)
     pull[rank] += departed
     parts, names, information = [], [], []
     width = 7 if known.focal_length > 0.0 else 6
@@ -344,7 +344,7 @@ def adjust_frames(
         try:
             fit = descend(block, state, usable, robust=robust, weight=fit.weight, converged=_CONVERGED)
         except EstimationError as error:
-            raise (untold(known.focal_length) if known is not first else error) from None
+            raise (unobservable_focal_length(known.focal_length) if known is not first else error) from None
         first = known
     return _poses(moved_images(images, moved), block, fit, rough, known)
 

@@ -130,7 +130,7 @@ class SequenceProblem(ReadOnlyArrays):
         return len(self.frames)
 
     @property
-    def told(self) -> RoughPoses:
+    def known_poses(self) -> RoughPoses:
         """What is known beforehand of the poses, and of the focal length."""
         relative = self.focal_length_sigma_px / self.detector.focal_length_px
         return replace(self.known, focal_length=relative)

@@ -1,7 +1,7 @@
-"""Photogrammetry on a subset of frames by pycolmap (extra ``sfm``), for flights whose attitudes nobody told.
+"""Photogrammetry on a subset of frames by pycolmap (extra ``sfm``), for flights without given attitudes.
 
 Features, matches of chosen pairs, mapping with positions as priors; the model is brought to the world by the
-positions told, and adjusted once more with all that tables say, which gives it a covariance. It is where the
+given positions, and adjusted once more with all that tables say, which gives it a covariance. It is where the
 adjustment of all frames starts, not its result.
 
 Not here: which frames (``subset.py``), the adjustment (``poses.py``).
@@ -44,7 +44,7 @@ _LARGE = 500
 _SIGMA_PX = 0.5
 #: Sightings per frame that the model is adjusted with: the points seen most often.
 _ADJUSTED = 250
-#: rad; cameras of which no attitude is told look down on the whole within this.
+#: rad; cameras of which no attitude is given look down on the whole within this.
 _DOWN = 0.2
 #: rad; attitudes of a model, of each frame and of all: what a first solution is held by.
 _HELD, _HELD_ALL = 0.01, 0.02
@@ -95,7 +95,7 @@ def filter_pairs(
         m, as well as it is known.
     reach : (M,), optional
         m; the ground that a frame shows lies within this of its place, errors of the place included. inf
-        where nothing is told.
+        where nothing is given.
 
     Returns
     -------
@@ -144,11 +144,11 @@ def _may_meet(first: int, frames: Index, position: Array | None, reach: Array | 
 
 
 def check_positions(sigma: Array) -> None:
-    """InputError where fewer than three positions are told; `sigma` as of `check_modelling`."""
-    told = int(np.isfinite(sigma.sum(axis=1)).sum())
-    if told < 3:
+    """InputError where fewer than three positions are given; `sigma` as of `check_modelling`."""
+    given = int(np.isfinite(sigma.sum(axis=1)).sum())
+    if given < 3:
         raise InputError(
-            f"a model of the frames is brought to the world by three positions or more, {told} are told; "
+            f"a model of the frames is brought to the world by three positions or more, {given} are given; "
             "give positions or attitudes of the frames"
         )
 
@@ -159,12 +159,12 @@ def check_modelling(sigma: Array) -> Any:
     Parameters
     ----------
     sigma : (M, 3)
-        m, of the positions of frames; inf where none is told.
+        m, of the positions of frames; inf where none is given.
 
     Raises
     ------
     InputError
-        If pycolmap is not installed, or fewer than three positions are told.
+        If pycolmap is not installed, or fewer than three positions are given.
     """
     check_positions(sigma)
     try:
@@ -202,9 +202,9 @@ def reconstruct(
     detector, mount
         Of all frames. Tangential distortion is left out: the adjustment knows it.
     position : (M, 3)
-        m, as told.
+        m, as given.
     sigma : (M, 3)
-        m, of each axis; inf where none was told.
+        m, of each axis; inf where none was given.
     radii : (float, float), optional
         Of the ellipsoid whose normals are the verticals; z is up otherwise.
     enlarged : bool, optional
@@ -214,7 +214,7 @@ def reconstruct(
     Raises
     ------
     InputError
-        If pycolmap is not installed, or fewer than three positions are told.
+        If pycolmap is not installed, or fewer than three positions are given.
     EstimationError
         If no model of three frames comes about.
     """
@@ -308,11 +308,11 @@ def _line_gain(sources: Sequence[ImageSource], frames: Index, detector: AreaDete
 def _write_priors(
     pycolmap: Any, database: Path, names: dict[int, str], position: Array, sigma: Array
 ) -> None:
-    """Positions told, about their middle: what mapping holds places to."""
-    told = [k for k in names if np.isfinite(sigma[k]).all()]
-    middle = position[told].mean(axis=0)
+    """Given positions, about their middle: what mapping holds places to."""
+    given = [k for k in names if np.isfinite(sigma[k]).all()]
+    middle = position[given].mean(axis=0)
     with pycolmap.Database.open(str(database)) as store:
-        for k in told:
+        for k in given:
             prior = pycolmap.PosePrior(
                 corr_data_id=store.read_image_with_name(names[k]).data_id,
                 position=position[k] - middle,
@@ -325,16 +325,16 @@ def _write_priors(
 def _in_world(
     model: Any, detector: AreaDetector, mount: Rotation, position: Array, sigma: Array, down: Array
 ) -> FrameModel:
-    """A model brought to the world by the positions told: scale, turn and move that fit them best."""
+    """A model brought to the world by the given positions: scale, turn and move that fit them best."""
     images = sorted((image for image in model.images.values() if image.has_pose), key=lambda i: i.name)
     frames = np.array([int(image.name[:6]) for image in images])
     centre = np.array([image.projection_center() for image in images])
     camera = Rotation.from_matrix([image.cam_from_world().rotation.matrix().T for image in images])
-    told = np.isfinite(sigma.sum(axis=1))
-    known = told[frames]
+    given = np.isfinite(sigma.sum(axis=1))
+    known = given[frames]
     if known.sum() < 3:
         raise EstimationError(
-            f"the model holds {len(frames)} frames, and positions of {known.sum()} are told"
+            f"the model holds {len(frames)} frames, and positions of {known.sum()} are given"
         )
     loose = float(np.median(sigma[frames][known]))
     scale, turn, moved = similarity(centre[known], position[frames][known], camera[known], down, loose)
@@ -382,7 +382,7 @@ class RefinedModel(ReadOnlyArrays):
 
 
 def looking_down(known: RoughPoses) -> RoughPoses:
-    """What is known where no attitude is told and no height: that cameras look down on the whole.
+    """What is known where neither attitudes nor heights are given: that cameras look down on the whole.
 
     A single flight line may be turned about itself otherwise, with all ground under it.
     """
@@ -392,7 +392,7 @@ def looking_down(known: RoughPoses) -> RoughPoses:
 
 
 def held(known: RoughPoses) -> RoughPoses:
-    """What is known, and attitudes of a model where none are told: for a first solution only.
+    """What is known, and attitudes of a model where none are given: for a first solution only.
 
     A strip that may hardly be known to turn about itself would be turned by half a radian in its first step,
     and not come back.
@@ -440,7 +440,7 @@ def refined(
     count = as_index(np.zeros(len(rows)), "camera"), as_index(np.arange(len(rows)), "shot"), images.t[rows]
     near = Images(*count, model.position, model.world_from_body)
     place, turn = (np.isfinite(sigma[rows].sum(axis=1)) for sigma in (known.position, known.attitude))
-    told = Images(
+    given = Images(
         *count,
         np.where(place[:, None], images.position[rows], model.position),
         Rotation.from_quat(
@@ -458,8 +458,8 @@ def refined(
         priors = PointPriors(HeightPrior(heights.surface, each, heights.radii), None)
     # their noise is not known beforehand: residuals of a first solution tell it, and how it drifts
     for known_now in (first, rough):
-        sightings = sight_frames(told, [detector], [mount], tracks)
-        poses = adjust_frames(told, sightings, known_now, priors=priors, points=points, start=near)
+        sightings = sight_frames(given, [detector], [mount], tracks)
+        poses = adjust_frames(given, sightings, known_now, priors=priors, points=points, start=near)
         tracks = with_drift(tracks, poses.residual_px, ~poses.rejected)
         near = Images(*count, poses.position, poses.world_from_body)
         points = np.where(np.isfinite(poses.points), poses.points, points)

@@ -130,7 +130,7 @@ class SequenceSolver:
         p = self.problem
         sightings, priors, points = self.equations(tracks, before)
         start = p.start if before is None else before
-        return adjust_frames(p.images, sightings, p.told, priors=priors, points=points, start=start)
+        return adjust_frames(p.images, sightings, p.known_poses, priors=priors, points=points, start=start)
 
     def equations(
         self, tracks: Tracks, before: FramePoses | None

@@ -33,12 +33,12 @@ def begun(problem: SequenceProblem, followed: Followed) -> SequenceProblem:
     followed : Followed
         How its frames moved.
     """
-    told = np.isfinite(problem.known.attitude).all(axis=1)
+    given = np.isfinite(problem.known.attitude).all(axis=1)
     words = []
     if followed.wide:
         words.append(_wide_words(problem, followed))
     images, camera = problem.images, (problem.detector, problem.mount)
-    if told.any():
+    if given.any():
         quarters = quarter_turns(images, problem.known, *camera, problem.surface, followed)
         images = turned_images(images, np.asarray(0.5 * np.pi * quarters, dtype=np.float64), *camera)
         for number in (1, 2, 3):
@@ -46,10 +46,10 @@ def begun(problem: SequenceProblem, followed: Followed) -> SequenceProblem:
             if len(rows):
                 words.append(
                     f"{len(rows)} of {len(problem)} frames (the first: {problem.frames[rows[0]]}) are turned "
-                    f"by {90 * number} degrees against the angles told of them: taken as turned; "
+                    f"by {90 * number} degrees against the angles given for them: taken as turned; "
                     + ("check [camera] mount" if len(rows) == len(problem) else "were they written anew?")
                 )
-        if followed.wide and not told.all():
+        if followed.wide and not given.all():
             images = carried_attitudes(images, problem.known, *camera, followed)
     return replace(problem, images=images, warnings=(*problem.warnings, *words))
 
@@ -95,8 +95,8 @@ def approached(
     Notes
     -----
     Such frames are held by tables alone until their points are: sightings that count in full from the start
-    would be told from gross errors by poses that are themselves tens of pixels off. Where the last rounds do
-    not settle, the frames' geometry being too weak, the round before them stands, with its larger sigmas.
+    would be taken for gross errors under poses that are tens of pixels off. Where the last rounds
+    do not settle, the frames' geometry being too weak, the round before them stands, with its larger sigmas.
     """
     poses, loose, counted = None, _FAR_OFF * side_px, tracks
     while True:

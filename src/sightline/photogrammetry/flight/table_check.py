@@ -68,11 +68,11 @@ def _motion_ratio(problem: SequenceProblem, followed: Followed) -> float | None:
     k = np.flatnonzero((followed.before >= 0) & np.isfinite(expected).all(axis=1))
     k = k[np.isfinite(followed.motion[k, :2]).all(axis=1)]
     seen = followed.motion[k, :2]
-    told = expected[k] * (problem.t[k] - problem.t[followed.before[k]])[:, None]
+    given = expected[k] * (problem.t[k] - problem.t[followed.before[k]])[:, None]
     least = _FRAMES_FLOWN * min(problem.detector.shape)
-    if not len(k) or max(np.linalg.norm(told.sum(axis=0)), np.linalg.norm(seen.sum(axis=0))) < least:
+    if not len(k) or max(np.linalg.norm(given.sum(axis=0)), np.linalg.norm(seen.sum(axis=0))) < least:
         return None
-    return float((seen * told).sum() / (told**2).sum())
+    return float((seen * given).sum() / (given**2).sum())
 
 
 def refuse_apart(problem: SequenceProblem) -> None:
@@ -80,18 +80,18 @@ def refuse_apart(problem: SequenceProblem) -> None:
     such tables and with images that share anything."""
     overlap = overlap_of(problem)
     if overlap is not None and overlap.step > MOST_APART * overlap.covered:
-        raise EstimationError(f"successive frames have no ground in common{_told(problem)}; {_CHECK}")
+        raise EstimationError(f"successive frames have no ground in common{_spacing(problem)}; {_CHECK}")
 
 
 def unsolved_words(problem: SequenceProblem) -> str:
     """What to check where no poses go with both images and tables."""
     return (
         "the poses do not come together: what the frames show does not go with the rough "
-        f"poses{_told(problem)}; {_CHECK}"
+        f"poses{_spacing(problem)}; {_CHECK}"
     )
 
 
-def _told(problem: SequenceProblem) -> str:
+def _spacing(problem: SequenceProblem) -> str:
     """In brackets, how far frames lie apart by the tables."""
     overlap = overlap_of(problem)
     if overlap is None:

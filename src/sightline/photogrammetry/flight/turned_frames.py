@@ -1,6 +1,6 @@
-"""Photographs whose pixels were turned since they were taken, told by how they lie to each other.
+"""Photographs whose pixels were turned since they were taken, recognised by how they lie to each other.
 
-Programs that show photographs upright write them anew, turned by a half or a quarter; the angles told with
+Programs that show photographs upright write them anew, turned by a half or a quarter; the angles given with
 them stay as they were. How frames follow each other shows it, and which of them are as they were: ground
 moves over the pixels against the flight.
 
@@ -27,7 +27,7 @@ Complex = NDArray[np.complex128]
 
 #: rad; a turn further from whole quarters is none of them.
 _CLEAR = np.radians(30.0)
-#: Least correlation of motions seen with those told: less shows no direction.
+#: Least correlation of motions seen with those given: less shows no direction.
 _ALONG = 0.3
 #: By how much the logarithm of a turn's likelihood must exceed that of others, and of none: frames that are
 #: turned are rare.
@@ -59,7 +59,7 @@ def quarter_turns(
         How frames moved.
     """
     count = len(images)
-    told = np.asarray(np.isfinite(known.attitude).all(axis=1))
+    given = np.asarray(np.isfinite(known.attitude).all(axis=1))
     cameras = frame_cameras(images, [detector], [mount])
     middle = 0.5 * (np.array(detector.shape) - 1.0)
     places = middle + np.array([[0.0, 0.0], [_STEP, 0.0]])
@@ -68,7 +68,7 @@ def quarter_turns(
     loose = _pixel_noise(images, known, detector, mount, surface)
     for k in np.flatnonzero(followed.before >= 0):
         i = int(followed.before[k])
-        if not (told[i] and told[k]):
+        if not (given[i] and given[k]):
             continue
         there = cameras[k].project(cameras[i].locate(places, surface))
         if not np.isfinite(there).all():
@@ -99,7 +99,7 @@ def quarter_turns(
 def _likelihoods(common: complex, seen: Complex, before: Index, loose: Array) -> Array:
     """Logarithms (4,), but for a constant, of how likely turns by so many quarters are.
 
-    Motions told are those seen, turned back, and the errors of two positions each. Of successive frames those
+    Given motions are those seen, turned back, plus the errors of two positions. Of successive frames those
     of the positions between cancel, but for how motions differ.
     """
     weight = seen.copy()
@@ -120,9 +120,9 @@ def _pixel_noise(
     axis = images.world_from_body.apply(mount.as_matrix()[:, 2])
     far = np.linalg.norm(surface.intersect(images.position, axis) - images.position, axis=1)
     sigma = np.sqrt((known.along_world() ** 2).mean(axis=1)) * detector.focal_length_px / far
-    told = np.isfinite(sigma)
-    # one between others that are told is as good as these
-    return np.where(told, sigma, np.median(sigma[told]) if told.any() else np.inf)
+    given = np.isfinite(sigma)
+    # one between others that are given is as good as these
+    return np.where(given, sigma, np.median(sigma[given]) if given.any() else np.inf)
 
 
 def _complex(vector: Array) -> complex:

@@ -25,13 +25,13 @@ BENT_PX = 1.0
 #: Frames of a subset up to which nothing is seen from three sides.
 _FEW = 2
 _AXES = ("roll", "pitch", "yaw")
-#: Share of the sigma beforehand from which on images told nothing of the focal length, and hardly anything.
-UNTOLD, HARDLY = 0.9, 0.5
+#: Share of the sigma beforehand from which on a focal length is not observable, and hardly observable.
+UNOBSERVABLE, HARDLY = 0.9, 0.5
 #: Relative sigma of a focal length of which nothing was known, from which on it is hardly observable: heights
 #: above ground go with it.
 _LOOSE_FOCAL = 0.02
 #: The same, from which on it is not observable: perspective alone gives as much, wrongly.
-_UNTOLD_FOCAL = 0.03
+_UNOBSERVABLE_FOCAL = 0.03
 #: Relative change from where it started, from which on such a focal length has run away.
 _RUN_AWAY = 0.5
 #: Sigmas (of what was known beforehand) by which a focal length may be off: chance leads there once in 2,000.
@@ -39,22 +39,22 @@ _FAR_FOCAL = 3.5
 
 
 def focal_verdict(focal: FocalStretch) -> str:
-    """Whether the images told a focal length: "observable", "hardly observable", "not observable".
+    """How well the images estimated a focal length: "observable", "hardly observable", "not observable".
 
     Parameters
     ----------
     focal : FocalStretch
     """
     if not np.isfinite(focal.prior):
-        free = ("not observable", _UNTOLD_FOCAL), ("hardly observable", _LOOSE_FOCAL)
+        free = ("not observable", _UNOBSERVABLE_FOCAL), ("hardly observable", _LOOSE_FOCAL)
         return next((words for words, least in free if focal.sigma >= least), "observable")
     share = focal.sigma / focal.prior
-    if share >= UNTOLD:
+    if share >= UNOBSERVABLE:
         return "not observable"
     return "hardly observable" if share >= HARDLY else "observable"
 
 
-def refuse_untold(poses: FramePoses) -> None:
+def refuse_unobservable_focal(poses: FramePoses) -> None:
     """EstimationError where a focal length of which nothing was known rests on perspective alone.
 
     Parameters
@@ -65,7 +65,7 @@ def refuse_untold(poses: FramePoses) -> None:
     Notes
     -----
     Its sigma would be too small by a factor of two to four, and heights of all frames with it: flights of
-    points over flat ground, heights of positions not told.
+    points over flat ground, heights of positions not given.
     """
     focal = poses.focal
     if focal is None or np.isfinite(focal.prior):
@@ -75,14 +75,14 @@ def refuse_untold(poses: FramePoses) -> None:
     raise EstimationError(
         "the frames do not tell the focal length, of which nothing is said: known to "
         f"{100.0 * focal.sigma:.2g} % at best, by perspective alone, and "
-        f"{100.0 * focal.stretch:+.2g} % from the one told; give focal_length_px with its "
+        f"{100.0 * focal.stretch:+.2g} % from the one given; give focal_length_px with its "
         'focal_length_sigma_px in place of "estimate", or heights of positions above a surface of known '
         "height, or control points"
     )
 
 
 def focal_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
-    """A warning where the focal length was sought and hardly found, and where it is far from the one told.
+    """A warning where the focal length was sought and hardly found, and where it is far from the one given.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def focal_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
         px = poses.detector(problem.detector).focal_length_px
         out.append(
             f"the focal length found, {px:.6g} px, is {abs(focal.stretch) / focal.prior:.1f} of its sigmas "
-            "from the one told: check focal_length_px and its sigma, heights of positions, [surface] height"
+            "from the one given: check focal_length_px and its sigma, heights of positions, [surface] height"
         )
     return out
 

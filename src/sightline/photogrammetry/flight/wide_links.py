@@ -32,7 +32,7 @@ __all__ = ["WidePlan", "link_widely", "wide_pairs"]
 
 Index = NDArray[np.intp]
 
-#: px; longest side that features are sought at: finer ones take long and are told apart no better.
+#: px; longest side that features are sought at: finer ones take long and are distinguished no better.
 _LONGEST_SIDE = 1600
 #: Features of a frame; pairs of features of two frames that must fit one geometry.
 _FEATURES, _LEAST_FEATURES = 4000, 20
@@ -97,7 +97,7 @@ def wide_pairs(frames: Index, position: Array, sigma: Array) -> list[tuple[int, 
     position : (M, 3)
         m, of all frames.
     sigma : (M, 3)
-        m; inf where none was told.
+        m; inf where none was given.
 
     Returns
     -------
@@ -107,12 +107,12 @@ def wide_pairs(frames: Index, position: Array, sigma: Array) -> list[tuple[int, 
     if len(frames) <= _FEW:
         return [(int(i), int(j)) for n, i in enumerate(frames) for j in frames[n + 1 :]]
     pairs = {(int(i), int(j)) for n, i in enumerate(frames) for j in frames[n + 1 : n + 1 + _NEIGHBOURS]}
-    told = frames[np.isfinite(sigma[frames]).all(axis=1)]
-    if len(told) > 2 * _NEIGHBOURS:
+    given = frames[np.isfinite(sigma[frames]).all(axis=1)]
+    if len(given) > 2 * _NEIGHBOURS:
         from scipy.spatial import cKDTree
 
-        near = cKDTree(position[told]).query(position[told], k=2 * _NEIGHBOURS + 1)[1]
-        for i, others in zip(told, told[near], strict=True):
+        near = cKDTree(position[given]).query(position[given], k=2 * _NEIGHBOURS + 1)[1]
+        for i, others in zip(given, given[near], strict=True):
             pairs |= {(min(int(i), int(j)), max(int(i), int(j))) for j in others if j != i}
     return sorted(pairs)
 
@@ -326,27 +326,27 @@ def _windows_of(
     for j, (a, b) in partners.items():
         row = row_of[number.reshape(-1)[first : first + len(a)]]
         first += len(a)
-        told = np.full((len(chosen), 2), np.nan)
-        told[row[row >= 0]] = b[row >= 0]
-        found = _in_partner(hub, frames[j].small, _View(a, b), points[chosen], told, plan)
+        sought = np.full((len(chosen), 2), np.nan)
+        sought[row[row >= 0]] = b[row >= 0]
+        found = _in_partner(hub, frames[j].small, _View(a, b), points[chosen], sought, plan)
         if found is not None:
             out[j] = found
     return points[chosen], out
 
 
 def _in_partner(
-    hub: ImageSource, partner: ImageSource, view: _View, points: Array, told: Array, plan: WidePlan
+    hub: ImageSource, partner: ImageSource, view: _View, points: Array, sought: Array, plan: WidePlan
 ) -> tuple[Index, Array, Array] | None:
     """Rows, pixels and variance (of each image's share) of windows found in a partner; None if too few.
 
-    `told` (N, 2): where features say that points are, NaN where they do not.
+    `sought` (N, 2): where features put points, NaN where they do not.
     """
     place, turn = view(points), view.jacobian(points)
-    by_feature = np.isfinite(told).all(axis=1)
+    by_feature = np.isfinite(sought).all(axis=1)
     # a feature that does not go with those around it fits the geometry by chance
-    by_feature &= np.linalg.norm(np.nan_to_num(told) - place, axis=1) < _APART
+    by_feature &= np.linalg.norm(np.nan_to_num(sought) - place, axis=1) < _APART
     found = match_images(
-        hub, partner, points, np.where(by_feature[:, None], told, place), affine=turn,
+        hub, partner, points, np.where(by_feature[:, None], sought, place), affine=turn,
         window=(plan.window, plan.window), search_px=(_SEARCH, _SEARCH), whitening=gradient_filter(),
         min_score=plan.min_score, threads=1,
     )  # fmt: skip
@@ -354,11 +354,11 @@ def _in_partner(
     by_window = found.kept & (np.nan_to_num(moved, nan=np.inf) < _APART)
     if (by_feature | by_window).sum() < _LEAST_WINDOWS:
         return None
-    pixels = np.where(by_window[:, None], found.b, told)
+    pixels = np.where(by_window[:, None], found.b, sought)
     variance = np.trace(found.covariance_px, axis1=1, axis2=2) / 4.0 + _FLOOR**2
     both = by_feature & by_window
-    # how well features are placed is told by those whose windows were found too
-    miss = np.median(np.abs((found.b - told)[both])) / 0.6745 if both.sum() >= _LEAST_WINDOWS else _LOOSE
+    # how well features are placed is estimated from those whose windows were found too
+    miss = np.median(np.abs((found.b - sought)[both])) / 0.6745 if both.sum() >= _LEAST_WINDOWS else _LOOSE
     variance[~by_window] = 0.5 * max(float(miss), _FLOOR) ** 2 + _FLOOR**2
     rows = np.flatnonzero(by_feature | by_window)
     return rows, pixels[rows], variance[rows]
@@ -450,7 +450,7 @@ def followed_or_linked(
         M frames.
     plan : FollowPlan
     position, sigma : (M, 3)
-        m, as told, inf where not: they tell which frames of a long flight may overlap.
+        m, as given, inf where not: they show which frames of a long flight may overlap.
     progress : callable, optional
         Called with the number of frames done.
     keep, states

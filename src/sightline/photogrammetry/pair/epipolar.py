@@ -127,7 +127,7 @@ def orient_by_epipolar(pairs: SightingPairs, noise: PoseNoise, *, raw: bool = Fa
         step = equations.solve(better[:6, 6]).reshape(2, 3)
         angles = (Rotation.from_rotvec(angles) * Rotation.from_rotvec(step)).as_rotvec()
         if len(equations.unobservable):
-            # what cannot be told is said of the planned attitudes, not of those some noise leads to
+            # what is not observable is reported for the planned attitudes, not of those some noise leads to
             break
         arms = _arms(pairs, angles)
         forms = _forms(*arms)

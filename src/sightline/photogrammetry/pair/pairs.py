@@ -75,7 +75,7 @@ class PairOrientation(ReadOnlyArrays):
     information : (6, 6)
         rad^-2; 0 along unobservable directions.
     unobservable : (G, 6)
-        Unit vectors of the directions that cannot be told.
+        Unit vectors of the directions that are not observable.
     bias : (2, 3)
         rad: what noise in the coefficients adds to ordinary least squares on the average. Still in `angles`
         of a raw estimate, else already out of them.
