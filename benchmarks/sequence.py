@@ -124,7 +124,7 @@ def told(case: str, seed: int, way: str, work: Path) -> Path:
     path = work / f"{case}-{seed}-{WAYS.index(way)}.flight"
     scenario = flight(case, seed, way)
     light = replace(scenario, ground=SimpleNamespace(relief=scenario.ground.relief))
-    light.__dict__.update(poses=scenario.poses, _told=scenario._told)
+    light.__dict__.update(poses=scenario.poses, _given_poses=scenario._given_poses)
     path.write_bytes(pickle.dumps(light))
     return path
 
@@ -134,9 +134,9 @@ def problem_of(
 ) -> SequenceProblem:
     """What a user would know of the first frames of a flight; `blind`: no attitudes."""
     o, t = scenario.options, scenario.poses[0][:count]
-    told = scenario.told_positions[:count]
+    told = scenario.given_positions[:count]
     position_sigma = np.full((count, 3), o.position_sigma)
-    attitude = track_attitude(t, told, position_sigma, None) if blind else scenario.told_attitudes[:count]
+    attitude = track_attitude(t, told, position_sigma, None) if blind else scenario.given_attitudes[:count]
     known = RoughPoses(
         position_sigma, np.full((count, 3), np.inf if blind else o.attitude_sigma), o.position_bias_sigma,
         0.0 if blind else o.attitude_bias_sigma,

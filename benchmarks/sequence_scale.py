@@ -60,8 +60,8 @@ def render(folder: Path, frames: int) -> None:
             file.write(scenario.image(number)[0].tobytes())
     options, (t, position, attitude) = scenario.options, scenario.poses
     np.savez(
-        folder / "known.npz", t=t, position=scenario.told_positions,
-        attitude=scenario.told_attitudes.as_quat(),
+        folder / "known.npz", t=t, position=scenario.given_positions,
+        attitude=scenario.given_attitudes.as_quat(),
         true_position=position, true_attitude=attitude.as_quat(), shape=options.shape,
         camera=[options.focal_length_px, *options.centre_px], nm=scenario.detector.wavelength_nm,
         sigma=[options.position_sigma, options.attitude_sigma],

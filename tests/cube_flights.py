@@ -31,11 +31,11 @@ def problem_of(scenario: SequenceScenario) -> SequenceProblem:
     return SequenceProblem(
         tuple(map(str, range(count))), t, tuple(ArrayImage(p.mean(axis=0)) for p in pictures),
         scenario.detector, NADIR_MOUNT,
-        Images(np.zeros(count), np.arange(count), t, scenario.told_positions, scenario.told_attitudes),
+        Images(np.zeros(count), np.arange(count), t, scenario.given_positions, scenario.given_attitudes),
         RoughPoses(np.ones((count, 3)), np.ones((count, 3))), Dem(relief.heights, relief.transform), 0.0,
         options.readout_time, 0.8, ("",) * count,
-        mosaic_nm=scenario.filter.told_nm[0] if options.filter == "mosaic" else None,
-        channel_nm=tuple(scenario.filter.told_nm[:, 0, 0]) if colour else (),
+        mosaic_nm=scenario.filter.given_nm[0] if options.filter == "mosaic" else None,
+        channel_nm=tuple(scenario.filter.given_nm[:, 0, 0]) if colour else (),
         channels=tuple(tuple(ArrayImage(c) for c in p) for p in pictures) if colour else (),
     )  # fmt: skip
 

@@ -26,13 +26,13 @@ def problem_of(scenario: SequenceScenario) -> SequenceProblem:
         options.position_bias_sigma, options.attitude_bias_sigma,
     )  # fmt: skip
     images = Images(
-        np.zeros(count), np.arange(count), t[frames], scenario.told_positions[frames],
-        scenario.told_attitudes[frames],
+        np.zeros(count), np.arange(count), t[frames], scenario.given_positions[frames],
+        scenario.given_attitudes[frames],
     )  # fmt: skip
     return SequenceProblem(
         tuple(f"{k:05d}" for k in frames), t[frames], sources, scenario.detector, NADIR_MOUNT, images, known,
         Plane(0.0), float(scenario.ground.relief.heights.std()), options.readout_time, 0.8, ("",) * count,
-        mosaic_nm=scenario.filter.told_nm[0] if options.filter == "mosaic" else None,
+        mosaic_nm=scenario.filter.given_nm[0] if options.filter == "mosaic" else None,
     )  # fmt: skip
 
 

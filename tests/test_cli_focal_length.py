@@ -75,7 +75,7 @@ def test_words_on_the_terminal_and_the_page(flight, done, capsys):
     assert run(["check", str(flight / "sequence.toml")]) == 0
     assert "it is found with the poses" in capsys.readouterr().out
     page = (done / "report.html").read_text()
-    assert "The focal length was found with the poses" in page and "told was 245.098 px" in page
+    assert "The focal length was found with the poses" in page and "given was 245.098 px" in page
 
 
 def test_an_error_beyond_half_is_refused(tmp_path, capsys):

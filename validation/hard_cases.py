@@ -100,7 +100,7 @@ def recover(case: Case, scenario: StripScenario, seed: int) -> LineOfSight:
     images = [scenario.image(k).astype(float) for k in range(len(scenario.bands))]
     if case.edit is not None:
         case.edit(images, scenario, np.random.default_rng([seed, 77]))
-    bands = scenario.as_told(images)
+    bands = scenario.as_given(images)
     sensors = []
     if case.gyro:
         table = scenario.gyro()

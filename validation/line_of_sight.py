@@ -36,7 +36,7 @@ def run(case: str, seed: int, dem: bool, verbose: bool, overrides: dict[str, int
     """Render, recover, score and print one strip."""
     scenario = line_of_sight_case(case, seed, **overrides)
     surface, height_sigma = surface_of(scenario, dem)
-    bands = scenario.as_told()
+    bands = scenario.as_given()
     begun = time.perf_counter()
     tell = (lambda text: print("   ", text, flush=True)) if verbose else None
     result = recover_line_of_sight(bands, surface, height_sigma=height_sigma, progress=tell)

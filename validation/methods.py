@@ -32,7 +32,7 @@ def results(seed: int, size: dict[str, int]) -> tuple[dict[str, LineOfSight], np
     """The motion by every method, and the truth (t, roll, pitch, yaw)."""
     scenario = line_of_sight_case("nominal", seed, **size)
     options = RecoverOptions()
-    strip = checked(prepared(scenario.as_told(), Plane(0.0), options), options)
+    strip = checked(prepared(scenario.as_given(), Plane(0.0), options), options)
     strip, state, joint = joint_line_of_sight(strip, options, 0.0, lambda text: None)
     found = {"joint": joint}
     found |= {method: by_method(strip, state, joint, method) for method in METHODS if method != "joint"}

@@ -76,7 +76,7 @@ def main() -> None:
     print("| bound | " + " | ".join(f"{value:.4f}" for value in bound.values()) + " |")
     for seed in parser.parse_args().seeds:
         scenario = line_of_sight_case("nominal", seed)
-        result = recover_line_of_sight(scenario.as_told(), Plane(0.0))
+        result = recover_line_of_sight(scenario.as_given(), Plane(0.0))
         truth = scenario.truth
         score = score_result(result, truth[:, 0], truth[:, 1:])
         for name, axis in score.axes.items():

@@ -89,7 +89,7 @@ def main() -> None:
             scenario = line_of_sight_case(case, seed, lines=given.lines, columns=given.columns)
             relief = scenario.scene.relief
             assert relief is not None
-            bands, truth = scenario.as_told(), scenario.truth
+            bands, truth = scenario.as_given(), scenario.truth
             worth: dict[str, dict[str, AxisScore]] = {}
             for name, (surface, height_sigma) in ways(relief, seed).items():
                 result = recover_line_of_sight(bands, surface, height_sigma=height_sigma)

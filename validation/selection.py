@@ -59,7 +59,7 @@ def main() -> None:
             half = image[:, image.shape[1] // 2 :]
             half += 10.0 * image.mean() / scenario.options.snr * rng.standard_normal(half.shape)
             images.append(image)
-        bands = scenario.as_told(images)
+        bands = scenario.as_given(images)
         rms: dict[str, float] = {}
         for name, options in choices(scenario).items():
             result = recover_line_of_sight(bands, Plane(0.0), options=options)

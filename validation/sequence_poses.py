@@ -37,7 +37,7 @@ def problem_of(scenario: SequenceScenario) -> SequenceProblem:
         np.full((count, 3), options.position_sigma), np.full((count, 3), options.attitude_sigma),
         options.position_bias_sigma, options.attitude_bias_sigma,
     )  # fmt: skip
-    images = Images(np.zeros(count), np.arange(count), t, scenario.told_positions, scenario.told_attitudes)
+    images = Images(np.zeros(count), np.arange(count), t, scenario.given_positions, scenario.given_attitudes)
     sources = tuple(ArrayImage(scenario.image(k)[0]) for k in range(count))
     heights = scenario.ground.relief.heights
     return SequenceProblem(

@@ -98,7 +98,7 @@ def main() -> None:
         slip = slip_of(SIZE["columns"])
         images = smeared(scenario, slip, np.random.default_rng([seed, 9]))
         sigma = predicted_sigma(slip)
-        bands = [replace(band, match_sigma=sigma) for band in scenario.as_told(images)]
+        bands = [replace(band, match_sigma=sigma) for band in scenario.as_given(images)]
         rms: dict[str, float] = {}
         for weighting in ("none", "predicted", "covariance"):
             result = recover_line_of_sight(bands, Plane(0.0), options=RecoverOptions(weighting=weighting))

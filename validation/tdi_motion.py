@@ -129,7 +129,7 @@ def run(seed: int, free: bool, image_snr: float) -> Row:
     scenario = line_of_sight_case(
         "nominal", seed, profile=profile(), lines=LINES, columns=COLUMNS, snr=image_snr, **known
     )
-    bands = scenario.as_told()
+    bands = scenario.as_given()
     result = recover_line_of_sight(bands, Plane(0.0))
     score = score_result(result, scenario.truth[:, 0], scenario.truth[:, 1:])
     errors = " ".join(f"{name} {axis.rms:.3f}" for name, axis in score.axes.items())

@@ -109,7 +109,7 @@ def main() -> None:
                 "nominal", seed, lines=given.lines, columns=given.columns, names=NAMES,
                 coherence_with_first=(1.0, 0.97, 0.97, coherence),
             )  # fmt: skip
-            bands = scenario.as_told()
+            bands = scenario.as_given()
             show("nominal cameras", map_error(scenario, bands[0].camera, bands[-1].camera))
             matched = min(direct(scenario, bands, window) for window in WINDOWS)
             pair = recovered(scenario, [bands[0], bands[-1]], "pair", "global")

@@ -53,7 +53,7 @@ def lvf() -> tuple[SequenceScenario, SequenceProblem]:
 def test_pixels_of_a_line_filter_are_what_their_band_sees_at_their_place(lvf):
     scenario, problem = lvf
     summary, values = made(problem, true_poses(scenario))
-    assert summary.wavelength_nm == pytest.approx(np.unique(scenario.filter.told_nm))
+    assert summary.wavelength_nm == pytest.approx(np.unique(scenario.filter.given_nm))
     # lines of a band differ by 35 nm from its first to its last (true wavelengths run on under told steps):
     # its brightness departs by some noise; shifted by half a pixel the ground itself departs five times more
     noise, contrast = error_of_noise(scenario, summary, values)

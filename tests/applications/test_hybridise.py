@@ -24,7 +24,7 @@ def strip(count, weak=None, size=(500, 200)):
         gains=(1.0,) * count, gammas=(1.0,) * count,
         coherence_with_first=(*coherence[:-1], weak or coherence[-1]),
     )  # fmt: skip
-    bands = scenario.as_told()
+    bands = scenario.as_given()
     return scenario, bands
 
 

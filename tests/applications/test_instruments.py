@@ -151,7 +151,7 @@ def test_a_spin_told_wrong_is_a_drift_that_the_motion_takes(tmp_path):
 
 def test_pairs_must_name_bands():
     scenario = instrument_case("multi-line", 0, lines=64, columns=64)
-    bands = scenario.as_told()
+    bands = scenario.as_given()
     with pytest.raises(InputError, match="`pairs` names the band 'X'; bands are: T00, T23, T41, T63"):
         recover_line_of_sight(bands, Ellipsoid(), options=RecoverOptions(pairs=(("T00", "X"),)))
 

@@ -287,7 +287,7 @@ def test_sigma_is_true_over_strips(recovery):
     truth = read_motion(recovery.scene / "truth.csv")
     scores = [score_result(recovery.result, truth.t, truth.angles)]
     scenario = line_of_sight_case("nominal", 5, lines=640, columns=320)
-    result = recover_line_of_sight(scenario.as_told(), Plane(0.0))
+    result = recover_line_of_sight(scenario.as_given(), Plane(0.0))
     scores.append(score_result(result, scenario.truth[:, 0], scenario.truth[:, 1:]))
     axes = [axis for score in scores for axis in score.axes.values()]
     degrees = sum(axis.effective_samples for axis in axes)

@@ -17,7 +17,7 @@ from sightline.simulate.scenarios import line_of_sight_case
 def strip():
     """A strip over relief, its bands as a user knows them, its DEM and the true statics."""
     scenario = line_of_sight_case("relief", 4, lines=600, columns=160)
-    bands = scenario.as_told()
+    bands = scenario.as_given()
     relief = scenario.scene.relief
     statics = {}
     for band in scenario.bands:

@@ -17,7 +17,7 @@ from sightline.simulate.scenarios import line_of_sight_case
 def strip():
     """A short strip over hills of 300 m rms."""
     scenario = line_of_sight_case("relief", 3, lines=500, columns=420)
-    return scenario, scenario.as_told()
+    return scenario, scenario.as_given()
 
 
 def scored(strip, surface, height_sigma, passes):

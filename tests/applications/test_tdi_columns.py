@@ -17,7 +17,7 @@ from sightline.tdi.scan_columns import column_geometry
 
 @pytest.fixture(scope="module")
 def bands():
-    return line_of_sight_case("nominal", 0, lines=64, columns=64).as_told()
+    return line_of_sight_case("nominal", 0, lines=64, columns=64).as_given()
 
 
 def test_statics_move_the_band_they_name_and_no_other(bands):

@@ -19,7 +19,7 @@ from sightline.io.formats.odm import read_geo
 from sightline.io.sequence.describe import describe_sequence
 from sightline.io.sequence.frames import FrameList
 from sightline.io.sequence.load import read_sequence
-from sightline.io.sequence.positions import told_positions
+from sightline.io.sequence.positions import given_positions
 from sightline.io.sequence.schema import SequenceFile
 
 
@@ -173,7 +173,7 @@ def photographs(speed: float, stamp: str) -> FrameList:
 def test_whole_seconds_of_a_fast_camera(speed, stamp, doubted):
     file = SequenceFile.model_validate({"frames": "photos", "world": {"frame": "lonlat"}})
     warnings: list[str] = []
-    told = told_positions(file, None, photographs(speed, stamp), None, warnings)
+    told = given_positions(file, None, photographs(speed, stamp), None, warnings)
     # a degree of latitude is 111 km to 1 %
     moved = np.linalg.norm(told.values[-1] - told.values[0])
     assert moved == pytest.approx(9.0 * speed, rel=0.01)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from motion.strips import ALTITUDE, T0, T1, strip_cameras, told_bands
+from motion.strips import ALTITUDE, T0, T1, given_bands, strip_cameras
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.pointing import FixedMount
@@ -19,7 +19,7 @@ PIXELS = np.array([[10.0, 0.0], [100.0, 159.5], [200.0, 300.0]])
 
 
 def bands():
-    return band_statics(told_bands(["PAN", "red"], [0.0, 1.5], [0.0, 3e-4]))
+    return band_statics(given_bands(["PAN", "red"], [0.0, 1.5], [0.0, 3e-4]))
 
 
 def matrix_cameras(distortion: tuple[float, ...] = ()) -> list[FrameCamera]:
@@ -51,7 +51,7 @@ class TestBands:
         assert_allclose((after - before)[:, 0], -np.tan(1e-3) * (PIXELS[:, 1] - 159.5), atol=1e-5)
 
     def test_a_stretched_band_sees_as_much_further_from_its_middle(self):
-        statics = band_statics(told_bands(["PAN", "red"], [0.0, 0.0], [0.0, 0.0], [1e-3, 1e-3]))
+        statics = band_statics(given_bands(["PAN", "red"], [0.0, 0.0], [0.0, 0.0], [1e-3, 1e-3]))
         assert [(p.name, p.unit, p.sigma) for p in statics] == [("red scale", "", 1e-3)]
         cameras = strip_cameras((0.0, -83.0))
         moved = apply_statics(cameras, statics, np.array([2e-3]))
@@ -63,7 +63,7 @@ class TestBands:
 
     def test_an_offset_of_the_hub_acts_the_other_way(self):
         cameras = strip_cameras((0.0, -83.0))
-        statics = band_statics(told_bands(["PAN", "red"], [1.0, 1.0], [0.0, 0.0]))
+        statics = band_statics(given_bands(["PAN", "red"], [1.0, 1.0], [0.0, 0.0]))
         by = sensitivities(cameras, 0, 1, Plane(), PIXELS, statics).statics
         want = np.concatenate([np.eye(2), -np.eye(2)], axis=1)
         # 1e-6 px of two positions over a step of 1 px; tangents of 1e-3 leave 1e-6 of a pixel per pixel
@@ -71,7 +71,7 @@ class TestBands:
 
     def test_parameters_of_other_images_leave_a_pair_alone(self):
         cameras = strip_cameras((0.0, -83.0, -100.0))
-        statics = band_statics(told_bands(["a", "b", "c"], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]))
+        statics = band_statics(given_bands(["a", "b", "c"], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]))
         assert not sensitivities(cameras, 0, 1, Plane(), PIXELS, statics).statics.any()
 
     def test_nothing_away_from_nominal_leaves_the_cameras_as_they_are(self):

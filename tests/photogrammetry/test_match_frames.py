@@ -34,7 +34,7 @@ class Pass:
         )  # fmt: skip
         told = self.scenario
         self.true = frame_cameras(told.true_images, told.detectors, told.mounts)
-        self.planned = frame_cameras(told.images, told.told_detectors, told.mounts)
+        self.planned = frame_cameras(told.images, told.given_detectors, told.mounts)
         level = told.pair.aim_point, told.pair.world_from_local
         self.ground = textured(told.surface, *level, self.true, 5, 0.2)
         self.images = [ArrayImage(pixels) for pixels in render_frames(self.true, self.ground, Sensor(), 5)]

@@ -39,7 +39,7 @@ FOCAL = 250.0
 GSD = HEIGHT / FOCAL
 
 
-def flown(count, *, lines=1, idle=(), every=10, radii=None, sigma=None, per_frame=3, position_told=True):
+def flown(count, *, lines=1, idle=(), every=10, radii=None, sigma=None, per_frame=3, position_given=True):
     """A flight northwards at even speed on `lines` lines 40 m and 60 s apart, as if it had been solved.
 
     Each point lies under a frame and is seen by the 9 after it too, 0.1 px away from where it should.
@@ -71,7 +71,7 @@ def flown(count, *, lines=1, idle=(), every=10, radii=None, sigma=None, per_fram
         detector=AreaDetector("frame", (160, 200), FOCAL, (79.5, 99.5)), mount=NADIR_MOUNT,
         images=Images(np.zeros(count), np.arange(count), t, told, attitude),
         known=RoughPoses(
-            np.full((count, 3), 1.0 if position_told else np.inf), np.full((count, 3), 0.01), 2.0, 0.02
+            np.full((count, 3), 1.0 if position_given else np.inf), np.full((count, 3), 0.01), 2.0, 0.02
         ),
         surface=Plane(0.0), height_sigma=1.0, readout_time=0.0, overlap=0.8, excluded=("",) * count,
         radii=radii,
@@ -137,7 +137,8 @@ def test_a_rendered_flight_is_told_in_words_that_are_its_numbers(tmp_path, open_
     problem = SequenceProblem(
         tuple(map(str, range(count))), t, tuple(ArrayImage(scenario.image(k)[0]) for k in range(count)),
         scenario.detector, NADIR_MOUNT,
-        Images(np.zeros(count), np.arange(count), t, scenario.told_positions, scenario.told_attitudes), known,
+        Images(np.zeros(count), np.arange(count), t, scenario.given_positions, scenario.given_attitudes),
+        known,
         Plane(0.0), 1.0, 0.0, 0.8, ("",) * 3 + ("file cut short",) + ("",) * 4,
     )  # fmt: skip
     found = georeference_sequence(problem)
@@ -215,12 +216,12 @@ def test_an_earth_fixed_flight_is_shown_east_north_up():
 
 
 def test_bow_that_nothing_tells_and_poses_that_nothing_ties_are_called_so():
-    problem, found = flown(40, sigma=[np.inf, np.inf, np.inf, 1e-3, 1e-3, 1e-3], position_told=False)
+    problem, found = flown(40, sigma=[np.inf, np.inf, np.inf, 1e-3, 1e-3, 1e-3], position_given=False)
     found = replace(found, poses=replace(found.poses, bow=np.array([[1e-4, np.inf, 1e-4]])))
     view = sequence_view(problem, found)
     text = " ".join(sequence_words.sentences(problem, found, view))
     assert "east not known" in text and "nothing ties east, north and up" in text
-    assert "no table told positions" in text and "The bow is not observable about pitch in stretch 1" in text
+    assert "no table gives positions" in text and "The bow is not observable about pitch in stretch 1" in text
     assert sequence_words.bow_rows(problem, found, view)[0][-1] == "not observable about pitch"
     assert "positions are not tied" in trajectory_figure(view, np.zeros((0, 3)))[0, 0].title
     assert "not known: nothing ties it" in pose_sigma_figure(view, None).html("figure-a")
@@ -231,7 +232,7 @@ def test_bow_that_only_the_tables_hold_is_called_so():
     by_table = 0.01 / np.sqrt(40.0)
     found = replace(found, poses=replace(found.poses, bow=np.array([[1e-4, by_table, 1e-4]])))
     verdict = sequence_words.bow_rows(problem, found, sequence_view(problem, found))[0][-1]
-    assert verdict == "observable; held by the told attitudes alone about pitch"
+    assert verdict == "observable; held by the given attitudes alone about pitch"
 
 
 @pytest.mark.parametrize(

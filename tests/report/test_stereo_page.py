@@ -87,11 +87,11 @@ def test_one_shot_says_what_could_be_told_and_advises_no_yaw(one_shot):
         said(["pitch"])
     )
     nothing = said([])
-    assert "no constant attitude error of cameras 1 and 2 can be told by itself; 5 of their 6" in nothing
+    assert "no constant attitude error of cameras 1 and 2 is observable by itself; 5 of their 6" in nothing
     assert "were found" not in nothing and "e+03" not in nothing
     # a single shot of 50 points leaves opposite pitch to about a degree
     assert "Known least of what is seen is pitch" in nothing and " deg;" in nothing
-    assert not any("told by image noise" in line for line in words.advice(stereo.problem, summary))
+    assert not any("set by image noise" in line for line in words.advice(stereo.problem, summary))
     assert words.drift_rows(result) == [] and words.focal_rows(stereo.problem, result) == []
 
 

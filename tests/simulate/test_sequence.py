@@ -181,7 +181,7 @@ def test_the_channels_of_plain_colour_are_red_green_and_blue():
 
 def test_a_linear_filter_may_be_told_in_groups():
     scenario = small(bands=32)
-    told, true = (v[0, :, 0] for v in (scenario.filter.told_nm, scenario.filter.wavelength_nm))
+    told, true = (v[0, :, 0] for v in (scenario.filter.given_nm, scenario.filter.wavelength_nm))
     assert len(np.unique(told)) == 32 and len(np.unique(true)) == 160
     np.testing.assert_allclose(
         told.reshape(32, 5), true.reshape(32, 5).mean(axis=1, keepdims=True) @ np.ones((1, 5))
@@ -267,10 +267,10 @@ def test_poses_are_told_with_a_constant_bias_and_white_noise():
     scenario = sequence_case("small", 2, frames=1000, shape=(16, 16), spectra="law")
     _, position, attitude = scenario.poses
     place, turn = scenario.biases
-    miss = scenario.told_positions - position - place
+    miss = scenario.given_positions - position - place
     # 1000 draws of three: relative sd of a standard deviation 1.3 %, of a mean 0.02 sigma; four of them
     assert miss.std() == pytest.approx(1.0, rel=0.06) and np.abs(miss.mean(axis=0)).max() < 0.13
-    unbiased = (attitude * Rotation.from_rotvec(turn.copy())).inv() * scenario.told_attitudes
+    unbiased = (attitude * Rotation.from_rotvec(turn.copy())).inv() * scenario.given_attitudes
     assert np.degrees(unbiased.as_rotvec()).std() == pytest.approx(0.5, rel=0.06)
 
 

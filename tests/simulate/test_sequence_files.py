@@ -82,7 +82,7 @@ def test_tables_read_back_to_the_last_digit(flight):
     frames = list(scenario.frames)
     header, positions = table(folder / "positions.csv")
     assert header == "frame,t,x,y,z,sigma_x,sigma_y,sigma_z"
-    np.testing.assert_array_equal(positions[:, 2:5], scenario.told_positions[frames])
+    np.testing.assert_array_equal(positions[:, 2:5], scenario.given_positions[frames])
     assert (positions[:, 5:] == 1.0).all()
     header, _ = table(folder / "attitudes.csv")
     assert header == "frame,t,qx,qy,qz,qw,sigma_roll,sigma_pitch,sigma_yaw"

@@ -37,12 +37,12 @@ def s2_axes(scenario):
     return d, s2_scene.camera_axes(*d), flip
 
 
-def errors_per_shot(scenario, told_axes=None):
+def errors_per_shot(scenario, given_axes=None):
     """S2's angles (2, K, 3) that the true attitudes hold, taken out of Q = A_z A_y A_x by its elements."""
     _, axes, flip = s2_axes(scenario)
     body = grid(scenario, scenario.true_images.world_from_body.as_matrix())
     out = []
-    for own, nominal in zip(body, axes if told_axes is None else told_axes, strict=True):
+    for own, nominal in zip(body, axes if given_axes is None else given_axes, strict=True):
         q = np.swapaxes(own * flip, 1, 2) @ np.swapaxes(nominal, 1, 2)
         out.append(
             np.stack(
@@ -337,7 +337,7 @@ def test_the_errors_drift_as_told():
 def test_a_wrong_focal_length_is_in_the_pixels_and_not_in_what_is_told():
     right, wrong = (stereo_case(CASE, 8, **QUIET, focal_error=e) for e in (0.0, 1e-3))
     np.testing.assert_allclose(wrong.tracks.pixels - 349.5, 1.001 * (right.tracks.pixels - 349.5), atol=1e-7)
-    assert wrong.told_detectors[0].focal_length_px == right.detectors[0].focal_length_px
+    assert wrong.given_detectors[0].focal_length_px == right.detectors[0].focal_length_px
     # 1.5 degrees across 700 columns
     assert right.detectors[0].focal_length_px == pytest.approx(350.0 / np.tan(np.radians(0.75)))
     assert wrong.problem()["focal_sigma"] == (np.inf, np.inf) and right.problem()["focal_sigma"] is None

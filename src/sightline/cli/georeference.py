@@ -150,11 +150,11 @@ def _view_words(sequence: FrameSequence, found: SequencePoses) -> str:
 
 
 def _focal_words(focal: dict[str, Any]) -> str:
-    """The focal length found and the one told."""
-    told = "nothing known of it" if focal["told_sigma_px"] is None else f"+- {focal['told_sigma_px']:.2g}"
+    """The focal length found and the one given."""
+    known = "nothing known of it" if focal["told_sigma_px"] is None else f"+- {focal['told_sigma_px']:.2g}"
     return (
-        f"focal length {focal['focal_length_px']:.6g} px, sigma {focal['sigma_px']:.2g} px; told "
-        f"{focal['told_px']:.6g} px, {told}"
+        f"focal length {focal['focal_length_px']:.6g} px, sigma {focal['sigma_px']:.2g} px; given "
+        f"{focal['told_px']:.6g} px, {known}"
     )
 
 

@@ -83,7 +83,7 @@ def observed(result: LineOfSight, frequency: ArrayLike) -> MatchedDirections:
         sigma = np.sqrt(2.0 / total)
         margin = SEEN_TONE_PX * result.scale / (SEEN_SIGMAS * sigma)
     duration = float(result.motion.t[-1] - result.motion.t[0])
-    margin[f * duration < 1.0] = 0.0  # less than one period: not told from a drift
+    margin[f * duration < 1.0] = 0.0  # less than one period: like a drift
     bands = [intervals_above(f, np.minimum(margin[:, axis], 2.0), 1.0) for axis in range(3)]
     return MatchedDirections(f, sigma, margin >= 1.0, (bands[0], bands[1], bands[2]), blind)
 

@@ -289,9 +289,9 @@ def _other_kinds(annotation: Any) -> dict[str, str]:
 
 def _focal_hint(value: Any) -> str:
     """What to give in place of a focal length in mm."""
-    told = f"{value:g} mm" if isinstance(value, int | float) and not isinstance(value, bool) else "mm"
+    given = f"{value:g} mm" if isinstance(value, int | float) and not isinstance(value, bool) else "mm"
     return (
-        f"give focal_length_px = {told} / pixel pitch in mm: in pixels, as 8 mm and pixels of 0.005 mm make "
+        f"give focal_length_px = {given} / pixel pitch in mm: in pixels, as 8 mm and pixels of 0.005 mm make "
         "1600.0"
     )
 

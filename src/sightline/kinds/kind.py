@@ -34,7 +34,7 @@ from sightline.writing import naming_file, scratch_folder, whole_text
 Columns = Mapping[str, ArrayLike]
 #: Of a model for COLMAP beside poses.
 MODEL_FILES = ("colmap/cameras.txt", "colmap/images.txt", "colmap/points3D.txt", "colmap/origin.csv")
-#: Told in words what is being done; the progress of a command is one.
+#: Called with what is being done, in words; the progress of a command is one.
 Tell = Callable[..., None]
 
 #: Bytes of a file up to which an opened result holds it, and of all its files together.

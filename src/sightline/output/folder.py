@@ -86,7 +86,7 @@ def output_folder(
         The block goes on from those of a run that was stopped, unless to overwrite was all that was asked
         for; they are removed where it ends well, and where an input changed.
     note
-        Told what is worth knowing: a lock taken over, stages gone on from.
+        Called with what the user should know: a lock taken over, stages gone on from.
 
     Yields
     ------

@@ -272,8 +272,8 @@ def _tables(result: LineOfSight, summary: Mapping[str, Any], *, pairs: bool) -> 
         (
             "close-tones",
             "Tones closer than the strip's own resolution",
-            "Peaks that two steady tones explain to the noise, and one does not: fitted together, they are "
-            "told apart below 1/duration.",
+            "Peaks that two steady tones explain to the noise, and one does not: fitting both separates "
+            "frequencies closer than 1/duration.",
             Table("axis|frequencies (Hz)|amplitudes (px)".split("|"), words.close_rows(summary)),
         ),
         (

@@ -176,7 +176,14 @@ def departure_figure(view: SequenceView, epoch: str | None) -> Figure:
         first, second = figure[k, 0], figure[k, 1]
         first.title, second.title = f"{_LONG_NAMES[name]}, from an even path", "the line by itself"
         _dots(
-            first, view, axis, every, view.told_departure[:, k], "given by the tables", size=4.0, colour=GIVEN
+            first,
+            view,
+            axis,
+            every,
+            view.given_departure[:, k],
+            "given by the tables",
+            size=4.0,
+            colour=GIVEN,
         )
         half = np.where(np.isfinite(view.sigma[:, k]), SIGMA_95 * view.sigma[:, k], np.nan)
         x, low, high = (by_stretch(view, v) for v in (axis.x, values - half, values + half))
@@ -197,10 +204,10 @@ def pose_sigma_figure(view: SequenceView, epoch: str | None) -> Figure:
         panel, colour = figure[k // 3], AXIS_COLOURS[k % 3]
         # curves of one value lie on each other: the lower ones look out
         _line(panel, view, axis, view.sigma[:, k], name, colour, width=(4.2, 2.6, 1.2)[k % 3])
-        if np.isfinite(view.told_sigma[:, k]).any():
-            words, given = f"{name}, a single row of the tables", view.told_sigma[:, k]
+        if np.isfinite(view.given_sigma[:, k]).any():
+            words, given = f"{name}, a single row of the tables", view.given_sigma[:, k]
             _line(panel, view, axis, given, words, colour, dash="dot", key=False)
-    if np.isfinite(view.told_sigma).any():
+    if np.isfinite(view.given_sigma).any():
         figure[0].add(Line(x=[], y=[], name="dotted: a single row of the tables", colour=MUTED, dash="dot"))
     _line(figure[2], view, axis, worst, "ground, worst direction", INK)
     _line(figure[2], view, axis, best, "ground, best direction", MUTED)

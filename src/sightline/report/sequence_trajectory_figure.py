@@ -46,10 +46,10 @@ _ELLIPSE = "#9a74bd"
 
 @dataclass(frozen=True, eq=False)
 class Drawn:
-    """A panel: places (M, 2), given ones `told` (M, 2), control (n, 2), covariances (M, 2, 2), its axes."""
+    """A panel: places (M, 2), `given` ones (M, 2), control (n, 2), covariances (M, 2, 2), its axes."""
 
     place: Array
-    told: Array
+    given: Array
     control: Array
     covariance: Array
     axes: tuple[str, str]
@@ -57,10 +57,10 @@ class Drawn:
 
     def limits(self, grown: float = 0.0) -> Array:
         """(2, 2) least and most of each axis, with ellipses `grown` times as large as they are."""
-        told = self.told[np.isfinite(self.told).all(axis=1)]
+        given = self.given[np.isfinite(self.given).all(axis=1)]
         known = np.asarray(np.isfinite(self.covariance).all(axis=(1, 2)))[:, None]
         half = SIGMA_95 * grown * np.sqrt(np.where(known, np.einsum("kii->ki", self.covariance), 0.0))
-        every = np.concatenate([self.place - half, self.place + half, told, self.control])
+        every = np.concatenate([self.place - half, self.place + half, given, self.control])
         low, high = every.min(axis=0), every.max(axis=0)
         return np.stack([low, np.maximum(high, low + 1e-9)])
 
@@ -100,16 +100,16 @@ def trajectory_figure(view: SequenceView, control: Array) -> Figure:
     unit, scale = ("km", 1e-3) if max(np.ptp(view.place, axis=0)) > 2e4 else ("m", 1.0)
     heading = _heading(view)
     plan = Drawn(
-        view.place[:, :2] * scale, view.told[:, :2] * scale, control[:, :2] * scale,
+        view.place[:, :2] * scale, view.given[:, :2] * scale, control[:, :2] * scale,
         view.covariance[:, :2, :2] * scale**2, (f"east ({unit})", f"north ({unit})"), True,
     )  # fmt: skip
     turned = np.stack([heading, np.broadcast_to([0.0, 0.0, 1.0], heading.shape)], axis=1)
     with np.errstate(invalid="ignore"):
         covariance = turned @ view.covariance[:, :3, :3] @ turned.transpose(0, 2, 1)
-    forward = view.along + ((view.told - view.place) * heading).sum(axis=1)
+    forward = view.along + ((view.given - view.place) * heading).sum(axis=1)
     profile = Drawn(
         np.stack([view.along, view.place[:, 2]], axis=1) * scale,
-        np.stack([forward, view.told[:, 2]], axis=1) * scale, np.zeros((0, 2)), covariance * scale**2,
+        np.stack([forward, view.given[:, 2]], axis=1) * scale, np.zeros((0, 2)), covariance * scale**2,
         (f"distance flown ({unit})", f"height ({unit})" if view.origin is None else f"up ({unit})"), False,
     )  # fmt: skip
     figure = Figure(1, 2, height=PANEL[1], shared=False)
@@ -159,9 +159,9 @@ def _round(value: float) -> str:
 
 def _draw(panel: Panel, view: SequenceView, drawn: Drawn) -> None:
     """Path, given places, marks, ellipses and control of one panel."""
-    given = thinned(np.flatnonzero(np.isfinite(drawn.told).all(axis=1)))
-    if len(given):
-        x, y = drawn.told[given].T
+    rows = thinned(np.flatnonzero(np.isfinite(drawn.given).all(axis=1)))
+    if len(rows):
+        x, y = drawn.given[rows].T
         panel.add(Points(x=x, y=y, size=4.5, colour=GIVEN, opacity=0.8, name="given by the tables"))
     _ellipses(panel, view, drawn)
     x, y = (by_stretch(view, drawn.place[:, k]) for k in (0, 1))

@@ -37,8 +37,8 @@ class SequenceView:
     ----------
     t : (M,)
         s from the epoch.
-    place, told : (M, 3)
-        m, east, north, up about `origin`; told is NaN where no table has the frame.
+    place, given : (M, 3)
+        m, east, north, up about `origin`; given is NaN where no table has the frame.
     origin : (float, float) or None
         Longitude and latitude (degrees) of the middle of the path; None where the world is flat, whose x, y
         and z are then east, north and up.
@@ -46,9 +46,9 @@ class SequenceView:
         m flown until then, pauses left out.
     covariance : (M, 6, 6)
         m^2, m deg, deg^2 of `PARAMETERS`.
-    departure, told_departure : (M, 6)
-        Of `PARAMETERS` from an even path of each stretch: found, and told (NaN where it is not).
-    told_sigma : (M, 6)
+    departure, given_departure : (M, 6)
+        Of `PARAMETERS` from an even path of each stretch: found, and given (NaN where it is not).
+    given_sigma : (M, 6)
         Of the tables, inf where there are none.
     depth : (M,)
         m from the frame to its ground, along the line of sight of its middle.
@@ -70,13 +70,13 @@ class SequenceView:
 
     t: Array
     place: Array
-    told: Array
+    given: Array
     origin: tuple[float, float] | None
     along: Array
     covariance: Array
     departure: Array
-    told_departure: Array
-    told_sigma: Array
+    given_departure: Array
+    given_sigma: Array
     depth: Array
     gsd: Array
     ground_sigma_px: Array
@@ -113,7 +113,7 @@ def sequence_view(problem: SequenceProblem, found: SequencePoses) -> SequenceVie
     stretch = stretches(problem.t)
     step = np.linalg.norm(np.diff(place, axis=0), axis=1) * (np.diff(stretch) == 0)
     has_place = _any_known(problem.known.position)
-    told = np.where(has_place, (problem.images.position - middle) @ level.T, np.nan)
+    given = np.where(has_place, (problem.images.position - middle) @ level.T, np.nan)
     known = np.concatenate(
         [_turned_sigma(problem.known.along_world(), level), problem.known.attitude], axis=1
     )
@@ -124,13 +124,13 @@ def sequence_view(problem: SequenceProblem, found: SequencePoses) -> SequenceVie
     return SequenceView(
         t=np.asarray(problem.t),
         place=place,
-        told=told,
+        given=given,
         origin=origin,
         along=np.concatenate([[0.0], np.cumsum(step)]),
         covariance=_levelled(poses.covariance, level),
         departure=departure,
-        told_departure=departure + _told_less_found(problem, found, told - place),
-        told_sigma=known * np.repeat([1.0, np.degrees(1.0)], 3),
+        given_departure=departure + _given_less_found(problem, found, given - place),
+        given_sigma=known * np.repeat([1.0, np.degrees(1.0)], 3),
         depth=depth,
         gsd=gsd,
         ground_sigma_px=_ground_sigma(problem, found, depth, level) / gsd[:, None],
@@ -209,11 +209,11 @@ def _departures(
     return out
 
 
-def _told_less_found(problem: SequenceProblem, found: SequencePoses, moved: Array) -> Array:
+def _given_less_found(problem: SequenceProblem, found: SequencePoses, moved: Array) -> Array:
     """(M, 6) m, deg; NaN where a table has no such frame."""
     turn = (found.poses.world_from_body.inv() * problem.images.world_from_body).as_rotvec(degrees=True)
-    told = _any_known(problem.known.attitude)
-    return np.concatenate([moved, np.where(told, turn, np.nan)], axis=1)
+    given = _any_known(problem.known.attitude)
+    return np.concatenate([moved, np.where(given, turn, np.nan)], axis=1)
 
 
 def _axes_of_sight(problem: SequenceProblem, found: SequencePoses) -> tuple[Array, Array]:

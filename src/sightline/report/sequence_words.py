@@ -23,14 +23,14 @@ Index = NDArray[np.intp]
 #: rad; a trend of the angles known no better is said not to be observable: it bends the ground of a strip
 #: by more than a hundredth of the flying height at its ends.
 LOOSE_BOW = np.radians(1.0)
-#: Share of the sigma that was known beforehand from which on data told nothing of it.
-UNTOLD = 0.9
+#: Share of the sigma that was known beforehand from which on it counts as not observable.
+UNOBSERVABLE = 0.9
 #: Rows of a table at most, and rows from which on it is folded up.
 MOST_ROWS, FOLDED = 1000, 12
 
 #: What a constant error is called, by its sigma over that known beforehand.
 BIAS_VERDICTS = (
-    (UNTOLD, "not observable: known no better than beforehand"),
+    (UNOBSERVABLE, "not observable: known no better than beforehand"),
     (0.5, "hardly observable"),
     (0.0, "observable"),
 )
@@ -153,7 +153,7 @@ def bias_table(problem: SequenceProblem, found: SequencePoses) -> list[list[str]
         rows.append(
             [
                 name,
-                f"{with_sigma(value, sigma)} {unit}" if share < UNTOLD else "–",
+                f"{with_sigma(value, sigma)} {unit}" if share < UNOBSERVABLE else "–",
                 f"{digits(sigma, 2)} {unit}",
                 f"{digits(factor * before, 2)} {unit}",
                 verdict,
@@ -167,12 +167,12 @@ def _biases(problem: SequenceProblem, found: SequencePoses) -> str:
     rows = bias_table(problem, found)
     if not rows:
         return ""
-    told = [f"{name} {value}" for name, value, _, _, verdict in rows if verdict == "observable"]
+    found_well = [f"{name} {value}" for name, value, _, _, verdict in rows if verdict == "observable"]
     hardly = [f"{name} {value}" for name, value, _, _, verdict in rows if verdict == "hardly observable"]
     other = [name for name, value, _, _, _ in rows if value == "–"]
     parts = []
-    if told:
-        parts.append(f"Constant errors found of the tables (table less truth): {'; '.join(told)}.")
+    if found_well:
+        parts.append(f"Constant errors found of the tables (table less truth): {'; '.join(found_well)}.")
     if hardly:
         parts.append(f"Hardly observable: {'; '.join(hardly)}.")
     if other:
@@ -191,13 +191,13 @@ def focal_row(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]
     px = found.poses.detector(problem.detector).focal_length_px
     sigma, before = (problem.detector.focal_length_px * size for size in (focal.sigma, focal.prior))
     verdict = focal_verdict(focal)
-    told = f"{digits(before, 2)} px" if np.isfinite(before) else "not known"
+    prior = f"{digits(before, 2)} px" if np.isfinite(before) else "not known"
     return [
         [
             "focal length",
             f"{with_sigma(px, sigma).lstrip(chr(43))} px",
             f"{digits(sigma, 2)} px",
-            told,
+            prior,
             verdict,
         ]
     ]
@@ -209,8 +209,8 @@ def _focal(problem: SequenceProblem, found: SequencePoses) -> str:
     if not rows:
         return ""
     _, value, _, before, verdict = rows[0]
-    told = f"{problem.detector.focal_length_px:.6g} px"
-    beforehand = f"told was {told}" + (f", known to {before}" if before != "not known" else "")
+    given = f"{problem.detector.focal_length_px:.6g} px"
+    beforehand = f"given was {given}" + (f", known to {before}" if before != "not known" else "")
     return (
         f"The focal length was found with the poses: {value} ({verdict}); {beforehand}. What is not known of "
         "it is in the sigmas of all poses."
@@ -247,9 +247,9 @@ def bow_verdict(problem: SequenceProblem, bow: Array, frames: Index, px: Array) 
     )
     with np.errstate(divide="ignore"):
         by_table = (problem.known.attitude[frames] ** -2.0).sum(axis=0) ** -0.5
-    alone = [axis for axis, b, s in zip(PARAMETERS[3:], bow, by_table, strict=True) if b > UNTOLD * s]
+    alone = [axis for axis, b, s in zip(PARAMETERS[3:], bow, by_table, strict=True) if b > UNOBSERVABLE * s]
     if alone:
-        return f"{known}; held by the told attitudes alone about {_listed(alone)}"
+        return f"{known}; held by the given attitudes alone about {_listed(alone)}"
     return known
 
 
@@ -320,14 +320,14 @@ def _unseen(problem: SequenceProblem, view: SequenceView) -> str:
     """What the data could not tell."""
     out = []
     if not np.isfinite(problem.known.attitude).any():
-        out.append("no table told attitudes")
+        out.append("no table gives attitudes")
     if not np.isfinite(problem.known.position).any():
-        out.append("no table told positions")
+        out.append("no table gives positions")
     names = [name for k, name in enumerate(PARAMETERS) if not np.isfinite(view.sigma[:, k]).all()]
     if names:
         out.append(f"nothing ties {_listed(names)}, whose sigmas are infinite where that is so")
     if problem.height_sigma == 0.0 and problem.control is None:
-        out.append("no height of the ground was told with a sigma, nor any control point")
+        out.append("no height of the ground was given with a sigma, nor any control point")
     return f"What could not be seen: {'; '.join(out)}." if out else ""
 
 

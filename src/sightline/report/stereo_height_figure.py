@@ -74,8 +74,8 @@ def point_heights(stereo: Stereo, result: StereoOrientation) -> PointHeights | N
     if not len(known):
         return None
     sigma = height_sigmas(after[known], result.point_covariance[known], problem.radii)
-    told = np.isfinite(sigma)
-    good = sigma < POOR * np.median(sigma[told]) if told.any() else np.ones(len(known), dtype=bool)
+    finite = np.isfinite(sigma)
+    good = sigma < POOR * np.median(sigma[finite]) if finite.any() else np.ones(len(known), dtype=bool)
     east, north = _level(after[known], problem.radii).T
     return PointHeights(
         problem.point_names[known], east, north, heights_of(before[known], problem.radii),

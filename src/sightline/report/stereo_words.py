@@ -68,14 +68,14 @@ def focal_rows(problem: StereoProblem, result: StereoOrientation) -> list[list[s
         return []
     rows = []
     for c, (camera, before) in enumerate(zip(result.cameras, problem.focal_sigma, strict=True)):
-        told, value, sigma = problem.detectors[c].focal_length_px, result.stretch[c], result.stretch_sigma[c]
+        given, value, sigma = problem.detectors[c].focal_length_px, result.stretch[c], result.stretch_sigma[c]
         if before == 0.0:
             continue
         if not focal_length_seen(sigma, before):
             rows.append([camera, *["not observable"] * 3])
             continue
-        length = with_sigma(told * (1.0 + value), told * sigma).lstrip("+")
-        parts = (with_sigma(unit * value, unit * sigma) for unit in (told, 100.0))
+        length = with_sigma(given * (1.0 + value), given * sigma).lstrip("+")
+        parts = (with_sigma(unit * value, unit * sigma) for unit in (given, 100.0))
         rows.append([camera, length, *parts])
     return rows
 
@@ -119,10 +119,10 @@ def _found(summary: Mapping[str, Any]) -> str:
     elif seen:
         end = f"{len(seen)} of the {count} constant attitude errors of {whose} were found: {', '.join(seen)}."
     else:
-        told = sum(math.isfinite(entry["sigma"]) for entry in summary["principal_sigmas"])
+        observed = sum(math.isfinite(entry["sigma"]) for entry in summary["principal_sigmas"])
         end = (
-            f"no constant attitude error of {whose} can be told by itself; {told} of their {count} "
-            "combinations can (below)."
+            f"no constant attitude error of {whose} is observable by itself; {observed} of their {count} "
+            "combinations are (below)."
         )
     return f"{begin}, {end} {_rejected(matches)}"
 
@@ -223,7 +223,7 @@ def advice(problem: StereoProblem, summary: Mapping[str, Any]) -> list[str]:
         said.append("More time: what is weak falls about as the length of the window while that is short.")
     if weak.startswith("yaw"):
         said.append(
-            f"Yaw ({weak}) is told by image noise over the field of view: points at the edges of the frame, "
+            f"Yaw ({weak}) is set by image noise over the field of view: points at the edges of the frame, "
             "better matching, more pixels, more points; DEM and control points help it little."
         )
     reckoned = bool(summary.get("improvements"))

@@ -142,11 +142,11 @@ def above_band(summary: Mapping[str, Any]) -> str:
 
 
 def static_rows(result: LineOfSight) -> list[list[str]]:
-    """Table of static parameters: name, value, sigma before and after, how much the images told."""
+    """Table of static parameters: name, value, sigma before and after, how much the images added."""
     rows = []
     for static in result.statics:
         factor, unit = (1e6, "µrad") if static.unit == "rad" else (1.0, static.unit)
-        told = 1.0 - (static.sigma / static.prior_sigma) ** 2
+        share = 1.0 - (static.sigma / static.prior_sigma) ** 2
         rows.append(
             [
                 static.name,
@@ -154,7 +154,7 @@ def static_rows(result: LineOfSight) -> list[list[str]]:
                 digits(factor * static.sigma, 2),
                 digits(factor * static.prior_sigma, 2),
                 unit,
-                f"{100.0 * max(told, 0.0):.0f} %",
+                f"{100.0 * max(share, 0.0):.0f} %",
             ]
         )
     return rows

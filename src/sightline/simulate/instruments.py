@@ -269,7 +269,7 @@ INSTRUMENT_CASES = tuple(INSTRUMENT_OPTIONS)
 
 @dataclass(frozen=True, eq=False)
 class DetectorTruth:
-    """One detector line: what is told of it and what is true.
+    """One detector line: what is given of it and what is true.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""What every simulated strip has, whatever instrument took it: times, truth, images, and what is told of it.
+"""What every simulated strip has, whatever instrument took it: times, truth, images, what a user is given.
 
 Not here: how a strip is drawn (``scenarios.py``, ``instruments.py``), frames (``frames.py``).
 """
@@ -76,7 +76,7 @@ class RenderedStrip(ABC):
         """Image of one band, (lines, columns)."""
         return np.concatenate([block for _, block in self.chunks(band)])
 
-    def as_told(self, images: Sequence[NDArray[np.generic]] | None = None) -> list[Band]:
+    def as_given(self, images: Sequence[NDArray[np.generic]] | None = None) -> list[Band]:
         """The strip as a user has it: images, nominal cameras, and how well these are known.
 
         Parameters
@@ -86,12 +86,12 @@ class RenderedStrip(ABC):
         """
         rendered: Sequence[NDArray[np.generic]]
         rendered = images or [self.image(band) for band in range(len(self.bands))]
-        told = {
+        knowledge = {
             name: getattr(self.options, name)
             for name in ("offset_sigma_px", "rotation_sigma", "scale_sigma")
             if getattr(self.options, name, 0.0) > 0.0 or name != "scale_sigma"
         }
         return [
-            Band(band.name, ArrayImage(image), camera, **told)
+            Band(band.name, ArrayImage(image), camera, **knowledge)
             for band, image, camera in zip(self.bands, rendered, self.nominal_cameras, strict=True)
         ]

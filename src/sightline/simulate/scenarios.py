@@ -67,7 +67,7 @@ GROUND_MARGIN_PX = 64.0
 
 @dataclass(frozen=True, eq=False)
 class BandTruth:
-    """One detector line: what is told of it and what is true.
+    """One detector line: what is given of it and what is true.
 
     Parameters
     ----------
@@ -272,7 +272,7 @@ def motion_profile(name: str, data: Path | None = None) -> JitterProfile:
         return with_part(nominal_profile(), StepJitter(1.0))
     if name == "ck":
         t, angles = measured.mro_ck_curve(data)
-        # the kernel was made from images that told nothing about yaw: pitch played backwards takes its place
+        # the kernel was made from images without observable yaw: pitch played backwards takes its place
         angles[:, 2] = angles[::-1, 1]
         return curve_profile(t, angles, rms_px=1.0, extra=tones)
     if name == "isd":

@@ -32,8 +32,8 @@ EPOCH = "2026-01-01T00:00:00Z"
 """UTC of t = 0."""
 
 _MEAN_SHARE = 0.3  # of the converter's range, that the mean ground has where the detector is most sensitive
-# children of the seed: flight, ground, what is told of poses, noise of each frame
-_FLIGHT, _GROUND, _TOLD, _NOISE = range(4)
+# children of the seed: flight, ground, the given poses, noise of each frame
+_FLIGHT, _GROUND, _POSES, _NOISE = range(4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class SequenceScenario:
     seed : int
     options : SequenceOptions
     detector : AreaDetector
-        As told: with the wavelength of each line where the filter has one per line.
+        As given: with the wavelength of each line where the filter has one per line.
     flight : Flight
         True motion, a closed form of time.
     filter : FilterLayout
@@ -132,33 +132,33 @@ class SequenceScenario:
         return self.ground.signal(x, y, np.ascontiguousarray(weights, dtype=np.float32))
 
     @cached_property
-    def _told(self) -> tuple[Array, Rotation, Array, Array]:
+    def _given_poses(self) -> tuple[Array, Rotation, Array, Array]:
         """Positions, attitudes, and the constant biases (3,) m and (3,) rad in them."""
         options = self.options
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(_TOLD,)))
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(_POSES,)))
         noise = rng.standard_normal((2, options.total_frames, 3))
         place_bias, turn_bias = rng.standard_normal((2, 3)) * np.array(
             [[options.position_bias_sigma], [options.attitude_bias_sigma]]
         )
         _, position, attitude = self.poses
-        told = position + place_bias + options.position_sigma * noise[0]
+        place = position + place_bias + options.position_sigma * noise[0]
         turned = Rotation.from_rotvec(turn_bias) * Rotation.from_rotvec(options.attitude_sigma * noise[1])
-        return frozen(told), attitude * turned, frozen(place_bias), frozen(turn_bias)
+        return frozen(place), attitude * turned, frozen(place_bias), frozen(turn_bias)
 
     @property
-    def told_positions(self) -> Array:
+    def given_positions(self) -> Array:
         """(N, 3) m: positions with their constant bias and noise."""
-        return self._told[0]
+        return self._given_poses[0]
 
     @property
-    def told_attitudes(self) -> Rotation:
+    def given_attitudes(self) -> Rotation:
         """world_from_body with a constant bias about body axes and noise."""
-        return self._told[1]
+        return self._given_poses[1]
 
     @property
     def biases(self) -> tuple[Array, Array]:
         """The constant errors of positions (3,) m, world axes, and of attitudes (3,) rad, body axes."""
-        return self._told[2], self._told[3]
+        return self._given_poses[2], self._given_poses[3]
 
     @cached_property
     def seen(self) -> Extent:
@@ -189,7 +189,7 @@ def sequence_case(case: str = "lvf", seed: int = 0, **overrides: Any) -> Sequenc
     ground = draw_ground(options, _seen(options, flight), np.random.SeedSequence(seed, spawn_key=(_GROUND,)))
     ground = dataclasses.replace(ground, water=_water(options))
     layout = filter_layout(options)
-    by_line = layout.told_nm[0, :, 0] if layout.kind in ("lvf", "stepwise") else None
+    by_line = layout.given_nm[0, :, 0] if layout.kind in ("lvf", "stepwise") else None
     detector = AreaDetector(
         "frame", options.shape, options.focal_length_px, options.centre_px, options.distortion, by_line
     )

@@ -1,13 +1,13 @@
 """Writes a simulated flight of a filter camera as a user would receive it, with its truth beside it.
 
-Told: ``sequence.toml``; ``frames.csv`` (frame,t,image) and the folder ``frames`` it names; ``positions.csv``
+Given: ``sequence.toml``; ``frames.csv`` (frame,t,image) and the folder ``frames`` it names; ``positions.csv``
 (frame,t,x,y,z,sigma_x,sigma_y,sigma_z) and ``attitudes.csv`` (frame,t,qx,qy,qz,qw,sigma_roll,sigma_pitch,
-sigma_yaw), whose sigma is that of the noise alone, without the constant bias; ``dem.tif`` where it is told.
+sigma_yaw), whose sigma is that of the noise alone, without the constant bias; ``dem.tif`` where it is given.
 
 Truth, which nothing but a score should read: ``poses-truth.csv`` (frame,t,x,y,z,qx,qy,qz,qw, at the exposure
 of line 0), ``truth-lines.csv`` (the same for the first, middle and last line of each frame: frame,line,t,...)
 with a rolling shutter, ``truth-biases.csv`` (quantity,x,y,z), ``truth-focal.csv`` (camera,focal_length_px)
-where it is told wrong, ``truth-dem.tif``, ``truth-bands.tif`` (numbers
+where a wrong one is given, ``truth-dem.tif``, ``truth-bands.tif`` (numbers
 that a few bands should have at every place, without noise; the wavelength of each in its description and in
 its tag ``wavelength_nm``) and ``truth-scene.json`` (case, seed, options, where the spectra are from).
 
@@ -72,7 +72,7 @@ def write_sequence(
     t = scenario.poses[0][list(scenario.frames)].tolist()
     rows = zip(scenario.frames, t, images, strict=True)
     written.append(write_rows(folder / "frames.csv", "frame,t,image", rows))
-    written += _write_told(scenario, folder)
+    written += _write_given_poses(scenario, folder)
     if dem:
         written.append(
             write_dem(folder / "dem.tif", scenario.ground.relief.heights, scenario.ground.relief.transform)
@@ -104,7 +104,7 @@ def sequence_toml(scenario: SequenceScenario, *, dem: bool = False) -> str:
         "",
         "[camera]",
         f"shape = [{options.shape[0]}, {options.shape[1]}]",
-        f"focal_length_px = {options.told_focal_length_px!r}",
+        f"focal_length_px = {options.given_focal_length_px!r}",
         *_focal_sigma(options),
         f"principal_point_px = [{options.centre_px[0]!r}, {options.centre_px[1]!r}]",
         f"distortion = {list(options.distortion)!r}",
@@ -126,21 +126,21 @@ def sequence_toml(scenario: SequenceScenario, *, dem: bool = False) -> str:
 
 
 def _focal_sigma(options: SequenceOptions) -> list[str]:
-    """How well the focal length is known, where it is told wrong."""
+    """How well the focal length is known, where a wrong one is given."""
     if not options.focal_error:
         return []
-    return [f"focal_length_sigma_px = {abs(options.focal_error) * options.told_focal_length_px!r}"]
+    return [f"focal_length_sigma_px = {abs(options.focal_error) * options.given_focal_length_px!r}"]
 
 
 def _filter_lines(scenario: SequenceScenario) -> list[str]:
-    kind, told = scenario.filter.kind, np.round(scenario.filter.told_nm, 3)
+    kind, given_nm = scenario.filter.kind, np.round(scenario.filter.given_nm, 3)
     if kind == "pan":
         return []
     if kind == "rgb":
-        return [f"channel_nm = {told[:, 0, 0].tolist()!r}"]
+        return [f"channel_nm = {given_nm[:, 0, 0].tolist()!r}"]
     if kind == "mosaic":
-        return [f"mosaic_nm = {told[0].tolist()!r}"]
-    return [f"wavelength_nm = {told[0, :, 0].tolist()!r}"]
+        return [f"mosaic_nm = {given_nm[0].tolist()!r}"]
+    return [f"wavelength_nm = {given_nm[0, :, 0].tolist()!r}"]
 
 
 def _frame_name(frame: int, image_format: str) -> str:
@@ -175,18 +175,18 @@ def _write_image(path: Path, image: NDArray[np.generic]) -> None:
             target.write(image)
 
 
-def _write_told(scenario: SequenceScenario, folder: Path) -> list[Path]:
-    """Positions and attitudes that are told, of the frames that are delivered."""
+def _write_given_poses(scenario: SequenceScenario, folder: Path) -> list[Path]:
+    """Given positions and attitudes of the frames that are delivered."""
     options, frames = scenario.options, list(scenario.frames)
     t = scenario.poses[0][frames]
     written = []
     for sigma, name, header, values in (
-        (options.position_sigma, "positions", "x,y,z,sigma_x,sigma_y,sigma_z", scenario.told_positions),
+        (options.position_sigma, "positions", "x,y,z,sigma_x,sigma_y,sigma_z", scenario.given_positions),
         (
             options.attitude_sigma,
             "attitudes",
             "qx,qy,qz,qw,sigma_roll,sigma_pitch,sigma_yaw",
-            to_quat_xyzw(scenario.told_attitudes),
+            to_quat_xyzw(scenario.given_attitudes),
         ),
     ):
         if sigma > 0.0:
@@ -235,7 +235,7 @@ def _write_lines(scenario: SequenceScenario, path: Path) -> Path:
 
 def _write_scene(scenario: SequenceScenario, path: Path) -> Path:
     spectra = scenario.ground.spectra
-    told = {
+    content = {
         "case": scenario.case,
         "seed": scenario.seed,
         "options": dataclasses.asdict(scenario.options),
@@ -248,13 +248,13 @@ def _write_scene(scenario: SequenceScenario, path: Path) -> Path:
         "gsd": scenario.options.gsd,
         "speed": scenario.options.speed,
     }
-    path.write_text(json.dumps(told, indent=1) + "\n")
+    path.write_text(json.dumps(content, indent=1) + "\n")
     return path
 
 
 def truth_wavelengths(scenario: SequenceScenario, count: int) -> Array:
     """(n,) nm of the bands of ``truth-bands.tif``: `count` of those that the filter has, evenly chosen."""
-    there = np.unique(scenario.filter.told_nm)
+    there = np.unique(scenario.filter.given_nm)
     return there[np.unique(np.linspace(0, len(there) - 1, min(count, len(there))).round().astype(int))]
 
 

@@ -30,14 +30,14 @@ class FilterLayout:
     wavelength_nm : (channels, a, b)
         Of pixel (line, column) of a channel: ``[channel, line % a, column % b]``; b = 1: a wavelength per
         line. NaN: all wavelengths alike.
-    told_nm : (channels, a, b)
-        What a user is told of them.
+    given_nm : (channels, a, b)
+        What a user is given of them.
     fwhm_nm : float
     """
 
     kind: str
     wavelength_nm: Array
-    told_nm: Array
+    given_nm: Array
     fwhm_nm: float
 
     def at(self, wavelength_nm: Array, spectra: Spectra) -> Array:
@@ -63,18 +63,18 @@ def filter_layout(options: SequenceOptions) -> FilterLayout:
     low, high = options.wavelengths_nm
     fwhm = _RGB_FWHM_NM if options.filter == "rgb" else options.fwhm_nm
     if options.filter == "pan":
-        true = told = np.full((1, 1, 1), np.nan)
+        true = given = np.full((1, 1, 1), np.nan)
     elif options.filter == "rgb":
-        true = told = np.array(RGB_NM).reshape(3, 1, 1)
+        true = given = np.array(RGB_NM).reshape(3, 1, 1)
     elif options.filter == "mosaic":
         side = options.pattern
-        true = told = np.linspace(low, high, side * side).reshape(1, side, side)
+        true = given = np.linspace(low, high, side * side).reshape(1, side, side)
     else:
         every = np.linspace(low, high, lines)
         grouped = _grouped(every, options.bands) if options.bands else every
-        told = grouped.reshape(1, lines, 1)
-        true = told if options.filter == "stepwise" else every.reshape(1, lines, 1)
-    return FilterLayout(options.filter, true, told, fwhm)
+        given = grouped.reshape(1, lines, 1)
+        true = given if options.filter == "stepwise" else every.reshape(1, lines, 1)
+    return FilterLayout(options.filter, true, given, fwhm)
 
 
 def _grouped(values: Array, count: int) -> Array:

@@ -209,8 +209,8 @@ class SequenceOptions:
         return self.altitude / self.focal_length_px
 
     @property
-    def told_focal_length_px(self) -> float:
-        """Focal length that is told."""
+    def given_focal_length_px(self) -> float:
+        """Focal length that a user is given."""
         return self.focal_length_px / (1.0 + self.focal_error)
 
     @property

@@ -1,7 +1,7 @@
 """A pass of synchronous cameras over one scene: the truth for constant errors of their attitude (S2).
 
 True points are projected through true poses with exact rotations; then noise is added to pixels and to the
-poses that are told. S2's angles w of a camera turn its nominal axes into its actual ones by
+poses that are given. S2's angles w of a camera turn its nominal axes into its actual ones by
 Q = A_z A_y A_x; the package's (`angles`) are the rotation vector of the inverse of Q, on the body side.
 
 Files are written by ``stereo_files.py``; options and cases are in ``stereo_options.py``.
@@ -60,9 +60,9 @@ class StereoScenario(ReadOnlyArrays):
     true_images : Images
         True poses.
     images : Images
-        The same images with the poses that are told.
+        The same images with the given poses.
     tracks : Tracks
-        Pixels that are told; `image` is a row of `images`, `point` one of `points`.
+        Given pixels; `image` is a row of `images`, `point` one of `points`.
     displacement : (N, 2) px, how far each of them is off by mismatch: zero for most
     """
 
@@ -123,20 +123,20 @@ class StereoScenario(ReadOnlyArrays):
 
     @property
     def noise(self) -> PoseNoise:
-        """What is told of the poses' errors."""
-        told = self.options
-        aim = self.pair.aim_point if told.attitude_knowledge == "from-position" else None
-        return PoseNoise(told.sigma_position, told.sigma_attitude, aim)
+        """What is known of the poses' errors."""
+        options = self.options
+        aim = self.pair.aim_point if options.attitude_knowledge == "from-position" else None
+        return PoseNoise(options.sigma_position, options.sigma_attitude, aim)
 
     @property
-    def told_detectors(self) -> tuple[AreaDetector, ...]:
-        """The detectors that are told: the focal length without its error."""
+    def given_detectors(self) -> tuple[AreaDetector, ...]:
+        """The detectors as given: the focal length without its error."""
         focal = self.options.focal_length_px
         return tuple(dataclasses.replace(true, focal_length_px=focal) for true in self.detectors)
 
     @property
     def height_prior(self) -> HeightPrior | None:
-        """The DEM that is told, if any."""
+        """The given DEM, if any."""
         if self.options.dem_sigma == 0.0:
             return None
         return HeightPrior(self.surface, self.options.dem_sigma, self.pair.radii)
@@ -165,7 +165,7 @@ class StereoScenario(ReadOnlyArrays):
             "cameras": self.cameras,
             "images": self.images,
             "shot_names": np.arange(self.options.shots, dtype=np.float64),
-            "detectors": self.told_detectors,
+            "detectors": self.given_detectors,
             "mounts": self.mounts,
             "tracks": Tracks(self.tracks.image, point, self.tracks.pixels, self.tracks.sigma_px),
             "point_names": names.astype(np.float64),
@@ -275,7 +275,7 @@ def _draw_errors(options: StereoOptions, seed: np.random.SeedSequence) -> tuple[
 def _off_the_dem(
     options: StereoOptions, pair: OrbitPair, points: Array, seed: np.random.SeedSequence
 ) -> Array:
-    """The points, raised by as much as the DEM that is told is wrong."""
+    """The points, raised by as much as the given DEM is wrong."""
     if options.dem_sigma == 0.0:
         return points
     geodetic = to_geodetic(points, pair.radii)
@@ -291,15 +291,15 @@ def _draw_poses(
     rates: Array,
     seeds: list[np.random.SeedSequence],
 ) -> tuple[Images, Images]:
-    """True poses of the images that were taken, and the poses told of them."""
+    """True poses of the images that were taken, and the given ones."""
     t = pair.shot_times(options.window, options.shots, options.offset)
     places = pair.positions(t)
     noise = np.random.default_rng(seeds[1]).standard_normal(places.shape)
-    told_places = places + options.noise_scale * options.sigma_position * noise
+    given_places = places + options.noise_scale * options.sigma_position * noise
     planned = pair.world_from_body(t)
-    told = planned
+    given = planned
     if options.attitude_knowledge == "from-position":
-        told = pair.world_from_body(t, told_places)
+        given = pair.world_from_body(t, given_places)
     since = (t - (pair.middle_time + options.offset))[:, np.newaxis]
     w = angles[:, np.newaxis] + rates[:, np.newaxis] * since + _draw_jitter(options, t, seeds[0])
     turned = Rotation.from_rotvec(_body_angles(w.reshape(-1, 3), options.leader))
@@ -314,7 +314,7 @@ def _draw_poses(
 
     if not taken.any():
         raise InputError("no image was taken; lower `missing_images`")
-    return images(places, actual), images(told_places, Rotation.from_matrix(told.reshape(-1, 3, 3)))
+    return images(places, actual), images(given_places, Rotation.from_matrix(given.reshape(-1, 3, 3)))
 
 
 def _draw_jitter(options: StereoOptions, t: Array, seed: np.random.SeedSequence) -> Array:
@@ -348,7 +348,7 @@ def _draw_tracks(
     points: Array,
     seeds: list[np.random.SeedSequence],
 ) -> tuple[Tracks, Array]:
-    """Pixels told of every point found, and how far they are off by mismatch."""
+    """Given pixels of every point found, and how far they are off by mismatch."""
     true = _project(images, detectors, points)
     # Drawn for every camera, shot and point whether seen or not: no option changes the noise of the others.
     every = (options.cameras, options.shots, len(points), 2)
@@ -365,8 +365,8 @@ def _draw_tracks(
         )
     displacement = _draw_mismatches(options, images, pixels, found, seeds[3])
     image, point = np.nonzero(found)
-    told = (pixels + displacement)[image, point]
-    return Tracks(image, point, told, np.full(len(image), options.sigma_px)), displacement[image, point]
+    given = (pixels + displacement)[image, point]
+    return Tracks(image, point, given, np.full(len(image), options.sigma_px)), displacement[image, point]
 
 
 def _inside(pixels: Array, frame: tuple[int, int]) -> NDArray[np.bool_]:

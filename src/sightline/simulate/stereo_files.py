@@ -1,7 +1,7 @@
 """Writes a simulated pass of synchronous cameras as a user would receive it, with its truth beside it.
 
 Files: ``stereo.toml``, ``cameras.csv``, ``matches.csv`` (or ``observations.csv``, or ``images.csv`` and the
-frames it names, in which points are yet to be found), where they are told
+frames it names, in which points are yet to be found), where they are given
 ``dem.tif`` and ``control_points.csv``; and the truth, which nothing but a score should read:
 ``orientation-truth.csv``, ``truth-cameras.csv``, ``truth-points.csv``, ``truth-mismatches.csv``, where they
 differ from zero ``truth-rates.csv`` and ``truth-focal.csv``. Their contents are described in
@@ -73,14 +73,14 @@ def stereo_toml(scenario: StereoScenario, *, control_points: bool = False, image
 
     `control_points` as in :func:`write_stereo`; `images` names a table of images in place of points found.
     """
-    told = scenario.options
+    options = scenario.options
     dem = scenario.height_prior is not None and isinstance(scenario.surface, Dem)
-    points = "observations" if told.by_sighting else "matches"
-    detector = scenario.told_detectors[0]
+    points = "observations" if options.by_sighting else "matches"
+    detector = scenario.given_detectors[0]
     lines = [
         'cameras = "cameras.csv"',
         f'images = "{images}"' if images else f'{points} = "{points}.csv"',
-        *(['dem = "dem.tif"', f"dem_sigma = {told.dem_sigma!r}"] if dem else []),
+        *(['dem = "dem.tif"', f"dem_sigma = {options.dem_sigma!r}"] if dem else []),
         *(['control_points = "control_points.csv"'] if control_points else []),
         "",
         "[stereo]",
@@ -90,17 +90,17 @@ def stereo_toml(scenario: StereoScenario, *, control_points: bool = False, image
         "[camera]",
         f"shape = [{detector.shape[0]}, {detector.shape[1]}]",
         f"focal_length_px = {detector.focal_length_px!r}",
-        *(['focal_length = "estimate"'] if told.focal_error else []),
+        *(['focal_length = "estimate"'] if options.focal_error else []),
         f"principal_point_px = [{detector.principal_point_px[0]!r}, {detector.principal_point_px[1]!r}]",
         'mount = "nominal"',
         "",
         "[noise]",
-        *([] if images else [f"sigma_px = {told.sigma_px!r}"]),
-        f"sigma_position = {told.sigma_position!r}",
-        f"sigma_attitude = {told.sigma_attitude!r}",
-        f'attitude_knowledge = "{told.attitude_knowledge}"',
+        *([] if images else [f"sigma_px = {options.sigma_px!r}"]),
+        f"sigma_position = {options.sigma_position!r}",
+        f"sigma_attitude = {options.sigma_attitude!r}",
+        f'attitude_knowledge = "{options.attitude_knowledge}"',
     ]
-    if told.attitude_knowledge == "from-position":
+    if options.attitude_knowledge == "from-position":
         lines.append(f"aim_point = {scenario.pair.aim_point.tolist()!r}")
     return "\n".join([*lines, *_surface_lines(scenario)]) + "\n"
 
@@ -126,7 +126,7 @@ def _write_cameras(path: Path, scenario: StereoScenario, images: Images) -> Path
 
 
 def _write_points(folder: Path, scenario: StereoScenario) -> Path:
-    """``matches.csv``, or ``observations.csv`` where sightings are told one by one."""
+    """``matches.csv``, or ``observations.csv`` where sightings are listed one by one."""
     tracks, images = scenario.tracks, scenario.images
     camera, shot = images.camera[tracks.image], images.shot[tracks.image]
     if scenario.options.by_sighting:

@@ -200,7 +200,7 @@ class StereoOptions:
         if self.dem_file and self.relief != "dem":
             raise InputError(f'`dem_file` is for relief "dem", got {self.relief!r}')
         if self.dem_sigma > 0.0 and self.relief == "white":
-            raise InputError('relief "white" has no DEM to be told; choose another relief or dem_sigma 0')
+            raise InputError('relief "white" has no DEM to give; choose another relief or dem_sigma 0')
 
     @property
     def frame(self) -> tuple[int, int]:
@@ -209,12 +209,12 @@ class StereoOptions:
 
     @property
     def focal_length_px(self) -> float:
-        """As told."""
+        """As given."""
         return 0.5 * self.columns / float(np.tan(0.5 * self.fov))
 
     @property
     def by_sighting(self) -> bool:
-        """Whether sightings are told one by one: more than two cameras, or some alone in their shot."""
+        """Whether sightings are listed one by one: more than two cameras, or some alone in their shot."""
         return self.cameras > 2 or self.unpaired
 
 

@@ -36,7 +36,7 @@ _KEPT_THOUGH = {
     "infeasible-saturation": 128,  # no setting has this bit: the least full one stands alone
 }
 _NEEDED = np.array([_KEPT_THOUGH.get(name, _ALL) for name in LIMITS], dtype=np.uint8)
-#: Losses are told apart to this share of the hysteresis, or as finely as 63 bits allow.
+#: Losses are distinguished to this share of the hysteresis, or as finely as 63 bits allow.
 _LEVELS = 2**20
 
 

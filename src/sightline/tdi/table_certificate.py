@@ -58,7 +58,7 @@ class Certificate:
     flagged : float
         Share of points at which no setting keeps all limits.
     bytes : int
-        Of the table's memory image, all told.
+        Of the table's whole memory image.
     at_limits: float
         Worst loss against the best that a signal's own limits allow: within the electron in which a well
         fills or the least SNR is reached, the table keeps clear of what the signal alone would still permit.

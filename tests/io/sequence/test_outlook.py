@@ -86,7 +86,7 @@ def test_programs_that_are_not_installed_are_named(tmp_path, monkeypatch):
     made.toml = made.toml.replace('attitudes = "attitudes.csv"\n', "") + '[cube]\nformats = ["tif", "zarr"]\n'
     monkeypatch.setattr(describe_outlook, "find_spec", lambda name: None)
     said = described(made, tmp_path)
-    assert "pycolmap, which is needed as no attitudes are told" in said["missing"]
+    assert "pycolmap, which is needed as no attitudes are given" in said["missing"]
     assert "zarr, for [cube] formats" in said["missing"]
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from motion.strips import ALTITUDE, IFOV, PERIOD, moved_by_turn, sampled_motion, strip_cameras, told_bands
+from motion.strips import ALTITUDE, IFOV, PERIOD, given_bands, moved_by_turn, sampled_motion, strip_cameras
 from sightline.geometry.surface import Plane
 from sightline.motion.measure.sampled_sensitivities import sampled_sensitivities
 from sightline.motion.measure.windows import window_grid
@@ -17,7 +17,7 @@ GRID = window_grid((600, 320), (10, 20), 30)
 
 def test_every_window_between_the_samples_has_the_sensitivity_of_its_place():
     cameras = strip_cameras(AHEAD)
-    statics = band_statics(told_bands(["first", "second"], [0.0, 1.0], [0.0, 0.0]))
+    statics = band_statics(given_bands(["first", "second"], [0.0, 1.0], [0.0, 0.0]))
     seen = GRID.centres[:, 0] + 200 < 590
     got = sampled_sensitivities(cameras, 0, 1, Plane(), GRID, seen, statics)
     assert got.shape == (len(GRID.centres), 2, 9) and got.dtype == np.float32

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from matching.fourier_textures import shifted_pair
-from motion.strips import PERIOD, plain_star, strip_cameras, told_bands
+from motion.strips import PERIOD, given_bands, plain_star, strip_cameras
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTLIER, OUTSIDE
@@ -46,7 +46,7 @@ def cameras():
 
 @pytest.fixture(scope="module")
 def record(images, cameras):
-    statics = band_statics(told_bands(["first", "second"], [0.0, 1.0], [0.0, 0.0]))
+    statics = band_statics(given_bands(["first", "second"], [0.0, 1.0], [0.0, 0.0]))
     grid = window_grid(SHAPE, PLAN.window, PLAN.step)
     return match_star(images, cameras, Plane(), 0, (1,), grid, statics, PLAN)
 

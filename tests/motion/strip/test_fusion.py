@@ -10,10 +10,10 @@ from tests.motion.strips import (
     IFOV,
     PERIOD,
     SPEED,
+    given_bands,
     moved_by_turn,
     plain_star,
     strip_cameras,
-    told_bands,
 )
 
 from sightline.estimation.prior import Matern, Spectrum, Tone
@@ -231,7 +231,7 @@ def test_one_control_point_does_not_tie_yaw():
 
 def test_a_control_point_shares_the_offset_of_its_band():
     cameras = strip_cameras((0.0, 40.0))
-    parameters = band_statics(told_bands(["a", "b"], [1.0, 1.0], [0.0, 0.0]))
+    parameters = band_statics(given_bands(["a", "b"], [1.0, 1.0], [0.0, 0.0]))
     control = ControlSightings(
         np.array([[0.0, 100 * PERIOD * SPEED, 0.0]]),
         np.array([1.0]),

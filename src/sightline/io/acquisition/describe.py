@@ -139,7 +139,7 @@ def _duration(acquisition: Acquisition) -> float:
 
 
 def _from(lowest: float, bands: Passbands) -> Passbands:
-    """Bands less what lies below a frequency (Hz): less than a period is not told from a drift."""
+    """Bands less what lies below a frequency (Hz): less than a period looks like a drift."""
     return tuple((max(low, lowest), high) for low, high in bands if high > lowest)
 
 

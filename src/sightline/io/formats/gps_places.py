@@ -45,13 +45,13 @@ def places(t: Array, lonlat: Array, names: Sequence[str], table: str, warnings: 
     t : (n,)
         s; NaN of rows of no frame.
     lonlat : (n, 2 or more)
-        Longitude, latitude (degrees), NaN where not told.
+        Longitude, latitude (degrees), NaN where not given.
     names : sequence of str
         Of the frames, n.
     table : str
         Where they are from, for the messages.
     warnings : list of str
-        Is told what is left out.
+        What is left out is added to it.
 
     Returns
     -------
@@ -92,8 +92,8 @@ def exchanged(place: Array, other: Array) -> bool:
     """
     if abs(float(wrapped_degrees(place[:1])[0])) > 90.0:
         return False  # no latitude
-    as_told, turned = _apart(place, other), _apart(place[::-1], other)
-    return as_told > _FAR_APART and turned < _TOGETHER * as_told
+    as_given, turned = _apart(place, other), _apart(place[::-1], other)
+    return as_given > _FAR_APART and turned < _TOGETHER * as_given
 
 
 def _apart(place: Array, other: Array) -> float:

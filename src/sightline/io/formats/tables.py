@@ -350,7 +350,7 @@ def read_attitudes(path: Path) -> tuple[Array, Array]:
     ------
     FormatError
         If a quaternion is not of length 1; the commonest cause, a scalar that stands first, cannot
-        be told by length, so the header must say ``qx,qy,qz,qw``.
+        be seen by length, so the header must say ``qx,qy,qz,qw``.
     """
     table = read_columns(path, ATTITUDES)
     t = _matrix(table, ["t"])[:, 0]

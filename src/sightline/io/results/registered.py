@@ -122,7 +122,7 @@ def write_products(
     stack : bool
         One file, ``registered.tif``, in place of ``NAME.tif`` for each band.
     tell : callable
-        Told in words what is being done.
+        Called with what is being done, in words.
     """
     names, every = acquisition.names, range(len(acquisition.bands))
     parts = [list(every)] if stack else [[k] for k in every]

@@ -76,7 +76,7 @@ def frame_residuals(found: SequencePoses) -> Array:
 
 
 def write_frames_used(path: Path, sequence: FrameSequence, found: SequencePoses) -> None:
-    """``frames_used.csv``: what each frame told, why it was taken into the subset, why it told nothing."""
+    """``frames_used.csv``: what each frame gave, why it is of the subset, why it gave nothing."""
     count = len(found.source)
     tried = np.bincount(found.tracks.image, minlength=count)
     subset, overlap, parallax = (
@@ -156,16 +156,16 @@ def _datum(sequence: FrameSequence, found: SequencePoses) -> dict[str, dict[str,
 
 
 def _focal_length(sequence: FrameSequence, found: SequencePoses) -> dict[str, float | None] | None:
-    """px; what was found of the focal length, and what was told of it; None where it was kept."""
-    focal, told = found.poses.focal, sequence.problem.detector
+    """px; what was found of the focal length, and what was given; None where it was kept."""
+    focal, given = found.poses.focal, sequence.problem.detector
     if focal is None:
         return None
-    px = found.poses.detector(told).focal_length_px
+    px = found.poses.detector(given).focal_length_px
     return {
         "focal_length_px": px,
-        "sigma_px": told.focal_length_px * focal.sigma,
-        "told_px": told.focal_length_px,
-        "told_sigma_px": told.focal_length_px * focal.prior if math.isfinite(focal.prior) else None,
+        "sigma_px": given.focal_length_px * focal.sigma,
+        "told_px": given.focal_length_px,
+        "told_sigma_px": given.focal_length_px * focal.prior if math.isfinite(focal.prior) else None,
     }
 
 

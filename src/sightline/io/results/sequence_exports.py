@@ -111,8 +111,8 @@ def write_sequence_poses(
     turn[:3, :3] = pose_axes(sequence.world, problem.radii)[1].as_matrix().T
     focal = None
     if poses.focal is not None:
-        told = problem.detector.focal_length_px
-        row = np.append(told * turn @ poses.focal.with_bias, (told * poses.focal.sigma) ** 2)
+        given = problem.detector.focal_length_px
+        row = np.append(given * turn @ poses.focal.with_bias, (given * poses.focal.sigma) ** 2)
         focal = FocalLength(poses.detector(problem.detector).focal_length_px, frozen(row))
     write_pose_covariance(
         folder / "covariance.npz",

@@ -297,9 +297,9 @@ def _heights(problem: StereoProblem, result: StereoOrientation) -> dict[str, flo
     before = heights_of(planned_points(problem, ~result.rejected), problem.radii)
     moved = heights_of(result.points, problem.radii) - before
     sigma = height_sigmas(result.points, result.point_covariance, problem.radii)
-    known, told = moved[np.isfinite(moved)], sigma[np.isfinite(sigma)]
+    known, finite = moved[np.isfinite(moved)], sigma[np.isfinite(sigma)]
     return {
         "mean_change": float(known.mean()) if len(known) else math.nan,
         "rms_change": float(np.sqrt((known**2).mean())) if len(known) else math.nan,
-        "median_sigma": float(np.median(told)) if len(told) else math.nan,
+        "median_sigma": float(np.median(finite)) if len(finite) else math.nan,
     }

@@ -153,10 +153,10 @@ def _picture_names(stereo: Stereo) -> tuple[str, ...]:
         f"{problem.cameras[camera]}/{problem.shot_names[shot]:.0f}"
         for camera, shot in zip(images.camera, images.shot, strict=True)
     ]
-    told = list(names)
+    labels = list(names)
     if stereo.pictures is not None:
         for row, source in zip(stereo.pictures.image, stereo.pictures.sources, strict=True):
-            told[row] = source.path.name
-    if len(set(told)) < len(told):
-        told = names
-    return single_words(told)
+            labels[row] = source.path.name
+    if len(set(labels)) < len(labels):
+        labels = names
+    return single_words(labels)

@@ -27,8 +27,8 @@ from sightline.io.formats.angle_tables import (
 )
 from sightline.io.formats.tables import check_quaternions, header_of, read_columns
 from sightline.io.sequence.frames import FrameList
-from sightline.io.sequence.matched_rows import Told, in_time, matched, radii_of, sigmas_of
-from sightline.io.sequence.models import ToldPoses
+from sightline.io.sequence.matched_rows import GivenRows, in_time, matched, radii_of, sigmas_of
+from sightline.io.sequence.models import GivenPoses
 from sightline.io.sequence.schema import SequenceFile
 from sightline.io.sequence.times import read_timed
 from sightline.photogrammetry.block.point_priors import level_axes
@@ -43,34 +43,34 @@ _OFF_NADIR = np.radians(80.0)
 _GIMBAL_PITCH = -45.0
 
 
-def told_attitudes(
+def given_attitudes(
     file: SequenceFile,
     files: InputFolder,
     frames: FrameList,
     mount: Rotation,
     position: Array,
-    model: ToldPoses | None,
+    model: GivenPoses | None,
     warnings: list[str],
-) -> Told | None:
-    """Attitudes that are told (quaternions world_from_body of computation); None where there are none."""
+) -> GivenRows | None:
+    """Given attitudes (quaternions world_from_body of computation); None where there are none."""
     radii = radii_of(file)
     if file.attitudes is not None:
         path = files(file.attitudes)
-        told = _table_attitudes(file, path, frames, mount, position, warnings)
+        given = _table_attitudes(file, path, frames, mount, position, warnings)
     elif model is not None:
-        path, told = model.path, model.attitudes
+        path, given = model.path, model.attitudes
     elif frames.xmp:
-        path, told = frames.path, _gimbal_attitudes(file, frames, mount, position, warnings)
+        path, given = frames.path, _gimbal_attitudes(file, frames, mount, position, warnings)
     else:
         return None
-    if told is None:
+    if given is None:
         return None
-    down = -level_axes(position_at(frames.t, position, told.t), radii)[0]
-    looks = Rotation.from_quat(told.values).apply(mount.as_matrix()[:, 2])
+    down = -level_axes(position_at(frames.t, position, given.t), radii)[0]
+    looks = Rotation.from_quat(given.values).apply(mount.as_matrix()[:, 2])
     off = np.arccos(np.clip(np.einsum("ni,ni->n", down, looks), -1.0, 1.0))
     wrong = off > _OFF_NADIR
     gimbal = _gimbal_words(path) if file.attitudes is not None else ""
-    exchanged = exchanged_view_words(position_at(frames.t, position, told.t), looks, radii)
+    exchanged = exchanged_view_words(position_at(frames.t, position, given.t), looks, radii)
     if wrong.all():
         raise FormatError(
             f"{path}: by these attitudes the camera looks {np.degrees(np.median(off)):.0f} degrees "
@@ -85,12 +85,14 @@ def told_attitudes(
         warnings.append(f"{path.name}: {exchanged.removeprefix('; ')}")
     if wrong.any():
         name = (
-            frames.names[told.frame[wrong][0]] if told.frame[wrong][0] >= 0 else f"t = {told.t[wrong][0]:g}"
+            frames.names[given.frame[wrong][0]]
+            if given.frame[wrong][0] >= 0
+            else f"t = {given.t[wrong][0]:g}"
         )
         warnings.append(
             f"{path.name}: {int(wrong.sum())} attitudes look away from the ground (first: {name}): left out"
         )
-    return in_time(told.frame, told.t, told.values, told.sigma, ~wrong, common=told.common)
+    return in_time(given.frame, given.t, given.values, given.sigma, ~wrong, common=given.common)
 
 
 def _gimbal_words(path: Path) -> str:
@@ -118,7 +120,7 @@ def _table_attitudes(
     mount: Rotation,
     position: Array,
     warnings: list[str],
-) -> Told | None:
+) -> GivenRows | None:
     header = header_of(path)
     kind = kind_of_angles(path)
     with_sigma = [name for name in ATTITUDE_SIGMAS if name in header]
@@ -167,7 +169,7 @@ def _say_assumed(file: SequenceFile, warnings: list[str], count: int) -> None:
 
 def _gimbal_attitudes(
     file: SequenceFile, frames: FrameList, mount: Rotation, position: Array, warnings: list[str]
-) -> Told | None:
+) -> GivenRows | None:
     """Attitudes by the gimbals of photographs."""
     rows, turns = [], []
     for k, xmp in enumerate(frames.xmp):

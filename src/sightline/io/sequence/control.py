@@ -70,7 +70,7 @@ def control_of(
 def placed_by_control(
     images: Images, control: ControlPoints, seen: Tracks, detector: AreaDetector, mount: Rotation
 ) -> Images:
-    """Rough poses of which no place is told, put where control points are seen from.
+    """Rough poses of which no place is given, put where control points are seen from.
 
     Parameters
     ----------

@@ -116,7 +116,7 @@ def _focal_words(problem: SequenceProblem) -> str:
         f"along x {view[1]:.3g} across)"
     )
     if not sigma > 0.0:
-        return f"{said}, kept as told"
+        return f"{said}, kept as given"
     known = f"+- {sigma:.3g} px" if np.isfinite(sigma) else "to start from"
     return f"{said} {known}: it is found with the poses"
 
@@ -131,8 +131,8 @@ def _filter_words(problem: SequenceProblem) -> str:
         rows, columns = problem.mosaic_nm.shape
         return f"filter: a mosaic of {rows} x {columns}"
     if problem.channel_nm:
-        told = ", ".join(f"{nm:g} nm" for nm in problem.channel_nm)
-        return f"filter: {told} in the bands of each image"
+        names = ", ".join(f"{nm:g} nm" for nm in problem.channel_nm)
+        return f"filter: {names} in the bands of each image"
     return "no filter: panchromatic"
 
 
@@ -150,7 +150,7 @@ def _missing(sequence: FrameSequence) -> list[str]:
     if not np.isfinite(problem.known.attitude).any():
         said.append(
             "attitudes: none; georeference will begin with a model by pycolmap (extra sfm), and a bow of the "
-            "strip is told by positions and control points alone"
+            "strip is estimated from positions and control points alone"
         )
     if problem.height_sigma <= 0.0:
         said.append(

@@ -53,7 +53,7 @@ _NOT_REFINED = (
 _FILM_SIGMA = 0.1
 #: mm; diagonal of such film.
 _FILM_DIAGONAL = float(np.hypot(36.0, 24.0))
-#: Share of the frames whose middle may look beside the ground before that is told.
+#: Share of the frames whose middle may look beside the ground before a warning.
 _BESIDE_SHARE = 0.02
 
 
@@ -215,19 +215,19 @@ def _exchanged_words(
     radii = radii_of(file)
     if radii is None:
         return ()
-    told: dict[str, Array] = {}
+    places: dict[str, Array] = {}
     if file.world.frame == "local" and file.world.origin is not None:
-        told["[world] origin"] = np.array(file.world.origin[:2])
+        places["[world] origin"] = np.array(file.world.origin[:2])
     elif np.isfinite(images.position).all(axis=1).any():
-        told["the positions"] = _place(images.position, radii)
+        places["the positions"] = _place(images.position, radii)
     gps = np.array([place_of(exif, xmp)[0] for exif, xmp in zip(frames.exif, frames.xmp, strict=True)])
     if len(gps) and np.isfinite(gps[:, :2]).all(axis=1).any():
-        told["GPS of the photographs"] = np.nanmedian(gps[:, :2], axis=0)
+        places["GPS of the photographs"] = np.nanmedian(gps[:, :2], axis=0)
     if control is not None:
-        told["the control points"] = _place(control.position, radii)
+        places["the control points"] = _place(control.position, radii)
     if isinstance(surface, Dem) and surface.crs is not None:
-        told["the dem"] = _place(raster_corners(surface), surface.radii)
-    for (name, place), (other, there) in combinations(told.items(), 2):
+        places["the dem"] = _place(raster_corners(surface), surface.radii)
+    for (name, place), (other, there) in combinations(places.items(), 2):
         if exchanged(place, there):
             return (
                 f"{name} (longitude {place[0]:.5g}, latitude {place[1]:.5g}) and {other} (longitude "
@@ -360,12 +360,12 @@ def _ground(
         raise GeometryError(
             f"{files.toml}: no frame looks at the ground: by their rough poses all are below it, look "
             "away from it, or lie beside the dem; check z of the positions against [surface] height"
-            + ("" if _told_height(file) else " (not told: 0 m is taken)")
+            + ("" if _height_given(file) else " (not given: 0 m is taken)")
             + ", [world], and the mount"
             + (exchanged_words(surface, origins) if isinstance(surface, Dem) else "")
         )
     words = []
-    if not _told_height(file):
+    if not _height_given(file):
         above = "in z" if is_local(file) else "above the ellipsoid"
         words.append(
             f"[surface] tells no height of the ground: 0 m {above} is where the solution starts; heights are "
@@ -377,7 +377,7 @@ def _ground(
     return surface, tuple(words)
 
 
-def _told_height(file: SequenceFile) -> bool:
+def _height_given(file: SequenceFile) -> bool:
     """Whether the file says how high the ground is."""
     return file.surface.dem is not None or "height" in file.surface.model_fields_set
 

@@ -26,7 +26,7 @@ SAME_TIME = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
+class GivenRows:
     """Values of a table at their times, before they are carried to the frames.
 
     Attributes
@@ -61,21 +61,21 @@ def radii_of(file: SequenceFile) -> tuple[float, float] | None:
     return None if is_local(file) else (file.surface.radii or WGS84)
 
 
-def along(t: Array, told: Told) -> Array:
+def along(t: Array, given: GivenRows) -> Array:
     """Values (M, k) at times `t`: linear between rows, straight on beyond the ends."""
-    if len(told.t) == 1:
-        return np.tile(told.values, (len(t), 1))
-    k = np.clip(np.searchsorted(told.t, t, side="right"), 1, len(told.t) - 1)
-    part = ((t - told.t[k - 1]) / (told.t[k] - told.t[k - 1]))[:, None]
-    return np.asarray((1.0 - part) * told.values[k - 1] + part * told.values[k])
+    if len(given.t) == 1:
+        return np.tile(given.values, (len(t), 1))
+    k = np.clip(np.searchsorted(given.t, t, side="right"), 1, len(given.t) - 1)
+    part = ((t - given.t[k - 1]) / (given.t[k] - given.t[k - 1]))[:, None]
+    return np.asarray((1.0 - part) * given.values[k - 1] + part * given.values[k])
 
 
-def slerp_along(t: Array, told: Told) -> Rotation:
+def slerp_along(t: Array, given: GivenRows) -> Rotation:
     """Attitudes at times `t` of quaternions: the shortest turn between rows, the nearest beyond the ends."""
-    attitude = Rotation.from_quat(told.values)
-    if len(told.t) == 1:
+    attitude = Rotation.from_quat(given.values)
+    if len(given.t) == 1:
         return Rotation.concatenate([attitude] * len(t))
-    return Slerp(told.t, attitude)(np.clip(t, told.t[0], told.t[-1]))
+    return Slerp(given.t, attitude)(np.clip(t, given.t[0], given.t[-1]))
 
 
 def matched(path: Path, frames: FrameList, names: tuple[str, ...], t: Array | None) -> tuple[Index, Array]:
@@ -116,7 +116,7 @@ def in_time(
     axes: Array | None = None,
     *,
     common: bool = False,
-) -> Told | None:
+) -> GivenRows | None:
     """Kept rows in the order of their times; None where there are none."""
     rows = np.flatnonzero(kept & np.isfinite(t))
     rows = rows[np.argsort(t[rows], kind="stable")]
@@ -124,7 +124,7 @@ def in_time(
     if not len(rows):
         return None
     axes = None if axes is None else axes[rows]
-    return Told(frame[rows], t[rows], values[rows], sigma[rows], axes, common)
+    return GivenRows(frame[rows], t[rows], values[rows], sigma[rows], axes, common)
 
 
 def sigmas_of(

@@ -26,7 +26,7 @@ from sightline.io.formats.colmap import colmap_files, read_colmap_model
 from sightline.io.formats.opensfm import read_opensfm
 from sightline.io.formats.tables import header_of, read_columns
 from sightline.io.sequence.frames import FrameList
-from sightline.io.sequence.matched_rows import Told, in_time, matched, radii_of
+from sightline.io.sequence.matched_rows import GivenRows, in_time, matched, radii_of
 from sightline.io.sequence.schema import SequenceFile
 
 Array = NDArray[np.float64]
@@ -69,23 +69,23 @@ class PoseModel:
 
 
 @dataclass(frozen=True, eq=False)
-class ToldPoses:
+class GivenPoses:
     """Positions (m) and attitudes (world_from_body quaternions) of frames, axes of computation.
 
     Attributes
     ----------
     path : Path
-    positions, attitudes : Told or None
+    positions, attitudes : GivenRows or None
     """
 
     path: Path
-    positions: Told | None
-    attitudes: Told | None
+    positions: GivenRows | None
+    attitudes: GivenRows | None
 
 
-def told_poses(
+def given_poses(
     file: SequenceFile, files: InputFolder, frames: FrameList, mount: Rotation, warnings: list[str]
-) -> ToldPoses | None:
+) -> GivenPoses | None:
     """Poses of the frames that the model `file` names has; None where it names none.
 
     Raises
@@ -112,7 +112,7 @@ def told_poses(
     sigma = np.ones((len(frame), 3))
     positions = in_time(frame, t, position, file.position_sigma * sigma, kept, common=True)
     attitudes = in_time(frame, t, body, file.attitude_sigma * sigma, kept, common=True)
-    return ToldPoses(path, positions, attitudes)
+    return GivenPoses(path, positions, attitudes)
 
 
 def _names_of_files(names: tuple[str, ...], frames: FrameList) -> tuple[str, ...]:

@@ -25,7 +25,7 @@ from sightline.photogrammetry.flight.outlook import (
 )
 from sightline.photogrammetry.flight.problem import SequenceProblem
 
-#: Share of a frame that successive frames have to share for displacements to be told.
+#: Share of a frame that successive frames have to share for displacements to be measured.
 LEAST_OVERLAP = 0.5
 #: The same below which frames are not surely followed, and features link them: of rendered flights all frames
 #: were followed at 75 %, nine in ten at 70 %, two thirds at 65 %, few at 60 %.
@@ -112,7 +112,7 @@ def map_words(sequence: FrameSequence) -> list[str]:
         return [f"size of the maps: not known by the rough poses: {error}"]
     bands = f"about {len(layout)} bands" if len(layout) != 1 else "1 band"
     if not np.isfinite(problem.known.position).any():
-        return [f"maps of {bands}; their size is known once control points have told the flying height"]
+        return [f"maps of {bands}; their size is known once control points have given the flying height"]
     rows, columns = grid.shape
     size = 4.0 * rows * columns * len(layout) * len(cube.formats)
     return [
@@ -148,7 +148,7 @@ def program_words(sequence: FrameSequence) -> list[str]:
     overlap = overlap_of(problem)
     why = []
     if not np.isfinite(problem.known.attitude).any():
-        why.append("no attitudes are told")
+        why.append("no attitudes are given")
     if overlap is not None and overlap.usual < LEAST_FOLLOWED:
         why.append(f"successive frames share {overlap.usual:.0%}, where they cannot be followed")
     if why and find_spec("pycolmap") is None:

@@ -17,11 +17,11 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError
 from sightline.io.acquisition.acquired import InputFolder
-from sightline.io.sequence.attitudes import told_attitudes
+from sightline.io.sequence.attitudes import given_attitudes
 from sightline.io.sequence.frames import FrameList
-from sightline.io.sequence.matched_rows import Told, along, radii_of, slerp_along
-from sightline.io.sequence.models import told_poses
-from sightline.io.sequence.positions import told_positions
+from sightline.io.sequence.matched_rows import GivenRows, along, radii_of, slerp_along
+from sightline.io.sequence.models import given_poses
+from sightline.io.sequence.positions import given_positions
 from sightline.io.sequence.schema import SequenceFile
 from sightline.photogrammetry.block.point_priors import ControlPoints, level_axes
 from sightline.photogrammetry.flight.poses import RoughPoses
@@ -58,8 +58,8 @@ def starting_poses(
 ) -> StartingPoses:
     """Rough poses of all frames; FormatError where a table is wrong or nothing is known at all."""
     warnings: list[str] = []
-    model = told_poses(file, files, frames, mount, warnings)
-    placed = told_positions(file, files, frames, model, warnings)
+    model = given_poses(file, files, frames, mount, warnings)
+    placed = given_positions(file, files, frames, model, warnings)
     radii = radii_of(file)
     count = len(frames.names)
     if placed is None:
@@ -73,7 +73,7 @@ def starting_poses(
     else:
         position, position_sigma = along(frames.t, placed), _sigma_of(placed, count)
         _say_how_many(warnings, position_sigma, "position")
-    turned = told_attitudes(file, files, frames, mount, position, model, warnings)
+    turned = given_attitudes(file, files, frames, mount, position, model, warnings)
     guess = track_attitude(frames.t, position, position_sigma, radii)
     if turned is None:
         attitude, attitude_sigma = guess, np.full((count, 3), np.inf)
@@ -117,7 +117,7 @@ def check_places(path: Path, known: RoughPoses, control: ControlPoints | None, h
     if places == 0:
         raise FormatError(
             f"{path}: no frame has a position, and there are no control points: where the path lies and how "
-            f"large it is cannot be told from frames alone; give {_PLACES}, or control points"
+            f"large it is is not observable from frames alone; give {_PLACES}, or control points"
         )
     if places == 1 and not height_sigma > 0.0:
         raise FormatError(
@@ -127,10 +127,10 @@ def check_places(path: Path, known: RoughPoses, control: ControlPoints | None, h
         )
 
 
-def _bias_sigma(told: float | None, rows: Told | None) -> float:
-    """1-sigma of a constant error: as told; else as large as the rows' own where their errors are common."""
-    if told is not None:
-        return told
+def _bias_sigma(given: float | None, rows: GivenRows | None) -> float:
+    """1-sigma of a constant error: as given; else as large as the rows' own where their errors are common."""
+    if given is not None:
+        return given
     if rows is None or not rows.common:
         return 0.0
     return float(np.median(rows.sigma.max(axis=1)))
@@ -149,20 +149,20 @@ def _anywhere(file: SequenceFile, count: int) -> Array:
     return np.tile([0.0, 0.0, file.surface.height + _ANY_HEIGHT], (count, 1))
 
 
-def _sigma_of(told: Told, count: int) -> Array:
+def _sigma_of(given: GivenRows, count: int) -> Array:
     sigma = np.full((count, 3), np.inf)
-    own = told.frame >= 0
-    sigma[told.frame[own]] = told.sigma[own]
+    own = given.frame >= 0
+    sigma[given.frame[own]] = given.sigma[own]
     return sigma
 
 
-def _axes_of(told: Told | None, count: int) -> Array | None:
+def _axes_of(given: GivenRows | None, count: int) -> Array | None:
     """Axes (M, 3, 3) of the sigmas of all frames; of those without a row it does not matter."""
-    if told is None or told.axes is None:
+    if given is None or given.axes is None:
         return None
     axes = np.tile(np.eye(3), (count, 1, 1))
-    own = told.frame >= 0
-    axes[told.frame[own]] = told.axes[own]
+    own = given.frame >= 0
+    axes[given.frame[own]] = given.axes[own]
     return axes
 
 

@@ -21,26 +21,26 @@ from sightline.io.formats.odm import read_geo
 from sightline.io.formats.tables import header_of
 from sightline.io.formats.xmp import Xmp
 from sightline.io.sequence.frames import PAUSE, FrameList
-from sightline.io.sequence.matched_rows import Told, in_time, is_local, matched, radii_of, sigmas_of
-from sightline.io.sequence.models import ToldPoses
+from sightline.io.sequence.matched_rows import GivenRows, in_time, is_local, matched, radii_of, sigmas_of
+from sightline.io.sequence.models import GivenPoses
 from sightline.io.sequence.schema import SequenceFile
 from sightline.io.sequence.times import read_timed
 
 Array = NDArray[np.float64]
 
-#: s, 1-sigma of a time that is told to the second; times the positions' sigma from which on that matters.
+#: s, 1-sigma of a time that is given to the second; times the positions' sigma from which on that matters.
 _SECOND_SIGMA, _FAST = 0.3, 2.0
 POSITION_SIGMAS = ("sigma_x", "sigma_y", "sigma_z")
 
 
-def told_positions(
+def given_positions(
     file: SequenceFile,
     files: InputFolder,
     frames: FrameList,
-    model: ToldPoses | None,
+    model: GivenPoses | None,
     warnings: list[str],
-) -> Told | None:
-    """Positions that are told, in the axes of computation; None where there are none."""
+) -> GivenRows | None:
+    """Given positions in the axes of computation; None where there are none."""
     if file.positions is not None:
         return _table_positions(file, files(file.positions), frames, warnings)
     if file.geo is not None:
@@ -52,7 +52,9 @@ def told_positions(
     return None
 
 
-def _table_positions(file: SequenceFile, path: Path, frames: FrameList, warnings: list[str]) -> Told | None:
+def _table_positions(
+    file: SequenceFile, path: Path, frames: FrameList, warnings: list[str]
+) -> GivenRows | None:
     header = header_of(path)
     with_sigma = [name for name in POSITION_SIGMAS if name in header]
     if with_sigma and len(with_sigma) < 3:
@@ -94,7 +96,7 @@ def _geodetic(file: SequenceFile, lonlat: Array) -> Array:
 
 
 def _with_heights(file: SequenceFile, lonlat: Array, place: str) -> Array:
-    """Heights that are not told are `altitude`."""
+    """Heights that are not given are `altitude`."""
     none = ~np.isfinite(lonlat[:, 2])
     if none.any() and file.altitude is None:
         raise FormatError(
@@ -105,7 +107,9 @@ def _with_heights(file: SequenceFile, lonlat: Array, place: str) -> Array:
     return np.column_stack([lonlat[:, :2], np.where(none, file.altitude or 0.0, lonlat[:, 2])])
 
 
-def _geo_positions(file: SequenceFile, path: Path, frames: FrameList, warnings: list[str]) -> Told | None:
+def _geo_positions(
+    file: SequenceFile, path: Path, frames: FrameList, warnings: list[str]
+) -> GivenRows | None:
     geo = read_geo(path)
     frame, t = matched(path, frames, geo.names, None)
     if geo.angles:
@@ -149,17 +153,17 @@ def _say_whole_seconds(
     moved = np.linalg.norm(np.diff(position[rows], axis=0), axis=1)
     usual = step <= PAUSE
     speed = float(moved[usual].sum() / step[usual].sum()) if step[usual].sum() > 0.0 else 0.0
-    off, told = speed * _SECOND_SIGMA, float(np.median(sigma[rows]))
-    if off > _FAST * told:
+    off, typical = speed * _SECOND_SIGMA, float(np.median(sigma[rows]))
+    if off > _FAST * typical:
         warnings.append(
             f"the photographs' stamps are whole seconds, the camera flies at {speed:.3g} m/s: the stamp "
             f"alone leaves {off:.2g} m along the flight uncertain ({_SECOND_SIGMA:g} s x speed), beyond the "
-            f"{told:.3g} m that positions are taken to be good to; a GPS that is read once a second is off "
+            f"{typical:.3g} m that positions are assumed good to; a GPS that is read once a second is off "
             f"likewise: position_sigma = {off:.2g} if so, or a table of frames with finer times"
         )
 
 
-def _exif_positions(file: SequenceFile, frames: FrameList, warnings: list[str]) -> Told | None:
+def _exif_positions(file: SequenceFile, frames: FrameList, warnings: list[str]) -> GivenRows | None:
     """GPS of photographs."""
     if is_local(file):
         warnings.append('[world] frame = "local" without origin: GPS of the photographs is not used')
@@ -200,7 +204,7 @@ def _exif_positions(file: SequenceFile, frames: FrameList, warnings: list[str]) 
 
 
 def place_of(exif: Exif | None, xmp: Xmp | None) -> tuple[tuple[float, float, float], bool]:
-    """Longitude, latitude (degrees), height of a photograph, NaN where not told; whether a sign was XMP's."""
+    """Longitude, latitude (degrees), height of a photograph, NaN where missing; whether a sign was XMP's."""
     if exif is None or exif.longitude_deg is None or exif.latitude_deg is None:
         return (np.nan, np.nan, np.nan), False
     lon, lat = exif.longitude_deg, exif.latitude_deg

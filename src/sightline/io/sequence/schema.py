@@ -68,7 +68,7 @@ def _in_nm(value: float) -> float:
 Wavelength = Annotated[float, Within(1e-3, 1e6, "nm"), AfterValidator(_in_nm)]
 #: Lines of a frame, and bands of its maps (imaging spectrometers have 500).
 MOST_LINES, MOST_BANDS = 100_000, 4096
-#: Ways of telling the wavelengths of a filter along the lines, told apart before they are judged.
+#: Ways of giving the wavelengths of a filter along the lines, distinguished before they are checked.
 _LIST, _RANGE, _HEADER = "as-list", "as-range", "as-header"
 
 
@@ -144,7 +144,7 @@ class SequenceCamera(FrameCameraSection):
         filters = [k for k in ("wavelength_nm", "mosaic_nm", "channel_nm") if getattr(self, k) is not None]
         if len(filters) > 1:
             raise ValueError(
-                f"{' and '.join(filters)} are given; keep one of them: a filter is told per line, as a "
+                f"{' and '.join(filters)} are given; keep one of them: a filter is given per line, as a "
                 "mosaic, or per band of the image"
             )
         self._filter_fits()

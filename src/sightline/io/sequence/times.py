@@ -60,7 +60,7 @@ def read_timed(
         return read_columns(path, columns, text, infinite)
     if epoch is None:
         raise FormatError(
-            f"{path}: its times are UTC, those of the frames seconds from an epoch that is not told; add "
+            f"{path}: its times are UTC, those of the frames seconds from an epoch that is not given; add "
             '[sequence] epoch = "..." (UTC of t = 0)'
         )
     table = read_columns(path, columns, (*text, "t"), infinite)

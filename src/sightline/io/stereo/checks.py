@@ -43,7 +43,7 @@ def check_baseline(path: Path, names: Sequence[str], images: Images, sigma: floa
     if largest <= least:
         raise FormatError(
             f"{path}: no baseline: {who} {largest:.4g} m at most, within the noise of positions "
-            f"({sigma:g} m, 1-sigma); attitude errors of cameras at one place cannot be told apart: check "
+            f"({sigma:g} m, 1-sigma); attitude errors of cameras at one place cannot be distinguished: check "
             'x, y, z (m; degrees with [world] frame = "lonlat" alone), '
             "and that rows of one camera are not given twice"
         )
@@ -107,7 +107,7 @@ def check_directions(path: Path, names: Sequence[str], camera: Index, meeting: M
 def check_enough(
     path: Path, cameras: int, tracks: Tracks, points: int, *, control: int = 0, heights: bool = False
 ) -> None:
-    """Refuse fewer points than there are angles to be told.
+    """Refuse fewer points than there are angles to estimate.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def check_spread(path: Path, camera: Index, tracks: Tracks) -> None:
         raise EstimationError(
             f"{path}: all points lie on one line in the images, to {across.max():.2g} px: turning about it "
             "cannot "
-            "be told from a turn of the camera; give points over the whole frame, in both directions"
+            "be distinguished from a turn of the camera; give points over the whole frame, in both directions"
         )
 
 

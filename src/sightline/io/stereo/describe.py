@@ -18,7 +18,7 @@ from sightline.io.stereo.load import Stereo
 
 Array = NDArray[np.float64]
 
-#: rad of convergence below which heights, and with them pitch, are told badly.
+#: rad of convergence below which heights, and with them pitch, are badly observable.
 NARROW = np.radians(5.0)
 #: Share of the frame that points should span for yaw.
 SPAN = 0.5
@@ -124,7 +124,7 @@ def _consequences(problem: StereoProblem) -> list[str]:
     share = _span(problem)
     if share is not None and share < SPAN:
         said.append(
-            f"points span {100 * share:.0f} % of the frame: yaw is told by that span; spread them over all "
+            f"points span {100 * share:.0f} % of the frame: yaw depends on that span; spread them over all "
             "of it"
         )
     return said or ["roll and pitch by the poses of many shots; yaw by points over the whole frame and time"]

@@ -48,7 +48,7 @@ LARGEST_ATTITUDE_SIGMA = 0.05
 #: Shots of a pass, spacecraft (constellations of 200 fly), points of a shot: each, with the others few.
 MOST_SHOTS, MOST_CAMERAS, MOST_POINTS = 100_000, 1000, 1_000_000
 
-#: One table for all cameras or a list of tables, told apart before they are judged.
+#: One table for all cameras or a list of tables, distinguished before they are checked.
 _ONE, _EACH = "as-table", "as-list"
 
 

@@ -32,7 +32,7 @@ Electrons = Annotated[float, Within(1e-3, 4.29e9, "electrons", "32 bits count th
 NoiseElectrons = Annotated[float, Within(1e-6, 1e9, "electrons", zero=True)]
 #: Of gains: detectors are flat to 1e-4 at best, their variance to 1e-8.
 RelativeVariance = Annotated[float, Within(1e-16, 100.0, "", zero=True)]
-#: A list or a range in its place, told apart before they are judged: messages are about what was meant.
+#: A list or a range in its place, distinguished before they are checked: messages are about what was meant.
 _LIST, _RANGE = "as-list", "as-range"
 
 
