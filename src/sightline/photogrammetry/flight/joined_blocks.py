@@ -371,10 +371,10 @@ def join_blocks(
         found = whole.forward()
         if found.cost > last * (1.0 + _RISE):
             break
-        known = observability(found.information, whole.unknowns.names, np.inf)
-        step = known.solve(found.right)
+        equations = observability(found.information, whole.unknowns.names, np.inf)
+        step = equations.solve(found.right)
         if found.decrease + float(found.right @ step) < _CONVERGED:
-            return _poses(whole, found, known.covariance(), start)
+            return _poses(whole, found, equations.covariance(), start)
         whole.take(found.factor, step)
         last = found.cost
         if progress is not None:
