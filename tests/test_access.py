@@ -86,9 +86,9 @@ def test_what_other_libraries_raise_over_a_file_names_the_file(what):
 
     with pytest.raises(
         FormatError, match=rf"^a/b: cannot be read as a sensor model \(.*{FOREIGN[what]}"
-    ) as told:
+    ) as raised:
         reader("a/b")
-    assert told.value.__cause__ is not None and len(str(told.value).splitlines()) == 1
+    assert raised.value.__cause__ is not None and len(str(raised.value).splitlines()) == 1
 
 
 @pytest.mark.parametrize("error", [KeyboardInterrupt, SystemExit, UnobservableBandWarning])
@@ -105,9 +105,9 @@ def test_our_own_errors_pass_and_those_of_array_checks_get_the_file():
 
 
 def test_a_long_word_of_another_library_is_cut():
-    with pytest.raises(FormatError) as told, foreign_errors("a/b", "cannot be read", "look"):
+    with pytest.raises(FormatError) as raised, foreign_errors("a/b", "cannot be read", "look"):
         raise ValueError("x\n" * 10_000)
-    assert len(str(told.value)) < 400 and "\n" not in str(told.value)
+    assert len(str(raised.value)) < 400 and "\n" not in str(raised.value)
 
 
 def test_numpy_does_not_warn_of_what_is_read():

@@ -1,4 +1,4 @@
-"""``sightline georeference`` of a camera whose focal length is told wrong: every file has the one found."""
+"""``sightline georeference`` of a camera whose given focal length is wrong: every file has the one found."""
 
 from __future__ import annotations
 
@@ -36,16 +36,18 @@ def done(flight):
     return out
 
 
-def test_what_is_told_is_wrong_and_how_well_it_is_known(flight):
+def test_what_is_given_is_wrong_and_how_well_it_is_known(flight):
     problem = load_sequence(flight / "sequence.toml")
-    told = problem.detector.focal_length_px
-    assert told == pytest.approx(250.0 / 1.02) and problem.focal_length_sigma_px == pytest.approx(0.02 * told)
+    given = problem.detector.focal_length_px
+    assert given == pytest.approx(250.0 / 1.02) and problem.focal_length_sigma_px == pytest.approx(
+        0.02 * given
+    )
     assert (flight / "truth-focal.csv").read_text() == "camera,focal_length_px\n1,250.0\n"
 
 
 def test_the_summary_and_the_covariances_have_it(done):
     focal = json.loads((done / "summary.json").read_text())["focal_length"]
-    # the flying height is told to 0.1 m of 80 m and less, a trend of pitch over the short flight to 0.1 deg
+    # the flying height is given to 0.1 m of 80 m and less, a trend of pitch over the short flight to 0.1 deg
     assert focal["sigma_px"] < 0.5 * focal["told_sigma_px"]
     assert abs(focal["focal_length_px"] - 250.0) < 4.0 * focal["sigma_px"]
     kept = read_pose_covariance(done / "covariance.npz").focal_length

@@ -259,12 +259,12 @@ def test_a_score_for_people_has_the_numbers_of_the_json(flight, done, capsys):
         entry = score["by_source"]["estimated"][name]
         factor = 1.0 if k < 3 else np.degrees(1.0)
         assert (parameter, unit) == (name, "m" if k < 3 else "deg")
-        told = [float(number.rstrip("%")) for number in numbers]
+        printed = [float(number.rstrip("%")) for number in numbers]
         expected = [factor * entry["rms"], factor * entry["max"], factor * entry["sigma"]]
         # three figures, two digits, whole per cent
-        assert told[:3] == pytest.approx(expected, rel=5e-3)
-        assert told[3] == pytest.approx(entry["nees"], abs=5e-3)
-        assert told[4] == pytest.approx(100.0 * entry["coverage_95"], abs=0.5)
+        assert printed[:3] == pytest.approx(expected, rel=5e-3)
+        assert printed[3] == pytest.approx(entry["nees"], abs=5e-3)
+        assert printed[4] == pytest.approx(100.0 * entry["coverage_95"], abs=0.5)
     assert any(line.startswith("interpolated (1)") for line in lines)
 
 

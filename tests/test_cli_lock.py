@@ -20,7 +20,7 @@ from sightline.errors import InputError
 from sightline.output import lock
 from sightline.output.lock import LOCK, take
 
-#: Holds a folder until it is told to end, and says when it does.
+#: Holds a folder until it is asked to end, and says when it does.
 HOLDER = textwrap.dedent("""
     import sys
     from pathlib import Path
@@ -89,8 +89,8 @@ def test_a_lock_that_nobody_holds_is_taken_over(tmp_path, capsys, left, said):
     (tmp_path / LOCK).write_text(left, encoding="latin-1")
     with output_folder(tmp_path):
         pass
-    told = capsys.readouterr().err
-    assert said in told and "is taken over" in told and len(told.splitlines()) == 1
+    printed = capsys.readouterr().err
+    assert said in printed and "is taken over" in printed and len(printed.splitlines()) == 1
     assert not list(tmp_path.iterdir())
 
 

@@ -216,7 +216,7 @@ def test_the_words_and_the_json(given, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["method"] == "ml-pair"
 
 
-def test_one_pair_is_told_to_hide_a_direction(tmp_path, capsys):
+def test_one_pair_is_reported_to_hide_a_direction(tmp_path, capsys):
     made = scene(shots=1, points=60)
     path = made.write(tmp_path)
     out = tmp_path / "out"
@@ -306,7 +306,7 @@ def test_the_schema_is_printed(capsys):
     assert "matches" in json.loads(capsys.readouterr().out)["properties"]
 
 
-def test_wrong_use_is_told_and_leaves_nothing(given, tmp_path, capsys):
+def test_wrong_use_is_reported_and_leaves_nothing(given, tmp_path, capsys):
     path, out = str(given[1] / "stereo.toml"), tmp_path / "out"
     cases = [
         (["orient", path, "--out", str(out), "--raw"], 2, "--raw belongs to --method epipolar"),
@@ -382,7 +382,7 @@ def test_a_prediction_is_not_scored(given, tmp_path, capsys):
         (lambda f: table(f / "orientation.csv", ["camera", "roll"], [[1, 2]]), "column 'pitch' is missing"),
     ],
 )
-def test_a_score_that_cannot_be_is_told(done, given, tmp_path, capsys, spoil, message):
+def test_a_score_that_cannot_be_is_reported(done, given, tmp_path, capsys, spoil, message):
     for name in ("orientation.csv", "covariance.csv"):
         shutil.copy(done / name, tmp_path / name)
     shutil.copy(given[1] / "orientation-truth.csv", tmp_path / "truth.csv")
@@ -498,7 +498,7 @@ def test_strips_of_push_broom_cameras(strips, capsys):
         ("sigma_px", 'attitude_knowledge = "from-position"\nsigma_px', "is for frames"),
     ],
 )
-def test_strips_that_cannot_be_are_told(strips, capsys, old, new, message):
+def test_strips_that_cannot_be_are_reported(strips, capsys, old, new, message):
     path = strips / "stereo.toml"
     path.write_text(STRIPS.replace(old, new))
     assert run(["orient", str(path), "--out", str(strips / "out")]) == 2
@@ -554,8 +554,8 @@ def test_a_prediction_without_matches_takes_the_noise_of_the_file(tmp_path, caps
     # poses are exact: all that is not known comes from the images, and grows in proportion
     exact = made.toml.replace("sigma_position = 1.0", "sigma_position = 0").replace("= 1e-6", "= 0")
 
-    def bound(name, told):
-        made.toml = exact.replace("sigma_px = 0.1\n", told)
+    def bound(name, keys):
+        made.toml = exact.replace("sigma_px = 0.1\n", keys)
         path = str(made.write(tmp_path / name))
         assert run(["orient", path, "--predict", "--out", str(tmp_path / name / "out"), "--json"]) == 0
         summary = json.loads(capsys.readouterr().out)

@@ -55,7 +55,7 @@ def test_points_are_found_and_the_angles_are_those_put_in(pass_, capsys):
     assert "camera-1-shot-000.tif" in images
 
 
-def test_pictures_without_common_texture_are_told_in_the_words_of_the_file(pass_, tmp_path, capsys):
+def test_pictures_without_common_texture_are_reported_in_the_words_of_the_file(pass_, tmp_path, capsys):
     rng = np.random.default_rng(8)
     for name in ("stereo.toml", "cameras.csv", "images.csv"):
         shutil.copy(pass_ / name, tmp_path / name)

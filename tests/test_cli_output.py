@@ -389,7 +389,7 @@ def test_a_date_that_is_none_is_refused_before_the_block(tmp_path, monkeypatch):
         raise AssertionError("the block was begun")
 
 
-def test_a_signal_after_the_result_has_its_names_is_told_as_that(tmp_path, monkeypatch, capsys):
+def test_a_signal_after_the_result_has_its_names_is_reported_as_that(tmp_path, monkeypatch, capsys):
     from sightline.cli import main
 
     def late(words, **options):
@@ -471,7 +471,7 @@ STALE = ["stale.csv"]
 def killed(folder, step, overwrite):
     """Steps on the disk of a run in a process of its own, which was killed at a `step` unless it is 0."""
     steps = 0
-    told, tell = os.pipe()
+    heard, tell = os.pipe()
     child = os.fork()
     if child == 0:
 
@@ -492,7 +492,7 @@ def killed(folder, step, overwrite):
         os.write(tell, str(steps).encode())
         os._exit(0)
     os.close(tell)
-    with os.fdopen(told) as pipe:
+    with os.fdopen(heard) as pipe:
         said = pipe.read()
     assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == (-signal.SIGKILL if step else 0)
     return int(said or 0)

@@ -27,8 +27,8 @@ def test_the_file_beside_a_scene_makes_it_again(tmp_path, family, capsys):
     kind, *words = SCENES[family].split()
     first, second = tmp_path / "first", tmp_path / "second"
     assert run(["simulate", kind, *words, "--seed", "7", "--out", str(first), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["kind"] == kind and told["seed"] == 7 and "scene.toml" in told["files"]
+    said = json.loads(capsys.readouterr().out)
+    assert said["kind"] == kind and said["seed"] == 7 and "scene.toml" in said["files"]
     scene = first / "scene.toml"
     assert tomllib.loads(scene.read_text())["seed"] == 7
     assert run(["simulate", kind, "--scene", str(scene), "--out", str(second)]) == 0

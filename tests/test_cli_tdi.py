@@ -116,7 +116,7 @@ def test_the_table_says_what_the_choice_says(done):
             assert abs(ratio[s, column] - float(row["integration_ratio"])) <= 0.2 + 1e-9
 
 
-def test_what_the_patents_form_would_lose_is_told_last(done):
+def test_what_the_patents_form_would_lose_is_reported_last(done):
     warnings = json.loads((done / "summary.json").read_text())["warnings"]
     said = "the form of EP2733929 would lose up to"
     assert warnings[-1].startswith(said) and not any(said in warning for warning in warnings[:-1])
@@ -140,7 +140,7 @@ def test_what_decided_is_drawn_where_a_limit_did(toml, tmp_path, done):
     assert set(json.loads((tmp_path / "out" / "summary.json").read_text())["limits"]) > {"none"}
 
 
-def test_a_jump_between_neighbouring_columns_is_told(tmp_path, capsys):
+def test_a_jump_between_neighbouring_columns_is_reported(tmp_path, capsys):
     # in step at one column, slipping by a cycle over some 20 stages at the next
     (tmp_path / "columns.csv").write_text("column,scan_velocity,slip\n0,1.0,0.0\n1,1.0,0.05\n")
     path = tmp_path / "tdi.toml"
@@ -151,7 +151,7 @@ def test_a_jump_between_neighbouring_columns_is_told(tmp_path, capsys):
     assert "hysteresis" in said and "max_step" in said
 
 
-def test_hysteresis_is_told(toml, tmp_path):
+def test_hysteresis_is_reported(toml, tmp_path):
     toml.write_text(TEXT + "[choice]\nhysteresis = 0.05\nmax_step = 8\n")
     assert run(["tdi", str(toml), "--no-pictures", "--out", str(tmp_path / "out")]) == 0
     steady = json.loads((tmp_path / "out" / "summary.json").read_text())["steady"]

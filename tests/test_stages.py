@@ -84,20 +84,20 @@ def test_damaged_and_foreign_files_are_passed_over_with_a_warning(tmp_path, dama
         path.write_bytes(b"")
     else:
         np.savez(path, fingerprint=np.array("0"), numbers=np.zeros(3))
-    told: list[str] = []
-    stages = Stages(tmp_path, told.append)
+    said: list[str] = []
+    stages = Stages(tmp_path, said.append)
     assert same(stages.stage("one", Result, result), result())
-    assert stages.computed == ["one"] and len(told) == 1
-    assert "one.stage.npz is passed over" in told[0] and "done again" in told[0]
+    assert stages.computed == ["one"] and len(said) == 1
+    assert "one.stage.npz is passed over" in said[0] and "done again" in said[0]
 
 
 def test_a_folder_that_cannot_be_written_stops_nothing(tmp_path):
     (tmp_path / "kept").write_text("a file")
-    told: list[str] = []
-    stages = Stages(tmp_path / "kept", told.append)
+    said: list[str] = []
+    stages = Stages(tmp_path / "kept", said.append)
     for name in ("one", "two"):
         assert same(stages.stage(name, Result, result), result())
-    assert len(told) == 1 and "stages are not kept" in told[0]
+    assert len(said) == 1 and "stages are not kept" in said[0]
 
 
 @pytest.mark.parametrize("name", ["one.stage.npz", "one.stage.npz.tmp"])
@@ -107,13 +107,13 @@ def test_links_among_stages_are_neither_read_nor_written_through(tmp_path, name)
     before = (elsewhere / "one.stage.npz").read_bytes()
     (tmp_path / "kept").mkdir()
     (tmp_path / "kept" / name).symlink_to(elsewhere / "one.stage.npz")
-    told: list[str] = []
-    stages = Stages(tmp_path / "kept", told.append)
+    said: list[str] = []
+    stages = Stages(tmp_path / "kept", said.append)
     assert same(stages.stage("one", Result, result), result()) and stages.computed == ["one"]
     assert (elsewhere / "one.stage.npz").read_bytes() == before
     assert not (tmp_path / "kept" / "one.stage.npz").is_symlink()
     assert [path.name for path in (tmp_path / "kept").iterdir()] == ["one.stage.npz"]
-    assert len(told) == (not name.endswith("tmp")) and all("is a link" in words for words in told)
+    assert len(said) == (not name.endswith("tmp")) and all("is a link" in words for words in said)
 
 
 def test_a_disk_without_room_for_a_stage_keeps_no_half_of_it(tmp_path, monkeypatch):
@@ -122,10 +122,10 @@ def test_a_disk_without_room_for_a_stage_keeps_no_half_of_it(tmp_path, monkeypat
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(np, "savez", full)
-    told: list[str] = []
-    assert same(Stages(tmp_path, told.append).stage("one", Result, result), result())
+    said: list[str] = []
+    assert same(Stages(tmp_path, said.append).stage("one", Result, result), result())
     assert not list(tmp_path.iterdir())
-    assert len(told) == 1 and "No space left" in told[0]
+    assert len(said) == 1 and "No space left" in said[0]
 
 
 def test_files_of_the_problem_count_by_name_size_and_time(tmp_path):

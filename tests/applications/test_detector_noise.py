@@ -105,7 +105,7 @@ def test_a_scene_of_one_signal_gives_shot_noise_beside_the_read_noise(dark):
     )
     by_name = {figure.name: figure for figure in found.figures}
     assert abs(by_name["B"].value - SHOT) < 4.0 * by_name["B"].sigma
-    # A and B are not told apart by one signal: all of it is in B, and A is bounded
+    # one signal does not separate A from B: all of it is in B, and A is bounded
     assert found.law.gain == 0.0 and by_name["A of the sum"].relation == "<="
 
 

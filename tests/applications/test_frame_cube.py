@@ -54,7 +54,7 @@ def test_pixels_of_a_line_filter_are_what_their_band_sees_at_their_place(lvf):
     scenario, problem = lvf
     summary, values = made(problem, true_poses(scenario))
     assert summary.wavelength_nm == pytest.approx(np.unique(scenario.filter.given_nm))
-    # lines of a band differ by 35 nm from its first to its last (true wavelengths run on under told steps):
+    # lines of a band differ by 35 nm from its first to its last (true wavelengths run on under given steps):
     # its brightness departs by some noise; shifted by half a pixel the ground itself departs five times more
     noise, contrast = error_of_noise(scenario, summary, values)
     assert contrast < 0.1
@@ -161,7 +161,7 @@ def test_points_found_make_the_ground_where_the_surface_given_is_worse(lvf):
         made(rough, true_poses(scenario), replace(QUICK, surface="model"))
 
 
-def test_ground_that_nobody_told_is_that_of_the_points(lvf):
+def test_ground_that_is_not_given_is_that_of_the_points(lvf):
     scenario, problem = lvf
     dem, rng = problem.surface, np.random.default_rng(1)
     # too few for a surface through them
@@ -177,7 +177,7 @@ def test_ground_that_nobody_told_is_that_of_the_points(lvf):
         progress=lambda stage, done, total: stages.append((stage, done, total)),
     )
     assert summary.surface.startswith("level ground at")
-    # the relief is a few percent of the flying height; pixels of the ground told are five times as large
+    # the relief is a few percent of the flying height; pixels of the given ground are five times as large
     good = assemble_cube(problem, true_poses(scenario, points), QUICK)
     assert summary.gsd == pytest.approx(good.gsd, rel=0.1)
     last = {stage: (done, total) for stage, done, total in stages}

@@ -101,7 +101,7 @@ def test_lines_that_look_past_the_limb_are_not_observed_and_nothing_breaks(tmp_p
     assert sigma[-1, 1] > 5 * np.median(sigma[: last - 60, 1])
 
 
-def test_a_body_told_in_other_axes_moves_the_same(tmp_path):
+def test_a_body_given_in_other_axes_moves_the_same(tmp_path):
     """A camera that looks 20 degrees off its body's z: the same images, the motion about other axes.
 
     Both are estimated about the line of sight: less what is hidden they differ by far less than a sigma.
@@ -123,15 +123,15 @@ def test_a_body_told_in_other_axes_moves_the_same(tmp_path):
     assert np.isfinite(tilted.band.band).all() and len(tilted.spectra[1].components) > 2
 
 
-def test_a_spin_told_wrong_is_a_drift_that_the_motion_takes(tmp_path):
-    """The rate 0.5 % and the axis 1 mrad off: departures of 0.2 mrad, 2 px, from what is told."""
+def test_a_wrong_given_spin_is_a_drift_that_the_motion_takes(tmp_path):
+    """The rate 0.5 % and the axis 1 mrad off: departures of 0.2 mrad, 2 px, from what is given."""
     scenario = instrument_case("spin-leo", 1, lines=400, columns=220, off_nadir=np.radians(10.0))
-    told = replace(scenario.spin, rate=1.005 * scenario.spin.rate, axis=[1e-3, 1.0, 0.0])
-    write_instrument(replace(scenario, spin=told), tmp_path)
+    given = replace(scenario.spin, rate=1.005 * scenario.spin.rate, axis=[1e-3, 1.0, 0.0])
+    write_instrument(replace(scenario, spin=given), tmp_path)
     acquired = load_acquisition(tmp_path / "acquisition.toml")
     result = recover_acquisition(acquired, lambda text: None)
     t, true = scenario.truth[:, 0], scenario.spin
-    departed = told.at(t).inv() * true.at(t) * Rotation.from_rotvec(scenario.truth[:, 1:])
+    departed = given.at(t).inv() * true.at(t) * Rotation.from_rotvec(scenario.truth[:, 1:])
     truth = departed.as_rotvec()
     drift = np.ptp(truth - scenario.truth[:, 1:], axis=0) / scenario.options.ifov
     assert 1.5 < drift[1] < 2.5
@@ -144,7 +144,7 @@ def test_a_spin_told_wrong_is_a_drift_that_the_motion_takes(tmp_path):
         assert axis.sigma / 3.0 < axis.rms < 1.5 * axis.sigma, (name, axis)
     # to first order the departure is what `Spin.departures` says of those errors
     across = true.departures(t)
-    errors = np.array([true.rate - told.rate, 0.0, 0.0])
+    errors = np.array([true.rate - given.rate, 0.0, 0.0])
     rate_only = across @ errors
     assert np.abs((truth - scenario.truth[:, 1:] - rate_only)[:, 1]).max() < 0.02 * np.abs(rate_only).max()
 

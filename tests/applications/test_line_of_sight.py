@@ -109,7 +109,7 @@ class TestWarned:
             "band offsets are given as exact (offset_sigma_px = 0); give a sigma if they are not"
         )
 
-    def test_few_kept_windows_are_told_with_their_share_and_the_main_reason(self):
+    def test_few_kept_windows_are_reported_with_their_share_and_the_main_reason(self):
         star = plain_star(5, 4, 1, sigma=0.1)
         # 16 of 20 windows lie on both images; 5 are kept, and one more was thrown out for what it said
         codes = [OUTSIDE] * 4 + [NO_CONVERGENCE] * 7 + [LOW_SCORE] * 3 + [KEPT] * 6
@@ -184,12 +184,12 @@ class TestRendered:
         ramp[:, axis] = np.linspace(0.0, 20.0, len(ramp))
         assert np.abs(matches(ramp)).max() > 0.5
 
-    def test_lines_without_matches_are_told(self, recovery):
+    def test_lines_without_matches_are_reported(self, recovery):
         result = recovery.result
         unseen = int((~result.observed).sum())
-        told = [w for w in result.warnings if "seen by no match" in w]
-        assert bool(told) == (unseen > 0)
-        assert all(w.startswith(f"{unseen} of {len(result.observed)} lines") for w in told)
+        reported = [w for w in result.warnings if "seen by no match" in w]
+        assert bool(reported) == (unseen > 0)
+        assert all(w.startswith(f"{unseen} of {len(result.observed)} lines") for w in reported)
 
     def test_sigma_grows_at_the_ends_where_matches_lie_on_one_side_only(self, recovery):
         result = recovery.result

@@ -70,7 +70,7 @@ def test_another_band_may_be_the_reference(strip):
 def test_ground_that_was_found_is_as_good_as_one_that_was_given(strip):
     scenario, bands, _, statics = strip
     t = scenario.cameras[0].times(np.array([0.0, 599.0]))
-    # 150 m all over, over a ground told 150 m too low: the same rays meet the same places
+    # 150 m all over, over a ground given 150 m too low: the same rays meet the same places
     relief = RowRelief(0, t, np.array([[150.0, 0.0], [150.0, 0.0]]), np.ones((2, 2)))
     given = register_bands(bands, Plane(150.0), scenario.motion, statics)
     found = register_bands(bands, Plane(), scenario.motion, statics, relief=relief)
@@ -90,7 +90,7 @@ def test_a_slope_that_was_found_raises_one_side(strip):
     lines, ends = np.array([299.5]), np.array([0.0, 79.5, 159.0])
     for column, height in zip(ends, (50.0, 100.0, 150.0), strict=True):
         given = register_bands(bands, Plane(height), scenario.motion, statics)
-        # the ground is met by a ray of the told surface, 1 px beside for 100 m: a third of a metre of slope
+        # the ground is met by a ray of the given surface, 1 px beside for 100 m: a third of a metre of slope
         np.testing.assert_allclose(
             found.after[3].mapping(lines, np.array([column])),
             given.after[3].mapping(lines, np.array([column])),

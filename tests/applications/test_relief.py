@@ -40,7 +40,7 @@ def test_a_small_height_sigma_that_matters_only_once_matches_are_dense_is_taken(
 def test_relief_left_out_must_be_owned_by_the_sigma(strip):
     plane = Plane(float(strip[0].scene.relief.heights.mean()))
     sigma = float(strip[0].scene.relief.heights.std())
-    owned, ignored = (scored(strip, plane, told, passes=2) for told in (sigma, 0.0))
+    owned, ignored = (scored(strip, plane, given, passes=2) for given in (sigma, 0.0))
     # the score's own 95 % bounds for so many independent samples
     for name in ("roll", "yaw"):
         assert getattr(ignored, name).nees > getattr(ignored, name).nees_high

@@ -98,7 +98,7 @@ def test_a_single_frame_is_refused_in_words(tmp_path):
         solved(tmp_path)
 
 
-def test_two_frames_are_solved_and_told_to_say_little(tmp_path):
+def test_two_frames_are_solved_and_reported_as_weak(tmp_path):
     scenario = written(tmp_path, 12, frames=2)
     found = solved(tmp_path)
     assert found.source == ("solved", "solved")
@@ -125,7 +125,7 @@ def test_slightly_blurred_frames_are_estimated_with_larger_sigmas(tmp_path):
     assert between[1] > 1.5 * between[0]
 
 
-def test_two_flights_in_one_table_are_solved_apart_and_told(tmp_path):
+def test_two_flights_in_one_table_are_solved_apart_and_reported(tmp_path):
     east = 5000.0
     (tmp_path / "second").mkdir()
     flights = written(tmp_path, 21, frames=12), written(tmp_path / "second", 22, frames=12)
@@ -143,8 +143,10 @@ def test_two_flights_in_one_table_are_solved_apart_and_told(tmp_path):
     found = solved(tmp_path)
     assert found.stretch.tolist() == [0] * 12 + [1] * 12
     assert any("are these 2 flights?" in words for words in found.warnings)
-    told = [words for words in found.warnings if "2 parts between which no window could be followed" in words]
-    assert len(told) == 1 and "0 to 11 (12), b0 to b11 (12)" in told[0]
+    reported = [
+        words for words in found.warnings if "2 parts between which no window could be followed" in words
+    ]
+    assert len(reported) == 1 and "0 to 11 (12), b0 to b11 (12)" in reported[0]
     second = replace(found, poses=replace(found.poses, position=found.poses.position - [east, 0.0, 0.0]))
     for scenario, rows, result in ((flights[0], slice(0, 12), found), (flights[1], slice(12, 24), second)):
         error, covariance = errors_of(scenario, result, rows), found.poses.covariance[rows]
@@ -164,7 +166,7 @@ def test_frames_far_apart_are_linked_by_features(tmp_path):
     assert np.abs(np.diff(rays, axis=0)).max() < 3.0
 
 
-def test_photographs_turned_since_they_were_taken_are_told(tmp_path):
+def test_photographs_turned_since_they_were_taken_are_reported(tmp_path):
     scenario = written(tmp_path, 15, frames=14)
     for k in range(9, 14):
         path = tmp_path / "frames" / f"frame-{k:05d}.tif"
@@ -173,8 +175,8 @@ def test_photographs_turned_since_they_were_taken_are_told(tmp_path):
         Image.fromarray(np.ascontiguousarray(pixels[::-1, ::-1])).save(path)
     problem = load_sequence(tmp_path / "sequence.toml")
     found = georeference_sequence(problem)
-    told = [words for words in found.warnings if "turned by 180 degrees" in words]
-    assert len(told) == 1 and told[0].startswith("5 of 14 frames (the first: 9)")
+    reported = [words for words in found.warnings if "turned by 180 degrees" in words]
+    assert len(reported) == 1 and reported[0].startswith("5 of 14 frames (the first: 9)")
     # pixels turned by half a turn: a camera that was turned by half a turn about its axis
     error = errors_of(scenario, found)[:9]
     assert np.abs(error[:, 3:]).max() < 0.1
@@ -231,10 +233,10 @@ def controlled(tmp_path_factory) -> tuple[SequenceScenario, Path]:
     columns = np.rint((xy[:, 0] - relief.west) / relief.posting[0]).astype(int)
     rows = np.rint((relief.north - xy[:, 1]) / relief.posting[1]).astype(int)
     true = np.column_stack([xy, relief.heights[rows, columns]])
-    told = true + rng.normal(0.0, 0.1, true.shape)
+    given = true + rng.normal(0.0, 0.1, true.shape)
     lines = ["x,y,z,sigma,image,line,column"]
     for frame in range(0, 40, 4):
-        for point, pixel in zip(told, cameras[frame].project(true), strict=True):
+        for point, pixel in zip(given, cameras[frame].project(true), strict=True):
             if (pixel > 8.0).all() and (pixel < np.array(scenario.options.shape) - 9.0).all():
                 pixel = pixel + rng.normal(0.0, 0.3, 2)
                 place = ",".join(f"{v:.4f}" for v in (*point, 0.1))
@@ -273,7 +275,7 @@ def test_control_points_alone_tell_the_datum(controlled):
 
 
 @pytest.mark.parametrize("wrong", [0, 3])
-def test_a_wrong_control_point_is_told_and_not_used(controlled, wrong):
+def test_a_wrong_control_point_is_reported_and_not_used(controlled, wrong):
     scenario, folder = controlled
     lines = (folder / "control.csv").read_text().splitlines()
     points = list(dict.fromkeys(line.rsplit(",", 4)[0] for line in lines[1:]))
@@ -283,12 +285,12 @@ def test_a_wrong_control_point_is_told_and_not_used(controlled, wrong):
     moved = [line.replace(points[wrong], f"{float(x) + 2.0:.4f},{rest}") for line in lines]
     (folder / "wrong.csv").write_text("\n".join(moved) + "\n")
     found = with_control(folder, "wrong.csv")
-    told = [words for words in found.warnings if "control point" in words]
-    assert len(told) == 1 and f"({float(x) + 2.0:.7g}," in told[0] and "are not used" in told[0]
+    reported = [words for words in found.warnings if "control point" in words]
+    assert len(reported) == 1 and f"({float(x) + 2.0:.7g}," in reported[0] and "are not used" in reported[0]
     assert_covered(scenario, found)
 
 
-def test_control_points_that_contradict_each_other_are_told(controlled):
+def test_control_points_that_contradict_each_other_are_reported(controlled):
     _, folder = controlled
     lines = (folder / "control.csv").read_text().splitlines()
     points = list(dict.fromkeys(line.rsplit(",", 4)[0] for line in lines[1:]))[:2]
@@ -300,5 +302,5 @@ def test_control_points_that_contradict_each_other_are_told(controlled):
             x, rest = line.split(",", 1)
             few.append(f"{float(x) + 3.0:.4f},{rest}")
     (folder / "few.csv").write_text("\n".join(few) + "\n")
-    told = [words for words in with_control(folder, "few.csv").warnings if "control point" in words]
-    assert told and all("nothing tells which control points are right" in words for words in told)
+    reported = [words for words in with_control(folder, "few.csv").warnings if "control point" in words]
+    assert reported and all("nothing tells which control points are right" in words for words in reported)

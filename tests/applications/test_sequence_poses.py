@@ -161,8 +161,8 @@ def test_rolling_shutter_is_seen_through():
 
 def test_a_rolling_shutter_tells_nothing_of_where_a_flight_lies():
     # a camera that shakes, its points seen in many frames: what lines of a frame show of its motion is what
-    # the frames after it show. Attitudes told to 1 degree stay as uncertain as without a shutter; 3 % is what
-    # other windows change
+    # the frames after it show. Attitudes given to 1 degree stay as uncertain as without a shutter; 3 % is
+    # what other windows change
     sigma = []
     for readout_time in (0.0, 0.03):
         scenario = sequence_case("small", 1, filter="pan", frames=40, readout_time=readout_time)
@@ -182,7 +182,7 @@ def test_curves_through_the_subset_start_from_attitudes_as_they_were_mended(flig
         found = interpolate_between(solved, way)
         assert any("turned by" in words for words in found.warnings)
         error = errors_of(flight, found)[list(found.subset.frames)]
-        # the bias told is 0.5 deg
+        # the given bias is 0.5 deg
         assert np.degrees(np.abs(error[:, 3:])).max() < 4.0 * 0.5
 
 

@@ -143,11 +143,11 @@ def test_rank_and_weakest_direction_are_said(case):
     # rate, two of the axis, focal length, axis line, three strips; the attitude is given exactly
     assert len(rank.names) == 8 and "attitude roll" not in rank.names
     assert 5 <= rank.rank < 8 and rank.weakest
-    # a common shift of the strips is the axis line itself: that direction is told nothing by the images alone
+    # a common shift of the strips is the axis line itself: the images alone say nothing of that direction
     assert rank.blind >= 1
 
 
-def test_rate_and_focal_length_are_told_apart_in_the_sigma(case):
+def test_sigma_separates_rate_and_focal_length(case):
     _, result = case
     found = result.found
     whole = next(static.sigma for static in result.statics if static.name == "spin rate")

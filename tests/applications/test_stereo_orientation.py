@@ -113,7 +113,7 @@ def test_sigmas_that_do_not_fit_the_residuals_are_spoken_of():
     assert orient(problem(5)[0]).warnings == ()
 
 
-def test_a_focal_length_that_cannot_be_told_is_flagged():
+def test_a_focal_length_that_is_not_observable_is_flagged():
     # 1.5 degrees of field over level ground: what both cameras stretch alike is the size of the ground
     given, _ = problem(6, relief=0.0)
     found = orient(replace(given, focal_sigma=(1e-3, 1e-3)))

@@ -163,7 +163,7 @@ def test_improvements_are_what_they_say():
             assert (change.sigmas <= now.sigmas.ravel() * (1.0 + 1e-9)).all(), change.change
 
 
-def test_of_one_shot_angles_are_not_told_and_control_tells_them():
+def test_angles_of_one_shot_are_not_observable_until_there_is_control():
     found = predict_plan(plan(shots=1), tables=False)
     touched = np.array([[True, False, True], [True, False, True]])
     assert np.array_equal(np.isinf(found.sigmas), touched)

@@ -23,15 +23,15 @@ def bands():
 def test_statics_move_the_band_they_name_and_no_other(bands):
     """A row found turned by 0.01 rad slips by -0.01; its motion is left out."""
     shaken = Motion([-1.0, 1.0], [[0.0, 0.0, 0.3], [0.0, 0.0, 0.3]])
-    told = [
+    moving = [
         Band(b.name, b.image, b.camera.with_trajectory(b.camera.trajectory.with_motion(shaken)),
              b.offset_sigma_px, b.rotation_sigma)
         for b in bands
     ]  # fmt: skip
     statics = {"B1 rotation": 0.01, "PAN rotation": -0.5}
-    found = column_geometry(band_camera(told, "B1", statics), Plane(0.0), [32])
+    found = column_geometry(band_camera(moving, "B1", statics), Plane(0.0), [32])
     assert found.slip[0] == pytest.approx(-0.01, abs=1e-5)
-    assert column_geometry(band_camera(told, "B0", statics), Plane(0.0), [32]).slip[0] == pytest.approx(
+    assert column_geometry(band_camera(moving, "B0", statics), Plane(0.0), [32]).slip[0] == pytest.approx(
         0.0, abs=1e-5
     )
     nominal = band_camera(bands, "B1")

@@ -19,14 +19,14 @@ def test_a_lag_of_the_wrong_sign_is_proved_by_the_matches() -> None:
     scene = line_of_sight_case("nominal", 3, lines=900, columns=320)
     bands = []
     for k in (0, 1):
-        camera, told = scene.nominal_cameras[k], scene.bands[k]
+        camera, band = scene.nominal_cameras[k], scene.bands[k]
         turned = LineDetector.from_ifov(
-            told.name,
+            band.name,
             camera.columns,
             scene.options.ifov,
             scene.options.line_period,
-            look_ahead=-told.look_ahead,
+            look_ahead=-band.look_ahead,
         )
-        bands.append(Band(told.name, ArrayImage(scene.image(k)), replace(camera, detector=turned)))
+        bands.append(Band(band.name, ArrayImage(scene.image(k)), replace(camera, detector=turned)))
     with pytest.raises(EstimationError, match=r"the lag has the wrong sign: PAN and \S+ match"):
         recover_line_of_sight(bands, Plane(0.0))

@@ -57,7 +57,7 @@ def test_a_tone_is_found_blind_at_its_frequency(fitted) -> None:  # type: ignore
     assert fitted.significance[0] > 20.0
 
 
-def test_the_noise_is_told_from_the_motion(fitted) -> None:  # type: ignore[no-untyped-def]
+def test_the_noise_is_separated_from_the_motion(fitted) -> None:  # type: ignore[no-untyped-def]
     # ~770 measurements: the variance's own sigma is sqrt(2 / 770) = 5 %; half are spent on the motion.
     assert fitted.noise_scale == pytest.approx(1.0, abs=0.25)
 
@@ -189,13 +189,13 @@ def test_jitter_below_the_noise_has_the_corner_that_another_axis_shows(motion: n
     """Noise of five times the jitter hides where it bends: it may pass for noise, or noise for it."""
     noisy = measured(motion, 0.5)
     believed = 50.0
-    told, alone = (
+    with_motion, alone = (
         fit_spectrum(noisy, max_tones=0, corner=corner).spectrum.components[1].corner
         for corner in (believed, None)
     )
     # a belief of 0.7 in the logarithm, twice that at the most where the data say little
-    assert abs(np.log(told / believed)) < 1.4
-    assert abs(np.log(told / believed)) < abs(np.log(alone / believed))
+    assert abs(np.log(with_motion / believed)) < 1.4
+    assert abs(np.log(with_motion / believed)) < abs(np.log(alone / believed))
     # where the data show it (noise of a third of the jitter), what is believed a decade off hardly matters
     seen = fit_spectrum(measured(motion, 0.03), max_tones=1).spectrum.components[1].corner
     misled = (

@@ -55,6 +55,6 @@ def test_angles_that_are_not_observable_are_left_out():
         score_orientation(["1"], angles * np.nan, sigma, np.zeros((1, 3)))
 
 
-def test_a_singular_covariance_is_told():
+def test_a_singular_covariance_is_reported():
     with pytest.raises(InputError, match="singular"):
         score_orientation(["1"], np.ones((1, 3)), np.ones((1, 3)), np.zeros((1, 3)), np.ones((3, 3)))

@@ -124,7 +124,7 @@ class Hunter:
                 tally.inputs += 1
                 tally.edits.update(case.edits)
             elif time.monotonic() > shrinking["until"] or shrinking["runs"] >= SHRINK_RUNS:
-                return  # as good as it gets: hypothesis is told that the fault is gone, and ends
+                return  # as good as it gets: hypothesis learns that the fault is gone, and ends
             else:
                 shrinking["runs"] += 1
             answer, faults = self.judge(row, case)
@@ -421,7 +421,7 @@ def _faults_of_words(row: Reader, answer: dict[str, Any], case: Case) -> dict[st
             faults["not one line"] = answer["said"][-1500:]
         elif not answer["status"] and lines:
             faults["foreign words"] = answer["said"][-1500:]
-        message, all_said = " ".join(errors), answer["said"] + answer["told"]
+        message, all_said = " ".join(errors), answer["said"] + answer["stdout"]
     else:
         message = all_said = answer["error"]
         if len(message.splitlines()) > 1:
@@ -438,9 +438,9 @@ def _faults_of_words(row: Reader, answer: dict[str, Any], case: Case) -> dict[st
     if len(message) > 2500:
         faults["long-winded"] = f"{len(message)} characters: {message[:300]} ..."
     if row.words[:1] == ("check",) and not answer["status"]:
-        odd = [line for line in answer["told"].splitlines() if _NAN.search(line)]
+        odd = [line for line in answer["stdout"].splitlines() if _NAN.search(line)]
         if odd:
-            faults["nan told"] = "\n".join(odd[:5])
+            faults["nan printed"] = "\n".join(odd[:5])
     return faults
 
 

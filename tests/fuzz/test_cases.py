@@ -360,7 +360,7 @@ def test_is_left_out_and_named(hunter, sentence):
     name, spoil, pattern = LEFT_OUT[sentence]
     answer = judged(hunter, name, spoil)
     assert answer["status"] == 0, answer["said"]
-    assert re.search(pattern, f"{answer['told']}{answer['said']}"), answer["told"]
+    assert re.search(pattern, f"{answer['stdout']}{answer['said']}"), answer["stdout"]
 
 
 def test_a_layout_of_340_000_px_is_described_in_little_time_and_memory(hunter):

@@ -245,7 +245,7 @@ def _watched(
     dict
         ``status`` (what the command gave; of a Python reader that of its exception, 70 where it was none of
         ours), ``error`` (its text), ``where`` (innermost line of the package), ``said`` (all of stderr),
-        ``told`` (all of stdout), ``warned``, ``seconds`` (CPU, without that of compiling kernels),
+        ``stdout`` (all of it), ``warned``, ``seconds`` (CPU, without that of compiling kernels),
         ``memory`` (largest resident size), ``strayed`` (what it should not have written, asked
         or started), ``check`` (status of `check` where the command called the input wrong).
     """
@@ -275,7 +275,7 @@ def _watched(
             strayed = seen.end()
     answer["seconds"] = time.process_time() - begun - compiled.seconds
     answer["memory"] = _bytes_of("VmHWM")
-    answer["said"], answer["told"] = captured.texts()
+    answer["said"], answer["stdout"] = captured.texts()
     answer["warned"] = [f"{w.category.__name__}: {w.message}" for w in warned]
     if row.words and answer["status"] not in (0, 1, 2):
         answer["where"], answer["kind"] = _again([*row.words, *more], case)

@@ -139,7 +139,7 @@ class TestChanges:
         higher = camera.with_trajectory(Trajectory.level_flight(2 * ALTITUDE, SPEED, -1.0, 2.0))
         assert_allclose(higher.locate([[0.0, 0.0]], Plane()), 2 * camera.locate([[0.0, 0.0]], Plane()))
 
-    def test_uneven_line_times_are_followed_and_told(self):
+    def test_uneven_line_times_are_followed_and_reported(self):
         times = PERIOD * np.arange(1000.0) ** 1.01
         camera = pushbroom(line_times=times)
         assert camera.first_line_time == 0.0

@@ -19,7 +19,7 @@ from sightline.geometry.checks import (
 )
 
 
-def test_swapped_axes_are_told_how_to_be_right():
+def test_the_error_of_swapped_axes_says_how_to_be_right():
     with pytest.raises(
         InputError,
         match=r"`pixels` must have shape \(N, 2\) as \(line, column\), got \(2, 500\); did you mean pixels.T",

@@ -179,10 +179,10 @@ ASKING = {
 @pytest.mark.parametrize("case", ASKING)
 def test_nothing_is_asked_of_a_server_unless_that_is_allowed(tmp_path, server, case):
     path = ASKING[case](tmp_path, server.place)
-    with pytest.raises(FormatError) as told:
+    with pytest.raises(FormatError) as raised:
         RasterImage(path).read((0, 8), (0, 16))
     assert server.asked == []
-    assert str(told.value).startswith(f"{path}")
+    assert str(raised.value).startswith(f"{path}")
 
 
 @pytest.mark.parametrize("case", ["WMS called tif", "VRT of an address", "VRT of a WMS", "an address"])
@@ -384,7 +384,7 @@ def test_classic_netcdf_holds_its_data_and_is_read(tmp_path):
         ("a:b.tif", None),
     ],
 )
-def test_addresses_are_told_from_paths(text, name):
+def test_addresses_are_distinguished_from_paths(text, name):
     assert remote_name(text) == name
 
 

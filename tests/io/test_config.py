@@ -35,7 +35,7 @@ def test_a_key_of_another_kind_names_that_kind(folder):
     assert "'platform.altitude'; it belongs to kind = \"level-flight\"; [platform] takes: kind, pos" in said
 
 
-def test_a_number_in_place_of_a_list_is_told_how_a_list_is_written(folder):
+def test_a_number_in_place_of_a_list_is_answered_with_how_a_list_is_written(folder):
     said = message(folder.replace("offset_sigma_px = 0.0", "offset_px = 0.0"))
     assert "band[1].offset_px = 0.0 is not allowed: a list is, its values in brackets, as [1.0, 2.0]" in said
 
@@ -70,7 +70,7 @@ def test_an_unknown_platform_names_those_there_are(folder):
     assert "ephemeris, " in said and "camera-model" in said
 
 
-def test_a_platform_without_a_kind_is_told_to_name_one(folder):
+def test_the_error_of_a_platform_without_a_kind_asks_for_one(folder):
     said = message(folder.replace('kind = "level-flight"\n', ""))
     assert "key 'platform.kind' is missing; allowed: camera-model, ephemeris, level-flight, spin" in said
 

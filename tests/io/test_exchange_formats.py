@@ -377,7 +377,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_files_are_told(tmp_path, case):
+def test_bad_files_are_reported(tmp_path, case):
     name, content, read, words = BAD[case]
     (tmp_path / name).write_text(content)
     with pytest.raises(FormatError, match=words) as raised:
@@ -403,7 +403,7 @@ BAD_MODELS = {
 
 
 @pytest.mark.parametrize("case", BAD_MODELS)
-def test_bad_colmap_models_are_told(tmp_path, case):
+def test_bad_colmap_models_are_reported(tmp_path, case):
     files, words = BAD_MODELS[case]
     for name, content in files.items():
         (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())

@@ -1,4 +1,4 @@
-"""Times, places and angles in EXIF and XMP: what cameras get wrong is told, and left out."""
+"""Times, places and angles in EXIF and XMP: what cameras get wrong is reported, and left out."""
 
 import warnings
 
@@ -198,12 +198,12 @@ def test_a_gimbal_tells_the_attitude_unless_it_looks_at_the_sky(tmp_path):
         ([tags(k, EXIF_GPSLatitude=None) for k in range(3)], "no frame has a position"),
     ],
 )
-def test_nothing_to_start_from_is_told(tmp_path, every, words):
+def test_nothing_to_start_from_is_reported(tmp_path, every, words):
     with pytest.raises(FormatError, match=words):
         load_sequence(photographs(tmp_path, every))
 
 
-def test_an_empty_folder_is_told(tmp_path):
+def test_an_empty_folder_is_reported(tmp_path):
     with pytest.raises(FormatError, match="holds no images"):
         load_sequence(photographs(tmp_path, []))
 

@@ -1,4 +1,4 @@
-"""What ``check`` doubts: focal lengths in mm, angles in degrees, sigmas nobody told, metres as degrees."""
+"""What ``check`` doubts: focal lengths in mm, angles in degrees, missing sigmas, metres as degrees."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_metres_in_a_geo_txt_of_degrees_are_refused(tmp_path):
         ("", "'camera.focal_length_px' is missing.*focal_length = \"estimate\""),
     ],
 )
-def test_a_focal_length_in_mm_is_told_what_to_become(tmp_path, key, said):
+def test_the_error_of_a_focal_length_in_mm_says_what_to_give(tmp_path, key, said):
     made = flight()
     made.toml = made.toml.replace("focal_length_px = 40.0", key)
     with pytest.raises(FormatError, match=said):
@@ -152,7 +152,7 @@ def test_a_table_without_sigmas_says_what_is_assumed(tmp_path):
         made, tmp_path / "none"
     )
     made.toml = "position_sigma = 3.0\n" + made.toml
-    assert "assumed" not in understood(made, tmp_path / "told")
+    assert "assumed" not in understood(made, tmp_path / "given")
 
 
 def photographs(speed: float, stamp: str) -> FrameList:
@@ -173,12 +173,12 @@ def photographs(speed: float, stamp: str) -> FrameList:
 def test_whole_seconds_of_a_fast_camera(speed, stamp, doubted):
     file = SequenceFile.model_validate({"frames": "photos", "world": {"frame": "lonlat"}})
     warnings: list[str] = []
-    told = given_positions(file, None, photographs(speed, stamp), None, warnings)
+    rows = given_positions(file, None, photographs(speed, stamp), None, warnings)
     # a degree of latitude is 111 km to 1 %
-    moved = np.linalg.norm(told.values[-1] - told.values[0])
+    moved = np.linalg.norm(rows.values[-1] - rows.values[0])
     assert moved == pytest.approx(9.0 * speed, rel=0.01)
     start = from_geodetic([[np.radians(8.0), np.radians(47.0), 500.0]], WGS84)[0]
-    assert np.linalg.norm(told.values[0] - start) < 1e-6
+    assert np.linalg.norm(rows.values[0] - start) < 1e-6
     assert any("10 positions tell no sigma: 5 m per axis is assumed" in words for words in warnings)
     # 0.3 s at 60 m/s are 18 m
     said = [words for words in warnings if "whole seconds" in words]
@@ -237,7 +237,7 @@ def test_pitch_of_a_gimbal_is_asked_about(tmp_path, pitch, refused):
     assert any("6 attitudes tell no sigma: 0.035 rad (2.01 degrees)" in words for words in warned)
 
 
-def test_a_date_in_other_form_is_told_both_forms_that_are_read(tmp_path):
+def test_the_error_of_a_date_in_another_form_names_both_that_are_read(tmp_path):
     made = flight()
     for row in made.frames:
         row[1] = "31/12/2026 12:00:00"

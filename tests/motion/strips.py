@@ -90,7 +90,7 @@ def plain_star(rows: int, blocks: int, pairs: int, sigma: float = 0.05, duration
 
 
 def given_bands(names, offset_sigma_px, rotation_sigma, scale_sigma=None):
-    """What is told of detector lines, as far as statics ask."""
+    """What is given of detector lines, as far as statics ask."""
     scales = [0.0] * len(names) if scale_sigma is None else scale_sigma
     keys = ("name", "offset_sigma_px", "rotation_sigma", "scale_sigma")
     rows = zip(names, offset_sigma_px, rotation_sigma, scales, strict=True)

@@ -62,7 +62,7 @@ def test_a_tone_with_a_neighbour_is_cut_into_longer_pieces():
 
 
 @pytest.mark.parametrize("separation", [0.3, 0.4])
-def test_two_tones_closer_than_the_resolution_are_told_apart(separation):
+def test_two_tones_closer_than_the_resolution_are_separated(separation):
     errors = []
     for seed in range(6):
         moved = motion(sine(83.03, 1.0) + 0.7 * sine(83.03 + separation, seed), seed)
@@ -88,6 +88,6 @@ def test_one_tone_is_not_taken_for_two(roll):
         assert close_pairs(moved, detect_tones(moved)) == ()
 
 
-def test_two_tones_that_drown_are_not_told_apart():
+def test_two_tones_that_drown_are_not_separated():
     moved = motion(0.05 * (sine(83.03) + sine(83.2, 2.0)))
     assert close_pairs(moved, detect_tones(moved)) == ()

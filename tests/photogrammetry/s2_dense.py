@@ -16,7 +16,7 @@ RADIUS, MU, TURN = 6371000.0, 3.986004418e14, 7.2921159e-5
 
 @dataclass(frozen=True)
 class Case:
-    """Parameters of one set-up; that of S2's table 6 unless told otherwise."""
+    """Parameters of one set-up; that of S2's table 6 unless given otherwise."""
 
     altitude: float = 500e3
     inclination: float = 97.4  # degrees

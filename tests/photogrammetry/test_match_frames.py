@@ -32,14 +32,14 @@ class Pass:
             "A_paper_T6_K64", 5, separation=46.0, shots=SHOTS, window=10.0, columns=FRAME, fov=FOV, points=20,
             scene_size=3e3, ground_size=24e3,
         )  # fmt: skip
-        told = self.scenario
-        self.true = frame_cameras(told.true_images, told.detectors, told.mounts)
-        self.planned = frame_cameras(told.images, told.given_detectors, told.mounts)
-        level = told.pair.aim_point, told.pair.world_from_local
-        self.ground = textured(told.surface, *level, self.true, 5, 0.2)
+        scenario = self.scenario
+        self.true = frame_cameras(scenario.true_images, scenario.detectors, scenario.mounts)
+        self.planned = frame_cameras(scenario.images, scenario.given_detectors, scenario.mounts)
+        level = scenario.pair.aim_point, scenario.pair.world_from_local
+        self.ground = textured(scenario.surface, *level, self.true, 5, 0.2)
         self.images = [ArrayImage(pixels) for pixels in render_frames(self.true, self.ground, Sensor(), 5)]
-        self.problem = StereoProblem(**told.problem())
-        self.level = Ellipsoid(*told.pair.radii)
+        self.problem = StereoProblem(**scenario.problem())
+        self.level = Ellipsoid(*scenario.pair.radii)
 
 
 @pytest.fixture(scope="module")

@@ -113,7 +113,7 @@ def test_covariance_is_that_of_drawn_noise_of_poses_and_angles():
 
 @pytest.mark.parametrize("whole", [True, False])
 def test_covariance_is_that_of_attitudes_that_go_with_positions(whole):
-    """Cameras look at the aim point from where they truly are; attitudes are told from measured positions."""
+    """Cameras look at the aim point from where they truly are; attitudes follow from measured positions."""
     plain, truth = block(2, 1, sigma_px=1e-6)
     rng = np.random.default_rng(4)
     noise = PoseNoise(7.5, 0.0, aim_point=np.zeros(3))

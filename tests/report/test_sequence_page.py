@@ -52,7 +52,7 @@ def flown(count, *, lines=1, idle=(), every=10, radii=None, sigma=None, per_fram
     attitude = Rotation.from_euler("z", 90.0, degrees=True) * Rotation.from_euler("x", 180.0, degrees=True)
     attitude = attitude * Rotation.from_rotvec(wave)
     rng = np.random.default_rng(0)
-    told = position + np.array([0.0, 0.0, 2.0]) + rng.normal(size=(count, 3))
+    given = position + np.array([0.0, 0.0, 2.0]) + rng.normal(size=(count, 3))
     points = np.repeat(position * [1.0, 1.0, 0.0], per_frame, axis=0)
     first = np.repeat(np.arange(count), per_frame)
     image = (first[:, None] + np.arange(10)).ravel()
@@ -63,13 +63,13 @@ def flown(count, *, lines=1, idle=(), every=10, radii=None, sigma=None, per_fram
     if radii is not None:
         axes = local_axes(0.2, 0.9)
         origin = from_geodetic([[0.2, 0.9, 0.0]], radii)
-        position, told, points = (origin + axes.apply(p) for p in (position, told, points))
+        position, given, points = (origin + axes.apply(p) for p in (position, given, points))
         attitude = axes * attitude
     problem = SequenceProblem(
         frames=tuple(f"{k:05d}" for k in range(count)), t=t,
         sources=tuple(ArrayImage(np.zeros((2, 2))) for _ in range(count)),
         detector=AreaDetector("frame", (160, 200), FOCAL, (79.5, 99.5)), mount=NADIR_MOUNT,
-        images=Images(np.zeros(count), np.arange(count), t, told, attitude),
+        images=Images(np.zeros(count), np.arange(count), t, given, attitude),
         known=RoughPoses(
             np.full((count, 3), 1.0 if position_given else np.inf), np.full((count, 3), 0.01), 2.0, 0.02
         ),
@@ -126,7 +126,7 @@ def said(text):
     return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", text))
 
 
-def test_a_rendered_flight_is_told_in_words_that_are_its_numbers(tmp_path, open_page, cube):
+def test_a_rendered_flight_is_described_in_words_that_are_its_numbers(tmp_path, open_page, cube):
     scenario = sequence_case("small", 3, frames=8)
     t, _, _ = scenario.poses
     options, count = scenario.options, 8
@@ -355,10 +355,10 @@ def test_a_bow_that_is_warned_of_is_not_called_observable():
     problem, found = flown(40)
     # an even trend of rms s ends at s times the root of 3: this one moves the ground there by 2 px
     sigma = 2.0 / np.sqrt(3.0) / FOCAL
-    told = replace(problem, known=replace(problem.known, attitude=np.full((40, 3), 1.0)))
+    loose = replace(problem, known=replace(problem.known, attitude=np.full((40, 3), 1.0)))
     poses = replace(found.poses, bow=np.array([[1e-4, sigma, 1e-4]]))
     found = replace(found, poses=poses)
-    view = sequence_view(told, found)
-    assert bow_warnings(told, poses)
-    assert sequence_words.bow_rows(told, found, view)[0][-1] == "known to 2 px at the ends only"
-    assert "so that the flight may be bent: 1 sigma" in " ".join(sequence_words.sentences(told, found, view))
+    view = sequence_view(loose, found)
+    assert bow_warnings(loose, poses)
+    assert sequence_words.bow_rows(loose, found, view)[0][-1] == "known to 2 px at the ends only"
+    assert "so that the flight may be bent: 1 sigma" in " ".join(sequence_words.sentences(loose, found, view))

@@ -51,8 +51,8 @@ def test_drift_and_focal_length_are_said_with_their_sigmas(refined):
     (_, length, longer, percent), _ = words.focal_rows(stereo.problem, result)
     value, sigma = (float(part) for part in percent.split(" ± "))
     assert value == pytest.approx(100.0 * result.stretch[0], abs=sigma) and 0.0 < sigma < 0.1
-    told = stereo.problem.detectors[0].focal_length_px
-    assert float(length.split()[0]) - told == pytest.approx(float(longer.split()[0]), abs=0.2)
+    given = stereo.problem.detectors[0].focal_length_px
+    assert float(length.split()[0]) - given == pytest.approx(float(longer.split()[0]), abs=0.2)
     page = stereo_page(stereo, result, summary).html
     assert "roll (arcsec/s)" in page and "The errors drift (arcsec/s): camera 1 roll" in page
     assert f"Focal length: of camera 1 {percent} % from that of the file" in page
@@ -72,7 +72,7 @@ def test_frame_residuals_are_those_of_the_result(refined):
     np.testing.assert_allclose(size, result.residual_px, atol=2e-3)
 
 
-def test_one_shot_says_what_could_be_told_and_advises_no_yaw(one_shot):
+def test_one_shot_says_what_is_observable_and_advises_no_yaw(one_shot):
     stereo, result, summary = one_shot
     heights = point_heights(stereo, result)
 

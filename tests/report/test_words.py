@@ -55,7 +55,7 @@ def test_without_tones_none_is_claimed(recovery):
     assert "No tone stands out" in " ".join(words.sentences(recovery.result, recovery.summary, []))
 
 
-def test_a_tone_that_is_hardly_seen_is_told_as_such_and_how_large_it_may_be(recovery):
+def test_a_tone_that_is_hardly_seen_is_reported_as_such_and_how_large_it_may_be(recovery):
     tone = tones_of(recovery.summary["tones"])[0]
     scale = float(recovery.result.scale[0])
     doubtful = replace(tone, frequency=55.5, amplitude=0.2 * scale, sigma_amplitude=0.1 * scale)

@@ -26,21 +26,21 @@ def hard(tmp_path_factory):
 
 def test_the_acquisition_file_is_toml_and_names_files_that_are_there(hard):
     scenario, folder = hard
-    told = tomllib.loads((folder / "acquisition.toml").read_text())
-    assert told["platform"] == {"kind": "level-flight", "altitude": 680e3, "ground_speed": 6800.0}
-    assert told["instrument"] == {"ifov": 5e-6, "columns": 80, "line_period": 5e-4}
-    assert [band["name"] for band in told["band"]] == ["PAN", "B1", "B0", "B2"]
-    for band, truth in zip(told["band"], scenario.bands, strict=True):
+    content = tomllib.loads((folder / "acquisition.toml").read_text())
+    assert content["platform"] == {"kind": "level-flight", "altitude": 680e3, "ground_speed": 6800.0}
+    assert content["instrument"] == {"ifov": 5e-6, "columns": 80, "line_period": 5e-4}
+    assert [band["name"] for band in content["band"]] == ["PAN", "B1", "B0", "B2"]
+    for band, truth in zip(content["band"], scenario.bands, strict=True):
         assert (folder / band["image"]).is_file()
         assert band["look_ahead"] == truth.look_ahead
-    assert (folder / told["surface"]["dem"]).is_file()
-    assert [sensor["kind"] for sensor in told["attitude_sensor"]] == ["star-tracker", "gyro"]
+    assert (folder / content["surface"]["dem"]).is_file()
+    assert [sensor["kind"] for sensor in content["attitude_sensor"]] == ["star-tracker", "gyro"]
 
 
 def test_the_acquisition_file_holds_no_truth(hard):
     _, folder = hard
-    told = tomllib.loads((folder / "acquisition.toml").read_text())
-    for band in told["band"]:
+    content = tomllib.loads((folder / "acquisition.toml").read_text())
+    for band in content["band"]:
         assert band["offset_px"] == [0.0, 0.0] and band["rotation"] == 0.0
         assert band["offset_sigma_px"] == 1.0 and band["rotation_sigma"] == 3e-4
 
@@ -75,19 +75,19 @@ def test_the_relief_is_written_north_up_in_local_metres(hard):
 def test_without_a_dem_the_file_says_how_rough_the_ground_is(tmp_path):
     scenario = line_of_sight_case("relief", 1, lines=40, columns=40)
     written = write_strip(scenario, tmp_path, dem=False)
-    told = tomllib.loads((tmp_path / "acquisition.toml").read_text())
+    content = tomllib.loads((tmp_path / "acquisition.toml").read_text())
     assert "dem.tif" not in written
-    assert told["surface"] == {"height": pytest.approx(0.0, abs=1e-3), "height_sigma": 300.0}
+    assert content["surface"] == {"height": pytest.approx(0.0, abs=1e-3), "height_sigma": 300.0}
 
 
-def test_frames_are_written_with_the_times_told_and_the_true_ones_apart(tmp_path):
+def test_frames_are_written_with_the_times_given_and_the_true_ones_apart(tmp_path):
     scenario = frames_case(2, frames=3, shape=(40, 60), time_sigma=0.3)
     write_frames(scenario, tmp_path, estimate_camera=True)
-    told = tomllib.loads((tmp_path / "acquisition.toml").read_text())
-    assert [frame["time"] for frame in told["frame"]] == [0.0, 6.0, 12.0]
-    assert told["frame"][0]["time_sigma"] == 0.3
-    assert told["camera"]["distortion"] == "estimate"
-    assert told["camera"]["focal_length_px"] == pytest.approx(3636.0)
+    content = tomllib.loads((tmp_path / "acquisition.toml").read_text())
+    assert [frame["time"] for frame in content["frame"]] == [0.0, 6.0, 12.0]
+    assert content["frame"][0]["time_sigma"] == 0.3
+    assert content["camera"]["distortion"] == "estimate"
+    assert content["camera"]["focal_length_px"] == pytest.approx(3636.0)
     times = np.loadtxt(tmp_path / "truth-frames.csv", delimiter=",", skiprows=1)
     np.testing.assert_array_equal(times[:, 1], scenario.times)
     assert np.loadtxt(tmp_path / "truth.csv", delimiter=",", skiprows=1).shape == (3, 4)

@@ -172,8 +172,8 @@ def test_files_hold_what_a_user_knows_and_no_truth(case, tmp_path):
         assert repr(band.offset_px[0]) not in text
     acquired = load_acquisition(written["acquisition.toml"])
     pixels = np.array([[0.0, 0.0], [120.0, 30.0], [199.0, 47.0]])
-    for told, known in zip(acquired.cameras, scenario.nominal_cameras, strict=True):
-        a, b = told.rays(pixels), known.rays(pixels)
+    for loaded, known in zip(acquired.cameras, scenario.nominal_cameras, strict=True):
+        a, b = loaded.rays(pixels), known.rays(pixels)
         # tables of half and quarter seconds against the true ones of a tenth: far below a pixel of 5e-6 rad
         assert_allclose(a.directions, b.directions, atol=1e-9)
         assert_allclose(a.origins, b.origins, atol=1e-3)

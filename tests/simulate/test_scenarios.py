@@ -1,4 +1,4 @@
-"""The named cases: what is random in them, what is told, and what is kept back."""
+"""The named cases: what is random in them, what is given, and what is kept back."""
 
 import numpy as np
 import pytest
@@ -44,7 +44,7 @@ def test_the_nominal_case_is_the_reference_scene():
     np.testing.assert_allclose(options.rad_per_px, [5e-6, 5e-6, 1.0 / 499.5])
 
 
-def test_offsets_and_rotations_have_the_sizes_told():
+def test_offsets_and_rotations_have_the_sizes_given():
     drawn = [line_of_sight_case("nominal", seed, lines=16, columns=16).bands for seed in range(40)]
     offsets = np.array([band.offset_px for bands in drawn for band in bands])
     rotations = np.array([band.rotation for bands in drawn for band in bands])
@@ -55,8 +55,8 @@ def test_offsets_and_rotations_have_the_sizes_told():
 
 def test_the_nominal_cameras_know_neither_motion_nor_offsets():
     scenario = line_of_sight_case("nominal", 2, **SMALL)
-    told = scenario.nominal_cameras[0]
-    rays = told.rays(np.array([[40.0, 47.5]]))
+    nominal = scenario.nominal_cameras[0]
+    rays = nominal.rays(np.array([[40.0, 47.5]]))
     np.testing.assert_allclose(rays.directions[0], [0.0, 0.0, -1.0], atol=1e-15)
     np.testing.assert_allclose(rays.origins[0], [0.0, 40 * 3.4, 680e3], atol=1e-6)
 

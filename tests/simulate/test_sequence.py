@@ -179,12 +179,12 @@ def test_the_channels_of_plain_colour_are_red_green_and_blue():
     assert scenario.image(0).shape == (3, 160, 200) and scenario.image(0).dtype == np.uint8
 
 
-def test_a_linear_filter_may_be_told_in_groups():
+def test_a_linear_filter_may_be_given_in_groups():
     scenario = small(bands=32)
-    told, true = (v[0, :, 0] for v in (scenario.filter.given_nm, scenario.filter.wavelength_nm))
-    assert len(np.unique(told)) == 32 and len(np.unique(true)) == 160
+    given, true = (v[0, :, 0] for v in (scenario.filter.given_nm, scenario.filter.wavelength_nm))
+    assert len(np.unique(given)) == 32 and len(np.unique(true)) == 160
     np.testing.assert_allclose(
-        told.reshape(32, 5), true.reshape(32, 5).mean(axis=1, keepdims=True) @ np.ones((1, 5))
+        given.reshape(32, 5), true.reshape(32, 5).mean(axis=1, keepdims=True) @ np.ones((1, 5))
     )
 
 
@@ -263,7 +263,7 @@ def test_lines_across_cross_the_others():
     np.testing.assert_allclose(attitude[25].as_matrix()[:, 0], [1.0, 0.0, 0.0], atol=1e-12)
 
 
-def test_poses_are_told_with_a_constant_bias_and_white_noise():
+def test_poses_are_given_with_a_constant_bias_and_white_noise():
     scenario = sequence_case("small", 2, frames=1000, shape=(16, 16), spectra="law")
     _, position, attitude = scenario.poses
     place, turn = scenario.biases

@@ -43,15 +43,15 @@ def table(path):
 
 
 def test_the_sequence_file_names_files_that_are_there(flight):
-    _, folder, told = flight
+    _, folder, content = flight
     for key in ("frames", "positions", "attitudes"):
-        assert (folder / told[key]).is_file()
-    assert told["position_bias_sigma"] == 2.0
-    assert told["attitude_bias_sigma"] == pytest.approx(np.radians(1.0))
-    assert told["world"] == {"frame": "local"} and told["subset"] == {"overlap": 0.8}
-    assert (folder / told["surface"]["dem"]).is_file()
-    assert told["camera"]["shape"] == [64, 80] and told["camera"]["readout_time"] == 0.02
-    assert len(told["camera"]["wavelength_nm"]) == 64
+        assert (folder / content[key]).is_file()
+    assert content["position_bias_sigma"] == 2.0
+    assert content["attitude_bias_sigma"] == pytest.approx(np.radians(1.0))
+    assert content["world"] == {"frame": "local"} and content["subset"] == {"overlap": 0.8}
+    assert (folder / content["surface"]["dem"]).is_file()
+    assert content["camera"]["shape"] == [64, 80] and content["camera"]["readout_time"] == 0.02
+    assert len(content["camera"]["wavelength_nm"]) == 64
 
 
 def test_frames_that_were_not_delivered_are_named_nowhere(flight):
@@ -105,11 +105,11 @@ def test_the_sequence_file_holds_no_truth(flight):
 
 
 def test_true_bands_are_georeferenced_and_read_back(flight):
-    scenario, folder, told = flight
+    scenario, folder, content = flight
     with rasterio.open(folder / "truth-bands.tif") as source:
         bands, transform = source.read(), source.transform
         wavelengths = [float(source.tags(k)["wavelength_nm"]) for k in (1, 2, 3)]
-    every = told["camera"]["wavelength_nm"]
+    every = content["camera"]["wavelength_nm"]
     assert wavelengths[0] == every[0] and wavelengths[2] == every[-1] and wavelengths[1] in every
     x, y = transform @ (40.5, 30.5)
     true = scenario.band_signal(np.array(x), np.array(y), np.array(wavelengths))
@@ -123,18 +123,18 @@ def test_png_holds_the_same_numbers(tmp_path):
     with rasterio.open(tmp_path / "frames" / "frame-00001.png") as source:
         np.testing.assert_array_equal(source.read(), scenario.image(1))
     assert "truth-bands.tif" not in written and "positions.csv" not in written
-    told = tomllib.loads((tmp_path / "sequence.toml").read_text())
-    assert "positions" not in told and told["camera"]["channel_nm"] == [620.0, 540.0, 460.0]
+    content = tomllib.loads((tmp_path / "sequence.toml").read_text())
+    assert "positions" not in content and content["camera"]["channel_nm"] == [620.0, 540.0, 460.0]
     heights = scenario.ground.relief.heights
-    assert told["surface"]["height_sigma"] == pytest.approx(heights.std(), abs=1e-3)
+    assert content["surface"]["height_sigma"] == pytest.approx(heights.std(), abs=1e-3)
 
 
 @pytest.mark.parametrize(("kind", "key"), [("mosaic", "mosaic_nm"), ("pan", None), ("lvf", "wavelength_nm")])
-def test_the_kind_of_filter_is_told_by_one_key(kind, key):
-    told = tomllib.loads(sequence_toml(sequence_case("small", 0, frames=2, filter=kind, spectra="law")))
-    assert {name for name in told["camera"] if name.endswith("_nm")} == ({key} if key else set())
+def test_the_kind_of_filter_is_given_by_one_key(kind, key):
+    content = tomllib.loads(sequence_toml(sequence_case("small", 0, frames=2, filter=kind, spectra="law")))
+    assert {name for name in content["camera"] if name.endswith("_nm")} == ({key} if key else set())
     if kind == "mosaic":
-        assert np.shape(told["camera"]["mosaic_nm"]) == (4, 4)
+        assert np.shape(content["camera"]["mosaic_nm"]) == (4, 4)
 
 
 COMMAND = [

@@ -112,7 +112,7 @@ def test_white_jitter_is_added_to_s2s_angles():
 
 
 @pytest.mark.parametrize("shared", [False, True])
-def test_a_mirror_that_swings_has_one_frequency_and_the_rms_told(shared):
+def test_a_mirror_that_swings_has_one_frequency_and_the_rms_given(shared):
     frequency = 0.11
     scenario = stereo_case(
         CASE, 2, shots=200, points=5, jitter="harmonic", jitter_frequency=frequency, jitter_shared=shared,
@@ -131,7 +131,7 @@ def test_a_mirror_that_swings_has_one_frequency_and_the_rms_told(shared):
     assert same == shared
 
 
-def test_noise_has_the_size_that_is_told():
+def test_noise_has_the_size_that_is_given():
     scenario = stereo_case(CASE, 3, shots=64, points=100)
     moved = scenario.images.position - scenario.true_images.position
     # 384 numbers: relative sd 3.6 %; 25 600 pixels: 0.45 %; four of each
@@ -139,10 +139,10 @@ def test_noise_has_the_size_that_is_told():
     assert (scenario.tracks.pixels - scenario.true_pixels).std() == pytest.approx(0.1, rel=0.02)
     assert scenario.noise.position == 7.5 and scenario.noise.aim_point is None
     np.testing.assert_array_equal(scenario.tracks.sigma_px, 0.1)
-    # independent: the attitudes told are those of the true positions
+    # independent: the given attitudes are those of the true positions
     _, axes, _ = s2_axes(scenario)
-    told = grid(scenario, scenario.images.world_from_body.as_matrix())
-    np.testing.assert_allclose(np.swapaxes(told, 2, 3), axes, atol=1e-12)
+    given = grid(scenario, scenario.images.world_from_body.as_matrix())
+    np.testing.assert_allclose(np.swapaxes(given, 2, 3), axes, atol=1e-12)
     louder = stereo_case(CASE, 3, shots=64, points=100, noise_scale=2.0)
     np.testing.assert_allclose(louder.images.position - louder.true_images.position, 2.0 * moved, atol=1e-6)
     assert louder.noise.position == 7.5
@@ -154,8 +154,8 @@ def test_attitudes_from_positions_are_rebuilt_from_the_noisy_ones():
         errors_per_shot(scenario), np.repeat(scenario.s2_angles[:, None], 6, axis=1), atol=1e-12
     )
     d = grid(scenario, scenario.images.position) - scenario.pair.aim_point
-    told = grid(scenario, scenario.images.world_from_body.as_matrix())
-    np.testing.assert_allclose(np.swapaxes(told, 2, 3), s2_scene.camera_axes(*d), atol=1e-12)
+    given = grid(scenario, scenario.images.world_from_body.as_matrix())
+    np.testing.assert_allclose(np.swapaxes(given, 2, 3), s2_scene.camera_axes(*d), atol=1e-12)
     aimed = scenario.true_images.position - scenario.images.position
     assert np.abs(aimed).max() > 1.0
     np.testing.assert_array_equal(scenario.noise.aim_point, scenario.pair.aim_point)
@@ -313,7 +313,7 @@ def test_a_raster_of_heights_lies_as_it_does_on_the_map(tmp_path):
         stereo_case(CASE, 6, relief="dem", dem_file=str(tmp_path / "nowhere.tif"))
 
 
-def test_points_stand_off_the_dem_by_what_is_told():
+def test_points_stand_off_the_dem_by_what_is_given():
     scenario = stereo_case(CASE, 7, shots=2, points=400, dem_sigma=10.0)
     height = to_geodetic(scenario.points, scenario.pair.radii)[:, 2]
     off = height - scenario.surface.height_at(scenario.points)
@@ -324,7 +324,7 @@ def test_points_stand_off_the_dem_by_what_is_told():
     assert stereo_case(CASE, 7, **SMALL).height_prior is None
 
 
-def test_the_errors_drift_as_told():
+def test_the_errors_drift_as_given():
     scenario = stereo_case("A_drift", 8, shots=9, points=5, noise_scale=0.0)
     t = grid(scenario, scenario.images.t)[0]
     expected = scenario.s2_angles[:, None] + scenario.s2_rates[:, None] * (t - t.mean())[:, None]
@@ -334,7 +334,7 @@ def test_the_errors_drift_as_told():
     np.testing.assert_allclose(scenario.rates, -scenario.s2_rates, rtol=1e-3)
 
 
-def test_a_wrong_focal_length_is_in_the_pixels_and_not_in_what_is_told():
+def test_a_wrong_focal_length_is_in_the_pixels_and_not_in_what_is_given():
     right, wrong = (stereo_case(CASE, 8, **QUIET, focal_error=e) for e in (0.0, 1e-3))
     np.testing.assert_allclose(wrong.tracks.pixels - 349.5, 1.001 * (right.tracks.pixels - 349.5), atol=1e-7)
     assert wrong.given_detectors[0].focal_length_px == right.detectors[0].focal_length_px

@@ -1,4 +1,4 @@
-"""Files of a simulated pass: what is told reads back to the same numbers, the truth lies beside it."""
+"""Files of a simulated pass: what is given reads back to the same numbers, the truth lies beside it."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def test_matches_and_poses_read_back_to_the_same_numbers(tmp_path):
     assert list(cameras) == "camera,shot,t,x,y,z,qx,qy,qz,qw".split(",")
     np.testing.assert_array_equal(cameras["camera"], scenario.images.camera + 1)
     np.testing.assert_array_equal(np.stack([cameras[k] for k in "xyz"], axis=1), scenario.images.position)
-    told = np.stack([cameras[k] for k in ("qx", "qy", "qz", "qw")], axis=1)
-    np.testing.assert_array_equal(told, scenario.images.world_from_body.as_quat())
+    given = np.stack([cameras[k] for k in ("qx", "qy", "qz", "qw")], axis=1)
+    np.testing.assert_array_equal(given, scenario.images.world_from_body.as_quat())
     true = read(tmp_path / "truth-cameras.csv")
     np.testing.assert_array_equal(true["x"], scenario.true_images.position[:, 0])
 
@@ -69,38 +69,39 @@ def test_matches_and_poses_read_back_to_the_same_numbers(tmp_path):
 
 def test_the_toml_tells_what_is_known_and_no_truth(tmp_path):
     write_stereo(stereo_case(CASE, 1, **SMALL), tmp_path)
-    told = tomllib.loads((tmp_path / "stereo.toml").read_text(encoding="utf-8"))
-    assert told["cameras"] == "cameras.csv" and told["matches"] == "matches.csv"
-    assert "dem" not in told and "control_points" not in told
-    assert told["camera"] == {
+    content = tomllib.loads((tmp_path / "stereo.toml").read_text(encoding="utf-8"))
+    assert content["cameras"] == "cameras.csv" and content["matches"] == "matches.csv"
+    assert "dem" not in content and "control_points" not in content
+    assert content["camera"] == {
         "shape": [700, 700],
         "focal_length_px": 350.0 / np.tan(np.radians(0.75)),
         "principal_point_px": [349.5, 349.5],
         "mount": "nominal",
     }
-    assert told["noise"] == {
+    assert content["noise"] == {
         "sigma_px": 0.1,
         "sigma_position": 7.5,
         "sigma_attitude": 1.8 * ARCSEC,
         "attitude_knowledge": "independent",
     }
-    assert told["surface"] == {"radii": [6371000.0, 6371000.0]}
+    assert content["surface"] == {"radii": [6371000.0, 6371000.0]}
 
 
 @pytest.mark.parametrize("earth", ["sphere", "wgs84"])
 def test_the_dem_is_the_ground(tmp_path, earth):
     scenario = stereo_case(CASE, 1, **SMALL, dem_sigma=10.0, earth=earth)
     write_stereo(scenario, tmp_path, control_points=4, control_sigma=2.0)
-    told = tomllib.loads((tmp_path / "stereo.toml").read_text(encoding="utf-8"))
-    assert told["dem"] == "dem.tif" and told["dem_sigma"] == 10.0
-    assert ("surface" in told) == (earth == "sphere")
+    content = tomllib.loads((tmp_path / "stereo.toml").read_text(encoding="utf-8"))
+    assert content["dem"] == "dem.tif" and content["dem_sigma"] == 10.0
+    assert ("surface" in content) == (earth == "sphere")
     dem = read_dem(tmp_path / "dem.tif", radii=scenario.pair.radii if earth == "sphere" else None)
     np.testing.assert_allclose(
         dem.height_at(scenario.points), scenario.surface.height_at(scenario.points), atol=1e-6
     )
     control = read(tmp_path / "control_points.csv")
     assert (
-        list(control) == ["x", "y", "z", "sigma", "point"] and told["control_points"] == "control_points.csv"
+        list(control) == ["x", "y", "z", "sigma", "point"]
+        and content["control_points"] == "control_points.csv"
     )
     near = scenario.points[control["point"].astype(int)]
     off = np.stack([control[k] for k in "xyz"], axis=1) - near
@@ -108,17 +109,17 @@ def test_the_dem_is_the_ground(tmp_path, earth):
     assert 0.0 < np.abs(off).max() < 9.0 and (control["sigma"] == 2.0).all()
 
 
-def test_flat_ground_is_told_as_a_height(tmp_path):
+def test_flat_ground_is_given_as_a_height(tmp_path):
     write_stereo(stereo_case(CASE, 1, **SMALL, relief="none", dem_sigma=3.0), tmp_path)
-    told = tomllib.loads((tmp_path / "stereo.toml").read_text(encoding="utf-8"))
-    assert told["surface"] == {"radii": [6371000.0, 6371000.0], "height": 0.0, "height_sigma": 3.0}
+    content = tomllib.loads((tmp_path / "stereo.toml").read_text(encoding="utf-8"))
+    assert content["surface"] == {"radii": [6371000.0, 6371000.0], "height": 0.0, "height_sigma": 3.0}
 
 
-def test_three_cameras_and_lone_sightings_are_told_one_by_one(tmp_path):
+def test_three_cameras_and_lone_sightings_are_listed_one_by_one(tmp_path):
     scenario = stereo_case("A_three_cameras", 1, **SMALL, match_share=0.6)
     write_stereo(scenario, tmp_path)
-    told = tomllib.loads((tmp_path / "stereo.toml").read_text(encoding="utf-8"))
-    assert told["observations"] == "observations.csv" and "matches" not in told
+    content = tomllib.loads((tmp_path / "stereo.toml").read_text(encoding="utf-8"))
+    assert content["observations"] == "observations.csv" and "matches" not in content
     seen = read(tmp_path / "observations.csv")
     assert list(seen) == "camera,shot,point,line,column".split(",")
     np.testing.assert_array_equal(seen["camera"], scenario.images.camera[scenario.tracks.image] + 1)
@@ -136,10 +137,12 @@ def test_drift_focal_length_and_aim_point_are_written_where_they_matter(tmp_path
     assert (
         read(written["truth-focal.csv"])["focal_length_px"] == scenario.detectors[0].focal_length_px
     ).all()
-    told = tomllib.loads(written["stereo.toml"].read_text(encoding="utf-8"))
-    assert told["camera"]["focal_length"] == "estimate"
-    assert told["camera"]["focal_length_px"] * 1.001 == pytest.approx(scenario.detectors[0].focal_length_px)
-    assert told["noise"]["aim_point"] == scenario.pair.aim_point.tolist()
+    content = tomllib.loads(written["stereo.toml"].read_text(encoding="utf-8"))
+    assert content["camera"]["focal_length"] == "estimate"
+    assert content["camera"]["focal_length_px"] * 1.001 == pytest.approx(
+        scenario.detectors[0].focal_length_px
+    )
+    assert content["noise"]["aim_point"] == scenario.pair.aim_point.tolist()
 
 
 def test_the_command_writes_what_its_options_say(tmp_path, capsys):
@@ -148,9 +151,9 @@ def test_the_command_writes_what_its_options_say(tmp_path, capsys):
     words = "--shots 3 --points 12 " + " ".join(f"--set {key}={value}" for key, value in keys.items())
     out = tmp_path / "pass"
     assert run(["simulate", "stereo", "--seed", "5", *words.split(), "--out", str(out), "--json"]) == 0
-    told = tomllib.loads((out / "stereo.toml").read_text(encoding="utf-8"))
-    assert told["noise"]["sigma_attitude"] == pytest.approx(0.5 * ARCSEC)
-    assert told["camera"]["focal_length_px"] == pytest.approx(350.0 / np.tan(np.radians(1.0)))
+    content = tomllib.loads((out / "stereo.toml").read_text(encoding="utf-8"))
+    assert content["noise"]["sigma_attitude"] == pytest.approx(0.5 * ARCSEC)
+    assert content["camera"]["focal_length_px"] == pytest.approx(350.0 / np.tan(np.radians(1.0)))
     truth = read(out / "orientation-truth.csv")
     np.testing.assert_allclose(np.abs(truth["roll"]), 20.0 * ARCSEC, rtol=1e-3)
     points = read(out / "truth-points.csv")
@@ -192,8 +195,10 @@ def test_frames_are_written_in_place_of_points(tmp_path):
     out = tmp_path / "pass"
     words = f"--set images=true --shots 1 --columns 128 --set fov={np.radians(0.1)} --set relief=none"
     assert run(["simulate", "stereo", *words.split(), "--out", str(out)]) == 0
-    told = tomllib.loads((out / "stereo.toml").read_text(encoding="utf-8"))
-    assert told["images"] == "images.csv" and "matches" not in told and "sigma_px" not in told["noise"]
+    content = tomllib.loads((out / "stereo.toml").read_text(encoding="utf-8"))
+    assert (
+        content["images"] == "images.csv" and "matches" not in content and "sigma_px" not in content["noise"]
+    )
     assert not (out / "matches.csv").exists() and not (out / "truth-points.csv").exists()
     assert len(list(out.glob("camera-*.tif"))) == 2
     both = ["--set", "images=true", "--set", "control_points=3"]

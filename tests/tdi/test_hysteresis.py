@@ -122,7 +122,7 @@ def test_the_step_is_kept_where_the_hysteresis_leaves_a_way():
     assert bound.worst_loss <= 0.05 + 1e-6
 
 
-def test_a_step_that_cannot_be_kept_is_told():
+def test_a_step_that_cannot_be_kept_is_reported():
     model, choice = a_case(columns=2)
     far_apart = ScanColumns(
         choice.columns.column, np.ones(2), np.radians([0.0, 4.0]), choice.columns.static_mtf

@@ -106,7 +106,7 @@ def test_wells_hold_for_parts_of_an_electron():
     assert total.max() <= 3e4 and total.max() > 0.98 * 3e4
 
 
-def test_what_keeping_clear_of_a_limit_costs_is_told():
+def test_what_keeping_clear_of_a_limit_costs_is_reported():
     """Every electron judged by its own limits: no loss above the bound but what `at_limits` owns up to."""
     model, choice = field(8, full_well=3e4, top=2000.0)
     table, certificate = build_table(model, choice, 0.01)

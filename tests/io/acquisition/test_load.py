@@ -200,7 +200,7 @@ def test_columns_that_disagree_with_the_image_are_named(folder):
     assert "[[band]] number 1 (PAN): PAN.tif has 120 columns (200 lines), columns = 1000" in said
 
 
-def test_an_image_of_few_lines_is_told_that_its_axes_may_be_swapped(folder):
+def test_the_error_of_an_image_of_few_lines_says_that_its_axes_may_be_swapped(folder):
     write_tif(folder.path / "PAN.tif", noise(0, (20, 200)))
     assert "PAN.tif: has 20 lines and 200 columns" in (said := message(folder)) and "swapped" in said
 

@@ -48,7 +48,7 @@ def test_a_wild_value_hides_no_lost_reference():
     assert np.flatnonzero(mirrored(np.arange(30.0), degrees)).tolist() == [5]
 
 
-def test_the_others_are_told_beside_180_degrees():
+def test_the_others_are_reported_beside_180_degrees():
     lonlat = np.column_stack([wrap(np.linspace(179.99, 180.03, 9)), np.full(9, -17.0)])
     lonlat[4, 1] = 17.0
     warnings = []

@@ -127,14 +127,14 @@ BAD = [
 
 
 @pytest.mark.parametrize(("old", "new", "message"), BAD, ids=[message for *_, message in BAD])
-def test_a_wrong_file_is_told_what_is_allowed(load, old, new, message):
+def test_the_error_of_a_wrong_file_says_what_is_allowed(load, old, new, message):
     with pytest.raises(FormatError) as caught:
         load(old, new)
     assert "instrument.toml: " in str(caught.value) and message in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_the_kind_of_a_file_is_told_from_its_keys(tmp_path, load):
+def test_the_kind_of_a_file_is_known_from_its_keys(tmp_path, load):
     load()
     assert kind_of(tmp_path / "instrument.toml") == "instrument"
     for text in ("", "[platform]\nkind = 'x'\n", "colour = 1\n"):

@@ -92,7 +92,7 @@ def test_zarr_tells_place_and_wavelengths(tmp_path):
     assert "UTM zone 32N" in group.attrs["crs_wkt"] and group.attrs["transform"] == list(grid.transform)
 
 
-def test_what_cannot_be_written_is_told_before_work_starts(tmp_path, monkeypatch):
+def test_what_cannot_be_written_is_reported_before_work_starts(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="must be among tif, zarr, envi"):
         CubeFolder(tmp_path, ["netcdf"])
     monkeypatch.setitem(sys.modules, "zarr", None)
@@ -122,10 +122,10 @@ def test_the_cube_of_a_sequence_file(tmp_path):
     assert files == ("bands/0-500.0nm.tif", "bands/1-700.0nm.tif", "cube.dat", "cube.hdr")
     assert all((out / name).is_file() for name in files)
     assert sorted(p.name for p in out.iterdir()) == ["bands", "cube.dat", "cube.hdr"]
-    told = cube_summary(summary, files)
-    assert [band["wavelength_nm"] for band in told["bands"]] == [500.0, 700.0]
-    assert told["crs"] is None and "the surface given" in told["surface"]
-    assert '"pairs"' in json_text(told)
+    said = cube_summary(summary, files)
+    assert [band["wavelength_nm"] for band in said["bands"]] == [500.0, 700.0]
+    assert said["crs"] is None and "the surface given" in said["surface"]
+    assert '"pairs"' in json_text(said)
     # an error leaves nothing behind
     (out / "cube.dat").unlink()
     toml.write_text(toml.read_text().replace("700.0]", "1700.0]"))

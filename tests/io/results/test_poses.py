@@ -150,7 +150,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_poses_are_told(tmp_path, case):
+def test_bad_poses_are_reported(tmp_path, case):
     spoil, words = BAD[case]
     path = tmp_path / "poses.csv"
     write_poses(path, poses())
@@ -159,7 +159,7 @@ def test_bad_poses_are_told(tmp_path, case):
         read_pose_table(path)
 
 
-def test_bad_folders_are_told(tmp_path, capsys):
+def test_bad_folders_are_reported(tmp_path, capsys):
     table = poses()
     write_poses(tmp_path / "poses.csv", table)
     assert run(["score", str(tmp_path), str(tmp_path / "none.csv")]) == 2

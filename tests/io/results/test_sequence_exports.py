@@ -108,10 +108,10 @@ def test_every_export_read_back_is_the_same_flight(adjusted, tmp_path):
         assert (again.inv() * poses.world_from_body).magnitude().max() < 1e-9
     start = text.index("positions =")
     for name in ("colmap", "reconstruction.json", "opk.csv", "ypr.csv"):
-        told = f'poses = "{name}"\n' + text[text.index("[sequence]", start) :]
+        keys = f'poses = "{name}"\n' + text[text.index("[sequence]", start) :]
         if not flat:  # whatever the axes of the tables
-            told = told.replace('frame = "local"\norigin = [11.0, 48.0, 500.0]', 'frame = "lonlat"')
-        (tmp_path / "again.toml").write_text(text[:start] + told)
+            keys = keys.replace('frame = "local"\norigin = [11.0, 48.0, 500.0]', 'frame = "lonlat"')
+        (tmp_path / "again.toml").write_text(text[:start] + keys)
         again = load_sequence(tmp_path / "again.toml").images
         np.testing.assert_allclose(again.position, poses.position, atol=1e-6)
         assert (again.world_from_body.inv() * poses.world_from_body).magnitude().max() < 1e-9
@@ -143,7 +143,7 @@ def test_every_export_read_back_is_the_same_flight(adjusted, tmp_path):
     assert np.ptp(ring[:, 1]) * 111.2e3 == pytest.approx(60.0, rel=0.01)
 
 
-def test_files_of_one_name_and_names_with_spaces_are_told_apart(tmp_path):
+def test_files_of_one_name_and_names_with_spaces_stay_distinct(tmp_path):
     made = flight(3)
     made.images = {f"{k}/f.npy": content for k, content in enumerate(made.images.values())}
     made.frames = [[f"frame {k}", 0.5 * k, f"{k}/f.npy"] for k in range(3)]

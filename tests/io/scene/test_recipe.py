@@ -186,10 +186,10 @@ def test_detectors_that_cannot_be_matched_are_refused(scene):
 
 
 def test_a_recipe_is_described_by_what_differs_from_its_case():
-    told = describe_recipe(read_recipe("stereo", None, ["sigma_px=.5"], {"shots": 5}))
-    assert told["given"] == {"shots": 5, "sigma_px": 0.5} and told["missing"] == []
+    said = describe_recipe(read_recipe("stereo", None, ["sigma_px=.5"], {"shots": 5}))
+    assert said["given"] == {"shots": 5, "sigma_px": 0.5} and said["missing"] == []
     assert (
-        told["understood"][0]
+        said["understood"][0]
         == "a scene for `sightline simulate stereo --scene`: case A_paper_T6_K64, seed 0"
     )
-    assert "sigma_px = 0.5" in told["understood"]
+    assert "sigma_px = 0.5" in said["understood"]

@@ -211,11 +211,11 @@ def test_geo_txt_gives_positions_and_angle_tables_attitudes(tmp_path):
     np.testing.assert_array_equal(again.known.attitude[0], [0.1, 0.1, 0.2])
 
 
-def test_places_of_geo_txt_are_off_by_the_same_unless_told(tmp_path):
+def test_places_of_geo_txt_are_off_by_the_same_unless_given(tmp_path):
     made = flight()
     by_geo(made)
-    told = 'attitudes = "attitudes.csv"\nposition_bias_sigma = 2.0\nattitude_bias_sigma = 0.01\n'
-    made.toml = made.toml.replace(told, "")
+    keys = 'attitudes = "attitudes.csv"\nposition_bias_sigma = 2.0\nattitude_bias_sigma = 0.01\n'
+    made.toml = made.toml.replace(keys, "")
     known = load_sequence(made.write(tmp_path)).known
     assert (known.position_bias, known.attitude_bias) == (3.0, 0.0)
     # a table says for itself what its errors share
@@ -296,7 +296,7 @@ def test_wavelengths_from_one_to_another(tmp_path, first, last, step):
     np.testing.assert_allclose(found, [first + step * line for line in range(24)], rtol=1e-12)
 
 
-def test_a_header_in_micrometres_that_does_not_say_so_is_told(tmp_path):
+def test_a_header_in_micrometres_that_does_not_say_so_is_reported(tmp_path):
     made = flight()
     made.toml = made.toml.replace("[surface]", 'wavelength_nm = "cube.hdr"\n[surface]')
     made.extra["cube.hdr"] = "ENVI\nwavelength = {" + ",".join(["0.45"] * 24) + "}\n"
@@ -321,7 +321,7 @@ def test_frames_that_cannot_be_used_are_kept_with_the_reason(tmp_path):
     assert words["usable"] == 2 and any("frame 2: 24 lines" in line for line in words["missing"])
 
 
-def test_no_gps_fix_and_the_wrong_hemisphere_are_left_out_and_told(tmp_path):
+def test_no_gps_fix_and_the_wrong_hemisphere_are_left_out_and_reported(tmp_path):
     made = flight(8)
     made.toml = made.toml.replace('"local"', '"lonlat"').replace('attitudes = "attitudes.csv"\n', "")
     for k, row in enumerate(made.positions):
@@ -345,7 +345,7 @@ def test_attitudes_that_look_at_the_sky_are_left_out(tmp_path):
     assert any("1 attitudes look away from the ground (first: 3)" in words for words in problem.warnings)
 
 
-def test_two_flights_in_one_file_are_told(tmp_path):
+def test_two_flights_in_one_file_are_reported(tmp_path):
     made = flight(8)
     for name in ("frames", "positions", "attitudes"):
         for row in getattr(made, name)[4:]:
@@ -613,7 +613,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_told(tmp_path, case):
+def test_bad_input_is_reported(tmp_path, case):
     spoil, words = BAD[case]
     made = flight()
     spoil(made)

@@ -36,7 +36,7 @@ def model_of(names, position, camera=CAMERA):
 
 
 def sequence(world="lonlat", keys="", count=6):
-    """A flight of which nothing is told but what `keys` name."""
+    """A flight of which nothing is given but what `keys` name."""
     made = flight(count)
     top = made.toml[: made.toml.index("[sequence]")]
     made.toml = made.toml.replace(top, f'frames = "frames.csv"\n{keys}').replace(
@@ -166,7 +166,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_models_that_cannot_be_used_are_told(tmp_path, case):
+def test_models_that_cannot_be_used_are_reported(tmp_path, case):
     world, form, spoil, words = BAD[case]
     keys = ""
     if form in FORMS:

@@ -73,7 +73,7 @@ def test_a_camera_across_the_flight_is_counted_by_its_columns(tmp_path):
     assert "share about 94%" in described(made, tmp_path)["observable"]
 
 
-def test_heights_that_nobody_told(tmp_path):
+def test_heights_that_are_not_given(tmp_path):
     made = flight(12)
     made.toml = made.toml[: made.toml.index("[surface]")]
     said = described(made, tmp_path)

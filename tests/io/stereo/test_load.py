@@ -85,7 +85,7 @@ def test_points_may_be_unequal_from_shot_to_shot(tmp_path):
     assert len(problem.tracks) == 2 * len(made.matches) and len(problem.point_names) == 12
 
 
-def test_a_point_seen_once_is_left_out_and_told(tmp_path):
+def test_a_point_seen_once_is_left_out_and_reported(tmp_path):
     made = scene(shots=3, points=10)
     made.toml = made.toml.replace("matches", "observations")
     made.observations.append([1, 0, 99, 300.0, 300.0])
@@ -528,7 +528,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_bad_input_is_told(tmp_path, case):
+def test_bad_input_is_reported(tmp_path, case):
     spoil, kind, words = BAD[case]
     with pytest.raises(kind, match=words) as raised:
         load_stereo(spoilt(tmp_path, spoil))
@@ -591,7 +591,7 @@ def test_longitude_and_latitude_exchanged_are_suspected_by_where_cameras_look(tm
         load_stereo(path)
 
 
-def test_exact_positions_and_attitudes_may_be_told(tmp_path):
+def test_exact_positions_and_attitudes_may_be_given(tmp_path):
     made = scene(shots=3, points=10)
     made.toml = made.toml.replace("sigma_position = 1.0", "sigma_position = 0")
     made.toml = made.toml.replace("sigma_attitude = 1e-6", "sigma_attitude = 0")

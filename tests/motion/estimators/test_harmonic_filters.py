@@ -119,10 +119,10 @@ def test_the_wiener_filter_finds_the_spectrum_it_is_not_given(series):
     def rms(motion):
         return np.sqrt((series.centred(motion.angles - theta) ** 2).mean())
 
-    told, found = rms(wiener(pairs, t, prior=prior)), rms(wiener(pairs, t))
+    informed, found = rms(wiener(pairs, t, prior=prior)), rms(wiener(pairs, t))
     # Four smoothed bins per 1/T leave the estimated spectrum with a scatter of about a third, which costs
     # its square in the error power at most.
-    assert found < 1.15 * told
+    assert found < 1.15 * informed
 
 
 def test_differences_of_one_instant_are_refused():

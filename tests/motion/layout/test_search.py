@@ -92,7 +92,7 @@ def test_moving_off_the_grid_gains_and_keeps_span_and_spacing():
 
 def test_orders_of_images_that_differ_are_counted_once():
     assert len(distinct_orders((1.0, 1.0, 1.0), mirrored=True)) == 1
-    # two unlike among four, equal ones not told apart: 4! / 2! = 12, mirrored ones once: 6
+    # two unlike among four, equal ones not distinguished: 4! / 2! = 12, mirrored ones once: 6
     assert len(distinct_orders((1.0, 2.0, 3.0, 1.0), mirrored=False)) == 12
     assert len(distinct_orders((1.0, 2.0, 3.0, 1.0), mirrored=True)) == 6
     grid = Candidates.even_grid(0.02, 1e-3, 1e-3)

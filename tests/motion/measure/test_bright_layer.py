@@ -36,7 +36,7 @@ def scattered() -> Flags:
     return cloudy
 
 
-def test_clouds_that_fill_most_of_a_row_are_told_by_what_is_seen_elsewhere():
+def test_clouds_that_fill_most_of_a_row_are_found_by_what_is_seen_elsewhere():
     cloudy = scattered()
     got, tells = bright_windows(*strip(1, cloudy), np.ones(cloudy.shape, dtype=bool), STEP)
     assert tells and got[cloudy].all()

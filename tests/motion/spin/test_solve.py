@@ -128,7 +128,7 @@ def test_constants_lie_within_their_sigma(solved):
     assert np.linalg.norm(found - axis) < 4.0 * np.linalg.norm(sigma[1:3])
 
 
-def test_layers_of_clouds_are_told_apart(solved):
+def test_layers_of_clouds_are_separated(solved):
     _, estimate = solved
     names = list(estimate.unknowns.names)
     rows = [names.index(f"{name} height") for name in NAMES]
@@ -164,7 +164,7 @@ def test_matches_err_as_their_rescaled_sigma_says(solved):
         assert abs(np.array(strip.scale) - 1.0).max() < max(spread, 0.05) + 0.02
 
 
-def test_mismatches_are_told_and_left_out():
+def test_mismatches_are_reported_and_left_out():
     _, spin, frames, pairs, stars = case(5)
     rng = np.random.default_rng(6)
     wrong = []

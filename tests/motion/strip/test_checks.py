@@ -74,7 +74,7 @@ class TestWindows:
         given = value if key == "step" else list(value)
         assert said.startswith(f"`{key}` of [matching] is {given}; the smallest image has 401 lines and 220 ")
 
-    def test_a_detector_too_narrow_for_two_windows_is_told_which_fit(self, strip):
+    def test_the_error_of_a_detector_too_narrow_for_two_windows_says_which_fit(self, strip):
         narrow = replace(
             strip, bands=tuple(replace(b, image=ArrayImage(np.zeros((401, 40)))) for b in strip.bands)
         )

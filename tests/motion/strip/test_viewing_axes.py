@@ -43,7 +43,7 @@ def test_hidden_directions_are_again_one_per_axis():
 
 
 def test_as_much_of_turned_directions_is_the_same_motion_turned():
-    """Three constants, three drifts and one of another kind: random amounts, the motion told both ways."""
+    """Three constants, three drifts and one of another kind: random amounts, the motion given both ways."""
     rng = np.random.default_rng(2)
     directions, root = rng.normal(size=(6, 3, 7)), rng.normal(size=(7, 7))
     turned = turned_directions(directions, TURN).reshape(18, 7)

@@ -33,16 +33,16 @@ FRAMES, BLOCK, KEPT = 80, 27, 30
 def problem() -> SequenceProblem:
     # 4 % a frame: windows are followed for 10 frames
     scenario = sequence_case("small", 4, frames=FRAMES, overlap=0.96, jitter=0.002)
-    told = problem_of(scenario)
+    given = problem_of(scenario)
     _, position, attitude = scenario.poses
     # a point on the ground under frame 50, seen in ten frames of two blocks
     place = np.array([position[50, 0], position[50, 1], 0.0])
     seen = np.arange(48, 58)
-    true = replace(told.images, position=position, world_from_body=attitude)
+    true = replace(given.images, position=position, world_from_body=attitude)
     cameras = frame_cameras(true, [scenario.detector], [NADIR_MOUNT])
     pixels = np.concatenate([cameras[k].project(place[None]) for k in seen])
     return replace(
-        told,
+        given,
         control=ControlPoints(np.array([0]), place[None], np.array([1.0])),
         control_tracks=Tracks(seen, np.zeros(10, dtype=int), pixels, np.full(10, 0.5)),
     )
@@ -119,10 +119,10 @@ def test_a_run_goes_on_from_where_it_was_stopped(problem, uninterrupted, tmp_pat
         with pytest.raises(Stopped):
             georeference_sequence(problem, progress=progress, stages=stages)
         assert (stages.computed, stages.found) == (computed, found)
-    told: list[str] = []
-    stages = Stages(folder, told.append)
+    said: list[str] = []
+    stages = Stages(folder, said.append)
     resumed = georeference_sequence(problem, stages=stages)
-    assert stages.found == ["follow", "subset", "block-0", "block-1"] and not told
+    assert stages.found == ["follow", "subset", "block-0", "block-1"] and not said
     assert stages.computed == ["block-2", "poses"]
     assert identical(resumed, uninterrupted)
     # what finished stages hold is not kept twice
@@ -153,12 +153,12 @@ def test_a_killed_process_leaves_what_another_goes_on_from(problem, uninterrupte
 def test_frames_written_anew_are_followed_anew(problem, uninterrupted, tmp_path):
     with pytest.raises(Stopped):
         georeference_sequence(problem, progress=stop_at(SOLVED_ALL, 1), stages=Stages(tmp_path))
-    told: list[str] = []
-    stages = Stages(tmp_path, told.append)
+    said: list[str] = []
+    stages = Stages(tmp_path, said.append)
     noisy = ArrayImage(np.roll(problem.sources[7].array, 1, axis=0))
     with pytest.raises(Stopped):
         georeference_sequence(
             replace(problem, sources=(*problem.sources[:7], noisy, *problem.sources[8:])),
             stages=stages, progress=stop_at(FOLLOWED, 1),
         )  # fmt: skip
-    assert not stages.found and told and "other frames" in told[0]
+    assert not stages.found and said and "other frames" in said[0]

@@ -46,10 +46,10 @@ def camera(focal: float, distortion: tuple[float, ...] = ()) -> AreaDetector:
     return AreaDetector("frame", SHAPE, focal, MIDDLE, distortion)
 
 
-def solved(flight: Flight, told: float, sigma: float, **changed) -> FramePoses:
-    """Poses by a focal length told, of the relative sigma told with it."""
+def solved(flight: Flight, given: float, sigma: float, **changed) -> FramePoses:
+    """Poses by a given focal length, of the relative sigma given with it."""
     known = replace(flight.known, focal_length=sigma, **changed)
-    sightings = sight_frames(flight.images, [camera(told)], [NADIR_MOUNT], flight.tracks)
+    sightings = sight_frames(flight.images, [camera(given)], [NADIR_MOUNT], flight.tracks)
     # heights are drawn over +-3 m: 1.7 m rms
     heights = PointPriors(HeightPrior(Plane(0.0), 1.75, None))
     return adjust_frames(flight.images, sightings, known, priors=heights)
@@ -104,23 +104,23 @@ def test_the_lens_is_undone_by_the_focal_length_found():
     assert again.tangents == pytest.approx((1.0 + stretch) * found.tangents)
     assert np.abs(found.tangents) == pytest.approx(np.abs(tangents), abs=1e-9)
     plain = sight_frames(one, [camera(true / (1.0 + stretch), (DISTORTION,))], [NADIR_MOUNT], tracks)
-    # at the corner the lens told undoes 0.25 * 3 * 0.18 of the stretch too much: 0.5 px
+    # at the corner the given lens undoes 0.25 * 3 * 0.18 of the stretch too much: 0.5 px
     assert np.abs(plain.tangents - again.tangents).max() * FOCAL > 0.2
 
 
-def test_a_focal_length_told_wrong_is_found_and_all_sigmas_hold():
-    # told wrong by a draw of 1 %; the middle frame tells all of a flight's datum. Fifty draws of one number
+def test_a_wrong_given_focal_length_is_corrected_and_all_sigmas_hold():
+    # given wrong by a draw of 1 %; the middle frame gives all of a flight's datum. Fifty draws of one number
     # reject no factor of sigma: validation/sequence_focal.py pools 300
     nees, focal, sigma = [], [], []
     for seed in range(50):
         flight = Flight(seed, bias=(0.1, 0.01))
-        told = FOCAL * (1.0 + 0.01 * np.random.default_rng(1000 + seed).standard_normal())
-        found = solved(flight, told, 0.01)
+        given = FOCAL * (1.0 + 0.01 * np.random.default_rng(1000 + seed).standard_normal())
+        found = solved(flight, given, 0.01)
         error = flight.errors(found)[15]
         nees.append(error @ np.linalg.solve(found.covariance[15], error))
         assert found.focal is not None
         sigma.append(found.focal.sigma)
-        focal.append((found.detector(camera(told)).focal_length_px - FOCAL) / told / found.focal.sigma)
+        focal.append((found.detector(camera(given)).focal_length_px - FOCAL) / given / found.focal.sigma)
     assert_consistent(nees, 6)
     assert_possible(np.sum(np.square(focal)), len(focal), chance=1e-3)
     # positions above level ground: 0.3 m of noise and 0.1 m of bias of 100 m
@@ -132,18 +132,18 @@ def test_what_is_not_known_of_the_focal_length_is_in_the_heights_of_all_frames()
     kept, found = (solved(flight, FOCAL, sigma) for sigma in (0.0, 0.01))
     assert kept.focal is None and found.focal is not None
     more = np.sqrt(found.covariance[:, 2, 2] - kept.covariance[:, 2, 2])
-    # ground sizes are told by positions: the flying height goes with the focal length, as far as positions'
-    # own bias of 1 m lets it
+    # ground sizes are known from positions: the flying height goes with the focal length, as far as
+    # positions' own bias of 1 m lets it
     assert (more > 0.1).all() and found.focal.sigma < 0.01
     assert found.focal.with_bias[2] != 0.0
 
 
-def test_where_heights_are_not_told_hardly_anything_tells_it():
+def test_without_given_heights_it_is_hardly_observable():
     flight = Flight(4)
     position = np.array(flight.known.position)
     position[:, 2] = np.inf
     found = solved(flight, 1.01 * FOCAL, 0.01, position=position, position_bias=0.0)
-    # perspective alone, of attitudes that are told to 3 mrad
+    # perspective alone, of attitudes that are given to 3 mrad
     assert found.focal is not None and found.focal.sigma > 0.7 * 0.01
     assert abs(found.focal.stretch + 0.0099) < 4.0 * found.focal.sigma
     assert focal_verdict(found.focal) == "hardly observable"
@@ -168,11 +168,11 @@ def test_one_that_rests_on_perspective_alone_is_refused():
         refuse_unobservable_focal(replace(poses, focal=loose))
     with pytest.raises(EstimationError, match="-97 % from the one given"):
         refuse_unobservable_focal(replace(poses, focal=replace(loose, stretch=-0.97, sigma=0.01)))
-    for told in (None, replace(loose, sigma=0.02), replace(loose, prior=0.05)):
-        refuse_unobservable_focal(replace(poses, focal=told))
+    for given in (None, replace(loose, sigma=0.02), replace(loose, prior=0.05)):
+        refuse_unobservable_focal(replace(poses, focal=given))
 
 
-def test_one_far_from_what_was_told_is_told():
+def test_one_far_from_what_was_given_is_reported():
     far = FocalStretch(-0.05, 0.002, 0.01, np.zeros(6))
     flight = Flight(0, count=3)
     problem = small_problem(flight, FOCAL, 0.01)
@@ -200,12 +200,12 @@ def test_a_sigma_that_is_none_is_refused(sigma):
         replace(Flight(0, count=3).known, focal_length=sigma)
 
 
-def small_problem(flight: Flight, told: float, sigma: float) -> SequenceProblem:
+def small_problem(flight: Flight, given: float, sigma: float) -> SequenceProblem:
     count = len(flight.t)
     blank = ArrayImage(np.zeros(SHAPE))
     return SequenceProblem(
-        tuple(map(str, range(count))), flight.t, (blank,) * count, camera(told), NADIR_MOUNT, flight.images,
-        flight.known, Plane(0.0), 1.75, 0.0, 0.8, ("",) * count, focal_length_sigma_px=sigma * told,
+        tuple(map(str, range(count))), flight.t, (blank,) * count, camera(given), NADIR_MOUNT, flight.images,
+        flight.known, Plane(0.0), 1.75, 0.0, 0.8, ("",) * count, focal_length_sigma_px=sigma * given,
     )  # fmt: skip
 
 
@@ -255,5 +255,5 @@ def test_the_cube_looks_through_the_camera_that_was_found():
     assert poses.focal is not None
     px = 1.01 * FOCAL * (1.0 + poses.focal.stretch)
     assert frame_views(problem, found).detector.focal_length_px == pytest.approx(px)
-    # by the rough poses, the one told
+    # by the rough poses, the one given
     assert frame_views(problem).detector.focal_length_px == 1.01 * FOCAL

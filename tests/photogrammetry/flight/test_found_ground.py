@@ -1,4 +1,4 @@
-"""The ground that is found beside the one that was told: level points under a camera at a known height."""
+"""The ground that is found beside the one given: level points under a camera at a known height."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def round_earth(places):
 
 
 @pytest.mark.parametrize(
-    ("radii", "to_world", "told"), [(None, flat, Plane(0.0)), (WGS84, round_earth, Ellipsoid(*WGS84, 0.0))]
+    ("radii", "to_world", "given"), [(None, flat, Plane(0.0)), (WGS84, round_earth, Ellipsoid(*WGS84, 0.0))]
 )
-def test_wrong_ground_is_told_with_the_height_that_was_found(radii, to_world, told):
-    problem = SimpleNamespace(surface=told, radii=radii, height_sigma=0.0)
+def test_wrong_ground_is_reported_with_the_height_that_was_found(radii, to_world, given):
+    problem = SimpleNamespace(surface=given, radii=radii, height_sigma=0.0)
     poses = found(to_world, 2.0)
     # noise of 1 m over 30 points
     assert np.median(found_heights(problem, poses)) == pytest.approx(GROUND, abs=1.0)
@@ -48,7 +48,7 @@ def test_wrong_ground_is_told_with_the_height_that_was_found(radii, to_world, to
     assert level_ground(problem, poses).height == pytest.approx(GROUND, abs=1.0)
     # sigmas that allow it, of the poses or of the ground, and ground that is right
     assert not ground_warnings(problem, found(to_world, 200.0))
-    assert not ground_warnings(SimpleNamespace(surface=told, radii=radii, height_sigma=150.0), poses)
+    assert not ground_warnings(SimpleNamespace(surface=given, radii=radii, height_sigma=150.0), poses)
     right = Plane(GROUND) if radii is None else Ellipsoid(*radii, GROUND)
     assert not ground_warnings(SimpleNamespace(surface=right, radii=radii, height_sigma=0.0), poses)
 

@@ -94,7 +94,7 @@ def test_frames_are_found_relative_to_each_other_far_better_than_the_tables_say(
     flight = Flight(0)
     found = flight.solve()
     error = flight.errors(found)
-    # a tilt and a shift of 100 m times it look alike but for perspective; where both point is told better:
+    # a tilt and a shift of 100 m times it look alike but for perspective; where both point is known better:
     # some 70 points of 0.1 px each show the ground, to 0.1 / sqrt(70) px and what perspective leaves
     pitch, roll = error[:, 4], error[:, 3]
     forward = (error[:, 1] + HEIGHT * pitch) * FOCAL / HEIGHT
@@ -127,7 +127,7 @@ def test_biases_of_the_tables_are_found_where_the_ground_tells_them():
 
 
 def test_what_nothing_tells_stays_as_it_was_however_sharp_the_images():
-    # points seen in three frames 1 % apart: depth is told 100 times worse than direction, and the sightings
+    # points seen in three frames 1 % apart: depth is known 100 times worse than direction, and the sightings
     # a million times better than the place of the flight; rounding must not tell it
     found = Flight(2, step=0.01, sigma_px=1e-3, life=3).solve()
     assert np.sqrt(np.diag(found.bias_covariance)[:2]) == pytest.approx(1.0, rel=1e-3)
@@ -277,7 +277,7 @@ def test_a_flight_that_little_keeps_from_turning_about_its_line_is_solved_and_sa
 
 
 def test_a_flight_without_attitudes_settles_along_a_curved_valley():
-    # frames that are not told how they look turn and move alike at hardly any cost: whole steps raise it, and
+    # frames without given attitudes turn and move alike at hardly any cost: whole steps raise it, and
     # holding the biases does not help; halved steps alone did not end on this flight
     flight = Flight(12, count=24, step=0.01, life=12, bias=(2.0, 0.0))
     rng = np.random.default_rng(12 + 10**6)

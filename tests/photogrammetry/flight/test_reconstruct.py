@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from tests.photogrammetry.steady_flight import steady
-from tests.sequence_flights import problem_of as told_of
+from tests.sequence_flights import problem_of as given_problem
 
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
 from sightline.errors import EstimationError, InputError
@@ -68,8 +68,8 @@ def test_stretches_are_paired_where_they_may_meet():
         (20, 40),
     ]
     assert [pair for pair in near if pair[1] < 30] == [pair for pair in every if pair[1] < 30]
-    told_nothing = np.where(np.arange(60) == 50, np.inf, 27.0)
-    assert (20, 50) in filter_pairs(EACH_TENTH, flight, FILTER, place, told_nothing)
+    unknown = np.where(np.arange(60) == 50, np.inf, 27.0)
+    assert (20, 50) in filter_pairs(EACH_TENTH, flight, FILTER, place, unknown)
 
 
 # ---------------------------------------------------------------------------------------------------- world
@@ -96,24 +96,24 @@ def test_a_model_is_brought_to_the_world(single_line):
 # ---------------------------------------------------------------------------------------------- what is known
 
 
-def test_attitudes_that_nobody_told_are_held_at_first_and_free_afterwards():
+def test_attitudes_that_are_not_given_are_held_at_first_and_free_afterwards():
     known = RoughPoses(np.ones((4, 3)), np.full((4, 3), np.inf), 2.0, 0.0)
     first = held(known)
     assert np.isfinite(first.attitude).all() and first.attitude_bias > 0.0
     assert (first.position == known.position).all() and first.position_bias == 2.0
     assert np.isinf(known.attitude).all()
     assert looking_down(known).attitude_bias >= 0.1  # rad; no more is claimed than "down"
-    told = RoughPoses(np.ones((4, 3)), np.full((4, 3), 0.01))
-    assert held(told) is told and looking_down(told) is told
+    given = RoughPoses(np.ones((4, 3)), np.full((4, 3), 0.01))
+    assert held(given) is given and looking_down(given) is given
 
 
 def test_a_strip_that_may_be_bent_is_named():
     problem = SimpleNamespace(detector=PLAIN, t=np.array([0.0, 1.0, 2.0, 60.0, 61.0]))
     # ends of an even trend are at the root of 3: 400 px x 0.002 rad x 1.73 = 1.4 px
     bent = np.array([[1e-4, 2e-3, 1e-4], [1e-4, 1e-4, 1e-4]])
-    (words,) = bow_warnings(problem, SimpleNamespace(bow=bent, detector=lambda told: told))
+    (words,) = bow_warnings(problem, SimpleNamespace(bow=bent, detector=lambda given: given))
     assert "stretch 1 (3 frames)" in words and "pitch" in words and "0.11 deg" in words and "1.4 px" in words
-    straight = SimpleNamespace(bow=np.full((2, 3), 1e-3), detector=lambda told: told)
+    straight = SimpleNamespace(bow=np.full((2, 3), 1e-3), detector=lambda given: given)
     assert bow_warnings(problem, straight) == []
 
 
@@ -121,8 +121,8 @@ def test_a_strip_that_may_be_bent_is_named():
 
 
 def problem_of(scenario: SequenceScenario, *, blind: bool) -> SequenceProblem:
-    """The flight; `blind`: no attitude told."""
-    problem = told_of(scenario)
+    """The flight; `blind`: no given attitude."""
+    problem = given_problem(scenario)
     if not blind:
         return problem
     known, images = problem.known, problem.images
@@ -163,7 +163,7 @@ def test_a_flight_begins_with_a_model_of_its_subset(flight, blind):
     found = georeference_sequence(problem, photogrammetry=None if blind else True)
     assert found.model is not None
     assert set(found.model.frames) <= set(found.subset.frames) and len(found.model.frames) >= 3
-    # as from told attitudes: some 50 windows a frame, 0.1 px with their drift, thrice that at most
+    # as from given attitudes: some 50 windows a frame, 0.1 px with their drift, thrice that at most
     assert between_px(flight, found) < 0.1
     attitude = flight.poses[2]
     for poses, rows in ((found.poses, np.arange(31)), (found.model.poses, found.model.frames)):

@@ -61,7 +61,7 @@ def mean_height_sigma(tracks: Tracks) -> float:
     return SIGMA * float(np.sqrt(np.exp(-np.pi * apart / area).mean()))
 
 
-def told(solver: SequenceSolver, tracks: Tracks) -> float:
+def height_sigma_of(solver: SequenceSolver, tracks: Tracks) -> float:
     """m: sigma of the mean height by rows of equal weight, one for each point."""
     prior = solver.heights(tracks)
     assert prior is not None
@@ -76,7 +76,7 @@ def test_the_surface_tells_the_mean_height_once_however_points_came_about(solver
     shared = Tracks(image, np.repeat(np.arange(300), 2), pixels(rng, 600), np.array(0.1))
     both = appended(own, shared)
     # exact; among no more than 600 points all distances are looked at
-    assert told(solver, own) == pytest.approx(mean_height_sigma(own), rel=1e-6)
-    assert told(solver, both) == pytest.approx(mean_height_sigma(both), rel=1e-6)
+    assert height_sigma_of(solver, own) == pytest.approx(mean_height_sigma(own), rel=1e-6)
+    assert height_sigma_of(solver, both) == pytest.approx(mean_height_sigma(both), rel=1e-6)
     # counted as those followed are, points in common would have made it smaller by the root of two
-    assert told(solver, both) > 0.9 * told(solver, own)
+    assert height_sigma_of(solver, both) > 0.9 * height_sigma_of(solver, own)

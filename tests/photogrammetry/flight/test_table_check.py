@@ -65,7 +65,7 @@ def test_the_ground_moves_by_speed_over_distance(problem):
     assert np.abs(np.median(moved[:, 1])) < 0.5
 
 
-def test_images_that_move_as_told_say_nothing_and_others_do(problem):
+def test_images_that_move_as_the_tables_say_cause_no_warning_and_others_do(problem):
     back = float(np.sign(np.median(ground_motion(problem)[0][:, 0])))
     assert not motion_warnings(problem, followed(4.0 * back, problem))
     (words,) = motion_warnings(problem, followed(16.0 * back, problem))
@@ -103,7 +103,7 @@ def test_what_goes_together_says_nothing(problem):
 @pytest.mark.parametrize(
     ("scale", "sigma", "hopeless"), [(1.5, 1.0, True), (0.5, 1.0, True), (1.5, 5.0, False)]
 )
-def test_a_lens_that_contradicts_heights_is_told_with_what_would_go_together(problem, scale, sigma, hopeless):
+def test_a_lens_that_contradicts_heights_is_reported_with_what_fits(problem, scale, sigma, hopeless):
     problem.height_sigma = sigma
     (found,) = misfits(problem, solution(problem, scale))
     assert found.hopeless == hopeless
@@ -161,7 +161,7 @@ def test_a_single_gross_row_is_named(problem):
     assert float(missed[1]) == pytest.approx(20.0, abs=4.0 * NOISE)
 
 
-def test_rows_that_miss_the_poses_found_are_told(problem):
+def test_rows_that_miss_the_poses_found_are_reported(problem):
     rng = np.random.default_rng(2)
     found = solution(
         problem,

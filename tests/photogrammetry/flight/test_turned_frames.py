@@ -19,7 +19,7 @@ NORTH = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 
 
 def quarters(sigma: float, turned: int, seed: int) -> np.ndarray:
-    """What is found of a flight north: positions told to `sigma` m, pixels turned by so many quarters."""
+    """What is found of a flight north: positions given to `sigma` m, pixels turned by so many quarters."""
     rng = np.random.default_rng(seed)
     place = np.array([[0.0, STEP * k, HEIGHT] for k in range(COUNT)]) + sigma * rng.standard_normal(
         (COUNT, 3)
@@ -46,6 +46,6 @@ def test_a_flight_with_good_positions_tells_how_its_pixels_are_turned():
 
 
 def test_positions_that_tell_no_direction_tell_no_turn():
-    # 10 m from the first to the last, told to 4 m each: a turn must be exp(9) times as likely as none
+    # 10 m from the first to the last, given to 4 m each: a turn must be exp(9) times as likely as none
     for seed in range(300):
         assert (quarters(4.0, 0, seed) == 0).all()

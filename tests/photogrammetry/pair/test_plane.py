@@ -217,7 +217,7 @@ def test_the_length_of_white_heights_is_short():
     assert correlation_length(rng.uniform(0.0, 1e4, (500, 2)), rng.standard_normal(500)) < 300.0
 
 
-def test_what_relief_moves_in_the_second_camera_is_told_in_pixels():
+def test_what_relief_moves_in_the_second_camera_is_reported_in_pixels():
     rng = np.random.default_rng(3)
     points = ground(rng, 150, 11e3, 200.0, "white")
     pairs = pair_sightings(shoot(Plan(), QUIET, points, rng, TRUTH).sightings(1e-3))
