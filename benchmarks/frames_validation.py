@@ -97,8 +97,8 @@ def main() -> None:
         rms, sigma = (np.sqrt((np.concatenate(v) ** 2).mean(axis=0)) for v in (errors, sigmas))
         cells = ["  ".join(f"{value:.4f}" for value in part) for part in (rms, sigma)]
         seconds = (time.perf_counter() - begin) / seeds
-        told = "; ".join(filter(None, lenses))
-        print(f"| {name} | {cells[0]} | {cells[1]} | {np.mean(nees):.2f} | {told} | {seconds:.1f} |")
+        printed = "; ".join(filter(None, lenses))
+        print(f"| {name} | {cells[0]} | {cells[1]} | {np.mean(nees):.2f} | {printed} | {seconds:.1f} |")
 
 
 if __name__ == "__main__":

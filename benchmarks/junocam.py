@@ -81,7 +81,7 @@ def print_spin(result: SpinAttitude) -> None:
     )
     rank = found.rank
     print(
-        f"rank {rank.rank} of {len(rank.names)} constants told better than known before, {rank.blind} not at "
+        f"rank {rank.rank} of {len(rank.names)} constants known better than beforehand, {rank.blind} not at "
         f"all; weakest direction: {rank.weakest}"
     )
     for static in result.statics:

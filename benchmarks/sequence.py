@@ -9,9 +9,9 @@ counted. Each way runs in a process of its own: CPU seconds are user and system 
 children, less what a flight of a few frames takes (imports, compiled code); memory is the most it held. The
 ground has real spectra: SIGHTLINE_DATA names the folder of the data sets.
 
-Ways. `ours`: rough tables as told by the simulation (positions 1 m, attitudes 0.5 deg, both with a bias).
+Ways. `ours`: rough tables of the simulation (positions 1 m, attitudes 0.5 deg, both with a bias).
 `ours, fine attitudes`: 0.05 deg. `ours, no attitudes`: begins with a model of the subset by pycolmap (extra
-`sfm`). `ours, weak positions`: no attitudes either, positions 5 m, heights of the ground not told: the
+`sfm`). `ours, weak positions`: no attitudes either, positions 5 m, heights of the ground not given: the
 strip's bow is hardly known, and the result must say so. Interpolations (`slerp`, `spline`, `displacement`)
 begin with *true* poses of one frame in 20. `resection`: a model of the subset by pycolmap, then SIFT of every
 frame left, matched to the model's points in the two nearest frames of the subset, and OpenCV's solvePnPRansac
@@ -73,8 +73,8 @@ WAYS = (
     "ours", "ours, fine attitudes", "ours, no attitudes", "ours, weak positions", "slerp", "spline",
     "displacement", "resection", "photogrammetry",
 )  # fmt: skip
-#: What a way is told otherwise.
-TOLD: dict[str, dict[str, float]] = {
+#: What a way is given otherwise.
+GIVEN: dict[str, dict[str, float]] = {
     "ours, fine attitudes": {"attitude_sigma": float(np.radians(0.05))},
     "ours, weak positions": {"position_sigma": 5.0, "position_bias_sigma": 10.0},
 }
@@ -103,8 +103,8 @@ class FrameFile:
 
 
 def flight(case: str, seed: int, way: str) -> SequenceScenario:
-    """The flight as that way is told of it; motion, ground and frames are the same for all."""
-    return sequence_case(case, seed, spectra="rededge", **TOLD.get(way, {}))
+    """The flight as that way is given it; motion, ground and frames are the same for all."""
+    return sequence_case(case, seed, spectra="rededge", **GIVEN.get(way, {}))
 
 
 def rendered(case: str, seed: int, work: Path) -> Path:
@@ -119,7 +119,7 @@ def rendered(case: str, seed: int, work: Path) -> Path:
     return path
 
 
-def told(case: str, seed: int, way: str, work: Path) -> Path:
+def stored(case: str, seed: int, way: str, work: Path) -> Path:
     """A file with the flight, of its ground the relief only: memory is then that of the way."""
     path = work / f"{case}-{seed}-{WAYS.index(way)}.flight"
     scenario = flight(case, seed, way)
@@ -134,14 +134,14 @@ def problem_of(
 ) -> SequenceProblem:
     """What a user would know of the first frames of a flight; `blind`: no attitudes."""
     o, t = scenario.options, scenario.poses[0][:count]
-    told = scenario.given_positions[:count]
+    given = scenario.given_positions[:count]
     position_sigma = np.full((count, 3), o.position_sigma)
-    attitude = track_attitude(t, told, position_sigma, None) if blind else scenario.given_attitudes[:count]
+    attitude = track_attitude(t, given, position_sigma, None) if blind else scenario.given_attitudes[:count]
     known = RoughPoses(
         position_sigma, np.full((count, 3), np.inf if blind else o.attitude_sigma), o.position_bias_sigma,
         0.0 if blind else o.attitude_bias_sigma,
     )  # fmt: skip
-    images = Images(np.zeros(count), np.arange(count), t, told, attitude)
+    images = Images(np.zeros(count), np.arange(count), t, given, attitude)
     return SequenceProblem(
         tuple(map(str, range(count))), t, tuple(FrameFile(path, k, o.shape) for k in range(count)),
         scenario.detector, NADIR_MOUNT, images, known, Plane(0.0),
@@ -359,18 +359,18 @@ def scored(scenario: SequenceScenario, poses: Poses) -> dict[str, Any]:
     }
 
 
-def child(way: str, told_of: Path, frames: Path, count: int) -> dict[str, Any]:
+def child(way: str, file: Path, frames: Path, count: int) -> dict[str, Any]:
     """One way in a process of its own."""
-    command = [sys.executable, __file__, "--child", way, "--told", str(told_of), "--frames", str(frames)]
+    command = [sys.executable, __file__, "--child", way, "--flight", str(file), "--frames", str(frames)]
     found = subprocess.run([*command, "--count", str(count)], capture_output=True, text=True, check=False)
     if found.returncode:
         return {"failed": found.stderr.strip().splitlines()[-1:]}
     return dict(json.loads(found.stdout.splitlines()[-1]))
 
 
-def main_child(way: str, told_of: Path, frames: Path, count: int) -> None:
+def main_child(way: str, file: Path, frames: Path, count: int) -> None:
     """Print what was measured, as JSON."""
-    scenario = pickle.loads(told_of.read_bytes())
+    scenario = pickle.loads(file.read_bytes())
     path = frames
     # compiled code is loaded before the clock starts
     georeference_sequence(problem_of(scenario, path, 12, False))
@@ -412,12 +412,12 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", choices=WAYS, default=list(WAYS))
     parser.add_argument("--work", type=Path)
     parser.add_argument("--child", help=argparse.SUPPRESS)
-    parser.add_argument("--told", type=Path, help=argparse.SUPPRESS)
+    parser.add_argument("--flight", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--frames", type=Path, help=argparse.SUPPRESS)
     parser.add_argument("--count", type=int, help=argparse.SUPPRESS)
     args = parser.parse_args()
     if args.child:
-        main_child(args.child, args.told, args.frames, args.count)
+        main_child(args.child, args.flight, args.frames, args.count)
         return
     with tempfile.TemporaryDirectory() as folder:
         work = args.work or Path(folder)
@@ -432,23 +432,23 @@ def main() -> None:
         print("|---|---|---|---|---|---|---|---|---|")
         notes = []
         for way in args.only:
-            told_of = told(args.case, args.seed, way, work)
+            file = stored(args.case, args.seed, way, work)
             if way == "photogrammetry":
-                grown(told_of, path, total)
+                grown(file, path, total)
                 continue
-            entry = child(way, told_of, path, total)
+            entry = child(way, file, path, total)
             cpu = f"{entry['cpu']:.0f} extrapolated" if "per frame" in entry else None
             print(row(way, entry, total, cpu), flush=True)
             notes += [f"{way}: {k} {v}" for k in ("stages", "warnings", "per frame") if (v := entry.get(k))]
         print("", *notes, sep="\n")
 
 
-def grown(told_of: Path, path: Path, total: int) -> None:
+def grown(file: Path, path: Path, total: int) -> None:
     """Photogrammetry of more and more frames, and what all would take."""
     counts = [max(int(share * total), 12 * (n + 1)) for n, share in enumerate(GROWING)]
     took = []
     for count in counts:
-        entry = child("photogrammetry", told_of, path, count)
+        entry = child("photogrammetry", file, path, count)
         print(row(f"photogrammetry, first {count}", entry, count), flush=True)
         if "failed" in entry:
             return

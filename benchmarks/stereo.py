@@ -55,7 +55,7 @@ LEAST_STEPS = 3
 
 
 def scene(shots: int, points: int = 300) -> tuple[StereoScenario, StereoProblem]:
-    """A pass and what is told of it."""
+    """A pass and what is given of it."""
     window = 64.0 if shots <= 64 else 256.0
     scenario = stereo_case("A_paper_T6_K64", 0, shots=shots, window=window, points=points)
     return scenario, StereoProblem(**scenario.problem())

@@ -308,9 +308,9 @@ def simulated_blind(layouts: dict[str, Array]) -> None:
         error = motion.angles - (truth - truth.mean(axis=0))
         sigma = np.sqrt(np.einsum("nii->ni", motion.covariance))
         score, within[name] = float(np.mean((error / sigma) ** 2)), band_rms(error.T)
-        told = f"{rms(error):.4f} / {rms(sigma):.4f} px, NEES {score:.2f}"
+        scored = f"{rms(error):.4f} / {rms(sigma):.4f} px, NEES {score:.2f}"
         wide = np.ptp(positions) > 0.1
-        row("6", f"{name}: another family, prior found in the data: rms / stated sigma", told,
+        row("6", f"{name}: another family, prior found in the data: rms / stated sigma", scored,
             "NEES 0.7-1.5" if wide else "none", not wide or 0.7 <= score <= 1.5)  # fmt: skip
         row("6", f"{name}: the same, rms within 40-150 Hz", f"{within[name]:.4f} px",
             "<= S1's" if len(within) > 1 else "-", within[name] <= within["S1's example"])  # fmt: skip

@@ -81,7 +81,7 @@ def gate(case: str, dem: bool, found: list[dict[str, AxisScore]]) -> None:
                 f"{case}, {name}: largest rms over sigma", max(a.rms / a.sigma for a in axes), 0.8, 1.25
             )
         nees = float(np.mean([a.nees for a in axes]))
-        # without a DEM clouds and relief cannot be told apart: sigma is too large where there are few clouds
+        # without a DEM clouds and relief cannot be separated: sigma is too large where there are few clouds
         gates.check(f"{case}, {name}: NEES", nees, *((0.8, 1.25) if dem else (0.4, 1.5)))
 
 

@@ -6,9 +6,9 @@ Strips over relief (`relief`, rms 300 m; `hard`, noise and clouds besides; `real
 tile under real bands), each recovered five times:
 
     DEM               the true surface
-    DEM + 20 m        a DEM with errors of 20 m rms over some hundred metres, told as `height_sigma`
-    the same, untold  that DEM taken for exact
-    joint             a plane at the mean height, the heights' deviation told: they become unknowns of the
+    DEM + 20 m        a DEM with errors of 20 m rms over some hundred metres, given as `height_sigma`
+    the same, no sigma that DEM taken for exact
+    joint             a plane at the mean height, the heights' deviation given: they become unknowns of the
                       estimate beside the motion, and several lags part the two
     off               that plane taken for exact
 
@@ -52,7 +52,7 @@ def ways(relief: Relief, seed: int) -> dict[str, tuple[Surface, float]]:
     return {
         "DEM": (exact, 0.0),
         "DEM + 20 m": (wrong, DEM_SIGMA),
-        "the same, untold": (wrong, 0.0),
+        "the same, no sigma": (wrong, 0.0),
         "joint": (plane, float(relief.heights.std())),
         "off": (plane, 0.0),
     }

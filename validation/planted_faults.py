@@ -293,10 +293,10 @@ def test_files(fault: Fault) -> list[Path]:
     """Those of the nearest folder, first those that import the changed module."""
     module = ".".join(fault.file.with_suffix("").parts)
     package, _, name = module.rpartition(".")
-    told = re.compile(rf"{re.escape(module)}\b|from {re.escape(package)} import .*\b{name}\b")
+    imports = re.compile(rf"{re.escape(module)}\b|from {re.escape(package)} import .*\b{name}\b")
     files = sorted((ROOT / "tests" / fault.folder).rglob("test_*.py"))
     text = {file: file.read_text(encoding="utf-8") for file in files}
-    return sorted(files, key=lambda f: (f.stem != f"test_{name}", not told.search(text[f]), f))
+    return sorted(files, key=lambda f: (f.stem != f"test_{name}", not imports.search(text[f]), f))
 
 
 class Scratch:

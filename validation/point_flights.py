@@ -1,9 +1,9 @@
-"""Flights of points, drawn anew by seed: truth in closed form, and what a user would be told of it.
+"""Flights of points, drawn anew by seed: truth in closed form, and what a user would be given of it.
 
 No images: points on hills are sighted through frames with the errors that the dense stage assumes: each
 sighting by itself, windows that drift while they are followed, a few gross errors, tables with noise and a
 bias, a surface that is wrong. Rolls, hills, pinholes, the ellipsoid and lines exposed one after the other are
-written out here; nothing is shared with the estimator but the types it is told in.
+written out here; nothing is shared with the estimator but its types.
 """
 
 from __future__ import annotations
@@ -51,13 +51,13 @@ EQUATOR, FLATTENING = 6378137.0, 1.0 / 298.257223563
 
 @dataclass(frozen=True)
 class Kind:
-    """What a flight is like, and what is told of it.
+    """What a flight is like, and what is given of it.
 
     `place` (m) and `turn` (degrees) are sigmas of the tables per axis, `place_bias` and `turn_bias` of their
     constant errors. `craft_from_body`, `craft_from_camera`: how both sit in the craft (forward, right, down),
     the camera's lines running forward. `missing`: frames without an image, from and to (excluded); `lost`:
     nothing is followed over them. `gross`: share of sightings; `understated`: true noise of a sighting over
-    what is told of it.
+    what is given of it.
     """
 
     title: str = "as simulated before"
@@ -85,7 +85,7 @@ class Kind:
 
 @dataclass(frozen=True, eq=False)
 class Flight:
-    """One flight: truth and what is told of it."""
+    """One flight: truth and what is given of it."""
 
     position: np.ndarray
     matrix: np.ndarray  # world_from_body
@@ -306,13 +306,13 @@ def lonlat(places: np.ndarray) -> np.ndarray:
 
 
 def loaded(
-    kind: Kind, t: np.ndarray, told: np.ndarray, attitude: Rotation, excluded: tuple[str, ...]
+    kind: Kind, t: np.ndarray, given: np.ndarray, attitude: Rotation, excluded: tuple[str, ...]
 ) -> SequenceProblem:
-    """The problem of a SEQUENCE.toml with longitudes, latitudes, heights; `told` (M, 3) Earth-fixed."""
-    places, quats = lonlat(told), attitude.as_quat()
+    """The problem of a SEQUENCE.toml with longitudes, latitudes, heights; `given` (M, 3) Earth-fixed."""
+    places, quats = lonlat(given), attitude.as_quat()
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
-        # its pixels are never looked at, but a constant one would be told
+        # its pixels are never looked at, but a constant one would be reported
         pixels = (np.indices(SHAPE).sum(axis=0) % 251).astype(np.uint8)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotGeoreferencedWarning)
@@ -353,7 +353,7 @@ def _read(kind: Kind, t: np.ndarray, places: np.ndarray, quats: np.ndarray, home
 
 
 def problem_of(
-    kind: Kind, t: np.ndarray, told: np.ndarray, attitude: Rotation, excluded: tuple[str, ...]
+    kind: Kind, t: np.ndarray, given: np.ndarray, attitude: Rotation, excluded: tuple[str, ...]
 ) -> SequenceProblem:
     """The problem in a flat world."""
     count = len(t)
@@ -371,7 +371,7 @@ def problem_of(
     return SequenceProblem(
         tuple(map(str, range(count))), t, (ArrayImage(np.zeros(SHAPE)),) * count, detector,
         Rotation.from_matrix(body_from_camera) * NADIR_MOUNT,
-        Images(np.zeros(count), np.arange(count), t, told, attitude), known, Plane(0.0), kind.hills,
+        Images(np.zeros(count), np.arange(count), t, given, attitude), known, Plane(0.0), kind.hills,
         kind.readout, 0.8, excluded,
     )  # fmt: skip
 
@@ -423,7 +423,7 @@ def draw(seed: int, kind: Kind) -> Flight:
     turn = turn + np.radians(kind.turn) * rng.standard_normal((count, 3))
     level = axes_of_place(LONGITUDE, LATITUDE) if kind.on_earth else np.eye(3)
     origin = earth(LONGITUDE, LATITUDE, GROUND) if kind.on_earth else np.zeros(3)
-    told = origin + (position + noise) @ level.T
+    given = origin + (position + noise) @ level.T
     position, matrix = origin + position @ level.T, level @ matrix
     if not kind.attitudes:
         # those of a model, which lies and is turned as a whole as its tables have it
@@ -432,7 +432,7 @@ def draw(seed: int, kind: Kind) -> Flight:
     attitude = Rotation.from_matrix(matrix) * Rotation.from_rotvec(turn)
     low, high = kind.missing
     excluded = tuple("missing" if low <= k < high else "" for k in range(count))
-    problem = (loaded if kind.on_earth else problem_of)(kind, t, told, attitude, excluded)
+    problem = (loaded if kind.on_earth else problem_of)(kind, t, given, attitude, excluded)
     if not kind.attitudes:
         problem = replace(problem, start=replace(problem.images, position=position + noise[:1]))
     return Flight(position, matrix, problem, followed, level, shared)

@@ -50,13 +50,13 @@ VARIANTS = {
         "tables without biases: 3 and 5 cm, .1, .1, .3 degrees", place=(0.03, 0.03, 0.05), place_bias=0.0,
         turn=(0.1, 0.1, 0.3), turn_bias=0.0,
     ),
-    "no-attitudes": Kind("no attitudes told, heights of the ground are", attitudes=False, turn_bias=0.0),
+    "no-attitudes": Kind("no attitudes given, heights of the ground are", attitudes=False, turn_bias=0.0),
     "beside": Kind("two lines beside each other", frames=30, second_line=180.0, aside=-ASIDE),
     "crossing": Kind("two lines that cross", frames=30, second_line=90.0),
     "gap": Kind("12 of 48 frames missing", missing=(18, 30)),
     "lost": Kind("12 of 48 frames missing, nothing followed over them", missing=(18, 30), lost=True),
     "gross": Kind("2 % gross errors", gross=0.02),
-    "understated": Kind("noise of sightings 1.5 times what is told", understated=1.5),
+    "understated": Kind("noise of sightings 1.5 times what is given", understated=1.5),
 }  # fmt: skip
 
 

@@ -167,8 +167,8 @@ def measure(path: str) -> None:
         store = CubeFolder(Path(folder))
         summary = assemble_cube(problem, found, CubePlan(bands=20, picture=False, fit=False), store)
     # of this process alone: what getrusage tells counts the parent that it was forked from
-    told = re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text(encoding="utf-8"))
-    memory = int(told[1]) / 1024 if told else np.nan
+    peak = re.search(r"VmHWM:\s+(\d+)", Path("/proc/self/status").read_text(encoding="utf-8"))
+    memory = int(peak[1]) / 1024 if peak else np.nan
     print(
         f"  {len(problem):5d} frames: {summary.seconds['tiles']:6.1f} CPU s, peak {memory:.0f} MiB",
         flush=True,

@@ -1,10 +1,10 @@
 """Focal length found with the poses of a sequence: is it right, and do all sigmas hold?
 
 ``python validation/sequence_focal.py [flights]``: flights of points (``point_flights.py``), whose
-truth shares no code with the estimate; 40 of each kind take some four minutes of CPU. The focal length is
-told wrong, by a draw of the sigma that is told with it. What tells it differs from kind to kind: heights of
-positions above a ground of known height; positions on a path that climbs, whatever the ground; hardly
-anything; perspective alone, where heights of positions are not told.
+truth shares no code with the estimate; 40 of each kind take some four minutes of CPU.
+The given focal length is wrong by a draw of the sigma that is given with it. What makes it observable
+differs from kind to kind: heights of positions above a ground of known height; positions on a path that
+climbs, whatever the ground; hardly anything; perspective alone, where heights of positions are not given.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ PRECISE = {"place": (0.05, 0.05, 0.05), "place_bias": 0.1}
 
 
 @dataclass(frozen=True)
-class Told:
-    """A kind of flight, and what is told of its focal length and its heights.
+class Setting:
+    """A kind of flight, and what is given of its focal length and its heights.
 
     `sigma`: relative, by which the focal length is drawn wrong; `free`: nothing is said of that. `heights`:
-    those of positions are told; else the estimate starts 5 m (1 sigma) off.
+    those of positions are given; else the estimate starts 5 m (1 sigma) off.
     """
 
     kind: Kind = field(default_factory=Kind)
@@ -40,16 +40,16 @@ class Told:
 
 
 KINDS = {
-    "known as it is": Told(),
-    "1 %, usual tables": Told(sigma=0.01),
-    "free, usual tables": Told(sigma=0.03, free=True),
-    "1 %, places to 5 cm, ground to 10 cm": Told(Kind(hills=0.1, **PRECISE), 0.01),
-    "1 %, places to 5 cm, climb of 20 m": Told(Kind(climb=20.0, **PRECISE), 0.01),
-    "1 %, flat, heights of places not told": Told(Kind(hills=0.02), 0.01, heights=False),
-    "free, flat, heights of places not told": Told(Kind(hills=0.02), 0.03, free=True, heights=False),
+    "known as it is": Setting(),
+    "1 %, usual tables": Setting(sigma=0.01),
+    "free, usual tables": Setting(sigma=0.03, free=True),
+    "1 %, places to 5 cm, ground to 10 cm": Setting(Kind(hills=0.1, **PRECISE), 0.01),
+    "1 %, places to 5 cm, climb of 20 m": Setting(Kind(climb=20.0, **PRECISE), 0.01),
+    "1 %, flat, heights of places not given": Setting(Kind(hills=0.02), 0.01, heights=False),
+    "free, flat, heights of places not given": Setting(Kind(hills=0.02), 0.03, free=True, heights=False),
 }
 HEADS = (
-    "focal length told to", "sigma, %", "error, % rms", "error over sigma: rms, robust",
+    "focal length given to", "sigma, %", "error, % rms", "error over sigma: rms, robust",
     "inside 95 %, % of flights", "squared error of poses over covariance: mean, median",
     "frames inside 95 %: x y z roll pitch yaw", "sigma of z, m", "refused",
 )  # fmt: skip
@@ -58,8 +58,8 @@ Row = tuple[float, float, float, np.ndarray, float]
 squares: list[float] = []
 
 
-def told(seed: int, setting: Told) -> Flight:
-    """A flight whose focal length is told wrong."""
+def flight_of(seed: int, setting: Setting) -> Flight:
+    """A flight whose given focal length is wrong."""
     flight, rng = draw(seed, setting.kind), np.random.default_rng([seed, 1])
     problem = flight.problem
     px = FOCAL * (1.0 + setting.sigma * rng.standard_normal())
@@ -74,12 +74,12 @@ def told(seed: int, setting: Told) -> Flight:
     return replace(flight, problem=problem)
 
 
-def solved(seed: int, setting: Told) -> Row | None:
+def solved(seed: int, setting: Setting) -> Row | None:
     """Of a flight: error of the focal length, its sigma, relative; NEES, share inside (6,), sigma of z.
 
     None where the estimate refuses to give a focal length.
     """
-    flight = told(seed, setting)
+    flight = flight_of(seed, setting)
     try:
         poses, _ = poses_of_windows(flight.problem, flight.followed)
     except EstimationError:

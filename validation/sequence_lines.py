@@ -54,15 +54,13 @@ def main(lines: int, cross: int, frames: int) -> None:
     count = 0 if order.last is None else int(order.last.sum())
     print(f"{lines} lines and {cross} across, of {frames} frames; {count} frames are solved last")
     linked, seconds, memory = solved(solver, found)
-    print(
-        f"line by line: {seconds:.1f} CPU s, {memory:.0f} MB (told beforehand: {order.memory / 1e6:.0f} MB)"
-    )
+    print(f"line by line: {seconds:.1f} CPU s, {memory:.0f} MB (predicted: {order.memory / 1e6:.0f} MB)")
     frame_poses.solving_order = as_one_band
-    told = one_band(len(problem), found.tracks).memory / 1e6
+    predicted = one_band(len(problem), found.tracks).memory / 1e6
     linked_memory = memory
     whole, seconds, memory = solved(solver, found)
     gates.check("memory line by line over that of one band", linked_memory / memory, 0.0, 0.5)
-    print(f"one band:     {seconds:.1f} CPU s, {memory:.0f} MB (told beforehand: {told:.0f} MB)")
+    print(f"one band:     {seconds:.1f} CPU s, {memory:.0f} MB (predicted: {predicted:.0f} MB)")
     sigma = np.sqrt(np.einsum("kii->ki", whole.covariance))
     turn = (whole.world_from_body.inv() * linked.world_from_body).as_rotvec()
     apart = np.concatenate([linked.position - whole.position, turn], axis=1) / sigma

@@ -2,7 +2,7 @@
 
 Run: python validation/sequence_real.py [iss | brighton]      (SIGHTLINE_DATA: folder of the data sets)
 
-A frame is left out in two ways: (a) of the subset, so that its place and angles are not told and no point
+A frame is left out in two ways: (a) of the subset, so that its place and angles are not given and no point
 rests on it, but its image is looked at (the dense stage of S4); (b) altogether, so that its pose is
 interpolated. Both solutions use a part of the data of the other: with the same weights the covariance of
 their difference is C(less) - C(all), not the sum (the error of the solution on all is uncorrelated with that
@@ -70,7 +70,7 @@ class Solved:
     priors: PointPriors
 
     def again(self, tracks: Tracks, without: Array, roughness: Array | None) -> FramePoses:
-        """Poses from fewer sightings, nothing told of some frames."""
+        """Poses from fewer sightings, nothing given of some frames."""
         p, known = self.problem, self.problem.known
         out = np.isin(np.arange(len(p)), without)[:, None]
         less = replace(
@@ -95,8 +95,8 @@ def solve(name: str, toml: str) -> Solved:
     found = georeference_sequence(problem)
     poses = found.poses
     images = begun(problem, found.followed).images
-    told = np.isfinite(problem.known.attitude).all(axis=1)
-    turns = [images.world_from_body[k] if told[k] else poses.world_from_body[k] for k in range(len(problem))]
+    given = np.isfinite(problem.known.attitude).all(axis=1)
+    turns = [images.world_from_body[k] if given[k] else poses.world_from_body[k] for k in range(len(problem))]
     images = replace(images, world_from_body=Rotation.concatenate(turns))
     good = np.flatnonzero(~poses.rejected)
     tracks = found.tracks[good]
@@ -193,7 +193,7 @@ def brighton() -> None:
     count = len(solved.problem)
     up, east, north = level_axes(solved.images.position, solved.problem.radii)
     level = Rotation.from_matrix(np.stack([north, east, -up], axis=-1))
-    told = (level.inv() * solved.images.world_from_body).as_euler("ZYX")[:, 0]
+    gimbal = (level.inv() * solved.images.world_from_body).as_euler("ZYX")[:, 0]
     yaws, sigmas, within = np.empty((count, 3)), np.empty((count, 3)), []
     for k in range(count):
         looked = solved.again(fewer(solved.tracks, np.array([k]), looked_at=True), np.array([k]), rough)
@@ -202,7 +202,7 @@ def brighton() -> None:
         within.append(np.abs(d[k]) <= 2.0 * sigma[k])
         for n, poses in enumerate((whole, looked, blind)):
             yaw = (level.inv() * poses.world_from_body).as_euler("ZYX")[k, 0]
-            yaws[k, n] = np.degrees((yaw - told[k] + np.pi) % (2.0 * np.pi) - np.pi)
+            yaws[k, n] = np.degrees((yaw - gimbal[k] + np.pi) % (2.0 * np.pi) - np.pi)
             sigmas[k, n] = np.degrees(np.sqrt(poses.covariance[k, 5, 5]))
     gates.check("Brighton, (a): within 2 sigma, %", 100.0 * float(np.mean(within)), 90.0)
     print(f"  (a) beside the solution on all: within 2 sigma {np.mean(within):.1%} of {np.size(within)}")

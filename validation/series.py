@@ -189,8 +189,8 @@ def blind_prior(root: Array, trials: int) -> None:
             known.append(smooth(data, EPOCHS, prior=PRIOR, grid_step=STEP).angles - centred(x))
         seconds = (time.process_time() - started) / series
         ratio = rms(np.concatenate(blind)) / rms(np.concatenate(known))
-        told = f"{series} series, sigma {sigma} ({seconds:.1f} s each)"
-        row("2", f"rms blind / rms with the true prior, {told}",
+        detail = f"{series} series, sigma {sigma} ({seconds:.1f} s each)"
+        row("2", f"rms blind / rms with the true prior, {detail}",
             f"{ratio:.3f}", "<= 1.03", ratio <= 1.03)  # fmt: skip
 
 
@@ -222,8 +222,8 @@ def closure(root: Array, trials: int) -> None:
             scores += [nees(axis_posterior(data, a, PRIOR), error[:, a], EVERY) for a in range(3)]
         claimed[number] = float(np.sqrt(np.mean(variances)))
         mean = float(np.mean(scores))
-        told = f"(claimed sigma {claimed[number]:.4f})"
-        row("4", f"NEES/dof with {number} pairs of 4 images {told}", f"{mean:.3f}",
+        detail = f"(claimed sigma {claimed[number]:.4f})"
+        row("4", f"NEES/dof with {number} pairs of 4 images {detail}", f"{mean:.3f}",
             "0.95-1.05", 0.95 <= mean <= 1.05)  # fmt: skip
     change = max(abs(claimed[n] / claimed[3] - 1.0) for n in (4, 6))
     row(
@@ -324,8 +324,8 @@ def real_jitter() -> None:
         error, sigma = np.concatenate(errors), np.sqrt(np.concatenate(variances))
         worst = float(np.max(np.abs(error) / sigma))
         own = rms(sigma)
-        told = f"the layout's bound {bound:.3f} (own posterior {own:.4f}), px"
-        row("10", f"{name}: rms against {told}", f"{rms(error):.4f}",
+        detail = f"the layout's bound {bound:.3f} (own posterior {own:.4f}), px"
+        row("10", f"{name}: rms against {detail}", f"{rms(error):.4f}",
             f"<= {1.2 * bound:.3f}", rms(error) <= 1.2 * bound)  # fmt: skip
         row(
             "10",

@@ -11,7 +11,7 @@ yaw: all estimators side by side, on a fixed ground and on ground drawn anew, 40
 mismatches: 5 % of the matches wrong by 2 to 50 px, evenly over the ring.
 gauge: one shot leaves one direction that nothing tells.
 
-Angles are arcsec, of camera 1 where not told otherwise. Bounds on random figures are three of their own
+Angles are arcsec, of camera 1 where not stated otherwise. Bounds on random figures are three of their own
 standard errors, derived from the number of passes. Ends with 1 where one is missed.
 """
 
@@ -45,7 +45,7 @@ KINDS = tuple(CASE_OPTIONS)[:8]
 FIRST_SEED = 7000
 #: Sigmas across the epipolar line within which one pair shows no mismatch: 4.5 of both sightings together.
 UNSEEN = 4.5 * np.sqrt(2.0)
-#: No noise, and none told: the epipolar estimate takes the bias out that the noise told would give it.
+#: No noise, and none given: the epipolar estimate takes out the bias that a given noise would add.
 QUIET = {"noise_scale": 0.0, "sigma_position": 0.0, "sigma_attitude": 0.0, "sigma_px": 1e-6}
 
 
@@ -79,16 +79,16 @@ def words(options: dict[str, Any]) -> str:
 
 
 def problem_of(scenario: StereoScenario) -> StereoProblem:
-    """What is told of a pass."""
+    """What is given of a pass."""
     return StereoProblem(**scenario.problem())
 
 
 def bound_of(scenario: StereoScenario, pairs: bool) -> np.ndarray:
     """(6,) rad, at the true poses and points."""
-    told = problem_of(scenario)
-    sightings = sight_frames(scenario.true_images, told.detectors, told.mounts, told.tracks)
+    problem = problem_of(scenario)
+    sightings = sight_frames(scenario.true_images, problem.detectors, problem.mounts, problem.tracks)
     angles, _ = bound(
-        sightings, told.noise, scenario.points[told.point_names.astype(int)], priors=told.priors,
+        sightings, problem.noise, scenario.points[problem.point_names.astype(int)], priors=problem.priors,
         new_points_per_shot=pairs,
     )  # fmt: skip
     return np.sqrt(np.diag(angles.covariance()))
@@ -103,15 +103,15 @@ def trial(job: tuple[str, int, tuple[str, ...], dict[str, Any]]) -> dict[str, np
         found = orient(problem, name.partition(",")[0], raw=name.endswith("raw"))
         error = (found.angles - scenario.angles).ravel()
         wrong = scenario.mismatched
-        told = found.rejected[wrong]
+        caught = found.rejected[wrong]
         along = np.zeros(0)
         if wrong.any():
-            along = across_line(scenario)[wrong][~told]
+            along = across_line(scenario)[wrong][~caught]
         out[name] = np.concatenate(
             [
                 error,
                 [
-                    error @ np.linalg.solve(found.covariance, error), wrong.sum(), told.sum(),
+                    error @ np.linalg.solve(found.covariance, error), wrong.sum(), caught.sum(),
                     (found.rejected & ~wrong).sum(), (along < UNSEEN * scenario.options.sigma_px).sum(),
                 ],
             ]
@@ -123,9 +123,9 @@ def trial(job: tuple[str, int, tuple[str, ...], dict[str, Any]]) -> dict[str, np
 
 def across_line(scenario: StereoScenario) -> np.ndarray:
     """(N,) px; how far each displacement leads away from the epipolar line of the other image of its shot."""
-    told = problem_of(scenario)
-    images, tracks = scenario.true_images, told.tracks
-    points = scenario.points[told.point_names.astype(int)][tracks.point]
+    problem = problem_of(scenario)
+    images, tracks = scenario.true_images, problem.tracks
+    points = scenario.points[problem.point_names.astype(int)][tracks.point]
     image = tracks.image
     other = np.empty(len(images), dtype=np.intp)
     for shot in np.unique(images.shot):
@@ -208,8 +208,8 @@ def part_recovery(work: Executor, count: int) -> None:
         if method.partition(",")[0] not in METHODS:
             continue
         # beside relief that it cannot see, the plane's weights need a noise that is more than rounding
-        told = QUIET if method != "plane" else {**QUIET, "sigma_position": 1e-3}
-        scenario = stereo_case("A_paper_T6_K64", 0, relief=relief, relief_range=200.0, **told)
+        quiet = QUIET if method != "plane" else {**QUIET, "sigma_position": 1e-3}
+        scenario = stereo_case("A_paper_T6_K64", 0, relief=relief, relief_range=200.0, **quiet)
         # without noise what linear equations leave out is gross beside it
         robust = method.startswith("ml")
         name, raw = method.partition(",")[0], method.endswith("raw")
@@ -321,10 +321,10 @@ def part_mismatches(work: Executor, count: int) -> None:
     )
     for method in methods:
         before, after = rmse(clean, method), rmse(dirty, method)
-        wrong, told, good, along = np.sum([one[method][7:] for one in dirty], axis=0)
+        wrong, caught, good, along = np.sum([one[method][7:] for one in dirty], axis=0)
         ratio = float(np.sqrt(np.mean((after / before) ** 2)))
         nees = float(np.mean([one[method][6] for one in dirty]))
-        share = told / wrong
+        share = caught / wrong
         row(
             method,
             three(before / ARCSEC),
@@ -332,7 +332,7 @@ def part_mismatches(work: Executor, count: int) -> None:
             f"{ratio:.3f}",
             f"{share:.2%}",
             int(good),
-            int(wrong - told),
+            int(wrong - caught),
             int(along),
             f"{nees:.2f}",
         )
@@ -367,13 +367,13 @@ def part_gauge(work: Executor, count: int) -> None:
         hidden = known.directions[known.hidden]
         # the linear estimators' directions are those of the planned poses and the noisy pixels
         least = 1.0 - (1e-4 if method.startswith("ml") else 1e-2)
-        told = bool(np.isnan(found.angles.ravel()[known.touched]).all())
-        good = len(hidden) >= 1 and float(np.linalg.norm(hidden @ axis)) > least and told
+        hidden_nan = bool(np.isnan(found.angles.ravel()[known.touched]).all())
+        good = len(hidden) >= 1 and float(np.linalg.norm(hidden @ axis)) > least and hidden_nan
         if method.startswith("ml"):
             good = good and len(hidden) == 1
         if method != "plane":
             # the plane of the ground ties the turn about the baseline, rightly or wrongly
-            said = f"{len(hidden)} hidden, angles in them NaN: {told}"
+            said = f"{len(hidden)} hidden, angles in them NaN: {hidden_nan}"
             gates.note(f"one shot, {method}: directions", said, "along the baseline, NaN", good)
 
 

@@ -14,8 +14,8 @@ than those used to choose, by quadrature over the true motion in pixels (angles 
 place in the focal plane), which shares nothing with the choice. `best` is the ratio of the recovered choice
 to the best setting for those very lines. `drift only` chooses without any motion.
 
-Offsets known: as rendered with detectors in their nominal places, told to be exact. Offsets free: drawn with
-1 px and 3e-4 rad and not told; then the choice by mean and by lower quantile, and the loss it predicts
+Offsets known: as rendered with detectors in their nominal places, given as exact. Offsets free: drawn with
+1 px and 3e-4 rad and not given; then the choice by mean and by lower quantile, and the loss it predicts
 (mean and 95 %) beside the true one.
 
 Shown by TDI images: the true motion averaged over the exposures of 16 or 64 stages is all that is known;
