@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import re
 import shutil
 from pathlib import Path
 
@@ -53,6 +55,82 @@ def test_a_recovery_scores_well_against_its_truth(recovery, capsys):
         # sqrt(2 / 150) = 0.12; five of these allow for sigma that is known to 10 % only on so short a strip.
         spread = 5.0 * math.sqrt(2.0 / score[axis]["effective_samples"]) + 0.2
         assert abs(score[axis]["nees"] - 1.0) < spread, score[axis]
+
+
+def stopped_after(passes: int, words: list[str], monkeypatch) -> None:
+    """A run of the command that is ended when so many passes after the first are done."""
+    from sightline.applications import line_of_sight
+
+    go_on = line_of_sight._compensated_pass
+
+    def some(strip, state, number, *more):
+        if number == passes:
+            raise KeyboardInterrupt
+        return go_on(strip, state, number, *more)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(line_of_sight, "_compensated_pass", some)
+        assert run(words) == 130
+
+
+def content(folder: Path) -> dict[str, object]:
+    """All files of a result but the page, without what tells of the run itself."""
+    found: dict[str, object] = {
+        path.name: re.sub(rb"CREATION_DATE = \S+", b"", path.read_bytes())
+        for path in folder.iterdir()
+        if path.name not in ("report.html", "summary.json")
+    }
+    summary = json.loads((folder / "summary.json").read_text())
+    return found | {key: summary[key] for key in summary if key not in ("wall_seconds", "peak_memory_bytes")}
+
+
+@pytest.mark.parametrize(("passes", "words"), [(0, ["--resume"]), (2, []), (1, ["--overwrite", "--resume"])])
+def test_a_run_that_was_stopped_goes_on_to_the_same_bits(
+    recovery, tmp_path, capsys, monkeypatch, passes, words
+):
+    from sightline.applications import line_of_sight
+
+    out = tmp_path / "out"
+    command = ["recover", str(recovery.scene / "acquisition.toml"), "--out", str(out)]
+    stopped_after(passes, command, monkeypatch)
+    said = capsys.readouterr().err
+    assert str(out / ".partial" / "stages") in said and "--resume" in said
+    assert [path.name for path in (out / ".partial" / "stages").iterdir()] == [f"pass-{passes}.stage.npz"]
+
+    def again(*_, **__):
+        raise AssertionError("the first pass has been done before")
+
+    monkeypatch.setattr(line_of_sight, "_begin", again)
+    assert run([*command, *words]) == 0
+    assert ("goes on from the finished stages" in capsys.readouterr().err) == (not words)
+    assert not (out / ".partial").exists()
+    assert content(out) == content(recovery.folder)
+
+
+@pytest.mark.parametrize("other", ["options", "images"])
+def test_passes_of_another_acquisition_or_other_options_are_passed_over(
+    recovery, tmp_path, capsys, monkeypatch, other
+):
+    scene = tmp_path / "scene"
+    shutil.copytree(recovery.scene, scene)
+    toml, out = scene / "acquisition.toml", tmp_path / "out"
+    command = ["recover", str(toml), "--out", str(out)]
+    stopped_after(0, command, monkeypatch)
+    if other == "options":
+        command += ["--method", "wiener"]
+    else:
+        (scene / "PAN.tif").touch()
+        os.utime(scene / "PAN.tif", (1.0, 1.0))
+    capsys.readouterr()
+    # a second one that is stopped begins anew
+    stopped_after(0, [*command, "--resume"], monkeypatch)
+    said = capsys.readouterr().err
+    assert "pass-0.stage.npz is passed over, it is of other images, options or another version" in said
+
+
+def test_resume_where_nothing_waits_simply_runs(quick, tmp_path, capsys):
+    assert run([*quick, str(tmp_path / "out"), "--resume"]) == 0
+    assert sorted(entry.name for entry in (tmp_path / "out").iterdir()) == FILES
 
 
 @pytest.mark.parametrize(

@@ -6,9 +6,11 @@ import errno
 import re
 import time
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from sightline.stages import Stages, pack, unpack
@@ -36,6 +38,25 @@ def result() -> Result:
     return Result(rng.normal(size=(3, 2)), turn, ("", "blurred"), Inner(np.array([True, False]), "x"), 7)
 
 
+@dataclass(frozen=True)
+class Other:
+    size: float
+    word: Literal["low", "high"] = "low"
+
+
+@dataclass(frozen=True, eq=False)
+class Nested:
+    """All that a stage may hold besides."""
+
+    parts: tuple[Inner | Other, ...]
+    pair: tuple[Other, Inner]
+    numbers: tuple[float, float]
+    places: tuple[int, ...]
+    arrays: tuple[np.ndarray, ...]
+    sparse: csr_array
+    either: Inner | Other | None = None
+
+
 def same(a: Result, b: Result) -> bool:
     return (
         np.array_equal(a.numbers, b.numbers)
@@ -55,6 +76,35 @@ def test_a_result_is_the_same_when_it_is_found(tmp_path):
     assert not made[1].numbers.flags.writeable
     second.remove()
     assert not (tmp_path / "kept").exists()
+
+
+def test_tuples_of_whatever_parts_and_sparse_arrays_are_found_as_they_were(tmp_path):
+    sparse = csr_array(np.array([[0.0, 1.5], [0.0, -2.0]]))
+    made = Nested(
+        (Other(2.0, "high"), Inner(np.arange(3), "x")), (Other(1.0), Inner(np.zeros(0), "y")), (0.1, -0.0), (),
+        (np.eye(2), np.asfortranarray(np.arange(6.0).reshape(2, 3))), sparse, Other(3.0),
+    )  # fmt: skip
+    Stages(tmp_path).put("one", made)
+    stages = Stages(tmp_path)
+    found = stages.held("one", Nested, writeable=True)
+    assert stages.found == ["one"] and stages.held("two", Nested) is None
+    assert found.parts[0] == made.parts[0] and found.pair[0] == made.pair[0] and found.either == made.either
+    assert np.array_equal(found.parts[1].value, np.arange(3)) and found.parts[1].name == "x"
+    assert (found.numbers, found.places, found.pair[1].value.shape) == ((0.1, -0.0), (), (0,))
+    assert [a.tolist() for a in found.arrays] == [a.tolist() for a in made.arrays]
+    assert [a.flags.f_contiguous for a in found.arrays] == [False, True] and found.arrays[0].flags.writeable
+    assert np.array_equal(found.sparse.indptr, sparse.indptr) and (found.sparse - sparse).nnz == 0
+
+
+def test_a_part_of_another_class_is_none_of_the_result(tmp_path):
+    @dataclass(frozen=True)
+    class Held:
+        inner: Other
+
+    said: list[str] = []
+    Stages(tmp_path).put("one", Result(np.zeros(1), Rotation.identity(), (), Inner(np.zeros(1), "x"), 1))
+    assert Stages(tmp_path, said.append).held("one", Held) is None
+    assert "inner is no Inner" in said[0]
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "text", "empty", "newer", "locked", "method", "other"])

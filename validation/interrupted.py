@@ -59,9 +59,11 @@ aperture_y = 0.9
 diffusion_sigma_px = 0.2
 optics_mtf = 0.35
 """
-MEASURES = ("sightline.inputs", "sightline.writing", "sightline.output.folder", "sightline.output.lock")
+MEASURES = ("sightline.inputs", "sightline.stages", "sightline.writing", "sightline.output.folder", "sightline.output.lock")
 #: Keys of summaries that hold measured times or memory.
 MEASURED = {"wall_seconds", "peak_memory_bytes", "solve_seconds"}
+#: Commands that go on from finished stages.
+STAGED = ("recover", "georeference")
 NOT_SAID = "wrong status or words"
 
 
@@ -220,8 +222,8 @@ def interrupted(
             else:
                 came = "stopped, then the same bits"
                 complete = not differences(content(out), expected) if out.is_dir() else False
-                again = more + (("--resume",) if case.name == "georeference" and number % 4 > 1 else ())
-                if case.name == "georeference" and over:
+                again = more + (("--resume",) if case.name in STAGED and number % 4 > 1 else ())
+                if case.name in STAGED and over:
                     again = (*more, "--resume")
                 status, said = ended(begun(case.words, out, *again))
                 if status == 2 and complete and not over:

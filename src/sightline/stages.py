@@ -4,7 +4,7 @@ Each stage's file carries a fingerprint of all that the stage depends on: the pr
 times of its files, the options, the stages before, the version of the package. A file of other inputs, or one
 that cannot be read, is reported and passed over. Files appear whole or not at all.
 
-Not here: which stages there are (``applications/sequence_poses.py``).
+Not here: which stages there are (``applications/``).
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_array
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import said_by
@@ -32,7 +33,10 @@ Packed = dict[str, NDArray[Any]]
 
 _KEY = "fingerprint"
 _SECONDS = "cpu-seconds"
-_NONE = "none"
+#: Suffixes of names: nothing, the class of a dataclass, the number of items. None is the name of a field.
+_NONE, _CLASS, _COUNT = "none", "class", "#"
+#: Items of tuples that are kept as one array.
+_PLAIN = (str, bool, int, float)
 _SUFFIX = ".stage.npz"
 
 
@@ -86,17 +90,9 @@ class Stages:
         kind
             The same numbers, bit for bit, whether it was found or computed, with or without a folder.
         """
-        held = self._read(name)
-        if held is not None:
-            try:
-                seconds = float(held.pop(_SECONDS))
-                result = unpack(kind, held)
-            except Exception as error:  # whatever arrays that are not those of `kind` lead to
-                self._pass_over(name, said_by(error))
-            else:
-                self.found.append(name)
-                self.taken_over += seconds
-                return result
+        found = self.held(name, kind)
+        if found is not None:
+            return found
         key, before = self._key.copy(), self.taken_over
         begun = self._since = time.process_time()
         packed = pack(compute())
@@ -104,7 +100,32 @@ class Stages:
         self._key = key
         # those of them that were found are part of its work
         spent = time.process_time() - begun + self.taken_over - before
-        return self._kept(name, kind, packed, spent)
+        self._keep(name, packed, spent)
+        return unpack(kind, packed)
+
+    def held(self, name: str, kind: type[T], *, writeable: bool = False) -> T | None:
+        """A stage's result where an earlier run has left it; None otherwise.
+
+        Parameters
+        ----------
+        name : str
+        kind : type
+            Dataclass that the result is one of.
+        writeable : bool
+            Whether its arrays may be written to, as those of a run that computes them may.
+        """
+        packed = self._read(name)
+        if packed is None:
+            return None
+        try:
+            seconds = float(packed.pop(_SECONDS))
+            result = unpack(kind, packed, writeable=writeable)
+        except Exception as error:  # whatever arrays that are not those of `kind` lead to
+            self._pass_over(name, said_by(error))
+            return None
+        self.found.append(name)
+        self.taken_over += seconds
+        return result
 
     def keep(self, name: str, value: T) -> T:
         """Keep how far a stage under way has come, as a stage of its own.
@@ -120,16 +141,32 @@ class Stages:
         dataclass
             What `stage` will find under this name.
         """
+        packed = pack(value)
+        self._keep(name, packed, self._spent())
+        return unpack(type(value), packed)
+
+    def put(self, name: str, value: object) -> None:
+        """Keep a result, which `held` will find, and leave it as it is.
+
+        Parameters
+        ----------
+        name : str
+        value : dataclass
+            It took the time since the last one was kept.
+        """
+        self._keep(name, pack(value) if self._folder is not None else {}, self._spent())
+
+    def _spent(self) -> float:
+        """CPU seconds since this was last asked, or since the stage under way began."""
         now = time.process_time()
         spent, self._since = now - self._since, now
-        return self._kept(name, type(value), pack(value), spent)
+        return spent
 
-    def _kept(self, name: str, kind: type[T], packed: Packed, seconds: float) -> T:
-        """A stage that was computed now, as it will be found."""
+    def _keep(self, name: str, packed: Packed, seconds: float) -> None:
+        """Keep a stage that was computed now."""
         self.computed.append(name)
         if self._folder is not None:
             self._write(name, packed | {_SECONDS: np.array(seconds)})
-        return unpack(kind, packed)
 
     def has(self, name: str) -> bool:
         """Whether a stage of these inputs is there."""
@@ -167,7 +204,7 @@ class Stages:
         try:
             with np.load(self._path(name), allow_pickle=False) as file:
                 if str(file[_KEY]) != self._fingerprint(name):
-                    self._pass_over(name, "it is of other frames, options or another version")
+                    self._pass_over(name, "it is of other images, options or another version")
                     return None
                 return {key: file[key] for key in file.files if key != _KEY}
         except Exception as error:  # a damaged file: whatever unpacking it raises
@@ -200,25 +237,36 @@ class Stages:
 
 
 def pack(value: object) -> Packed:
-    """A dataclass as arrays: of arrays, rotations, numbers, texts, tuples of texts, None and dataclasses."""
+    """A dataclass as arrays: of arrays, rotations, numbers, texts, None, dataclasses, and tuples of such."""
     out: Packed = {}
     for field in dataclasses.fields(value):  # type: ignore[arg-type]
-        item = getattr(value, field.name)
-        if item is None:
-            out[f"{field.name}.{_NONE}"] = np.zeros(0)
-        elif isinstance(item, Rotation):
-            out[field.name] = item.as_quat()
-        elif dataclasses.is_dataclass(item):
-            out |= {f"{field.name}.{key}": inner for key, inner in pack(item).items()}
-        elif isinstance(item, tuple):
-            out[field.name] = np.array(item, dtype=np.str_)
-        else:
-            out[field.name] = np.asarray(item)
+        _put(out, field.name, getattr(value, field.name))
     return out
 
 
-def unpack(kind: type[T], packed: Mapping[str, NDArray[Any]]) -> T:
-    """What `pack` made arrays of; arrays are read-only.
+def _put(out: Packed, name: str, item: Any) -> None:
+    if item is None:
+        out[f"{name}.{_NONE}"] = np.zeros(0)
+    elif isinstance(item, Rotation):
+        out[name] = item.as_quat()
+    elif isinstance(item, csr_array):
+        parts = {"data": item.data, "indices": item.indices, "indptr": item.indptr, "shape": item.shape}
+        out |= {f"{name}.{part}": np.asarray(array) for part, array in parts.items()}
+    elif dataclasses.is_dataclass(item):
+        out[f"{name}.{_CLASS}"] = np.array(type(item).__name__)
+        out |= {f"{name}.{key}": inner for key, inner in pack(item).items()}
+    elif isinstance(item, tuple) and any(all(type(one) is plain for one in item) for plain in _PLAIN):
+        out[name] = np.array(item, dtype=None if item else np.str_)
+    elif isinstance(item, tuple):
+        out[f"{name}.{_COUNT}"] = np.array(len(item))
+        for number, one in enumerate(item):
+            _put(out, f"{name}.{number}", one)
+    else:
+        out[name] = np.asarray(item)
+
+
+def unpack(kind: type[T], packed: Mapping[str, NDArray[Any]], *, writeable: bool = False) -> T:
+    """What `pack` made arrays of; arrays are read-only unless they are to be `writeable`.
 
     Raises
     ------
@@ -226,32 +274,50 @@ def unpack(kind: type[T], packed: Mapping[str, NDArray[Any]]) -> T:
         If the arrays are not those of `kind`.
     """
     hints = typing.get_type_hints(kind)
-    values: dict[str, Any] = {}
-    for field in dataclasses.fields(kind):  # type: ignore[arg-type]
-        name, hint = field.name, _without_none(hints[field.name])
-        if f"{name}.{_NONE}" in packed:
-            values[name] = None
-        elif dataclasses.is_dataclass(hint):
-            inner = {key[len(name) + 1 :]: item for key, item in packed.items() if key.startswith(f"{name}.")}
-            values[name] = unpack(hint, inner)  # type: ignore[arg-type]
-        elif hint is Rotation:
-            values[name] = Rotation.from_quat(packed[name])
-        elif hint in (int, float, str, bool):
-            values[name] = hint(packed[name].item())
-        elif typing.get_origin(hint) is tuple:
-            values[name] = tuple(packed[name].tolist())
-        else:
-            array = packed[name]
-            array.setflags(write=False)
-            values[name] = array
-    return kind(**values)
+    names = [field.name for field in dataclasses.fields(kind)]  # type: ignore[arg-type]
+    return kind(**{name: _take(hints[name], packed, name, writeable=writeable) for name in names})
 
 
-def _without_none(hint: Any) -> Any:
-    """The type of a field that may be None."""
+def _take(hint: Any, packed: Mapping[str, NDArray[Any]], name: str, *, writeable: bool) -> Any:
+    """One item that `_put` put under a name."""
+    kinds = _kinds(hint)
+    first = kinds[0]
+    if f"{name}.{_NONE}" in packed:
+        return None
+    if f"{name}.{_CLASS}" in packed:
+        called = packed[f"{name}.{_CLASS}"].item()
+        which = next((one for one in kinds if getattr(one, "__name__", "") == called), None)
+        if which is None:
+            raise ValueError(f"{name} is no {called}")
+        inner = {key[len(name) + 1 :]: item for key, item in packed.items() if key.startswith(f"{name}.")}
+        return unpack(which, inner, writeable=writeable)
+    if first is Rotation:
+        return Rotation.from_quat(packed[name])
+    if first is csr_array:
+        data, indices, indptr, shape = (packed[f"{name}.{p}"] for p in ("data", "indices", "indptr", "shape"))
+        return csr_array((data, indices, indptr), shape=tuple(shape.tolist()))
+    if typing.get_origin(first) is tuple:
+        if f"{name}.{_COUNT}" not in packed:
+            return tuple(packed[name].tolist())
+        items, count = typing.get_args(first), packed[f"{name}.{_COUNT}"].item()
+        return tuple(
+            _take(items[0] if items[-1] is ... else items[k], packed, f"{name}.{k}", writeable=writeable)
+            for k in range(count)
+        )
+    if first in _PLAIN:
+        return first(packed[name].item())
+    if typing.get_origin(first) is typing.Literal:
+        return packed[name].item()
+    array = packed[name]
+    array.setflags(write=writeable)
+    return array
+
+
+def _kinds(hint: Any) -> list[Any]:
+    """The types that a field may be of, but for None."""
     if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
-        return next(part for part in typing.get_args(hint) if part is not type(None))
-    return hint
+        return [part for part in typing.get_args(hint) if part is not type(None)]
+    return [hint]
 
 
 def add_to(key: Any, value: object) -> None:
@@ -280,5 +346,7 @@ def add_to(key: Any, value: object) -> None:
         key.update(str(len(value)).encode())
         for item in value:
             add_to(key, item)
+    elif isinstance(getattr(value, "path", None), Path):
+        add_to(key, value.path)  # type: ignore[attr-defined]  # an image in a file
     elif value is None or isinstance(value, bool | int | float | str | bytes | np.generic):
         key.update(repr(value).encode())

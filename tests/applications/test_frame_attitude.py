@@ -22,6 +22,7 @@ from sightline.motion.band import Frame, LensKnowledge
 from sightline.motion.frames.hidden import relative_covariance, without
 from sightline.motion.frames.passes import FrameOptions
 from sightline.simulate.frames import FrameScenario, frames_case
+from sightline.stages import Stages
 
 OPTIONS = FrameOptions(windows=90, passes=2)
 SMALL = {"frames": 5, "shape": (224, 256), "interval": 3.0, "focal_length_px": 1000.0, "distortion": ()}
@@ -69,6 +70,24 @@ def test_relative_attitudes_lie_within_their_sigma_of_the_truth(known):
     # are allowed
     for _, result in known:
         assert (np.sqrt((result.sigma**2).mean(axis=0)) / result.scale < 3e-3).all()
+
+
+def test_matches_of_passes_that_were_kept_give_the_same_bits(known, tmp_path):
+    scene, undisturbed = known[0]
+    kept = Stages(tmp_path)
+    whole = recover_frame_attitude(as_frames(scene), Plane(), options=OPTIONS, stages=kept)
+    assert kept.computed == [f"matches-{k}" for k in range(len(kept.computed))] and len(kept.computed) > 2
+    # as if the run had been stopped in its second pass
+    for name in kept.computed[2:]:
+        kept.drop(name)
+    again = Stages(tmp_path)
+    resumed = recover_frame_attitude(as_frames(scene), Plane(), options=OPTIONS, stages=again)
+    assert again.found == kept.computed[:2] and again.computed == kept.computed[2:]
+    for result in (whole, resumed):
+        assert np.array_equal(result.motion.angles, undisturbed.motion.angles)
+        assert np.array_equal(result.absolute_sigma, undisturbed.absolute_sigma)
+        for a, b in zip(result.after_px, undisturbed.after_px, strict=True):
+            assert np.array_equal(a, b, equal_nan=True)
 
 
 def test_the_result_has_what_the_report_and_the_files_need(known):

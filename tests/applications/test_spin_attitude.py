@@ -21,6 +21,7 @@ from sightline.imaging.source import ArrayImage
 from sightline.motion.band import ChipKnowledge, Frame, LensKnowledge
 from sightline.motion.frames.hidden import without
 from sightline.motion.spin.solve import AttitudeSigma
+from sightline.stages import Stages
 
 INTERVAL, EXPOSURES, LINES, COLUMNS, FOCAL = 0.4, 7, 72, 220, 600.0
 TURN = -0.075  # rad per exposure: 45 px
@@ -86,6 +87,21 @@ def case(frames):
         options=OPTIONS,
     )
     return truth, result
+
+
+def test_matches_of_passes_that_were_kept_give_the_same_bits(frames, case, tmp_path):
+    def recovered(stages):
+        return recover_spin_attitude(
+            frames, Infinity(), nominal_spin(), lens=LensKnowledge(0.6, 0.0, 0.0), chip=CHIP,
+            attitude_sigma=AttitudeSigma(0.0, 0.0), options=OPTIONS, stages=stages,
+        )  # fmt: skip
+
+    kept, again = Stages(tmp_path), Stages(tmp_path)
+    recovered(kept)
+    resumed = recovered(again)
+    assert again.found == kept.computed and not again.computed
+    assert np.array_equal(resumed.motion.angles, case[1].motion.angles)
+    assert np.array_equal(resumed.absolute_sigma, case[1].absolute_sigma)
 
 
 def test_rate_axis_and_chip_lie_within_their_sigma_of_the_truth(case):

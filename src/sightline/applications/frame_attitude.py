@@ -40,6 +40,7 @@ from sightline.motion.measure.stars import StarRecord
 from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
 from sightline.motion.statics import frame_statics
 from sightline.result import makes_result
+from sightline.stages import Stages
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -75,6 +76,7 @@ def recover_frame_attitude(
     height_sigma: float = 0.0,
     options: FrameOptions | None = None,
     progress: Progress | None = None,
+    stages: Stages | None = None,
 ) -> FrameAttitude:
     """Attitude of the platform at every frame of one camera, with covariance.
 
@@ -92,6 +94,8 @@ def recover_frame_attitude(
     options : FrameOptions, optional
     progress : callable, optional
         Called with what is being done, in words.
+    stages : Stages, optional
+        What finished passes of a run that was stopped have matched, and where that of this run is kept.
 
     Returns
     -------
@@ -111,16 +115,18 @@ def recover_frame_attitude(
     """
     tell = progress or (lambda text: None)
     sequence = _prepare(frames, surface, lens or LensKnowledge(), height_sigma, options or FrameOptions())
+    stages = stages or Stages()
+    stages.depend([sequence.frames, surface, sequence.statics, height_sigma, sequence.options])
     tell("shift between neighbouring frames")
     shifts = coarse_shifts(sequence.images)
     x = start(sequence, shifts)
     sequence = masked(sequence, shifts)
     tell("first pass: wide search")
-    state = first_pass(sequence, x)
+    state = first_pass(sequence, x, stages)
     changes: list[float] = []
     for number in range(sequence.options.passes):
         tell(f"pass {number + 1}: matching windows laid by the cameras found")
-        refined = next_pass(sequence, state, number)
+        refined = next_pass(sequence, state, number, stages)
         changes.append(_change(state.estimate, refined.estimate, _scale(refined.estimate)))
         state = refined
         if changes[-1] < sequence.options.tolerance:

@@ -12,7 +12,7 @@ Not here: the strip itself (``motion/strip/strip.py``), the estimate of one pass
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -59,6 +59,7 @@ from sightline.motion.strip.viewing_axes import (
 )
 from sightline.motion.strip.warnings import observed_lines, strip_warnings
 from sightline.result import makes_result
+from sightline.stages import Stages
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -77,6 +78,22 @@ DRAFT_WORK = 0.3
 FOREIGN_SPECTRUM = 3.0
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
+#: Stages that are kept: the state after so many passes, after the last one of a wide strip, and after that
+#: under a given spectrum.
+_AFTER, _WHOLE, _GIVEN = "pass-{}", "pass-last", "pass-given"
+
+
+@dataclass(frozen=True, eq=False)
+class _Passed:
+    """What is known after a pass.
+
+    `changes` are by how much each pass so far changed the motion, `left` by how much a given spectrum did.
+    """
+
+    name: str
+    state: StripState
+    changes: tuple[float, ...] = ()
+    left: float = 0.0
 
 
 @makes_result
@@ -92,6 +109,7 @@ def recover_line_of_sight(
     known: KnownContent | None = None,
     options: RecoverOptions | None = None,
     progress: Progress | None = None,
+    stages: Stages | None = None,
 ) -> LineOfSight:
     """Attitude of the platform against time from the bands of one strip, with covariance.
 
@@ -112,6 +130,8 @@ def recover_line_of_sight(
     options : RecoverOptions, optional
     progress : callable, optional
         Called with what is being done, in words.
+    stages : Stages, optional
+        Finished passes that a run which was stopped has left, and where those of this run are kept.
 
     Returns
     -------
@@ -133,7 +153,9 @@ def recover_line_of_sight(
     options = options or RecoverOptions()
     tell = progress or (lambda text: None)
     strip, options = ready_strip(bands, surface, sensors, control_points, known, options)
-    strip, state, result = joint_line_of_sight(strip, options, height_sigma, tell)
+    stages = stages or Stages()
+    stages.depend([bands, surface, height_sigma, sensors, control_points, known, options])
+    strip, state, result = joint_line_of_sight(strip, options, height_sigma, tell, stages)
     if options.method == "joint":
         return result
     tell(f"from the angular differences to the motion: {options.method}")
@@ -165,44 +187,71 @@ def ready_strip(
 
 
 def joint_line_of_sight(
-    strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress
+    strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress, stages: Stages | None = None
 ) -> tuple[Strip, StripState, LineOfSight]:
     """All passes over a strip that was prepared and checked: its last state, and that as a result."""
+    stages = stages or Stages()
     if options.hybridise == "iterative":
         tell("comparing pairs: the best correlated one comes first")
         strip = replace(strip, order=_best_first(strip, options))
     wide = strip.nominal[0].columns // options.window[1] > options.draft_blocks
     draft = replace(strip, grid=strip.grid.coarser(DRAFT_NODES), draft=True) if wide else strip
     tolerance = options.tolerance * (DRAFT_TOLERANCE if draft.draft else 1.0)
-    state = _begin(draft, options, height_sigma, tell)
-    changes: list[float] = []
-    for number in range(options.passes):
+    names = [_AFTER.format(number) for number in range(options.passes + 1)]
+    names += [_WHOLE] * wide + [_GIVEN] * (strip.known.spectra is not None)
+    passed = _resumed(stages, names)
+    if passed is None:
+        passed = _kept(stages, names, _Passed(names[0], _begin(draft, options, height_sigma, tell)))
+    while len(passed.changes) < options.passes:
+        # the first of the changes has no spectrum of its own yet
+        if len(passed.changes) > 1 and passed.changes[-1] < tolerance:
+            break
+        number, state = len(passed.changes), passed.state
         tell(f"pass {number + 1}: matching windows compensated by the motion found")
         refined = _compensated_pass(draft, state, number, options, height_sigma, tell)
-        changes.append(_change(draft, state, refined))
-        state = refined
-        if number and changes[-1] < tolerance:  # the first of them has no spectrum of its own yet
-            break
-    if wide:
+        changes = (*passed.changes, _change(draft, state, refined))
+        passed = _kept(stages, names, _Passed(names[number + 1], refined, changes))
+    if wide and passed.name not in (_WHOLE, _GIVEN):
         tell("last pass: windows side by side over the whole field")
-        state = _compensated_pass(strip, state, options.passes, options, height_sigma, tell)
-    warnings: tuple[str, ...] = ()
-    if strip.known.spectra is not None:
+        state = _compensated_pass(strip, passed.state, options.passes, options, height_sigma, tell)
+        passed = _kept(stages, names, replace(passed, name=_WHOLE, state=state))
+    if strip.known.spectra is not None and passed.name != _GIVEN:
         tell("last pass: under the spectrum that is given")
-        found = state
+        found = passed.state
         state = _compensated_pass(
             strip, found, options.passes, options, height_sigma, tell, strip.given_model()
         )
         left = _change(strip, found, state)
-        if left > FOREIGN_SPECTRUM:
-            warnings = (
-                "the spectrum that is given does not hold the motion that the images show: without it they "
-                f"tell another, {left:.3g} sigma away; check [known_motion] psd, or leave it out",
-            )
-    result = _result(strip, state, changes, options.window)
+        passed = _kept(stages, names, replace(passed, name=_GIVEN, state=state, left=left))
+    state = passed.state
+    warnings: tuple[str, ...] = ()
+    if passed.left > FOREIGN_SPECTRUM:
+        warnings = (
+            "the spectrum that is given does not hold the motion that the images show: without it they "
+            f"tell another, {passed.left:.3g} sigma away; check [known_motion] psd, or leave it out",
+        )
+    result = _result(strip, state, list(passed.changes), options.window)
     differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state, height_sigma))
     warnings = (*result.warnings, *warnings)
     return strip, state, replace(result, differences=differences, warnings=warnings)
+
+
+def _resumed(stages: Stages, names: Sequence[str]) -> _Passed | None:
+    """The last pass that an earlier run has finished; None where there is none."""
+    for name in reversed(names):
+        passed = stages.held(name, _Passed, writeable=True)
+        if passed is not None:
+            return passed
+    return None
+
+
+def _kept(stages: Stages, names: Sequence[str], passed: _Passed) -> _Passed:
+    """A pass that was finished now, kept in the place of those before it."""
+    stages.put(passed.name, passed)
+    for name in names:
+        if name != passed.name:
+            stages.drop(name)
+    return passed
 
 
 def _best_first(strip: Strip, options: RecoverOptions) -> tuple[int, ...]:

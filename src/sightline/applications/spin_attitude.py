@@ -25,7 +25,7 @@ from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.motion.band import ChipKnowledge, Frame, LensKnowledge
 from sightline.motion.frames.hidden import absolute_sigma, hidden_directions, relative_covariance
-from sightline.motion.frames.matches import FrameStar
+from sightline.motion.frames.matches import FrameStar, kept_matches
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance
 from sightline.motion.spin.matches import SpinPlan, StripPair, match_strips, strip_pairs
@@ -41,6 +41,7 @@ from sightline.motion.spin.solve import (
     spin_statics,
 )
 from sightline.result import makes_result
+from sightline.stages import Stages
 
 Array = NDArray[np.float64]
 Progress = Callable[[str], None]
@@ -116,6 +117,7 @@ def recover_spin_attitude(
     parallax_sigma: float = 0.0,
     options: SpinOptions | None = None,
     progress: Progress | None = None,
+    stages: Stages | None = None,
 ) -> SpinAttitude:
     """Spin, camera and departures per exposure of a camera on a spinning platform, with covariance.
 
@@ -138,6 +140,8 @@ def recover_spin_attitude(
     options : SpinOptions, optional
     progress : callable, optional
         Called with what is being done, in words.
+    stages : Stages, optional
+        What finished passes of a run that was stopped have matched, and where that of this run is kept.
 
     Returns
     -------
@@ -155,17 +159,25 @@ def recover_spin_attitude(
     tied = attitude_sigma or AttitudeSigma(0.1, 0.1)
     unknowns = _prepare(frames, surface, spin, lens or LensKnowledge(), chip, tied, parallax_sigma)
     pairs = seen_again(unknowns.frames)
+    stages = stages or Stages()
+    stages.depend([unknowns, surface, options])
     tell("first pass: wide search")
     plan = SpinPlan(options.window, options.first_search_px)
     cameras = [frame.camera for frame in frames]
-    stars = match_strips(frames, cameras, surface, pairs, plan)
+    stars = kept_matches(
+        stages, "matches-0", lambda: match_strips(frames, cameras, surface, pairs, plan)
+    )
     _enough(stars)
     estimate = solve_spin(stars, unknowns, surface, pairs, steps=3)
     changes: list[float] = []
     for number in range(options.passes):
         tell(f"pass {number + 1}: matching windows laid by the cameras found")
         plan = SpinPlan(options.window, options.search_px)
-        stars = match_strips(frames, estimate.cameras, surface, pairs, plan)
+        stars = kept_matches(
+            stages,
+            f"matches-{number + 1}",
+            lambda plan=plan, found=estimate: match_strips(frames, found.cameras, surface, pairs, plan),
+        )
         _enough(stars)
         refined = solve_spin(stars, replace(unknowns), surface, pairs, estimate.x)
         changes.append(_change(estimate, refined))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Resume
 
 if TYPE_CHECKING:
     from sightline.applications.sequence_poses import SequencePoses
@@ -53,14 +53,7 @@ def georeference(
     poses_only: Annotated[
         bool, typer.Option("--poses-only", help="Make no maps of the bands, whatever the file asks for.")
     ] = False,
-    resume: Annotated[
-        bool,
-        typer.Option(
-            "--resume",
-            help="Go on from the finished stages of a run that was stopped, also with --overwrite, which "
-            "alone begins anew.",
-        ),
-    ] = False,
+    resume: Resume = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
     allow_network: AllowNetwork = False,

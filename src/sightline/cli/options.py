@@ -55,6 +55,14 @@ Overwrite = Annotated[
         help="Write into DIR though it holds files: an earlier result is replaced, other files stay.",
     ),
 ]
+Resume = Annotated[
+    bool,
+    typer.Option(
+        "--resume",
+        help="Go on from the finished stages of a run that was stopped, also with --overwrite, which "
+        "alone begins anew.",
+    ),
+]
 Json = Annotated[bool, typer.Option("--json", help="Print the summary as JSON on stdout.")]
 Seed = Annotated[
     int, typer.Option("--seed", min=0, max=2**63 - 1, help="Same seed, same scene, bit for bit.")

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite, Resume
 from sightline.cli.terminal import Progress
 
 if TYPE_CHECKING:
     from sightline.io.acquisition.acquired import Acquisition
     from sightline.motion.results import LineOfSight
+    from sightline.stages import Stages
 
 
 def recover(
@@ -27,24 +28,27 @@ def recover(
             "bands: inverse, wiener, polynomial, kalman.",
         ),
     ] = "joint",
+    resume: Resume = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
     allow_network: AllowNetwork = False,
 ) -> None:
     """Recover roll, pitch and yaw with their sigma: per line of a strip's bands, or per frame."""
-    from sightline.cli.output import output_folder
+    from sightline.cli.output import output_folder, stages_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.io.results.hidden import TABLE
     from sightline.motion.strip.strip import RecoverOptions
     from sightline.report.words import grouped
+    from sightline.stages import Stages
 
     RecoverOptions(method=method)  # a word that is none is refused before anything is read
     # a file of another acquisition beside this motion.csv would be taken for a part of the same result
     with (
-        output_folder(out, overwrite=overwrite) as folder,
+        output_folder(out, overwrite=overwrite, resume=resume) as folder,
         progress() as report,
     ):
-        summary = recover_into(folder, acquisition, report, method=method)
+        stages = Stages(stages_folder(out), lambda text: complain("warning", text))
+        summary = recover_into(folder, acquisition, report, method=method, stages=stages)
     if as_json:
         print_json(summary)
         return
@@ -71,6 +75,7 @@ def recover_into(
     *,
     method: str = "joint",
     truth: Path | None = None,
+    stages: Stages | None = None,
 ) -> dict[str, Any]:
     """Recover the strip of `acquisition`, write every file of the result into `folder`, give the summary.
 
@@ -89,12 +94,14 @@ def recover_into(
     acquired = load_acquisition(acquisition)
     announce(ready_to_recover(acquired, method))
     with naming(acquisition):
-        result = recover_acquisition(acquired, report, method=method)
+        result = recover_acquisition(acquired, report, method=method, stages=stages)
     true = None if truth is None else read_motion(truth)
     return Recovery().render(result, folder, report, begin, acquisition=acquired, truth=true)
 
 
-def recover_acquisition(acquired: Acquisition, report: Progress, *, method: str = "joint") -> LineOfSight:
+def recover_acquisition(
+    acquired: Acquisition, report: Progress, *, method: str = "joint", stages: Stages | None = None
+) -> LineOfSight:
     """Recover what an acquisition holds: bands of a strip, or frames of a camera, spinning or not."""
     from sightline.applications.frame_attitude import recover_frame_attitude
     from sightline.applications.line_of_sight import recover_line_of_sight
@@ -102,6 +109,8 @@ def recover_acquisition(acquired: Acquisition, report: Progress, *, method: str 
     from sightline.motion.frames.passes import FrameOptions
     from sightline.motion.strip.strip import RecoverOptions
 
+    if stages is not None:
+        stages.depend(acquired.inputs)
     options = RecoverOptions(**acquired.matching, method=method) if not acquired.frames else None
     if options is None and method != "joint":
         raise InputError(
@@ -121,6 +130,7 @@ def recover_acquisition(acquired: Acquisition, report: Progress, *, method: str 
             parallax_sigma=acquired.parallax_sigma,
             options=SpinOptions.from_matching(acquired.matching),
             progress=report,
+            stages=stages,
         )
     if acquired.frames:
         return recover_frame_attitude(
@@ -130,6 +140,7 @@ def recover_acquisition(acquired: Acquisition, report: Progress, *, method: str 
             height_sigma=acquired.height_sigma,
             options=FrameOptions.from_matching(acquired.matching),
             progress=report,
+            stages=stages,
         )
     return recover_line_of_sight(
         acquired.bands,
@@ -140,4 +151,5 @@ def recover_acquisition(acquired: Acquisition, report: Progress, *, method: str 
         known=acquired.known_motion,
         options=options,
         progress=report,
+        stages=stages,
     )

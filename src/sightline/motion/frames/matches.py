@@ -10,7 +10,7 @@ Not here: the first guess (``start.py``), sensitivities (``linear.py``), the est
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,6 +25,7 @@ from sightline.matching.match_images import match_images
 from sightline.matching.whitening import Whitening
 from sightline.motion.measure.stars import pair_whitening
 from sightline.motion.measure.windows import WindowGrid, predict_windows, window_grid
+from sightline.stages import Stages
 
 Array = NDArray[np.float64]
 
@@ -122,6 +123,31 @@ class FrameStar:
         ground = cameras[self.hub].locate(self.pixels, surface)
         predicted = np.stack([cameras[image].project(ground) for image in self.images], axis=1)
         return self.measured - predicted
+
+
+@dataclass(frozen=True, eq=False)
+class _Matched:
+    """What one pass of matching found."""
+
+    stars: tuple[FrameStar, ...]
+
+
+def kept_matches(stages: Stages, name: str, match: Callable[[], Sequence[FrameStar]]) -> list[FrameStar]:
+    """What a pass of matching found: now, or in an earlier run that was stopped.
+
+    Parameters
+    ----------
+    stages : Stages
+    name : str
+        Of the pass, as a stage.
+    match : callable
+        Matches now.
+    """
+    found = stages.held(name, _Matched, writeable=True)
+    if found is None:
+        found = _Matched(tuple(match()))
+        stages.put(name, found)
+    return list(found.stars)
 
 
 def match_neighbours(

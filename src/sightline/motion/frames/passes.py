@@ -21,7 +21,7 @@ from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource, MaskedImage
 from sightline.motion.band import Frame
 from sightline.motion.frames.lens_field import LensField
-from sightline.motion.frames.matches import FramePlan, FrameStar, match_neighbours
+from sightline.motion.frames.matches import FramePlan, FrameStar, kept_matches, match_neighbours
 from sightline.motion.frames.noise import FrameNoise, GroundField, learn_field, learn_noise
 from sightline.motion.frames.solve import FrameEstimate, FrameUnknowns, solve_frames
 from sightline.motion.frames.start import (
@@ -35,6 +35,7 @@ from sightline.motion.frames.start import (
 from sightline.motion.measure.consensus import ground_weights
 from sightline.motion.measure.match_noise import robust_weights
 from sightline.motion.measure.predict import StaticParameter
+from sightline.stages import Stages
 
 Array = NDArray[np.float64]
 
@@ -203,13 +204,17 @@ def _coarse_star(shift: CoarseShift, shape: tuple[int, int]) -> FrameStar:
     )
 
 
-def first_pass(sequence: FramePasses, x: Array) -> PassState:
+def first_pass(sequence: FramePasses, x: Array, stages: Stages) -> PassState:
     """Neighbours matched with large windows and a wide search."""
     options, unknowns = sequence.options, sequence.unknowns(None)
     plan = FramePlan(
         options.first_window, sequence.step(options.first_window), options.first_search_px, options.lags[:1]
     )
-    stars = match_neighbours(sequence.images, unknowns.cameras(x), sequence.surface, plan)
+    stars = kept_matches(
+        stages,
+        "matches-0",
+        lambda: match_neighbours(sequence.images, unknowns.cameras(x), sequence.surface, plan),
+    )
     kept = sum(int(star.present.sum()) for star in stars)
     if kept < 20:
         raise EstimationError(
@@ -225,11 +230,15 @@ def first_pass(sequence: FramePasses, x: Array) -> PassState:
     return PassState(estimate, tuple(stars))
 
 
-def next_pass(sequence: FramePasses, before: PassState, number: int) -> PassState:
+def next_pass(sequence: FramePasses, before: PassState, number: int, stages: Stages) -> PassState:
     """Match again at all lags with the cameras found; solve, weigh, learn the errors."""
     options = sequence.options
     plan = FramePlan(options.window, sequence.step(options.window), options.search_px, options.lags)
-    stars = match_neighbours(sequence.images, before.estimate.cameras, sequence.surface, plan)
+    stars = kept_matches(
+        stages,
+        f"matches-{number + 1}",
+        lambda: match_neighbours(sequence.images, before.estimate.cameras, sequence.surface, plan),
+    )
     fields = _ground_fields(sequence, before.estimate, plan)
     if number == 0:
         field = LensField.over(sequence.shape, FIELD_START_PX) if sequence.free_lens else None
