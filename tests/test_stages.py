@@ -81,7 +81,8 @@ def test_a_result_is_the_same_when_it_is_found(tmp_path):
 def test_tuples_of_whatever_parts_and_sparse_arrays_are_found_as_they_were(tmp_path):
     sparse = csr_array(np.array([[0.0, 1.5], [0.0, -2.0]]))
     made = Nested(
-        (Other(2.0, "high"), Inner(np.arange(3), "x")), (Other(1.0), Inner(np.zeros(0), "y")), (0.1, -0.0), (),
+        (Other(2.0, "high"), Inner(np.arange(3), "x")), (Other(1.0), Inner(np.zeros(0), "y")), (0.1, -0.0),
+        (),
         (np.eye(2), np.asfortranarray(np.arange(6.0).reshape(2, 3))), sparse, Other(3.0),
     )  # fmt: skip
     Stages(tmp_path).put("one", made)

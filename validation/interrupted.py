@@ -59,7 +59,13 @@ aperture_y = 0.9
 diffusion_sigma_px = 0.2
 optics_mtf = 0.35
 """
-MEASURES = ("sightline.inputs", "sightline.stages", "sightline.writing", "sightline.output.folder", "sightline.output.lock")
+MEASURES = (
+    "sightline.inputs",
+    "sightline.stages",
+    "sightline.writing",
+    "sightline.output.folder",
+    "sightline.output.lock",
+)
 #: Keys of summaries that hold measured times or memory.
 MEASURED = {"wall_seconds", "peak_memory_bytes", "solve_seconds"}
 #: Commands that go on from finished stages.

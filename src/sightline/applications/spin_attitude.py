@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -164,20 +165,15 @@ def recover_spin_attitude(
     tell("first pass: wide search")
     plan = SpinPlan(options.window, options.first_search_px)
     cameras = [frame.camera for frame in frames]
-    stars = kept_matches(
-        stages, "matches-0", lambda: match_strips(frames, cameras, surface, pairs, plan)
-    )
+    stars = kept_matches(stages, "matches-0", lambda: match_strips(frames, cameras, surface, pairs, plan))
     _enough(stars)
     estimate = solve_spin(stars, unknowns, surface, pairs, steps=3)
     changes: list[float] = []
     for number in range(options.passes):
         tell(f"pass {number + 1}: matching windows laid by the cameras found")
         plan = SpinPlan(options.window, options.search_px)
-        stars = kept_matches(
-            stages,
-            f"matches-{number + 1}",
-            lambda plan=plan, found=estimate: match_strips(frames, found.cameras, surface, pairs, plan),
-        )
+        match = partial(match_strips, frames, estimate.cameras, surface, pairs, plan)
+        stars = kept_matches(stages, f"matches-{number + 1}", match)
         _enough(stars)
         refined = solve_spin(stars, replace(unknowns), surface, pairs, estimate.x)
         changes.append(_change(estimate, refined))
