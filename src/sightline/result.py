@@ -108,20 +108,6 @@ def serve(kind_of: Callable[[Any], Kind]) -> None:
     _kind_of[:] = [kind_of]
 
 
-class Summary(dict[str, Any]):
-    """The content of a ``summary.json``; printed as a line per entry."""
-
-    def __str__(self) -> str:
-        """A line per entry, long ones cut."""
-        width = max((len(key) for key in self), default=0)
-        return "\n".join(
-            f"{key:{width}}  {shortened(printable(str(value)), 100)}" for key, value in self.items()
-        )
-
-    def _repr_html_(self) -> str:
-        return html_table("summary", {key: str(value) for key, value in self.items()})
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
     """A result: its numbers as attributes, and what can be done with it.
@@ -154,13 +140,25 @@ class Result:
             raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
         raise AttributeError(
             f"`{name}` of this {type(self).__name__} is not there: it was opened from {opened.folder}, whose "
-            "files do not hold it; what they hold is in `summary()`, `to_pandas()` and the attributes that "
+            "files do not hold it; what they hold is in `to_dict()`, `to_pandas()` and the attributes that "
             "docs/python.md names"
         )
 
-    def summary(self) -> Summary:
-        """What was found, in names and numbers: what ``summary.json`` holds; ``print`` shows it in lines."""
-        return Summary(_kind_of[0](self).summary(self))
+    def summary(self) -> str:
+        """What was found, to be printed: a line per entry of ``summary.json``, long ones cut."""
+        entries = self.to_dict()
+        width = max((len(key) for key in entries), default=0)
+        return "\n".join(
+            f"{key:{width}}  {shortened(printable(str(value)), 100)}" for key, value in entries.items()
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """What was found, in names and numbers: the content of ``summary.json``.
+
+        A method and not an attribute, as it may take as long as writing the result does where the summary
+        says what was written.
+        """
+        return _kind_of[0](self).summary(self)
 
     def to_pandas(self, table: str | None = None) -> pandas.DataFrame:
         """A table of the result.

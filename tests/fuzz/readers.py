@@ -326,7 +326,7 @@ def _opened(seed: str, place: str, targets: str) -> None:
         from sightline import open_result
 
         result = open_result(folder / place)
-        for shown in (repr(result), result._repr_html_(), str(result.summary())):
+        for shown in (repr(result), result._repr_html_(), result.summary()):
             assert shown
 
     name = f"open_result ({seed}/{place})"

@@ -29,8 +29,9 @@ from sightline.cli.score import score_folder
 from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Infinity
 from sightline.io.results.recovered import read_recovered
+from sightline.kinds.open import NAMED
 from sightline.products.cube_store import MemoryStore
-from sightline.result import makes_result
+from sightline.result import Result, makes_result, one_line
 
 #: What "the same bits" leaves out.
 TIMES = {"wall_seconds", "peak_memory_bytes", "solve_seconds"}
@@ -244,17 +245,29 @@ def test_a_result_shows_itself_on_one_line_and_as_a_small_table(case, name):
     assert repr(one.made) == repr(sightline.open_result(one.folder)) or name in ("register", "picture")
 
 
+def test_no_kind_shows_itself_otherwise_and_no_fact_makes_a_long_line():
+    for name, kind in NAMED.items():
+        own = [vars(one) for one in next(t for t in kind.types if t.__name__ == name).__mro__]
+        for method in ("__repr__", "summary", "to_dict"):
+            first = next(members[method] for members in own if method in members)
+            assert first is getattr(Result, method), f"{name}.{method}"
+    said = one_line("LineOfSight", {f"fact {k}": "two\nlines \x1b[31m" + 1000 * "x" for k in range(20)})
+    assert len(said) < 400 and said.isprintable()
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_the_summary_is_that_of_the_file(case, name):
     one = case(name)
     listed = json.loads((one.folder / "summary.json").read_text())
-    opened = sightline.open_result(one.folder).summary()
-    assert opened == listed and opened["result"] == type(one.made).__name__
-    mine = json.loads(json.dumps(one.made.summary(), allow_nan=False))
+    again = sightline.open_result(one.folder)
+    assert again.to_dict() == listed and listed["result"] == type(one.made).__name__
+    mine = json.loads(json.dumps(one.made.to_dict(), allow_nan=False))
     if name == "noise":
         listed["inputs"] = {}
     assert less_times(mine) == less_times(listed)
-    assert len(str(opened).splitlines()) == len(opened)
+    said = again.summary()
+    assert type(said) is str and [line.split()[0] for line in said.splitlines()] == list(listed)
+    assert all(len(line) <= 100 + 2 + max(map(len, listed)) for line in said.splitlines())
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -482,21 +495,22 @@ def test_calls_log_their_stages_and_their_steps(tmp_path, caplog):
 
 
 def test_what_is_loaded_has_a_short_repr(recovery, flight, case):
-    loaded = [
-        sightline.load_acquisition(recovery.scene / "acquisition.toml"),
-        flight[1],
-        sightline.load_tdi(case("tdi").folder.parent / "tdi.toml"),
-        sightline.load_instrument(case("layout").folder.parent / "instrument.toml"),
-        sightline.load_stereo(case("orient").folder.parent / "given" / "stereo.toml"),
-    ]
-    for one in loaded:
+    loaded = {
+        "load_acquisition": sightline.load_acquisition(recovery.scene / "acquisition.toml"),
+        "load_sequence": flight[1],
+        "load_tdi": sightline.load_tdi(case("tdi").folder.parent / "tdi.toml"),
+        "load_instrument": sightline.load_instrument(case("layout").folder.parent / "instrument.toml"),
+        "load_stereo": sightline.load_stereo(case("orient").folder.parent / "given" / "stereo.toml"),
+    }
+    assert set(loaded) == {name for name in dir(sightline) if name.startswith("load_")}
+    for one in loaded.values():
         said = repr(one)
         assert said.startswith(f"<{type(one).__name__}: ") and "\n" not in said and len(said) < 400
 
 
 def test_a_score_is_what_the_command_prints(case, recovery):
     printed = score_folder(recovery.folder, recovery.scene / "truth.csv")
-    mine = case("score").made.summary()
+    mine = case("score").made.to_dict()
     assert {key: mine[key] for key in ("lines", "hidden_directions_removed")} == {
         key: printed[key] for key in ("lines", "hidden_directions_removed")
     }

@@ -54,6 +54,9 @@ def test_frames_lie_where_geometry_puts_them(frames):
     np.testing.assert_allclose(ground, [[-4000.0, 2000.0, 0.0]], atol=1e-6)
     # 6.5 s later the platform is 45.5 km = 113.75 px further north: the point lies that much behind
     np.testing.assert_allclose(second.camera.project(ground), [[79.5 - 113.75, 110.0]], atol=1e-6)
+    said = repr(acquisition)
+    assert said.startswith("<Acquisition: ") and "frames 2 (f0, f1)" in said
+    assert "\n" not in said and len(said) < 400
 
 
 def test_sigmas_of_the_lens_are_those_of_the_file(frames):
