@@ -39,8 +39,9 @@ from scipy.spatial.transform import Rotation
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT / "src"))
 
-from sightline.applications.stereo_orientation import StereoProblem, orient  # noqa: E402
+from sightline.applications.stereo_orientation import orient  # noqa: E402
 from sightline.photogrammetry.block.bundle import adjust  # noqa: E402
+from sightline.photogrammetry.pair.problem import StereoProblem  # noqa: E402
 from sightline.photogrammetry.sightings import Sightings  # noqa: E402
 from sightline.photogrammetry.triangulate import triangulate  # noqa: E402
 from sightline.simulate.stereo import StereoScenario, stereo_case  # noqa: E402

@@ -19,11 +19,11 @@ import numpy as np
 from iss_frames import ALTITUDE, DATA, GROUND, GROUND_SIGMA, write_cloud_mask
 
 from sightline.applications.frame_attitude import mount_by_motion
-from sightline.applications.stereo_matching import match_problem
 from sightline.applications.stereo_orientation import orient
 from sightline.io.acquisition.load import load_acquisition
 from sightline.io.formats.exif import write_photo_acquisition
 from sightline.io.stereo.load import read_stereo
+from sightline.photogrammetry.pair.match_problem import match_problem
 
 LENS = """shape = [972, 1296]\nfocal_length_px = 1032.0\nfocal_length_sigma_px = 6.3
 principal_point_px = [443.4, 664.2]\ndistortion = [0.0172, 0.0262, -0.00048, 0.00258, -0.0585]"""

@@ -16,11 +16,11 @@ import gates
 import numpy as np
 
 from sightline.applications.line_of_sight import joint_line_of_sight
-from sightline.applications.strip_methods import by_method
 from sightline.evaluation.score import AXES, score_result
 from sightline.geometry.surface import Plane
 from sightline.motion.results import LineOfSight
 from sightline.motion.strip.checks import checked
+from sightline.motion.strip.methods import by_method
 from sightline.motion.strip.strip import METHODS, RecoverOptions, prepared
 from sightline.simulate.scenarios import line_of_sight_case
 

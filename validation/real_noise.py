@@ -21,7 +21,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from imaging.raw_strip import RawStripOptions, simulate_raw_strip
-from sightline.applications.strip_noise import (
+from sightline.errors import EstimationError
+from sightline.imaging.noise_estimation import Estimate, column_pattern
+from sightline.imaging.strip_noise import (
     EDGES,
     StripPixels,
     conversion_bound,
@@ -29,8 +31,6 @@ from sightline.applications.strip_noise import (
     figures,
     gain_bound,
 )
-from sightline.errors import EstimationError
-from sightline.imaging.noise_estimation import Estimate, column_pattern
 from sightline.io.formats.hirise_edr import read_hirise_edr
 
 DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))

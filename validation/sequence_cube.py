@@ -21,22 +21,15 @@ import gates
 import numpy as np
 from sequence_poses import problem_of
 
-from sightline.applications.cube_ground import choose_ground, frame_outlines
-from sightline.applications.frame_cube import (
-    CubePlan,
-    CubeSummary,
-    assemble_cube,
-    choose_bands,
-    frame_views,
-    images_of,
-    map_of,
-)
+from sightline.applications.frame_cube import CubeSummary, assemble_cube, found_views, images_of
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.surface import Dem
 from sightline.io.formats.images import open_image
 from sightline.io.results.cube_files import CubeFolder
 from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.products.cube_ground import choose_ground, frame_outlines
+from sightline.products.cube_plan import CubePlan, choose_bands, map_of
 from sightline.products.frame_cube import CubeMaker, FrameViews, tiles_of
 from sightline.simulate.sequence import SequenceScenario, sequence_case
 
@@ -47,8 +40,8 @@ def true_offsets(
     scenario: SequenceScenario, problem: SequenceProblem, found: SequencePoses, summary: CubeSummary
 ) -> np.ndarray:
     """px (groups, places, 2): where what a band shows at places of the map truly lies, less the place."""
-    views, system = frame_views(problem, found), map_of(problem)
-    ground = choose_ground(problem, found, system, "auto")
+    views, system = found_views(problem, found), map_of(problem)
+    ground = choose_ground(problem, found.poses, found.tracks, system, "auto")
     outline, reach = frame_outlines(problem, system, ground, views)
     layout = choose_bands(problem, CubePlan(), outline, summary.gsd)
     maker = CubeMaker(summary.grid, layout, views, reach, ground.heights, images_of(problem))
@@ -86,7 +79,7 @@ def height_error(
     """px rms of heights of points and of the surface through them, less a similarity (the datum is free)."""
     relief, gsd, tracks = scenario.ground.relief, scenario.options.gsd, found.tracks
     dem = Dem(relief.heights, relief.transform)
-    ground = choose_ground(problem, found, map_of(problem), "model")
+    ground = choose_ground(problem, found.poses, found.tracks, map_of(problem), "model")
     assert ground.model is not None
     # what the first sighting of a point shows is the point
     point, first = np.unique(tracks.point, return_index=True)

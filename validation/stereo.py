@@ -33,10 +33,11 @@ sys.path[:0] = [str(ROOT)]
 from tests.photogrammetry import s2_dense  # noqa: E402
 from tests.photogrammetry.test_bound import PROTOTYPE, package  # noqa: E402
 
-from sightline.applications.stereo_orientation import METHODS, StereoProblem, orient  # noqa: E402
+from sightline.applications.stereo_orientation import METHODS, orient  # noqa: E402
 from sightline.execution import Executor, executor_from_name  # noqa: E402
 from sightline.geometry.units import ARCSEC  # noqa: E402
 from sightline.photogrammetry.block.bundle import bound  # noqa: E402
+from sightline.photogrammetry.pair.problem import StereoProblem  # noqa: E402
 from sightline.photogrammetry.sightings import sight_frames  # noqa: E402
 from sightline.simulate.stereo import StereoScenario, stereo_case  # noqa: E402
 from sightline.simulate.stereo_options import CASE_OPTIONS, StereoOptions  # noqa: E402

@@ -25,7 +25,8 @@ import gates
 import numpy as np
 
 from sightline.applications.stereo_heights import heights_of, stereo_heights
-from sightline.applications.stereo_orientation import METHODS, StereoOrientation, StereoProblem, orient
+from sightline.applications.stereo_orientation import METHODS, StereoOrientation, orient
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.photogrammetry.triangulate import triangulate
 from sightline.simulate.stereo import StereoScenario, stereo_case
 

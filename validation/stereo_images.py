@@ -29,14 +29,14 @@ from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.optimize import brentq
 
-from sightline.applications.stereo_matching import match_problem
-from sightline.applications.stereo_orientation import StereoProblem
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.orbit_pair import OrbitPair
 from sightline.imaging.source import ArrayImage
 from sightline.photogrammetry.block.bundle import adjust
 from sightline.photogrammetry.frame_cameras import frame_cameras
 from sightline.photogrammetry.match_frames import TrackPlan
+from sightline.photogrammetry.pair.match_problem import match_problem
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.photogrammetry.sightings import Tracks, sight_frames
 from sightline.simulate.stereo import StereoScenario, stereo_case
 from sightline.simulate.stereo_images import Sensor, render_frame, render_frames, textured

@@ -35,7 +35,6 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from sightline.applications.line_of_sight import recover_line_of_sight
-from sightline.applications.tdi_columns import band_camera, strip_span
 from sightline.evaluation.score import score_result
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
@@ -48,7 +47,7 @@ from sightline.tdi.merit import DriftMtf
 from sightline.tdi.motion_knowledge import MotionKnowledge
 from sightline.tdi.motion_mtf import MotionMtf
 from sightline.tdi.predict_loss import predict_loss
-from sightline.tdi.scan_columns import column_geometry
+from sightline.tdi.scan_columns import band_camera, column_geometry, strip_span
 from sightline.tdi.setting import ChoiceRules, TdiDetector, TdiGrid
 from tdi.knowledge_in_memory import motion_knowledge
 

@@ -16,12 +16,12 @@ if TYPE_CHECKING:
     from sightline.applications.detector_noise import DetectorNoise
     from sightline.applications.focal_plane import FocalPlane, LayoutChoice, choose_layout
     from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
-    from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube
+    from sightline.applications.frame_cube import CubeSummary, assemble_cube
     from sightline.applications.line_of_sight import recover_line_of_sight
     from sightline.applications.registration import Registration, register_bands
     from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
     from sightline.applications.spin_attitude import SpinAttitude, SpinOptions, recover_spin_attitude
-    from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem, orient
+    from sightline.applications.stereo_orientation import StereoOrientation, orient
     from sightline.applications.stereo_prediction import StereoPrediction
     from sightline.applications.tdi_choice import TdiProblem, TdiResult, choose_tdi
     from sightline.errors import (
@@ -64,6 +64,8 @@ if TYPE_CHECKING:
     from sightline.motion.results import LineOfSight
     from sightline.motion.strip.strip import RecoverOptions
     from sightline.photogrammetry.flight.problem import SequenceProblem
+    from sightline.photogrammetry.pair.problem import StereoProblem
+    from sightline.products.cube_plan import CubePlan
     from sightline.products.frame_mosaic import Mosaic, frame_mosaic
     from sightline.result import Result
     from sightline.simulate.scenarios import line_of_sight_case
@@ -85,7 +87,7 @@ _MODULE_OF = {
     "Camera": "sightline.geometry.camera",
     "ChipKnowledge": "sightline.motion.band",
     "ChoiceRules": "sightline.tdi.setting",
-    "CubePlan": "sightline.applications.frame_cube",
+    "CubePlan": "sightline.products.cube_plan",
     "CubeSummary": "sightline.applications.frame_cube",
     "Dem": "sightline.geometry.surface",
     "DetectorNoise": "sightline.applications.detector_noise",
@@ -133,7 +135,7 @@ _MODULE_OF = {
     "Stages": "sightline.stages",
     "StereoOrientation": "sightline.applications.stereo_orientation",
     "StereoPrediction": "sightline.applications.stereo_prediction",
-    "StereoProblem": "sightline.applications.stereo_orientation",
+    "StereoProblem": "sightline.photogrammetry.pair.problem",
     "Surface": "sightline.geometry.surface",
     "TdiChoice": "sightline.tdi.choose",
     "TdiDetector": "sightline.tdi.setting",

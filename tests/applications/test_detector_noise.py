@@ -20,11 +20,11 @@ from sightline.applications.detector_noise import (
     plain_image_noise,
     strip_image_noise,
 )
-from sightline.applications.strip_noise import StripPixels
 from sightline.cli.main import run
 from sightline.errors import EstimationError, InputError
 from sightline.imaging.noise_estimation import column_pattern
 from sightline.imaging.source import ArrayImage
+from sightline.imaging.strip_noise import StripPixels
 from sightline.io.results.noise import NOISE_FILES
 from sightline.io.tdi.load import load_tdi
 

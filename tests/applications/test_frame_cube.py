@@ -9,12 +9,13 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cube_flights import flight, problem_of, true_poses
-from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube
+from sightline.applications.frame_cube import CubeSummary, assemble_cube
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.errors import FormatError, InputError
 from sightline.geometry.earth import WGS84, from_geodetic, local_axes
 from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.products.cube_plan import CubePlan
 from sightline.products.cube_store import MemoryStore
 from sightline.simulate.sequence import SequenceScenario
 

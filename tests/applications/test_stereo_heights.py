@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from sightline.applications.stereo_heights import height_sigmas, heights_of, stereo_heights
-from sightline.applications.stereo_orientation import StereoProblem, orient
+from sightline.applications.stereo_orientation import orient
 from sightline.errors import InputError
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.simulate.stereo import stereo_case
 
 CASE = {"shots": 24, "points": 60, "window": 48.0}

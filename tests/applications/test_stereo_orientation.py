@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from tests.photogrammetry.stereo_scene import ARCSEC, TRUTH, Noise, Plan, ground, our_angles, shoot
 
 from consistency import assert_consistent, assert_possible
-from sightline.applications.stereo_orientation import METHODS, StereoProblem, orient, orient_pushbroom
+from sightline.applications.stereo_orientation import METHODS, orient, orient_pushbroom
 from sightline.errors import InputError, SightlineError
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.instrument import AreaDetector, LineDetector
@@ -21,6 +21,7 @@ from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Trajectory
 from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.block.pose_noise import PoseNoise
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.photogrammetry.sightings import Images, Tracks
 from sightline.simulate.stereo import stereo_case
 

@@ -10,9 +10,14 @@ from scipy.spatial.transform import Rotation
 from tests.photogrammetry import s2_dense
 from tests.photogrammetry.s2_dense import ARCSEC, Case
 
-from sightline.applications.stereo_orientation import StereoProblem
 from sightline.applications.stereo_prediction import improvements, predict, predict_plan
-from sightline.applications.stereo_settings import (
+from sightline.errors import InputError
+from sightline.geometry.instrument import AreaDetector
+from sightline.geometry.orbit_pair import OrbitPair
+from sightline.geometry.rotations import NADIR_MOUNT
+from sightline.photogrammetry.block.pose_noise import PoseNoise
+from sightline.photogrammetry.pair.problem import StereoProblem
+from sightline.photogrammetry.pair.settings import (
     StereoPlan,
     moved,
     pixels_of_places,
@@ -22,11 +27,6 @@ from sightline.applications.stereo_settings import (
     with_shots,
     with_window,
 )
-from sightline.errors import InputError
-from sightline.geometry.instrument import AreaDetector
-from sightline.geometry.orbit_pair import OrbitPair
-from sightline.geometry.rotations import NADIR_MOUNT
-from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.sightings import Images, Tracks
 from sightline.simulate.stereo import stereo_case
 

@@ -7,14 +7,6 @@ import pytest
 
 from imaging.raw_strip import RawStripOptions, simulate_raw_strip, two_step_table
 from sightline.applications.detector_noise import detector_noise, strip_image_noise
-from sightline.applications.strip_noise import (
-    EDGES,
-    StripPixels,
-    conversion_bound,
-    estimate_strip_noise,
-    figures,
-    gain_bound,
-)
 from sightline.errors import EstimationError, InputError
 from sightline.imaging.noise_estimation import (
     Blocks,
@@ -26,6 +18,14 @@ from sightline.imaging.noise_estimation import (
     ramp_noise,
     resting_noise,
     white_noise,
+)
+from sightline.imaging.strip_noise import (
+    EDGES,
+    StripPixels,
+    conversion_bound,
+    estimate_strip_noise,
+    figures,
+    gain_bound,
 )
 
 OPTIONS = RawStripOptions(lines=2000, gain=4e-6)

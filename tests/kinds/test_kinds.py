@@ -22,7 +22,7 @@ from tests.test_cli_tdi import TEXT as TDI
 
 import sightline
 from sightline.applications.detector_noise import detector_noise, plain_image_noise
-from sightline.applications.frame_cube import CubePlan, assemble_cube
+from sightline.applications.frame_cube import assemble_cube
 from sightline.applications.stereo_prediction import predict
 from sightline.cli.main import run
 from sightline.cli.score import score_folder
@@ -30,6 +30,7 @@ from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Infinity
 from sightline.io.results.recovered import read_recovered
 from sightline.kinds.open import NAMED
+from sightline.products.cube_plan import CubePlan
 from sightline.products.cube_store import MemoryStore
 from sightline.result import Result, makes_result, one_line
 

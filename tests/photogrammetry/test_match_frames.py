@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.stereo_matching import match_problem
-from sightline.applications.stereo_orientation import StereoProblem, orient
+from sightline.applications.stereo_orientation import orient
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.instrument import AreaDetector
@@ -17,6 +16,8 @@ from sightline.geometry.trajectory import Trajectory
 from sightline.imaging.source import ArrayImage, MaskedImage
 from sightline.photogrammetry.frame_cameras import frame_cameras
 from sightline.photogrammetry.match_frames import TrackPlan, choose_hubs, match_frames, shared_views
+from sightline.photogrammetry.pair.match_problem import match_problem
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.simulate.stereo import stereo_case
 from sightline.simulate.stereo_images import Sensor, render_frame, render_frames, textured
 

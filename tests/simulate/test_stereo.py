@@ -9,11 +9,11 @@ from rasterio.transform import Affine
 from scipy.spatial.transform import Rotation
 from tests.photogrammetry import s2_scene
 
-from sightline.applications.stereo_orientation import StereoProblem
 from sightline.errors import FormatError, GeometryError, InputError
 from sightline.geometry.earth import WGS84, to_geodetic
 from sightline.geometry.surface import Dem, Ellipsoid
 from sightline.geometry.units import ARCSEC
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.simulate.stereo import MISMATCH_PX, stereo_case
 from sightline.simulate.stereo_options import CASE_OPTIONS
 

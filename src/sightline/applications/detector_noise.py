@@ -1,8 +1,8 @@
 """The noise law and the columns of a detector, from one raw image or several: what ``sightline noise`` finds.
 
-Strips that were read with pixels beside the image say most (``strip_noise.py``). Plain images say what the
-scatter of their pixels shows at their own signals; frames without light give the level of each column and
-the noise at rest. All that is known of A, B and C^2 then goes into one fit.
+Strips that were read with pixels beside the image say most (``imaging/strip_noise.py``). Plain images say
+what the scatter of their pixels shows at their own signals; frames without light give the level of
+each column and the noise at rest. All that is known of A, B and C^2 then goes into one fit.
 
 Not here: how each is estimated (``imaging/noise_estimation.py``), files (``io/noise_toml.py``).
 """
@@ -18,16 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d
 
-from sightline.applications.strip_noise import (
-    LawRows,
-    NoiseFigure,
-    StripPixels,
-    bounded_figure,
-    estimate_strip_noise,
-    figures,
-    law_rows,
-    measured_figure,
-)
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.robust import robust_sigma
 from sightline.imaging.noise_estimation import (
@@ -47,6 +37,16 @@ from sightline.imaging.noise_estimation import (
     white_noise,
 )
 from sightline.imaging.source import ImageSource
+from sightline.imaging.strip_noise import (
+    LawRows,
+    NoiseFigure,
+    StripPixels,
+    bounded_figure,
+    estimate_strip_noise,
+    figures,
+    law_rows,
+    measured_figure,
+)
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.result import Result, makes_result
 

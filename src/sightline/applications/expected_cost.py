@@ -23,7 +23,6 @@ from sightline.motion.layout.search import EXHAUSTIVE, MOST_CELLS, choices, expe
 from sightline.motion.measure.windows import window_grid
 
 if TYPE_CHECKING:
-    from sightline.applications.stereo_orientation import StereoProblem
     from sightline.applications.tdi_choice import TdiProblem
     from sightline.geometry.surface import Surface
     from sightline.motion.band import Band, Frame
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     from sightline.motion.layout.search import Candidates
     from sightline.motion.strip.strip import RecoverOptions
     from sightline.photogrammetry.flight.problem import SequenceProblem
+    from sightline.photogrammetry.pair.problem import StereoProblem
 
 #: Bytes that Python and the libraries take before anything is read (runs of the smallest cases).
 BASE_BYTES = 0.35e9

@@ -3,7 +3,8 @@
 Every band becomes an orthomosaic, and all of them lie on one map: each pixel from the frame in which its band
 saw it best. How well bands then lie on each other is matched anew.
 
-Not here: resampling (``products/frame_cube.py``), files (``io/results/cube_files.py``).
+Not here: what is planned of it (``products/cube_plan.py``), resampling (``products/frame_cube.py``), files
+(``io/results/cube_files.py``).
 """
 
 from __future__ import annotations
@@ -13,22 +14,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from sightline.applications.cube_ground import UsedGround, choose_ground, frame_outlines, given_heights
 from sightline.applications.sequence_poses import INTERPOLATED, SequencePoses
-from sightline.errors import InputError, computes
+from sightline.errors import computes
 from sightline.execution import CpuClock, one_blas_thread, silent
 from sightline.geometry.checks import ReadOnlyArrays
 from sightline.imaging.source import ImageSource
-from sightline.photogrammetry.flight.path import stretches
 from sightline.photogrammetry.flight.problem import SequenceProblem
-from sightline.photogrammetry.flight.rolling_shutter import line_poses
 from sightline.photogrammetry.flight.solver import ground_distances
-from sightline.photogrammetry.sightings import Images
-from sightline.products.cube_bands import BandLayout, frame_bands, line_bands
+from sightline.products.cube_bands import BandLayout
 from sightline.products.cube_fit import PairFit, error_map, fit_pairs
-from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
+from sightline.products.cube_grid import CubeGrid
+from sightline.products.cube_ground import UsedGround, choose_ground, frame_outlines, given_heights
+from sightline.products.cube_plan import CubePlan, choose_bands, frame_views, map_of, pixel_size
 from sightline.products.cube_store import CubeStore, MemoryStore
 from sightline.products.cube_tally import CubePicture, CubeTally, picture_bands, picture_factor
 from sightline.products.frame_cube import (
@@ -43,7 +41,6 @@ from sightline.result import Result, makes_result
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
-SURFACES = ("auto", "model", "given")
 #: What it costs to use a frame whose image tells nothing of its pose, or one out of focus.
 _GUESSED, _BLURRED = 1e4, 1e2
 #: Share of a frame's shorter side by which its view may be wrong (1-sigma) where its image tells nothing.
@@ -52,46 +49,6 @@ _ADRIFT = 0.25
 _SHARP = 0.6
 #: Share of the ground passed over from which on gaps are not worth a warning.
 _GAPS = 0.99
-
-
-@dataclass(frozen=True)
-class CubePlan:
-    """What cube to make.
-
-    Attributes
-    ----------
-    gsd : float or None
-        m, side of a pixel; None: as large as pixels of the frames are on the ground.
-    bands : int, tuple of float or None
-        How many, or their wavelengths (nm); None: each step of a filter that has steps, else as many as leave
-        each enough lines for the steps flown.
-    surface : str
-        "model" (heights of the points found), "given" (what the problem says), "auto".
-    fill_nm : float or None
-        How far beyond a band's own wavelengths lines of a filter may stand in where a step between frames was
-        too long; None: less than half the band's width.
-    flatten : bool
-        Make the lines of a filter alike before they are resampled.
-    picture : bool
-        Make the pictures before and after.
-    fit : bool
-        Match bands against each other.
-    """
-
-    gsd: float | None = None
-    bands: int | tuple[float, ...] | None = None
-    surface: str = "auto"
-    fill_nm: float | None = None
-    flatten: bool = True
-    picture: bool = True
-    fit: bool = True
-
-    def __post_init__(self) -> None:
-        """Check."""
-        if self.surface not in SURFACES:
-            raise InputError(f"`surface` must be one of {', '.join(SURFACES)}, got {self.surface!r}")
-        if self.gsd is not None and not (np.isfinite(self.gsd) and self.gsd > 0.0):
-            raise InputError(f"`gsd` must be a positive number of metres, got {self.gsd}")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -223,9 +180,9 @@ def assemble_cube(
     clock = CpuClock()
     report = silent if progress is None else progress
     report("cube: ground", 0, 1)
-    views = frame_views(problem, found)
+    views = found_views(problem, found)
     system = map_of(problem)
-    ground = choose_ground(problem, found, system, plan.surface)
+    ground = choose_ground(problem, found.poses, found.tracks, system, plan.surface)
     clock.note("ground")
     outline, reach = frame_outlines(problem, system, ground, views)
     gsd = plan.gsd or pixel_size(problem, views, outline)
@@ -266,22 +223,23 @@ def assemble_cube(
     return replace(summary, warnings=(*summary.warnings, words))
 
 
-def frame_views(problem: SequenceProblem, found: SequencePoses | None = None) -> FrameViews:
-    """How the frames see the world by the poses found; by the rough ones without `found`."""
-    images, detector = problem.images, problem.detector
+def found_views(problem: SequenceProblem, found: SequencePoses) -> FrameViews:
+    """How the frames see the world by the poses found.
+
+    Frames without windows, and those out of focus, are used where no other shows a place; frames
+    whose view nobody knows are not used.
+    """
+    images = replace(
+        problem.images, position=found.poses.position, world_from_body=found.poses.world_from_body
+    )
     penalty = np.where(problem.usable, 0.0, np.inf)
-    if found is not None:
-        detector = found.poses.detector(detector)
-        images = replace(images, position=found.poses.position, world_from_body=found.poses.world_from_body)
-        penalty += _GUESSED * (np.array(found.source) == INTERPOLATED)
-        penalty[_adrift(problem, found)] = np.inf
-        sharpness = found.followed.sharpness
-        usual = np.nanmedian(sharpness) if np.isfinite(sharpness).any() else np.nan
-        penalty += _BLURRED * (sharpness < _SHARP * usual)
-    linked = None if found is None else found.stretch
-    position, turned = _instants(images, problem.readout_time, linked)
-    camera = np.stack([(turn * problem.mount).inv().as_matrix() for turn in turned], axis=1)
-    return FrameViews(detector, np.stack(position, axis=1), camera, stretches(images.t), penalty)
+    penalty += _GUESSED * (np.array(found.source) == INTERPOLATED)
+    penalty[_adrift(problem, found)] = np.inf
+    sharpness = found.followed.sharpness
+    usual = np.nanmedian(sharpness) if np.isfinite(sharpness).any() else np.nan
+    penalty += _BLURRED * (sharpness < _SHARP * usual)
+    detector = found.poses.detector(problem.detector)
+    return frame_views(problem, images, detector=detector, penalty=penalty, linked=found.stretch)
 
 
 def _adrift(problem: SequenceProblem, found: SequencePoses) -> NDArray[np.bool_]:
@@ -301,83 +259,6 @@ def _adrift(problem: SequenceProblem, found: SequencePoses) -> NDArray[np.bool_]
     beyond = np.sqrt(np.maximum(moved**2 - np.median(known[np.isfinite(known)]) ** 2, 0.0))
     # frames between a subset's by a curve have no sigma: they are where the curve is
     return np.asarray(guessed & np.isfinite(moved) & (beyond > _ADRIFT * side))
-
-
-def _instants(
-    images: Images, readout_time: float, linked: NDArray[np.intp] | None
-) -> tuple[list[Array], list[Rotation]]:
-    """Poses of all frames when their first, middle and last lines are exposed; once where all are at once."""
-    position, turned = [images.position], [images.world_from_body]
-    if readout_time != 0.0:
-        image = np.arange(len(images))
-        for share in (0.5, 1.0):
-            moved, turn = line_poses(images, image, np.full(len(images), share * readout_time), linked)
-            position.append(images.position + moved)
-            turned.append(images.world_from_body * turn)
-    return position, turned
-
-
-def map_of(problem: SequenceProblem) -> MapSystem:
-    """Axes of the map: those of a flat world, or a map projection about the flight."""
-    if problem.radii is None:
-        return MapSystem()
-    middle = np.median(problem.images.position, axis=0)
-    return MapSystem(map_system(middle, problem.radii), problem.radii)
-
-
-def pixel_size(problem: SequenceProblem, views: FrameViews, outline: Array) -> float:
-    """m; median side of a pixel of the frames on the ground, of a whole pattern of a mosaic filter."""
-    usable = np.isfinite(views.penalty) & np.isfinite(outline).all(axis=(1, 2))
-    side = int(np.sqrt(outline.shape[1]))
-    net = outline[usable].reshape(-1, side, side, 2)
-    if not len(net):
-        raise InputError("no frame that can be used looks at the ground: there is nothing to map")
-    lines, columns = problem.detector.shape
-    down = np.linalg.norm(np.diff(net, axis=1), axis=3) * (side - 1) / lines
-    right = np.linalg.norm(np.diff(net, axis=2), axis=3) * (side - 1) / columns
-    period = 1 if problem.mosaic_nm is None else max(problem.mosaic_nm.shape)
-    size = period * float(np.sqrt(np.median(down) * np.median(right)))
-    # three figures are enough, and make a map that is easy to name
-    return float(f"{size:.3g}")
-
-
-def choose_bands(
-    problem: SequenceProblem, plan: CubePlan, outline: Array, gsd: float, step: float | None = None
-) -> BandLayout:
-    """Bands of the cube, by what the camera is and what was asked for.
-
-    Parameters
-    ----------
-    problem : SequenceProblem
-    plan : CubePlan
-    outline : (M, n, 2)
-        m; map places around each frame.
-    gsd : float
-        m, side of a pixel of the map.
-    step : float, optional
-        Pixels of the map from frame to frame; by default that of the outlines.
-    """
-    detector = problem.detector
-    if detector.wavelength_nm is not None:
-        if step is None:
-            middle = np.nanmean(outline, axis=1)
-            steps = np.linalg.norm(np.diff(middle, axis=0), axis=1) / gsd
-            step = float(np.nanmedian(steps)) if np.isfinite(steps).any() else 1.0
-        return line_bands(detector.wavelength_nm, plan.bands, max(step, 0.1), plan.fill_nm)
-    layout = frame_bands(detector.shape, problem.mosaic_nm, problem.channel_nm)
-    if plan.bands is None:
-        return layout
-    wanted = plan.bands if not isinstance(plan.bands, int) else ()
-    there = [int(np.argmin(np.abs(layout.wavelength_nm - nm))) for nm in wanted]
-    near = [abs(layout.wavelength_nm[k] - nm) <= 1.0 for k, nm in zip(there, wanted, strict=True)]
-    if isinstance(plan.bands, int) and plan.bands == len(layout):
-        return layout
-    if not there or not all(near):
-        raise InputError(
-            f"`bands` must be among the {len(layout)} wavelengths that the camera has "
-            f"({', '.join(layout.names)}), got {plan.bands}"
-        )
-    return layout.of(there)
 
 
 def images_of(problem: SequenceProblem) -> list[Sequence[ImageSource]]:

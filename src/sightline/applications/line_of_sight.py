@@ -18,7 +18,6 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.strip_methods import by_method, check_method, strip_differences
 from sightline.errors import EstimationError, computes
 from sightline.estimation.likelihood import WORK
 from sightline.execution import one_blas_thread
@@ -48,6 +47,7 @@ from sightline.motion.strip.joint import (
     remove_directions,
 )
 from sightline.motion.strip.lag_sign import matches_backwards
+from sightline.motion.strip.methods import by_method, check_method, strip_differences
 from sightline.motion.strip.relief import RowRelief
 from sightline.motion.strip.strip import RecoverOptions, Strip, prepared, suited
 from sightline.motion.strip.viewing_axes import (
@@ -148,7 +148,7 @@ def recover_line_of_sight(
     -----
     S1, figure 15. The motion is the joint maximum a posteriori of roll, pitch, yaw, band offsets and
     rotations (``motion/strip/joint.py``) with priors by marginal likelihood (``motion/strip/hyper.py``); with
-    ``options.method`` that of one of S1's own estimators (``strip_methods.py``).
+    ``options.method`` that of one of S1's own estimators (``motion/strip/methods.py``).
     """
     options = options or RecoverOptions()
     tell = progress or (lambda text: None)

@@ -20,7 +20,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import ImageSource
 from sightline.motion.band import Band
 from sightline.motion.measure.windows import field_positions
-from sightline.motion.statics import apply_statics, band_statics
+from sightline.motion.statics import recovered_cameras
 from sightline.motion.strip.relief import RowRelief
 from sightline.products.band_fit import BandFit, fit_bands
 from sightline.products.register_bands import RaisedGround, RegisteredImage, band_map
@@ -44,26 +44,6 @@ class Registration(Result):
     reference: int
     before: tuple[ImageSource, ...]
     after: tuple[ImageSource, ...]
-
-
-def recovered_cameras(
-    bands: Sequence[Band], motion: Motion, statics: Mapping[str, float]
-) -> tuple[PushbroomCamera, ...]:
-    """Cameras that carry a recovered motion and recovered statics.
-
-    Parameters
-    ----------
-    bands : sequence of Band
-        With their nominal cameras.
-    motion : Motion
-        Departure from the reference attitude; lines outside its span will have no place.
-    statics : mapping
-        Name of a static parameter to its value; names of other things than these bands' are passed over.
-    """
-    moved = [band.camera.with_trajectory(band.camera.trajectory.with_motion(motion)) for band in bands]
-    parameters = band_statics(bands)
-    values = np.array([statics.get(parameter.name, 0.0) for parameter in parameters])
-    return tuple(c for c in apply_statics(moved, parameters, values) if isinstance(c, PushbroomCamera))
 
 
 @makes_result

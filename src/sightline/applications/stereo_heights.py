@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
+from sightline.applications.stereo_orientation import StereoOrientation
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen, same_length
 from sightline.geometry.earth import to_geodetic
 from sightline.photogrammetry.block.point_priors import level_axes
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.photogrammetry.triangulate import Triangulation, triangulate
 
 

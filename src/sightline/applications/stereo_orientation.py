@@ -1,111 +1,39 @@
 """S2: constant attitude errors of cameras that image one scene together, and which are not observable.
 
 Not here: reading the problem (``io/stereo/load.py``), finding conjugate points in images
-(``stereo_matching.py``), what a plan would give (``stereo_prediction.py``).
+(``photogrammetry/pair/match_problem.py``), what a plan would give (``stereo_prediction.py``).
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from sightline.errors import EstimationError, InputError, computes
 from sightline.execution import one_blas_thread
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
-from sightline.geometry.instrument import AreaDetector
 from sightline.photogrammetry.block.bundle import Adjustment, adjust, bound, load_kernels
 from sightline.photogrammetry.block.observability import Observability, observability
-from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior, PointPriors, level_axes
+from sightline.photogrammetry.block.point_priors import PointPriors, level_axes
 from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.pair.epipolar import epipolar_outliers, noise_ratios, orient_by_epipolar
 from sightline.photogrammetry.pair.pairs import PairOrientation, SightingPairs, pair_sightings
 from sightline.photogrammetry.pair.plane import common_aim, orient_by_plane
-from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_frames, sight_pushbroom
+from sightline.photogrammetry.pair.problem import StereoProblem
+from sightline.photogrammetry.sightings import Sightings, Tracks, sight_pushbroom
 from sightline.photogrammetry.triangulate import triangulate
-from sightline.result import Result, makes_result, one_line
+from sightline.result import Result, makes_result
 
 #: Names of the estimators, best first.
 METHODS = ("ml-track", "ml-pair", "epipolar", "plane")
 #: Size of residuals over the stated one beyond which an adjustment is no answer: stated noise may be a few
 #: times too small, and its sigmas are then by as much; tables of other images miss by hundreds.
 WORST_FIT = 10.0
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class StereoProblem(ReadOnlyArrays):
-    """What a STEREO.toml says, as objects.
-
-    Attributes
-    ----------
-    cameras : tuple of str
-        Names of the cameras, in the order of all results.
-    images : Images
-        Planned poses; `shot` counts the shots in order of time.
-    shot_names : (K,)
-        Number of each shot as the user gave it.
-    detectors : tuple of AreaDetector
-        One per camera.
-    mounts : tuple of Rotation
-        body_from_camera, one per camera.
-    tracks : Tracks
-        Conjugate points.
-    point_names : (n,)
-        Number of each point as the user gave it.
-    noise : PoseNoise
-    radii : (float, float) or None
-        Of the ellipsoid whose normals are the verticals; None where the world is flat, z up.
-    heights : HeightPrior or None
-    control : ControlPoints or None
-    focal_sigma : tuple of float or None
-        Per camera, 1-sigma of the relative error of its focal length; inf: estimate it freely, 0: keep it.
-    epoch : str or None
-        UTC, ISO 8601: the instant t = 0.
-    warnings : tuple of str
-        What was noticed while reading.
-    sigma_px : float or None
-        px; expected 1-sigma of each coordinate of points that are not found yet; None where nobody says.
-    """
-
-    cameras: tuple[str, ...]
-    images: Images
-    shot_names: Array
-    detectors: tuple[AreaDetector, ...]
-    mounts: tuple[Rotation, ...]
-    tracks: Tracks
-    point_names: Array
-    noise: PoseNoise
-    radii: tuple[float, float] | None
-    heights: HeightPrior | None = None
-    control: ControlPoints | None = None
-    focal_sigma: tuple[float, ...] | None = None
-    epoch: str | None = None
-    warnings: tuple[str, ...] = field(default=())
-    sigma_px: float | None = None
-
-    def __repr__(self) -> str:
-        """One line."""
-        facts = {
-            "cameras": f"{len(self.cameras)} ({', '.join(self.cameras[:4])})",
-            "images": str(len(self.images)),
-            "shots": str(len(self.shot_names)),
-            "points": f"{len(self.point_names)} in {len(self.tracks)} sightings",
-        }
-        return one_line(type(self).__name__, facts)
-
-    def sightings(self) -> Sightings:
-        """The points as sighted, free of lens and mount."""
-        return sight_frames(self.images, self.detectors, self.mounts, self.tracks)
-
-    @property
-    def priors(self) -> PointPriors | None:
-        """What is known of the points beforehand."""
-        return PointPriors.of(self.heights, self.control)
 
 
 @dataclass(frozen=True, eq=False, repr=False)

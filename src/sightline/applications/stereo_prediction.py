@@ -2,7 +2,7 @@
 
 The Cramer-Rao bound at the planned poses: no unbiased estimate has a smaller covariance; ml-track reaches it.
 
-Not here: how settings are made and varied (``stereo_settings.py``), the bound's algebra
+Not here: how settings are made and varied (``photogrammetry/pair/settings.py``), the bound's algebra
 (``photogrammetry/block/bundle.py``).
 """
 
@@ -13,8 +13,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sightline.applications.stereo_orientation import StereoProblem
-from sightline.applications.stereo_settings import (
+from sightline.errors import EstimationError, GeometryError, InputError, computes
+from sightline.execution import one_blas_thread
+from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
+from sightline.geometry.units import ARCSEC
+from sightline.photogrammetry.block.bundle import bound
+from sightline.photogrammetry.block.observability import Observability
+from sightline.photogrammetry.pair.problem import StereoProblem
+from sightline.photogrammetry.pair.settings import (
     Setting,
     StereoPlan,
     moved,
@@ -27,12 +33,6 @@ from sightline.applications.stereo_settings import (
     with_shots,
     with_window,
 )
-from sightline.errors import EstimationError, GeometryError, InputError, computes
-from sightline.execution import one_blas_thread
-from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
-from sightline.geometry.units import ARCSEC
-from sightline.photogrammetry.block.bundle import bound
-from sightline.photogrammetry.block.observability import Observability
 from sightline.result import Result, makes_result
 
 #: Estimators that have a bound: points tracked through all shots, and points new in every shot.

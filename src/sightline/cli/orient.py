@@ -133,7 +133,7 @@ def with_points_found(stereo: Stereo) -> Stereo:
     """The same with points found in its pictures."""
     from dataclasses import replace
 
-    from sightline.applications.stereo_matching import match_problem
+    from sightline.photogrammetry.pair.match_problem import match_problem
     from sightline.result import set_source
 
     if stereo.pictures is None:

@@ -11,7 +11,7 @@ Three things are separated by what they do along and across the strip:
 
 Rounding to codes adds the square of the step over 12 and is white where values spread over steps.
 
-Not here: electrons and TDI stages (``applications/strip_noise.py``), files (``io/formats/hirise_edr.py``).
+Not here: electrons and TDI stages (``imaging/strip_noise.py``), files (``io/formats/hirise_edr.py``).
 """
 
 from __future__ import annotations

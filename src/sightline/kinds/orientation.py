@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.access import read_text
-from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
+from sightline.applications.stereo_orientation import StereoOrientation
 from sightline.applications.stereo_prediction import MOST_TABLED, Improvement, StereoPrediction, improvements
 from sightline.errors import FormatError, InputError, SightlineError, foreign_errors
 from sightline.evaluation.direction_words import AXES, angle_names
@@ -37,6 +37,7 @@ from sightline.kinds.kind import (
     given,
     warned,
 )
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.report.stereo_page import stereo_page
 from sightline.report.stereo_prediction_page import prediction_page
 from sightline.result import source_of

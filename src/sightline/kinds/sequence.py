@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from sightline.applications.frame_cube import CubeSummary, choose_bands
+from sightline.applications.frame_cube import CubeSummary
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.errors import FormatError, InputError, SightlineError, foreign_errors
 from sightline.io.acquisition.schema import WorldSection
@@ -35,6 +35,7 @@ from sightline.kinds.kind import (
     warned,
 )
 from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.products.cube_plan import choose_bands
 from sightline.products.cube_store import MemoryStore
 from sightline.report.sequence_cube import cube_view
 from sightline.report.sequence_page import sequence_page
@@ -271,7 +272,7 @@ class Cube(ResultKind):
 
 
 def _plan() -> Any:
-    from sightline.applications.frame_cube import CubePlan
+    from sightline.products.cube_plan import CubePlan
 
     return CubePlan()
 

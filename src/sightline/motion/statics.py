@@ -7,13 +7,14 @@ Not here: their estimation (``motion/strip/joint.py``, ``motion/frames/solve.py`
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.geometry.trajectory import Motion
 from sightline.motion.band import Band
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
 
@@ -121,3 +122,23 @@ def apply_statics(
         if value != 0.0:
             out = parameter.apply(out, float(value))
     return out
+
+
+def recovered_cameras(
+    bands: Sequence[Band], motion: Motion, statics: Mapping[str, float]
+) -> tuple[PushbroomCamera, ...]:
+    """Cameras that carry a recovered motion and recovered statics.
+
+    Parameters
+    ----------
+    bands : sequence of Band
+        With their nominal cameras.
+    motion : Motion
+        Departure from the reference attitude; lines outside its span will have no place.
+    statics : mapping
+        Name of a static parameter to its value; names of other things than these bands' are passed over.
+    """
+    moved = [band.camera.with_trajectory(band.camera.trajectory.with_motion(motion)) for band in bands]
+    parameters = band_statics(bands)
+    values = np.array([statics.get(parameter.name, 0.0) for parameter in parameters])
+    return tuple(c for c in apply_statics(moved, parameters, values) if isinstance(c, PushbroomCamera))

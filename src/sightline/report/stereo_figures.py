@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
+from sightline.applications.stereo_orientation import StereoOrientation
 from sightline.evaluation.direction_words import AXES
 from sightline.geometry.units import ARCSEC
 from sightline.io.stereo.load import Stereo
 from sightline.io.stereo.strips import StripProblem
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.report.figure import Figure
 from sightline.report.marks import Bars, Line, Points, Rules
 from sightline.report.style import DOUBT, INK, MUTED, labels, wrapped

@@ -9,9 +9,10 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem, focal_length_seen
+from sightline.applications.stereo_orientation import StereoOrientation, focal_length_seen
 from sightline.evaluation.direction_words import AXES
 from sightline.geometry.units import ARCSEC
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.report.stereo_height_figure import PointHeights
 from sightline.report.words import digits
 

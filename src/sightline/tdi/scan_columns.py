@@ -8,6 +8,7 @@ Not here: how the scene moves over a detector (``geometry/scan.py``), a recovere
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +18,9 @@ from sightline.errors import GeometryError, InputError
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.scan import scan_velocity
 from sightline.geometry.surface import Surface
+from sightline.geometry.trajectory import Motion
+from sightline.motion.band import Band
+from sightline.motion.statics import recovered_cameras
 from sightline.tdi.setting import ScanColumns
 
 Array = NDArray[np.float64]
@@ -213,3 +217,37 @@ def image_levers(camera: PushbroomCamera, columns: Array, t: Array) -> tuple[Arr
         moved = np.stack([dx - x * dz, dy - y * dz], axis=-1)
         levers[:, :, k] = _turned_to_row(camera, moved) / camera.detector.pixel_step
     return levers, handed * axes[:, 2]
+
+
+def band_camera(
+    bands: Sequence[Band], name: str, statics: Mapping[str, float] | None = None
+) -> PushbroomCamera:
+    """Camera of a band without a motion, its offset and rotation as recovered where they are given.
+
+    Parameters
+    ----------
+    bands : sequence of Band
+        Of an acquisition.
+    name : str
+    statics : mapping, optional
+        Name of a static parameter to its value.
+
+    Raises
+    ------
+    InputError
+        No band of that name; images that are not made line by line.
+    """
+    if not bands:
+        raise InputError("the acquisition has frames, no bands: TDI needs a push-broom detector, a [[band]]")
+    names = [band.name for band in bands]
+    if name not in names:
+        raise InputError(f"no band is called {name!r}: the bands are {', '.join(names)}; name one of them")
+    band = bands[names.index(name)]
+    still = Motion.zero(*band.camera.trajectory.span)
+    return recovered_cameras([band], still, statics or {})[0]
+
+
+def strip_span(camera: PushbroomCamera) -> tuple[float, float]:
+    """s; when the first and the last line of a band are exposed."""
+    first, last = camera.times([0.0, camera.lines - 1.0])
+    return float(min(first, last)), float(max(first, last))

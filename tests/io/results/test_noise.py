@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from sightline.applications.detector_noise import DEAD, GAIN_UNKNOWN, DetectorNoise
-from sightline.applications.strip_noise import NoiseFigure
+from sightline.imaging.strip_noise import NoiseFigure
 from sightline.imaging.tdi_noise import NoiseLaw
 from sightline.io.results.noise import NOISE_FILES, write_noise
 from sightline.io.tdi.load import load_tdi

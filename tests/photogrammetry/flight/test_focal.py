@@ -11,7 +11,7 @@ from tests.photogrammetry.flight.test_poses import FOCAL, SHAPE, SIGMA_PX, Fligh
 
 from consistency import assert_consistent, assert_possible
 from sightline.applications import sequence_poses
-from sightline.applications.frame_cube import frame_views
+from sightline.applications.frame_cube import found_views
 from sightline.applications.sequence_poses import SequencePoses, poses_of_windows
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.instrument import AreaDetector
@@ -36,6 +36,7 @@ from sightline.photogrammetry.sightings import (
     sight_frames,
     stretched_sightings,
 )
+from sightline.products.cube_plan import frame_views
 
 MIDDLE = ((SHAPE[0] - 1) / 2.0, (SHAPE[1] - 1) / 2.0)
 #: Lens of the third test: at the corner of a frame it moves points by 6 px.
@@ -254,6 +255,6 @@ def test_the_cube_looks_through_the_camera_that_was_found():
     )  # fmt: skip
     assert poses.focal is not None
     px = 1.01 * FOCAL * (1.0 + poses.focal.stretch)
-    assert frame_views(problem, found).detector.focal_length_px == pytest.approx(px)
+    assert found_views(problem, found).detector.focal_length_px == pytest.approx(px)
     # by the rough poses, the one given
     assert frame_views(problem).detector.focal_length_px == 1.01 * FOCAL

@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.access import LARGE, check_file, read_bytes
-from sightline.applications.strip_noise import StripPixels
 from sightline.errors import FormatError, InputError, foreign_errors, reads
 from sightline.imaging.noise_estimation import CodeTable
+from sightline.imaging.strip_noise import StripPixels
 
 Codes = NDArray[np.uint8]
 

@@ -12,9 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from sightline.applications.cube_outlook import expected_cube
 from sightline.applications.expected_cost import Cost, flight_cost, maps_cost
-from sightline.applications.frame_cube import CubePlan, CubeSummary, assemble_cube, choose_bands
+from sightline.applications.frame_cube import CubeSummary, assemble_cube
 from sightline.applications.sequence_poses import SequencePoses, check_flight
 from sightline.errors import EstimationError, InputError, SightlineError
 from sightline.io.results.cube_files import (
@@ -27,6 +26,7 @@ from sightline.io.results.cube_files import (
 )
 from sightline.io.sequence.load import FrameSequence
 from sightline.io.sequence.schema import CubeSection
+from sightline.products.cube_plan import CubePlan, choose_bands, expected_cube
 
 #: Rows and columns of a map at least.
 LEAST_MAP = 3

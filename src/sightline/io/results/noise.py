@@ -23,7 +23,7 @@ from sightline.applications.detector_noise import (
     OUTLYING,
     DetectorNoise,
 )
-from sightline.applications.strip_noise import NoiseFigure
+from sightline.imaging.strip_noise import NoiseFigure
 from sightline.io.acquisition.acquired import sha256
 from sightline.io.formats.tables import write_columns
 from sightline.io.results.line_of_sight import peak_memory, write_json

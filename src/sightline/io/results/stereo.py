@@ -14,13 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.applications.stereo_heights import height_sigmas, heights_of
-from sightline.applications.stereo_orientation import CHI_SHARE, CHI_SIGMAS, StereoOrientation, StereoProblem
+from sightline.applications.stereo_orientation import CHI_SHARE, CHI_SIGMAS, StereoOrientation
 from sightline.applications.stereo_prediction import Improvement, StereoPrediction
 from sightline.errors import printable
 from sightline.evaluation.direction_words import AXES, angle_names, direction_words
 from sightline.io.formats.tables import csv_cell, write_columns
 from sightline.io.results.line_of_sight import peak_memory, write_json
 from sightline.io.stereo.load import Stereo
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.photogrammetry.triangulate import triangulate
 from sightline.version import VERSION
 from sightline.writing import whole_text

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.stereo_orientation import StereoOrientation, StereoProblem
+from sightline.applications.stereo_orientation import StereoOrientation
 from sightline.io.formats.ccsds import write_aem
 from sightline.io.formats.colmap import write_colmap_model
 from sightline.io.formats.reconstruction import Reconstruction, points_of
@@ -21,6 +21,7 @@ from sightline.io.results.line_of_sight import AEM_FRAMES
 from sightline.io.stereo.load import Stereo
 from sightline.io.stereo.strips import StripProblem
 from sightline.io.stereo.tables import CAMERAS
+from sightline.photogrammetry.pair.problem import StereoProblem
 
 Array = NDArray[np.float64]
 

@@ -1,6 +1,6 @@
 """In plain words what a SEQUENCE.toml lets expect: gaps in time, overlap, size of the maps, what is missing.
 
-Not here: the numbers (``photogrammetry/flight/outlook.py``, ``applications/cube_outlook.py``), the rest of
+Not here: the numbers (``photogrammetry/flight/outlook.py``, ``products/cube_plan.py``), the rest of
 ``check`` (``describe.py``).
 """
 
@@ -10,7 +10,6 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from sightline.applications.cube_outlook import expected_cube
 from sightline.errors import InputError
 from sightline.execution import size_words
 from sightline.geometry.surface import Dem, Ellipsoid, Plane
@@ -24,6 +23,7 @@ from sightline.photogrammetry.flight.outlook import (
     times_of,
 )
 from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.products.cube_plan import expected_cube
 
 #: Share of a frame that successive frames have to share for displacements to be measured.
 LEAST_OVERLAP = 0.5

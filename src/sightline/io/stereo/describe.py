@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.stereo_orientation import StereoProblem
 from sightline.geometry.units import ARCSEC
 from sightline.io.formats.ccsds import epoch_words
 from sightline.io.stereo.checks import boresights
 from sightline.io.stereo.load import Stereo
+from sightline.photogrammetry.pair.problem import StereoProblem
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.stereo_orientation import StereoProblem
 from sightline.errors import FormatError, GeometryError
 from sightline.geometry.earth import WGS84
 from sightline.geometry.instrument import AreaDetector
@@ -44,6 +43,7 @@ from sightline.io.stereo.tables import (
     read_poses,
 )
 from sightline.photogrammetry.block.pose_noise import PoseNoise
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.photogrammetry.sightings import Images, rays_of
 from sightline.result import set_source
 

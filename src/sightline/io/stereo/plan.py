@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 
 from sightline.applications.expected_cost import prediction_cost
-from sightline.applications.stereo_settings import SIGMA_PX, StereoPlan
 from sightline.errors import FormatError, SightlineError
 from sightline.geometry.earth import WGS84
 from sightline.geometry.orbit_pair import OrbitPair
@@ -21,6 +20,7 @@ from sightline.io.stereo.load import camera_sections, read_stereo_file, stereo_d
 from sightline.io.stereo.schema import StereoFile
 from sightline.photogrammetry.block.point_priors import HeightPrior
 from sightline.photogrammetry.block.pose_noise import PoseNoise
+from sightline.photogrammetry.pair.settings import SIGMA_PX, StereoPlan
 from sightline.result import set_source
 
 

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.stereo_orientation import StereoProblem
 from sightline.errors import FormatError
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.earth import WGS84
@@ -26,6 +25,7 @@ from sightline.io.stereo.points import block_of, check_points, ground_of, withou
 from sightline.io.stereo.schema import StereoFile, StereoStrip
 from sightline.io.stereo.tables import StereoPoseTable, listed, read_observations
 from sightline.photogrammetry.block.pose_noise import PoseNoise
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.photogrammetry.sightings import Images, Sightings, Tracks, sight_pushbroom
 
 Array = NDArray[np.float64]

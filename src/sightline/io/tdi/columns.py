@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.tdi_columns import band_camera, strip_span
 from sightline.errors import InputError
 from sightline.imaging.mtf import aperture_mtf, diffusion_mtf, optics_mtf
 from sightline.imaging.tdi_transfer import Exposure
@@ -21,7 +20,7 @@ from sightline.io.tdi.motion import read_motion_knowledge
 from sightline.io.tdi.schema import MtfSection, TdiFile
 from sightline.tdi.motion_knowledge import MotionKnowledge
 from sightline.tdi.motion_mtf import MotionMtf
-from sightline.tdi.scan_columns import ColumnGeometry, column_geometry
+from sightline.tdi.scan_columns import ColumnGeometry, band_camera, column_geometry, strip_span
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiGrid
 
 Array = NDArray[np.float64]

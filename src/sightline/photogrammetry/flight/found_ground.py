@@ -1,6 +1,6 @@
 """The ground that the images of a sequence show, beside the one given.
 
-Not here: heights of the maps (``applications/cube_ground.py``).
+Not here: heights of the maps (``products/cube_ground.py``).
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What the rough poses of a sequence let expect before anything is solved: gaps, overlap, speed.
 
-Not here: the size of the maps (``applications/cube_outlook.py``), all this in words
+Not here: the size of the maps (``products/cube_plan.py``), all this in words
 (``io/sequence/outlook.py``).
 """
 

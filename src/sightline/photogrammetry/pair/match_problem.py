@@ -1,6 +1,7 @@
 """S2 from images: conjugate points of a stereo problem found in its frames.
 
-Not here: the search (``photogrammetry/match_frames.py``), the orientation (``stereo_orientation.py``).
+Not here: the search (``photogrammetry/match_frames.py``), the orientation
+(``applications/stereo_orientation.py``).
 """
 
 from __future__ import annotations
@@ -10,12 +11,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from sightline.applications.stereo_orientation import StereoProblem
 from sightline.errors import EstimationError, InputError
 from sightline.geometry.surface import Surface, level_surface
 from sightline.imaging.source import ImageSource
 from sightline.photogrammetry.frame_cameras import frame_cameras
 from sightline.photogrammetry.match_frames import TrackPlan, match_frames
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.photogrammetry.sightings import Index, Tracks, as_index
 
 #: The ground lies within so many sigmas of a surface known by its sigma.

@@ -4,7 +4,7 @@ A `Setting` is planned images, which point each of them shows, and what is known
 Settings of a plan are made anew from its orbits. Those of a problem, whose orbits are not known, are varied
 by moving its images: along their own paths, apart along their baselines, always looking where they looked.
 
-Not here: the bound of a setting (``stereo_prediction.py``).
+Not here: the bound of a setting (``applications/stereo_prediction.py``).
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.stereo_orientation import StereoProblem
 from sightline.errors import InputError
 from sightline.geometry.aim import axes_towards
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen, positive, read_only
@@ -26,6 +25,7 @@ from sightline.geometry.orbit_pair import OrbitPair
 from sightline.geometry.surface import level_surface
 from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.block.pose_noise import PoseNoise
+from sightline.photogrammetry.pair.problem import StereoProblem
 from sightline.photogrammetry.sightings import Images, Index, Sightings, Tracks, sight_frames
 from sightline.photogrammetry.triangulate import triangulate
 

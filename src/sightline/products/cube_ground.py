@@ -10,13 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.applications.sequence_poses import SequencePoses
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.robust import robust_sigma
 from sightline.geometry.checks import read_only
 from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface, level_surface
 from sightline.photogrammetry.flight.found_ground import level_ground
+from sightline.photogrammetry.flight.poses import FramePoses
 from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.photogrammetry.sightings import Tracks
 from sightline.products.cube_grid import MapSystem
 from sightline.products.frame_cube import FrameViews, Heights, map_outlines
 from sightline.products.ground_model import GroundModel, fit_ground
@@ -53,19 +54,19 @@ class UsedGround:
 
 
 def choose_ground(
-    problem: SequenceProblem, found: SequencePoses, system: MapSystem, surface: str
+    problem: SequenceProblem, poses: FramePoses, tracks: Tracks, system: MapSystem, surface: str
 ) -> UsedGround:
     """Heights of the points found, or of the surface given, whichever fits the points better.
 
     A single height that points do not bear out, as that where none is given, gives way to theirs.
     """
     given, words = given_heights(problem.surface, system), "the surface given"
-    points = system.places(found.poses.points)
-    sigma = _height_sigmas(found, problem)
+    points = system.places(poses.points)
+    sigma = _height_sigmas(poses, tracks, problem)
     missed, level = _missed(points, given), None
     if surface == "given":
         return UsedGround(given, f"{words}, as asked for", missed)
-    found_level = level_ground(problem, found.poses)
+    found_level = level_ground(problem, poses)
     if isinstance(found_level, Plane | Ellipsoid) and found_level is not problem.surface:
         at = given_heights(found_level, system)
         if missed > _AS_GOOD * (closer := _missed(points, at)):
@@ -98,11 +99,10 @@ def _missed(points: Array, heights: Heights) -> float:
     return robust_sigma(known) if len(known) else np.inf
 
 
-def _height_sigmas(found: SequencePoses, problem: SequenceProblem) -> Array:
-    """m (n,), up to a common factor: how well the directions it was seen from tell each point's height."""
-    tracks = found.tracks
-    count = len(found.poses.points)
-    good = ~found.poses.rejected[: len(tracks)] & (tracks.point < count)
+def _height_sigmas(poses: FramePoses, tracks: Tracks, problem: SequenceProblem) -> Array:
+    """m (n,), up to a common factor: sigma of each point's height by the directions it was seen from."""
+    count = len(poses.points)
+    good = ~poses.rejected[: len(tracks)] & (tracks.point < count)
     point, line = tracks.point[good], tracks.pixels[good] / problem.detector.focal_length_px
     weight = tracks.sigma_px[good] ** -2.0
     total = np.bincount(point, weight, minlength=count)

@@ -6,13 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from sightline.applications.tdi_columns import band_camera, strip_span
 from sightline.errors import InputError
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
 from sightline.motion.band import Band
 from sightline.simulate.scenarios import line_of_sight_case
-from sightline.tdi.scan_columns import column_geometry
+from sightline.tdi.scan_columns import band_camera, column_geometry, strip_span
 
 
 @pytest.fixture(scope="module")

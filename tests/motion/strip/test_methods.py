@@ -12,13 +12,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sightline.applications import line_of_sight
-from sightline.applications.strip_methods import by_method
 from sightline.cli.main import run
 from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.evaluation.score import remove_directions, score_result
 from sightline.io.formats.tables import read_motion
 from sightline.motion.strip.hyper import KnownContent, averaged
+from sightline.motion.strip.methods import by_method
 from sightline.motion.strip.normal_equations import TimeGrid
 from sightline.motion.strip.strip import METHODS
 

@@ -1,0 +1,198 @@
+"""What cube to make of a frame sequence: its map, its bands, and how frames see the ground.
+
+Not here: making it (``applications/frame_cube.py``), heights of the ground (``cube_ground.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sightline.errors import InputError
+from sightline.geometry.instrument import AreaDetector
+from sightline.photogrammetry.flight.outlook import overlap_of
+from sightline.photogrammetry.flight.path import stretches
+from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.photogrammetry.flight.rolling_shutter import line_poses
+from sightline.photogrammetry.sightings import Images
+from sightline.products.cube_bands import BandLayout, frame_bands, line_bands
+from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
+from sightline.products.cube_ground import UsedGround, frame_outlines, given_heights
+from sightline.products.frame_cube import FrameViews, covering_grid
+
+Array = NDArray[np.float64]
+
+SURFACES = ("auto", "model", "given")
+
+
+@dataclass(frozen=True)
+class CubePlan:
+    """What cube to make.
+
+    Attributes
+    ----------
+    gsd : float or None
+        m, side of a pixel; None: as large as pixels of the frames are on the ground.
+    bands : int, tuple of float or None
+        How many, or their wavelengths (nm); None: each step of a filter that has steps, else as many as leave
+        each enough lines for the steps flown.
+    surface : str
+        "model" (heights of the points found), "given" (what the problem says), "auto".
+    fill_nm : float or None
+        How far beyond a band's own wavelengths lines of a filter may stand in where a step between frames was
+        too long; None: less than half the band's width.
+    flatten : bool
+        Make the lines of a filter alike before they are resampled.
+    picture : bool
+        Make the pictures before and after.
+    fit : bool
+        Match bands against each other.
+    """
+
+    gsd: float | None = None
+    bands: int | tuple[float, ...] | None = None
+    surface: str = "auto"
+    fill_nm: float | None = None
+    flatten: bool = True
+    picture: bool = True
+    fit: bool = True
+
+    def __post_init__(self) -> None:
+        """Check."""
+        if self.surface not in SURFACES:
+            raise InputError(f"`surface` must be one of {', '.join(SURFACES)}, got {self.surface!r}")
+        if self.gsd is not None and not (np.isfinite(self.gsd) and self.gsd > 0.0):
+            raise InputError(f"`gsd` must be a positive number of metres, got {self.gsd}")
+
+
+def frame_views(
+    problem: SequenceProblem,
+    images: Images | None = None,
+    *,
+    detector: AreaDetector | None = None,
+    penalty: Array | None = None,
+    linked: NDArray[np.intp] | None = None,
+) -> FrameViews:
+    """How the frames see the world.
+
+    Parameters
+    ----------
+    problem : SequenceProblem
+    images : Images, optional
+        Poses; the rough ones by default.
+    detector : AreaDetector, optional
+        With the focal length found; that of the problem by default.
+    penalty : (M,), optional
+        What it costs to use each frame, inf where it cannot be used; by default 0 for those with an image.
+    linked : (M,), optional
+        Stretch of each frame, along which its motion while it is read out is taken; by default by time.
+    """
+    images = problem.images if images is None else images
+    detector = problem.detector if detector is None else detector
+    penalty = np.where(problem.usable, 0.0, np.inf) if penalty is None else penalty
+    position, turned = _instants(images, problem.readout_time, linked)
+    camera = np.stack([(turn * problem.mount).inv().as_matrix() for turn in turned], axis=1)
+    return FrameViews(detector, np.stack(position, axis=1), camera, stretches(images.t), penalty)
+
+
+def _instants(
+    images: Images, readout_time: float, linked: NDArray[np.intp] | None
+) -> tuple[list[Array], list[Rotation]]:
+    """Poses of all frames when their first, middle and last lines are exposed; once where all are at once."""
+    position, turned = [images.position], [images.world_from_body]
+    if readout_time != 0.0:
+        image = np.arange(len(images))
+        for share in (0.5, 1.0):
+            moved, turn = line_poses(images, image, np.full(len(images), share * readout_time), linked)
+            position.append(images.position + moved)
+            turned.append(images.world_from_body * turn)
+    return position, turned
+
+
+def map_of(problem: SequenceProblem) -> MapSystem:
+    """Axes of the map: those of a flat world, or a map projection about the flight."""
+    if problem.radii is None:
+        return MapSystem()
+    middle = np.median(problem.images.position, axis=0)
+    return MapSystem(map_system(middle, problem.radii), problem.radii)
+
+
+def pixel_size(problem: SequenceProblem, views: FrameViews, outline: Array) -> float:
+    """m; median side of a pixel of the frames on the ground, of a whole pattern of a mosaic filter."""
+    usable = np.isfinite(views.penalty) & np.isfinite(outline).all(axis=(1, 2))
+    side = int(np.sqrt(outline.shape[1]))
+    net = outline[usable].reshape(-1, side, side, 2)
+    if not len(net):
+        raise InputError("no frame that can be used looks at the ground: there is nothing to map")
+    lines, columns = problem.detector.shape
+    down = np.linalg.norm(np.diff(net, axis=1), axis=3) * (side - 1) / lines
+    right = np.linalg.norm(np.diff(net, axis=2), axis=3) * (side - 1) / columns
+    period = 1 if problem.mosaic_nm is None else max(problem.mosaic_nm.shape)
+    size = period * float(np.sqrt(np.median(down) * np.median(right)))
+    # three figures are enough, and make a map that is easy to name
+    return float(f"{size:.3g}")
+
+
+def choose_bands(
+    problem: SequenceProblem, plan: CubePlan, outline: Array, gsd: float, step: float | None = None
+) -> BandLayout:
+    """Bands of the cube, by what the camera is and what was asked for.
+
+    Parameters
+    ----------
+    problem : SequenceProblem
+    plan : CubePlan
+    outline : (M, n, 2)
+        m; map places around each frame.
+    gsd : float
+        m, side of a pixel of the map.
+    step : float, optional
+        Pixels of the map from frame to frame; by default that of the outlines.
+    """
+    detector = problem.detector
+    if detector.wavelength_nm is not None:
+        if step is None:
+            middle = np.nanmean(outline, axis=1)
+            steps = np.linalg.norm(np.diff(middle, axis=0), axis=1) / gsd
+            step = float(np.nanmedian(steps)) if np.isfinite(steps).any() else 1.0
+        return line_bands(detector.wavelength_nm, plan.bands, max(step, 0.1), plan.fill_nm)
+    layout = frame_bands(detector.shape, problem.mosaic_nm, problem.channel_nm)
+    if plan.bands is None:
+        return layout
+    wanted = plan.bands if not isinstance(plan.bands, int) else ()
+    there = [int(np.argmin(np.abs(layout.wavelength_nm - nm))) for nm in wanted]
+    near = [abs(layout.wavelength_nm[k] - nm) <= 1.0 for k, nm in zip(there, wanted, strict=True)]
+    if isinstance(plan.bands, int) and plan.bands == len(layout):
+        return layout
+    if not there or not all(near):
+        raise InputError(
+            f"`bands` must be among the {len(layout)} wavelengths that the camera has "
+            f"({', '.join(layout.names)}), got {plan.bands}"
+        )
+    return layout.of(there)
+
+
+def expected_cube(problem: SequenceProblem, plan: CubePlan) -> tuple[CubeGrid, BandLayout]:
+    """The map and the bands that a plan would come to by the rough poses.
+
+    Parameters
+    ----------
+    problem : SequenceProblem
+    plan : CubePlan
+
+    Raises
+    ------
+    InputError
+        If the plan asks for what the camera does not see, or no frame looks at the ground.
+    """
+    views, system = frame_views(problem), map_of(problem)
+    ground = UsedGround(given_heights(problem.surface, system), "", 0.0)
+    outline, _ = frame_outlines(problem, system, ground, views)
+    gsd = plan.gsd or pixel_size(problem, views, outline)
+    overlap = overlap_of(problem)
+    step = None if overlap is None else overlap.step / gsd
+    layout = choose_bands(problem, plan, outline, gsd, step)
+    return covering_grid(outline[np.isfinite(views.penalty)].reshape(-1, 2), system, gsd), layout
