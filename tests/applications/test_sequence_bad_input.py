@@ -303,4 +303,4 @@ def test_control_points_that_contradict_each_other_are_reported(controlled):
             few.append(f"{float(x) + 3.0:.4f},{rest}")
     (folder / "few.csv").write_text("\n".join(few) + "\n")
     reported = [words for words in with_control(folder, "few.csv").warnings if "control point" in words]
-    assert reported and all("nothing tells which control points are right" in words for words in reported)
+    assert reported and all("nothing shows which control points are right" in words for words in reported)

@@ -91,10 +91,10 @@ def test_a_series_in_order_of_its_times(tmp_path):
     steps = np.linalg.norm(np.diff(problem.images.position, axis=0), axis=1)
     np.testing.assert_allclose(steps, 11.12, rtol=0.01)
     assumed, heights, attitudes, ground = problem.warnings
-    assert assumed == "10 positions tell no sigma: 5 m per axis is assumed; set position_sigma"
+    assert assumed == "10 positions have no sigma: 5 m per axis is assumed; set position_sigma"
     assert attitudes == "no attitudes: taken as straight down, nose along the track"
     assert "10 heights of EXIF (above sea level, by its standard)" in heights and "no geoid" in heights
-    assert "tells no height of the ground" in ground
+    assert "gives no height of the ground" in ground
 
 
 def test_frames_of_one_second_are_spread_over_it(tmp_path):

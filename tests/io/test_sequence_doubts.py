@@ -148,7 +148,7 @@ def test_a_table_without_sigmas_says_what_is_assumed(tmp_path):
     made = flight()
     made.headers["positions"] = "frame,t,x,y,z"
     made.positions = [row[:5] for row in made.positions]
-    assert "6 positions tell no sigma: 5 m per axis is assumed; set position_sigma" in understood(
+    assert "6 positions have no sigma: 5 m per axis is assumed; set position_sigma" in understood(
         made, tmp_path / "none"
     )
     made.toml = "position_sigma = 3.0\n" + made.toml
@@ -179,7 +179,7 @@ def test_whole_seconds_of_a_fast_camera(speed, stamp, doubted):
     assert moved == pytest.approx(9.0 * speed, rel=0.01)
     start = from_geodetic([[np.radians(8.0), np.radians(47.0), 500.0]], WGS84)[0]
     assert np.linalg.norm(rows.values[0] - start) < 1e-6
-    assert any("10 positions tell no sigma: 5 m per axis is assumed" in words for words in warnings)
+    assert any("10 positions have no sigma: 5 m per axis is assumed" in words for words in warnings)
     # 0.3 s at 60 m/s are 18 m
     said = [words for words in warnings if "whole seconds" in words]
     assert bool(said) == doubted and (not doubted or "leaves 18 m along the flight" in said[0])
@@ -234,7 +234,7 @@ def test_pitch_of_a_gimbal_is_asked_about(tmp_path, pitch, refused):
     warned = read_sequence(path).problem.warnings
     assert any("gimbal" in words for words in warned) == (pitch < 0.0)
     # no column of the table tells a sigma
-    assert any("6 attitudes tell no sigma: 0.035 rad (2.01 degrees)" in words for words in warned)
+    assert any("6 attitudes have no sigma: 0.035 rad (2.01 degrees)" in words for words in warned)
 
 
 def test_the_error_of_a_date_in_another_form_names_both_that_are_read(tmp_path):

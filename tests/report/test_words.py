@@ -35,7 +35,7 @@ def test_the_words_name_images_windows_axes_and_tones(said, recovery):
 
 
 def test_what_is_hidden_is_said_with_what_it_means_for_the_files(said):
-    assert "cannot tell a constant of roll, pitch and yaw, a drift of roll, pitch and yaw" in said
+    assert "cannot show a constant of roll, pitch and yaw, a drift of roll, pitch and yaw" in said
     assert "sigma_absolute in motion.csv is infinite" in said
 
 

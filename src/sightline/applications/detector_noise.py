@@ -484,7 +484,7 @@ def _must_be_large(image: ImageSource) -> None:
     least = max(2 * BLOCK + 2 * ORDER, 4 * PARTS), max(2 * BLOCK + 2 * ORDER, 2 * SMOOTH)
     if lines < least[0] or columns < least[1]:
         raise EstimationError(
-            f"{lines} lines x {columns} columns are too few to tell noise from a scene; {least[0]} x "
+            f"{lines} lines x {columns} columns are too few to separate noise from a scene; {least[0]} x "
             f"{least[1]} at the least are needed, and some 500 x 500 to know it well"
         )
 

@@ -219,7 +219,9 @@ def assemble_cube(
     if not lost:
         return summary
     are = "frame is" if lost == 1 else "frames are"
-    words = f"{lost} {are} not used: images that tell nothing, of ground that nobody knows"
+    words = (
+        f"{lost} {are} not used: no pose could be estimated from their images, and their tables are too rough"
+    )
     return replace(summary, warnings=(*summary.warnings, words))
 
 

@@ -228,7 +228,7 @@ def joint_line_of_sight(
     if passed.left > FOREIGN_SPECTRUM:
         warnings = (
             "the spectrum that is given does not hold the motion that the images show: without it they "
-            f"tell another, {passed.left:.3g} sigma away; check [known_motion] psd, or leave it out",
+            f"give another, {passed.left:.3g} sigma away; check [known_motion] psd, or leave it out",
         )
     result = _result(strip, state, list(passed.changes), options.window)
     differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state, height_sigma))

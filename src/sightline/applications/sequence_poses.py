@@ -499,9 +499,9 @@ def _warnings(
     idle = source.count(INTERPOLATED)
     if idle:
         are = (
-            "is interpolated: its image is missing or tells nothing of it"
+            "is interpolated: its image is missing or shows too little"
             if idle == 1
-            else "are interpolated: their images are missing or tell nothing of them"
+            else "are interpolated: their images are missing or show too little"
         )
         out.append(f"{idle} of {len(source)} frames {are}")
     out += focal_warnings(problem, poses)

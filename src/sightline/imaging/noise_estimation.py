@@ -622,6 +622,6 @@ def fit_law(rows: ArrayLike, measured: ArrayLike, covariance: ArrayLike) -> LawF
         scale = 1.0 / np.sqrt(np.diag(design.T @ weighted))
         normal = scale[:, None] * (design.T @ weighted) * scale
     if not np.isfinite(normal).all() or np.linalg.cond(normal) > 1e12:
-        raise EstimationError("the measurements do not tell A, B and C apart; give other signals")
+        raise EstimationError("the measurements do not separate A, B and C; give other signals")
     inverse = scale[:, None] * np.linalg.inv(normal) * scale
     return LawFit(inverse @ (weighted.T @ target), inverse)

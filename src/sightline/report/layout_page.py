@@ -102,7 +102,7 @@ def sections(choice: LayoutChoice) -> list[Section]:
             "information",
             "Information against frequency",
             [
-                "How much each layout tells of a steady motion, in units of what one image knows of its own "
+                "How well each layout sees a steady motion, in units of what one image knows of its own "
                 "place: at most the number of images. The pass-band is shaded, the worst frequency in it "
                 "marked; where a curve touches zero, all pairs of the layout are blind together.",
                 layout_figures.information_figure(choice),
@@ -165,7 +165,7 @@ def _best(choice: LayoutChoice) -> str:
     beyond = f" Beyond the band it is blind at {', '.join(blind[:4])} Hz." if blind else ""
     return (
         f"The best one stands at {places} ms. At its worst frequency of the band, "
-        f"{best.worst_frequency:.4g} Hz, it tells as much as {best.worst_images:.3g} images over ground that "
+        f"{best.worst_frequency:.4g} Hz, it gives as much as {best.worst_images:.3g} images over ground that "
         f"is known would; {len(best.positions)} is the limit.{beyond}"
     )
 

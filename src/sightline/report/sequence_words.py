@@ -74,9 +74,9 @@ def _what(found: SequencePoses, view: SequenceView) -> str:
         + (
             "none interpolated."
             if not count[2]
-            else "1 interpolated because its image tells nothing of it."
+            else "1 interpolated because its image shows too little."
             if count[2] == 1
-            else f"{count[2]:,} interpolated because their images tell nothing of them."
+            else f"{count[2]:,} interpolated because their images show too little."
         )
     )
     return text + " Every frame has a pose and a covariance." * bool(_all_known(view))
@@ -177,7 +177,7 @@ def _biases(problem: SequenceProblem, found: SequencePoses) -> str:
         parts.append(f"Hardly observable: {'; '.join(hardly)}.")
     if other:
         parts.append(
-            f"Nothing tells the constant error of {_listed(other)} better than it was known beforehand: "
+            f"The data do not show the constant error of {_listed(other)} better than was known before: "
             "control points would."
         )
     return " ".join(parts)
@@ -277,7 +277,7 @@ def _bow(problem: SequenceProblem, found: SequencePoses, view: SequenceView) -> 
     said = []
     if hidden:
         said.append(
-            f"The bow is not observable about {_listed(shown)}: nothing tells how these angles err from the "
+            f"The bow is not observable about {_listed(shown)}: nothing shows how these angles err from the "
             "first frame to the last."
         )
     if parts:

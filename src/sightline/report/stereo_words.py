@@ -229,9 +229,9 @@ def advice(problem: StereoProblem, summary: Mapping[str, Any]) -> list[str]:
         )
     reckoned = bool(summary.get("improvements"))
     if problem.heights is None and not reckoned:
-        said.append("A DEM (dem, dem_sigma) tells pitch, which otherwise hides in the heights.")
+        said.append("A DEM (dem, dem_sigma) makes pitch observable, which otherwise hides in the heights.")
     if problem.control is None and not reckoned:
-        said.append("A few control points (control_points) tell roll and pitch of both cameras absolutely.")
+        said.append("A few control points (control_points) make roll and pitch of both cameras observable.")
     if summary["method"] != "ml-track":
-        said.append("Points followed through all shots (--method ml-track): the same matches then tell more.")
+        said.append("Points followed through all shots (--method ml-track): the same matches then give more.")
     return said

@@ -324,7 +324,7 @@ def _hidden(result: LineOfSight) -> str:
             unknown = "rate and axis of the spin and an unknown lens"
         imitated = f", and unknown {unknown} imitate the rest"
     return (
-        f"Images compared with each other cannot tell {grouped(_left_out(result))}: a constant changes "
+        f"Images compared with each other cannot show {grouped(_left_out(result))}: a constant changes "
         f"nothing between them{imitated}; {known}. Figures and sigmas here are of the motion less "
         "this hidden part."
     )

@@ -125,7 +125,7 @@ class MotionKnowledge:
             "neither images nor sensors tie the slip of the columns: its sigma of "
             f"{np.degrees(sigma):.2g} degrees is what is believed of a standing yaw "
             f"({np.degrees(CONSTANT_SIGMA[2]):.2g} degrees) before anything is measured; "
-            "add an attitude sensor, or tell the offsets of the bands better",
+            "add an attitude sensor, or give the offsets of the bands with a smaller sigma",
         )
 
     def check_covers(self, begin: float, end: float) -> None:

@@ -196,7 +196,7 @@ def test_geo_txt_gives_positions_and_angle_tables_attitudes(tmp_path):
     problem = load_sequence(made.write(tmp_path))
     up = problem.images.position / np.linalg.norm(problem.images.position, axis=1)[:, None]
     heights, sigma = problem.warnings
-    assert "geo.txt: 6 heights are taken as they are" in heights and "6 attitudes tell no sigma" in sigma
+    assert "geo.txt: 6 heights are taken as they are" in heights and "6 attitudes have no sigma" in sigma
     assert (problem.known.position_bias, problem.known.attitude_bias) == (2.0, 0.01)
     level = local_axes(np.radians(11.0), np.radians(48.0))
     body = level.inv() * problem.images.world_from_body

@@ -161,7 +161,7 @@ BAD = {
     "an empty folder": ("lonlat", "empty", nothing, "no COLMAP model"),
     "quaternions": ("flat", "quaternions", nothing, "as positions and as attitudes"),
     "other names": ("lonlat", "names", nothing, "no row is of a frame"),
-    "nothing left to tell": ("lonlat", "both", nothing, "poses would tell nothing"),
+    "nothing left to add": ("lonlat", "both", nothing, "poses would add nothing"),
 }
 
 

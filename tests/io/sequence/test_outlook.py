@@ -77,7 +77,7 @@ def test_heights_that_are_not_given(tmp_path):
     made = flight(12)
     made.toml = made.toml[: made.toml.index("[surface]")]
     said = described(made, tmp_path)
-    assert "tells no height of the ground: 0 m in z is where the solution starts" in said["understood"]
+    assert "gives no height of the ground: 0 m in z is where the solution starts" in said["understood"]
     assert "height_sigma" in said["missing"]
 
 

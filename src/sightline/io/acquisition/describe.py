@@ -203,7 +203,7 @@ def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
         if pair.lag is None
     ]
     lines += [
-        f"{pair.a} and {pair.b} see the same ground at the same time: they tell nothing"
+        f"{pair.a} and {pair.b} see the same ground at the same time: their matches hold no motion"
         for pair in pairs
         if pair.lag == 0.0
     ]

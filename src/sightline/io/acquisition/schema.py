@@ -182,7 +182,7 @@ class SpinPlatform(SchemaSection):
     attitude_turn_sigma: AngleSigma | None = Field(
         default=None,
         description="The same about the line to the origin of [world] (the centre of the body), where it is "
-        "known less well: the outline of a body hardly tells it",
+        "known less well: it is hardly observable from the outline of a body",
     )
     axis: Direction = Field(description="Axis of the spin in body axes, of any length")
     axis_sigma: AngleSigma = Field(

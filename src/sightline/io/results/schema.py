@@ -352,7 +352,7 @@ class Angles(Part):
 class Direction(Part):
     """A combination of the angles."""
 
-    sigma: Number = _may("rad; null: nothing tells it")
+    sigma: Number = _may("rad; null: not observable")
     direction: dict[str, float] = _is("Unit vector, by names of angles")
     words: str
 
@@ -412,7 +412,7 @@ class OrientationSummary(RunSummary):
     window_seconds: float = _is("s from the first image to the last")
     angles: dict[str, Angles] = _is("rad, per camera")
     principal_sigmas: list[Direction] = _is("Independent combinations, the weakest first")
-    unobservable: list[Direction] = _is("Directions that nothing tells")
+    unobservable: list[Direction] = _is("Directions that are not observable")
     drift: dict[str, Angles] | None = _is("rad/s per camera; null where none was sought")
     focal_length: dict[str, Focal] | None = _is("px, per camera, where it was refined")
     bias_removed: list[list[Number]] | None = _is("rad per camera and axis, of epipolar")
@@ -453,7 +453,7 @@ class PredictionSummary(RunSummary):
     window_seconds: float = _is("s")
     sigmas: dict[str, Axes] = _is("rad, per camera")
     principal_sigmas: list[Direction] = _is("Independent combinations, the weakest first")
-    unobservable: list[Direction] = _is("Directions that nothing tells")
+    unobservable: list[Direction] = _is("Directions that are not observable")
     tables: list[SigmasAgainst] = _is("Bounds when one quantity changes")
     improvements: list[Improvement] = _is("What would better the angles")
 
@@ -554,7 +554,7 @@ class SequenceSummary(RunSummary):
     epoch: str | None = _is("UTC of t = 0")
     frames: Count = _is("How many")
     sources: dict[str, Count] = _is("How many poses are solved, estimated, interpolated")
-    not_estimated: list[NotEstimated] = _is("Frames whose own image tells nothing, and why")
+    not_estimated: list[NotEstimated] = _is("Frames whose own image gives no pose, and why")
     stretches: Count = _is("Of frames that hang together")
     subset: Subset = _is("Frames of the subset, and what they were to share")
     sigmas: dict[str, Sigmas] = _is("m and rad: median and largest of all frames")

@@ -162,7 +162,7 @@ def _say_assumed(file: SequenceFile, warnings: list[str], count: int) -> None:
     """The sigma that is taken where none is given."""
     if count and "attitude_sigma" not in file.model_fields_set:
         warnings.append(
-            f"{count} attitudes tell no sigma: {file.attitude_sigma:.3g} rad "
+            f"{count} attitudes have no sigma: {file.attitude_sigma:.3g} rad "
             f"({np.degrees(file.attitude_sigma):.3g} degrees) per axis is assumed; set attitude_sigma"
         )
 

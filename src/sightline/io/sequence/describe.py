@@ -144,7 +144,7 @@ def _missing(sequence: FrameSequence) -> list[str]:
     if len(lost) > LISTED:
         said.append(f"and {len(lost) - LISTED} more frames that cannot be used")
     if problem.usable.sum() == 1:
-        said.append("frames: one alone tells nothing of its pose; two or more that overlap are needed")
+        said.append("frames: the pose of one alone is not observable; two or more that overlap are needed")
     if not np.isfinite(problem.known.attitude).any() and np.isfinite(problem.known.position).all(1).sum() < 3:
         said.append("positions of three frames or more: without attitudes they bring a model to the world")
     if not np.isfinite(problem.known.attitude).any():
@@ -160,7 +160,7 @@ def _missing(sequence: FrameSequence) -> list[str]:
                 if isinstance(problem.surface, Plane | Ellipsoid)
                 else ""
             )
-            + "; ground known to height_sigma (or a dem) would tell heights, tilts and the scale better"
+            + "; ground known to height_sigma (or a dem) would give heights, tilts and the scale better"
         )
     return said
 
@@ -181,7 +181,7 @@ def _focal_observable(problem: SequenceProblem) -> str:
             "focal length: hardly observable: heights of positions and of the ground ([surface] "
             "height_sigma), or control points, are needed; it goes with the flying height otherwise"
         )
-    return "focal length: as well as the flying height above the ground is known, or control points tell it"
+    return "focal length: as well as the flying height above the ground is known, or by control points"
 
 
 def _datum_words(problem: SequenceProblem) -> str:

@@ -298,7 +298,7 @@ def _focal_length(
                 return focal, min(sigma, _FILM_SIGMA * focal), (f"{words}, refined from there",)
             return focal, 0.0, (f"{words}, taken as it is: {_NOT_REFINED}",)
     raise FormatError(
-        f"{files.toml}: key 'camera.focal_length_px' is missing, and no photograph tells it; add it "
+        f"{files.toml}: key 'camera.focal_length_px' is missing, and no photograph has it; add it "
         "(focal length in mm / pixel pitch in mm); where it is known roughly only, add focal_length = "
         '"estimate" beside such a rough value, to have it found with the poses'
     )
@@ -368,8 +368,8 @@ def _ground(
     if not _height_given(file):
         above = "in z" if is_local(file) else "above the ellipsoid"
         words.append(
-            f"[surface] tells no height of the ground: 0 m {above} is where the solution starts; heights are "
-            "found from the images, as well as positions or control points tell the scale"
+            f"[surface] gives no height of the ground: 0 m {above} is where the solution starts; heights are "
+            "found from the images, as well as positions or control points give the scale"
         )
     beside = int((~seen).sum())
     if beside > _BESIDE_SHARE * len(seen):

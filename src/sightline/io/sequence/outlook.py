@@ -76,7 +76,7 @@ def overlap_words(problem: SequenceProblem) -> list[str]:
         f"successive frames share about {overlap.usual:.0%}, by the rough positions{_least(problem, overlap)}"
     ]
     if overlap.usual < LEAST_OVERLAP:
-        said.append("so little common ground tells poses badly; check positions, height, and focal length")
+        said.append("with so little common ground poses are weak; check positions, height, and focal length")
     side = side_overlap(problem)
     if np.isfinite(side):
         said.append(
@@ -128,7 +128,7 @@ def _by_ground(problem: SequenceProblem) -> str:
     if not isinstance(problem.surface, Plane | Ellipsoid) or problem.height_sigma > 0.0:
         return ""
     return (
-        f"; by ground at {problem.surface.height:g} m, of which [surface] tells no height_sigma: sizes go "
+        f"; by ground at {problem.surface.height:g} m, of which [surface] gives no height_sigma: sizes go "
         "with the flying height above the ground that is found"
     )
 

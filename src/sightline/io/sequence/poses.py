@@ -69,7 +69,7 @@ def starting_poses(
                 f"{files.toml}: no frame has a position: give {_PLACES}; "
                 'of control points alone, [world] frame = "local" is needed'
             )
-        warnings.append("no positions: control points alone tell where the path lies, and how large it is")
+        warnings.append("no positions: control points alone give where the path lies, and how large it is")
     else:
         position, position_sigma = along(frames.t, placed), _sigma_of(placed, count)
         _say_how_many(warnings, position_sigma, "position")

@@ -136,7 +136,7 @@ def _say_assumed(file: SequenceFile, warnings: list[str], rows: NDArray[np.intp]
     """That nothing but a default tells how good positions are."""
     if len(rows) and "position_sigma" not in file.model_fields_set:
         warnings.append(
-            f"{len(rows)} positions tell no sigma: {file.position_sigma:g} m per axis is assumed; set "
+            f"{len(rows)} positions have no sigma: {file.position_sigma:g} m per axis is assumed; set "
             "position_sigma"
         )
 

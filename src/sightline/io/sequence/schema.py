@@ -282,8 +282,8 @@ class SequenceFile(InputFile):
             raise ValueError("positions and geo are both given; keep one of them")
         if self.poses is not None and self.attitudes is not None and (self.positions or self.geo):
             raise ValueError(
-                "poses would tell nothing beside attitudes and positions (or geo), which go before it; "
-                "remove poses, or what it is to tell"
+                "poses would add nothing beside attitudes and positions (or geo), which go before it; "
+                "remove poses, or what goes before it"
             )
         ways = [k for k in ("control_point", "control_points", "gcp_list") if getattr(self, k)]
         if len(ways) > 1:

@@ -102,7 +102,7 @@ def _missing(stereo: Stereo) -> list[str]:
         said.append("[stereo] epoch: without it no attitude message (AEM) is written")
     if problem.heights is None and problem.control is None:
         said.append(
-            "dem or control_points: heights would tell pitch, control points roll and pitch, absolutely"
+            "dem or control_points: heights make pitch observable, control points roll and pitch, absolutely"
         )
     return said
 

@@ -203,9 +203,9 @@ def strip_warnings(
     spanned = _spanned_field(strip, state.records)
     if spanned < ENOUGH_FIELD:
         out.append(
-            f"yaw is nearly blind: the matches span {100 * spanned:.0f} % of the field (30 % or more tell "
-            f"it); it is known to {sigma_yaw / strip.scale[2]:.2g} px at the field's edge, roll and pitch "
-            "no better away from the matches"
+            f"yaw is nearly blind: the matches span {100 * spanned:.0f} % of the field (30 % are enough); "
+            f"it is known to {sigma_yaw / strip.scale[2]:.2g} px at the field's edge, roll and pitch no "
+            "better away from the matches"
         )
     elif sigma_yaw > 0.3 * prior_yaw:
         out.append(

@@ -103,7 +103,7 @@ def _contradicting(control: ControlPoints, miss: Array) -> list[str]:
     return [
         f"control point {_named(control, int(row))} lies "
         + (f"{miss[row]:.1f} of its sigmas from" if np.isfinite(miss[row]) else "nowhere near")
-        + " where the frames see it, and nothing tells which control points are right; check them all"
+        + " where the frames see it, and nothing shows which control points are right; check them all"
         for row in np.flatnonzero(miss > _MISS)
     ]
 

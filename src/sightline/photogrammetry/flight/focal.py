@@ -92,6 +92,6 @@ def unobservable_focal_length(prior: float) -> EstimationError:
     size = "nothing known of it" if np.isinf(prior) else f"{100.0 * prior:.2g} %"
     return EstimationError(
         "the frames can be adjusted with the focal length given, but not with it as an unknown "
-        f"(1-sigma beforehand: {size}): they hardly tell it; give a smaller focal_length_sigma_px, or "
+        f"(1-sigma beforehand: {size}): it is hardly observable; give a smaller focal_length_sigma_px, or "
         "heights of positions above a known surface, or control points"
     )

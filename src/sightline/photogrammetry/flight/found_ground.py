@@ -61,6 +61,6 @@ def ground_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
     where = "above the ellipsoid" if problem.radii is not None else "of z"
     return [
         f"the ground that the images show lies {abs(off):.4g} m {'above' if off > 0.0 else 'below'} that "
-        f"of [surface], at {height:.5g} m {where}: tell it (height and height_sigma, or a dem), or check "
+        f"of [surface], at {height:.5g} m {where}: give it (height and height_sigma, or a dem), or check "
         "heights of the positions and the focal length"
     ]

@@ -73,7 +73,7 @@ def refuse_unobservable_focal(poses: FramePoses) -> None:
     if focal_verdict(focal) != "not observable" and abs(focal.stretch) < _RUN_AWAY:
         return
     raise EstimationError(
-        "the frames do not tell the focal length, of which nothing is said: known to "
+        "the focal length is not observable in the frames, and nothing is given of it: known to "
         f"{100.0 * focal.sigma:.2g} % at best, by perspective alone, and "
         f"{100.0 * focal.stretch:+.2g} % from the one given; give focal_length_px with its "
         'focal_length_sigma_px in place of "estimate", or heights of positions above a surface of known '
@@ -99,11 +99,11 @@ def focal_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
             f", beforehand to {100.0 * focal.prior:.2g} %; the sigmas of poses hold that, heights above "
             "ground first of all"
             if np.isfinite(focal.prior)
-            else " at best: perspective alone tells it, badly, and heights above ground go with it"
+            else " at best: perspective alone gives it, badly, and heights above ground go with it"
         )
         out.append(
             f"the focal length is {verdict}: known to {known}{before}. Positions above a surface of known "
-            "height, on a path that climbs, or control points tell it"
+            "height, on a path that climbs, or control points make it observable"
         )
     if np.isfinite(focal.prior) and abs(focal.stretch) > _FAR_FOCAL * focal.prior:
         px = poses.detector(problem.detector).focal_length_px
@@ -139,7 +139,7 @@ def bow_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
         out.append(
             f"stretch {number + 1} ({count} frames) may be bent: an even trend of {_AXES[worst]} from end to "
             f"end is known to {np.degrees(sigma[worst]):.2g} deg rms only (1-sigma), {ends[worst]:.1f} px at "
-            "its ends; attitudes, better positions, known heights or crossing flight lines tell it"
+            "its ends; attitudes, better positions, known heights or crossing flight lines would show it"
         )
     return out
 
@@ -168,7 +168,7 @@ def short_warnings(subset: Subset) -> list[str]:
     angle = f" under an angle of {parallax.max():.2g} degrees" if len(parallax) else ""
     return [
         f"a very short sequence: its subset has {len(subset)} frames, which see the ground{angle}; "
-        "heights and poses are hardly better than the tables that tell them, nothing checks matches "
+        "heights and poses are hardly better than the tables that give them, nothing checks matches "
         "against a third view, and bands whose lines did not pass over a place are missing there"
     ]
 
