@@ -42,8 +42,8 @@ def test_without_json_three_axes_and_the_places_to_look_are_said(quick, tmp_path
     assert run([*quick, str(out)]) == 0
     said = capsys.readouterr()
     lines = said.out.splitlines()
-    assert [line.split()[0] for line in lines] == ["roll", "pitch", "yaw", "(after", "from"]
-    assert str(out / "report.html") in lines[4]
+    assert [line.split()[0] for line in lines] == ["roll", "pitch", "yaw", "(after", "bands", "Pairs", "from"]
+    assert str(out / "report.html") in lines[6]
     assert all(line.startswith((WARNING, PROGRESS)) for line in said.err.splitlines())
 
 

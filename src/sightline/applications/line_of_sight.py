@@ -58,6 +58,7 @@ from sightline.motion.strip.viewing_axes import (
     turned_star,
 )
 from sightline.motion.strip.warnings import observed_lines, strip_warnings
+from sightline.motion.strip.withheld import judged, withheld_numbers, without_pairs
 from sightline.result import makes_result
 from sightline.stages import Stages
 
@@ -181,6 +182,8 @@ def ready_strip(
         control=control_points,
         known=known or KnownContent(),
     )
+    withheld = withheld_numbers(strip, options.withhold)
+    strip = replace(strip, views=without_pairs(strip, withheld), withheld=tuple(withheld))
     strip = checked(strip, options)
     check_method(options.method, strip)
     return strip, options
@@ -230,7 +233,10 @@ def joint_line_of_sight(
             "the spectrum that is given does not hold the motion that the images show: without it they "
             f"give another, {passed.left:.3g} sigma away; check [known_motion] psd, or leave it out",
         )
-    result = _result(strip, state, list(passed.changes), options.window)
+    if len(strip.bands) > 2:
+        tell("predicting what was not used")
+    withheld = judged(strip, state, options)
+    result = replace(_result(strip, state, list(passed.changes), options.window), withheld=withheld)
     differences = tuple(one.turned(strip.turn) for one in strip_differences(strip, state, height_sigma))
     warnings = (*result.warnings, *warnings)
     return strip, state, replace(result, differences=differences, warnings=warnings)

@@ -28,6 +28,15 @@ def recover(
             "bands: inverse, wiener, polynomial, kalman.",
         ),
     ] = "joint",
+    withhold: Annotated[
+        tuple[str, str] | None,
+        typer.Option(
+            "--withhold",
+            metavar="A B",
+            help="Leave the pair of bands A, B out, predict it from the others, and say how its own matches "
+            "agree.",
+        ),
+    ] = None,
     resume: Resume = False,
     overwrite: Overwrite = False,
     as_json: Json = False,
@@ -38,17 +47,18 @@ def recover(
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.io.results.hidden import TABLE
     from sightline.motion.strip.strip import RecoverOptions
-    from sightline.report.words import grouped
+    from sightline.report.words import grouped, withheld_words
     from sightline.stages import Stages
 
-    RecoverOptions(method=method)  # a word that is none is refused before anything is read
+    left_out = (withhold,) if withhold else ()
+    RecoverOptions(method=method, withhold=left_out)  # a word that is none is refused before anything is read
     # a file of another acquisition beside this motion.csv would be taken for a part of the same result
     with (
         output_folder(out, overwrite=overwrite, resume=resume) as folder,
         progress() as report,
     ):
         stages = Stages(stages_folder(out), lambda text: complain("warning", text))
-        summary = recover_into(folder, acquisition, report, method=method, stages=stages)
+        summary = recover_into(folder, acquisition, report, method=method, withhold=left_out, stages=stages)
     if as_json:
         print_json(summary)
         return
@@ -64,6 +74,15 @@ def recover(
         departure = summary["method"]["rms_departure_from_joint_px"]
         apart = ", ".join(f"{axis} {value:.4f}" for axis, value in departure.items())
         say(f"(by {method}; apart from the joint estimate by {apart} px rms, which its sigma includes)")
+    before, after = summary["residual_rms_before_px"], summary["residual_rms_px"]
+    if before is not None:
+        expected = summary["residual_sigma_px"]
+        say(
+            f"bands  {before:.4f} px rms apart by the cameras as given, {after:.4f} px by what was found, "
+            f"where their matches' own sigma asks for {expected:.4f} px"
+        )
+    for sentence in withheld_words(summary):
+        say(sentence)
     matches = summary["matches"]
     say(f"from {matches['kept']} of {matches['tried']} windows; {out / 'motion.csv'}, {out / 'report.html'}")
 
@@ -74,6 +93,7 @@ def recover_into(
     report: Progress,
     *,
     method: str = "joint",
+    withhold: tuple[tuple[str, str], ...] = (),
     truth: Path | None = None,
     stages: Stages | None = None,
 ) -> dict[str, Any]:
@@ -94,13 +114,18 @@ def recover_into(
     acquired = load_acquisition(acquisition)
     announce(ready_to_recover(acquired, method))
     with naming(acquisition):
-        result = recover_acquisition(acquired, report, method=method, stages=stages)
+        result = recover_acquisition(acquired, report, method=method, withhold=withhold, stages=stages)
     true = None if truth is None else read_motion(truth)
     return Recovery().render(result, folder, report, begin, acquisition=acquired, truth=true)
 
 
 def recover_acquisition(
-    acquired: Acquisition, report: Progress, *, method: str = "joint", stages: Stages | None = None
+    acquired: Acquisition,
+    report: Progress,
+    *,
+    method: str = "joint",
+    withhold: tuple[tuple[str, str], ...] = (),
+    stages: Stages | None = None,
 ) -> LineOfSight:
     """Recover what an acquisition holds: bands of a strip, or frames of a camera, spinning or not."""
     from sightline.applications.frame_attitude import recover_frame_attitude
@@ -111,11 +136,18 @@ def recover_acquisition(
 
     if stages is not None:
         stages.depend(acquired.inputs)
-    options = RecoverOptions(**acquired.matching, method=method) if not acquired.frames else None
+    options = (
+        RecoverOptions(**acquired.matching, method=method, withhold=withhold) if not acquired.frames else None
+    )
     if options is None and method != "joint":
         raise InputError(
             f"--method {method} is for the bands of a strip: {acquired.path} holds frames, whose motion is "
             "recovered by the joint estimate alone; leave --method out"
+        )
+    if options is None and withhold:
+        raise InputError(
+            f"--withhold {' '.join(withhold[0])} is for the bands of a strip: {acquired.path} holds frames; "
+            "leave --withhold out"
         )
     if acquired.frames and acquired.spin is not None:
         from sightline.applications.spin_attitude import SpinOptions, recover_spin_attitude

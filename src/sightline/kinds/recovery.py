@@ -27,6 +27,7 @@ from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.results import LineOfSight, NamedMethod, StaticEstimate, TimeCovariance
 from sightline.motion.strip.fusion import SensorUse
 from sightline.motion.strip.hyper import KnownContent
+from sightline.motion.strip.withheld import WithheldAxis
 from sightline.report.line_of_sight_page import line_of_sight_page
 from sightline.result import Result, source_of
 
@@ -123,6 +124,10 @@ class Recovery(ResultKind):
                 "changes": tuple(summary["changes"]),
                 "warnings": tuple(summary["warnings"]),
                 "method": _method(summary["method"], count),
+                "withheld": tuple(
+                    WithheldAxis(**entry | {"pair": tuple(entry["pair"])})
+                    for entry in summary.get("withheld", [])
+                ),
                 "band": _band(folder / "covariance.npz"),
                 "relief": read_relief(folder, summary, tuple(summary["images"])),
                 "differences": _differences(folder / "differences.csv", tuple(summary["images"])),

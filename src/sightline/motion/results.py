@@ -21,6 +21,7 @@ from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.measure.stars import END, StarRecord
 from sightline.motion.strip.fusion import SensorUse
 from sightline.motion.strip.relief import RowRelief
+from sightline.motion.strip.withheld import WithheldAxis
 from sightline.result import Result
 
 Array = NDArray[np.float64]
@@ -134,6 +135,9 @@ class LineOfSight(Result):
     lines : (N,) int or None
         Lines of the first image at which the motion is given; before it negative, behind it beyond its last.
         None of frames.
+    withheld : tuple of WithheldAxis
+        Pairs of bands that the estimate did not use, against what it predicts of them: those left out on
+        demand, or a sample of those that three bands or more can do without. None of frames.
     warnings : tuple of str
     """
 
@@ -161,6 +165,7 @@ class LineOfSight(Result):
     method: NamedMethod | None = None
     relief: RowRelief | None = None
     lines: NDArray[np.int64] | None = None
+    withheld: tuple[WithheldAxis, ...] = ()
     warnings: tuple[str, ...] = ()
 
     @property

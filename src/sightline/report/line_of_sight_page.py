@@ -255,6 +255,24 @@ def _tables(result: LineOfSight, summary: Mapping[str, Any], *, pairs: bool) -> 
             ),
         ),
         (
+            "withheld",
+            "Pairs that the estimate did not use",
+            "Windows of these pairs against what motion, offsets and ground found from the others predict of "
+            "them. "
+            "“NEES” is the mean square of measured less predicted over its sigma, which is that of the "
+            "prediction and of the match, less what they share: 1 where the sigmas are true; above, they are "
+            "too small. "
+            "“Worth” is how many independent windows they amount to: the NEES of true sigmas scatters by "
+            "√(2 / worth).",
+            Table(
+                "pair|axis|windows|worth|rms (px)|its sigma (px)|predicted to (px)|NEES|within 95 %".split(
+                    "|"
+                ),
+                words.withheld_rows(summary),
+                [0, 1],
+            ),
+        ),
+        (
             "peaks",
             "Tones",
             f"{words.above_band(summary)} Amplitude is that of the sine (√2 times its rms), yaw in px at "

@@ -32,7 +32,8 @@ _NUMBER_AND_UNIT = re.compile(r"(\d) (px|Hz|s|µrad|mrad|%)")
 
 def sentences(result: LineOfSight, summary: Mapping[str, Any], tones: Sequence[DetectedTone]) -> list[str]:
     """The summary, a sentence or two per subject."""
-    said = [_what(result, summary), _how_well(result), *_method(result), _residuals(result)]
+    said = [_what(result, summary), _how_well(result), *_method(result), _residuals(summary)]
+    said += withheld_words(summary)
     if len(result.motion.t) >= FEW_EPOCHS:
         said += [_tones(result, tones) + _hardly_seen(result, summary), _passbands(summary)]
     said.append(_hidden(result))
@@ -245,20 +246,57 @@ def _how_well(result: LineOfSight) -> str:
     return _capital("; ".join(parts) + " (1-sigma, median over these instants).")
 
 
-def _residuals(result: LineOfSight) -> str:
-    weights = np.array([pair.kept for pair in result.pairs], dtype=float)
+def _residuals(summary: Mapping[str, Any]) -> str:
     before, after, expected = (
-        float(
-            np.sqrt(
-                np.nansum(weights * np.array([getattr(p, name) for p in result.pairs]) ** 2) / weights.sum()
-            )
+        digits(np.nan if summary[key] is None else summary[key], count)
+        for key, count in (
+            ("residual_rms_before_px", 3), ("residual_rms_px", 2), ("residual_sigma_px", 2),
         )
-        for name in ("rms_before_px", "rms_after_px", "sigma_px")
-    )
+    )  # fmt: skip
     return (
-        f"Before, windows lay {digits(before, 3)} px rms from their places; with the recovered motion "
-        f"{digits(after, 2)} px are left, where the matches' own sigma asks for {digits(expected, 2)} px."
+        f"Before, windows lay {before} px rms from their places; with the recovered motion "
+        f"{after} px are left, where the matches' own sigma asks for {expected} px."
     )
+
+
+def withheld_words(summary: Mapping[str, Any]) -> list[str]:
+    """How pairs that the estimate did not use agree with it, pooled, in a sentence; none without any."""
+    found = summary["withheld"]
+    if not found:
+        return []
+    pairs = list(dict.fromkeys("–".join(entry["pair"]) for entry in found))
+    parts = []
+    for axis in dict.fromkeys(entry["axis"] for entry in found):
+        own = [entry for entry in found if entry["axis"] == axis]
+        count = np.array([entry["count"] for entry in own], dtype=float)
+        squares, covered, rms = (
+            float(np.average([entry[key] ** power for entry in own], weights=count))
+            for key, power in (("nees", 1), ("coverage", 1), ("rms_px", 2))
+        )
+        parts.append(
+            f"{axis} {digits(math.sqrt(rms), 2)} px rms, NEES {digits(squares, 2)}, {100.0 * covered:.0f} % "
+            "within 1.96 sigma"
+        )
+    why = "left out on demand" if found[0]["asked"] else "that the estimate did not use"
+    pair = "Pair" if len(pairs) == 1 else "Pairs"
+    return [f"{pair} {', '.join(pairs)}, {why}, against what it predicts of them: {'; '.join(parts)}."]
+
+
+def withheld_rows(summary: Mapping[str, Any]) -> list[list[str]]:
+    """Table of left-out pairs: pair, axis, windows, worth, rms, its sigma, that of the prediction, NEES,
+    coverage."""
+    return [
+        [
+            " – ".join(entry["pair"]),
+            entry["axis"],
+            f"{entry['count']:,}",
+            f"{entry['samples']:,.0f}",
+            *(_number(entry[key], ".4f") for key in ("rms_px", "sigma_px", "prediction_sigma_px")),
+            _number(entry["nees"], ".2f"),
+            f"{100.0 * entry['coverage']:.0f} %",
+        ]
+        for entry in summary["withheld"]
+    ]
 
 
 def _tones(result: LineOfSight, tones: Sequence[DetectedTone]) -> str:

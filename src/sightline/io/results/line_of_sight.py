@@ -220,9 +220,11 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "observed_share": float(np.mean(result.observed)),
         "residual_rms_px": _rms(result, result.after_px),
         "residual_rms_before_px": _rms(result, result.before_px),
+        "residual_sigma_px": _expected(result),
         "residual_rms_rejected_px": _rms(result, result.after_px, rejected=True),
         "matches": _matches(result),
         "pairs": [_pair(result, k) for k in range(len(result.pairs))],
+        "withheld": [vars(one) | {"pair": list(one.pair)} for one in result.withheld],
         "relief": _relief(result),
         "statics": [vars(static) for static in result.statics],
         "sensors": [vars(sensor) for sensor in result.sensors],
@@ -317,6 +319,13 @@ def _rms(result: LineOfSight, residuals: tuple[Array, ...], *, rejected: bool = 
         parts.append(chosen[np.isfinite(chosen)])
     values = np.concatenate(parts) if parts else np.empty(0)
     return float(np.sqrt(np.mean(values**2))) if len(values) else None
+
+
+def _expected(result: LineOfSight) -> float | None:
+    """What the matches' own sigma asks for of the residuals (px): rms over the windows kept, or None."""
+    pairs = [pair for pair in result.pairs if pair.kept]
+    kept = [pair.kept for pair in pairs]
+    return float(np.sqrt(np.average([pair.sigma_px**2 for pair in pairs], weights=kept))) if pairs else None
 
 
 def _matches(result: LineOfSight) -> dict[str, Any]:

@@ -127,6 +127,21 @@ class ImagePair(Part):
     sigma_px: Number = _is("What the error model expects of the latter")
 
 
+class Withheld(Part):
+    """One axis of a pair of bands that the estimate did not use, against what it predicts of it."""
+
+    pair: tuple[str, str]
+    axis: Literal["along", "across"]
+    count: Count = _is("Windows compared; none overlaps another")
+    samples: Number = _is("Independent ones that they are worth")
+    nees: Number = _is("Mean of (measured less predicted, over its sigma)^2: 1 where the sigmas are true")
+    coverage: Share = _is("Share within 1.96 sigma: 0.95 where they are true")
+    rms_px: Number = _is("Of measured less predicted")
+    sigma_px: Number = _is("rms of its sigma: prediction and matches, less what they share")
+    prediction_sigma_px: Number = _is("rms of the sigma of the prediction alone")
+    asked: bool = _is("Left out on demand; else one that the estimate does without")
+
+
 class Static(Part):
     """A constant of a band."""
 
@@ -198,9 +213,11 @@ class RecoverySummary(RunSummary):
     observed_share: Share = _is("Of the lines: matches speak of them")
     residual_rms_px: Number = _is("px, of the windows kept, after the estimate")
     residual_rms_before_px: Number = _is("px, of the same against the nominal cameras")
+    residual_sigma_px: Number = _is("px, what the matches' own sigma asks for of the windows kept")
     residual_rms_rejected_px: Number = _is("px, of the windows rejected; null where there are none")
     matches: Matches = _is("Windows of all pairs")
     pairs: list[ImagePair] = _is("Windows of each pair")
+    withheld: list[Withheld] = _is("Pairs that the estimate did not use, predicted from it; may be empty")
     relief: FoundRelief | None = _is("The ground that was found; null where none was sought")
     statics: list[Static] = _is("Offsets, rotations and scales of the bands")
     sensors: list[Sensor] = _is("What attitude sensors and control points gave")

@@ -28,6 +28,8 @@ ROW_LAGS = 8
 SOFT, REJECT = 3.0, 5.0
 #: Blocks per row, and runs of rows, from which errors shared by neighbours are estimated; their most.
 LEAST_BESIDE, MOST_BESIDE = 6, 4.0
+#: Degrees of freedom from which the variance of matches is told at all.
+LEAST_DEGREES = 100
 #: Scaled residuals are cut to this size where covariances are summed.
 CLIP = 6.0
 
@@ -101,6 +103,18 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
     total = (vectors * np.maximum(values, 0.05)) @ vectors.T * np.outer(scale, scale)
     return np.asarray(0.5 * (total + total.T))
+
+
+def plain_variance(star: Star, post_px: Array) -> Array:
+    """Variance (2K,) of single matches in units of the matcher's own, from their scatter within rows.
+
+    Ones where the rows hold too few windows.
+    """
+    z, degrees = scatter(star, post_px)
+    counted = degrees.sum(axis=0)
+    squares = np.nansum(np.clip(z, -CLIP, CLIP) ** 2, axis=(0, 1))
+    enough = counted >= LEAST_DEGREES
+    return np.where(enough, squares / np.maximum(counted, 1.0), 1.0)
 
 
 def _error_beside(v: Array) -> Array:

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +43,8 @@ TIED_SIGMA = 1.0
 #: drift would scale it by. Where the images see a drift it is 0.1 to 1.
 HIDDEN, DEGREE = 0.03, 3
 
+#: Rows whose variance is found at a time: each takes a vector of all unknowns.
+ROWS_AT_ONCE = 64
 #: Innovations beyond this many sigmas are taken for jumps.
 JUMP = 4.5
 #: Rows of the autoregression that are not looked at for jumps.
@@ -277,6 +280,27 @@ class JointEstimate:
         flat = on_grid.reshape(-1, count)
         spread, _ = self._factor(constants=False).times(flat)
         return np.asarray(flat.T @ spread)
+
+    def row_variance(self, rows: Any, statics: Array) -> Array:
+        """Variance (R,) px^2 of what rows read: what the estimate predicts of matches that it did not use.
+
+        Parameters
+        ----------
+        rows : (R, block * count) sparse
+            By the unknowns of the grid, as `normal_equations.window_rows` makes them.
+        statics : (R, Q)
+            By the static parameters.
+        """
+        factor = self._factor(constants=self.ties is not None)
+        out = np.empty(len(statics))
+        for begin in range(0, len(statics), ROWS_AT_ONCE):
+            part = slice(begin, begin + ROWS_AT_ONCE)
+            on_grid = rows[part].toarray().T
+            beside = np.zeros((factor.q, on_grid.shape[1]))
+            beside[: statics.shape[1]] = statics[part].T
+            x, y = factor.solve(on_grid, beside)
+            out[part] = np.einsum("nr,nr->r", on_grid, x) + np.einsum("qr,qr->r", beside, y)
+        return np.maximum(out, 0.0)
 
     def hidden_covariance(self, drifts: Sequence[int] = ()) -> Array:
         """Covariance (H, H) rad^2 of how much the motion holds of each hidden direction, constants free.

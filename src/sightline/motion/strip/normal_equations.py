@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -570,6 +571,50 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> tuple[int,
     )
     reached = TimeGrid(grid.start + grid.step * low, grid.step, high - low)
     return block * low, NormalEquations(reached, block, ab, border, corner, rhs, rhs_static, chi2, rows)
+
+
+def window_rows(
+    star: Star, grid: TimeGrid, block: int, delay: float, which: NDArray[np.intp]
+) -> tuple[Any, Array]:
+    """The rows of the first pair of a star: by the unknowns of the grid, and by the static parameters.
+
+    Parameters
+    ----------
+    block : int
+        Unknowns per node: 3 angles, or 5 with relief.
+    which : (N,)
+        Windows whose rows are wanted.
+
+    Returns
+    -------
+    rows : (2 N, block * count) scipy.sparse
+        Two per window: px along and across per rad, and per m.
+    statics : (2 N, Q)
+    """
+    from scipy.sparse import csr_array
+
+    parts = [(star.t_hub, star.by_hub[:, 0], 0), (star.t[:, 0], star.by_partner[:, 0], 0)]
+    if block == 5:
+        height = star.by_height[:, 0, :, None]
+        tilted = np.concatenate([height, height * star.field[:, None, None]], axis=2)
+        parts.append((ground_times(star, delay), tilted, 3))
+    points = 2 + math.ceil(star.duration / grid.step) if star.duration > 0.0 else 1
+    values, columns = [], []
+    for t, by, unknown in parts:
+        for point in range(points):
+            first, w = grid.weights(t[which] + star.duration * ((point + 0.5) / points - 0.5))
+            node = first[:, None, None, None] + np.arange(TAPS)[:, None]
+            at = np.broadcast_to(
+                block * node + unknown + np.arange(by.shape[2]), (len(which), 2, TAPS, by.shape[2])
+            )
+            share = by[which][:, :, None, :] * w[:, None, :, None] / points
+            values.append(share.reshape(2 * len(which), -1))
+            columns.append(at.reshape(2 * len(which), -1))
+    value, column = np.concatenate(values, axis=1), np.concatenate(columns, axis=1)
+    each = np.arange(2 * len(which) + 1) * value.shape[1]
+    shape = (2 * len(which), block * grid.count)
+    rows = csr_array((value.ravel(), column.ravel(), each), shape=shape)
+    return rows, np.asarray(star.by_static[which, 0].reshape(2 * len(which), -1), dtype=np.float64)
 
 
 def modelled(star: Star, grid: TimeGrid, nodes: Array, statics: Array, delay: float = 0.0) -> Array:

@@ -73,6 +73,9 @@ class RecoverOptions:
         SNR (``Band.match_sigma``) let expect; ``"none"``: all alike, for comparison.
     pairs : tuple of (str, str)
         Names of the pairs of bands that are matched; empty: every pair that shares ground.
+    withhold : tuple of (str, str)
+        Names of pairs of bands that are left out of the estimate, predicted from it and compared with their
+        own matches (`LineOfSight.withheld`).
     method : str
         ``"joint"``: the maximum a posteriori of all matches; ``"inverse"``, ``"wiener"``, ``"polynomial"`` or
         ``"kalman"``: S1's own estimators (claim 6), from the angular differences of its step b.
@@ -91,6 +94,7 @@ class RecoverOptions:
     similarity: str = "whitened"
     weighting: str = "covariance"
     pairs: tuple[tuple[str, str], ...] = ()
+    withhold: tuple[tuple[str, str], ...] = ()
     method: str = "joint"
 
     def __post_init__(self) -> None:
@@ -113,7 +117,8 @@ class RecoverOptions:
 class Strip:
     """What does not change from pass to pass; a `draft` is a wide strip before its last pass.
 
-    `nominal` are the cameras in the axes of the estimate; `turn` (3, 3) leads from them to body axes.
+    `nominal` are the cameras in the axes of the estimate; `turn` (3, 3) leads from them to body axes;
+    `withheld` are the pairs that were asked to be left out, of which `views` has none.
     """
 
     bands: tuple[Band, ...]
@@ -133,6 +138,7 @@ class Strip:
     control: ControlSightings | None = None
     known: KnownContent = field(default_factory=KnownContent)
     draft: bool = False
+    withheld: tuple[tuple[int, int], ...] = ()
 
     def plan(
         self, options: RecoverOptions, window: tuple[int, int], step: int, search: tuple[int, int] = (0, 0)

@@ -1,0 +1,358 @@
+"""Pairs of bands that the estimate did not use: predicted from it, compared with their own matches.
+
+A referee without truth. Windows of one band are found in the other, in the cameras that the estimate
+left; where they lie is predicted by the motion, the statics and the relief found, and the covariance of what
+is left is that of the prediction and that of the match, less what they share. Nothing of it reaches the
+estimate.
+
+Not here: the estimate (``estimate.py``, ``joint.py``), the words (``report/``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from statistics import NormalDist
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import InputError
+from sightline.motion.measure.common_view import Views, common_views, usable
+from sightline.motion.measure.match_noise import plain_variance, robust_weights
+from sightline.motion.measure.observations import Star
+from sightline.motion.measure.stars import StarRecord, match_star
+from sightline.motion.measure.windows import WindowGrid
+from sightline.motion.strip.estimate import StripState
+from sightline.motion.strip.normal_equations import modelled, window_rows
+from sightline.motion.strip.relief import hub_delay
+from sightline.motion.strip.strip import DRAFT_TILES, RecoverOptions, Strip
+
+Array = NDArray[np.float64]
+
+#: Windows of a pair that is left out on demand, and of all pairs that a run looks at by itself.
+ASKED_WINDOWS, SAMPLE_WINDOWS = 600, 240
+#: Pairs that a run looks at by itself: of many bands neighbours come first.
+SAMPLE_PAIRS = 4
+#: Fewer matched windows judge nothing.
+LEAST_WINDOWS = 10
+#: Rows of windows over which errors of neighbours are looked at for what they share.
+REACH = 12
+#: What is left of a match's variance at least where its error and that of its prediction are shared.
+LEAST_LEFT = 0.5
+#: Two-sided 95 % point of the normal distribution.
+Z95 = NormalDist().inv_cdf(0.975)
+AXES = ("along", "across")
+
+
+@dataclass(frozen=True)
+class WithheldAxis:
+    """How one axis of a left-out pair's matches agrees with what the estimate predicts of it.
+
+    Attributes
+    ----------
+    pair : (str, str)
+        Names of the two bands.
+    axis : str
+        ``"along"`` or ``"across"``.
+    count : int
+        Windows compared; none overlaps another.
+    samples : float
+        Independent ones that they are worth: neighbours share texture and the error of the motion.
+    nees : float
+        Mean of (measured less predicted, over its sigma)^2: 1 where the sigmas are true.
+    coverage : float
+        Share within 1.96 sigma: 0.95 where they are true.
+    rms_px : float
+        Of measured less predicted.
+    sigma_px : float
+        rms of its sigma, of the prediction and of the matches, less what they share.
+    prediction_sigma_px : float
+        rms of the former alone.
+    asked : bool
+        Whether it was left out on demand; else it is one that the estimate does without.
+    """
+
+    pair: tuple[str, str]
+    axis: str
+    count: int
+    samples: float
+    nees: float
+    coverage: float
+    rms_px: float
+    sigma_px: float
+    prediction_sigma_px: float
+    asked: bool
+
+
+def withheld_numbers(strip: Strip, pairs: Sequence[tuple[str, str]]) -> list[tuple[int, int]]:
+    """The pairs that are to be left out, as numbers of bands; InputError where one cannot be."""
+    names = [band.name for band in strip.bands]
+    out = []
+    for a, b in pairs:
+        for name in (a, b):
+            if name not in names:
+                raise InputError(
+                    f"--withhold {a} {b}: there is no band {name!r}; bands are: {', '.join(names)}"
+                )
+        if a == b:
+            raise InputError(f"--withhold {a} {b}: a pair is of two bands; name another beside {a!r}")
+        if len(names) < 3:
+            raise InputError(
+                f"--withhold {a} {b}: two bands are one pair, and without it nothing is left to estimate "
+                "from; three bands or more are needed"
+            )
+        out.append((names.index(a), names.index(b)))
+    return out
+
+
+def without_pairs(strip: Strip, pairs: Sequence[tuple[int, int]]) -> Views:
+    """What of the strip's views remains without these pairs; InputError where that parts the bands."""
+    names = [band.name for band in strip.bands]
+    gone = {frozenset(pair) for pair in pairs}
+    left = {key: view for key, view in strip.views.items() if frozenset(key) not in gone}
+    before, after = (_groups(len(names), views) for views in (strip.views, left))
+    for a, b in pairs:
+        if before[a] == before[b] and after[a] != after[b]:
+            alone = [name for k, name in enumerate(names) if after[k] == after[b]]
+            others = [name for k, name in enumerate(names) if after[k] == after[a]]
+            raise InputError(
+                f"--withhold {names[a]} {names[b]}: that pair is the only link between {', '.join(others)} "
+                f"and {', '.join(alone)}, so nothing would predict it; leave out a pair whose bands are both "
+                "matched with a third"
+            )
+        if not _view(strip, a, b):
+            raise InputError(
+                f"--withhold {names[a]} {names[b]}: these bands see no columns of ground in common, so there "
+                "is nothing to compare; name another pair"
+            )
+    return left
+
+
+def _groups(count: int, views: Views) -> list[int]:
+    """For each band the first band that it is linked to, over any number of pairs."""
+    group = list(range(count))
+    for a, b in views:
+        low, high = sorted((group[a], group[b]))
+        group = [low if g == high else g for g in group]
+    return group
+
+
+def _view(strip: Strip, a: int, b: int) -> Views:
+    """Columns that two bands have in common, whether or not they are matched."""
+    cameras = [strip.nominal[a], strip.nominal[b]]
+    return common_views(cameras, strip.surface)
+
+
+def unused_pairs(strip: Strip, records: Sequence[StarRecord]) -> list[tuple[int, int]]:
+    """Pairs of bands that were both matched with windows of a third; neighbours first."""
+    count = len(strip.bands)
+    through = np.zeros((count, count), dtype=int)
+    for record in records:
+        seen = record.star.present.astype(int)
+        through[np.ix_(record.star.images, record.star.images)] += seen.T @ seen
+    pairs = [(a, a + apart) for apart in range(1, count) for a in range(count - apart)]
+    return [pair for pair in pairs if through[pair] >= LEAST_WINDOWS and _view(strip, *pair)][:SAMPLE_PAIRS]
+
+
+def judged(strip: Strip, state: StripState, options: RecoverOptions) -> tuple[WithheldAxis, ...]:
+    """Left-out pairs against the estimate: those asked for, else a sample of those it does without."""
+    asked = strip.withheld
+    pairs = list(asked) or unused_pairs(strip, state.records)
+    most = ASKED_WINDOWS if asked else SAMPLE_WINDOWS // max(len(pairs), 1)
+    out: list[WithheldAxis] = []
+    for a, b in pairs:
+        out += _judged_pair(strip, state, options, (a, b), most, asked=bool(asked))
+    return tuple(out)
+
+
+def _judged_pair(
+    strip: Strip, state: StripState, options: RecoverOptions, pair: tuple[int, int], most: int, *, asked: bool
+) -> list[WithheldAxis]:
+    """Both axes of one pair; none where too few windows match."""
+    found = compared(strip, state, options, pair, most)
+    if found is None:
+        return []
+    a, b = pair
+    names = (strip.bands[a].name, strip.bands[b].name)
+    seen = found.star.present[:, 0]
+    out = []
+    for k, axis in enumerate(AXES):
+        z = found.error_px[:, k] / found.sigma_px[:, k]
+        out.append(
+            WithheldAxis(
+                names,
+                axis,
+                int(seen.sum()),
+                _worth(np.where(seen, z, np.nan).reshape(found.star.shape)),
+                float(np.mean(z[seen] ** 2)),
+                float(np.mean(np.abs(z[seen]) <= Z95)),
+                float(np.sqrt(np.mean(found.error_px[seen, k] ** 2))),
+                float(np.sqrt(np.mean(found.sigma_px[seen, k] ** 2))),
+                float(np.sqrt(np.mean(found.prediction_px[seen, k] ** 2))),
+                asked,
+            )
+        )
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """Windows of a left-out pair.
+
+    Attributes
+    ----------
+    star : Star
+        Matches of the one pair, weighed by their own scatter.
+    error_px : (G, 2)
+        Measured less predicted.
+    sigma_px, prediction_px : (G, 2)
+        Of that, and of the prediction alone.
+    """
+
+    star: Star
+    error_px: Array
+    sigma_px: Array
+    prediction_px: Array
+
+
+def compared(
+    strip: Strip, state: StripState, options: RecoverOptions, pair: tuple[int, int], most: int
+) -> Compared | None:
+    """At most so many windows of `pair` matched and predicted; None where too few of them match."""
+    hub, partner = pair
+    view = _view(strip, hub, partner)
+    record = _matched(strip, state, options, pair, view[0, 1], most)
+    star, estimate = record.star, state.estimate
+    delay = hub_delay(strip.nominal, strip.surface, hub, state.records[0].star.hub)
+    nodes = estimate.unknowns()
+    # cameras carry motion and statics: what the rows know beyond these is the relief found
+    relief = nodes.copy()
+    relief[:, :3] = 0.0
+    error = star.residual_px - modelled(star, strip.grid, relief, np.zeros(len(estimate.statics)), delay)
+    used = _used_together(state.records, star, strip.grid.step, directly=True)
+    star = star.with_weight(np.where(used[:, None], 0.0, robust_weights(star, error)))
+    seen = star.present[:, 0]
+    if seen.sum() < LEAST_WINDOWS:
+        return None
+    rows, statics = window_rows(star, strip.grid, nodes.shape[1], delay, np.flatnonzero(seen))
+    variance = np.full((len(seen), 2), np.nan)
+    variance[seen] = estimate.row_variance(rows, statics).reshape(-1, 2)
+    own = star.covariance_px[:, 0][:, [0, 1], [0, 1]] / np.where(seen, star.weight[:, 0], np.nan)[:, None]
+    own = own * plain_variance(star, error)
+    shared = _shared(state.records, star, strip.grid.step)[:, None]
+    whole = np.maximum(own + (1.0 - 2.0 * shared) * variance, LEAST_LEFT * own)
+    return Compared(star, error[:, 0], np.sqrt(whole), np.sqrt(variance))
+
+
+def _shared(records: Sequence[StarRecord], star: Star, step: float) -> Array:
+    """Covariance (G,) of each match's error with that of its prediction, in units of the latter's variance.
+
+    Notes
+    -----
+    Errors are taken for those of the images (theory, 6.2): e_b - e_a. Where the estimate used windows of one
+    hub found in both bands, or the pair itself, the part of the prediction that stems from the window's own
+    ground errs as the match does: 1. Where it used either band against others, half of the errors of those
+    matches are shared, with either's share of the prediction: 1/4 each.
+    """
+    together = _used_together(records, star, step)
+    apart = np.zeros(len(star.t_hub))
+    for image, t in ((star.hub, star.t_hub), (star.images[0], star.t[:, 0])):
+        seen = [_exposures(r.star)[image] for r in records if image in (r.star.hub, *r.star.images)]
+        if seen:
+            apart += _near(np.concatenate(seen), t, 0.5 * star.duration + 2.0 * step)
+    return np.where(together, 1.0, 0.25 * apart)
+
+
+def _used_together(
+    records: Sequence[StarRecord], star: Star, step: float, *, directly: bool = False
+) -> NDArray[np.bool_]:
+    """(G,): windows on whose ground the estimate used windows of one hub found in both bands of a pair.
+
+    With `directly`, only those where one of the two is the hub: the pair itself.
+    """
+    a, b = star.hub, star.images[0]
+    out = np.zeros(len(star.t_hub), dtype=bool)
+    for record in records:
+        times = _exposures(record.star)
+        if a in times and b in times and not (directly and record.star.hub not in (a, b)):
+            both = np.where(np.isfinite(times[b]), times[a], np.nan)
+            out |= _near(both, star.t_hub, 0.5 * star.duration + 2.0 * step)
+    return out
+
+
+def _exposures(star: Star) -> dict[int, Array]:
+    """By image, when each window of a star was exposed there (G,) s; NaN where it took no part."""
+    out = {star.hub: np.where(star.present.any(axis=1), star.t_hub, np.nan)}
+    for k, image in enumerate(star.images):
+        out[image] = np.where(star.present[:, k], star.t[:, k], np.nan)
+    return out
+
+
+def _near(instants: Array, t: Array, reach: float) -> NDArray[np.bool_]:
+    """Whether an instant lies within `reach` (s) of each of `t`."""
+    known = np.sort(instants[np.isfinite(instants)])
+    if not len(known):
+        return np.zeros(len(t), dtype=bool)
+    at = np.clip(np.searchsorted(known, t), 1, max(len(known) - 1, 1))
+    gap = np.minimum(np.abs(t - known[at - 1]), np.abs(t - known[np.minimum(at, len(known) - 1)]))
+    return np.asarray(gap <= reach)
+
+
+def _matched(
+    strip: Strip,
+    state: StripState,
+    options: RecoverOptions,
+    pair: tuple[int, int],
+    view: tuple[int, int],
+    most: int,
+) -> StarRecord:
+    """The pair's windows in the recovered cameras: whole rows, evenly spread, none overlapping another."""
+    hub, partner = pair
+    plan = replace(strip.plan(options, options.window, options.step), tiles=DRAFT_TILES)
+    images = [band.image for band in strip.bands]
+    shape = images[hub].shape
+    whole = plan.grid(shape, usable(view, shape[1]))
+    apart = max(-(-whole.window[0] // options.step), 1)
+    lines = whole.lines[::apart]
+    # a row apart from the next tells more than a neighbour in it: rows are thinned last
+    blocks = max(min(len(whole.columns), most // max(min(len(lines), most // 4), 1)), 1)
+    columns = whole.columns[np.unique(np.linspace(0, len(whole.columns) - 1, blocks).round().astype(int))]
+    rows = max(min(len(lines), most // len(columns)), 1)
+    lines = lines[np.unique(np.linspace(0, len(lines) - 1, rows).round().astype(int))]
+    grid = WindowGrid(whole.window, lines, columns)
+    cameras = strip.cameras(state.estimate.nodes, state.estimate.statics)
+    return match_star(images, cameras, strip.surface, hub, (partner,), grid, strip.parameters, plan)
+
+
+def _worth(z: Array) -> float:
+    """Independent errors that scaled errors (rows, blocks) are worth, NaN where absent.
+
+    Notes
+    -----
+    The mean of n squares of errors of correlation rho_ij has the variance of the mean of
+    ``n / (1 + (1/n) sum_(i != j) rho_ij^2)`` independent ones. The correlations of neighbours along the
+    strip and beside each other in a row are those found, less what chance makes of none.
+    """
+    seen = np.isfinite(z)
+    n = int(seen.sum())
+    v = np.where(seen, z, 0.0)
+    power = float((v**2).sum()) / max(n, 1)
+    if n < LEAST_WINDOWS or power <= 0.0:
+        return float(n)
+    rows, blocks = z.shape
+    shared = 0.0
+    for down in range(min(REACH, rows - 1) + 1):
+        for side in range(-(blocks - 1), blocks):
+            if (down, side) <= (0, 0):
+                continue
+            first = (slice(0, rows - down), slice(max(0, -side), blocks - max(0, side)))
+            second = (slice(down, rows), slice(max(0, side), blocks - max(0, -side)))
+            both = seen[first] & seen[second]
+            number = int(both.sum())
+            if number < LEAST_WINDOWS:
+                continue
+            rho = float((v[first] * v[second])[both].sum()) / (number * power)
+            # less the square that chance alone makes
+            shared += 2.0 * number / n * (rho**2 - 1.0 / number)
+    return n / (1.0 + max(shared, 0.0))

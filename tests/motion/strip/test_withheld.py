@@ -1,0 +1,150 @@
+"""Pairs left out of the estimate: which may be, and whether what is predicted of them is true."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import chi2
+
+from motion.strips import strip_cameras
+from sightline.applications.line_of_sight import joint_line_of_sight, ready_strip
+from sightline.errors import InputError
+from sightline.geometry.surface import Plane
+from sightline.imaging.source import ArrayImage
+from sightline.motion.band import Band
+from sightline.motion.strip.normal_equations import modelled, window_rows
+from sightline.motion.strip.strip import RecoverOptions
+from sightline.motion.strip.withheld import LEAST_WINDOWS, _worth, compared, judged
+from sightline.simulate.scenarios import line_of_sight_case
+
+NAMES = ("B", "G", "R")
+
+
+def plain_bands(names=NAMES) -> list[Band]:
+    """Bands of one geometry whose images nobody matches."""
+    cameras = strip_cameras(tuple(30.0 * k for k in range(len(names))), 120, 64)
+    return [Band(n, ArrayImage(np.zeros((120, 64))), c) for n, c in zip(names, cameras, strict=True)]
+
+
+@pytest.mark.parametrize(
+    ("names", "pairs", "withhold", "said"),
+    [
+        (NAMES, (), ("B", "X"), "no band 'X'; bands are: B, G, R"),
+        (NAMES, (), ("G", "G"), "a pair is of two bands"),
+        (NAMES[:2], (), ("B", "G"), "three bands or more are needed"),
+        (NAMES, (("B", "G"), ("G", "R")), ("R", "G"), "the only link between R and B, G"),
+        (NAMES, (("B", "G"), ("G", "R")), ("B", "G"), "the only link between B and G, R"),
+    ],
+)
+def test_a_pair_that_nothing_would_predict_cannot_be_left_out(names, pairs, withhold, said):
+    options = RecoverOptions(pairs=pairs, withhold=(withhold,))
+    with pytest.raises(InputError, match=f"^--withhold {withhold[0]} {withhold[1]}: .*{said}"):
+        ready_strip(plain_bands(names), Plane(), (), None, None, options)
+
+
+def test_of_several_pairs_all_must_be_predicted_together():
+    two = RecoverOptions(withhold=(("B", "G"), ("R", "G")))
+    with pytest.raises(InputError, match="only link"):
+        ready_strip(plain_bands(), Plane(), (), None, None, two)
+
+
+@pytest.fixture(scope="module")
+def solved():
+    """A rendered strip of three bands, recovered without B and R compared."""
+    case = line_of_sight_case("nominal", 3, lines=500, columns=320)
+    bands = [replace(band, name=name) for band, name in zip(case.as_told(), NAMES, strict=False)]
+    options = RecoverOptions(passes=3, withhold=(("B", "R"),))
+    strip, options = ready_strip(bands, Plane(0.0), (), None, None, options)
+    strip, state, result = joint_line_of_sight(strip, options, 0.0, lambda text: None)
+    return strip, options, state, result
+
+
+def test_the_pair_takes_no_part(solved):
+    _, _, state, _ = solved
+    pairs = {frozenset((r.star.hub, k)) for r in state.records for k in r.star.images}
+    assert pairs == {frozenset((0, 1)), frozenset((1, 2))}
+
+
+def test_what_is_predicted_of_the_pair_is_what_it_shows(solved):
+    found = solved[3].withheld
+    assert [(one.pair, one.axis, one.asked) for one in found] == [
+        (("B", "R"), "along", True),
+        (("B", "R"), "across", True),
+    ]
+    for one in found:
+        assert LEAST_WINDOWS < one.samples <= one.count
+        # the strip's own windows tell their sigma to 10 %; of chance's share, once in a thousand
+        low, high = chi2.ppf([5e-4, 1.0 - 5e-4], one.samples) / one.samples
+        assert low / 1.2 < one.nees < high * 1.2
+        assert one.coverage > 0.9
+        assert one.rms_px == pytest.approx(one.sigma_px * one.nees**0.5, rel=0.2)
+
+
+def test_an_estimate_that_is_wrong_is_found_out(solved):
+    strip, options, state, result = solved
+    places = {p.name: k for k, p in enumerate(strip.parameters)}
+    off = state.estimate.statics.copy()
+    off[places["R offset across"]] += 3.0 * result.withheld[1].sigma_px
+    wrong = replace(state, estimate=replace(state.estimate, statics=off))
+    along, across = judged(strip, wrong, options)
+    # a shift by three sigmas adds nine to the mean square
+    assert across.nees > 6.0 and across.coverage < 0.5
+    assert along.nees == pytest.approx(result.withheld[0].nees, rel=0.3)
+
+
+def test_without_being_asked_pairs_that_were_matched_through_a_third_band_are_looked_at(recovery):
+    result = recovery.result
+    names = result.image_names
+    assert {one.pair for one in result.withheld} <= {
+        (a, b) for k, a in enumerate(names) for b in names[k + 1 :] if k
+    }
+    assert result.withheld and not any(one.asked for one in result.withheld)
+    squares = sum(one.nees * one.samples for one in result.withheld)
+    samples = sum(one.samples for one in result.withheld)
+    low, high = chi2.ppf([5e-4, 1.0 - 5e-4], samples) / samples
+    assert low / 1.2 < squares / samples < high * 1.2
+    assert recovery.summary["withheld"][0]["pair"] == list(result.withheld[0].pair)
+
+
+def test_rows_read_what_the_estimate_models_and_their_variance_is_that_of_the_dense_inverse(solved):
+    strip, options, state, _ = solved
+    star = compared(strip, state, options, (0, 2), 40).star
+    which = np.flatnonzero(star.present[:, 0])
+    rows, statics = window_rows(star, strip.grid, 3, 0.0, which)
+    rng = np.random.default_rng(0)
+    nodes = 1e-5 * rng.standard_normal((strip.grid.count, 3))
+    values = rng.standard_normal(len(strip.parameters))
+    expected = modelled(star, strip.grid, nodes, values)[which, 0].ravel()
+    # sensitivities are float32
+    np.testing.assert_allclose(rows @ nodes.ravel() + statics @ values, expected, atol=1e-5)
+    estimate = state.estimate
+    data, band = estimate._data, state.prior.precision(strip.grid, 3)
+    n, q = data.border.shape
+    whole = np.zeros((n + q, n + q))
+    for part in (data.ab, band):
+        for below, diagonal in enumerate(part):
+            place = np.arange(n - below)
+            whole[place + below, place] += diagonal[: n - below]
+    whole = np.tril(whole) + np.tril(whole, -1).T
+    whole[:n, n:], whole[n:, :n] = data.border, data.border.T
+    whole[n:, n:] = data.corner + np.diag(1.0 / state.prior.statics_sigma**2)
+    unit = 1.0 / np.sqrt(np.diag(whole))
+    both = np.concatenate([rows.toarray(), statics], axis=1) * unit
+    dense = np.einsum("ri,ij,rj->r", both, np.linalg.inv(whole * np.outer(unit, unit)), both)
+    np.testing.assert_allclose(estimate.row_variance(rows, statics), dense, rtol=1e-4)
+
+
+def test_windows_that_err_alike_are_worth_fewer():
+    rng = np.random.default_rng(1)
+    alone = rng.standard_normal((800, 3))
+    rho = 0.8
+    alike = np.empty_like(alone)
+    alike[0] = alone[0]
+    for k in range(1, len(alone)):
+        alike[k] = rho * alike[k - 1] + np.sqrt(1.0 - rho**2) * alone[k]
+    assert _worth(alone) > 0.85 * alone.size
+    # sum of rho^2k over all k, of which twelve rows hold 99 %; the correlations are known to some 5 %
+    expected = alike.size * (1.0 - rho**2) / (1.0 + rho**2)
+    assert _worth(alike) == pytest.approx(expected, rel=0.2)
