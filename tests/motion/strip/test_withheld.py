@@ -54,7 +54,7 @@ def test_of_several_pairs_all_must_be_predicted_together():
 def solved():
     """A rendered strip of three bands, recovered without B and R compared."""
     case = line_of_sight_case("nominal", 3, lines=500, columns=320)
-    bands = [replace(band, name=name) for band, name in zip(case.as_told(), NAMES, strict=False)]
+    bands = [replace(band, name=name) for band, name in zip(case.as_given(), NAMES, strict=False)]
     options = RecoverOptions(passes=3, withhold=(("B", "R"),))
     strip, options = ready_strip(bands, Plane(0.0), (), None, None, options)
     strip, state, result = joint_line_of_sight(strip, options, 0.0, lambda text: None)
