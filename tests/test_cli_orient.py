@@ -204,6 +204,11 @@ def test_the_score_of_the_result(done, given, capsys):
     assert score["nees"] == pytest.approx(nees, rel=1e-6) and score["expected"] == 6
     assert score["nees_low"] == pytest.approx(1.237, abs=1e-3)  # of chi-square with 6 degrees of freedom
     assert score["max_arcsec"] == pytest.approx(np.abs(error).max() / ARCSEC)
+    assert run(["score", str(done), str(given[1] / "orientation-truth.csv"), "--table"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    pitch = lines[1 + 3 + 1].split()  # the second camera's second angle
+    assert pitch[0] == "pitch" and float(pitch[1]) == pytest.approx(error[1, 1] / ARCSEC, rel=5e-3)
+    assert f"NEES {nees:.2f} (with the covariance); 6 is expected" in lines[-1]
     assert score["not_observable"] == []
 
 

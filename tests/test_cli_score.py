@@ -81,6 +81,26 @@ def test_a_missing_truth_is_named_and_not_looked_for_in_a_toml_file(result, caps
     assert "nope.csv: no such truth file" in said and "TOML" not in said
 
 
-def test_a_table_is_of_poses_alone(result, capsys):
-    assert run(["score", str(result), str(result.parent / "truth.csv"), "--table"]) == 2
-    assert "--table is for poses" in capsys.readouterr().err
+def test_a_table_is_printed_on_a_terminal_and_json_elsewhere(result, capsys, monkeypatch):
+    words = ["score", str(result), str(result.parent / "truth.csv")]
+    assert run(words) == 0
+    score = json.loads(capsys.readouterr().out)
+    assert run([*words, "--table"]) == 0
+    table = capsys.readouterr().out
+    assert run([*words, "--table", "--json"]) == 2
+    assert "give one of them" in capsys.readouterr().err
+    monkeypatch.setattr("sys.stdout.isatty", lambda: True)
+    assert run(words) == 0
+    assert capsys.readouterr().out == table
+    assert run([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out) == score
+    lines = table.splitlines()
+    assert lines[0].split() == ["lines", "rms", "max", "sigma", "NEES", "in", "95", "%"]
+    for line, axis in zip(lines[1:4], ("roll", "pitch", "yaw"), strict=True):
+        name, *numbers = line.removeprefix("hidden left out (4000)").split()
+        assert name == axis and line.endswith(score[axis]["unit"])
+        printed = [float(number.rstrip("%")) for number in numbers[:5]]
+        assert printed[:3] == pytest.approx([score[axis][key] for key in ("rms", "max", "sigma")], rel=5e-3)
+        assert printed[3] == pytest.approx(score[axis]["nees"], abs=5e-3)
+        assert printed[4] == pytest.approx(100.0 * score[axis]["coverage_95"], abs=0.5)
+    assert "drift yaw (with a parabola of roll)" in lines[4]

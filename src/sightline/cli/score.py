@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -26,23 +27,24 @@ def score(
         ),
     ],
     table: Annotated[
-        bool, typer.Option("--table", help="Of poses: a table for people in place of JSON.")
+        bool, typer.Option("--table", help="Print a table also where stdout is no terminal.")
     ] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON also on a terminal.")] = False,
     allow_network: AllowNetwork = False,
 ) -> None:
-    """Print errors, NEES and coverage of a result against its truth, as JSON."""
+    """Print errors, NEES and coverage of a result against its truth: a table on a terminal, else JSON."""
     from sightline.cli.terminal import print_json, say
     from sightline.errors import InputError, failing_numbers
-    from sightline.io.results.pose_score import pose_score_lines
+    from sightline.io.results.score_table import score_lines
 
+    if table and as_json:
+        raise InputError("--table and --json are two forms of one score: give one of them")
     with failing_numbers(f"{result}"):
         scored = score_folder(result, truth)
-    if not table:
+    if as_json or not (table or sys.stdout.isatty()):
         print_json(scored)
         return
-    if "by_source" not in scored:
-        raise InputError(f"{result}: --table is for poses (poses.csv); leave it out")
-    for line in pose_score_lines(scored):
+    for line in score_lines(scored):
         say(line)
 
 

@@ -161,4 +161,4 @@ def test_frames_written_anew_are_followed_anew(problem, uninterrupted, tmp_path)
             replace(problem, sources=(*problem.sources[:7], noisy, *problem.sources[8:])),
             stages=stages, progress=stop_at(FOLLOWED, 1),
         )  # fmt: skip
-    assert not stages.found and said and "other frames" in said[0]
+    assert not stages.found and said and "other images" in said[0]

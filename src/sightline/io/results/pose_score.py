@@ -1,11 +1,10 @@
 """``poses.csv`` and ``covariance.npz`` of a folder, against ``poses-truth.csv``, as a score.
 
-Not here: what is made of them (``evaluation/score_poses.py``).
+Not here: what is made of them (``evaluation/score_poses.py``), the score as a table (``score_table.py``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError
-from sightline.evaluation.score_poses import PARAMETERS, score_poses
+from sightline.evaluation.score_poses import score_poses
 from sightline.io.formats.tables import read_columns
 from sightline.io.results.poses import (
     FocalLength,
@@ -73,63 +72,3 @@ def _common(poses: FramePoseTable, true: FramePoseTable) -> tuple[np.ndarray, np
     pairs = [(k, number[name]) for k, name in enumerate(poses.frames) if name in number]
     found = np.array(pairs, dtype=np.intp).reshape(-1, 2)
     return found[:, 0], found[:, 1]
-
-
-#: Columns of the table of a score: head, key of an entry, form; angles are in degrees.
-_COLUMNS = (
-    ("rms", "rms", ".3g"),
-    ("max", "max", ".3g"),
-    ("sigma", "sigma", ".3g"),
-    ("NEES", "nees", ".2f"),
-    ("in 95 %", "coverage_95", ".0%"),
-)
-_ALONE = {"not_in_truth": "frames that are not in the truth", "not_in_result": "that are not in the result"}
-
-
-def pose_score_lines(score: dict[str, Any]) -> list[str]:
-    """A score of poses as lines of a table.
-
-    Parameters
-    ----------
-    score : dict
-        As of `score_pose_folder`.
-
-    Returns
-    -------
-    list of str
-        Per kind of frame and parameter: rms, largest error and rms of the stated sigma (m, degrees), NEES,
-        share of the true values inside their 95 % interval.
-    """
-    count = score["frames"]
-    lines = [_line("frames", "", [head for head, _, _ in _COLUMNS])]
-    lines += _part_lines(f"all ({count})", score["absolute"])
-    for source, part in score["by_source"].items():
-        lines += _part_lines(f"{source} ({part['frames']})", part)
-    if "rigid" in score:
-        lines += _part_lines(f"all, turned and moved ({count})", score["rigid"])
-    lines.append(
-        "NEES: mean squared error over the stated variance; 1 is expected, of all six together 6. Frames "
-        "share the error of their datum: one flight is one draw of it."
-    )
-    alone = [f"{score[key]} {words}" for key, words in _ALONE.items() if score[key]]
-    return lines + ([f"not compared: {', '.join(alone)}"] if alone else [])
-
-
-def _part_lines(name: str, entries: dict[str, Any]) -> list[str]:
-    """Of each parameter, and of all together."""
-    lines = []
-    for parameter in PARAMETERS:
-        entry = entries[parameter]
-        unit, factor = ("m", 1.0) if entry["unit"] == "m" else ("deg", float(np.degrees(1.0)))
-        cells = [
-            format(entry[key] * (factor if form == ".3g" else 1.0), form) if key in entry else "-"
-            for _, key, form in _COLUMNS
-        ]
-        lines.append(_line(name, f"{parameter} {unit}", cells))
-        name = ""
-    together = entries.get("nees")
-    return lines if together is None else [*lines, _line("", "all six", ["", "", "", f"{together:.2f}"])]
-
-
-def _line(name: str, parameter: str, cells: Sequence[str]) -> str:
-    return f"{name:30}{parameter:10}" + "".join(f"{cell:>10}" for cell in cells)
