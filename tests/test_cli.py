@@ -291,6 +291,27 @@ def test_progress_with_a_total_shows_the_time_left(monkeypatch):
             # the bar is drawn ten times a second
             time.sleep(0.12)
     assert "following" in shown.getvalue() and " left" in shown.getvalue()
+    assert " 50 %" in shown.getvalue()
+
+
+def test_the_share_and_the_time_left_of_a_long_stage_fit_a_narrow_terminal(monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    shown = Terminal()
+    monkeypatch.setattr(sys, "stderr", shown)
+    for name, value in {"TERM": "xterm", "COLUMNS": "80", "LINES": "24"}.items():
+        monkeypatch.setenv(name, value)
+    with progress() as report:
+        for done in range(1, 5):
+            report("pass 1 of at most 4: " + "matching windows of all pairs of bands " * 2, done, 8)
+            time.sleep(0.12)
+    assert (
+        " left" in shown.getvalue()
+        and " 50 %" in shown.getvalue()
+        and "pass 1 of at most 4" in shown.getvalue()
+    )
 
 
 def test_a_simulated_strip_can_be_checked(tmp_path, capsys):

@@ -13,7 +13,7 @@ import os
 import re
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import cache, wraps
@@ -289,8 +289,41 @@ def _rounded(number: float, digits: int) -> str:
     return f"{number:,.0f}" if number >= 10**digits - 0.5 else f"{number:.{digits}g}"
 
 
-def silent(stage: str, done: int, total: int) -> None:
+class Progress(Protocol):
+    """Shows what is being done."""
+
+    def __call__(self, stage: str, done: int = 0, total: int | None = None) -> None:
+        """Say a stage; where `total` is known, how much of it is done."""
+
+
+#: Called with how much of a stage is done, and how much it is.
+Step = Callable[[int, int], None]
+
+
+def silent(stage: str, done: int = 0, total: int | None = None) -> None:
     """Progress that nobody asked for."""
+
+
+def no_step(done: int, total: int) -> None:
+    """Steps that nobody counts."""
+
+
+def steps_of(progress: Progress, stage: str) -> Step:
+    """Say a stage now; what it returns then counts its steps."""
+    progress(stage)
+    return lambda done, total: progress(stage, done, total)
+
+
+def part_of(step: Step, number: int, count: int) -> Step:
+    """Steps of one of so many parts alike, as steps of all of them."""
+    return lambda done, total: step(number * total + done, count * total)
+
+
+def stepped(items: Sequence[Item], step: Step) -> Iterator[Item]:
+    """The items, each counted once it has been worked on."""
+    for done, item in enumerate(items, 1):
+        yield item
+        step(done, len(items))
 
 
 class CpuClock:
@@ -383,7 +416,10 @@ def _unescaped(word: str) -> str:
 
 
 def in_threads(
-    function: Callable[[Item], Result], items: Iterable[Item], threads: int | None = None
+    function: Callable[[Item], Result],
+    items: Iterable[Item],
+    threads: int | None = None,
+    step: Step = no_step,
 ) -> list[Result]:
     """Results of ``function(item)`` in the order of the items, computed on threads of this process.
 
@@ -398,13 +434,19 @@ def in_threads(
         All of them are taken at once.
     threads
         Most threads at a time; None takes the number of processors this process may use.
+    step
+        Called with the number of items that are done, and of all.
     """
     jobs = list(items)
     count = min(available_processors() if threads is None else threads, len(jobs))
     if count <= 1:
-        return [function(job) for job in jobs]
+        return [function(job) for job in stepped(jobs, step)]
     with ThreadPoolExecutor(count) as pool:
-        return list(pool.map(function, jobs))
+        found = []
+        for result in pool.map(function, jobs):
+            found.append(result)
+            step(len(found), len(jobs))
+        return found
 
 
 def _limit_blas_of_this_process() -> None:

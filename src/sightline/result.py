@@ -305,19 +305,36 @@ def makes_result(function: Callable[_Given, _Found]) -> Callable[_Given, _Found]
 
 
 def _logged(name: str, progress: Callable[..., None] | None) -> Callable[..., None]:
-    """The same progress, also in the log: stages as INFO, steps as DEBUG."""
-    last = [""]
+    """The same progress, also in the log: stages as INFO, steps as DEBUG.
+
+    One that takes a stage alone is called once for each.
+    """
+    last, counts = [""], progress is not None and _takes_steps(progress)
 
     def report(stage: str, *step: Any, **more: Any) -> None:
-        if stage != last[0]:
+        new = stage != last[0]
+        if new:
             last[0] = stage
             logger.info("%s: %s", name, stage)
         if len(step) == 2 and step[1]:
             logger.debug("%s: %s: %s of %s", name, stage, *step)
-        if progress is not None:
+        if progress is not None and counts:
             progress(stage, *step, **more)
+        elif progress is not None and new:
+            progress(stage)
 
     return report
+
+
+def _takes_steps(progress: Callable[..., None]) -> bool:
+    """Whether it can be called with a stage, how much of it is done, and how much it is."""
+    try:
+        inspect.signature(progress).bind("", 0, 1)
+    except TypeError:
+        return False
+    except ValueError:  # it has no signature that could be asked
+        return True
+    return True
 
 
 def set_source(read: Any, source: Any) -> None:

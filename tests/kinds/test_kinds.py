@@ -490,6 +490,9 @@ def test_calls_log_their_stages_and_their_steps(tmp_path, caplog):
         "INFO",
     ]
     assert caplog.messages[3] == "call: one: 1 of 2"
+    stages = []
+    call(lambda stage: stages.append(stage))  # one that takes no steps gets none
+    assert stages == ["one", "two"]
     assert any(
         isinstance(handler, logging.NullHandler) for handler in logging.getLogger("sightline").handlers
     )

@@ -9,7 +9,7 @@ Not here: the search (``motion/layout/search.py``), what the numbers mean (``mot
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from sightline.applications.expected_cost import Cost, search_cost
 from sightline.errors import InputError, computes
 from sightline.estimation.prior import Matern, Spectrum
-from sightline.execution import one_blas_thread
+from sightline.execution import Progress, one_blas_thread, silent
 from sightline.motion.layout.information import (
     BlindFrequency,
     CommonLags,
@@ -311,7 +311,7 @@ def choose_layout(
     *,
     count: int = 10,
     exhaustive: bool | None = None,
-    progress: Callable[[str], None] = lambda stage: None,
+    progress: Progress | None = None,
 ) -> LayoutChoice:
     """Places of the detectors that see a band of jitter best, ranked, beside other layouts.
 
@@ -349,10 +349,11 @@ def choose_layout(
     prior, duration, warnings = _believed(focal_plane, low, high)
     candidates, noise = focal_plane.candidates(high), focal_plane.noise
     search_cost(candidates, noise).check()
-    progress(f"seeking among {choices(candidates, noise):.3g} layouts")
+    tell = progress or silent
+    tell(f"seeking among {choices(candidates, noise):.3g} layouts")
     found = search_layouts(candidates, noise, (low, high), exhaustive=exhaustive)
     judge = _Judge(focal_plane, (low, high), prior, duration)
-    progress("judging the layouts found")
+    tell("judging the layouts found")
     chosen = _shortlist(focal_plane, candidates, found, (low, high), prior, duration, count)
     ranked = [judge(name, "found", positions, order) for name, positions, order in chosen]
     ranked = _named(sorted(ranked, key=lambda layout: -layout.worst_information))

@@ -10,7 +10,7 @@ Not here: detector lines (``line_of_sight.py``), files (``io/``), the report (``
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError, computes
-from sightline.execution import one_blas_thread
+from sightline.execution import Progress, one_blas_thread, silent, steps_of
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
@@ -43,7 +43,6 @@ from sightline.result import makes_result
 from sightline.stages import Stages
 
 Array = NDArray[np.float64]
-Progress = Callable[[str], None]
 
 #: Sigmas of k1, k2, p1, p2, k3 in that of k1.
 DISTORTION_SHARES = (1.0, 1.0, 0.05, 0.05, 1.0)
@@ -113,7 +112,7 @@ def recover_frame_attitude(
     S1, figure 15, for a matrix detector: every window of a frame gives two equations per partner in three
     angles of either frame; the instants are those of the frames.
     """
-    tell = progress or (lambda text: None)
+    tell = progress or silent
     sequence = _prepare(frames, surface, lens or LensKnowledge(), height_sigma, options or FrameOptions())
     stages = stages or Stages()
     stages.depend([sequence.frames, surface, sequence.statics, height_sigma, sequence.options])
@@ -121,12 +120,12 @@ def recover_frame_attitude(
     shifts = coarse_shifts(sequence.images)
     x = start(sequence, shifts)
     sequence = masked(sequence, shifts)
-    tell("first pass: wide search")
-    state = first_pass(sequence, x, stages)
+    state = first_pass(sequence, x, stages, steps_of(tell, "first pass: wide search"))
     changes: list[float] = []
     for number in range(sequence.options.passes):
-        tell(f"pass {number + 1}: matching windows laid by the cameras found")
-        refined = next_pass(sequence, state, number, stages)
+        most = sequence.options.passes
+        stage = f"pass {number + 1} of at most {most}: matching"
+        refined = next_pass(sequence, state, number, stages, steps_of(tell, stage))
         changes.append(_change(state.estimate, refined.estimate, _scale(refined.estimate)))
         state = refined
         if changes[-1] < sequence.options.tolerance:

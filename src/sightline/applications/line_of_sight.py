@@ -11,7 +11,7 @@ Not here: the strip itself (``motion/strip/strip.py``), the estimate of one pass
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, computes
 from sightline.estimation.likelihood import WORK
-from sightline.execution import one_blas_thread
+from sightline.execution import Progress, Step, no_step, one_blas_thread, silent, steps_of
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import NOT_CHOSEN, STATUS_NAMES
@@ -63,7 +63,6 @@ from sightline.result import makes_result
 from sightline.stages import Stages
 
 Array = NDArray[np.float64]
-Progress = Callable[[str], None]
 
 #: Error of the first linearisation as a share of the residual: products of mrad-sized angles and of the shift
 #: between the predicted and the actual line with the rate of the motion, seen at 5-7 % of residuals of
@@ -152,7 +151,7 @@ def recover_line_of_sight(
     ``options.method`` that of one of S1's own estimators (``motion/strip/methods.py``).
     """
     options = options or RecoverOptions()
-    tell = progress or (lambda text: None)
+    tell = progress or silent
     strip, options = ready_strip(bands, surface, sensors, control_points, known, options)
     stages = stages or Stages()
     stages.depend([bands, surface, height_sigma, sensors, control_points, known, options])
@@ -210,19 +209,19 @@ def joint_line_of_sight(
         if len(passed.changes) > 1 and passed.changes[-1] < tolerance:
             break
         number, state = len(passed.changes), passed.state
-        tell(f"pass {number + 1}: matching windows compensated by the motion found")
-        refined = _compensated_pass(draft, state, number, options, height_sigma, tell)
+        step = steps_of(tell, f"pass {number + 1} of at most {options.passes}: matching")
+        refined = _compensated_pass(draft, state, number, options, height_sigma, tell, step)
         changes = (*passed.changes, _change(draft, state, refined))
         passed = _kept(stages, names, _Passed(names[number + 1], refined, changes))
     if wide and passed.name not in (_WHOLE, _GIVEN):
-        tell("last pass: windows side by side over the whole field")
-        state = _compensated_pass(strip, passed.state, options.passes, options, height_sigma, tell)
+        step = steps_of(tell, "last pass: matching over the whole field")
+        state = _compensated_pass(strip, passed.state, options.passes, options, height_sigma, tell, step)
         passed = _kept(stages, names, replace(passed, name=_WHOLE, state=state))
     if strip.known.spectra is not None and passed.name != _GIVEN:
-        tell("last pass: under the spectrum that is given")
+        step = steps_of(tell, "last pass: under the given spectrum")
         found = passed.state
         state = _compensated_pass(
-            strip, found, options.passes, options, height_sigma, tell, strip.given_model()
+            strip, found, options.passes, options, height_sigma, tell, step, strip.given_model()
         )
         left = _change(strip, found, state)
         passed = _kept(stages, names, replace(passed, name=_GIVEN, state=state, left=left))
@@ -277,24 +276,25 @@ def _begin(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Pro
         some = replace(strip, order=strip.order[:count])
         if not any((some.order[-1], earlier) in strip.views for earlier in some.order[:-1]):
             continue  # the first of a pair that is matched with none of the others: it comes with its partner
-        tell(f"adding {strip.bands[some.order[-1]].name}, predicted by the motion found so far")
+        name = strip.bands[some.order[-1]].name
+        step = steps_of(tell, f"band {count} of at most {len(strip.order)}: adding {name}")
         # the second time about where the band was found: a linearisation about pixels too far away lets what
         # is hidden drift, and the next band would be sought there
         for search in (options.search_px, (0, 0)):
             plan = some.plan(options, options.first_window, options.first_window[0], search)
             nodes, statics = state.estimate.nodes, state.estimate.statics
-            records = tuple(_with_floor(r) for r in _match(some, nodes, statics, plan))
+            records = tuple(_with_floor(r) for r in _match(some, nodes, statics, plan, step=step))
             state = solve_strip(some, records, nodes, statics, some.broad, height_sigma, before=state)
     return state
 
 
 def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell: Progress) -> StripState:
     """Search about the nominal prediction with large windows; solve under a broad prior."""
-    tell("first pass: searching about the nominal prediction")
+    step = steps_of(tell, "first pass: wide search")
     statics = np.zeros(len(strip.parameters))
     nodes = initial_attitude(strip, statics)
     plan = strip.plan(options, options.first_window, 2 * options.first_window[0], options.search_px)
-    records = tuple(_with_floor(r) for r in _match(strip, nodes, statics, plan))
+    records = tuple(_with_floor(r) for r in _match(strip, nodes, statics, plan, step=step))
     tried = sum(int((r.status != NOT_CHOSEN).sum()) for r in records)
     kept = sum(int(r.star.present.sum()) for r in records)
     if kept < max(20, MIN_KEPT_SHARE * tried):
@@ -313,7 +313,8 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
     state = solve_strip(strip, records, nodes, statics, strip.broad, height_sigma, before=None)
     # once more about the motion found: what was left of the first linearisation is gone before dense matching
     plan = strip.plan(options, options.first_window, options.first_window[0])
-    records = _match(strip, state.estimate.nodes, state.estimate.statics, plan)
+    step = steps_of(tell, "first pass: matching once more")
+    records = _match(strip, state.estimate.nodes, state.estimate.statics, plan, step=step)
     records = tuple(_with_floor(r) for r in records)
     return solve_strip(
         strip, records, state.estimate.nodes, state.estimate.statics, strip.broad, height_sigma, before=state
@@ -353,12 +354,13 @@ def _compensated_pass(
     options: RecoverOptions,
     height_sigma: float,
     tell: Progress,
+    step: Step,
     given: PriorModel | None = None,
 ) -> StripState:
     """Match again with windows moved by the motion found; refit the prior, or take the one given; solve."""
     nodes, statics = nodes_on(state.estimate, strip.grid), state.estimate.statics
     plan = strip.plan(options, options.window, options.step)
-    records = _match(strip, nodes, statics, plan, state.records)
+    records = _match(strip, nodes, statics, plan, state.records, step)
     solved = solve_strip(strip, records, nodes, statics, state.model, height_sigma, before=state)
     if given is not None:
         # what it does not hold is no jump
@@ -376,7 +378,7 @@ def _compensated_pass(
     if number == 0 and options.passes > 1:
         # the first linearisation still shows in this pass: a spectrum fitted to it would hold its error
         return solved
-    tell("fitting the spectrum of the motion")
+    fitted = steps_of(tell, "fitting the spectrum of the motion")
     model = fit_prior_model(
         [r.star for r in solved.records],
         solved.with_relief_px,
@@ -387,6 +389,7 @@ def _compensated_pass(
         state.model.noise_scale,
         WORK * (DRAFT_WORK if strip.draft else 1.0),
         strip.known.tones,
+        fitted,
     )
     if solved.prior.relief is not None:
         model = model.beside_relief(strip.grid.step * strip.grid.count)
@@ -397,15 +400,23 @@ def _compensated_pass(
 
 
 def _match(
-    strip: Strip, nodes: Array, statics: Array, plan: MatchingPlan, before: Sequence[StarRecord] = ()
+    strip: Strip,
+    nodes: Array,
+    statics: Array,
+    plan: MatchingPlan,
+    before: Sequence[StarRecord] = (),
+    step: Step = no_step,
 ) -> tuple[StarRecord, ...]:
-    """All stars of one pass; `before` are those of the pass before."""
+    """All stars of one pass, by `step` so many windows of all; `before` are those of the pass before."""
     earlier = {(record.star.hub, record.star.images): record for record in before}
     cameras = strip.cameras(nodes, statics)
     images = [band.image for band in strip.bands]
     hubs = hub_windows(cameras, strip.surface, [i.shape for i in images], strip.order, plan, strip.views)
-    return tuple(
-        match_star(
+    windows = [len(grid.centres) * len(partners) for _, partners, grid in hubs]
+    out: list[StarRecord] = []
+    for hub, partners, grid in hubs:
+        done, total = sum(windows[: len(out)]), sum(windows)
+        star = match_star(
             images,
             cameras,
             strip.surface,
@@ -415,9 +426,10 @@ def _match(
             strip.parameters,
             plan,
             earlier.get((hub, partners)),
+            lambda some, _, done=done, total=total: step(done + some, total),  # type: ignore[misc]
         )
-        for hub, partners, grid in hubs
-    )
+        out.append(star)
+    return tuple(out)
 
 
 def _change(strip: Strip, old: StripState, new: StripState) -> float:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError, computes
+from sightline.execution import Step, no_step, stepped
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
@@ -113,7 +114,9 @@ def heights_of_rows(relief: RowRelief, camera: PushbroomCamera, places: Array) -
     return relief.at(camera.times(pixels[:, 0]), field_positions(pixels[:, 1], camera.columns))
 
 
-def fit_every_pair(images: Sequence[ImageSource], *, search_px: tuple[int, int] = (8, 8)) -> list[BandFit]:
-    """How every pair of images of one grid fits (`products.band_fit.fit_bands`)."""
-    pairs = combinations(range(len(images)), 2)
+def fit_every_pair(
+    images: Sequence[ImageSource], *, search_px: tuple[int, int] = (8, 8), step: Step = no_step
+) -> list[BandFit]:
+    """How every pair of images of one grid fits (`products.band_fit.fit_bands`), pairs counted by `step`."""
+    pairs = stepped(list(combinations(range(len(images)), 2)), step)
     return [fit_bands(images[a], images[b], (a, b), search_px=search_px) for a, b in pairs]

@@ -10,7 +10,7 @@ Not here: detector lines (``line_of_sight.py``), frames that do not spin (``fram
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError, computes
-from sightline.execution import one_blas_thread
+from sightline.execution import Progress, one_blas_thread, silent, steps_of
 from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
@@ -45,7 +45,6 @@ from sightline.result import makes_result
 from sightline.stages import Stages
 
 Array = NDArray[np.float64]
-Progress = Callable[[str], None]
 
 #: Fewest matches from which anything is said.
 LEAST_MATCHES = 20
@@ -155,24 +154,28 @@ def recover_spin_attitude(
     EstimationError
         No strip is seen again, or too few windows match.
     """
-    tell = progress or (lambda text: None)
+    tell = progress or silent
     options = options or SpinOptions()
     tied = attitude_sigma or AttitudeSigma(0.1, 0.1)
     unknowns = _prepare(frames, surface, spin, lens or LensKnowledge(), chip, tied, parallax_sigma)
     pairs = seen_again(unknowns.frames)
     stages = stages or Stages()
     stages.depend([unknowns, surface, options])
-    tell("first pass: wide search")
+    step = steps_of(tell, "first pass: wide search")
     plan = SpinPlan(options.window, options.first_search_px)
     cameras = [frame.camera for frame in frames]
-    stars = kept_matches(stages, "matches-0", lambda: match_strips(frames, cameras, surface, pairs, plan))
+    stars = kept_matches(
+        stages, "matches-0", lambda: match_strips(frames, cameras, surface, pairs, plan, step)
+    )
     _enough(stars)
     estimate = solve_spin(stars, unknowns, surface, pairs, steps=3)
     changes: list[float] = []
     for number in range(options.passes):
-        tell(f"pass {number + 1}: matching windows laid by the cameras found")
+        most = options.passes
+        stage = f"pass {number + 1} of at most {most}: matching"
+        step = steps_of(tell, stage)
         plan = SpinPlan(options.window, options.search_px)
-        match = partial(match_strips, frames, estimate.cameras, surface, pairs, plan)
+        match = partial(match_strips, frames, estimate.cameras, surface, pairs, plan, step)
         stars = kept_matches(stages, f"matches-{number + 1}", match)
         _enough(stars)
         refined = solve_spin(stars, replace(unknowns), surface, pairs, estimate.x)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from sightline.errors import InputError, computes
-from sightline.execution import one_blas_thread
+from sightline.execution import Progress, one_blas_thread, silent, steps_of
 from sightline.result import Result, makes_result, one_line
 from sightline.tdi.choose import FREE, LIMITS, TdiChoice, choose_settings, merit_of
 from sightline.tdi.hysteresis import SteadyChoice, steady_choice
@@ -214,12 +214,14 @@ class TdiResult(Result):
 @makes_result
 @one_blas_thread
 @computes("the choice of TDI stages")
-def choose_tdi(problem: TdiProblem) -> TdiResult:
+def choose_tdi(problem: TdiProblem, *, progress: Progress | None = None) -> TdiResult:
     """Choose the number of TDI stages and the integration ratio of every column and signal.
 
     Parameters
     ----------
     problem : TdiProblem
+    progress : callable, optional
+        Called with what is being done, how much of it is done, and how much it is.
 
     Returns
     -------
@@ -239,11 +241,17 @@ def choose_tdi(problem: TdiProblem) -> TdiResult:
     [64, 43, 21]
     """
     check_slip(problem.columns, problem.rules)
-    choice = choose_settings(problem.model, problem.signals, problem.grid, problem.detector, problem.rules)
+    tell = progress or silent
+    step = steps_of(tell, f"choosing among {len(problem.grid)} settings")
+    choice = choose_settings(
+        problem.model, problem.signals, problem.grid, problem.detector, problem.rules, step
+    )
+    tell("comparing with other ways to choose")
     ways = _other_ways(problem, choice)
     steady = None
     if problem.hysteresis > 0.0 or problem.largest_step is not None:
         steady = steady_choice(problem.model, choice, problem.hysteresis, largest_step=problem.largest_step)
+    tell("building the table")
     table, certificate = build_table(problem.model, choice, problem.max_loss)
     used = choice if steady is None else steady.choice
     loss = predict_loss(used, problem.model)

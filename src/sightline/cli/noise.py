@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
-from sightline.cli.terminal import Progress
+from sightline.execution import Progress
 
 if TYPE_CHECKING:
     from sightline.applications.detector_noise import DetectorNoise

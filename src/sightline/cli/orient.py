@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
-from sightline.cli.terminal import Progress
+from sightline.execution import Progress, Step, no_step, steps_of
 from sightline.geometry.units import ARCSEC
 
 if TYPE_CHECKING:
@@ -114,8 +114,8 @@ def estimate(
     stereo = read_stereo(file)
     announce(orientation_cost(stereo.problem))
     if stereo.pictures is not None:
-        report(f"finding points in {len(stereo.pictures.sources)} pictures")
-        stereo = with_points_found(stereo)
+        step = steps_of(report, f"finding points in {len(stereo.pictures.sources)} pictures")
+        stereo = with_points_found(stereo, step)
     problem = stereo.problem
     report(f"solving for {len(problem.cameras)} cameras in {len(problem.images)} images")
     if isinstance(problem, StripProblem):
@@ -129,7 +129,7 @@ def estimate(
     return stereo, result
 
 
-def with_points_found(stereo: Stereo) -> Stereo:
+def with_points_found(stereo: Stereo, step: Step = no_step) -> Stereo:
     """The same with points found in its pictures."""
     from dataclasses import replace
 
@@ -145,6 +145,7 @@ def with_points_found(stereo: Stereo) -> Stereo:
         image=pictures.image,
         surface=stereo.surface,
         floor_px=pictures.floor_px,
+        step=step,
     )
     stereo = replace(stereo, problem=found)
     set_source(found, stereo)

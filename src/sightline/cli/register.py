@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
-from sightline.cli.terminal import Progress
+from sightline.execution import Progress
 
 
 class PixelType(StrEnum):

@@ -22,7 +22,7 @@ from sightline.cli.options import (
     Overwrite,
 )
 from sightline.cli.output import output_folder
-from sightline.cli.terminal import Progress, announce, print_json, progress, say
+from sightline.cli.terminal import announce, print_json, progress, say
 from sightline.cli.usable import (
     least_points,
     refuse_useless_flight,
@@ -30,6 +30,7 @@ from sightline.cli.usable import (
     refuse_useless_scene,
     refuse_useless_strip,
 )
+from sightline.execution import Progress, steps_of
 
 if TYPE_CHECKING:
     from sightline.geometry.camera import PushbroomCamera
@@ -234,8 +235,10 @@ def _strip(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
 
     size = options.lines, options.columns
     refuse_useless_strip(cameras_of, Plane(0.0), size)
-    report("rendering the bands, and the truth")
-    return list(write_strip(line_of_sight_case(case, seed, **recipe.given), folder, **recipe.files))
+    step = steps_of(report, "rendering the bands, and the truth")
+    return list(
+        write_strip(line_of_sight_case(case, seed, **recipe.given), folder, **recipe.files, step=step)
+    )
 
 
 def _orbit(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
@@ -253,8 +256,8 @@ def _orbit(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
 
     size = options.lines, options.columns
     refuse_useless_strip(cameras_of, Ellipsoid(*WGS84, 0.0), size, options.pairs)
-    report("rendering the bands, and the truth")
-    return list(write_instrument(instrument_case(case, seed, **recipe.given), folder))
+    step = steps_of(report, "rendering the bands, and the truth")
+    return list(write_instrument(instrument_case(case, seed, **recipe.given), folder, step))
 
 
 def _photographs(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
@@ -262,8 +265,8 @@ def _photographs(recipe: SceneRecipe, folder: Path, report: Progress) -> list[st
     from sightline.simulate.files import write_frames
     from sightline.simulate.frames import frames_case
 
-    report("rendering the frames, and the truth")
-    written = write_frames(frames_case(recipe.seed, **recipe.given), folder, **recipe.files)
+    step = steps_of(report, "rendering the frames, and the truth")
+    written = write_frames(frames_case(recipe.seed, **recipe.given), folder, **recipe.files, step=step)
     refuse_useless_scene(folder / "acquisition.toml", "these options")
     return list(written)
 
@@ -286,9 +289,9 @@ def _pass(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
 
     if images:
         refuse_useless_pass(recipe.options)
-    report("drawing the pass, and the truth")
+    step = steps_of(report, "drawing the pass, and the truth")
     scenario = stereo_case(recipe.case, recipe.seed, **recipe.given)
-    names = list(write_stereo(scenario, folder, **recipe.files))
+    names = list(write_stereo(scenario, folder, **recipe.files, step=step))
     refuse_useless_scene(folder / "stereo.toml", "these options", fewest)
     return names
 
@@ -301,8 +304,7 @@ def _flight(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
     report("drawing the flight and the ground")
     refuse_useless_flight(recipe.options)
     scenario = sequence_case(recipe.case, recipe.seed, **recipe.given)
-    report(f"rendering {len(scenario.frames)} frames, and the truth")
-    names = list(write_sequence(scenario, folder, **recipe.files))
+    names = list(write_sequence(scenario, folder, **recipe.files, progress=report))
     if scenario.options.position_sigma > 0.0:  # else it is the user who will add control points
         refuse_useless_scene(folder / "sequence.toml", "these options")
     return names

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import typer
 
 from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
-from sightline.cli.terminal import Progress
+from sightline.execution import Progress
 
 
 def tdi(
@@ -90,9 +90,8 @@ def choose_into(
         with naming(signals):
             check_columns(image, problem.columns)
     announce(tdi_cost(problem))
-    report(f"choosing among {len(problem.grid)} settings")
     with naming(file):
-        chosen = choose_tdi(problem)
+        chosen = choose_tdi(problem, progress=report)
     return Choice().render(chosen, folder, report, begun, pictures=pictures, signals=signals)
 
 

@@ -12,24 +12,19 @@ import time
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from sightline.errors import UnobservableBandWarning, printable, shortened
-from sightline.execution import time_words
+from sightline.execution import Progress, time_words
 
 if TYPE_CHECKING:
     from sightline.applications.expected_cost import Cost
 
 
-class Progress(Protocol):
-    """Shows what is being done."""
-
-    def __call__(self, stage: str, done: int = 0, total: int | None = None) -> None:
-        """Say a stage; where `total` is known, with a bar and the time left."""
-
-
 #: s between lines of a stage under way, and that a stage took at least of which a line is left, in a log.
 _EVERY, _WORTH_A_LINE = 30.0, 1.0
+#: Columns of a bar, of all that stands beside the words of a stage, and of these words at least.
+_BAR, _BESIDE_WORDS, _LEAST_WORDS = 16, 48, 12
 #: Characters of a word of a message: numbers and names that a file holds have no end.
 _LONGEST_WORD = 1000
 
@@ -92,9 +87,9 @@ def _progress_line(text: str) -> None:
 def progress() -> Iterator[Progress]:
     """Function ``report(stage, done, total)`` that shows on stderr what is being done.
 
-    On a terminal each finished stage leaves a line with the time it took; where a total is given, a bar and
-    the time left show meanwhile. Elsewhere, as in a log, plain lines say the same: one for each finished
-    stage of a second or more, and one every 30 s of a stage under way.
+    On a terminal each finished stage leaves a line with the time it took; where a total is given, a bar, the
+    share and the time left show meanwhile. Elsewhere, as in a log, plain lines say the same: one for each
+    finished stage of a second or more, and one every 30 s of a stage under way.
     """
     if not sys.stderr.isatty():
         log, finished = _Log(), False
@@ -115,12 +110,19 @@ def progress() -> Iterator[Progress]:
         TimeRemainingColumn,
     )
     from rich.progress import Progress as Bars
+    from rich.table import Column
     from rich.text import Text
 
     class Bar(BarColumn):
         """Only while a total is known."""
 
         def render(self, task: Task) -> Any:
+            return super().render(task) if task.total and not task.finished else Text("")
+
+    class Share(TextColumn):
+        """Only while a total is known."""
+
+        def render(self, task: Task) -> Text:
             return super().render(task) if task.total and not task.finished else Text("")
 
     class Left(TimeRemainingColumn):
@@ -131,9 +133,17 @@ def progress() -> Iterator[Progress]:
                 return Text("")
             return super().render(task).append(" left")
 
-    words = TextColumn("{task.description}", markup=False)
+    console = Console(stderr=True)
+    words = TextColumn(
+        "{task.description}",
+        markup=False,
+        table_column=Column(
+            no_wrap=True, overflow="ellipsis", max_width=max(console.width - _BESIDE_WORDS, _LEAST_WORDS)
+        ),
+    )
     done_so_far = SpinnerColumn(finished_text="✓"), words, TimeElapsedColumn()
-    with Bars(*done_so_far, Bar(), Left(), console=Console(stderr=True), speed_estimate_period=120.0) as bars:
+    under_way = Bar(bar_width=_BAR), Share("{task.percentage:>3.0f} %"), Left()
+    with Bars(*done_so_far, *under_way, console=console, speed_estimate_period=120.0) as bars:
         running: dict[str, TaskID] = {}
 
         def finish() -> None:

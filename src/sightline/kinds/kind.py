@@ -23,6 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sightline.access import check_file, read_bytes, read_json
 from sightline.errors import FormatError, InputError, SightlineError, foreign_errors
+from sightline.execution import Progress
 from sightline.inputs import note
 from sightline.io.formats.json_text import plain
 from sightline.output.folder import output_folder
@@ -35,7 +36,7 @@ Columns = Mapping[str, ArrayLike]
 #: Of a model for COLMAP beside poses.
 MODEL_FILES = ("colmap/cameras.txt", "colmap/images.txt", "colmap/points3D.txt", "colmap/origin.csv")
 #: Called with what is being done, in words; the progress of a command is one.
-Tell = Callable[..., None]
+Tell = Progress
 
 #: Bytes of a file up to which an opened result holds it, and of all its files together.
 HELD, HELD_IN_ALL = 32 << 20, 256 << 20

@@ -12,6 +12,7 @@ import numpy as np
 
 from sightline.applications.registration import Registration, fit_every_pair
 from sightline.errors import foreign_errors
+from sightline.execution import part_of, steps_of
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.images import open_image
 from sightline.io.results.line_of_sight import peak_memory, write_json
@@ -90,9 +91,9 @@ class Registered(ResultKind):
         search = tuple(acquired.matching.get("search_px", (8, 8)))
         search_px = (int(search[0]), int(search[1]))
         with write_products(folder, result, acquired, pixels=pixels, stack=stack, tell=tell) as written:
-            tell("matching all pairs of bands, as they were and as they are now")
-            before = fit_every_pair(written.before, search_px=search_px)
-            after = fit_every_pair(written.after, search_px=search_px)
+            step = steps_of(tell, "matching all pairs of bands, as they were and as they are now")
+            before = fit_every_pair(written.before, search_px=search_px, step=part_of(step, 0, 2))
+            after = fit_every_pair(written.after, search_px=search_px, step=part_of(step, 1, 2))
             summary = summarize_registration(acquired, result, _recovered(result), written, before, after)
             summary["wall_seconds"] = time.perf_counter() - begun
             tell("writing the report")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.execution import in_threads
+from sightline.execution import Step, in_threads, no_step
 from sightline.imaging.resample import kernel_table
 from sightline.imaging.source import ImageSource
 from sightline.matching import kernels, matches
@@ -46,6 +46,7 @@ def match_images(
     min_score: float = 0.2,
     max_sigma_px: float = 0.5,
     threads: int | None = None,
+    step: Step = no_step,
 ) -> Matches:
     """Points of image a found in image b to a few thousandths of a pixel, with a covariance that is true.
 
@@ -79,6 +80,8 @@ def match_images(
         A match whose larger principal sigma exceeds this says nothing: it is refused as textureless.
     threads : int, optional
         Threads to use, all cores by default. The result does not depend on it.
+    step : callable
+        Called with the number of blocks of windows that are matched, and of all.
 
     Returns
     -------
@@ -159,7 +162,7 @@ def match_images(
             _BLOCK_PIXELS if part else _BLOCK_PIXELS // 20,
         )
     ]  # fmt: skip
-    in_threads(work, jobs, threads)
+    in_threads(work, jobs, threads, step)
     lowest = max(min_score, 4.0 / np.sqrt(window[0] * window[1]))
     return _assemble(points_a, predicted_b, fits, turns, status, lowest, max_sigma_px)
 

@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError
+from sightline.execution import Step, no_step, stepped
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.surface import Surface
 from sightline.imaging.reduce import ReducedImage, reduced_pixels, whole_pixels
@@ -112,6 +113,7 @@ def match_frames(
     cameras: Sequence[FrameCamera],
     surface: Surface,
     plan: TrackPlan | None = None,
+    step: Step = no_step,
 ) -> Tracks:
     """Points of a block of frames in every frame that sees them.
 
@@ -124,6 +126,8 @@ def match_frames(
     surface : Surface
         The ground, roughly: a plane, an ellipsoid, a DEM.
     plan : TrackPlan, optional
+    step : callable
+        Called with the number of frames whose windows were sought in the others, and of all such frames.
 
     Returns
     -------
@@ -145,7 +149,7 @@ def match_frames(
     hubs = choose_hubs(partners) if plan.hubs is None else plan.hubs
     found = [
         track
-        for hub in hubs
+        for hub in stepped(list(hubs), step)
         for track in [_match_hub(sources, cameras, surface, hub, np.flatnonzero(partners[hub]), plan)]
         if track is not None
     ]

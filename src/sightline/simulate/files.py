@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.execution import Step, no_step, part_of, stepped
 from sightline.simulate.frames import FrameScenario
 from sightline.simulate.scenarios import StripScenario
 from sightline.simulate.scene import Relief
@@ -32,6 +33,7 @@ def write_strip(
     star_tracker: bool = False,
     gyro: bool = False,
     control_points: int = 0,
+    step: Step = no_step,
 ) -> dict[str, Path]:
     """Render `scenario` into `folder`.
 
@@ -47,6 +49,8 @@ def write_strip(
         Also write and name the attitude tables.
     control_points : int
         Also write and name so many ground control points, known to a metre.
+    step : callable
+        Called with the number of lines that are rendered, and of all.
 
     Returns
     -------
@@ -57,7 +61,8 @@ def write_strip(
     written: list[Path] = []
     for index, band in enumerate(scenario.bands):
         path = folder / f"{band.name}.tif"
-        write_image(path, (options.lines, options.columns), scenario.chunks(index))
+        lines = part_of(step, index, len(scenario.bands))
+        write_image(path, (options.lines, options.columns), scenario.chunks(index), lines)
         written.append(path)
     relief = scenario.scene.relief
     if relief is not None and dem:
@@ -138,8 +143,13 @@ def _surface_lines(relief: Relief | None, dem: bool) -> list[str]:
     return [f"height = {mean:.3f}", f"height_sigma = {sigma:.3f}"]
 
 
-def write_image(path: Path, shape: tuple[int, int], chunks: Iterator[tuple[int, NDArray[np.uint16]]]) -> Path:
-    """A single-band 16-bit TIFF without georeferencing, written chunk by chunk."""
+def write_image(
+    path: Path,
+    shape: tuple[int, int],
+    chunks: Iterator[tuple[int, NDArray[np.uint16]]],
+    step: Step = no_step,
+) -> Path:
+    """A single-band 16-bit TIFF without georeferencing, written chunk by chunk, its lines counted."""
     import rasterio
     from rasterio.errors import NotGeoreferencedWarning
     from rasterio.windows import Window
@@ -151,6 +161,7 @@ def write_image(path: Path, shape: tuple[int, int], chunks: Iterator[tuple[int, 
         with whole_raster(path) as draft, rasterio.open(draft, "w", **profile) as target:
             for first, block in chunks:
                 target.write(block, 1, window=Window(0, first, shape[1], block.shape[0]))
+                step(first + block.shape[0], shape[0])
     return path
 
 
@@ -219,7 +230,9 @@ def _write_band_truth(path: Path, scenario: StripScenario) -> Path:
     return path
 
 
-def write_frames(scenario: FrameScenario, folder: Path, *, estimate_camera: bool = False) -> dict[str, Path]:
+def write_frames(
+    scenario: FrameScenario, folder: Path, *, estimate_camera: bool = False, step: Step = no_step
+) -> dict[str, Path]:
     """Render a sequence of frames into `folder`: images, ``acquisition.toml``, ``truth.csv``, DEM if any.
 
     Parameters
@@ -229,6 +242,8 @@ def write_frames(scenario: FrameScenario, folder: Path, *, estimate_camera: bool
         Exists; files of the same names are replaced.
     estimate_camera : bool
         Write the focal length 1 % off, with the distortion and itself left to be estimated.
+    step : callable
+        Called with the number of frames that are rendered, and of all.
 
     Returns
     -------
@@ -237,7 +252,7 @@ def write_frames(scenario: FrameScenario, folder: Path, *, estimate_camera: bool
     """
     written: list[Path] = []
     names = [f"frame-{index:03d}.tif" for index in range(scenario.options.frames)]
-    for index, name in enumerate(names):
+    for index, name in enumerate(stepped(names, step)):
         written.append(write_image(folder / name, scenario.options.shape, scenario.chunks(index)))
     if scenario.scene.relief is not None:
         relief = scenario.scene.relief

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sightline.execution import Step, no_step, part_of
 from sightline.geometry.rotations import to_quat_xyzw
 from sightline.simulate.files import write_image, write_numbers
 from sightline.simulate.instruments import (
@@ -25,7 +26,7 @@ _POSITION_STEP, _ATTITUDE_STEP = 0.5, 0.25
 """s between rows of the tables a user gets; cubics between them are good to a micrometre and a picoradian."""
 
 
-def write_instrument(scenario: InstrumentScenario, folder: Path) -> dict[str, Path]:
+def write_instrument(scenario: InstrumentScenario, folder: Path, step: Step = no_step) -> dict[str, Path]:
     """Render `scenario` into `folder`.
 
     Parameters
@@ -33,6 +34,8 @@ def write_instrument(scenario: InstrumentScenario, folder: Path) -> dict[str, Pa
     scenario : InstrumentScenario
     folder : Path
         Exists; files of the same names are replaced.
+    step : callable
+        Called with the number of lines that are rendered, and of all.
 
     Returns
     -------
@@ -43,7 +46,8 @@ def write_instrument(scenario: InstrumentScenario, folder: Path) -> dict[str, Pa
     written = []
     for index, camera in enumerate(scenario.cameras):
         path = folder / f"{scenario.bands[index].options.name}.tif"
-        written.append(write_image(path, camera.shape, scenario.chunks(index)))
+        lines = part_of(step, index, len(scenario.cameras))
+        written.append(write_image(path, camera.shape, scenario.chunks(index), lines))
     t = table_times(options, _POSITION_STEP)
     position, _ = scenario.orbit.earth_fixed(t)
     written.append(write_numbers(folder / "positions.csv", "t,x,y,z", np.column_stack([t, position])))

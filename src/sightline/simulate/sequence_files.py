@@ -27,6 +27,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.execution import Progress, Step, silent, stepped, steps_of
 from sightline.geometry.rotations import to_quat_xyzw
 from sightline.simulate.files import write_dem, write_rows
 from sightline.simulate.sequence import EPOCH, SequenceScenario
@@ -47,6 +48,7 @@ def write_sequence(
     image_format: str = "tif",
     dem: bool = False,
     truth_bands: int = 5,
+    progress: Progress = silent,
 ) -> dict[str, Path]:
     """Render `scenario` into `folder`, frame by frame.
 
@@ -61,13 +63,16 @@ def write_sequence(
         Tell the relief; otherwise its mean and how far the heights scatter about it.
     truth_bands : int
         Bands of ``truth-bands.tif``; 0: it is not written.
+    progress : callable
+        Called with a stage, how much of it is done, and how much it is.
 
     Returns
     -------
     dict of str to Path
         What was written, by file name; the frames as their folder.
     """
-    written = [_write_frames(scenario, folder / "frames", image_format)]
+    step = steps_of(progress, f"rendering {len(scenario.frames)} frames")
+    written = [_write_frames(scenario, folder / "frames", image_format, step)]
     images = [f"frames/{_frame_name(frame, image_format)}" for frame in scenario.frames]
     t = scenario.poses[0][list(scenario.frames)].tolist()
     rows = zip(scenario.frames, t, images, strict=True)
@@ -79,7 +84,8 @@ def write_sequence(
         )
     written += _write_truth(scenario, folder)
     if truth_bands:
-        written.append(_write_truth_bands(scenario, folder / "truth-bands.tif", truth_bands))
+        step = steps_of(progress, "rendering the truth of some bands")
+        written.append(_write_truth_bands(scenario, folder / "truth-bands.tif", truth_bands, step))
     toml = folder / "sequence.toml"
     toml.write_text(sequence_toml(scenario, dem=dem))
     return {path.name: path for path in [toml, *written]}
@@ -147,9 +153,9 @@ def _frame_name(frame: int, image_format: str) -> str:
     return f"frame-{frame:05d}.{image_format}"
 
 
-def _write_frames(scenario: SequenceScenario, folder: Path, image_format: str) -> Path:
+def _write_frames(scenario: SequenceScenario, folder: Path, image_format: str, step: Step) -> Path:
     folder.mkdir(exist_ok=True)
-    for frame in scenario.frames:
+    for frame in stepped(scenario.frames, step):
         path = folder / _frame_name(frame, image_format)
         _write_image(path, scenario.image(frame))
         if frame in scenario.options.unreadable:
@@ -258,7 +264,7 @@ def truth_wavelengths(scenario: SequenceScenario, count: int) -> Array:
     return there[np.unique(np.linspace(0, len(there) - 1, min(count, len(there))).round().astype(int))]
 
 
-def _write_truth_bands(scenario: SequenceScenario, path: Path, count: int) -> Path:
+def _write_truth_bands(scenario: SequenceScenario, path: Path, count: int, step: Step) -> Path:
     """True numbers of a few bands over all that is seen, a ground pixel apart, block by block."""
     import rasterio
     from rasterio.transform import Affine
@@ -282,7 +288,7 @@ def _write_truth_bands(scenario: SequenceScenario, path: Path, count: int) -> Pa
         for band, nm in enumerate(wavelengths, start=1):
             target.set_band_description(band, "all light" if np.isnan(nm) else f"{nm:.3f} nm")
             target.update_tags(band, wavelength_nm="" if np.isnan(nm) else f"{nm:.3f}")
-        for first in range(0, rows, _BLOCK_ROWS):
+        for first in stepped(range(0, rows, _BLOCK_ROWS), step):
             y = seen.north - gsd * (np.arange(first, min(first + _BLOCK_ROWS, rows)) + 0.5)
             east, north = np.meshgrid(x, y)
             block = scenario.band_signal(east, north, wavelengths)

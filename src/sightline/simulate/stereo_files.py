@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from sightline.errors import InputError
+from sightline.execution import Step, no_step
 from sightline.geometry.surface import Dem
 from sightline.photogrammetry.block.point_priors import ControlPoints
 from sightline.photogrammetry.sightings import Images
@@ -31,6 +32,7 @@ def write_stereo(
     control_points: int = 0,
     control_sigma: float = 1.0,
     images: bool = False,
+    step: Step = no_step,
 ) -> dict[str, Path]:
     """Write `scenario` into `folder`.
 
@@ -45,6 +47,8 @@ def write_stereo(
         m, how well they are known.
     images : bool
         Render the frames and write these in place of points.
+    step : callable
+        Called with the number of frames that are rendered, and of all.
 
     Returns
     -------
@@ -54,7 +58,7 @@ def write_stereo(
     if images and control_points:
         raise InputError("control points name points, which are not written with images; leave them out")
     written = [_write_cameras(folder / "cameras.csv", scenario, scenario.images)]
-    written += _write_frames(folder, scenario) if images else [_write_points(folder, scenario)]
+    written += _write_frames(folder, scenario, step) if images else [_write_points(folder, scenario)]
     if scenario.height_prior is not None and isinstance(scenario.surface, Dem):
         dem = scenario.surface
         written.append(write_dem(folder / "dem.tif", dem.heights, dem.transform, "EPSG:4326"))
@@ -140,7 +144,7 @@ def _write_points(folder: Path, scenario: StereoScenario) -> Path:
     return write_rows(folder / "matches.csv", "shot,point,line_1,column_1,line_2,column_2", rows)
 
 
-def _write_frames(folder: Path, scenario: StereoScenario) -> list[Path]:
+def _write_frames(folder: Path, scenario: StereoScenario, step: Step) -> list[Path]:
     """``images.csv`` and the frames it names."""
     level = scenario.pair.aim_point, scenario.pair.world_from_local
     return list(
@@ -153,6 +157,7 @@ def _write_frames(folder: Path, scenario: StereoScenario) -> list[Path]:
             (scenario.surface, *level),
             Sensor(),
             scenario.seed,
+            step,
         ).values()
     )
 

@@ -19,6 +19,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import GeometryError, InputError
+from sightline.execution import Step, no_step
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.surface import Surface
@@ -199,6 +200,7 @@ def write_stereo_images(
     ground: tuple[Surface, Array, Rotation],
     sensor: Sensor,
     seed: int,
+    step: Step = no_step,
 ) -> dict[str, Path]:
     """Render the frames of a block into `folder`, with ``images.csv`` (camera, shot, image).
 
@@ -216,6 +218,8 @@ def write_stereo_images(
         Surface; origin and attitude (world_from_local) of the level axes that the texture is laid out in.
     sensor : Sensor
     seed : int
+    step : callable
+        Called with the number of frames that are rendered, and of all.
 
     Returns
     -------
@@ -230,6 +234,7 @@ def write_stereo_images(
         name = f"camera-{camera}-shot-{shot:03d}.tif"
         written[name] = write_image(folder / name, pixels.shape, iter([(0, pixels)]))
         rows.append(f"{camera},{shot},{name}")
+        step(row + 1, len(frames))
     table = folder / "images.csv"
     table.write_text("\n".join(rows) + "\n", encoding="utf-8")
     return {table.name: table, **written}

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.execution import Step, no_step, stepped
 from sightline.tdi.kernels import best_settings
 from sightline.tdi.merit import (
     ColumnFactors,
@@ -90,7 +91,12 @@ class TdiChoice:
 
 
 def choose_settings(
-    model: ColumnMtf, signals: Array, grid: TdiGrid, detector: TdiDetector, rules: ChoiceRules
+    model: ColumnMtf,
+    signals: Array,
+    grid: TdiGrid,
+    detector: TdiDetector,
+    rules: ChoiceRules,
+    step: Step = no_step,
 ) -> TdiChoice:
     """The best setting of every column and signal.
 
@@ -103,6 +109,8 @@ def choose_settings(
     grid : TdiGrid
     detector : TdiDetector
     rules : ChoiceRules
+    step : callable
+        Called with the number of blocks of columns that are done, and of all.
 
     Returns
     -------
@@ -120,7 +128,7 @@ def choose_settings(
     mtf, snr = np.empty((*shape, 2)), np.empty(shape)
     by_signal = signal_factors(signals, grid, detector, rules)
     fullness = _fullness(signals, grid, detector)
-    for begin in range(0, len(columns), CHUNK):
+    for begin in stepped(range(0, len(columns), CHUNK), step):
         part = slice(begin, min(begin + CHUNK, len(columns)))
         by_column = column_factors(model, part, grid, rules)
         chosen, why = _best(by_column, by_signal, fullness)

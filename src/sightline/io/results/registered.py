@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import shutil
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sightline.applications.registration import Registration
 from sightline.errors import printable
-from sightline.execution import available_processors
+from sightline.execution import Progress, Step, available_processors, silent, steps_of
 from sightline.imaging.rasters import open_raster, raster_errors
 from sightline.imaging.source import ImageSource
 from sightline.io.acquisition.acquired import Acquisition
@@ -107,7 +107,7 @@ def write_products(
     *,
     pixels: str | None = None,
     stack: bool = False,
-    tell: Callable[[str], None] = lambda text: None,
+    tell: Progress = silent,
 ) -> Iterator[Written]:
     """Write the registered bands; what they were before lies beside them until the block ends.
 
@@ -128,28 +128,35 @@ def write_products(
     parts = [list(every)] if stack else [[k] for k in every]
     files = ["registered.tif"] if stack else [f"{stem}.tif" for stem in file_stems(names)]
     dtypes = [pixel_type(acquisition, part, pixels) for part in parts]
-    tell("resampling the bands")
+    step = steps_of(tell, "resampling the bands")
     valid = write_registered(
         [folder / file for file in files],
         [[names[k] for k in part] for part in parts],
-        line_blocks(registration.after),
+        counted_lines(registration.after, step),
         grid_of(acquisition, registration.reference),
         dtypes,
     )
     places = [(part.index(k) + 1, file) for part, file in zip(parts, files, strict=True) for k in part]
     after = tuple(open_image(folder / file, number) for number, file in places)
-    tell("resampling them by the nominal cameras, to compare")
+    step = steps_of(tell, "resampling them by the nominal cameras, to compare")
     draft = folder / ".before"
     draft.mkdir()
     try:
-        before = _stored(draft, registration)
+        before = _stored(draft, registration, step)
         types = tuple(dtypes[n].name for n, part in enumerate(parts) for _ in part)
         yield Written(tuple(files), before, after, tuple(valid), types)
     finally:
         shutil.rmtree(draft, ignore_errors=True)
 
 
-def _stored(folder: Path, registration: Registration) -> tuple[ImageSource, ...]:
+def counted_lines(sources: Sequence[ImageSource], step: Step) -> Iterator[tuple[int, list[Pixels]]]:
+    """`line_blocks` of some images, lines counted as they are done with."""
+    for first, pixels in line_blocks(sources):
+        yield first, pixels
+        step(first + len(pixels[0]), sources[0].shape[0])
+
+
+def _stored(folder: Path, registration: Registration, step: Step) -> tuple[ImageSource, ...]:
     """The bands by the nominal cameras as files, so that nothing is resampled twice; the reference itself."""
     moved = [k for k in range(len(registration.before)) if k != registration.reference]
     with naming_file(folder), ExitStack() as stack:
@@ -158,7 +165,7 @@ def _stored(folder: Path, registration: Registration) -> tuple[ImageSource, ...]
         for k, table in tables.items():
             header = {"descr": "<f4", "fortran_order": False, "shape": registration.before[k].shape}
             np.lib.format.write_array_header_1_0(table, header)
-        for _, pixels in line_blocks([registration.before[k] for k in moved]):
+        for _, pixels in counted_lines([registration.before[k] for k in moved], step):
             for k, block in zip(moved, pixels, strict=True):
                 tables[k].write(np.ascontiguousarray(block, dtype="<f4").data)
     return tuple(

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from sightline.evaluation.direction_words import AXES
-from sightline.evaluation.score_orientation import ARCSEC
 from sightline.evaluation.score_poses import PARAMETERS
+from sightline.geometry.units import ARCSEC
 
 #: Columns of a table: head, key of an entry, form.
 _COLUMNS = (
@@ -88,7 +88,7 @@ def orientation_score_lines(score: dict[str, Any]) -> list[str]:
                 cells = [f"{entry['error_arcsec']:.3g}", f"{sigma:.3g}", f"{entry['error_over_sigma']:.2f}"]
             lines.append(_line(name, axis, cells) + '  "')
             name = ""
-    lines.append(f"rms {score['rms_arcsec']:.3g}\", max {score['max_arcsec']:.3g}\"")
+    lines.append(f'rms {score["rms_arcsec"]:.3g}", max {score["max_arcsec"]:.3g}"')
     together = "with the covariance" if score["nees"] is not None else "each angle by itself"
     nees = score["nees"] if score["nees"] is not None else score["nees_independent"]
     lines.append(

@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.execution import Step, no_step, stepped
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ArrayImage, ImageSource
@@ -151,9 +152,13 @@ def kept_matches(stages: Stages, name: str, match: Callable[[], Sequence[FrameSt
 
 
 def match_neighbours(
-    images: Sequence[ImageSource], cameras: Sequence[FrameCamera], surface: Surface, plan: FramePlan
+    images: Sequence[ImageSource],
+    cameras: Sequence[FrameCamera],
+    surface: Surface,
+    plan: FramePlan,
+    step: Step = no_step,
 ) -> list[FrameStar]:
-    """Match every frame with its neighbours at the plan's lags.
+    """Match every frame with its neighbours at the plan's lags, counting frames by `step`.
 
     Returns
     -------
@@ -163,7 +168,7 @@ def match_neighbours(
     grid = window_grid(images[0].shape, plan.window, plan.step, columns_step=plan.step)
     whitenings: dict[int, Whitening | None] = {}
     out = []
-    for hub in range(len(images) - 1):
+    for hub in stepped(range(len(images) - 1), step):
         partners = tuple(hub + lag for lag in plan.lags if hub + lag < len(images))
         star = match_hub(images, cameras, surface, hub, partners, grid, plan, whitenings)
         if star is not None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
 from sightline.estimation.robust import robust_sigma
+from sightline.execution import Step
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource, MaskedImage
@@ -204,7 +205,7 @@ def _coarse_star(shift: CoarseShift, shape: tuple[int, int]) -> FrameStar:
     )
 
 
-def first_pass(sequence: FramePasses, x: Array, stages: Stages) -> PassState:
+def first_pass(sequence: FramePasses, x: Array, stages: Stages, step: Step) -> PassState:
     """Neighbours matched with large windows and a wide search."""
     options, unknowns = sequence.options, sequence.unknowns(None)
     plan = FramePlan(
@@ -213,7 +214,7 @@ def first_pass(sequence: FramePasses, x: Array, stages: Stages) -> PassState:
     stars = kept_matches(
         stages,
         "matches-0",
-        lambda: match_neighbours(sequence.images, unknowns.cameras(x), sequence.surface, plan),
+        lambda: match_neighbours(sequence.images, unknowns.cameras(x), sequence.surface, plan, step),
     )
     kept = sum(int(star.present.sum()) for star in stars)
     if kept < 20:
@@ -230,14 +231,14 @@ def first_pass(sequence: FramePasses, x: Array, stages: Stages) -> PassState:
     return PassState(estimate, tuple(stars))
 
 
-def next_pass(sequence: FramePasses, before: PassState, number: int, stages: Stages) -> PassState:
+def next_pass(sequence: FramePasses, before: PassState, number: int, stages: Stages, step: Step) -> PassState:
     """Match again at all lags with the cameras found; solve, weigh, learn the errors."""
     options = sequence.options
     plan = FramePlan(options.window, sequence.step(options.window), options.search_px, options.lags)
     stars = kept_matches(
         stages,
         f"matches-{number + 1}",
-        lambda: match_neighbours(sequence.images, before.estimate.cameras, sequence.surface, plan),
+        lambda: match_neighbours(sequence.images, before.estimate.cameras, sequence.surface, plan, step),
     )
     fields = _ground_fields(sequence, before.estimate, plan)
     if number == 0:

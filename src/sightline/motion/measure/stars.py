@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
-from sightline.execution import in_threads
+from sightline.execution import Step, in_threads, no_step
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Dem, Surface
 from sightline.imaging.source import ImageSource
@@ -223,8 +223,11 @@ def match_star(
     statics: Sequence[StaticParameter],
     plan: MatchingPlan,
     before: StarRecord | None = None,
+    step: Step = no_step,
 ) -> StarRecord:
     """Match one hub's windows in all its partners and write down what they say.
+
+    `step` is called with the number of windows that are done, and of all.
 
     Windows that `before`, the same star of an earlier pass, found to be wrong are not tried again: clouds
     among them would spoil the whitening and the pooled errors of the good ones.
@@ -256,6 +259,10 @@ def match_star(
     values = np.stack(in_threads(sensitivity, range(k)), axis=1)
     # one pair after the other: its blocks are matched on threads, and only so many are held at a time
     for j, partner in enumerate(partners):
+
+        def blocks(done: int, total: int, j: int = j) -> None:
+            step(j * g + done * g // total, k * g)
+
         points = np.where((seen[j] & ~wrong[:, j] & chosen)[:, None], grid.centres, np.nan)
         matches = match_images(
             images[hub],
@@ -265,6 +272,7 @@ def match_star(
             window=grid.window,
             search_px=plan.search_px,
             whitening=whitenings[j],
+            step=blocks,
         )
         good = matches.kept & np.isfinite(values[:, j]).all(axis=(1, 2)) & seen[j]
         turn = predicted[j].affine[good]

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.execution import Step, no_step, stepped
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.surface import Infinity, Surface
 from sightline.imaging.source import ArrayImage, ImageSource
@@ -126,6 +127,7 @@ def match_strips(
     surface: Surface,
     pairs: Sequence[StripPair],
     plan: SpinPlan,
+    step: Step = no_step,
 ) -> list[FrameStar]:
     """Match every pair of strips at every exposure.
 
@@ -138,6 +140,8 @@ def match_strips(
     surface : Surface
     pairs : sequence of StripPair
     plan : SpinPlan
+    step : callable
+        Called with the number of pairs of images that are done, and of all.
 
     Returns
     -------
@@ -148,13 +152,13 @@ def match_strips(
     place = image_places(frames)
     exposures = sorted({frame.exposure for frame in frames})
     out = []
-    for pair in pairs:
-        for k in range(len(exposures) - pair.lag):
-            hub = place[exposures[k], pair.hub]
-            partner = place[exposures[k + pair.lag], pair.partner]
-            star = _match_pair(images, cameras, surface, hub, partner, pair, plan)
-            if star is not None and star.present.any():
-                out.append(star)
+    jobs = [(pair, k) for pair in pairs for k in range(len(exposures) - pair.lag)]
+    for pair, k in stepped(jobs, step):
+        hub = place[exposures[k], pair.hub]
+        partner = place[exposures[k + pair.lag], pair.partner]
+        star = _match_pair(images, cameras, surface, hub, partner, pair, plan)
+        if star is not None and star.present.any():
+            out.append(star)
     return sorted(out, key=lambda star: (star.hub, star.images))
 
 

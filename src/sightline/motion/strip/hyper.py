@@ -20,7 +20,7 @@ from sightline.estimation.likelihood import WORK, FittedSpectrum, fit_spectrum
 from sightline.estimation.prior import Autoregressive, Matern, Spectrum
 from sightline.estimation.series import DifferenceSeries
 from sightline.estimation.split import SplitPrior, coarse_ratio, split
-from sightline.execution import in_threads
+from sightline.execution import Step, in_threads, no_step
 from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.measure.observations import Star
 from sightline.motion.strip.joint import JointEstimate
@@ -299,6 +299,7 @@ def fit_prior_model(
     grown_by: tuple[float, float, float] = (1.0, 1.0, 1.0),
     work: float = WORK,
     known_tones: Sequence[float] = (),
+    step: Step = no_step,
 ) -> PriorModel:
     """Spectra of the three axes by marginal likelihood, tones found blind.
 
@@ -319,6 +320,9 @@ def fit_prior_model(
         Allowed per evaluation of the likelihood, see `estimation.likelihood.WORK`.
     known_tones : sequence of float
         Hz; see `estimation.likelihood.fit_spectrum`.
+    step : callable
+        Called with the number of fits that are done, and of all: two of each axis, by itself and with what
+        the others show.
     """
     differences = angle_differences(stars, post_px, estimate)
     if not differences:
@@ -347,7 +351,7 @@ def fit_prior_model(
             corner=corner,
         )
 
-    first = in_threads(fitted, range(3))
+    first = in_threads(fitted, range(3), step=lambda done, _: step(done, 6))
     length = max(float(d.t.max()) for d in differences) - min(float(d.t.min()) for d in differences)
     spectra = [one.spectrum for one in first]
     missing = [_tones_elsewhere(spectra, axis, SAME_TONE / length) for axis in range(3)]
@@ -358,7 +362,7 @@ def fit_prior_model(
             return first[axis]
         return fitted(axis, spectra[axis], missing[axis], corners[axis])
 
-    roll, pitch, yaw = in_threads(shared, range(3))
+    roll, pitch, yaw = in_threads(shared, range(3), step=lambda done, _: step(3 + done, 6))
     own = _own_share(differences)
     scales = [
         one.noise_scale * max(grown, 1.0) if share > OWN else 1.0

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sightline.errors import EstimationError, InputError
+from sightline.execution import Step, no_step
 from sightline.geometry.surface import Surface, level_surface
 from sightline.imaging.source import ImageSource
 from sightline.photogrammetry.frame_cameras import frame_cameras
@@ -31,6 +32,7 @@ def match_problem(
     surface: Surface | None = None,
     floor_px: float = 0.0,
     plan: TrackPlan | None = None,
+    step: Step = no_step,
 ) -> StereoProblem:
     """The same problem with points found in its images in place of its tracks.
 
@@ -51,6 +53,8 @@ def match_problem(
     plan : TrackPlan, optional
         In place of `floor_px` and of heights within three sigmas of a surface whose sigma the problem knows,
         or else within 1 km.
+    step : callable
+        As of `match_frames`.
 
     Returns
     -------
@@ -86,7 +90,7 @@ def match_problem(
         plan = TrackPlan(height_range=reach, floor_px=floor_px)
     cameras = frame_cameras(problem.images, problem.detectors, problem.mounts)
     try:
-        found = match_frames(sources, [cameras[row] for row in rows], surface, plan)
+        found = match_frames(sources, [cameras[row] for row in rows], surface, plan, step)
     except EstimationError:
         raise EstimationError(_nothing_found(len(sources), plan)) from None
     tracks = Tracks(rows[found.image], found.point, found.pixels, found.sigma_px)
