@@ -227,6 +227,30 @@ def test_json_has_no_numbers_that_json_does_not_know(capsys):
     }
 
 
+def test_the_help_of_every_command_ends_with_examples_that_can_be_typed(capsys):
+    from typer.main import get_command
+
+    from sightline.cli.options import EXAMPLES
+
+    def commands(group, *before):
+        for name, one in group.commands.items():
+            if hasattr(one, "commands"):
+                yield from commands(one, *before, name)
+            else:
+                yield " ".join([*before, name]), one
+
+    every = dict(commands(get_command(command.app)))
+    assert every.keys() == EXAMPLES.keys()
+    for name, lines in EXAMPLES.items():
+        assert command.run([*name.split(), "--help"]) == 0
+        shown = [line.strip() for line in capsys.readouterr().out.splitlines() if line.strip()]
+        assert shown[-1 - len(lines) :] == ["Examples:", *(f"sightline {line}" for line in lines)]
+        for line in lines:
+            words = line.split()
+            assert " ".join(words[: len(name.split())]) == name
+            every[name].make_context(name, words[len(name.split()) :])  # its arguments and options exist
+
+
 def test_stages_of_no_time_leave_no_lines_in_a_log(capsys):
     with progress() as report:
         report("matching")

@@ -35,6 +35,7 @@ from sightline.cli import (
     tdi,
     version,
 )
+from sightline.cli.options import examples
 from sightline.cli.terminal import complain, warnings_as_messages
 from sightline.errors import EstimationError, GeometryError, InputError, SightlineError
 from sightline.execution import BLAS_THREADS
@@ -79,19 +80,19 @@ def options(
     """Options of every command; ``main`` reads ``--debug`` wherever it stands."""
 
 
-app.command("demo")(demo.demo)
+app.command("demo", epilog=examples("demo"))(demo.demo)
 app.add_typer(simulate.app, name="simulate")
-app.command("recover")(recover.recover)
-app.command("layout")(layout.layout)
-app.command("register")(register.register)
-app.command("orient")(orient.orient)
-app.command("georeference")(georeference.georeference)
-app.command("tdi")(tdi.tdi)
-app.command("noise")(noise.noise)
-app.command("score")(score.score)
-app.command("check")(check.check)
-app.command("schema")(schema.schema)
-app.command("version")(version.version)
+app.command("recover", epilog=examples("recover"))(recover.recover)
+app.command("layout", epilog=examples("layout"))(layout.layout)
+app.command("register", epilog=examples("register"))(register.register)
+app.command("orient", epilog=examples("orient"))(orient.orient)
+app.command("georeference", epilog=examples("georeference"))(georeference.georeference)
+app.command("tdi", epilog=examples("tdi"))(tdi.tdi)
+app.command("noise", epilog=examples("noise"))(noise.noise)
+app.command("score", epilog=examples("score"))(score.score)
+app.command("check", epilog=examples("check"))(check.check)
+app.command("schema", epilog=examples("schema"))(schema.schema)
+app.command("version", epilog=examples("version"))(version.version)
 
 
 def main(arguments: list[str] | None = None) -> None:

@@ -26,6 +26,42 @@ STEREO_CASES = (
 SEQUENCE_CASES = (
     "lvf", "stepwise", "mosaic", "rgb", "pan", "small", "cube-60", "two-lines", "long", "aircraft", "cubesat",
 )  # fmt: skip
+#: What stands at the end of --help of each command: it can be typed as it stands, in this order; `layout` and
+#: `noise` take files of the user's own.
+EXAMPLES = {
+    "demo": ("demo", "demo --case clouds --seed 2 --out clouds"),
+    "simulate line-of-sight": (
+        "simulate line-of-sight --out strip --lines 2000 --columns 400",
+        "simulate line-of-sight --out spin --case spin-leo",
+    ),
+    "simulate stereo": ("simulate stereo --out pass --shots 8 --points 60",),
+    "simulate frames": ("simulate frames --out flight --case small",),
+    "check": ("check strip/acquisition.toml", "check flight/sequence.toml --json"),
+    "recover": (
+        "recover strip/acquisition.toml --out result",
+        "recover strip/acquisition.toml --out filtered --method kalman",
+    ),
+    "score": ("score result strip/truth.csv", "score located flight/poses-truth.csv --json"),
+    "register": ("register strip/acquisition.toml --motion result --out registered",),
+    "layout": ("layout instrument.toml --passband 40 150 --out layouts",),
+    "orient": ("orient pass/stereo.toml --out oriented", "orient pass/stereo.toml --predict --out bound"),
+    "georeference": (
+        "georeference flight/sequence.toml --out located",
+        "georeference flight/sequence.toml --out poses --poses-only",
+    ),
+    "tdi": (
+        "tdi demo/tdi.toml --out settings",
+        "tdi demo/tdi.toml --motion demo/result --out moved",
+    ),
+    "noise": ("noise raw.tif --dark dark.tif --out noise",),
+    "schema": ("schema acquisition",),
+    "version": ("version",),
+}
+
+
+def examples(command: str) -> str:
+    """The examples of a command, as the end of its --help."""
+    return "\n\n".join(["Examples:", *(f"  sightline {words}" for words in EXAMPLES[command])])
 
 
 def _let_network(allowed: bool) -> bool:

@@ -20,6 +20,7 @@ from sightline.cli.options import (
     Json,
     Out,
     Overwrite,
+    examples,
 )
 from sightline.cli.output import output_folder
 from sightline.cli.terminal import announce, print_json, progress, say
@@ -118,7 +119,7 @@ Count: TypeAlias = int | None
 Word: TypeAlias = str | None
 
 
-@app.command("line-of-sight", cls=_Command)
+@app.command("line-of-sight", cls=_Command, epilog=examples("simulate line-of-sight"))
 def line_of_sight(
     out: Out,
     case: Annotated[
@@ -143,7 +144,7 @@ def line_of_sight(
     _simulate("line-of-sight", out, scene, settings, flags, overwrite, as_json)
 
 
-@app.command("stereo", cls=_Command)
+@app.command("stereo", cls=_Command, epilog=examples("simulate stereo"))
 def stereo(
     out: Out,
     case: Annotated[Word, _case(*STEREO_CASES)] = None,
@@ -162,7 +163,7 @@ def stereo(
     _simulate("stereo", out, scene, settings, flags, overwrite, as_json)
 
 
-@app.command("frames", cls=_Command)
+@app.command("frames", cls=_Command, epilog=examples("simulate frames"))
 def frames(
     out: Out,
     case: Annotated[Word, _case(*SEQUENCE_CASES)] = None,

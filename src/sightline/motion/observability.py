@@ -21,6 +21,9 @@ from sightline.errors import InputError
 Array = NDArray[np.float64]
 Passbands = tuple[tuple[float, float], ...]
 
+#: Places at which the least gain of a gap is sought.
+GAP_SAMPLES = 401
+
 
 def transfer(frequency: ArrayLike, lag: ArrayLike) -> NDArray[np.complex128]:
     """G(f) = exp(2 i pi f lag) - 1: what a lag does to a motion.
@@ -171,6 +174,32 @@ def passbands(
     # The gain has no feature narrower than a fraction of 1/(longest lag): 200 samples per such period.
     count = max(2, math.ceil(200.0 * upper * max(abs(x) for x in lags)))
     return _crossings(above, np.linspace(0.0, upper, count + 1))
+
+
+def shared_blind_frequencies(lags: Sequence[float], bands: Passbands, upper: float) -> tuple[float, ...]:
+    """Hz, rising; where pairs together see least, in each gap that `passbands` of them leaves below `upper`.
+
+    What lies below the first band is a drift for all of them, and is not listed.
+
+    Parameters
+    ----------
+    lags : sequence of float, s
+    bands : sequence of (low, high), Hz
+    upper : float, Hz
+
+    Examples
+    --------
+    >>> bands = passbands([0.01, 0.02], 250.0)
+    >>> [round(f, 6) for f in shared_blind_frequencies([0.01, 0.02], bands, 250.0)]
+    [100.0, 200.0]
+    """
+    ends = [*(low for low, _ in bands[1:]), upper] if bands else []
+    out = []
+    for (_, left), right in zip(bands, ends, strict=True):
+        if right > left:
+            f = np.linspace(left, right, GAP_SAMPLES)
+            out.append(float(f[int(np.argmin(combined_gain(f, lags, 1.0)))]))
+    return tuple(out)
 
 
 def intervals_above(frequency: Array, gain: Array, level: float) -> Passbands:

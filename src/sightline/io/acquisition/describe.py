@@ -7,6 +7,7 @@ Not here: reading the file (``load.py``); what a recovery really saw (``summary.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -21,7 +22,12 @@ from sightline.io.acquisition.ground import ground_steps, sampling_doubts, share
 from sightline.io.acquisition.looks import look_words
 from sightline.io.formats.ccsds import epoch_words
 from sightline.io.formats.images import RasterImage
-from sightline.motion.observability import Passbands, blind_frequencies, passbands
+from sightline.motion.observability import (
+    Passbands,
+    blind_frequencies,
+    passbands,
+    shared_blind_frequencies,
+)
 
 # Lines and columns at which a pair is looked for, as parts of the image: the middle first; staggered
 # detectors share their ends only.
@@ -88,7 +94,8 @@ def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
         ``understood``, ``missing``, ``observable``: lists of sentences. ``pairs``: a, b, lag (s),
         blind_frequencies (Hz), parallax (px per metre), overlap (share). ``passbands``: (low, high) in Hz,
         from one period in the time of the images on, where the pairs together leave at least half of a motion
-        ten times stronger (in power) than the noise.
+        ten times stronger (in power) than the noise. ``shared_blind_frequencies``: Hz, rising; where all
+        pairs together see least, between these.
         Frames of a spinning camera: ``describe_spin``.
     """
     if acquisition.frames and acquisition.spin is not None:
@@ -99,10 +106,11 @@ def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
     lags = [pair.lag for pair in pairs if pair.lag]
     upper = _highest_frequency(acquisition)
     bands = _from(1.0 / _duration(acquisition), passbands(lags, upper)) if lags else ()
+    shared = shared_blind_frequencies(lags, bands, upper) if lags else ()
     return {
         "understood": _understood(acquisition),
         "missing": _missing(acquisition, pairs),
-        "observable": _observable(acquisition, pairs, bands, upper),
+        "observable": _observable(acquisition, pairs, bands, shared, upper),
         "pairs": [
             {
                 "a": pair.a,
@@ -115,6 +123,7 @@ def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
             for pair in pairs
         ],
         "passbands": bands,
+        "shared_blind_frequencies": shared,
         "highest_frequency": upper,
     }
 
@@ -235,14 +244,17 @@ def _missing(acquisition: Acquisition, pairs: list[PairGeometry]) -> list[str]:
 
 
 def _observable(
-    acquisition: Acquisition, pairs: list[PairGeometry], bands: tuple[tuple[float, float], ...], upper: float
+    acquisition: Acquisition,
+    pairs: list[PairGeometry],
+    bands: Passbands,
+    shared: Sequence[float],
+    upper: float,
 ) -> list[str]:
     """What the pairs can see, alone and together."""
     lines = []
     for pair in pairs:
         if pair.lag:
-            blind = blind_frequencies(pair.lag, upper)
-            named = ", ".join(f"{f:.4g}" for f in blind[:_NAMED]) + (", ..." if len(blind) > _NAMED else "")
+            named = _named(blind_frequencies(pair.lag, upper))
             lines.append(
                 f"{pair.a} - {pair.b}: lag {_seconds(pair.lag)}, {100.0 * pair.overlap:.0f} % common "
                 f"ground, blind at "
@@ -251,6 +263,8 @@ def _observable(
             )
     if bands:
         lines.append(f"together, up to {upper:.4g} Hz: {passband_words(bands)}")
+        where = f"at {_named(shared)} Hz" if shared else f"at no frequency from {bands[0][0]:.4g} Hz on"
+        lines.append(f"together blind {where}")
     edge = 1e6 / acquisition.half_field_px
     ratio = 1.0 / (acquisition.half_field_px * acquisition.ifov)
     lines.append(
@@ -263,6 +277,12 @@ def _observable(
             f"yaw: the field is narrow ({2 * acquisition.half_field_px + 1:.0f} columns); take it as unknown"
         )
     return lines
+
+
+def _named(frequencies: Iterable[float]) -> str:
+    """The lowest of some frequencies, Hz."""
+    listed = [f"{f:.4g}" for f in frequencies]
+    return ", ".join([*listed[:_NAMED], *(["..."] if len(listed) > _NAMED else [])])
 
 
 def _seconds(lag: float) -> str:
