@@ -19,6 +19,8 @@ def test_lags_blind_frequencies_and_overlap_are_those_of_the_geometry(folder):
     # XS looks 140 m further: it sees the ground 140 / 7000 s = 20 ms before PAN, blind at multiples of 50 Hz
     assert pair["lag"] == pytest.approx(-0.02, abs=1e-6)
     assert pair["blind_frequencies"][:2] == pytest.approx([50.0, 100.0], rel=1e-4)
+    assert said["shared_blind_frequencies"][:2] == pytest.approx([50.0, 100.0], rel=1e-4)
+    assert any(line.startswith("together blind at 50, 100") for line in said["observable"])
     # 40 of 200 lines of PAN are not seen by XS; the grid has 65 lines
     assert pair["overlap"] == pytest.approx(0.8, abs=1 / 65)
     # parallax: 1 m of height between views 2e-4 apart: 2e-4 m = 2e-4 / 3.5 px

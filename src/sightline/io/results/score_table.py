@@ -86,9 +86,9 @@ def orientation_score_lines(score: dict[str, Any]) -> list[str]:
             else:
                 sigma = entry["sigma"] / ARCSEC
                 cells = [f"{entry['error_arcsec']:.3g}", f"{sigma:.3g}", f"{entry['error_over_sigma']:.2f}"]
-            lines.append(_line(name, axis, cells) + '  "')
+            lines.append(_line(name, axis, cells) + "  arcsec")
             name = ""
-    lines.append(f'rms {score["rms_arcsec"]:.3g}", max {score["max_arcsec"]:.3g}"')
+    lines.append(f"rms {score['rms_arcsec']:.3g} arcsec, max {score['max_arcsec']:.3g} arcsec")
     together = "with the covariance" if score["nees"] is not None else "each angle by itself"
     nees = score["nees"] if score["nees"] is not None else score["nees_independent"]
     lines.append(
