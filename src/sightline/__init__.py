@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from sightline.io.stereo.load import load_stereo
     from sightline.io.tdi.load import load_tdi
     from sightline.kinds.open import open_result
+    from sightline.matching.follow import FollowPlan
     from sightline.matching.match_images import match_images
     from sightline.matching.matches import Matches
     from sightline.matching.select import grid_points
@@ -97,6 +98,7 @@ _MODULE_OF = {
     "Exposure": "sightline.imaging.tdi_transfer",
     "FixedMount": "sightline.geometry.pointing",
     "FocalPlane": "sightline.applications.focal_plane",
+    "FollowPlan": "sightline.matching.follow",
     "FormatError": "sightline.errors",
     "Frame": "sightline.motion.band",
     "FrameAttitude": "sightline.applications.frame_attitude",
@@ -195,6 +197,7 @@ __all__ = [
     "Exposure",
     "FixedMount",
     "FocalPlane",
+    "FollowPlan",
     "FormatError",
     "Frame",
     "FrameAttitude",

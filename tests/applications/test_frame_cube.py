@@ -9,13 +9,14 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cube_flights import flight, problem_of, true_poses
-from sightline.applications.frame_cube import CubeSummary, assemble_cube
+from sightline.applications.frame_cube import CubeSummary, assemble_cube, found_views
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.errors import FormatError, InputError
 from sightline.geometry.earth import WGS84, from_geodetic, local_axes
 from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.photogrammetry.flight.problem import SequenceProblem
-from sightline.products.cube_plan import CubePlan
+from sightline.products.cube_ground import choose_ground
+from sightline.products.cube_plan import CubePlan, map_of
 from sightline.products.cube_store import MemoryStore
 from sightline.simulate.sequence import SequenceScenario
 
@@ -227,7 +228,27 @@ def test_frames_that_cannot_be_used_are_replaced_by_their_neighbours(lvf):
     strayed, _ = made(problem, replace(interpolated, poses=poses))
     assert strayed.frames_used == 19 and strayed.grid.shape == made(problem, found)[0].grid.shape
     assert any("1 frame is not used" in words for words in strayed.warnings)
+    far = replace(interpolated, poses=poses)
+    assert np.isinf(found_views(problem, far).penalty).tolist() == [k == 9 for k in range(20)]
+    assert np.isfinite(found_views(problem, far, CubePlan(adrift=1e3)).penalty).all()
     # a frame whose image tells nothing of its pose stays in use only where no other saw the band
+
+
+def test_what_counts_as_blurred_and_as_good_ground_can_be_set(lvf):
+    scenario, problem = lvf
+    found = true_poses(scenario)
+    blurred = replace(
+        found, followed=replace(found.followed, sharpness=np.where(np.arange(20) == 4, 0.5, 1.0))
+    )
+    for plan, costs in ((None, True), (CubePlan(sharpness=0.4), False)):
+        assert (found_views(problem, blurred, plan).penalty[4] > 0.0) == costs
+    flat = np.random.default_rng(1).uniform([-7.0, -2.0], [7.0, 18.0], (400, 2))
+    points = np.column_stack([flat, problem.surface.height_at(np.column_stack([flat, np.zeros(400)]))])
+    found = true_poses(scenario, points)
+    rough = replace(problem, surface=Plane(0.0), height_sigma=1.0)
+    for margin, words in ((1.2, "heights of the"), (1e6, "the surface given")):
+        ground = choose_ground(rough, found.poses, found.tracks, map_of(rough), "auto", margin)
+        assert ground.words.startswith(words)
 
 
 def test_fits_pictures_and_seams(lvf):
@@ -259,6 +280,12 @@ def test_what_cannot_be_made_is_refused(lvf):
         CubePlan(surface="dem")
     with pytest.raises(InputError, match="positive number of metres"):
         CubePlan(gsd=-1.0)
+    for wrong in (
+        {"picture_nm": (650.0, 550.0)}, {"sharpness": -0.1}, {"adrift": np.nan}, {"surface_margin": 0.9},
+        {"lines_per_step": 0.5}, {"fit_search_px": (0, 6)},
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=f"`{next(iter(wrong))}` must be"):
+            CubePlan(**wrong)
     with pytest.raises(InputError, match="nothing to map"):
         assemble_cube(replace(problem, excluded=("dark",) * len(problem)), found, QUICK)
     up = replace(found.poses, world_from_body=found.poses.world_from_body * Rotation.from_euler("x", np.pi))

@@ -14,7 +14,7 @@ from sightline.products.cube_bands import frame_bands, line_bands
 from sightline.products.cube_fit import error_map, fit_pairs, pairs_of
 from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
 from sightline.products.cube_kernels import PHASES, fill_bands, place_weights, see_places
-from sightline.products.cube_tally import CubePicture, picture_factor
+from sightline.products.cube_tally import CubePicture, picture_bands, picture_factor
 from sightline.products.frame_cube import FilledTile, Tile, line_gain
 from sightline.products.ground_model import GroundModel, fit_ground
 from sightline.products.resample import BEFORE, TAPS, product_weights
@@ -59,6 +59,12 @@ def test_bands_of_a_filter_with_steps_are_its_steps():
     assert line_bands(nm, fill_nm=100.0).spare.any()
 
 
+def test_pictures_have_the_bands_nearest_to_the_wavelengths_asked_for():
+    layout = line_bands(np.repeat([450.0, 550.0, 660.0, 850.0], 4))
+    assert picture_bands(layout) == (2, 1, 0)
+    assert picture_bands(layout, (860.0, 650.0, 555.0)) == (3, 2, 1)
+
+
 def test_bands_of_a_continuous_filter_have_lines_for_the_steps_flown():
     nm = np.linspace(900.0, 450.0, 480)
     layout = line_bands(nm, step=5.0)
@@ -71,6 +77,8 @@ def test_bands_of_a_continuous_filter_have_lines_for_the_steps_flown():
     )
     assert (np.bincount(three.entry_group, ~three.spare) <= 9).all()
     assert len(line_bands(nm, 10)) == 10
+    # 480 lines over three steps of 5 lines
+    assert len(line_bands(nm, step=5.0, lines_per_step=3.0)) == 32
     one = layout.of([3, 60])
     assert one.names == (layout.names[3], layout.names[60]) and set(one.entry_group) == {0, 1}
 
@@ -178,7 +186,10 @@ def test_pairs_near_and_far_and_where_they_disagree():
     a = np.fft.irfft2(spectrum, (180, 260))
     b = np.fft.irfft2(spectrum * np.exp(-2j * np.pi * fx * 0.4), (180, 260))
     fits = fit_pairs([ArrayImage(100.0 + 9.0 * a), ArrayImage(100.0 + 9.0 * b)], np.array([500.0, 510.0]))
-    # 0.4 px along one of two axes
+    # 0.4 px along one of two axes; 3 px are beyond a search of 1
+    far = [ArrayImage(100.0 + 9.0 * a), ArrayImage(100.0 + 9.0 * np.roll(a, 3, axis=1))]
+    near = fit_pairs(far, np.array([500.0, 510.0]), search_px=(1, 1))[0]
+    assert near.windows < 0.1 * fit_pairs(far, np.array([500.0, 510.0]))[0].windows
     assert fits[0].rms_px == pytest.approx(0.4 / np.sqrt(2.0), abs=0.03)
     chart = error_map(fits, (180, 260))
     assert np.nanmedian(chart) == pytest.approx(0.4 / np.sqrt(2.0), abs=0.03)

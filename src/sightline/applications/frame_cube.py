@@ -43,10 +43,6 @@ Array32 = NDArray[np.float32]
 
 #: What it costs to use a frame whose image tells nothing of its pose, or one out of focus.
 _GUESSED, _BLURRED = 1e4, 1e2
-#: Share of a frame's shorter side by which its view may be wrong (1-sigma) where its image tells nothing.
-_ADRIFT = 0.25
-#: Sharpness over that of most frames below which a frame is out of focus.
-_SHARP = 0.6
 #: Share of the ground passed over from which on gaps are not worth a warning.
 _GAPS = 0.99
 
@@ -180,9 +176,9 @@ def assemble_cube(
     clock = CpuClock()
     report = silent if progress is None else progress
     report("cube: ground", 0, 1)
-    views = found_views(problem, found)
+    views = found_views(problem, found, plan)
     system = map_of(problem)
-    ground = choose_ground(problem, found.poses, found.tracks, system, plan.surface)
+    ground = choose_ground(problem, found.poses, found.tracks, system, plan.surface, plan.surface_margin)
     clock.note("ground")
     outline, reach = frame_outlines(problem, system, ground, views)
     gsd = plan.gsd or pixel_size(problem, views, outline)
@@ -194,7 +190,7 @@ def assemble_cube(
     gain = line_gain(channels, problem.detector.shape[0]) if by_line else None
     clock.note("lines made alike")
     maker = CubeMaker(grid, layout, views, reach, ground.heights, channels, gain)
-    tally = CubeTally(layout, grid, picture_bands(layout) if plan.picture else ())
+    tally = CubeTally(layout, grid, picture_bands(layout, plan.picture_nm) if plan.picture else ())
     store.begin(grid, layout)
     tiles = tiles_of(grid, layout)
     for done, tile in enumerate(tiles, start=1):
@@ -211,7 +207,10 @@ def assemble_cube(
     before = _before(problem, plan, tally, grid, layout, ground, channels, gain, report)
     clock.note("picture by the rough poses")
     bands = [store.source(b) for b in range(len(layout))] if plan.fit else []
-    fits = fit_pairs(bands, layout.wavelength_nm, lambda *done: report("cube: bands matched", *done))
+    fits = fit_pairs(
+        bands, layout.wavelength_nm, lambda *done: report("cube: bands matched", *done),
+        search_px=plan.fit_search_px,
+    )  # fmt: skip
     clock.note("bands matched")
     unread = tuple(f"{problem.frames[k]}: {why}" for k, why in sorted(maker.unread.items()))
     summary = _summary(problem, layout, grid, ground, tally, before, fits, unread, clock.seconds)
@@ -225,7 +224,7 @@ def assemble_cube(
     return replace(summary, warnings=(*summary.warnings, words))
 
 
-def found_views(problem: SequenceProblem, found: SequencePoses) -> FrameViews:
+def found_views(problem: SequenceProblem, found: SequencePoses, plan: CubePlan | None = None) -> FrameViews:
     """How the frames see the world by the poses found.
 
     Frames without windows, and those out of focus, are used where no other shows a place; frames
@@ -236,15 +235,16 @@ def found_views(problem: SequenceProblem, found: SequencePoses) -> FrameViews:
     )
     penalty = np.where(problem.usable, 0.0, np.inf)
     penalty += _GUESSED * (np.array(found.source) == INTERPOLATED)
-    penalty[_adrift(problem, found)] = np.inf
+    plan = CubePlan() if plan is None else plan
+    penalty[_adrift(problem, found, plan.adrift)] = np.inf
     sharpness = found.followed.sharpness
     usual = np.nanmedian(sharpness) if np.isfinite(sharpness).any() else np.nan
-    penalty += _BLURRED * (sharpness < _SHARP * usual)
+    penalty += _BLURRED * (sharpness < plan.sharpness * usual)
     detector = found.poses.detector(problem.detector)
     return frame_views(problem, images, detector=detector, penalty=penalty, linked=found.stretch)
 
 
-def _adrift(problem: SequenceProblem, found: SequencePoses) -> NDArray[np.bool_]:
+def _adrift(problem: SequenceProblem, found: SequencePoses, most: float) -> NDArray[np.bool_]:
     """Frames (M,) whose images tell nothing and whose view nobody knows: one of them would stretch the map.
 
     Sigmas beyond those of the frames that were solved, whose datum is that of all, are compared with the
@@ -260,7 +260,7 @@ def _adrift(problem: SequenceProblem, found: SequencePoses) -> NDArray[np.bool_]
     side = far * min(problem.detector.shape) / problem.detector.focal_length_px
     beyond = np.sqrt(np.maximum(moved**2 - np.median(known[np.isfinite(known)]) ** 2, 0.0))
     # frames between a subset's by a curve have no sigma: they are where the curve is
-    return np.asarray(guessed & np.isfinite(moved) & (beyond > _ADRIFT * side))
+    return np.asarray(guessed & np.isfinite(moved) & (beyond > most * side))
 
 
 def images_of(problem: SequenceProblem) -> list[Sequence[ImageSource]]:

@@ -59,8 +59,6 @@ _HIGHEST = 0.45
 _CELLS = 8
 #: Places per side of a frame that tell what two frames share.
 _PROBES = 5
-#: Share of a frame that another must see for its windows to be sought there.
-_LEAST_SHARE = 0.2
 
 
 @dataclass(frozen=True)
@@ -86,6 +84,9 @@ class TrackPlan:
     floor_px : float
         px per coordinate, added to every sigma in quadrature: what the lens and the ground do that the noise
         of images does not tell.
+    least_share : float
+        Share of a frame that another must see for its windows to be sought there. 0.2: windows of less common
+        ground lie at the rims, where views and lenses differ most.
     """
 
     points: int = 300
@@ -96,6 +97,7 @@ class TrackPlan:
     hubs: tuple[int, ...] | None = None
     min_score: float = 0.3
     floor_px: float = 0.0
+    least_share: float = 0.2
 
     def __post_init__(self) -> None:
         """Check."""
@@ -106,6 +108,8 @@ class TrackPlan:
         for name in ("height_range", "pointing_error", "view_angle", "floor_px"):
             if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= 0.0):
                 raise InputError(f"`{name}` must be 0 or more, got {getattr(self, name)}")
+        if not 0.0 < self.least_share <= 1.0:
+            raise InputError(f"`least_share` must lie above 0, at most at 1, got {self.least_share}")
 
 
 def match_frames(
@@ -145,7 +149,7 @@ def match_frames(
     for number, (source, camera) in enumerate(zip(sources, cameras, strict=True)):
         if tuple(source.shape) != tuple(camera.shape):
             raise InputError(f"image {number} has {source.shape} pixels, its camera {camera.shape}")
-    partners = shared_views(cameras, surface, plan.view_angle)
+    partners = shared_views(cameras, surface, plan.view_angle, plan.least_share)
     hubs = choose_hubs(partners) if plan.hubs is None else plan.hubs
     found = [
         track
@@ -167,7 +171,9 @@ def match_frames(
     )
 
 
-def shared_views(cameras: Sequence[FrameCamera], surface: Surface, view_angle: float) -> NDArray[np.float64]:
+def shared_views(
+    cameras: Sequence[FrameCamera], surface: Surface, view_angle: float, least_share: float = 0.2
+) -> NDArray[np.float64]:
     """How well each frame can serve as hub for each other.
 
     Parameters
@@ -177,6 +183,8 @@ def shared_views(cameras: Sequence[FrameCamera], surface: Surface, view_angle: f
     surface : Surface
     view_angle : float
         rad; largest angle between lines of sight.
+    least_share : float
+        Of frame i that frame j must see.
 
     Returns
     -------
@@ -200,7 +208,7 @@ def shared_views(cameras: Sequence[FrameCamera], surface: Surface, view_angle: f
             pixels = other.project(ground)
             with np.errstate(invalid="ignore"):
                 inside = ((pixels >= 0.0) & (pixels <= np.array(other.shape) - 1.0)).all(axis=1)
-            if inside.mean() < _LEAST_SHARE:
+            if inside.mean() < least_share:
                 continue
             cosine = float(np.einsum("ni,ni->n", sight, _sight(other, ground))[inside].mean())
             if cosine >= np.cos(view_angle):

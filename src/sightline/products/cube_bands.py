@@ -19,8 +19,6 @@ Index = NDArray[np.int64]
 #: Line, band, best line, lines to the end, whether beyond it.
 _Entry = tuple[int, int, float, float, bool]
 
-#: Steps from frame to frame that a band of a continuous filter should have lines for: flights jitter.
-_STEPS = 1.5
 #: Bands of a continuous filter at most, unless more are asked for; distinct wavelengths that may be given.
 _MOST = 256
 
@@ -105,6 +103,8 @@ def line_bands(
     bands: int | Sequence[float] | None = None,
     step: float | None = None,
     fill_nm: float | None = None,
+    *,
+    lines_per_step: float = 1.5,
 ) -> BandLayout:
     """Bands of a filter that varies from line to line.
 
@@ -120,6 +120,8 @@ def line_bands(
         How far beyond its own wavelengths lines may stand in where a step was too long, each counted less
         good the further it is; default less than half the band's width: never those of the next step of a
         filter that has steps.
+    lines_per_step : float
+        Steps that a band has lines for, where the number of bands of a continuous filter is not given.
 
     Notes
     -----
@@ -127,7 +129,7 @@ def line_bands(
     """
     lines = np.asarray(wavelength_nm, dtype=np.float64)
     distinct = np.unique(lines)
-    centres, width = _wavelengths(lines, distinct, bands, step)
+    centres, width = _wavelengths(lines, distinct, bands, lines_per_step * step if step else None)
     reach = np.full(len(centres), 0.5 * width)
     if len(centres) > 1:
         gap = np.diff(np.sort(centres))
@@ -141,12 +143,12 @@ def line_bands(
 
 
 def _wavelengths(
-    lines: Array, distinct: Array, bands: int | Sequence[float] | None, step: float | None
+    lines: Array, distinct: Array, bands: int | Sequence[float] | None, wanted: float | None
 ) -> tuple[Array, float]:
-    """Centres of the bands and their full width, nm."""
+    """Centres of the bands and their full width, nm; a band of a continuous filter has `wanted` lines."""
     low, high = distinct[0], distinct[-1]
     shared = 2 * len(distinct) <= len(lines)
-    usual = len(distinct) if shared else int(len(lines) / (_STEPS * step)) if step else 64
+    usual = len(distinct) if shared else int(len(lines) / wanted) if wanted else 64
     usual = int(np.clip(usual, 1, _MOST if shared else min(_MOST, len(lines) // 2)))
     count = usual if bands is None or not isinstance(bands, int) else bands
     if count < 1 or count > len(distinct):

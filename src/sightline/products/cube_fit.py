@@ -18,8 +18,6 @@ Array = NDArray[np.float64]
 
 #: Bands, evenly over the wavelengths, that are matched with their neighbours and with each other.
 _POSTS = 6
-#: px; how far bands may lie off each other and still be matched.
-_SEARCH = (6, 6)
 #: Cells of the error map along its longer side.
 _CELLS = 48
 
@@ -67,7 +65,11 @@ def pairs_of(wavelength_nm: Array) -> list[tuple[int, int]]:
 
 
 def fit_pairs(
-    bands: Sequence[ImageSource], wavelength_nm: Array, progress: Callable[[int, int], None] | None = None
+    bands: Sequence[ImageSource],
+    wavelength_nm: Array,
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    search_px: tuple[int, int] = (6, 6),
 ) -> list[PairFit]:
     """Match bands with each other, nearest wavelengths first.
 
@@ -78,12 +80,14 @@ def fit_pairs(
     wavelength_nm : (B,)
     progress : callable, optional
         Called with the pairs done, and all of them.
+    search_px : (int, int)
+        px; how far bands may lie off each other and still be matched.
     """
     if not len(bands):
         return []
     out, pairs = [], pairs_of(wavelength_nm)
     for a, b in pairs:
-        out.append(PairFit(fit_bands(bands[a], bands[b], (a, b), search_px=_SEARCH)))
+        out.append(PairFit(fit_bands(bands[a], bands[b], (a, b), search_px=search_px)))
         if progress is not None:
             progress(len(out), len(pairs))
     return out

@@ -24,9 +24,6 @@ from sightline.products.ground_model import GroundModel, fit_ground
 
 Array = NDArray[np.float64]
 
-#: The given surface is kept where points miss it by no more than this times what they miss their own by.
-_AS_GOOD = 1.2
-
 
 @dataclass(frozen=True, eq=False)
 class UsedGround:
@@ -54,11 +51,17 @@ class UsedGround:
 
 
 def choose_ground(
-    problem: SequenceProblem, poses: FramePoses, tracks: Tracks, system: MapSystem, surface: str
+    problem: SequenceProblem,
+    poses: FramePoses,
+    tracks: Tracks,
+    system: MapSystem,
+    surface: str,
+    margin: float = 1.2,
 ) -> UsedGround:
     """Heights of the points found, or of the surface given, whichever fits the points better.
 
-    A single height that points do not bear out, as that where none is given, gives way to theirs.
+    A single height that points do not bear out, as that where none is given, gives way to theirs. The given
+    surface is kept where points miss it by no more than `margin` times what they miss their own by.
     """
     given, words = given_heights(problem.surface, system), "the surface given"
     points = system.places(poses.points)
@@ -69,7 +72,7 @@ def choose_ground(
     found_level = level_ground(problem, poses)
     if isinstance(found_level, Plane | Ellipsoid) and found_level is not problem.surface:
         at = given_heights(found_level, system)
-        if missed > _AS_GOOD * (closer := _missed(points, at)):
+        if missed > margin * (closer := _missed(points, at)):
             given, missed, level = at, closer, found_level
             words = f"level ground at the points' middle height, {found_level.height:.5g} m,"
     try:
@@ -78,7 +81,7 @@ def choose_ground(
         if surface == "model":
             raise
         return UsedGround(given, f"{words.rstrip(',')}: {error}", missed, level=level)
-    if surface == "auto" and missed <= _AS_GOOD * model.sigma:
+    if surface == "auto" and missed <= margin * model.sigma:
         return UsedGround(
             given, f"{words.rstrip(',')}, which points meet to {missed:.3g} m", missed, level=level
         )

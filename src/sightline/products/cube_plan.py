@@ -50,6 +50,24 @@ class CubePlan:
         Make the pictures before and after.
     fit : bool
         Match bands against each other.
+    picture_nm : (float, float, float) or None
+        nm; red, green and blue of the pictures, each the band nearest to it, for false colours too. None:
+        650, 550, 470 where the bands reach them, else the longest, the middle and the shortest wavelength.
+    sharpness : float
+        A frame less sharp than this share of the usual one is used only where no other shows a place. 0.6:
+        focus and shake vary by less from frame to frame; 0 uses all alike.
+    adrift : float
+        Share of a frame's shorter side. A frame whose pose is interpolated is left out where its view may be
+        wrong by more (1-sigma): 0.25, as one such frame would stretch the map by a part of a frame.
+    surface_margin : float
+        With "auto" the given surface is kept while points miss it by no more than so many times what
+        they miss their own by. 1.2: a DEM as good at the points as their own surface is better between them.
+    lines_per_step : float
+        Steps from frame to frame that the lines of a band cover, where the number of bands is not given. 1.5:
+        steps of a flight vary by less than half; more gives fewer bands with fewer gaps.
+    fit_search_px : (int, int)
+        px (rows, columns); how far bands may lie off each other and still be matched. 6: poses of rough
+        tables leave less.
     """
 
     gsd: float | None = None
@@ -59,6 +77,12 @@ class CubePlan:
     flatten: bool = True
     picture: bool = True
     fit: bool = True
+    picture_nm: tuple[float, float, float] | None = None
+    sharpness: float = 0.6
+    adrift: float = 0.25
+    surface_margin: float = 1.2
+    lines_per_step: float = 1.5
+    fit_search_px: tuple[int, int] = (6, 6)
 
     def __post_init__(self) -> None:
         """Check."""
@@ -66,6 +90,18 @@ class CubePlan:
             raise InputError(f"`surface` must be one of {', '.join(SURFACES)}, got {self.surface!r}")
         if self.gsd is not None and not (np.isfinite(self.gsd) and self.gsd > 0.0):
             raise InputError(f"`gsd` must be a positive number of metres, got {self.gsd}")
+        nm = self.picture_nm
+        if nm is not None and not (len(nm) == 3 and np.isfinite(nm).all() and min(nm) > 0.0):
+            raise InputError(f"`picture_nm` must be three wavelengths (nm): red, green, blue; got {nm}")
+        for name, least in (("sharpness", 0.0), ("adrift", 0.0), ("surface_margin", 1.0)):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) >= least):
+                raise InputError(f"`{name}` must be {least:g} or more, got {getattr(self, name)}")
+        if not (np.isfinite(self.lines_per_step) and self.lines_per_step >= 1.0):
+            raise InputError(
+                f"`lines_per_step` must be 1 or more, got {self.lines_per_step}: less leaves gaps"
+            )
+        if len(self.fit_search_px) != 2 or min(self.fit_search_px) < 1:
+            raise InputError(f"`fit_search_px` must be two numbers of 1 px or more, got {self.fit_search_px}")
 
 
 def frame_views(
@@ -158,7 +194,13 @@ def choose_bands(
             middle = np.nanmean(outline, axis=1)
             steps = np.linalg.norm(np.diff(middle, axis=0), axis=1) / gsd
             step = float(np.nanmedian(steps)) if np.isfinite(steps).any() else 1.0
-        return line_bands(detector.wavelength_nm, plan.bands, max(step, 0.1), plan.fill_nm)
+        return line_bands(
+            detector.wavelength_nm,
+            plan.bands,
+            max(step, 0.1),
+            plan.fill_nm,
+            lines_per_step=plan.lines_per_step,
+        )
     layout = frame_bands(detector.shape, problem.mosaic_nm, problem.channel_nm)
     if plan.bands is None:
         return layout

@@ -17,18 +17,24 @@ from sightline.products.frame_cube import FilledTile
 
 Array = NDArray[np.float64]
 
-#: Wavelengths (nm) of red, green and blue of the picture, and its largest side (px).
-_RGB_NM, _PICTURE_PX = (650.0, 550.0, 470.0), 1200
+#: nm; red, green and blue of the picture where nothing else is asked for.
+_RGB_NM = (650.0, 550.0, 470.0)
+#: px; largest side of the picture.
+_PICTURE_PX = 1200
 
 
-def picture_bands(layout: BandLayout) -> tuple[int, int, int]:
-    """Bands for red, green and blue: of those wavelengths where they are seen, else three over the range."""
+def picture_bands(layout: BandLayout, wanted: Sequence[float] | None = None) -> tuple[int, int, int]:
+    """Bands for red, green and blue: nearest to the wavelengths wanted (nm).
+
+    By default those of red, green and blue where they are seen, else three over the range.
+    """
     nm = layout.wavelength_nm
     if np.isnan(nm).any() or len(nm) < 3:
         return (len(nm) - 1, (len(nm) - 1) // 2, 0)
     low, high = float(nm.min()), float(nm.max())
-    seen = low - 30.0 <= _RGB_NM[2] and _RGB_NM[0] <= high + 30.0
-    wanted = _RGB_NM if seen else (high, 0.5 * (low + high), low)
+    if wanted is None:
+        seen = low - 30.0 <= _RGB_NM[2] and _RGB_NM[0] <= high + 30.0
+        wanted = _RGB_NM if seen else (high, 0.5 * (low + high), low)
     red, green, blue = (int(np.argmin(np.abs(nm - w))) for w in wanted)
     return red, green, blue
 

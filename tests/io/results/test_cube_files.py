@@ -108,7 +108,8 @@ def test_a_section_becomes_a_plan():
     assert cube_plan(CubeSection()).bands is None
     plan = cube_plan(CubeSection(gsd=0.2, bands=[500.0, 600.0], surface="given", fill_nm=4.0, flatten=False))
     assert (plan.gsd, plan.bands, plan.surface, plan.fill_nm) == (0.2, (500.0, 600.0), "given", 4.0)
-    assert not plan.flatten
+    assert not plan.flatten and plan.picture_nm is None
+    assert cube_plan(CubeSection(picture_nm=[850.0, 650.0, 550.0])).picture_nm == (850.0, 650.0, 550.0)
 
 
 def test_the_cube_of_a_sequence_file(tmp_path):

@@ -518,6 +518,9 @@ BAD = {
     "ground of the cube": (toml("[surface]", '[cube]\nsurface = "dem"\n[surface]'), "cube.surface"),
     "formats of the cube": (toml("[surface]", '[cube]\nformats = ["nc"]\n[surface]'), "cube.formats"),
     "no format of the cube": (toml("[surface]", "[cube]\nformats = []\n[surface]"), "one or more of"),
+    "two colours of the pictures": (
+        toml("[surface]", "[cube]\npicture_nm = [650.0, 550.0]\n[surface]"), "three wavelengths"
+    ),
     "unknown key of the cube": (toml("[surface]", "[cube]\nband = 3\n[surface]"), "cube.band"),
     "no frames": (toml('frames = "frames.csv"\n', ""), "'frames' is missing"),
     "unknown key": (top("framez = 3"), "framez"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from sightline.motion.frames.hidden import hidden_directions, relative_covarianc
 from sightline.motion.frames.lens_field import LensField
 from sightline.motion.frames.linear import linearise_frames
 from sightline.motion.frames.noise import FrameNoise, GroundField, learn_noise
-from sightline.motion.frames.passes import _weighed
+from sightline.motion.frames.passes import FrameOptions, _drifting, _weighed
 from sightline.motion.frames.solve import FrameUnknowns, solve_frames, time_statics
 from sightline.motion.statics import frame_statics
 
@@ -269,3 +270,14 @@ def test_no_match_at_all_is_an_error_that_says_what_to_check():
     empty = [star.with_weight(np.zeros_like(star.weight)) for star in pinholes.stars(walk(3))]
     with pytest.raises(EstimationError, match="check overlap, mount and times"):
         solve_frames(empty, FrameUnknowns(pinholes.cameras(3), ()), Plane(), FrameNoise.start(LAGS))
+
+
+def test_windows_that_drift_beyond_the_limit_given_lie_on_clouds():
+    drift = np.append(np.random.default_rng(3).standard_normal(400), [3.0, 6.0])
+    field = SimpleNamespace(value=drift, precision=np.ones(402))
+    estimate = SimpleNamespace(fields=(None, field), per_star=lambda far: [far])
+    none = [np.zeros(402, dtype=bool)]
+    (usual,) = _drifting(estimate, none, FrameOptions().drifting)
+    assert np.flatnonzero(usual).tolist() == [401]
+    (strict,) = _drifting(estimate, none, FrameOptions(drifting=2.5).drifting)
+    assert strict[[400, 401]].all() and 2 <= strict.sum() < 20

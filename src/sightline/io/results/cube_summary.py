@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -35,7 +36,11 @@ LEAST_MAP = 3
 def cube_plan(section: CubeSection) -> CubePlan:
     """The plan that a ``[cube]`` asks for."""
     bands = tuple(section.bands) if isinstance(section.bands, list) else section.bands
-    return CubePlan(section.gsd, bands, section.surface, section.fill_nm, section.flatten)
+    plan = CubePlan(section.gsd, bands, section.surface, section.fill_nm, section.flatten)
+    if section.picture_nm is None:
+        return plan
+    red, green, blue = section.picture_nm
+    return replace(plan, picture_nm=(red, green, blue))
 
 
 def ready_to_georeference(sequence: FrameSequence, *, maps: bool = True) -> Cost:

@@ -201,6 +201,12 @@ class CubeSection(SchemaSection):
     flatten: bool = Field(
         default=True, description="Make the lines of a filter alike before they are resampled"
     )
+    picture_nm: list[Wavelength] | None = Field(
+        default=None,
+        max_length=3,
+        description="nm; red, green and blue of the pictures, each the band nearest to it; default 650, 550, "
+        "470 where the bands reach them",
+    )
     formats: list[Literal["tif", "zarr", "envi"]] = Field(
         default=["tif"], max_length=3, description='Files; "zarr" needs the extra cube'
     )
@@ -211,6 +217,13 @@ class CubeSection(SchemaSection):
     def _bands_differ(cls, value: int | list[float] | None) -> int | list[float] | None:
         if isinstance(value, list) and len(set(value)) < max(len(value), 1):
             raise ValueError("wavelengths (nm) are expected, one or more, each once; or how many bands")
+        return value
+
+    @field_validator("picture_nm", mode="before")
+    @classmethod
+    def _red_green_blue(cls, value: object) -> object:
+        if isinstance(value, list) and len(value) != 3:
+            raise ValueError("three wavelengths (nm) are expected: [red, green, blue]")
         return value
 
     @field_validator("formats")

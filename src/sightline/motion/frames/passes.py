@@ -51,8 +51,6 @@ FIELD_START_PX = 0.1
 MAX_HEIGHTS = 2400
 #: Start value of drift (clouds) in heights of the same effect, as a share of the relief's.
 DRIFT_SHARE = 0.1
-#: Windows whose drift stands so many robust sigmas out of that of the others lie on clouds.
-DRIFTING = 3.5
 #: Rounds of solving, weighing and learning within a pass.
 ROUNDS = 3
 
@@ -77,6 +75,9 @@ class FrameOptions:
         At most so many passes after the first.
     tolerance : float
         Stop when the attitudes change by less than this part of their sigma.
+    drifting : float
+        Windows whose drift stands so many robust sigmas out of that of the others lie on clouds, and are left
+        out. 3.5: one good window in 2000 is beyond; lower it over broken cloud, raise it over rough relief.
     """
 
     first_window: tuple[int, int] = (48, 48)
@@ -88,6 +89,7 @@ class FrameOptions:
     lags: tuple[int, ...] = (1, 2, 3, 4, 5)
     passes: int = 4
     tolerance: float = 0.2
+    drifting: float = 3.5
 
     def spacing(
         self, window: tuple[int, int], shape: tuple[int, int], frames: int, height_sigma: float
@@ -253,7 +255,7 @@ def next_pass(sequence: FramePasses, before: PassState, number: int, stages: Sta
     for _ in range(ROUNDS):
         estimate = solve_frames(stars, unknowns, sequence.surface, noise, x, steps=2)
         x = estimate.x
-        drifting = _drifting(estimate, drifting)
+        drifting = _drifting(estimate, drifting, options.drifting)
         stars = _weighed(stars, estimate, drifting)
         noise = _learned(estimate, options.lags)
         if unknowns.field is not None:
@@ -279,7 +281,9 @@ def _weighed(
     return out
 
 
-def _drifting(estimate: FrameEstimate, before: list[NDArray[np.bool_]]) -> list[NDArray[np.bool_]]:
+def _drifting(
+    estimate: FrameEstimate, before: list[NDArray[np.bool_]], most: float
+) -> list[NDArray[np.bool_]]:
     """Windows on clouds: their drift, smoothed over neighbours, stands far out of what still ground shows."""
     if not estimate.fields:
         return before
@@ -287,7 +291,7 @@ def _drifting(estimate: FrameEstimate, before: list[NDArray[np.bool_]]) -> list[
     used = field.precision > 0
     centre = float(np.median(field.value[used]))
     spread = robust_sigma(field.value[used] - centre)
-    far = used & (np.abs(field.value - centre) > DRIFTING * max(spread, 1e-9))
+    far = used & (np.abs(field.value - centre) > most * max(spread, 1e-9))
     return [old | new for old, new in zip(before, estimate.per_star(far), strict=True)]
 
 
