@@ -25,7 +25,7 @@ from sightline.motion.measure.predict import predict_match
 from sightline.motion.measure.stars import MatchingPlan, StarRecord, match_star
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.strip.joint import JointPrior, remove_directions, solve_joint
-from sightline.motion.strip.normal_equations import normal_equations
+from sightline.motion.strip.normal_equations import GroundOrder, normal_equations
 from sightline.motion.strip.strip import RecoverOptions, prepared
 from sightline.motion.strip.viewing_axes import turned_directions
 from sightline.motion.strip.warnings import _lost_windows
@@ -209,7 +209,9 @@ class TestHiddenDrifts:
         chosen = [k for k, p in enumerate(strip.parameters) if free(p.name, p.images[0])]
         stars = [r.star for r in recovery.result.records]
         stars = [replace(s, by_static=s.by_static[..., chosen]) for s in stars]
-        data = normal_equations(stars, [s.residual_px for s in stars], strip.grid, delays=[0.0] * len(stars))
+        data = normal_equations(
+            stars, [s.residual_px for s in stars], strip.grid, orders=[GroundOrder()] * len(stars)
+        )
         sigmas = np.array([strip.parameters[k].sigma for k in chosen])
         return solve_joint(data, JointPrior(strip.broad.processes(strip.grid), sigmas))
 

@@ -390,7 +390,8 @@ def faults_of(
     said = answer["said"] if row.words else answer["error"]
     if answer["status"] not in (0, 1, 2):
         faults[f"status {answer['status']}: {answer['kind']} at {where}"] = said[-1500:]
-    if answer["seconds"] > MOST_SECONDS:
+    drawn = answer["status"] == 0 and "progress: rendering" in said  # a scene may be as large as is asked
+    if answer["seconds"] > MOST_SECONDS and not drawn:
         faults["slow"] = f"{answer['seconds']:.1f} s"
     if answer["memory"] > MOST_MEMORY or "memory ran out" in said or answer["kind"] == "MemoryError":
         faults["memory"] = f"{answer['memory'] / 2**30:.2f} GiB {said[-300:]}"
@@ -447,7 +448,8 @@ def _faults_of_words(row: Reader, answer: dict[str, Any], case: Case) -> dict[st
 def _names_a_file(message: str, case: Case) -> bool:
     """Whether a message names a file of the case, a path that stands in one, or an option."""
     names = {part for name in case.files for part in (name.rsplit("/", 1)[-1], name.split("/")[0])}
-    # an option by its name, or by what was given for it
-    given = {part for word in case.words for part in word.lstrip("-").split("=") if part}
+    # an option by its name, or by what was given for it, unless that may stand in any message
+    given = {part for word in case.words for part in word.lstrip("-").split("=") if len(part) > 2}
+    given |= {repr(part)[1:-1] for part in given}  # as it is quoted
     said = (message, message.replace("_", "-"))  # of Python's names too
     return any(name in words for name in names | given for words in said) or "/case" in message

@@ -71,6 +71,15 @@ def entry(name: str, *path: str | int, value: object) -> Spoil:
     return spoil
 
 
+def years_apart(files: Files) -> None:
+    held = files["state.json"]
+    assert isinstance(held, bytes)
+    model, _, text = held.decode().partition("\n")
+    state = json.loads(text)
+    state["m_centerEphemerisTime"] += 3e8
+    files["state.json"] = f"{model}\n{json.dumps(state)}".encode()
+
+
 def one_instant_too_many(files: Files) -> None:
     held = files["isd.json"]
     assert isinstance(held, bytes)
@@ -314,6 +323,24 @@ CASES: dict[str, tuple[str, Spoil, int, str]] = {
         entry("result/summary.json", "spin", "exposures", 0, "departure", "roll", value=1e300),
         2,
         r"summary\.json",
+    ),
+    "images of a recovered spin that are a number": (
+        "io.results.registered_frames.read_recovered_spin",
+        entry("result/summary.json", "images", value=2.5),
+        2,
+        r"summary\.json",
+    ),
+    "bands of a registration that lie elsewhere": (
+        "open_result (results/bands)",
+        entry("bands/summary.json", "files", value=["/etc/passwd", "XS.tif"]),
+        2,
+        r"summary\.json: files holds '/etc/passwd'",
+    ),
+    "bands imaged years apart": (
+        "check sensor-model/acquisition.toml, what it names",
+        years_apart,
+        1,
+        r"acquisition\.toml: PAN sees ground .* s before or after",
     ),
     "a raw image that is a pipe": (
         "io.formats.hirise_edr.is_hirise",

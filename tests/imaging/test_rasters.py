@@ -392,3 +392,23 @@ def test_addresses_are_distinguished_from_paths(text, name):
 def test_other_addresses_are_refused(text):
     with pytest.raises(FormatError, match="is no path of a file"):
         remote_name(text)
+
+
+def test_pixels_of_imagine_in_another_file_lie_where_they_may_and_are_a_file(tmp_path):
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    made = {"driver": "HFA", "width": 64, "height": 64, "count": 1, "dtype": "uint16", "USE_SPILL": "YES"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        with rasterio.open(folder / "a.img", "w", **made) as dataset:
+            dataset.write(np.ones((1, 64, 64), dtype="uint16"))
+    with open_raster(folder / "a.img") as dataset:
+        assert dataset.read(1).min() == 1
+    (folder / "a.ige").rename(tmp_path / "b.ige")
+    (folder / "a.ige").symlink_to(tmp_path / "b.ige")
+    with pytest.raises(FormatError, match="outside the folders"):
+        open_raster(folder / "a.img")
+    (folder / "a.ige").unlink()
+    os.mkfifo(folder / "a.ige")
+    with pytest.raises(FormatError, match=r"a\.ige: is a pipe"):
+        open_raster(folder / "a.img")

@@ -451,8 +451,9 @@ def _relief(strip: Strip, state: StripState) -> RowRelief | None:
     hub = state.records[0].star.hub
     camera = strip.nominal[hub]
     first, last = camera.times(np.array([-0.5, camera.lines - 0.5]))
-    rows = (strip.grid.nodes >= first) & (strip.grid.nodes <= last)
-    return RowRelief(hub, strip.grid.nodes[rows], estimate.relief[rows], estimate.relief_sigma()[rows])
+    t = state.ground.seen(strip.grid.nodes)
+    rows = (t >= first) & (t <= last)
+    return RowRelief(hub, t[rows], estimate.relief[rows], estimate.relief_sigma()[rows])
 
 
 def _hidden_names(drifts: Sequence[int], turn: Array) -> tuple[str, ...]:

@@ -70,6 +70,8 @@ _POINTER = re.compile(r"^\s*\^\s*\w+\s*=\s*\(?\s*(?:\"([^\"\n]+)\"|'([^'\n]+)'|(
 #: Files that GDAL looks for beside a raster: rasters of their own, begun so, and notes.
 _BESIDE, _NOTES = (".ovr", ".OVR", ".msk", ".MSK"), ".aux.xml"
 _RASTERS = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+", b"EHFA")
+#: Files of ERDAS Imagine, and names in them of files that hold their pixels or overviews.
+_HFA, _SPILL = b"EHFA", re.compile(rb"[^\0-\x1f\x7f]{1,240}?\.(?:ige|rrd)(?=\0)", re.IGNORECASE)
 #: What files begin with that nothing but a driver of `LOCAL_DRIVERS` takes.
 _CLASSIC = (b"CDF\1", b"CDF\2", b"CDF\5")  # of netCDF: such files hold all of their data
 _KNOWN = (*_RASTERS, b"\xff\xd8\xff", b"\x89PNG", b"\0\0\0\x0cjP", b"NITF", *_CLASSIC)
@@ -206,6 +208,10 @@ class _References:
         text = head.split(b"\0", 1)[0]  # GDAL looks for words no further
         marked = text.lstrip(b"\xef\xbb\xbf \t\r\n")[:1] in (b"<", b"{", b"[")
         asks = _ASKS.search(text)
+        if head.startswith(_HFA):
+            found = (name.decode("latin-1") for name in dict.fromkeys(_SPILL.findall(_whole(path))))
+            named = [_Name(name, bare=name.lower().endswith(".ige")) for name in found]
+            self._names(path, named, depth, needed=False)
         if marked and _LISTS in text:
             self._names(path, _named_in(path), depth)
             return ("VRT",)
@@ -286,6 +292,12 @@ class _References:
         if remote is not None and not self.access.network:
             raise refuse_network(path, f"refers to {name}")
         return remote is not None
+
+
+def _whole(path: Path) -> bytes:
+    """A file of ERDAS Imagine as far as names may stand in it: one with pixels elsewhere is small."""
+    with foreign_errors(path, "cannot be read", "make it again"), path.open("rb") as stream:
+        return stream.read(LARGEST_LIST)
 
 
 def _named_in(path: Path, *, label: bool = False, notes: bool = False) -> list[_Name]:

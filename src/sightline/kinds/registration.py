@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from sightline.applications.registration import Registration, fit_every_pair
-from sightline.errors import foreign_errors
+from sightline.errors import FormatError, foreign_errors
 from sightline.execution import part_of, steps_of
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.images import open_image
@@ -69,12 +69,11 @@ class Registered(ResultKind):
 
     def patterns(self, summary: Mapping[str, Any]) -> Sequence[str]:
         """The bands by their names."""
-        return (*(glob.escape(str(name)) for name in summary.get("files", ())), SUMMARY, REPORT)
+        return (*(glob.escape(name) for name in summary.get("files", ()) if _beside(name)), SUMMARY, REPORT)
 
     def left(self, folder: Path, summary: dict[str, Any]) -> list[str]:
         """The bands that the summary lists."""
-        bands = [str(name) for name in summary["files"]]
-        return [SUMMARY, REPORT, *(name for name in bands if name.endswith(".tif") and "/" not in name)]
+        return [SUMMARY, REPORT, *(name for name in summary["files"] if _beside(name))]
 
     def render(
         self,
@@ -109,6 +108,12 @@ class Registered(ResultKind):
             names = [band["name"] for band in summary["bands"]]
             files = [str(name) for name in summary["files"]]
             reference = names.index(summary["onto"])
+        for name in files:
+            if not _beside(name):
+                raise FormatError(
+                    f"{folder / SUMMARY}: files holds {name!r}; allowed are names of .tif files in the same "
+                    "folder; run `sightline register` again"
+                )
         one = len(files) == 1 < len(names)
         places = [
             (files[0], k + 1) if one else (file, 1)
@@ -128,6 +133,11 @@ class Registered(ResultKind):
         axes[0].set_ylabel("apart (px rms)")
         axes[0].set_yscale("log")
         axes[0].legend()
+
+
+def _beside(name: object) -> bool:
+    """Whether a name is that of an image in the folder of the result itself."""
+    return isinstance(name, str) and name.endswith(".tif") and not set(name) & set("/\\\0")
 
 
 class Picture(ResultKind):

@@ -32,7 +32,7 @@ from sightline.motion.strip.fusion import (
     uses,
 )
 from sightline.motion.strip.joint import JointPrior, angles_at, directions_at, solve_joint
-from sightline.motion.strip.normal_equations import TimeGrid, no_information, normal_equations
+from sightline.motion.strip.normal_equations import GroundOrder, TimeGrid, no_information, normal_equations
 
 GRID = TimeGrid(0.0, 2e-3, 300)
 STILL = Trajectory.level_flight(ALTITUDE, SPEED, -1.0, 4.0)
@@ -257,7 +257,7 @@ def image_data(motion, rng):
     # one error per image, as the start of the correlation says
     images = 0.05 / np.sqrt(2.0) * rng.normal(size=(len(star.t_hub), 3, 2))
     read += images[:, 1:] - images[:, :1]
-    return normal_equations([star], [read], GRID, delays=[0.0])
+    return normal_equations([star], [read], GRID, orders=[GroundOrder()])
 
 
 def drawn(rng):

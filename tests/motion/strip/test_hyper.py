@@ -24,7 +24,7 @@ from sightline.motion.strip.hyper import (
     fit_prior_model,
 )
 from sightline.motion.strip.joint import JointEstimate, JointPrior
-from sightline.motion.strip.normal_equations import TimeGrid, normal_equations
+from sightline.motion.strip.normal_equations import GroundOrder, TimeGrid, normal_equations
 
 STEP = 1e-3
 SIGMA = 0.05
@@ -33,7 +33,7 @@ SIGMA = 0.05
 def estimate_of(star, motion) -> JointEstimate:
     """An estimate that says `motion(t)` -> (N, 3) rad."""
     grid = TimeGrid(0.0, STEP, 600)
-    data = normal_equations([star], [star.residual_px], grid, delays=[0.0])
+    data = normal_equations([star], [star.residual_px], grid, orders=[GroundOrder()])
     spectrum = Spectrum((Matern(1e-5, 0.1, "3/2"),))
     prior = JointPrior((spectrum.autoregressive(STEP, 4, grid.count),) * 3, np.zeros(0))
     return JointEstimate(grid, motion(grid.nodes), None, np.zeros(0), np.zeros(0), data, prior)

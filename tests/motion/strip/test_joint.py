@@ -23,7 +23,13 @@ from sightline.motion.strip.joint import (
     remove_directions,
     solve_joint,
 )
-from sightline.motion.strip.normal_equations import TimeGrid, modelled, normal_equations
+from sightline.motion.strip.normal_equations import (
+    GroundOrder,
+    TimeGrid,
+    modelled,
+    normal_equations,
+    ordered_ground,
+)
 
 LAGS = (0.0741, 0.0233)
 COUNT, STEP = 80, 0.01
@@ -127,7 +133,7 @@ def test_the_joint_posterior_is_the_dense_gaussian_one(relief: bool) -> None:
     star = small_star()
     prior, dense = make_prior(relief)
     grid = TimeGrid(0.0, STEP, COUNT)
-    data = normal_equations([star], [star.residual_px], grid, delays=[0.0], relief=relief)
+    data = normal_equations([star], [star.residual_px], grid, orders=[GroundOrder()], relief=relief)
     estimate = solve_joint(data, prior)
 
     rows, y, noise = dense_rows(star, relief)
@@ -179,7 +185,7 @@ def test_the_relative_covariance_is_the_projected_dense_one() -> None:
     star = small_star(1)
     prior, dense = make_prior(False)
     grid = TimeGrid(0.0, STEP, COUNT)
-    data = normal_equations([star], [star.residual_px], grid, delays=[0.0])
+    data = normal_equations([star], [star.residual_px], grid, orders=[GroundOrder()])
     estimate = solve_joint(data, prior)
     directions = directions_at(grid, estimate.hidden_directions((0, 1, 2)), grid.nodes)
     t = grid.nodes
@@ -245,7 +251,7 @@ def test_the_band_in_time_is_that_of_the_dense_covariance_with_constants_held(re
     prior, dense = make_prior(relief)
     grid = TimeGrid(0.0, STEP, COUNT)
     estimate = solve_joint(
-        normal_equations([star], [star.residual_px], grid, delays=[0.0], relief=relief), prior
+        normal_equations([star], [star.residual_px], grid, orders=[GroundOrder()], relief=relief), prior
     )
     nodes = 3
     got = estimate.covariance_band(nodes)
@@ -332,7 +338,7 @@ class TestInnovationWeights:
         grid = TimeGrid(0.0, STEP, self.COUNT)
         spectrum = Spectrum((Matern(1.0, 0.1, "3/2"),))
         process = spectrum.autoregressive(STEP, self.COUNT - 1, self.COUNT)
-        data = normal_equations([star], [star.residual_px], grid, delays=[0.0])
+        data = normal_equations([star], [star.residual_px], grid, orders=[GroundOrder()])
         prior = JointPrior((process, process, process), np.array([0.5, 0.8]))
         return JointEstimate(grid, nodes, None, np.zeros(2), np.zeros(2), data, prior), self.dense()
 
@@ -381,7 +387,7 @@ def test_drifts_on_a_grid_of_their_own_give_the_same_posterior(relief):
     assert part is not None
     star = small_star()
     grid = TimeGrid(0.0, STEP, COUNT)
-    data = normal_equations([star], [star.residual_px], grid, delays=[0.0], relief=relief)
+    data = normal_equations([star], [star.residual_px], grid, orders=[GroundOrder()], relief=relief)
     ground = Spectrum((Matern(2.0, 0.05),)).autoregressive(STEP, 8, COUNT)
     plain = JointPrior((whole,) * 3, np.array([0.5, 0.5]), (ground, ground) if relief else None)
     apart = JointPrior(
@@ -403,7 +409,7 @@ def test_the_longest_gap_is_counted_between_nodes_that_are_seen():
     away = (star.t_hub[:, None] < 0.3) & (star.t < 0.3) | (star.t_hub[:, None] > 0.5)
     star = star.with_weight(np.where(away, 1.0, 0.0))
     data = normal_equations(
-        [star], [star.residual_px], TimeGrid(0.0, STEP, COUNT), delays=[0.0], relief=False
+        [star], [star.residual_px], TimeGrid(0.0, STEP, COUNT), orders=[GroundOrder()], relief=False
     )
     # up to two nodes beyond 0.3 and before 0.5 s are interpolated from
     assert 15 <= longest_gap(data) <= 19
@@ -418,8 +424,10 @@ def test_sums_do_not_depend_on_the_pieces_they_are_made_of(monkeypatch, relief):
 
     def summed(patches):
         monkeypatch.setattr(equations, "PART_PATCHES", patches)
-        data = normal_equations(stars, measured, grid, delays=[0.0, 0.03], relief=relief)
-        return data, [modelled(s, grid, nodes, np.ones(2), 0.03) for s in stars]
+        data = normal_equations(
+            stars, measured, grid, orders=[GroundOrder(), GroundOrder(0.03)], relief=relief
+        )
+        return data, [modelled(s, grid, nodes, np.ones(2), GroundOrder(0.03)) for s in stars]
 
     (whole, read), (parts, read_in_parts) = summed(10**6), summed(9)
     for name in ("ab", "border", "corner", "rhs", "rhs_static", "chi2", "rows"):
@@ -446,3 +454,27 @@ def test_a_motion_found_on_a_coarse_grid_is_carried_to_a_finer_one_without_image
     assert np.abs(error).max() < 0.004
     assert np.abs(coarse.interpolate(estimate.nodes, fine.nodes) - tone(fine.nodes))[20:-20].max() > 0.05
     assert nodes_on(estimate, coarse) is estimate.nodes
+
+
+def test_ground_of_all_hubs_lies_on_the_grid_and_one_place_at_one_instant():
+    grid = TimeGrid(-0.2, 0.01, 141)
+    hubs, delays = [np.linspace(0.0, 1.0, 11), np.linspace(0.0, 1.0, 11)], [0.0, 0.3]
+    orders = ordered_ground(hubs, delays, grid)
+    placed = [order.of(t) for order, t in zip(orders, hubs, strict=True)]
+    inside = grid.nodes[1], grid.nodes[-2]
+    assert all(inside[0] - 1e-12 <= t.min() and t.max() <= inside[1] + 1e-12 for t in placed)
+    # what the second hub sees 0.3 s later than the first
+    np.testing.assert_allclose(placed[1][3:], placed[0][:-3], atol=1e-12)
+    np.testing.assert_allclose(orders[0].seen(placed[0]), hubs[0], atol=1e-12)
+    # with room enough instants are kept, up to a shift
+    assert orders[0].rate == 1.0
+    assert ordered_ground(hubs[:1], [0.0], grid)[0] == GroundOrder()
+
+
+def test_ground_that_has_no_room_on_the_grid_is_laid_closer():
+    grid = TimeGrid(0.0, 0.01, 101)
+    hubs = [np.linspace(0.0, 1.0, 11), np.linspace(0.0, 1.0, 11)]
+    orders = ordered_ground(hubs, [0.0, 0.3], grid)
+    placed = np.concatenate([order.of(t) for order, t in zip(orders, hubs, strict=True)])
+    np.testing.assert_allclose([placed.min(), placed.max()], [grid.nodes[1], grid.nodes[-2]], atol=1e-12)
+    assert orders[0].rate == pytest.approx(0.98 / 1.3)

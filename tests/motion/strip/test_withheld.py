@@ -14,7 +14,7 @@ from sightline.errors import InputError
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Band
-from sightline.motion.strip.normal_equations import modelled, window_rows
+from sightline.motion.strip.normal_equations import GroundOrder, modelled, window_rows
 from sightline.motion.strip.strip import RecoverOptions
 from sightline.motion.strip.withheld import LEAST_WINDOWS, _worth, compared, judged
 from sightline.simulate.scenarios import line_of_sight_case
@@ -112,7 +112,7 @@ def test_rows_read_what_the_estimate_models_and_their_variance_is_that_of_the_de
     strip, options, state, _ = solved
     star = compared(strip, state, options, (0, 2), 40).star
     which = np.flatnonzero(star.present[:, 0])
-    rows, statics = window_rows(star, strip.grid, 3, 0.0, which)
+    rows, statics = window_rows(star, strip.grid, 3, GroundOrder(), which)
     rng = np.random.default_rng(0)
     nodes = 1e-5 * rng.standard_normal((strip.grid.count, 3))
     values = rng.standard_normal(len(strip.parameters))

@@ -37,6 +37,9 @@ LIMB_SHARE = 0.75
 LARGEST_STEP_RATIO = 50.0
 #: The same, from which on it is asked whether that is meant.
 DOUBTFUL_STEP_RATIO = 4.0
+#: Lines of a push-broom between two looks of one pass, at most: an hour of 3.6 ms. Blind frequencies are as
+#: many, and the motion is recovered over all of the time.
+MOST_LINES_APART = 1_000_000
 _SAMPLING_KEYS = (
     "ifov (a tangent, pixel pitch / focal length, about 1e-5) or directions, line_period (s), altitude (m), "
     'ground_speed (m/s); of tables the positions (m, unless [world] frame = "lonlat") and their t (s)'
@@ -428,6 +431,14 @@ def check_overlap(
                 f"{path}: {names[k]} shares no ground with any other image; check {keys}"
                 f"{_ahead_words(camera, [cameras[j] for j in others], surface)}"
             )
+        if isinstance(camera, PushbroomCamera):
+            apart = float(np.min(np.abs(lags)))
+            if apart > MOST_LINES_APART * camera.detector.line_period:
+                raise GeometryError(
+                    f"{path}: {names[k]} sees ground {apart:.4g} s before or after any other image does, "
+                    f"which is more than {MOST_LINES_APART:,} of its lines; images of one pass are expected: "
+                    "check first_line_time, or the times of the sensor models"
+                )
     if not moving:
         raise GeometryError(
             f"{path}: all images see the same ground at the same time (lag 0), so motion cannot be seen; "

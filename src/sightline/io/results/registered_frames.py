@@ -71,7 +71,7 @@ def read_recovered_spin(folder: Path, acquisition: Acquisition) -> RecoveredSpin
             f"{place}: no result of a spinning camera; recover the acquisition first: sightline recover "
             f"{acquisition.path} --out {folder}"
         )
-    if list(summary.get("images", ())) != list(acquisition.names):
+    if summary.get("images") != list(acquisition.names):
         raise FormatError(f"{place}: its images are not those of {acquisition.path}; recover that first")
     unknowns = SpinUnknowns(
         acquisition.frames,

@@ -36,7 +36,13 @@ from sightline.motion.strip.joint import (
     longest_gap,
     solve_joint,
 )
-from sightline.motion.strip.normal_equations import modelled, no_information, normal_equations
+from sightline.motion.strip.normal_equations import (
+    GroundOrder,
+    modelled,
+    no_information,
+    normal_equations,
+    ordered_ground,
+)
 from sightline.motion.strip.relief import beside_row, hub_delay, relief_length, relief_matters, row_processes
 from sightline.motion.strip.strip import Strip
 
@@ -64,6 +70,7 @@ class StripState:
     with_relief_px: tuple[Array, ...]
     before_px: tuple[Array, ...]
     relief_length: float
+    ground: GroundOrder
 
     def jumps(self) -> list[Array]:
         """Instants (s) at which roll, pitch, yaw were let jump."""
@@ -128,6 +135,7 @@ def solve_strip(
     stars = [r.star for r in records]
     measured = [s.residual_px + modelled(s, grid, nodes, statics) for s in stars]
     delays = [hub_delay(strip.nominal, strip.surface, s.hub, stars[0].hub) for s in stars]
+    orders = ordered_ground([s.t_hub[s.present.any(axis=1)] for s in stars], delays, grid)
     sigmas = np.array([p.sigma for p in strip.parameters])
     unknown_relief = relief_matters(stars, height_sigma)
     constant, drift = _gauge(strip)
@@ -136,7 +144,9 @@ def solve_strip(
     beside = 0.0
     if unknown_relief:
         beside = height_sigma * beside_row(length, strip.half_width)
-        relief = row_processes(height_sigma, length, strip.half_width, strip.ground_speed, grid)
+        relief = row_processes(
+            height_sigma, length, strip.half_width, strip.ground_speed / orders[0].rate, grid
+        )
         prior = replace(prior, relief=relief)
 
     # errors of a gyro are followed twice as far as the images tie the motion to itself
@@ -144,7 +154,7 @@ def solve_strip(
     rows = _sensor_rows(strip, model, nodes, statics, longest)
 
     def solution() -> tuple[JointEstimate, list[Array], list[Array]]:
-        data = normal_equations(stars, measured, grid, delays=delays, relief=unknown_relief)
+        data = normal_equations(stars, measured, grid, orders=orders, relief=unknown_relief)
         # across a gap longer than its memory an autoregression knows no slope of the drift
         long = longest_gap(data) > ORDER
         apart = model.apart(grid, len(data.ab) // data.block) if long else None
@@ -155,7 +165,7 @@ def solve_strip(
         if not unknown_relief:
             return found, without, without
         whole = [
-            modelled(s, grid, found.unknowns(), found.statics, d) for s, d in zip(stars, delays, strict=True)
+            modelled(s, grid, found.unknowns(), found.statics, o) for s, o in zip(stars, orders, strict=True)
         ]
         return found, [m - w for m, w in zip(measured, whole, strict=True)], without
 
@@ -176,7 +186,9 @@ def solve_strip(
     if unknown_relief:
         length = relief_length(stars, without, height_sigma, strip.half_width)
     kept = tuple(StarRecord(s, r.status, r.score) for s, r in zip(stars, records, strict=True))
-    return StripState(estimate, prior, model, kept, tuple(post), tuple(without), tuple(measured), length)
+    return StripState(
+        estimate, prior, model, kept, tuple(post), tuple(without), tuple(measured), length, orders[0]
+    )
 
 
 def _gauge(strip: Strip) -> tuple[tuple[float, float, float], tuple[float, float, float]]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -428,23 +428,71 @@ class NormalEquations:
         return band_times(self.ab, x), self.border.T @ x
 
 
-def ground_times(star: Star, delay: float) -> Array:
-    """Instants that order the ground of several hubs on one axis: hub's time less its mean `delay` (s)."""
-    return star.t_hub - delay
+@dataclass(frozen=True)
+class GroundOrder:
+    """Instants that order the ground of several hubs on the grid of the motion: ``begin + rate (t - t0)``.
+
+    Attributes
+    ----------
+    t0 : float
+        s; when a hub sees the ground that comes first.
+    begin : float
+        s; where the grid has it.
+    rate : float
+        Below 1 where hubs see more ground than has room on the grid, beyond which it would be extrapolated.
+    """
+
+    t0: float = 0.0
+    begin: float = 0.0
+    rate: float = 1.0
+
+    def of(self, t: Array) -> Array:
+        """Instants on the grid of ground that the hub sees at `t` (s)."""
+        return np.asarray(self.begin + self.rate * (t - self.t0))
+
+    def later(self, delay: float) -> GroundOrder:
+        """The same for a hub that sees a piece of ground `delay` (s) later than this one."""
+        return replace(self, t0=self.t0 + delay)
+
+    def seen(self, nodes: Array) -> Array:
+        """When (s) the hub sees the ground at instants on the grid."""
+        return np.asarray(self.t0 + (nodes - self.begin) / self.rate)
+
+
+def ordered_ground(hubs: Sequence[Array], delays: Sequence[float], grid: TimeGrid) -> list[GroundOrder]:
+    """How the ground of every star lies on the grid.
+
+    Parameters
+    ----------
+    hubs : sequence of (G,)
+        Per star, s: when its hub sees each piece of ground.
+    delays : sequence of float
+        Per star, s: how much later its hub sees a piece of ground than the first star's hub.
+    grid : TimeGrid
+    """
+    first = min(float(t.min()) - delay for t, delay in zip(hubs, delays, strict=True) if len(t))
+    last = max(float(t.max()) - delay for t, delay in zip(hubs, delays, strict=True) if len(t))
+    # a node is left at either end, so that all is interpolated
+    start, end = grid.start + grid.step, grid.start + (grid.count - 2) * grid.step
+    if start <= first and last <= end:
+        return [GroundOrder().later(delay) for delay in delays]
+    rate = min((end - start) / max(last - first, grid.step), 1.0)
+    begin = start if rate < 1.0 else min(max(first, start), end - (last - first))
+    return [GroundOrder(first, begin, rate).later(delay) for delay in delays]
 
 
 def bandwidth_of(
-    stars: Sequence[Star], grid: TimeGrid, block: int, delays: Sequence[float], relief: bool
+    stars: Sequence[Star], grid: TimeGrid, block: int, orders: Sequence[GroundOrder], relief: bool
 ) -> int:
     """Bandwidth the rows of `stars` need, in unknowns."""
     widest = 0.0
     support = 4
-    for star, delay in zip(stars, delays, strict=True):
+    for star, order in zip(stars, orders, strict=True):
         support = max(support, 4 + math.ceil(star.duration / grid.step))
         seen = star.present
         every = np.concatenate([star.t_hub[:, None], np.where(seen, star.t, np.nan)], axis=1)
         if relief:
-            every = np.concatenate([every, ground_times(star, delay)[:, None]], axis=1)
+            every = np.concatenate([every, order.of(star.t_hub)[:, None]], axis=1)
         used = seen.any(axis=1)
         if used.any():
             spread = np.nanmax(every[used], axis=1) - np.nanmin(every[used], axis=1)
@@ -457,7 +505,7 @@ def normal_equations(
     measured: Sequence[Array],
     grid: TimeGrid,
     *,
-    delays: Sequence[float],
+    orders: Sequence[GroundOrder],
     relief: bool = False,
 ) -> NormalEquations:
     """Sum the information of all stars.
@@ -470,22 +518,22 @@ def normal_equations(
         What stands on the left side of the rows, px (residual plus what the present estimate explains).
     grid : TimeGrid
         Nodes of the unknowns.
-    delays : sequence of float
-        Per star, s: how much later its hub sees a piece of ground than the first star's hub.
+    orders : sequence of GroundOrder
+        Per star: how its ground lies on the grid (`ordered_ground`).
     relief : bool
         With two heights per node.
     """
     block = 5 if relief else 3
     n = block * grid.count
     statics = stars[0].by_static.shape[3]
-    width = min(bandwidth_of(stars, grid, block, delays, relief), n - 1)
+    width = min(bandwidth_of(stars, grid, block, orders, relief), n - 1)
     ab = np.zeros((width + 1, n))
     border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
     rhs, rhs_static = np.zeros(n), np.zeros(statics)
     chi2, rows = 0.0, 0
     pieces = [
-        _Piece(star, left, ground_times(star, delay), part)
-        for star, left, delay in zip(stars, measured, delays, strict=True)
+        _Piece(star, left, order.of(star.t_hub), part)
+        for star, left, order in zip(stars, measured, orders, strict=True)
         for part in _parts(star)
     ]
     # some at a time: each holds a band of its own, and the order of the sums is that of the pieces
@@ -574,7 +622,7 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> tuple[int,
 
 
 def window_rows(
-    star: Star, grid: TimeGrid, block: int, delay: float, which: NDArray[np.intp]
+    star: Star, grid: TimeGrid, block: int, order: GroundOrder, which: NDArray[np.intp]
 ) -> tuple[Any, Array]:
     """The rows of the first pair of a star: by the unknowns of the grid, and by the static parameters.
 
@@ -597,7 +645,7 @@ def window_rows(
     if block == 5:
         height = star.by_height[:, 0, :, None]
         tilted = np.concatenate([height, height * star.field[:, None, None]], axis=2)
-        parts.append((ground_times(star, delay), tilted, 3))
+        parts.append((order.of(star.t_hub), tilted, 3))
     points = 2 + math.ceil(star.duration / grid.step) if star.duration > 0.0 else 1
     values, columns = [], []
     for t, by, unknown in parts:
@@ -617,7 +665,9 @@ def window_rows(
     return rows, np.asarray(star.by_static[which, 0].reshape(2 * len(which), -1), dtype=np.float64)
 
 
-def modelled(star: Star, grid: TimeGrid, nodes: Array, statics: Array, delay: float = 0.0) -> Array:
+def modelled(
+    star: Star, grid: TimeGrid, nodes: Array, statics: Array, order: GroundOrder = GroundOrder()
+) -> Array:
     """What the rows of a star read for given unknowns, (G, K, 2) px.
 
     Parameters
@@ -628,7 +678,7 @@ def modelled(star: Star, grid: TimeGrid, nodes: Array, statics: Array, delay: fl
         In the units of the static parameters.
     """
     out = np.empty(star.residual_px.shape)
-    t_ground, nodes = ground_times(star, delay), np.ascontiguousarray(nodes)
+    t_ground, nodes = order.of(star.t_hub), np.ascontiguousarray(nodes)
     values = np.asarray(statics, dtype=float)
 
     def work(part: slice) -> None:

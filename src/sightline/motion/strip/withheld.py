@@ -225,17 +225,18 @@ def compared(
     record = _matched(strip, state, options, pair, view[0, 1], most)
     star, estimate = record.star, state.estimate
     delay = hub_delay(strip.nominal, strip.surface, hub, state.records[0].star.hub)
+    order = state.ground.later(delay)
     nodes = estimate.unknowns()
     # cameras carry motion and statics: what the rows know beyond these is the relief found
     relief = nodes.copy()
     relief[:, :3] = 0.0
-    error = star.residual_px - modelled(star, strip.grid, relief, np.zeros(len(estimate.statics)), delay)
+    error = star.residual_px - modelled(star, strip.grid, relief, np.zeros(len(estimate.statics)), order)
     used = _used_together(state.records, star, strip.grid.step, directly=True)
     star = star.with_weight(np.where(used[:, None], 0.0, robust_weights(star, error)))
     seen = star.present[:, 0]
     if seen.sum() < LEAST_WINDOWS:
         return None
-    rows, statics = window_rows(star, strip.grid, nodes.shape[1], delay, np.flatnonzero(seen))
+    rows, statics = window_rows(star, strip.grid, nodes.shape[1], order, np.flatnonzero(seen))
     variance = np.full((len(seen), 2), np.nan)
     variance[seen] = estimate.row_variance(rows, statics).reshape(-1, 2)
     own = star.covariance_px[:, 0][:, [0, 1], [0, 1]] / np.where(seen, star.weight[:, 0], np.nan)[:, None]
