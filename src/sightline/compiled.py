@@ -203,7 +203,7 @@ def _check_ours(folder: str, *, shut_to: int) -> None:
 
 
 def _user() -> str:
-    """What tells this user from others in the name of a folder."""
+    """What distinguishes this user from others in the name of a folder."""
     return str(os.geteuid()) if os.name == "posix" else "own"
 
 

@@ -18,7 +18,7 @@ from sightline.errors import InputError
 
 @dataclass(frozen=True)
 class _Stamp:
-    """What tells a file from one that took its place; all -1 where there is none."""
+    """What distinguishes a file from one that took its place; all -1 where there is none."""
 
     size: int = -1
     mtime_ns: int = -1

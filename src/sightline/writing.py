@@ -23,7 +23,7 @@ from sightline.execution import size_words
 
 #: Environment variables by which a user says where scratch files go.
 _SCRATCH_VARIABLES = ("TMPDIR", "TEMP", "TMP")
-#: Last second that a date of four digits for the year can tell.
+#: Last second that a date of four digits for the year can hold.
 _LAST_SECOND = 253402300799
 #: How a PNG begins and ends; the version of a TIFF with offsets of 8 bytes.
 _PNG, _BIG_TIFF = (b"\x89PNG\r\n\x1a\n", b"IEND\xaeB`\x82"), 43
@@ -33,7 +33,7 @@ _HEAD, _REPEATED = 1024, b"BLOCK_TRAILER=LAST_4_BYTES_REPEATED"
 _BLOCK_PAIRS = ((273, 279), (324, 325))
 _BLOCKS = {tag for pair in _BLOCK_PAIRS for tag in pair}
 _WHOLE_NUMBERS = {3: "H", 4: "L", 16: "Q"}
-#: How the raster library begins the line of its log that tells of an error.
+#: How the raster library begins the line of its log that names an error.
 _GDAL_ERROR = "GDAL signalled an error"
 
 _scratch: ContextVar[Path | None] = ContextVar("_scratch", default=None)

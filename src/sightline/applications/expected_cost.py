@@ -1,6 +1,6 @@
 """What a run will take, by sizes alone: seconds of a processor and bytes of memory, before it is begun.
 
-Rates were measured; each stands beside the run that it is from. They tell a minute from a day, not one
+Rates were measured; each stands beside the run that it is from. They distinguish a minute from a day, not one
 minute from two: texture, noise and the number of passes do the rest.
 
 Not here: what single keys may hold (``io/quantities.py``).

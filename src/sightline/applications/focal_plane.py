@@ -163,7 +163,7 @@ class FocalPlane:
 
     @property
     def noise(self) -> RowNoise:
-        """Of its images; rows that overlap tell no more than rows that touch."""
+        """Of its images; rows that overlap hold no more than rows that touch."""
         window = self.window_lines * self.line_period
         return RowNoise(
             self.image_sigma_px, max(window, 1.0 / self.row_rate), window if self.window_lines > 1.0 else 0.0
@@ -194,7 +194,7 @@ class FocalPlane:
 
 @dataclass(frozen=True, eq=False)
 class JudgedLayout:
-    """A layout and what it would tell.
+    """A layout and how well it would see a motion.
 
     Attributes
     ----------

@@ -41,7 +41,7 @@ from sightline.result import Result, makes_result
 Array = NDArray[np.float64]
 Array32 = NDArray[np.float32]
 
-#: What it costs to use a frame whose image tells nothing of its pose, or one out of focus.
+#: What it costs to use a frame without a pose of its own image, or one out of focus.
 _GUESSED, _BLURRED = 1e4, 1e2
 #: Share of the ground passed over from which on gaps are not worth a warning.
 _GAPS = 0.99
@@ -245,7 +245,7 @@ def found_views(problem: SequenceProblem, found: SequencePoses, plan: CubePlan |
 
 
 def _adrift(problem: SequenceProblem, found: SequencePoses, most: float) -> NDArray[np.bool_]:
-    """Frames (M,) whose images tell nothing and whose view nobody knows: one of them would stretch the map.
+    """Frames (M,) without poses of their own whose view nobody knows: one of them would stretch the map.
 
     Sigmas beyond those of the frames that were solved, whose datum is that of all, are compared with the
     ground that a frame shows.

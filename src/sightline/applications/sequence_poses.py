@@ -2,7 +2,7 @@
 
 Reads like figure 7 of S4: displacement and yaw of successive frames (750), the subset (720), photogrammetry
 on it (730/740), the parameters of all frames (760). Windows followed from frame to frame carry 750 and 760 at
-once: all frames are solved together with the points, so that nothing is interpolated that an image tells.
+once: all frames are solved together with the points, so that nothing is interpolated where an image shows it.
 
 Not here: files (``io/sequence/load.py``), the cube (``products/``).
 """
@@ -75,7 +75,7 @@ SOLVED_ALL, COMPARED = "all poses", "stretches compared"
 Progress = Callable[[str, int, int], None]
 #: Share of the machine's memory that a solution of all frames at once may take.
 _SHARE = 0.6
-#: Good sightings from which on a frame's own image tells its pose.
+#: Good sightings from which on a frame's own image gives its pose.
 _ENOUGH = 6
 
 

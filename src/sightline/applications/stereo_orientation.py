@@ -540,7 +540,7 @@ def _by_measured_noise(
 
 
 def _observable_information(information: Array, sightings: Sightings, noise: PoseNoise) -> Array:
-    """Information of a linear estimate without directions that no pair of rays can tell.
+    """Information of a linear estimate without directions that no pair of rays makes observable.
 
     Noise in its coefficients looks like information along them.
     """

@@ -166,7 +166,7 @@ def predict(problem: StereoProblem, method: str = "ml-track", *, tables: bool = 
     Parameters
     ----------
     problem : StereoProblem
-        Its measured pixels only tell where the points are; without matches points are laid out.
+        Its measured pixels only show where the points are; without matches points are laid out.
     method : str
         ``ml-track`` or ``ml-pair``.
     tables : bool

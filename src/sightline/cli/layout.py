@@ -35,7 +35,7 @@ def layout(
     as_json: Json = False,
     allow_network: AllowNetwork = False,
 ) -> None:
-    """Rank layouts of the focal plane by what they tell of the motion in a band, beside other layouts."""
+    """Rank layouts of the focal plane by how well they see the motion in a band, beside other layouts."""
     import time
     from contextlib import nullcontext
 

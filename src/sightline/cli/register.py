@@ -69,7 +69,7 @@ def register(
 
 
 def _apart(before: dict[str, Any], after: dict[str, Any]) -> str:
-    """How far apart a pair was and is, in words where too few windows match to tell."""
+    """How far apart a pair was and is, in words where too few windows match to know."""
     lengths = [math.hypot(*fit["rms_px"]) for fit in (before, after)]
     was, now = (f"{length:.4f} px" if math.isfinite(length) else "" for length in lengths)
     if not now:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 MOST_LINES = 30_000
 #: Windows of the first pass that lie in two images: 20 must match, and at edges some do not.
 LEAST_WHOLE = 24
-#: The same of each band: fewer tell nothing of it.
+#: The same of each band: fewer show nothing of it.
 LEAST_SHARED = 8
 #: Points of a pass up to which numbers are tried.
 MOST_POINTS = 1000

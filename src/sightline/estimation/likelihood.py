@@ -3,7 +3,7 @@
 Drift (Matern 5/2), broadband jitter (Matern of a smoothness that the data choose), tones and the noise's
 scale maximise the exact marginal likelihood. Tones are found first, one by one, by a spectrum of what the
 present model does not explain; it accounts for the lags, the windows, the gaps and the aliases, so that a
-tone above the Nyquist frequency of the measurements is found where it is as long as the lags tell it apart.
+tone above the Nyquist frequency of the measurements is found where it is as long as the lags separate it.
 
 Not here: the search itself (``search.py``), the likelihood (``evidence.py``), the final estimate
 (``motion/estimators/smoother.py``).

@@ -1,6 +1,6 @@
 """A recovered motion against its truth: errors, NEES, coverage, per axis and in px.
 
-What the images cannot tell is left out of the comparison: the hidden directions are removed from
+What the images cannot show is left out of the comparison: the hidden directions are removed from
 estimate and truth by one unweighted least-squares fit over all lines. The sigmas of a result are
 those of the motion less its hidden part already, and are used as they are given.
 

@@ -234,7 +234,7 @@ def _only_crossing(
     curve: Array,
     straight: bool,
 ) -> bool:
-    """Whether the ends of a range of lines tell all: one change of sign, or none and far from zero.
+    """Whether the ends of a range of lines say all: one change of sign, or none and far from zero.
 
     Judged at a few places: far from zero means by more than the miss changes from one to the next.
     """

@@ -1,6 +1,6 @@
 """How camera axes sit in the body: fixed, or through a mirror that turns.
 
-At any instant the relation is linear, so three unit vectors tell all of it (`pointing_matrices`).
+At any instant the relation is linear, so three unit vectors say all of it (`pointing_matrices`).
 
 Not here: motion of the body (``trajectory.py``); a spinning platform is a Trajectory.
 """

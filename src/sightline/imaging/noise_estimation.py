@@ -613,7 +613,7 @@ def fit_law(rows: ArrayLike, measured: ArrayLike, covariance: ArrayLike) -> LawF
     Raises
     ------
     EstimationError
-        If they do not tell the terms apart.
+        If they do not separate the terms.
     """
     design, target = np.asarray(rows, dtype=np.float64), np.asarray(measured, dtype=np.float64)
     weighted = np.linalg.solve(np.asarray(covariance, dtype=np.float64), design)

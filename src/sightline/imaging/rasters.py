@@ -1,8 +1,8 @@
 """Raster files of any GDAL format, opened only if they, and all that they refer to, may be read.
 
-GDAL tells formats by content, not by name: a file called ``.tif`` may be a list of other files (VRT) or ask a
-server (WMS). So only formats that hold their own pixels are tried, and what the others refer to is read here
-and checked before GDAL sees it.
+GDAL knows formats by content, not by name: a file called ``.tif`` may be a list of other files (VRT) or ask
+a server (WMS). So only formats that hold their own pixels are tried, and what the others refer to is read
+here and checked before GDAL sees it.
 
 Not here: what may be opened at all (``access.py``), pixels in windows (``io/formats/images.py``).
 """
@@ -49,7 +49,7 @@ LOCAL_DRIVERS = (
     "NOAA_B", "COSAR", "AirSAR", "DIPEx", "ELAS", "FIT", "GFF", "GSC", "IRIS", "JDEM", "KRO", "LAN",
     "MSGN", "NSIDCbin", "BSB", "BLX", "CALS", "CTG", "DOQ1", "DOQ2", "E00GRID", "GenBin",
 )  # fmt: skip
-#: Bytes of a file that are looked at to tell what it is, and that a description of other files may have.
+#: Bytes of a file that are looked at to find what it is, and that a description of other files may have.
 HEAD, LARGEST_LIST = 65536, 64 << 20
 #: Files that rasters may refer to, and levels at which these refer to others.
 MOST_FILES, DEEPEST = 100_000, 16

@@ -103,7 +103,7 @@ def pattern_means(source: ImageSource, period: int) -> ArrayImage:
     cells = _in_squares(pixels, period)
     level = cells.mean(axis=(0, 2), keepdims=True, dtype=np.float64)
     usual = float(level.mean())
-    # a cell that is dark on the whole tells nothing: it is not made a hundred times brighter
+    # a cell that is dark on the whole shows nothing: it is not made a hundred times brighter
     gain = np.maximum(level / usual, 0.05) if usual > 0.0 else np.ones_like(level)
     means = np.asarray((cells / gain).mean(axis=(1, 3)), dtype=np.float32)
     if unusable is None:

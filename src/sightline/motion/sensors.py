@@ -1,4 +1,4 @@
-"""What else than images tells of the attitude: star trackers, gyros, ground control points.
+"""What else than images measures the attitude: star trackers, gyros, ground control points.
 
 Not here: reading their tables (``io/``), what they say in the joint estimate (``motion/strip/fusion.py``).
 """

@@ -133,7 +133,7 @@ def _history(tone: DetectedTone, t: Array, value: Complex, sigma: float) -> Tone
 
 
 def close_pairs(motion: Motion, tones: Sequence[DetectedTone]) -> tuple[TonePair, ...]:
-    """Tones that are two: fitted together where the data are good enough to tell.
+    """Tones that are two: fitted together where the data are good enough.
 
     Notes
     -----

@@ -22,14 +22,14 @@ Array = NDArray[np.float64]
 
 AXES = ("roll", "pitch", "yaw")
 
-#: Frequencies on each side that tell the level around a peak, and those next to it that do not (its own).
+#: Frequencies on each side that give the level around a peak, and those next to it that do not (its own).
 NEIGHBOURS = 20
 OWN = 2
 
 #: The lowest frequencies belong to the removed parabola and to the Hann window.
 FIRST_BIN = 3
 
-#: Fewest frequencies below a peak that tell its level. Those above it cannot alone: drift rises towards zero.
+#: Fewest frequencies below a peak that give its level. Those above it cannot alone: drift rises towards zero.
 FEWEST_BELOW = 3
 
 #: Epochs below which tones are not sought.
@@ -149,9 +149,9 @@ def detect_tones(
     of a steep spectrum, or of its corner, is not underestimated. Without a tone the ratio r of a peak to its
     level then exceeds x with probability at most ``N (1 + x/20)^-20`` among N frequencies (the law of an
     exponential over the mean of 20 others; checked by simulation for white and for steep motions). Where
-    only m < 20 lower frequencies are left, down to 3, their median may be alone in telling the level, and
+    only m < 20 lower frequencies are left, down to 3, their median may be alone in giving the level, and
     the law is ``N (1 + x/q)^-q``, q = 1 + m/3: by simulation a bound for the median of m neighbours of a
-    Hann-windowed periodogram, two of which tell hardly more than one. A tone must be the stronger there the
+    Hann-windowed periodogram, two of which know hardly more than one. A tone must be the stronger there the
     lower it is: for 1e-3 and a hundred frequencies x > 630 at 8/T, 38 at 19/T, 16 from 25/T on. The
     strongest of the peaks is fitted, removed, and the rest looked at again.
     """

@@ -35,7 +35,7 @@ _MOST, _SHOWN = 4096, 160
 _WRITTEN_WITHIN = 10.0
 #: s within which two that take a lock over at the same moment have both written their names.
 _SETTLES = 0.1
-#: Tells this process from all others, also from one with its number on a machine of the same name.
+#: Distinguishes this process from all others, also from one with its number on a machine of the same name.
 _TOKEN = secrets.token_hex(8)
 
 

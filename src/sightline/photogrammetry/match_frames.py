@@ -57,7 +57,7 @@ _TILE = (32, 32)
 _HIGHEST = 0.45
 #: Cells along each side of a frame that share the points evenly.
 _CELLS = 8
-#: Places per side of a frame that tell what two frames share.
+#: Places per side of a frame that show what two frames share.
 _PROBES = 5
 
 
@@ -83,7 +83,7 @@ class TrackPlan:
         Lowest normalised correlation of a match.
     floor_px : float
         px per coordinate, added to every sigma in quadrature: what the lens and the ground do that the noise
-        of images does not tell.
+        of images does not show.
     least_share : float
         Share of a frame that another must see for its windows to be sought there. 0.2: windows of less common
         ground lie at the rims, where views and lenses differ most.
@@ -409,7 +409,7 @@ def _last_look(pair: _Pair, partner: int, points: Array, plan: TrackPlan) -> _Fo
 
 
 def _whitening(hub: ImageSource, laid: ImageSource, points: Array) -> Whitening:
-    """Filters for a pair laid one on the other; fixed ones where the images do not tell."""
+    """Filters for a pair laid one on the other; fixed ones where the images do not show them."""
     try:
         return estimate_whitening(hub, laid, points, points, tile=_TILE, reach=(1, 1))
     except EstimationError:

@@ -26,7 +26,7 @@ from sightline.geometry.pose_table import camera_poses
 
 Index = NDArray[np.intp]
 
-#: Step (px) of the differences that tell how pixels follow from tangents.
+#: Step (px) of the differences that give how pixels follow from tangents.
 _STEP = 0.5
 
 

@@ -39,7 +39,7 @@ class Triangulation(ReadOnlyArrays):
     count : (n,) int
         Sightings used.
     position : (n, 3)
-        m, world axes; NaN where a point cannot be had: fewer than two sightings, rays that do not tell
+        m, world axes; NaN where a point cannot be had: fewer than two sightings, rays that do not show
         how far it is, or a point behind a camera.
     covariance : (n, 3, 3)
         m^2; NaN likewise.

@@ -43,9 +43,9 @@ _TILE_MIB, _TILE_SIDES = 48, (64, 512)
 _GROUP_BYTES, _BAND_BYTES = 14, 4
 #: Magnitude of weights on pixels that cannot be used from which a result has no value.
 _MASK_SHARE = 0.02
-#: Places per side of a frame that tell which part of the map it shows.
+#: Places per side of a frame that show which part of the map it shows.
 _OUTLINE = 5
-#: Frames that tell how bright each line is on the whole.
+#: Frames that show how bright each line is on the whole.
 _GAIN_FRAMES = 96
 #: Lines on each side of a place that the kernel may need, the border's included.
 _REACH = TAPS + 1

@@ -35,7 +35,7 @@ _ROUNDS = 4
 _FEWEST = 12
 #: One point in so many is left out, and most points looked at, to choose the smoothness.
 _LEFT_OUT, _MOST_TRIED = 4, 2000
-#: Neighbours that tell whether a point stands out.
+#: Neighbours that show whether a point stands out.
 _NEIGHBOURS = 10
 
 

@@ -95,7 +95,7 @@ class CubeView(ReadOnlyArrays):
 
 
 def cube_view(cube: CubeSummary) -> CubeView | None:
-    """What a page shows of a cube; None where its bands have no wavelengths to tell them by."""
+    """What a page shows of a cube; None where its bands have no wavelengths to name them by."""
     if not np.isfinite(cube.wavelength_nm).all() or not cube.after.size:
         return None
     known = np.isfinite(cube.pair_rms_px)

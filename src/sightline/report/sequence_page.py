@@ -122,7 +122,7 @@ def _tables(
 
 
 def _cube_words(problem: SequenceProblem, cube: CubeView | None) -> list[str]:
-    """The cube, and what its bands tell of the poses where they come from different frames."""
+    """The cube, and what its bands show of the poses where they come from different frames."""
     if cube is None:
         return []
     by_line = problem.detector.wavelength_nm is not None

@@ -236,7 +236,7 @@ def bow_rows(problem: SequenceProblem, found: SequencePoses, view: SequenceView)
 
 
 def bow_verdict(problem: SequenceProblem, bow: Array, frames: Index, px: Array) -> str:
-    """Whether images or tables tell how a stretch is bent; `px` as of `bent_px`."""
+    """Whether images or tables show how a stretch is bent; `px` as of `bent_px`."""
     if len(frames) < 2:
         return "a single frame has none"
     loose = [axis for axis, b in zip(PARAMETERS[3:], bow, strict=True) if not b < LOOSE_BOW]
@@ -317,7 +317,7 @@ def _ties(found: SequencePoses) -> str:
 
 
 def _unseen(problem: SequenceProblem, view: SequenceView) -> str:
-    """What the data could not tell."""
+    """What the data could not show."""
     out = []
     if not np.isfinite(problem.known.attitude).any():
         out.append("no table gives attitudes")

@@ -341,7 +341,7 @@ class InstrumentScenario(RenderedStrip):
 
     @cached_property
     def nominal_cameras(self) -> tuple[PushbroomCamera, ...]:
-        """The cameras as the ACQUISITION file tells them: no motion, nominal detectors."""
+        """The cameras as the ACQUISITION file gives them: no motion, nominal detectors."""
         return tuple(self._camera(band.nominal, self.reference) for band in self.bands)
 
     @cached_property

@@ -56,7 +56,7 @@ class RenderedStrip(ABC):
     @property
     @abstractmethod
     def nominal_cameras(self) -> tuple[PushbroomCamera, ...]:
-        """The cameras as the ACQUISITION file tells them: no motion, nominal detectors."""
+        """The cameras as the ACQUISITION file gives them: no motion, nominal detectors."""
 
     @abstractmethod
     def chunks(self, band: int) -> Iterator[tuple[int, NDArray[np.uint16]]]:

@@ -60,7 +60,7 @@ def write_sequence(
     image_format : str
         One of `FORMATS`.
     dem : bool
-        Tell the relief; otherwise its mean and how far the heights scatter about it.
+        Give the relief; otherwise its mean and how far the heights scatter about it.
     truth_bands : int
         Bands of ``truth-bands.tif``; 0: it is not written.
     progress : callable

@@ -139,7 +139,7 @@ def steady_choice(
         Share of its merit that a cell may lose, 0 up to 1.
     largest_step : int, optional
         Largest change of the number of stages between neighbouring cells, steps of the grid; any by default.
-        Kept wherever the hysteresis leaves a way; elsewhere `too_far` tells.
+        Kept wherever the hysteresis leaves a way; elsewhere `too_far` says so.
     along : str
         ``"columns"``: one signal after the other, its changes from column to column; or ``"signals"``: one
         column after the other, its changes from signal to signal.

@@ -1,7 +1,7 @@
 """MTF of every setting under drift and a recovered motion, over the strip and over what is not known of it.
 
 A node is one line: a time at which its first stage begins, and one draw of what the motion may be there. The
-merit of a setting is its mean over the lines of a strip; draws tell how sure that is.
+merit of a setting is its mean over the lines of a strip; draws show how sure that is.
 
 Not here: the motion and what is known of it (``motion_knowledge.py``), drift alone (``merit.py``).
 """

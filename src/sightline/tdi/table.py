@@ -261,7 +261,7 @@ class TdiTable:
 
     @property
     def identity(self) -> int:
-        """The CRC-32 of the memory image: tells one table from another."""
+        """The CRC-32 of the memory image: distinguishes one table from another."""
         return int.from_bytes(self.to_bytes()[-4:], "little")
 
     @classmethod

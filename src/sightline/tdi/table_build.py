@@ -221,7 +221,7 @@ class _Builder:
 
     def _built(self, samples: Index, begin: int, end: int, axis: _SignalAxis) -> tuple[list[_Group], Index]:
         """Groups of a panel, or the columns at which blocks begin that must be cut first."""
-        # the first column after a block is its last but one step: it tells what lies between
+        # the first column after a block is its last but one step: it shows what lies between
         columns = samples[begin : end + 1]
         share = self.built_to.get(int(columns[0]), BUILT_TO)
         key = (end - begin, share, columns.tobytes())

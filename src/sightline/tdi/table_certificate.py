@@ -47,7 +47,7 @@ class Certificate:
         Relative loss of merit that was asked for.
     loss : float
         Worst found, where some setting keeps all limits; 1 where the table's would break one. A limit is
-        kept where all signals keep it that the table cannot tell apart.
+        kept where all signals keep it that the table cannot distinguish.
     column, signal : float
         Where; the signal in electrons, rounded down to 0.0001: one just below a whole number stays below it.
     mean_loss : float
@@ -93,7 +93,7 @@ def table_loss(
     signals : (S,)
         Electrons of one line, rising.
     own_limits : bool
-        Against the best that keeps limits for the signal itself, not for all that the table cannot tell from
+        Against the best that keeps limits for the signal itself, not for all that the table confuses with
         it.
     """
     grid, rules = choice.grid, choice.rules
@@ -221,7 +221,7 @@ def _settings_at(table: TdiTable, choice: TdiChoice, signals: Array) -> tuple[In
 
 
 def whole_electrons(signals: Array, choice: TdiChoice) -> SignalFactors:
-    """What signals give to the merit; limits are kept by all that the table cannot tell from them."""
+    """What signals give to the merit; limits are kept by all that the table confuses with them."""
     grid, detector, rules = choice.grid, choice.detector, choice.rules
     unit = 2.0 ** shift_of(choice.signals)
     whole = np.floor(signals / unit) * unit

@@ -53,7 +53,7 @@ def first_codes(choice: TdiChoice, max_loss: float) -> Index:
     wells = _between(limit, (SATURATION, SATURATION + INFEASIBLE))
     low = np.maximum(signals, unit)
     spans = np.log(low[1:] / low[:-1])
-    # where wells cut settings off `well_codes` tells; between these the merit is smooth
+    # where wells cut settings off `well_codes` says so; between these the merit is smooth
     step = np.select([near, wells], [NEAR_STEP * max_loss, SMOOTH_STEP * max_loss], np.log(SIGNAL_STEP))
     fine = max(1e-9, spans[near | wells].sum() / MOST_STRETCHES)
     codes = [np.floor(signals / unit)]

@@ -35,7 +35,7 @@ _PLACES = (0.5, 0.3, 0.7, 0.1, 0.9)
 _COLUMNS = (0.5, 0.97, 0.03, 0.75, 0.25)
 # Blind frequencies named per pair; the rest are their multiples.
 _NAMED = 4
-# Half a field (px) below which matches to 0.03 px tell yaw no better than attitude control does (1 mrad).
+# Half a field (px) below which matches to 0.03 px know yaw no better than attitude control does (1 mrad).
 _NARROW_PX = 30.0
 # Frames are many: each is described with so many that follow it.
 _FRAMES_APART = 2

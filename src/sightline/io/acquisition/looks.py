@@ -180,7 +180,7 @@ def look_doubts(
 ) -> tuple[str, ...]:
     """What is hardly meant of where cameras look: far from straight down, across the track, backwards.
 
-    Said of attitudes that a table tells; a mount, a look angle or a model that is tilted is meant.
+    Said of attitudes that a table gives; a mount, a look angle or a model that is tilted is meant.
     """
     camera = cameras[0]
     if (

@@ -40,7 +40,7 @@ def read_match_sigma(path: Path, columns: int) -> Array:
 
     Notes
     -----
-    What a window tells of its place falls with the contrast of what it shows: sigma ~ 1 / (MTF x SNR), MTF
+    What a window knows of its place falls with the contrast of what it shows: sigma ~ 1 / (MTF x SNR), MTF
     along lines (y) or columns (x) at the frequency that the table is for.
     """
     header = header_of(path)

@@ -68,7 +68,7 @@ class Exif:
 
 
 class NoExifTime(FormatError):
-    """A photograph that tells no time, as of a camera without a clock."""
+    """A photograph that has no time, as of a camera without a clock."""
 
 
 @reads("a photograph")

@@ -73,7 +73,7 @@ def _of_file(sequence: FrameSequence, error: SightlineError) -> str:
 
 
 def _cost_of_maps(sequence: FrameSequence) -> Cost:
-    """By the rough poses; nothing where they do not tell the size."""
+    """By the rough poses; nothing where they do not give the size."""
     problem, plan = sequence.problem, cube_plan(sequence.cube)
     try:
         grid, layout = expected_cube(problem, plan)

@@ -30,7 +30,7 @@ LEFT_OUT = "left out"
 
 
 def remove_hidden(motion: Motion | ArrayLike | str | Path, folder: str | Path) -> Array:
-    """A motion less what the images of a result cannot tell, as `sightline score` compares it.
+    """A motion less what the images of a result cannot show, as `sightline score` compares it.
 
     Parameters
     ----------

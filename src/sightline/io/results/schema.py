@@ -479,7 +479,7 @@ class PredictionSummary(RunSummary):
 
 
 class NotEstimated(Part):
-    """A frame whose own image tells nothing."""
+    """A frame whose own image gives no pose."""
 
     frame: str
     reason: str

@@ -178,7 +178,7 @@ def summarize_orientation(
 
 
 def unobservable(known: StereoOrientation | StereoPrediction, turn: Array | None) -> list[dict[str, Any]]:
-    """Words and direction of what nothing tells; `turn` (3 C,) is that about the baseline, if any."""
+    """Words and direction of what is not observable; `turn` (3 C,) is that about the baseline, if any."""
     entries = []
     for entry in principal_sigmas(known):
         if math.isfinite(entry["sigma"]):

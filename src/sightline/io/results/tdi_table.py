@@ -256,7 +256,7 @@ def _signals_meant(table: TdiTable) -> str:
 
 
 def _shortest(value: float) -> str:
-    """The fewest digits that tell a number from every other; none behind a whole one."""
+    """The fewest digits that distinguish a number from every other; none behind a whole one."""
     return repr(float(value)).removesuffix(".0")
 
 

@@ -151,7 +151,7 @@ def _table_attitudes(
 
 
 def _axes_of_angles(file: SequenceFile, path: Path, position: Array) -> Rotation:
-    """World from the level axes of a table of angles: at its origin, or at each place where it tells none."""
+    """World from the level axes of a table of angles: at its origin, or at each place where it has none."""
     origin, radii = origin_of_angles(path), radii_of(file)
     if origin is None or radii is None:
         return level_at(position, radii)

@@ -173,7 +173,7 @@ def _observable(problem: SequenceProblem) -> list[str]:
 
 
 def _focal_observable(problem: SequenceProblem) -> str:
-    """What will tell the focal length: mostly the flying height above a ground that is known."""
+    """What will make the focal length observable: mostly the flying height above a ground that is known."""
     known = problem.known
     heights = np.isfinite(known.position[:, 2]).any() or problem.control is not None
     if not (heights and (problem.height_sigma > 0.0 or problem.control is not None)):

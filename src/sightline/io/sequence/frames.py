@@ -51,7 +51,7 @@ class FrameList:
     xmp : tuple of Xmp or None
     warnings : tuple of str
     broken : tuple of str
-        Why what each photograph tells of itself cannot be read, "" where it can; empty for a table.
+        Why what each photograph says of itself cannot be read, "" where it can; empty for a table.
     """
 
     path: Path

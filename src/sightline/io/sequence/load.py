@@ -49,7 +49,7 @@ _NOT_REFINED = (
     "what that moves poses by, heights above ground first of all, is not in their sigmas; [camera] "
     'focal_length_sigma_px, or focal_length = "estimate", has it found with the poses'
 )
-#: Relative 1-sigma of a focal length that EXIF tells for film of 36 mm.
+#: Relative 1-sigma of a focal length that EXIF gives for film of 36 mm.
 _FILM_SIGMA = 0.1
 #: mm; diagonal of such film.
 _FILM_DIAGONAL = float(np.hypot(36.0, 24.0))
@@ -211,7 +211,7 @@ def _exchanged_words(
     control: ControlPoints | None,
     surface: Surface,
 ) -> tuple[str, ...]:
-    """A doubt where what tells of the place disagrees by what exchanging latitude and longitude explains."""
+    """A doubt where what gives the place disagrees by what exchanging latitude and longitude explains."""
     radii = radii_of(file)
     if radii is None:
         return ()

@@ -1,4 +1,4 @@
-"""What a table tells of frames: rows matched to frames by name, in the order of their times, at any time.
+"""What a table says of frames: rows matched to frames by name, in the order of their times, at any time.
 
 Not here: which tables there are (``positions.py``, ``attitudes.py``).
 """

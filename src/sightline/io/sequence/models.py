@@ -32,7 +32,7 @@ from sightline.io.sequence.schema import SequenceFile
 Array = NDArray[np.float64]
 Place = tuple[float, float, float]
 
-#: Where a COLMAP model tells its place.
+#: Where a COLMAP model gives its place.
 ORIGIN_FILE = "origin.csv"
 GEODETIC, FLAT = ("longitude", "latitude", "height"), ("x", "y", "z")
 #: Polar radii of the body beyond which coordinates are counted from its centre.

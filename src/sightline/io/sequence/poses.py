@@ -2,7 +2,7 @@
 
 A frame for which nothing is said gets a pose between its neighbours', and sigmas that are infinite.
 
-Not here: what tables and photographs tell (``positions.py``, ``attitudes.py``), which
+Not here: what tables and photographs say (``positions.py``, ``attitudes.py``), which
 frames there are (``frames.py``), the ground (``load.py``).
 """
 
@@ -29,11 +29,11 @@ from sightline.photogrammetry.sightings import Images
 
 Array = NDArray[np.float64]
 
-#: Sigmas of positions by which the places that tell a heading are apart.
+#: Sigmas of positions by which the places that give a heading are apart.
 _HEADING_SIGMAS = 10.0
 #: m; height of a camera of which nothing is known above the ground.
 _ANY_HEIGHT = 100.0
-#: Ways to tell where frames were taken.
+#: Ways to give where frames were taken.
 _PLACES = "positions = FILE, geo = FILE, poses = PATH or photographs with GPS"
 
 
@@ -96,7 +96,7 @@ def starting_poses(
 
 
 def check_places(path: Path, known: RoughPoses, control: ControlPoints | None, height_sigma: float) -> None:
-    """What tells where a path lies and how large it is must be there.
+    """What gives the place and the size of a path must be there.
 
     Parameters
     ----------
@@ -110,19 +110,19 @@ def check_places(path: Path, known: RoughPoses, control: ControlPoints | None, h
     Raises
     ------
     FormatError
-        If nothing has a place; if a single frame or control point has, and no height tells the size.
+        If nothing has a place; if a single frame or control point has, and no height gives the size.
     """
     frames = int(np.isfinite(known.position).any(axis=1).sum())
     places = frames + (0 if control is None else len(control.point))
     if places == 0:
         raise FormatError(
-            f"{path}: no frame has a position, and there are no control points: where the path lies and how "
-            f"large it is is not observable from frames alone; give {_PLACES}, or control points"
+            f"{path}: no frame has a position, and there are no control points: place and size of the "
+            f"path are not observable from frames alone; give {_PLACES}, or control points"
         )
     if places == 1 and not height_sigma > 0.0:
         raise FormatError(
             f"{path}: a single {'frame has a position' if frames else 'control point is given'}: that does "
-            f"not tell how large the path is; give two or more ({_PLACES}, or control points), or [surface] "
+            f"not give the size of the path; give two or more ({_PLACES}, or control points), or [surface] "
             "height_sigma of a ground whose height is known"
         )
 

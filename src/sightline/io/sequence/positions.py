@@ -133,7 +133,7 @@ def _say_heights(warnings: list[str], table: str, count: int, what: str = "heigh
 
 
 def _say_assumed(file: SequenceFile, warnings: list[str], rows: NDArray[np.intp]) -> None:
-    """That nothing but a default tells how good positions are."""
+    """That nothing but a default says how good positions are."""
     if len(rows) and "position_sigma" not in file.model_fields_set:
         warnings.append(
             f"{len(rows)} positions have no sigma: {file.position_sigma:g} m per axis is assumed; set "

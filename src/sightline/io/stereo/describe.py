@@ -108,7 +108,7 @@ def _missing(stereo: Stereo) -> list[str]:
 
 
 def _consequences(problem: StereoProblem) -> list[str]:
-    """What the layout of shots and points will and will not tell."""
+    """What the layout of shots and points will and will not make observable."""
     said = []
     if len(problem.shot_names) == 1 and problem.control is None and len(problem.cameras) > 1:
         said.append(

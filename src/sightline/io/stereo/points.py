@@ -112,7 +112,7 @@ def _known(path: Path, read: StereoControl, numbers: Array) -> Index:
 def without_single(
     tracks: Tracks, names: Array, control: ControlPoints | None
 ) -> tuple[Tracks, Array, ControlPoints | None, tuple[str, ...]]:
-    """Points seen in one image only tell nothing, unless their coordinates are known."""
+    """Points seen in one image only add nothing, unless their coordinates are known."""
     seen = np.bincount(tracks.point, minlength=len(names))
     kept = seen >= 2
     if control is not None:

@@ -34,7 +34,7 @@ MATCHES = ("shot", "point", "line_1", "column_1", "line_2", "column_2")
 OBSERVATIONS = ("camera", "shot", "point", "line", "column")
 IMAGES = ("camera", "shot", "image")
 
-#: s; images of one shot are exposed together, as far as clocks and rounded tables can tell.
+#: s; images of one shot are exposed together, as far as clocks and rounded tables can say.
 SAME_TIME = 1e-3
 #: px beyond the edge of a frame at which a point cannot have been seen in it, noise of matching or not.
 BEYOND_PX = 50.0

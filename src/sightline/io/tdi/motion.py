@@ -1,4 +1,4 @@
-"""The folder that ``recover`` wrote → what it tells of the motion, for the choice of TDI stages.
+"""The folder that ``recover`` wrote → what it says of the motion, for the choice of TDI stages.
 
 ``motion.csv`` (prolonged by ``covariance.npz``), ``spectrum.csv``, ``hidden.csv`` and ``summary.json``.
 

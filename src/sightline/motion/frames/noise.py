@@ -137,7 +137,7 @@ def match_information(star: Star, noise: FrameNoise) -> Array:
 def across(along: Array) -> Array:
     """Scaled sensitivities (G, K, 2) to a height, turned by a right angle: those to a drift of the same size.
 
-    With matches weighed alike on both (scaled) axes, the two tell nothing of each other: what a window says
+    With matches weighed alike on both (scaled) axes, the two know nothing of each other: what a window says
     of its height and what it says of its drift are independent.
     """
     return np.stack([-along[..., 1], along[..., 0]], axis=-1)

@@ -26,7 +26,7 @@ from sightline.imaging.source import ImageSource, read_padded
 
 Array = NDArray[np.float64]
 
-#: Frames needed to tell what stands still, and the least shift of neighbours (px) at which ground does not.
+#: Frames needed to find what stands still, and the least shift of neighbours (px) at which ground does not.
 STILL_FRAMES, STILL_SHIFT_PX = 5, 20.0
 #: Mean over all frames, in standard errors, that makes a pixel stand still: its core, and around it.
 STILL_CORE, STILL_EDGE = 10.0, 5.0
@@ -75,7 +75,7 @@ def standing_still(images: Sequence[ImageSource]) -> NDArray[np.bool_] | None:
     Returns
     -------
     (lines, columns) bool or None
-        True where a pixel must not be used; None when too few frames are given to tell.
+        True where a pixel must not be used; None when too few frames are given.
     """
     from scipy.ndimage import binary_propagation, maximum_filter, uniform_filter
 

@@ -1,4 +1,4 @@
-"""What detectors at given places along the track tell of a motion: information, blind spots, common lags.
+"""What detectors at given places along the track show of a motion: information, blind spots, common lags.
 
 n images see each piece of ground at t + t_k. Ground and motion are unknown, every image has an error of its
 own; eliminating the ground leaves, at frequency f, the information

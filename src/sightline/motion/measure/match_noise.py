@@ -28,7 +28,7 @@ ROW_LAGS = 8
 SOFT, REJECT = 3.0, 5.0
 #: Blocks per row, and runs of rows, from which errors shared by neighbours are estimated; their most.
 LEAST_BESIDE, MOST_BESIDE = 6, 4.0
-#: Degrees of freedom from which the variance of matches is told at all.
+#: Degrees of freedom from which the variance of matches is estimated at all.
 LEAST_DEGREES = 100
 #: Scaled residuals are cut to this size where covariances are summed.
 CLIP = 6.0

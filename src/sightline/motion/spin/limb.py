@@ -1,6 +1,6 @@
 """Attitude of a camera from the limb of a body it sees: where to start when no attitude is known.
 
-The outline of an ellipsoid, seen from a known place, tells two angles well (where its centre is) and the turn
+The outline of an ellipsoid, seen from a known place, gives two angles well (where its centre is) and the turn
 about the line to the centre by its flattening, weakly and with a mirror solution half a turn away.
 
 Not here: refining by the motion of what is seen on the body (``solve.py``).

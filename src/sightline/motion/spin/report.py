@@ -80,7 +80,7 @@ class StripClosure:
 
 @dataclass(frozen=True, eq=False)
 class Rank:
-    """How many of the constants the images tell, and which combination they tell least.
+    """How many of the constants are observable, and which combination is least so.
 
     Attributes
     ----------

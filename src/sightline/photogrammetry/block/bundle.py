@@ -233,8 +233,8 @@ def adjust(
 def _pose_scale(fit: Fit, unknowns: PoseUnknowns) -> tuple[float, float]:
     """Size of the shots' own unknowns over what they were to have, and how many of them are observable.
 
-    Of each, the share that sightings tell is one less its variance afterwards; the sum of variances by random
-    signs (M. F. Hutchinson, 1990), some per cent of it in error.
+    Of each, the share that sightings determine is one less its variance afterwards; the sum of variances by
+    random signs (M. F. Hutchinson, 1990), some per cent of it in error.
     """
     rng = np.random.default_rng(0)
     left, probes = 0.0, 4
@@ -259,7 +259,7 @@ def bound(
     drift: bool = False,
     focal_sigma: tuple[float, ...] | None = None,
 ) -> tuple[Observability, Observability]:
-    """What sightings of `points` would tell of the angles: the Cramer-Rao bound at the planned poses.
+    """What sightings of `points` would know of the angles: the Cramer-Rao bound at the planned poses.
 
     Parameters
     ----------

@@ -283,7 +283,7 @@ def eliminate_points(
     Notes
     -----
     By an orthogonal basis Q of the points' columns, orthogonalised twice: E V^-1 E^T = (Q^T A)^T (Q^T A).
-    Short tracks tell a point's depth some hundred times worse than its direction, and what is left for the
+    Short tracks know a point's depth some hundred times worse than its direction, and what is left for the
     poses as a whole is smaller again: inverting V, whose condition is the square of that, would drown it.
     """
     extra = known.shape[1]

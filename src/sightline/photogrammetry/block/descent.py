@@ -204,7 +204,7 @@ class Equations:
     curvature : Curvature
     reduced : PosesFirst, PointsFirst or LinkedFrames
     known : Observability
-        What they tell of the globals.
+        What they know of the globals.
     """
 
     curvature: Curvature

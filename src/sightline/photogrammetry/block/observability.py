@@ -43,7 +43,7 @@ class Observability(ReadOnlyArrays):
 
     @property
     def hidden(self) -> NDArray[np.bool_]:
-        """(G,) directions that nothing tells."""
+        """(G,) directions that are not observable."""
         return ~np.isfinite(self.sigmas)
 
     @property

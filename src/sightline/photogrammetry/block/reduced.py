@@ -197,7 +197,7 @@ class PosesFirst:
 class PointsEliminated:
     """What is left of a block for shots and globals once its points are eliminated.
 
-    `apart` (n,) bool: points whose sums are not made here, `taken` tells them.
+    `apart` (n,) bool: points whose sums are not made here, `taken` names them.
     """
 
     def __init__(

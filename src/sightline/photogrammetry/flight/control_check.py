@@ -18,7 +18,7 @@ from sightline.photogrammetry.sightings import Tracks
 
 #: Sigmas by which a control point may miss; and from which on it is tried without one.
 _MISS, _SUSPECT = 4.0, 2.0
-#: Share of the control points that may be wrong: more leave nothing to tell them by.
+#: Share of the control points that may be wrong: more leave nothing to find them by.
 _WRONG = 3
 
 
@@ -87,7 +87,7 @@ def screened(
         )
         kept, miss = less, misses(less, own, tracks, best)
     if miss.max(initial=0.0) > _MISS:
-        # they contradict each other, and nothing tells which are right
+        # they contradict each other, and nothing shows which are right
         kept, best, words = control, poses, _contradicting(control, first)
     return replace(problem, control=kept, warnings=(*problem.warnings, *words)), best
 

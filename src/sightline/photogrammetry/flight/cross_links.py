@@ -31,7 +31,7 @@ from sightline.photogrammetry.sightings import Images, Tracks, joined
 
 #: nm; wavelengths that far apart are not compared.
 _ALIKE_NM = 90.0
-#: Places along each side of a frame that tell what two frames share; and the least share of them.
+#: Places along each side of a frame that show what two frames share; and the least share of them.
 _PROBES, _LEAST_SHARE = 17, 0.03
 #: Share of a frame's lines that it moves from one frame that is compared to the next.
 _SPACING = 0.12

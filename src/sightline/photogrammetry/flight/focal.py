@@ -13,7 +13,7 @@ from sightline.errors import EstimationError
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.photogrammetry.sightings import Index
 
-#: Relative sigma of a focal length of which nothing is known: a weak hold, so that one that nothing tells
+#: Relative sigma of a focal length of which nothing is known: a weak hold, so that one that is not observable
 #: (it goes with all heights then) comes out as not known rather than as no solution.
 _FREE = 1.0
 

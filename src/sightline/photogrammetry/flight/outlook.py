@@ -18,7 +18,7 @@ from sightline.photogrammetry.flight.problem import SequenceProblem, seen_ground
 
 #: Times the usual step from which on frames are missing between two of a stretch.
 _MISSING = 1.6
-#: Sigmas of the positions by which the places that tell a speed are apart, no farther as flights turn; of a
+#: Sigmas of the positions by which the places that give a speed are apart, no farther as flights turn; of a
 #: short stretch at least.
 _SPEED_SIGMAS, _LEAST_SIGMAS = 4.0, 2.0
 #: m/s; of drones that hardly move, and of orbits, beyond which units may be wrong.
@@ -93,7 +93,7 @@ class Overlap:
 
 
 def overlap_of(problem: SequenceProblem) -> Overlap | None:
-    """Expected overlap of successive frames; None where positions or times do not tell.
+    """Expected overlap of successive frames; None where positions or times do not give it.
 
     Steps are speed times time: positions of single frames may be noisier than their distance.
     """
@@ -121,7 +121,7 @@ def ground_motion(problem: SequenceProblem) -> tuple[Array, float]:
     Returns
     -------
     moved : (M, 2)
-        px/s of (line, column); NaN where the positions of a stretch do not tell a speed.
+        px/s of (line, column); NaN where the positions of a stretch do not give a speed.
     speed : float
         m/s of the camera, median; NaN likewise.
     """

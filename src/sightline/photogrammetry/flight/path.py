@@ -17,7 +17,7 @@ from sightline.photogrammetry.sightings import Images
 UNITS = np.array([1e-3, 1e-3, 1e-3, 0.1, 0.1, 0.1])
 #: Times the usual step between frames from which on it is a pause.
 _PAUSE = 10.0
-#: Bends end to end that tell how rough a path is over a step.
+#: Bends end to end that show how rough a path is over a step.
 _LEAST_BENDS = 4
 
 

@@ -71,7 +71,7 @@ class RoughPoses(ReadOnlyArrays):
         World axes from those that the sigmas of positions are along, such as east, north, up; None: the same.
     focal_length : float
         Relative 1-sigma of the one focal length of all frames, to be found with the poses; 0: it is kept,
-        inf: nothing is known of it but what the images tell.
+        inf: nothing is known of it but what the images show.
     """
 
     position: Array

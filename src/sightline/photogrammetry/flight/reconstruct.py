@@ -35,12 +35,12 @@ from sightline.writing import scratch_folder
 _ALIKE_NM = 200.0
 #: Share of the lines by which two frames of a pair may have moved.
 _FAR = 0.6
-#: Features per frame; more cost time and tell no more.
+#: Features per frame; more cost time and add no more.
 _FEATURES = 2000
 #: px; frames whose shorter side is at least this are searched for features as they are. Smaller ones are
 #: searched at twice their size: it finds what they would lack, at five times the cost.
 _LARGE = 500
-#: px; noise of a feature before residuals tell it.
+#: px; noise of a feature before residuals show it.
 _SIGMA_PX = 0.5
 #: Sightings per frame that the model is adjusted with: the points seen most often.
 _ADJUSTED = 250
@@ -453,10 +453,10 @@ def refined(
     if heights is None:
         rough = looking_down(rough)
     else:
-        # a surface is wrong over a whole frame alike: all points in it together tell its height once
+        # a surface is wrong over a whole frame alike: all points in it together give its height once
         each = heights.sigma * np.sqrt(len(tracks) / len(rows))
         priors = PointPriors(HeightPrior(heights.surface, each, heights.radii), None)
-    # their noise is not known beforehand: residuals of a first solution tell it, and how it drifts
+    # their noise is not known beforehand: residuals of a first solution show it, and how it drifts
     for known_now in (first, rough):
         sightings = sight_frames(given, [detector], [mount], tracks)
         poses = adjust_frames(given, sightings, known_now, priors=priors, points=points, start=near)
@@ -493,7 +493,7 @@ def similarity(
     a, b = places - places.mean(axis=0), wanted - wanted.mean(axis=0)
     size = float(np.sqrt((b**2).sum() / max((a**2).sum(), 1e-30)))
     view = camera.apply([0.0, 0.0, 1.0])
-    # all views together tell the turn to _DOWN, each place its own to sigma / distance
+    # all views together give the turn to _DOWN, each place its own to sigma / distance
     lever = max(sigma, 1e-6 * size) / (_DOWN * np.sqrt(len(b)))
     from_, to = np.vstack([size * a, lever * view]), np.vstack([b, np.tile(lever * down, (len(b), 1))])
     turn, _ = Rotation.align_vectors(to, from_)

@@ -116,7 +116,7 @@ def as_of_first_lines(
 
     Notes
     -----
-    What is taken off stays the same when poses and points are turned, moved and scaled together: it tells
+    What is taken off stays the same when poses and points are turned, moved and scaled together: it says
     nothing of where the flight lies. Lines with poses of their own, held while that of the frame is sought,
     would: a turn of all frames does not commute with the turn from line to line, and a move within the frame
     has a direction and a length.

@@ -84,9 +84,9 @@ class SequenceSolver:
         if not p.height_sigma > 0.0:
             return None
         if tracks is not None and int(tracks.point.max()) > int(self.followed.point.max()):
-            # points that stretches share lie on the same ground: they tell its height no better
+            # points that stretches share lie on the same ground: they know its height no better
             alike = _alike_heights(p, tracks)
-        # a surface is wrong over a whole frame alike: all points in it together tell its height once
+        # a surface is wrong over a whole frame alike: all points in it together give its height once
         return HeightPrior(p.surface, p.height_sigma * np.sqrt(alike), p.radii)
 
     def rounds(self) -> int:
@@ -126,7 +126,7 @@ class SequenceSolver:
         return Adjusted(poses, tracks, tuple(words))
 
     def solve(self, tracks: Tracks, before: FramePoses | None) -> FramePoses:
-        """Poses of all frames; `before` tells where points are, and how frames moved while read out."""
+        """Poses of all frames; `before` says where points are, and how frames moved while read out."""
         p = self.problem
         sightings, priors, points = self.equations(tracks, before)
         start = p.start if before is None else before

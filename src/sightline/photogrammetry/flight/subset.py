@@ -18,9 +18,9 @@ from sightline.photogrammetry.sightings import Index, as_index
 _GRACE = 0.03
 #: Sharpness of a frame over that of its neighbours below which it is taken only where there is no other.
 _BLURRED = 0.8
-#: Frames to each side that tell what is sharp.
+#: Frames to each side that show what is sharp.
 _AROUND = 8
-#: rad; less parallax tells no depth.
+#: rad; less parallax gives no depth.
 _LEAST_PARALLAX = 0.02
 #: Least overlap that more parallax is bought with.
 _LEAST_OVERLAP = 0.55

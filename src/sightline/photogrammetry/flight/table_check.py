@@ -63,7 +63,7 @@ def motion_warnings(problem: SequenceProblem, followed: Followed) -> list[str]:
 
 
 def _motion_ratio(problem: SequenceProblem, followed: Followed) -> float | None:
-    """Motion followed over that expected, by least squares; None where either is too little to tell."""
+    """Motion followed over that expected, by least squares; None where either is too little."""
     expected = ground_motion(problem)[0]
     k = np.flatnonzero((followed.before >= 0) & np.isfinite(expected).all(axis=1))
     k = k[np.isfinite(followed.motion[k, :2]).all(axis=1)]
@@ -109,7 +109,7 @@ class Misfit:
     Attributes
     ----------
     words : str
-        What, by how much, and which keys tell it.
+        What, by how much, and which keys give it.
     hopeless : bool
         So far beyond chance that the poses mean nothing.
     """
@@ -179,7 +179,7 @@ def _bias_misfits(problem: SequenceProblem, poses: FramePoses) -> list[Misfit]:
 def _scale_misfits(problem: SequenceProblem, poses: FramePoses) -> list[Misfit]:
     """Whether the lens, the height of the ground, and the positions agree on how high the frames flew.
 
-    Images tell heights above the ground in lengths of the path, for the focal length given: how far apart the
+    Images give heights above the ground in lengths of the path, for the focal length given: how far apart the
     positions are makes them metres, and so do heights of positions above the surface.
     """
     known, images = problem.known, problem.images
@@ -229,7 +229,7 @@ def _height_words(problem: SequenceProblem, higher: float) -> str:
 
 
 def _scale(given: Array, found: Array, sigma: Array) -> tuple[float, float]:
-    """Times as long as the path found is the given one, and its sigma; inf where rows tell none.
+    """Times as long as the path found is the given one, and its sigma; inf where rows give none.
 
     Rows (m, 3) far from what the others say do not count.
     """

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 from sightline.geometry.checks import Array
 from sightline.photogrammetry.sightings import Tracks
 
-#: Fewest pairs of sightings that tell of a lag.
+#: Fewest pairs of sightings that measure a lag.
 _PAIRS = 100
 #: Share of a usual track up to which lags are looked at: few tracks are longer.
 _LONGEST = 0.9
@@ -46,7 +46,7 @@ class TrackNoise:
     ramp: float
 
     def equivalent(self, frames: Array) -> Array:
-        """Variance (px^2) of sightings that err independently and tell as much of the motion.
+        """Variance (px^2) of sightings that err independently and know as much of the motion.
 
         Parameters
         ----------
@@ -62,7 +62,7 @@ class TrackNoise:
 
 
 def noise_of_tracks(tracks: Tracks, residual_px: Array, used: NDArray[np.bool_]) -> TrackNoise | None:
-    """Noise of tracks from the residuals of a solution near by; None where too few tell of it.
+    """Noise of tracks from the residuals of a solution near by; None where too few show it.
 
     Parameters
     ----------

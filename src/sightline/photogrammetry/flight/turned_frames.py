@@ -91,7 +91,7 @@ def quarter_turns(
         if size > 0.0 and abs(common) > _ALONG * size and clear and margin > _LIKELIER:
             own[rows] += quarters
         elif rows.sum() > 1:
-            # no motion tells which are as they were: most of them
+            # no motion shows which are as they were: most of them
             own[rows] -= np.bincount(own[rows] % 4).argmax()
     return as_index(own % 4, "quarter turns")
 

@@ -115,7 +115,7 @@ def focal_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
 
 
 def bow_warnings(problem: SequenceProblem, poses: FramePoses) -> list[str]:
-    """Stretches of which nothing tells well enough whether they are bent.
+    """Stretches that may be bent for all that is known.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """Windows found in frames that overlap by some half, by features first (pycolmap, extra ``sfm``).
 
 Frames far apart look alike in places only, and turned, tilted and larger or smaller. Features that fit one
-geometry tell where each place of a frame lies in another; windows are then found there to a fraction of a
+geometry say where each place of a frame lies in another; windows are then found there to a fraction of a
 pixel, as everywhere else. The result has the form of windows followed from frame to frame.
 
 Not here: frames that overlap nearly whole (``matching/follow.py``); a model (``reconstruct.py``).
@@ -42,7 +42,7 @@ _LEAST_WINDOWS = 10
 _CELLS = 8
 #: px; how far a window may lie from where features say, and from where those around it say.
 _SEARCH, _APART = 2, 4.0
-#: px; by how much two views of one place differ as the views do; error of a feature, where nothing tells it.
+#: px; by how much two views of one place differ as the views do; error of a feature, where none is estimated.
 _FLOOR, _LOOSE = 0.1, 0.7
 #: Frames before and after each that are tried; all pairs are where there are few frames.
 _NEIGHBOURS, _FEW = 4, 24

@@ -194,7 +194,7 @@ def epipolar_outliers(
     -------
     (N,) bool
         Pairs to reject. A point displaced along its epipolar line meets the other ray at a wrong depth and is
-        not found: no pair alone can tell.
+        not found: no pair alone can show it.
 
     Notes
     -----

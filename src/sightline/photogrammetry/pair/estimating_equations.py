@@ -1,4 +1,4 @@
-"""Linear estimating equations: what they solve for, with covariance, and what they cannot tell.
+"""Linear estimating equations: what they solve for, with covariance, and what they cannot determine.
 
 The equations are H a + s = 0, where H and s are sums over observations whose errors are correlated; the
 spread of H a + s about 0 at the true a is the meat V, so that the covariance of a is H^-1 V H^-1.

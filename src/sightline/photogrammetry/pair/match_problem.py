@@ -49,7 +49,7 @@ def match_problem(
         the plane z = 0.
     floor_px : float
         px; added to the sigma of every match in quadrature: what the lens and the ground do that the noise of
-        images does not tell.
+        images does not show.
     plan : TrackPlan, optional
         In place of `floor_px` and of heights within three sigmas of a surface whose sigma the problem knows,
         or else within 1 km.
