@@ -24,7 +24,8 @@ def test_every_path_that_a_page_names_exists(page):
     roots = (ROOT, ROOT / "src" / "sightline", page.parent)
     ours = re.compile(
         r"^(?:src|tests|docs|examples|benchmarks|validation|changelog\.d|geometry|estimation|imaging|matching|"
-        r"motion|simulate|applications|evaluation|io|report|cli)/[\w./-]*$"
+        r"motion|photogrammetry|products|tdi|simulate|applications|evaluation|io|report|kinds|output|cli)/"
+        r"[\w./-]*$"
     )
     missing = [
         word
@@ -32,6 +33,34 @@ def test_every_path_that_a_page_names_exists(page):
         if ours.match(word) and not any((root / word).exists() for root in roots)
     ]
     assert not missing, f"{page.name} names what does not exist: {missing}"
+
+
+#: Numbers that the rows of each page's claims have together.
+CLAIMS = {"s1": range(1, 24), "s2": range(1, 14), "s3": range(1, 8), "s4": range(1, 8)}
+
+
+@pytest.mark.parametrize("name", sorted(CLAIMS))
+def test_every_claim_has_a_command_or_key_and_a_test(name):
+    text = (ROOT / "docs" / "theory" / f"{name}.md").read_text(encoding="utf-8")
+    table = text[text.index("| # | Claim | Command or key | Test | Result |") :].split("\n\n")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split(" | ")] for line in table.splitlines()[2:]]
+    assert all(len(row) == 5 and all(row) for row in rows)
+    numbers = set()
+    for number, *_ in rows:
+        for part in re.sub(r"\(.*\)", "", number).split(","):  # in brackets: boxes of a figure
+            first, _, last = part.strip().partition("-")
+            if first.isdigit():
+                numbers |= set(range(int(first), int(last or first) + 1))
+    assert numbers == set(CLAIMS[name])
+    for number, _, _, tests, _ in rows:
+        paths = re.findall(r"`((?:tests|validation|benchmarks)/[\w./-]+)`", tests)
+        assert paths, f"row {number} names no test"
+        missing = [path for path in paths if not (ROOT / path).exists()]
+        assert not missing, f"row {number} names what does not exist: {missing}"
+    used = set(re.findall(r"`(--[a-z-]+)|`\w+ (?:[^`]*?)(--[a-z-]+)", table))
+    options = {word for pair in used for word in pair if word}
+    known = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "src/sightline/cli").glob("*.py"))
+    assert not [option for option in options if f'"{option}"' not in known and option != "--method"]
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
