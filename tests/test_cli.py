@@ -211,8 +211,10 @@ def test_no_document_names_an_option_that_no_command_has():
         yield from (name for option in group.params for name in [*option.opts, *option.secondary_opts])
 
     known = {*options(typer.main.get_command(app)), "--help"}
-    for page in ("README.md", "docs/gotchas.md", "docs/formats.md"):
-        text = (Path(__file__).resolve().parents[1] / page).read_text(encoding="utf-8")
+    root = Path(__file__).resolve().parents[1]
+    pages = [root / "README.md", root / "docs" / "gotchas.md", *sorted((root / "docs" / "formats").iterdir())]
+    for page in pages:
+        text = page.read_text(encoding="utf-8")
         assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) <= known, page
 
 

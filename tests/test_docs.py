@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
+from tests.formats_text import FORMATS
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
@@ -70,6 +71,49 @@ def test_every_link_inside_the_repository_leads_somewhere(page):
     assert not broken
 
 
+def anchors(page: Path) -> set[str]:
+    """Where links into a page may lead: its headings as the web shows them, and anchors of its own."""
+    text = page.read_text(encoding="utf-8")
+    plain = re.sub(r"```.*?```", "", text, flags=re.DOTALL)
+    headings = re.findall(r"(?m)^#+ (.+)$", plain)
+    found = {re.sub(r"[^\w\- ]", "", title.strip().lower()).replace(" ", "-") for title in headings}
+    return found | set(re.findall(r'<a id="([^"]+)">', text))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
+def test_every_link_to_a_part_of_a_page_leads_there(page):
+    links = re.findall(r"\]\(([^)#:]*)#([^)]+)\)", page.read_text(encoding="utf-8"))
+    missing = [
+        f"{to}#{part}"
+        for to, part in links
+        if (not to or to.endswith(".md")) and part not in anchors(page.parent / to if to else page)
+    ]
+    assert not missing
+
+
+def test_directions_point_where_their_page_draws_them():
+    import numpy as np
+
+    from sightline.geometry.instrument import LineDetector
+
+    drawn = "x = (c - (columns - 1)/2) ifov,  y = tan(look_ahead),  z = 1"
+    assert drawn in FORMATS and "x <---" in FORMATS
+    columns, ifov, ahead = 5, 1e-3, 0.1
+    line = LineDetector.from_ifov("PAN", columns=columns, ifov=ifov, line_period=1e-4, look_ahead=ahead)
+    c = np.arange(columns)
+    expected = np.stack(
+        [(c - (columns - 1) / 2) * ifov, np.full(columns, np.tan(ahead)), np.ones(columns)], axis=1
+    )
+    assert np.allclose(line.directions / line.directions[:, 2:], expected, atol=1e-12)
+    # x is left and y forward: body axes are x forward, y right (tests/test_conventions.py)
+
+
+def test_every_page_of_files_is_in_their_contents():
+    listed = re.findall(r"\]\(formats/([\w-]+\.md)\)", FORMATS)
+    there = {page.name for page in (ROOT / "docs" / "formats").iterdir()}
+    assert set(listed) == there and len(listed) == len(there)
+
+
 def test_every_convention_names_a_test_and_every_test_of_conventions_is_named():
     named = set(re.findall(r"`(test_\w+)`", (ROOT / "docs" / "conventions.md").read_text(encoding="utf-8")))
     tree = ast.parse((ROOT / "tests" / "test_conventions.py").read_text(encoding="utf-8"))
@@ -87,7 +131,7 @@ def test_every_convention_names_a_test_and_every_test_of_conventions_is_named():
 def test_every_key_of_a_file_is_described(name):
     from sightline.io.config import json_schema
 
-    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    text = FORMATS
     start = text.index(f"## {name.upper()}.toml")
     text = text[start : text.index("\n## ", start + 1)]
     schema = json_schema(name)
@@ -103,7 +147,7 @@ def test_the_tables_of_scenes_are_those_of_their_schema():
     from sightline.io.scene.models import FAMILIES, scene_model
     from sightline.io.scene.schema import SceneFile
 
-    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    text = FORMATS
     text = text[text.index("## SCENE.toml") : text.index("## Tables read")]
 
     def row(name, field):
@@ -146,7 +190,7 @@ def test_every_key_of_a_summary_is_described_where_its_command_is():
 
     from sightline.io.results import schema
 
-    text = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+    text = FORMATS
     common = set(schema.RunSummary.model_fields)
     first = text[text.index(SUMMARIES["LineOfSight"][0]) :].split("| Key |")[0]
     assert not [key for key in common if f"`{key}`" not in first]

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.formats_text import FORMATS
 
 from sightline.errors import GeometryError
 from sightline.io.acquisition.describe import describe_acquisition
@@ -138,13 +138,12 @@ def test_a_sensor_in_degrees_is_asked_about(folder, size):
 
 
 def test_the_documented_ephemeris_is_read_as_it_is_described(folder, monkeypatch):
-    page = (Path(__file__).parents[3] / "docs" / "formats.md").read_text()
-    platform = re.search(r"```toml\n(\[platform\]\nkind = \"ephemeris\".*?)```", page, re.DOTALL)
+    platform = re.search(r"```toml\n(\[platform\]\nkind = \"ephemeris\".*?)```", FORMATS, re.DOTALL)
     folder.replace(
         '[platform]\nkind = "level-flight"\naltitude = 700e3\nground_speed = 7000.0\n', platform[1]
     )
     for name in ("orbit", "attitude"):
-        text = re.search(rf"`{name}\.csv`:\n\n```csv\n(.*?)```", page, re.DOTALL)[1]
+        text = re.search(rf"`{name}\.csv`:\n\n```csv\n(.*?)```", FORMATS, re.DOTALL)[1]
         (folder.path / f"{name}.csv").write_text(text)
     understood, doubts = said(folder.write())
     assert not doubts
@@ -158,7 +157,7 @@ def test_the_documented_ephemeris_is_read_as_it_is_described(folder, monkeypatch
     quat = np.column_stack([given[name] for name in ("qx", "qy", "qz", "qw")])
     turned = (Rotation.from_quat(quat) * Rotation.from_rotvec([20e-6, -30e-6, 10e-6])).as_quat()
     table(folder, "aocs", given["t"], turned)
-    exec(re.search(r"```python\n(import numpy as np\n.*?Slerp.*?)```", page, re.DOTALL)[1], {})
+    exec(re.search(r"```python\n(import numpy as np\n.*?Slerp.*?)```", FORMATS, re.DOTALL)[1], {})
     t, angles, _ = read_star_tracker(folder.path / "star_tracker.csv")
     assert np.array_equal(t, given["t"])
     np.testing.assert_allclose(angles, np.tile([20e-6, -30e-6, 10e-6], (3, 1)), atol=2e-9)

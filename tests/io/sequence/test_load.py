@@ -11,6 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from tests.formats_text import FORMATS
 from tests.io.sequence_files import NORTH, SHAPE, flight, npy, picture
 
 from sightline.errors import FormatError, GeometryError, SightlineError
@@ -380,8 +381,7 @@ def test_photographs_of_a_gimbal(tmp_path, real_data):
 
 def test_the_file_for_photographs_of_a_drone_that_the_formats_show(tmp_path, real_data):
     folder = real_data("drone_brighton_lines12")
-    page = (Path(__file__).resolve().parents[3] / "docs" / "formats.md").read_text(encoding="utf-8")
-    toml = re.search(r"### Photographs of a drone.*?```toml\n(.*?)```", page, re.DOTALL)[1]
+    toml = re.search(r"### Photographs of a drone.*?```toml\n(.*?)```", FORMATS, re.DOTALL)[1]
     problem = load_sequence(written(tmp_path, toml.replace('"photographs"', f'"{folder}"')))
     assert len(problem) == 12 and problem.usable.all() and problem.height_sigma == 5.0
     # RelativeAltitude of XMP says 39.8 to 40.1 m
