@@ -64,6 +64,19 @@ def test_every_claim_has_a_command_or_key_and_a_test(name):
     assert not [option for option in options if f'"{option}"' not in known and option != "--method"]
 
 
+def test_from_the_readme_to_a_function_there_are_three_files_at_most():
+    text = (ROOT / "ARCHITECTURE.md").read_text(encoding="utf-8")
+    table = text[text.index("| What | Page | File | Function |") :].split("\n\n")[0]
+    rows = [re.findall(r"`([^`]+)`", line) for line in table.splitlines()[2:]]
+    assert len(rows) == 6
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    for page, file, function in rows:
+        assert f"]({page})" in readme
+        assert file in (ROOT / page).read_text(encoding="utf-8"), f"{page} does not name {file}"
+        source = ast.parse((ROOT / "src" / "sightline" / file).read_text(encoding="utf-8"))
+        assert function in {node.name for node in source.body if isinstance(node, ast.FunctionDef)}
+
+
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.relative_to(ROOT).as_posix())
 def test_every_link_inside_the_repository_leads_somewhere(page):
     links = re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
