@@ -61,6 +61,9 @@ SIMILARITIES = ("whitened", "radiometric", "gradient")
 WEIGHTINGS = ("covariance", "predicted", "none")
 #: The filter of similarity "gradient".
 GRADIENT = gradient_filter()
+#: Lines over which their spacing on the ground is averaged, and departures of one from the next (lines) up to
+#: which lines pass for even.
+PLACE_MEAN, EVEN = 17, 1e-3
 #: Windows enough to learn whitening from; a star of fewer looks all over its image instead.
 ENOUGH = 100
 
@@ -334,7 +337,31 @@ def laid_on(
         return b.reshape(len(lines), len(columns), 2)
 
     spacing = RELIEF_SPACING if isinstance(surface, Dem) else SMOOTH_SPACING
-    return WarpedImage(images[partner], mapping, images[hub].shape, spacing)
+    return WarpedImage(images[partner], mapping, images[hub].shape, spacing, line_places(target, surface))
+
+
+def line_places(camera: MovingCamera, surface: Surface) -> Array | None:
+    """Where the lines of a camera stand along its track on the ground, (lines, 2), for `WarpedImage`.
+
+    At its first and its last column, in lines of the spacing that they have about there on average; None
+    where all are even.
+    """
+    if not isinstance(camera, PushbroomCamera) or camera.lines <= PLACE_MEAN:
+        return None
+    lines = np.arange(camera.lines, dtype=np.float64)
+    mean = np.ones(PLACE_MEAN)
+    out = np.empty((camera.lines, 2))
+    for side, column in enumerate((0.0, camera.columns - 1.0)):
+        steps = np.diff(camera.locate(np.stack([lines, np.full(len(lines), column)], axis=1), surface), axis=0)
+        known = np.isfinite(steps).all(axis=1)
+        steps[~known] = 0.0
+        track = np.stack([np.convolve(part, mean, "same") for part in steps.T], axis=1)
+        # along the mean step, in units of it
+        count = np.convolve(known, mean, "same")
+        square = np.einsum("ni,ni->n", track, track)
+        usual = np.einsum("ni,ni->n", steps, track) * count / np.where(square > 0.0, square, 1.0)
+        out[:, side] = np.append(0.0, np.cumsum(np.where(known & (square > 0.0), usual, 1.0)))
+    return out if np.abs(np.diff(out, 2, axis=0)).max() > EVEN else None
 
 
 def found_wrong(before: StarRecord | None, hub: int, grid: WindowGrid, pairs: int) -> NDArray[np.bool_]:
