@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose
 from matching.fourier_textures import shifted_pair
 from motion.strips import PERIOD, given_bands, plain_star, strip_cameras
 from sightline.geometry.surface import Plane
+from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import ArrayImage
 from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTLIER, OUTSIDE
 from sightline.motion.measure.stars import (
@@ -20,6 +21,7 @@ from sightline.motion.measure.stars import (
     found_wrong,
     hub_windows,
     laid_on,
+    line_places,
     match_star,
     pair_whitening,
 )
@@ -241,6 +243,20 @@ def test_the_partner_laid_on_the_hub_shows_the_same_picture(images, cameras):
     raw = images[1].read((20, 180), (10, 310))
     assert np.corrcoef(got.ravel(), same.ravel())[0, 1] > 0.95
     assert np.corrcoef(raw.ravel(), same.ravel())[0, 1] < 0.8
+
+
+def test_lines_stand_where_the_pitch_and_the_yaw_of_the_camera_put_them(cameras):
+    camera = cameras[0]
+    assert line_places(camera, Plane()) is None  # an even scan
+    lines = np.arange(-8.0, SHAPE[0] + 8.0)
+    pixel = np.arccos(camera.detector.directions[0] @ camera.detector.directions[1])
+    nod = np.sin(2.0 * np.pi * 0.21 * lines)
+    angles = np.stack([0.0 * nod, 0.1 * pixel * nod, 0.2 * nod / (SHAPE[1] / 2)], axis=1)
+    shaken = camera.with_trajectory(camera.trajectory.with_motion(Motion(camera.times(lines), angles)))
+    places = line_places(shaken, Plane())
+    # +- pitch and yaw at either side; the mean of 17 lines keeps some of it, most at the ends
+    want = np.diff(np.outer(nod[8:-8], [0.1 - 0.2, 0.1 + 0.2]), 2, axis=0)[8:-8]
+    assert_allclose(np.diff(places, 2, axis=0)[8:-8], want, atol=0.03 * np.abs(want).max())
 
 
 def test_without_texture_there_is_no_whitening(images, cameras):

@@ -349,15 +349,17 @@ def line_places(camera: MovingCamera, surface: Surface) -> Array | None:
     if not isinstance(camera, PushbroomCamera) or camera.lines <= PLACE_MEAN:
         return None
     lines = np.arange(camera.lines, dtype=np.float64)
-    mean = np.ones(PLACE_MEAN)
+    mean = np.hanning(PLACE_MEAN + 2)[1:-1]
     out = np.empty((camera.lines, 2))
     for side, column in enumerate((0.0, camera.columns - 1.0)):
-        steps = np.diff(camera.locate(np.stack([lines, np.full(len(lines), column)], axis=1), surface), axis=0)
+        steps = np.diff(
+            camera.locate(np.stack([lines, np.full(len(lines), column)], axis=1), surface), axis=0
+        )
         known = np.isfinite(steps).all(axis=1)
         steps[~known] = 0.0
         track = np.stack([np.convolve(part, mean, "same") for part in steps.T], axis=1)
         # along the mean step, in units of it
-        count = np.convolve(known, mean, "same")
+        count = np.convolve(known, mean, "same")  # of lines, by their weight
         square = np.einsum("ni,ni->n", track, track)
         usual = np.einsum("ni,ni->n", steps, track) * count / np.where(square > 0.0, square, 1.0)
         out[:, side] = np.append(0.0, np.cumsum(np.where(known & (square > 0.0), usual, 1.0)))
