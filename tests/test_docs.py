@@ -236,23 +236,24 @@ def test_the_schema_of_summaries_is_of_every_result_that_can_be_opened():
     assert not bare
 
 
-def test_the_readme_lists_every_command():
+def test_the_page_of_commands_lists_every_command():
     from typer.main import get_command
 
     from sightline.cli.main import app
 
-    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
     commands = set(get_command(app).commands)
     assert {name for name in commands if f"`sightline {name}" in text} == commands
 
 
-def test_the_readme_links_the_documents_it_names_and_states_every_exit_status():
+def test_the_readme_links_the_documents_it_names_and_a_page_states_every_exit_status():
     from sightline.cli import main
 
     text = (ROOT / "README.md").read_text(encoding="utf-8")
     bare = re.findall(r"(?<!\[)`((?:docs/[\w./-]*|[A-Z]+\.md))`", text)
     assert not bare, f"named without a link: {bare}"
-    stated = text[text.index("Exit status:") :].split("\n\n")[0]
+    page = (ROOT / "docs" / "commands.md").read_text(encoding="utf-8")
+    stated = page[page.index("Exit status:") :].split("\n\n")[0]
     statuses = {0, main.DATA_CANNOT_ANSWER, main.WRONG_INPUT, main.DEFECT, main.INTERRUPTED}
     statuses |= {main.TERMINATED, main.HUNG_UP, main.UNREAD}
     assert {int(number) for number in re.findall(r"\b\d+\b", stated)} == statuses

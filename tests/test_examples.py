@@ -58,7 +58,7 @@ def test_an_example_is_short_and_says_which_folder_it_is_not_given(path):
 def test_the_python_of_the_readme_runs_and_prints_three_axes():
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     (block,) = re.findall(r"```python\n(.*?)```", readme, re.DOTALL)
-    assert len([line for line in block.splitlines() if line.strip()]) <= 20
+    assert len([line for line in block.splitlines() if line.strip()]) <= 12
     assert block in PYTHON
     lines = run(["-c", block]).splitlines()
     assert [line.split()[0] for line in lines] == ["roll", "pitch", "yaw"]
