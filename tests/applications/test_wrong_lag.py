@@ -1,9 +1,10 @@
-"""A lag of the wrong sign is named as such."""
+"""One mistake in the description of a band is named as such: sign of the lag, order of lines or columns, scale."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from sightline.applications.line_of_sight import recover_line_of_sight
@@ -12,21 +13,63 @@ from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Band
+from sightline.motion.strip.alternatives import Reversed, alternative
 from sightline.simulate.scenarios import line_of_sight_case
 
 
-def test_a_lag_of_the_wrong_sign_is_proved_by_the_matches() -> None:
-    scene = line_of_sight_case("nominal", 3, lines=900, columns=320)
-    bands = []
-    for k in (0, 1):
-        camera, band = scene.nominal_cameras[k], scene.bands[k]
-        turned = LineDetector.from_ifov(
-            band.name,
-            camera.columns,
-            scene.options.ifov,
-            scene.options.line_period,
-            look_ahead=-band.look_ahead,
-        )
-        bands.append(Band(band.name, ArrayImage(scene.image(k)), replace(camera, detector=turned)))
-    with pytest.raises(EstimationError, match=r"the lag has the wrong sign: PAN and \S+ match"):
+@pytest.fixture(scope="module")
+def scene():
+    return line_of_sight_case("nominal", 3, lines=900, columns=320)
+
+
+def described(scene, k, sign=1.0, scale=1.0) -> Band:
+    """A band whose look angle has another sign, or whose pixels are larger than they are."""
+    camera, band, options = scene.nominal_cameras[k], scene.bands[k], scene.options
+    turned = LineDetector.from_ifov(
+        band.name,
+        camera.columns,
+        options.ifov * scale,
+        options.line_period,
+        look_ahead=sign * band.look_ahead,
+    )
+    return Band(band.name, ArrayImage(scene.image(k)), replace(camera, detector=turned))
+
+
+def test_a_lag_of_the_wrong_sign_is_proved_by_the_matches(scene) -> None:
+    bands = [described(scene, k, sign=-1.0) for k in (0, 1)]
+    with pytest.raises(
+        EstimationError, match=r"B1: it matches PAN as far on the other side: change the sign"
+    ):
         recover_line_of_sight(bands, Plane(0.0))
+
+
+@pytest.mark.parametrize(("axis", "said"), [(0, "its lines are taken the other way"), (1, "its columns are")])
+def test_an_image_the_other_way_round_is_named(scene, axis, said) -> None:
+    hub, partner = described(scene, 0), described(scene, 1)
+    image = ArrayImage(np.ascontiguousarray(np.flip(scene.image(1), axis)))
+    assert said in alternative(hub, replace(partner, image=image), Plane(0.0), (8, 8))
+
+
+@pytest.mark.parametrize("scale", [1.02, 0.975])
+def test_a_focal_length_some_per_cent_off_is_named_with_its_size(scene, scale) -> None:
+    # pixels said to be larger: the image shows ground further from its middle than where it is sought
+    words = alternative(described(scene, 0), described(scene, 1, scale=scale), Plane(0.0), (2, 2))
+    size = f"{100 * abs(scale - 1.0):.1f} % {'larger' if scale > 1.0 else 'smaller'}"
+    assert f"it matches PAN where a magnification {size} would have it" in words
+
+
+def test_a_band_that_shows_other_ground_has_no_explanation(scene) -> None:
+    partner = described(scene, 1)
+    noise = np.random.default_rng(0).standard_normal(scene.image(1).shape) + 100.0
+    assert (
+        alternative(described(scene, 0), replace(partner, image=ArrayImage(noise)), Plane(0.0), (8, 8)) == ""
+    )
+
+
+def test_a_reversed_image_reads_any_window_and_its_mask() -> None:
+    pixels = np.arange(20.0).reshape(4, 5)
+    unusable = pixels == 7.0
+    for axis in (0, 1):
+        image, turned = Reversed(ArrayImage(pixels, unusable), axis), np.flip(pixels, axis)
+        np.testing.assert_array_equal(image.read((1, 4), (0, 3)), turned[1:4, 0:3])
+        np.testing.assert_array_equal(image.mask((0, 4), (0, 5)), np.flip(unusable, axis))

@@ -29,6 +29,7 @@ from sightline.motion.measure.pair_order import best_first, pair_correlations
 from sightline.motion.measure.stars import MatchingPlan, StarRecord, hub_windows, match_star
 from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
+from sightline.motion.strip.alternatives import alternative
 from sightline.motion.strip.checks import checked, farthest_control, farthest_sensor
 from sightline.motion.strip.estimate import (
     DRAFT_ROUNDS,
@@ -46,7 +47,6 @@ from sightline.motion.strip.joint import (
     nodes_on,
     remove_directions,
 )
-from sightline.motion.strip.lag_sign import matches_backwards
 from sightline.motion.strip.methods import by_method, check_method, strip_differences
 from sightline.motion.strip.relief import RowRelief
 from sightline.motion.strip.strip import RecoverOptions, Strip, prepared, suited
@@ -298,11 +298,11 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
     tried = sum(int((r.status != NOT_CHOSEN).sum()) for r in records)
     kept = sum(int(r.star.present.sum()) for r in records)
     if kept < max(20, MIN_KEPT_SHARE * tried):
-        backwards = _backwards(strip, options)
-        if backwards:
+        otherwise = _otherwise(strip, options)
+        if otherwise:
             raise EstimationError(
-                f"the lag has the wrong sign: {backwards} match not where the cameras say but as far on the "
-                "other side; change the sign of `look_ahead` (forward is positive) or the line times' order"
+                f"the images do not match where the cameras say ({kept} of {tried} windows kept), but for "
+                f"one mistake they would: {otherwise}"
             )
         raise EstimationError(
             f"the images do not match where the cameras say: {kept} of {tried} windows kept within "
@@ -330,12 +330,13 @@ def _counts(records: Sequence[StarRecord]) -> str:
     return ", ".join(f"{numbers[code]} {STATUS_NAMES[code]}" for code in order if numbers[code])
 
 
-def _backwards(strip: Strip, options: RecoverOptions) -> str:
-    """Names of the first pair that matches where a lag of the other sign would have it; "" if none."""
+def _otherwise(strip: Strip, options: RecoverOptions) -> str:
+    """The mistake without which the first pair that can be mended would match; "" where none is found."""
     hub = strip.bands[0]
     for partner in strip.bands[1:]:
-        if matches_backwards(hub, partner, strip.surface, options.search_px):
-            return f"{hub.name} and {partner.name}"
+        words = alternative(hub, partner, strip.surface, options.search_px)
+        if words:
+            return f"{partner.name}: {words}"
     return ""
 
 

@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike, NDArray
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.measure.stars import StarRecord
+from sightline.motion.strip.alternatives import alternative
 from sightline.motion.strip.estimate import StripState
 from sightline.motion.strip.fusion import uses
 from sightline.motion.strip.joint import JointEstimate
-from sightline.motion.strip.lag_sign import matches_backwards
 from sightline.motion.strip.strip import RecoverOptions, Strip
 from sightline.motion.strip.viewing_axes import turned_spectra
 
@@ -93,7 +93,7 @@ def pair_tells(kept: ArrayLike, tried: ArrayLike) -> NDArray[np.bool_]:
 
 
 def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
-    """Bands none of whose pairs keeps enough windows, and the wrong sign of a lag where that is why."""
+    """Bands none of whose pairs keeps enough windows, and the one mistake that is why where there is one."""
     compared = np.zeros((len(strip.bands), len(strip.bands)), dtype=int)
     kept = np.zeros_like(compared)
     for record in records:
@@ -112,16 +112,15 @@ def _unmatched_bands(strip: Strip, records: Sequence[StarRecord]) -> list[str]:
 
 
 def _why_unmatched(strip: Strip, lost: int, matched: NDArray[np.intp]) -> str:
-    """The wrong sign of the lag where the matches of the other side prove it; else what to check."""
-    band, search = strip.bands[lost], RecoverOptions().search_px
+    """The one mistake without which it would match, where matches prove it; else what to check."""
     for other in matched:
-        # the lag of either band against the other: the same pair, mirrored
-        if matches_backwards(strip.bands[other], band, strip.surface, search):
-            return (
-                f"it matches {strip.bands[other].name} as far on the other side: change the sign of its "
-                "`look_ahead` (forward is positive) or of its lag"
-            )
-    return "check its `look_ahead` (sign) and line times; or it looks like no other band, or clouds hide it"
+        words = alternative(strip.bands[other], strip.bands[lost], strip.surface, RecoverOptions().search_px)
+        if words:
+            return words
+    return (
+        "check its `look_ahead` (sign), `ifov` and line times; or it looks like no other band, or clouds hide "
+        "it"
+    )
 
 
 def _sensor_warnings(strip: Strip, estimate: JointEstimate) -> list[str]:
