@@ -1,4 +1,4 @@
-"""One mistake in the description of a band is named as such: sign of the lag, order of lines or columns, scale."""
+"""One mistake in the description of a band is named: sign of the lag, order of lines or columns, scale."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """What would have two bands match that do not as they are given: one mistake in the description of either.
 
-Tried are the lag of the other sign, columns or lines that run the other way, and a magnification some per cent
-off. Not here: where it is said (``warnings.py``, ``applications/line_of_sight.py``).
+Tried are the lag of the other sign, columns or lines that run the other way, and a magnification some per
+cent off. Not here: where it is said (``warnings.py``, ``applications/line_of_sight.py``).
 """
 
 from __future__ import annotations
@@ -103,8 +103,8 @@ def _tried(
             partner.image,
             points - shift,
             1.0,
-            f"it matches {hub.name} as far on the other side: change the sign of its `look_ahead` (forward is "
-            "positive) or of its lag",
+            f"it matches {hub.name} as far on the other side: change the sign of its `look_ahead` (forward "
+            "is positive) or of its lag",
         )
     yield (
         Reversed(partner.image, 1),
@@ -117,8 +117,8 @@ def _tried(
         Reversed(partner.image, 0),
         there,
         1.0,
-        f"it matches {hub.name} when its lines are taken the other way round: give the image with its earliest "
-        "line first",
+        f"it matches {hub.name} when its lines are taken the other way round: give the image with its "
+        "earliest line first",
     )
     middle = (partner.camera.columns - 1) / 2.0
     for error in SCALES:

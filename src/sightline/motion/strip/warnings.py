@@ -118,8 +118,8 @@ def _why_unmatched(strip: Strip, lost: int, matched: NDArray[np.intp]) -> str:
         if words:
             return words
     return (
-        "check its `look_ahead` (sign), `ifov` and line times; or it looks like no other band, or clouds hide "
-        "it"
+        "check its `look_ahead` (sign), `ifov` and line times; or it looks like no other band, or clouds "
+        "hide it"
     )
 
 
