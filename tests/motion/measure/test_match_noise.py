@@ -9,7 +9,13 @@ import pytest
 from numpy.testing import assert_allclose
 
 from motion.strips import plain_star
-from sightline.motion.measure.match_noise import estimate_correlation, robust_weights, row_weights, scatter
+from sightline.motion.measure.match_noise import (
+    estimate_correlation,
+    plain_variance,
+    robust_weights,
+    row_weights,
+    scatter,
+)
 from sightline.motion.measure.observations import Star, shared_image_correlation
 
 SIGMA = 0.05
@@ -112,6 +118,33 @@ class TestCorrelation:
     def test_too_few_windows_leave_the_start_value(self):
         star = plain_star(20, 5, 2, SIGMA)
         assert_allclose(estimate_correlation(star, drawn(star, 9)), shared_image_correlation(2))
+
+    def test_rows_of_three_windows_tell_the_size_of_errors_too(self):
+        # crops of real bands: 88 rows of three windows, whose matches err by 1.8 times the variance claimed
+        found = []
+        for seed in range(12):
+            star = plain_star(88, 3, 2, SIGMA)
+            found.append(np.diag(estimate_correlation(star, np.sqrt(1.8) * drawn(star, seed))))
+        # one degree of freedom per row, ten of the start value; sqrt(2 / 88) each, and twice by chance
+        expected = (88 * 1.8 + 10.0) / 98.0
+        assert np.mean(found) == pytest.approx(expected, rel=5.0 * np.sqrt(2.0 / (88 * 48)) + 0.05)
+
+    def test_of_few_rows_errors_that_last_are_found_and_chance_is_not_taken_for_them(self):
+        rng = np.random.default_rng(5)
+        rho, rows, blocks = 0.8, 88, 3
+        lasting = np.empty((rows, blocks, 2))
+        lasting[0] = rng.standard_normal((blocks, 2))
+        for row in range(1, rows):
+            lasting[row] = rho * lasting[row - 1] + np.sqrt(1.0 - rho**2) * rng.standard_normal((blocks, 2))
+        star = plain_star(rows, blocks, 1, SIGMA)
+        found = np.diag(estimate_correlation(star, SIGMA * lasting.reshape(-1, 1, 2)))
+        lags = np.arange(1, 9)
+        # the sum over eight lags, 5.1; known to 40 % of so few rows
+        total = 1.0 + 2.0 * np.sum((1.0 - lags / 9.0) * rho**lags)
+        assert np.all(found > 0.4 * total) and np.all(found < 2.0 * total)
+        alone = [np.diag(estimate_correlation(star, drawn(star, seed))) for seed in range(20)]
+        # errors of a size to 15 %, and no long sums but by a chance of 1 in 40
+        assert np.quantile(alone, 0.9) < 1.4
 
     def test_a_pair_without_any_match_leaves_the_start_value(self):
         star = plain_star(400, 8, 2, SIGMA)
@@ -218,3 +251,21 @@ def test_the_start_value_is_the_correlation_of_differences_that_share_an_image()
     differences = np.concatenate([partner - hub for partner in partners])
     # correlations of 40 000 draws scatter by 0.005
     assert_allclose(np.corrcoef(differences), shared_image_correlation(3), atol=0.025)
+
+
+@pytest.mark.parametrize(("rows", "blocks", "start"), [(100, 8, 0.0), (88, 3, 10.0)])
+def test_the_variance_of_single_matches_is_that_within_rows(rows, blocks, start):
+    star = plain_star(rows, blocks, 1, SIGMA)
+    lasting = drawn(star, 3).reshape(rows, blocks, 1, 2)
+    # alike in eight rows: sums over rows grow, single matches do not
+    lasting = np.sqrt(2.0) * np.repeat(lasting[::8], 8, axis=0)[:rows]
+    found = plain_variance(star, lasting.reshape(-1, 1, 2) + row_motion(star, 4))
+    degrees = rows * (blocks - 2)
+    expected = (degrees * 2.0 + start) / (degrees + start)
+    # an eighth of the rows are independent; five of their sigma
+    assert_allclose(found, expected, rtol=5.0 * np.sqrt(2.0 / (degrees / 8)))
+
+
+def test_too_few_windows_leave_the_variance_that_the_matcher_claims():
+    star = plain_star(30, 3, 1, SIGMA)
+    assert plain_variance(star, 3.0 * drawn(star, 0)).tolist() == [1.0, 1.0]

@@ -9,6 +9,8 @@ Not here: the matcher's own covariance of a single match (``matching/``).
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -17,8 +19,14 @@ from sightline.motion.measure.observations import Star, scale_residuals, shared_
 
 Array = NDArray[np.float64]
 
-#: Rows of windows need this many blocks to tell error from motion.
-MIN_BLOCKS = 4
+#: Rows of windows need this many blocks to tell error from motion; where no row has more, three do, which
+#: leave one degree of freedom each.
+MIN_BLOCKS, LEAST_BLOCKS = 4, 3
+#: Degrees of freedom per component from which errors are learned of rows of three windows, from which they
+#: are learned to the full, and what the start value counts for among fewer.
+FEWEST, PLENTY, START_COUNTS = 40.0, 100.0, 10.0
+#: Of few rows, a correlation from row to row is believed where it is so many times what chance makes.
+BEYOND_CHANCE = 2.0
 #: Rows on either side over which the scatter of rows is averaged before it is compared with the usual one.
 ROW_REACH = 6
 #: Rows over which the correlation from row to row is followed, with weights that fall to zero: real textures
@@ -28,13 +36,11 @@ ROW_LAGS = 8
 SOFT, REJECT = 3.0, 5.0
 #: Blocks per row, and runs of rows, from which errors shared by neighbours are estimated; their most.
 LEAST_BESIDE, MOST_BESIDE = 6, 4.0
-#: Degrees of freedom from which the variance of matches is estimated at all.
-LEAST_DEGREES = 100
 #: Scaled residuals are cut to this size where covariances are summed.
 CLIP = 6.0
 
 
-def scatter(star: Star, post_px: Array) -> tuple[Array, Array]:
+def scatter(star: Star, post_px: Array, least: int = MIN_BLOCKS) -> tuple[Array, Array]:
     """Scaled and weighted residuals of each row with its shift and tilt removed.
 
     Parameters
@@ -42,6 +48,8 @@ def scatter(star: Star, post_px: Array) -> tuple[Array, Array]:
     star : Star
     post_px : (G, K, 2)
         Residuals after the estimate, px.
+    least : int
+        Windows that a row must hold.
 
     Returns
     -------
@@ -64,7 +72,7 @@ def scatter(star: Star, post_px: Array) -> tuple[Array, Array]:
         det = s0 * s2 - s1 * s1
         slope = (s0 * y1 - s1 * y0) / det
         mean = (y0 - slope * s1) / s0
-    degrees = np.where((s0 >= MIN_BLOCKS) & (det > 1e-9), s0 - 2.0, 0.0)
+    degrees = np.where((s0 >= least) & (det > 1e-9), s0 - 2.0, 0.0)
     left = z - mean[:, None, :] - slope[:, None, :] * x
     return np.where((w > 0) & (degrees[:, None, :] > 0), left, np.nan), degrees
 
@@ -72,13 +80,15 @@ def scatter(star: Star, post_px: Array) -> tuple[Array, Array]:
 def estimate_correlation(star: Star, post_px: Array) -> Array:
     """Error correlation (2K, 2K) of a star's pairs, rows' long-run correlation included.
 
-    Falls back to the shared-image start value where the rows hold too few windows, or none of some pair.
+    The shared-image start value where the rows hold too few windows, or none of some pair; where they hold
+    few, something between it and what they show.
     """
     pairs = star.t.shape[1]
-    z, degrees = scatter(star, post_px)
-    counted = float(degrees.sum())
-    if counted < 200 * pairs or not np.isfinite(z).any(axis=(0, 1)).all():
-        return shared_image_correlation(pairs)
+    start = shared_image_correlation(pairs)
+    z, degrees = scatter(star, post_px, least_blocks(star))
+    counted = float(degrees.sum()) / (2 * pairs)
+    if counted < fewest_degrees(star) or not np.isfinite(z).any(axis=(0, 1)).all():
+        return start
     clipped = np.clip(z, -CLIP, CLIP)
     v = np.where(np.isfinite(clipped), clipped, 0.0)
     seen = np.isfinite(clipped).astype(float)
@@ -92,6 +102,10 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
         return np.asarray(np.einsum("rbi,rbj->ij", first, second) / np.maximum(both, 1.0))
 
     total = covariance(0)
+    if counted < PLENTY:
+        total = (counted * total + START_COUNTS * start) / (counted + START_COUNTS)
+        grown = np.sqrt(_error_along(v, covariance))
+        return np.asarray(total * np.outer(grown, grown))
     scale = np.sqrt(np.diag(total))
     for shift in range(1, min(ROW_LAGS, len(v) - 1) + 1):
         step = covariance(shift) * (1.0 - shift / (ROW_LAGS + 1.0))
@@ -105,16 +119,48 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     return np.asarray(0.5 * (total + total.T))
 
 
+def least_blocks(star: Star) -> int:
+    """Windows that a row of the star must hold to tell of errors."""
+    return LEAST_BLOCKS if star.shape[1] == LEAST_BLOCKS else MIN_BLOCKS
+
+
+def fewest_degrees(star: Star) -> float:
+    """Degrees of freedom per component from which the errors of a star are learned."""
+    return FEWEST if star.shape[1] == LEAST_BLOCKS else PLENTY
+
+
 def plain_variance(star: Star, post_px: Array) -> Array:
     """Variance (2K,) of single matches in units of the matcher's own, from their scatter within rows.
 
-    Ones where the rows hold too few windows.
+    Ones where the rows hold too few windows; among few, one counts as START_COUNTS of them.
     """
-    z, degrees = scatter(star, post_px)
+    z, degrees = scatter(star, post_px, least_blocks(star))
     counted = degrees.sum(axis=0)
     squares = np.nansum(np.clip(z, -CLIP, CLIP) ** 2, axis=(0, 1))
-    enough = counted >= LEAST_DEGREES
-    return np.where(enough, squares / np.maximum(counted, 1.0), 1.0)
+    given = np.where(counted < PLENTY, START_COUNTS, 0.0)
+    enough = counted >= fewest_degrees(star)
+    return np.where(enough, (squares + given) / np.maximum(counted + given, 1.0), 1.0)
+
+
+def _error_along(v: Array, covariance: Callable[[int], Array]) -> Array:
+    """(2K,) variance of long means over that of independent rows, for few rows.
+
+    Parameters
+    ----------
+    v : (rows, blocks, 2K)
+        Scatter of rows, zero where absent.
+    covariance : callable
+        Of it (2K, 2K) with what lies so many rows on.
+    """
+    plain = np.diag(covariance(0))
+    long = plain.copy()
+    lags = min(ROW_LAGS, len(v) - 1)
+    for shift in range(1, lags + 1):
+        long += 2.0 * (1.0 - shift / (lags + 1.0)) * np.diag(covariance(shift))
+    ratio = long / np.maximum(plain, 1e-30)
+    # of Bartlett's weights: the variance of the sum over that of the rows, as chance scatters it
+    chance = np.sqrt(4.0 / 3.0 * (lags + 1.0) / len(v))
+    return np.where(ratio > 1.0 + BEYOND_CHANCE * chance, ratio, 1.0)
 
 
 def _error_beside(v: Array) -> Array:

@@ -18,10 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
+from sightline.estimation.robust import robust_sigmas
+from sightline.matching.match_images import match_images
 from sightline.motion.measure.common_view import Views, common_views, usable
 from sightline.motion.measure.match_noise import plain_variance, robust_weights
 from sightline.motion.measure.observations import Star
-from sightline.motion.measure.stars import StarRecord, match_star
+from sightline.motion.measure.stars import StarRecord, laid_on, match_star, pair_whitening
 from sightline.motion.measure.windows import WindowGrid
 from sightline.motion.strip.estimate import StripState
 from sightline.motion.strip.normal_equations import modelled, window_rows
@@ -30,10 +32,10 @@ from sightline.motion.strip.strip import DRAFT_TILES, RecoverOptions, Strip
 
 Array = NDArray[np.float64]
 
-#: Windows of a pair that is left out on demand, and of all pairs that a run looks at by itself.
+#: Windows of a pair that is left out on demand, and of one that a run looks at by itself.
 ASKED_WINDOWS, SAMPLE_WINDOWS = 600, 240
 #: Pairs that a run looks at by itself: of many bands neighbours come first.
-SAMPLE_PAIRS = 4
+SAMPLE_PAIRS = 3
 #: Fewer matched windows judge nothing.
 LEAST_WINDOWS = 10
 #: Rows of windows over which errors of neighbours are looked at for what they share.
@@ -159,7 +161,7 @@ def judged(strip: Strip, state: StripState, options: RecoverOptions) -> tuple[Wi
     """Left-out pairs against the estimate: those asked for, else a sample of those it does without."""
     asked = strip.withheld
     pairs = list(asked) or unused_pairs(strip, state.records)
-    most = ASKED_WINDOWS if asked else SAMPLE_WINDOWS // max(len(pairs), 1)
+    most = ASKED_WINDOWS if asked else SAMPLE_WINDOWS
     out: list[WithheldAxis] = []
     for a, b in pairs:
         out += _judged_pair(strip, state, options, (a, b), most, asked=bool(asked))
@@ -223,60 +225,116 @@ def compared(
     hub, partner = pair
     view = _view(strip, hub, partner)
     record = _matched(strip, state, options, pair, view[0, 1], most)
+    if record is None:
+        return None
     star, estimate = record.star, state.estimate
     delay = hub_delay(strip.nominal, strip.surface, hub, state.records[0].star.hub)
-    order = state.ground.later(delay)
-    nodes = estimate.unknowns()
     # cameras carry motion and statics: what the rows know beyond these is the relief found
-    relief = nodes.copy()
-    relief[:, :3] = 0.0
-    error = star.residual_px - modelled(star, strip.grid, relief, np.zeros(len(estimate.statics)), order)
-    used = _used_together(state.records, star, strip.grid.step, directly=True)
-    star = star.with_weight(np.where(used[:, None], 0.0, robust_weights(star, error)))
+    error = star.residual_px - _by_relief(strip, state, star)
+    star = star.with_weight(robust_weights(star, error))
     seen = star.present[:, 0]
     if seen.sum() < LEAST_WINDOWS:
         return None
-    rows, statics = window_rows(star, strip.grid, nodes.shape[1], order, np.flatnonzero(seen))
+    block = 3 if estimate.relief is None else 5
+    rows, statics = window_rows(star, strip.grid, block, state.ground.later(delay), np.flatnonzero(seen))
     variance = np.full((len(seen), 2), np.nan)
     variance[seen] = estimate.row_variance(rows, statics).reshape(-1, 2)
     own = star.covariance_px[:, 0][:, [0, 1], [0, 1]] / np.where(seen, star.weight[:, 0], np.nan)[:, None]
     own = own * plain_variance(star, error)
-    shared = _shared(state.records, star, strip.grid.step)[:, None]
+    shared = _shared(strip, state, star)
     whole = np.maximum(own + (1.0 - 2.0 * shared) * variance, LEAST_LEFT * own)
     return Compared(star, error[:, 0], np.sqrt(whole), np.sqrt(variance))
 
 
-def _shared(records: Sequence[StarRecord], star: Star, step: float) -> Array:
-    """Covariance (G,) of each match's error with that of its prediction, in units of the latter's variance.
+def _shared(strip: Strip, state: StripState, star: Star) -> Array:
+    """Covariance (G, 2) of each match's error with that of its prediction, in units of the latter's variance.
 
     Notes
     -----
     Errors are taken for those of the images (theory, 6.2): e_b - e_a. Where the estimate used windows of one
-    hub found in both bands, or the pair itself, the part of the prediction that stems from the window's own
-    ground errs as the match does: 1. Where it used either band against others, half of the errors of those
-    matches are shared, with either's share of the prediction: 1/4 each.
+    hub found in both bands, the part of the prediction that stems from the window's own ground errs as the
+    match does, but for what the pair alone gets wrong, which is looked for. Where it used either band against
+    others, half of the errors of those matches are shared, with either's share of the prediction: 1/4 each.
     """
+    records, step = state.records, strip.grid.step
     together = _used_together(records, star, step)
     apart = np.zeros(len(star.t_hub))
     for image, t in ((star.hub, star.t_hub), (star.images[0], star.t[:, 0])):
         seen = [_exposures(r.star)[image] for r in records if image in (r.star.hub, *r.star.images)]
         if seen:
             apart += _near(np.concatenate(seen), t, 0.5 * star.duration + 2.0 * step)
-    return np.where(together, 1.0, 0.25 * apart)
+    alike = _alike(strip, state, (star.hub, star.images[0])) if together.any() else np.ones(2)
+    return np.where(together[:, None], alike, 0.25 * apart[:, None])
 
 
-def _used_together(
-    records: Sequence[StarRecord], star: Star, step: float, *, directly: bool = False
-) -> NDArray[np.bool_]:
-    """(G,): windows on whose ground the estimate used windows of one hub found in both bands of a pair.
+def _alike(strip: Strip, state: StripState, pair: tuple[int, int]) -> Array:
+    """Share (2,) of the variance of a pair's matches that those of both bands with a third err by too.
 
-    With `directly`, only those where one of the two is the hub: the pair itself.
+    The pair is matched on windows of the hub that was found in both, each laid on it, so that three matches
+    are of the same ground.
     """
+    a, b = pair
+    best = max(
+        (k for k, r in enumerate(state.records) if {a, b} <= set(r.star.images)),
+        key=lambda k: int(state.records[k].star.present.sum()),
+    )
+    used, post = state.records[best].star, state.post_px[best]
+    ja, jb = used.images.index(a), used.images.index(b)
+    which = np.flatnonzero(used.present[:, ja] & used.present[:, jb])
+    which = which[np.linspace(0, len(which) - 1, min(len(which), SAMPLE_WINDOWS)).astype(int)]
+    if used.window is None or len(which) < LEAST_WINDOWS:
+        return np.ones(2)
+    cameras = strip.cameras(state.estimate.nodes, state.estimate.statics)
+    images = [band.image for band in strip.bands]
+    first, second = (laid_on(images, cameras, strip.surface, used.hub, image) for image in pair)
+    points = used.pixels[which]
+    whitening = pair_whitening(first, second, points, DRAFT_TILES)
+    found = match_images(first, second, points, points, window=used.window, whitening=whitening)
+    direct, through = found.b - points, post[which, jb] - post[which, ja]
+    if state.estimate.relief is not None:
+        moved = _by_relief(strip, state, used)[which]
+        direct = direct - (moved[:, jb] - moved[:, ja])
+    size = 5.0 * robust_sigmas(direct[found.kept], axis=0)
+    good = found.kept & (np.abs(direct) < size).all(axis=1)
+    if good.sum() < LEAST_WINDOWS:
+        return np.ones(2)
+    direct, through = (part[good] - part[good].mean(axis=0) for part in (direct, through))
+    return np.clip((direct * through).mean(axis=0) / (direct**2).mean(axis=0), 0.0, 1.0)
+
+
+def _by_relief(strip: Strip, state: StripState, star: Star) -> Array:
+    """What the relief found moves the windows of a star by, (G, K, 2) px."""
+    nodes = state.estimate.unknowns()
+    if state.estimate.relief is None:
+        return np.zeros(star.residual_px.shape)
+    nodes[:, :3] = 0.0
+    delay = hub_delay(strip.nominal, strip.surface, star.hub, state.records[0].star.hub)
+    order = state.ground.later(delay)
+    return modelled(star, strip.grid, nodes, np.zeros(len(state.estimate.statics)), order)
+
+
+def _used_directly(
+    strip: Strip, records: Sequence[StarRecord], pair: tuple[int, int], lines: Array, height: int
+) -> NDArray[np.bool_]:
+    """Whether the estimate used matches of the pair itself near these lines (N,) of its first band."""
+    camera = strip.nominal[pair[0]]
+    used = []
+    for record in records:
+        if record.star.hub in pair and set(pair) <= {record.star.hub, *record.star.images}:
+            times = _exposures(record.star)
+            used.append(np.where(np.isfinite(times[pair[1]]), times[pair[0]], np.nan))
+    if not used:
+        return np.zeros(len(lines), dtype=bool)
+    return _near(np.concatenate(used), camera.times(lines), height * camera.detector.line_period)
+
+
+def _used_together(records: Sequence[StarRecord], star: Star, step: float) -> NDArray[np.bool_]:
+    """(G,): windows on whose ground the estimate used windows of one hub found in both bands of a pair."""
     a, b = star.hub, star.images[0]
     out = np.zeros(len(star.t_hub), dtype=bool)
     for record in records:
         times = _exposures(record.star)
-        if a in times and b in times and not (directly and record.star.hub not in (a, b)):
+        if a in times and b in times:
             both = np.where(np.isfinite(times[b]), times[a], np.nan)
             out |= _near(both, star.t_hub, 0.5 * star.duration + 2.0 * step)
     return out
@@ -307,8 +365,11 @@ def _matched(
     pair: tuple[int, int],
     view: tuple[int, int],
     most: int,
-) -> StarRecord:
-    """The pair's windows in the recovered cameras: whole rows, evenly spread, none overlapping another."""
+) -> StarRecord | None:
+    """The pair's windows in the recovered cameras: whole rows, evenly spread, none overlapping another.
+
+    None where the estimate used the pair itself everywhere.
+    """
     hub, partner = pair
     plan = replace(strip.plan(options, options.window, options.step), tiles=DRAFT_TILES)
     images = [band.image for band in strip.bands]
@@ -316,10 +377,13 @@ def _matched(
     whole = plan.grid(shape, usable(view, shape[1]))
     apart = max(-(-whole.window[0] // options.step), 1)
     lines = whole.lines[::apart]
+    lines = lines[~_used_directly(strip, state.records, pair, lines, whole.window[0])]
+    if not len(lines):
+        return None
     # a row apart from the next tells more than a neighbour in it: rows are thinned last
     blocks = max(min(len(whole.columns), most // max(min(len(lines), most // 4), 1)), 1)
     columns = whole.columns[np.unique(np.linspace(0, len(whole.columns) - 1, blocks).round().astype(int))]
-    rows = max(min(len(lines), most // len(columns)), 1)
+    rows = min(len(lines), max(most // len(columns), 1))
     lines = lines[np.unique(np.linspace(0, len(lines) - 1, rows).round().astype(int))]
     grid = WindowGrid(whole.window, lines, columns)
     cameras = strip.cameras(state.estimate.nodes, state.estimate.statics)
