@@ -274,10 +274,10 @@ def _alike(strip: Strip, state: StripState, pair: tuple[int, int]) -> Array:
     are of the same ground.
     """
     a, b = pair
-    best = max(
-        (k for k, r in enumerate(state.records) if {a, b} <= set(r.star.images)),
-        key=lambda k: int(state.records[k].star.present.sum()),
-    )
+    through = [k for k, r in enumerate(state.records) if {a, b} <= set(r.star.images)]
+    if not through:
+        return np.ones(2)
+    best = max(through, key=lambda k: int(state.records[k].star.present.sum()))
     used, post = state.records[best].star, state.post_px[best]
     ja, jb = used.images.index(a), used.images.index(b)
     which = np.flatnonzero(used.present[:, ja] & used.present[:, jb])
@@ -290,7 +290,9 @@ def _alike(strip: Strip, state: StripState, pair: tuple[int, int]) -> Array:
     points = used.pixels[which]
     whitening = pair_whitening(first, second, points, DRAFT_TILES)
     found = match_images(first, second, points, points, window=used.window, whitening=whitening)
-    direct, through = found.b - points, post[which, jb] - post[which, ja]
+    if found.kept.sum() < LEAST_WINDOWS:
+        return np.ones(2)
+    direct, apart = found.b - points, post[which, jb] - post[which, ja]
     if state.estimate.relief is not None:
         moved = _by_relief(strip, state, used)[which]
         direct = direct - (moved[:, jb] - moved[:, ja])
@@ -298,8 +300,8 @@ def _alike(strip: Strip, state: StripState, pair: tuple[int, int]) -> Array:
     good = found.kept & (np.abs(direct) < size).all(axis=1)
     if good.sum() < LEAST_WINDOWS:
         return np.ones(2)
-    direct, through = (part[good] - part[good].mean(axis=0) for part in (direct, through))
-    return np.clip((direct * through).mean(axis=0) / (direct**2).mean(axis=0), 0.0, 1.0)
+    direct, apart = (part[good] - part[good].mean(axis=0) for part in (direct, apart))
+    return np.clip((direct * apart).mean(axis=0) / (direct**2).mean(axis=0), 0.0, 1.0)
 
 
 def _by_relief(strip: Strip, state: StripState, star: Star) -> Array:
