@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from motion.strips import strip_cameras
 from sightline.applications.line_of_sight import joint_line_of_sight, ready_strip
 from sightline.errors import InputError
+from sightline.execution import silent
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Band
@@ -57,7 +58,7 @@ def solved():
     bands = [replace(band, name=name) for band, name in zip(case.as_given(), NAMES, strict=False)]
     options = RecoverOptions(passes=3, withhold=(("B", "R"),))
     strip, options = ready_strip(bands, Plane(0.0), (), None, None, options)
-    strip, state, result = joint_line_of_sight(strip, options, 0.0, lambda text: None)
+    strip, state, result = joint_line_of_sight(strip, options, 0.0, silent)
     return strip, options, state, result
 
 
