@@ -451,7 +451,8 @@ def _names_a_file(message: str, case: Case) -> bool:
     # an option by its name, or by what was given for it, unless that may stand in any message
     given = {part for word in case.words for part in word.lstrip("-").split("=") if len(part) > 2}
     given |= {repr(part)[1:-1] for part in given}  # as it is quoted
-    if any(re.search(rf"(?<![\w.-]){re.escape(word)}(?![\w.])", message) for word in case.words if word):
+    values = {word.partition("=")[2] or word for word in case.words}
+    if any(re.search(rf"(?<![\w.-]){re.escape(value)}(?![\w.])", message) for value in values if value):
         return True  # by itself, however short
     said = (message, message.replace("_", "-"))  # of Python's names too
     return any(name in words for name in names | given for words in said) or "/case" in message
