@@ -3,7 +3,7 @@
 Prints one row per target. The truth is drawn from a dense covariance written out here; it shares no
 code with the smoother. Unit: pixels (one pixel = one unit of angle, the estimators are linear).
 
-    python validation/series.py [--trials 40] [--blind 12]
+    python validation/series.py [--trials 40] [--blind 12] [--toneless 10000]
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import gates
@@ -24,8 +25,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests"))
 
 from motion.estimators.s1_combinations import max_band
 from sightline.estimation.evidence import Posterior, posterior
+from sightline.estimation.likelihood import fit_spectrum
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.series import Grid, series_equations
+from sightline.estimation.search import NoiseModel, Search, gain_of_chance
+from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 from sightline.estimation.split import split
 from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.estimators.inverse import inverse
@@ -400,12 +403,64 @@ def sinusoids(t: Array, pairs: Sequence[tuple[float, float]]) -> None:
         )
 
 
+def toneless(count: int) -> None:
+    """Motions without any tone: how often one is found at a stated probability, the spectrum known or found.
+
+    Series of 0.5 s, 150 periods of the highest frequency that is looked at. A share must lie where a binomial
+    law of the stated probability has it in 99 of 100 runs; where the spectrum is found in the same data, it
+    takes some of what a tone would, so that a share may be smaller.
+    """
+    from scipy.stats import binom
+
+    short = 500
+    spectrum = Spectrum(PRIOR.components[:2])
+    root = np.linalg.cholesky(
+        toeplitz(spectrum.autocovariance(STEP * np.arange(short))) + 1e-10 * np.eye(short)
+    )
+    rng, sigma = np.random.default_rng(1100), 0.03
+
+    def drawn() -> list[DifferenceSeries]:
+        x = root @ rng.normal(size=short)
+        out = []
+        for lag in (90, 22, 7, 15):
+            k = np.arange(0, short - lag, EVERY)
+            values = x[k + lag] - x[k] + sigma * rng.normal(size=len(k))
+            out.append(
+                DifferenceSeries(k * STEP, np.full(len(k), lag * STEP), values, np.full(len(k), sigma**2))
+            )
+        return out
+
+    def strongest(series: list[DifferenceSeries]) -> float:
+        scaled = [replace(s, values=s.values / sigma, variance=s.variance / sigma**2) for s in series]
+        known = spectrum.scaled(1.0 / sigma)
+        equations = series_equations(scaled, Grid(0.0, STEP, short), spectrum=known)
+        search = Search(equations, 1.0, False, STEP * short)
+        found = search.unexplained_tones(NoiseModel.of(known), 0.999)
+        return found[0][1] if found else 0.0
+
+    known = np.array([strongest(drawn()) for _ in range(count)])
+    fitted = max(count // 50, 1)
+    found = np.array(
+        [max(fit_spectrum(drawn(), false_alarm=0.1).significance, default=0.0) for _ in range(fitted)]
+    )
+    for chance in (0.1, 0.01, 0.001):
+        least = gain_of_chance(0.3 * short, chance)
+        for what, gains in (("known", known), ("found in the data", found)):
+            number = int((gains > least).sum())
+            low, high = (int(x) for x in binom.interval(0.99, len(gains), chance))
+            low = low if what == "known" else 0
+            row("tones", f"series without tones, spectrum {what}: a tone at a stated probability of {chance}",
+                f"{number} of {len(gains)}", f"{low} to {high}", low <= number <= high)  # fmt: skip
+
+
 def main() -> None:
     """Run all targets."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--trials", type=int, default=40, help="series per target with the prior known")
     parser.add_argument("--blind", type=int, default=12, help="series with everything found in the data")
+    parser.add_argument("--toneless", type=int, default=10000, help="series without any tone")
     options = parser.parse_args()
+    toneless(options.toneless)
     root = np.linalg.cholesky(dense_covariance() + 1e-12 * np.eye(COUNT))
     known_prior(root, options.trials)
     blind_prior(root, options.blind)

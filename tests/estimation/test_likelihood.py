@@ -12,6 +12,7 @@ from sightline.estimation.evidence import posterior
 from sightline.estimation.likelihood import default_step, fit_spectrum
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.search import mean_variance_unseen
+from sightline.estimation.search import gain_of_chance
 from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 
 STEP, N = 1e-3, 1000
@@ -236,3 +237,14 @@ def test_at_the_rate_of_the_rows_offsets_take_the_place_of_a_tone(motion: np.nda
     assert near(None) == asked
     # 4 periods over the 1 s of the data against the rate are needed
     assert near(1.0) == [80.0]
+
+
+@pytest.mark.parametrize("chance", [0.3, 0.05, 0.01])
+def test_noise_gains_by_a_sinusoid_as_often_as_is_said(chance):
+    rng, n, trials = np.random.default_rng(5), 256, 4000
+    noise = rng.standard_normal((trials, n))
+    # 128 periods of the highest frequency; 8 frequencies per period, less the first, which is hardly periodic
+    gains = np.abs(np.fft.rfft(noise, 8 * n, axis=1)[:, 16:-16]) ** 2 / n
+    share = (gains.max(axis=1) > gain_of_chance(0.5 * n, chance)).mean()
+    # three sigmas of a binomial share, and 5 % for what lies between 8 frequencies and what the law leaves out
+    assert abs(share - chance) < 3.0 * np.sqrt(chance / trials) + 0.05 * chance

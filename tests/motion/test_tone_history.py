@@ -52,6 +52,18 @@ def test_a_tone_that_begins_in_the_middle_is_seen_to_begin():
     assert history.variation == pytest.approx(0.5e-6, rel=0.15)
 
 
+def test_a_steady_tone_beside_one_thirty_times_as_strong_is_steady():
+    chances = []
+    for seed in range(5):
+        moved = motion(sine(64.0, 1.0) + 30.0 * sine(70.0, 0.3) + 20.0 * sine(41.0, 2.0), seed)
+        histories = tone_histories(moved, detect_tones(moved))
+        assert [round(history.tone.frequency) for history in histories] == [41, 64, 70]
+        chances += [history.steady_chance for history in histories]
+        weak = histories[1]
+        assert np.abs(weak.amplitude - 1e-6).max() < 4.0 * weak.sigma
+    assert min(chances) > 1e-3
+
+
 def test_a_tone_with_a_neighbour_is_cut_into_longer_pieces():
     lone, beside = motion(sine(64.0)), motion(sine(64.0) + sine(70.0, 0.3))
     (one,) = tone_histories(lone, detect_tones(lone))

@@ -279,7 +279,8 @@ class Search:
         Score test. With u = Q m (prior precision times posterior mean) and c = exp(2 pi i f t),
         |c'u|^2 has the expectation c'Fc, F = Q Z N (Z the posterior covariance, N the data's
         information), and their ratio is the log-likelihood that a sinusoid at f would gain. It is
-        computed for all f with F of a stationary problem, then exactly for the highest peaks.
+        computed for all f with F of a stationary problem, then exactly for the highest peaks. What chance
+        gains somewhere says `gain_of_chance`.
         """
         now = self.posterior(model)
         u = band_times(now.prior_band, now.mean)
@@ -296,7 +297,7 @@ class Search:
         where = where[np.argsort(-ratio[where])[:CANDIDATES]]
         power, expected = self._exact_gain(now, u, frequency[where])
         gain = power / expected
-        threshold = math.log(highest * self._length / false_alarm)
+        threshold = gain_of_chance(highest * self._length, false_alarm)
         tones = []
         for k in np.argsort(-gain):
             if gain[k] > threshold:
@@ -417,7 +418,7 @@ class Search:
         now = self.posterior(model)
         u = band_times(now.prior_band, now.mean)
         power, expected = self._exact_gain(now, u, np.array(new))
-        threshold = math.log(self._highest * self._length / false_alarm)
+        threshold = gain_of_chance(self._highest * self._length, false_alarm)
         for frequency, gained, information in zip(new, power / expected, expected, strict=True):
             # a tone of this variance would gain 1 + information variance / 2 on average
             per_variance = 0.5 * float(information)
@@ -437,6 +438,30 @@ class Search:
             if self.deviance(fewer) < present + 6.0:
                 model = fewer
         return model
+
+
+def gain_of_chance(count: float, false_alarm: float) -> float:
+    """Log-likelihood that noise alone gains somewhere by a sinusoid with the probability `false_alarm`.
+
+    Parameters
+    ----------
+    count : float
+        Periods of the highest frequency in the data.
+    false_alarm : float
+        Between 0 and 1.
+
+    Notes
+    -----
+    Gains of frequencies one over the length of the data apart are independent exponentials; between them the
+    highest of a crest is found. The number of crests above g is ``count sqrt(pi g / 3) exp(-g)`` on average
+    (Baluev 2008, MNRAS 385, 1279, for a periodogram of even weights), and the probability of none its
+    exponential. As many independent frequencies as periods would be passed three times too often.
+    """
+    expected = -math.log1p(-false_alarm)
+    gain = 1.0
+    for _ in range(50):
+        gain = max(math.log(count * math.sqrt(math.pi * gain / 3.0) / expected), 1.0)
+    return gain
 
 
 def mean_variance_unseen(gain: float, largest: float) -> float:

@@ -89,14 +89,16 @@ def tone_histories(motion: Motion, tones: Sequence[DetectedTone]) -> tuple[ToneH
 
     Notes
     -----
-    Hann-weighted transform of pieces that overlap by half. A tone whose sigma over the whole strip T is s has
-    ``s sqrt(T / L)`` in a piece of length L.
+    All tones of an axis together are fitted to pieces that overlap by half, Hann-weighted: a strong tone beside
+    a weak one would leak into it, more in one piece than in the next, and have it vary. A tone whose sigma over
+    the whole strip T is s has ``s sqrt(T / L)`` in a piece of length L.
     """
     step, x = evenly_detrended(motion)
     duration = step * len(x)
     out = []
     for tone in tones:
-        near = [abs(o.frequency - tone.frequency) for o in tones if o.axis == tone.axis and o is not tone]
+        others = [o.frequency for o in tones if o.axis == tone.axis and o is not tone]
+        near = [abs(f - tone.frequency) for f in others]
         length = max(PERIODS / tone.frequency, APART / min(near, default=math.inf), 2.0 * duration / PIECES)
         if 2.0 * length > duration:
             continue
@@ -104,12 +106,20 @@ def tone_histories(motion: Motion, tones: Sequence[DetectedTone]) -> tuple[ToneH
         starts = np.arange(0, len(x) - size + 1, size // 2)
         series, window = x[:, AXES.index(tone.axis)], hann(size)
         tau = step * np.arange(len(x))
-        turned = series * np.exp(-2j * np.pi * tone.frequency * tau)
-        value = np.array([2.0 * (window @ turned[s : s + size]) / window.sum() for s in starts])
+        phase = 2.0 * np.pi * np.outer(tau, [tone.frequency, *others])
+        waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
+        value = np.array([_amplitude(series[s : s + size], waves[s : s + size], window) for s in starts])
         sigma = tone.sigma_amplitude * math.sqrt(duration / (size * step))
         middles = np.asarray(motion.span[0] + tau[starts] + 0.5 * size * step, dtype=np.float64)
         out.append(_history(tone, middles, value, sigma))
     return tuple(out)
+
+
+def _amplitude(x: Array, waves: Array, window: Array) -> complex:
+    """Complex amplitude of the first of M sinusoids, whose cosines and sines are `waves` (n, 2 M), in `x`."""
+    root = np.sqrt(window)
+    found = np.linalg.lstsq(waves * root[:, None], x * root, rcond=1e-3)[0]
+    return complex(found[0], -found[waves.shape[1] // 2])
 
 
 def _history(tone: DetectedTone, t: Array, value: Complex, sigma: float) -> ToneHistory:
