@@ -11,8 +11,7 @@ from sightline.errors import InputError
 from sightline.estimation.evidence import posterior
 from sightline.estimation.likelihood import default_step, fit_spectrum
 from sightline.estimation.prior import Matern, Spectrum, Tone
-from sightline.estimation.search import mean_variance_unseen
-from sightline.estimation.search import gain_of_chance
+from sightline.estimation.search import gain_of_chance, mean_variance_unseen
 from sightline.estimation.series import DifferenceSeries, Grid, series_equations
 
 STEP, N = 1e-3, 1000
@@ -246,5 +245,5 @@ def test_noise_gains_by_a_sinusoid_as_often_as_is_said(chance):
     # 128 periods of the highest frequency; 8 frequencies per period, less the first, which is hardly periodic
     gains = np.abs(np.fft.rfft(noise, 8 * n, axis=1)[:, 16:-16]) ** 2 / n
     share = (gains.max(axis=1) > gain_of_chance(0.5 * n, chance)).mean()
-    # three sigmas of a binomial share, and 5 % for what lies between 8 frequencies and what the law leaves out
+    # three sigmas of a binomial share, and 5 % for what lies between 8 frequencies per period
     assert abs(share - chance) < 3.0 * np.sqrt(chance / trials) + 0.05 * chance
