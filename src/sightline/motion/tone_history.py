@@ -90,8 +90,8 @@ def tone_histories(motion: Motion, tones: Sequence[DetectedTone]) -> tuple[ToneH
     Notes
     -----
     All tones of an axis together are fitted to pieces that overlap by half, Hann-weighted: alone, a weak tone
-    would hold what leaks from a strong one, more in one piece than in the next, and seem to vary. A tone whose
-    sigma over the whole strip T is s has ``s sqrt(T / L)`` in a piece of length L.
+    would hold what leaks from a strong one, more in one piece than in the next, and seem to vary. A tone
+    whose sigma over the whole strip T is s has ``s sqrt(T / L)`` in a piece of length L.
     """
     step, x = evenly_detrended(motion)
     duration = step * len(x)
