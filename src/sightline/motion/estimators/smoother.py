@@ -59,7 +59,8 @@ def smooth(
         A FittedSpectrum also scales the measurement variances.
     grid_step : float, optional
         s; step of the time grid, at most 1/7 period of the fastest motion. By default a seventh of
-        the shortest lag, within 1/5 to 1 sampling step of the differences.
+        the shortest lag, within 1/5 to 1 sampling step of the differences. A prior is not looked for
+        in the data on a finer one.
     offset_sigma : float, optional
         rad; 1-sigma of an unknown constant angle of every image. By default the images' geometry is
         taken as exact. With it, a linear drift is hidden as well as the constant.
@@ -107,9 +108,10 @@ def smooth(
     margin = 0.5 * TAPS * step
     grid = Grid.covering(min(first, times[0]) - margin, max(last, times[-1]) + margin, step)
     if prior is None:
-        prior = fit_spectra(
-            differences, grid_step=grid_step, offset_sigma=offset_sigma, independent=independent
-        )
+        # An autoregression tells tones apart that its memory of so many steps holds a period of their
+        # difference of: on a finer grid than the differences ask for, dying tones were taken for others.
+        coarse = None if grid_step is None else max(grid_step, default_step(series[0]))
+        prior = fit_spectra(differences, grid_step=coarse, offset_sigma=offset_sigma, independent=independent)
     angles = np.empty((len(times), 3))
     covariance = np.zeros((len(times), 3, 3))
     for axis, believed in enumerate(_three(prior)):
