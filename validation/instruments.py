@@ -23,6 +23,7 @@ import numpy as np
 
 from sightline.cli.recover import recover_acquisition
 from sightline.evaluation.score import AXES, AxisScore, score_motion
+from sightline.execution import silent
 from sightline.io.acquisition.load import load_acquisition
 from sightline.io.formats.tables import read_motion
 from sightline.simulate.instrument_files import write_instrument
@@ -42,7 +43,7 @@ def run(case: str, off_nadir: float, seed: int) -> tuple[dict[str, AxisScore], t
         write_instrument(scenario, folder)
         begun = time.process_time()
         acquired = load_acquisition(folder / "acquisition.toml")
-        result = recover_acquisition(acquired, lambda text: None)
+        result = recover_acquisition(acquired, silent)
         seconds = time.process_time() - begun
         truth = read_motion(folder / "truth.csv")
         score = score_motion(

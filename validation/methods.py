@@ -17,6 +17,7 @@ import numpy as np
 
 from sightline.applications.line_of_sight import joint_line_of_sight
 from sightline.evaluation.score import AXES, score_result
+from sightline.execution import silent
 from sightline.geometry.surface import Plane
 from sightline.motion.results import LineOfSight
 from sightline.motion.strip.checks import checked
@@ -33,7 +34,7 @@ def results(seed: int, size: dict[str, int]) -> tuple[dict[str, LineOfSight], np
     scenario = line_of_sight_case("nominal", seed, **size)
     options = RecoverOptions()
     strip = checked(prepared(scenario.as_given(), Plane(0.0), options), options)
-    strip, state, joint = joint_line_of_sight(strip, options, 0.0, lambda text: None)
+    strip, state, joint = joint_line_of_sight(strip, options, 0.0, silent)
     found = {"joint": joint}
     found |= {method: by_method(strip, state, joint, method) for method in METHODS if method != "joint"}
     return found, scenario.truth

@@ -16,6 +16,7 @@ from sightline.applications.line_of_sight import recover_line_of_sight
 from sightline.cli.recover import recover_acquisition
 from sightline.errors import InputError
 from sightline.evaluation.score import score_motion
+from sightline.execution import silent
 from sightline.geometry.surface import Ellipsoid
 from sightline.imaging.source import ArrayImage
 from sightline.io.acquisition.load import load_acquisition
@@ -52,7 +53,7 @@ def recovered(case, folder, **overrides):
     acquired = load_acquisition(folder / "acquisition.toml")
     # two compensated passes less than usual: tests must be quick
     quick = replace(acquired, matching={**acquired.matching, "passes": 2})
-    result = recover_acquisition(quick, lambda text: None)
+    result = recover_acquisition(quick, silent)
     truth = scenario.truth
     score = score_motion(
         result.motion.t, result.motion.angles, result.sigma, truth[:, 0], truth[:, 1:],
@@ -129,7 +130,7 @@ def test_a_wrong_given_spin_is_a_drift_that_the_motion_takes(tmp_path):
     given = replace(scenario.spin, rate=1.005 * scenario.spin.rate, axis=[1e-3, 1.0, 0.0])
     write_instrument(replace(scenario, spin=given), tmp_path)
     acquired = load_acquisition(tmp_path / "acquisition.toml")
-    result = recover_acquisition(acquired, lambda text: None)
+    result = recover_acquisition(acquired, silent)
     t, true = scenario.truth[:, 0], scenario.spin
     departed = given.at(t).inv() * true.at(t) * Rotation.from_rotvec(scenario.truth[:, 1:])
     truth = departed.as_rotvec()
