@@ -166,4 +166,4 @@ def test_measured_motions_fill_the_scene(motion, real_data):
 
 
 def test_every_case_has_a_name_that_the_command_lists():
-    assert CASES == ("nominal", "relief", "clouds", "hard", "real", "other-family")
+    assert CASES == ("nominal", "relief", "clouds", "hard", "real", "other-family", "pan-xs")

@@ -18,12 +18,16 @@ from sightline.execution import Step, no_step, stepped
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
+from sightline.imaging.reduce import ReducedImage
 from sightline.imaging.source import ImageSource
+from sightline.imaging.warp import mapping_of_parts
 from sightline.motion.band import Band
+from sightline.motion.measure.stars import parts_of_pixel
 from sightline.motion.measure.windows import field_positions
 from sightline.motion.statics import recovered_cameras
 from sightline.motion.strip.relief import RowRelief
 from sightline.products.band_fit import BandFit, fit_bands
+from sightline.products.image_map import Mapping as PlaceMap
 from sightline.products.register_bands import RaisedGround, RegisteredImage, band_map
 from sightline.result import Result, makes_result
 
@@ -39,12 +43,16 @@ class Registration(Result):
     reference : int
         The band whose grid it is.
     before, after : tuple of ImageSource
-        All bands, by the nominal and by the recovered cameras; the reference is its own image in both.
+        All bands, by the nominal and by the recovered cameras; the reference is its own image in both. Bands
+        of finer pixels are averaged over its own.
+    coarse : tuple of int
+        Pixels of the grid that a pixel of each band fills along a side; empty: 1 of all.
     """
 
     reference: int
     before: tuple[ImageSource, ...]
     after: tuple[ImageSource, ...]
+    coarse: tuple[int, ...] = ()
 
 
 @makes_result
@@ -93,16 +101,29 @@ def register_bands(
     def laid(
         cameras: Sequence[PushbroomCamera], raised: RaisedGround | None = None
     ) -> tuple[ImageSource, ...]:
-        shape = bands[reference].image.shape
         return tuple(
             band.image
             if k == reference
-            else RegisteredImage(band.image, band_map(cameras[reference], cameras[k], surface, raised), shape)
+            else _laid(
+                band.image,
+                band_map(cameras[reference], cameras[k], surface, raised),
+                bands[reference].image.shape,
+                parts_of_pixel(nominal, reference, k),
+            )
             for k, band in enumerate(bands)
         )
 
     raised = None if relief is None else partial(heights_of_rows, relief, refined[relief.image])
-    return Registration(reference, laid(nominal), laid(refined, raised))
+    coarse = tuple(max(parts_of_pixel(nominal, k, reference)) for k in range(len(bands)))
+    return Registration(reference, laid(nominal), laid(refined, raised), coarse)
+
+
+def _laid(image: ImageSource, place: PlaceMap, shape: tuple[int, int], parts: tuple[int, int]) -> ImageSource:
+    """An image on a grid of `shape`; where that is coarser, means over `parts` of its pixels."""
+    if parts == (1, 1):
+        return RegisteredImage(image, place, shape)
+    fine = shape[0] * parts[0], shape[1] * parts[1]
+    return ReducedImage(RegisteredImage(image, mapping_of_parts(place, parts), fine), parts)
 
 
 def heights_of_rows(relief: RowRelief, camera: PushbroomCamera, places: Array) -> Array:
@@ -115,8 +136,19 @@ def heights_of_rows(relief: RowRelief, camera: PushbroomCamera, places: Array) -
 
 
 def fit_every_pair(
-    images: Sequence[ImageSource], *, search_px: tuple[int, int] = (8, 8), step: Step = no_step
+    images: Sequence[ImageSource],
+    *,
+    search_px: tuple[int, int] = (8, 8),
+    coarse: Sequence[int] = (),
+    step: Step = no_step,
 ) -> list[BandFit]:
-    """How every pair of images of one grid fits (`products.band_fit.fit_bands`), pairs counted by `step`."""
+    """How every pair of images of one grid fits (`products.band_fit.fit_bands`), pairs counted by `step`.
+
+    `coarse` is as in `Registration`.
+    """
     pairs = stepped(list(combinations(range(len(images)), 2)), step)
-    return [fit_bands(images[a], images[b], (a, b), search_px=search_px) for a, b in pairs]
+    factor = coarse or (1,) * len(images)
+    return [
+        fit_bands(images[a], images[b], (a, b), search_px=search_px, factor=max(factor[a], factor[b]))
+        for a, b in pairs
+    ]

@@ -9,7 +9,7 @@ import typer
 
 #: Cases of strips, and those of instruments over a real orbit: said in --help, which must not wait for the
 #: import of the cases themselves.
-STRIP_CASES = ("nominal", "relief", "clouds", "hard", "real", "other-family")
+STRIP_CASES = ("nominal", "relief", "clouds", "hard", "real", "other-family", "pan-xs")
 ORBIT_CASES = (
     "pushbroom", "spin-leo", "spin-geo", "mirror-leo", "mirror-geo", "staggered", "every-line",
     "dedicated-matrix", "dedicated-strip", "multi-line",

@@ -1,4 +1,4 @@
-"""An image at a coarser scale: means of square blocks read window by window, or over a mosaic's pattern.
+"""An image at a coarser scale: means of blocks read window by window, or over a mosaic's pattern.
 
 Not here: matching at several scales (``photogrammetry/match_frames.py``).
 """
@@ -19,13 +19,13 @@ from sightline.imaging.source import ArrayImage, ImageSource, read_padded
 class ReducedImage:
     """Means of `factor` x `factor` pixels of another image; lines and columns left over are cut off.
 
-    Pixel (i, j) is centred at (i, j) * factor + (factor - 1) / 2 of the source.
+    Pixel (i, j) is centred at (i, j) * factor + (factor - 1) / 2 of the source, each axis by its own.
 
     Parameters
     ----------
     source : ImageSource
-    factor : int
-        Pixels per block along each side.
+    factor : int or (int, int)
+        Pixels per block along each side, or along lines and columns.
 
     Examples
     --------
@@ -35,11 +35,12 @@ class ReducedImage:
     """
 
     source: ImageSource
-    factor: int
+    factor: int | tuple[int, int]
 
     def __post_init__(self) -> None:
         """Check that one block fits."""
-        if self.factor < 1 or self.factor > min(self.source.shape):
+        (m, n), (lines, columns) = self._block, self.source.shape
+        if not (1 <= m <= lines and 1 <= n <= columns):
             raise InputError(
                 f"`factor` must be 1 to the sides of the image {self.source.shape}, got {self.factor}"
             )
@@ -47,7 +48,11 @@ class ReducedImage:
     @property
     def shape(self) -> tuple[int, int]:
         """(lines, columns) of whole blocks."""
-        return self.source.shape[0] // self.factor, self.source.shape[1] // self.factor
+        return self.source.shape[0] // self._block[0], self.source.shape[1] // self._block[1]
+
+    @property
+    def _block(self) -> tuple[int, int]:
+        return (self.factor, self.factor) if isinstance(self.factor, int) else self.factor
 
     def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.float32]:
         """Means of blocks, float32; NaN where a pixel of the block is. First and one past the last."""
@@ -63,16 +68,17 @@ class ReducedImage:
         self, lines: tuple[int, int], columns: tuple[int, int]
     ) -> tuple[tuple[int, int], tuple[int, int]]:
         """The window of the source that holds a window of blocks."""
-        k = self.factor
-        return (lines[0] * k, lines[1] * k), (columns[0] * k, columns[1] * k)
+        m, n = self._block
+        return (lines[0] * m, lines[1] * m), (columns[0] * n, columns[1] * n)
 
     def _blocks(self, pixels: NDArray[Any]) -> NDArray[Any]:
-        return _in_squares(pixels, self.factor)
+        return _in_blocks(pixels, self._block)
 
 
-def _in_squares(pixels: NDArray[Any], side: int) -> NDArray[Any]:
-    """Pixels as (lines, side, columns, side)."""
-    return pixels.reshape(pixels.shape[0] // side, side, pixels.shape[1] // side, side)
+def _in_blocks(pixels: NDArray[Any], block: tuple[int, int]) -> NDArray[Any]:
+    """Pixels as (lines, lines of a block, columns, columns of a block)."""
+    m, n = block
+    return pixels.reshape(pixels.shape[0] // m, m, pixels.shape[1] // n, n)
 
 
 def reduced_pixels(pixels: NDArray[np.float64], factor: int) -> NDArray[np.float64]:
@@ -100,7 +106,7 @@ def pattern_means(source: ImageSource, period: int) -> ArrayImage:
     """
     lines, columns = (side // period for side in source.shape)
     pixels, unusable = read_padded(source, (0, lines * period), (0, columns * period))
-    cells = _in_squares(pixels, period)
+    cells = _in_blocks(pixels, (period, period))
     level = cells.mean(axis=(0, 2), keepdims=True, dtype=np.float64)
     usual = float(level.mean())
     # a cell that is dark on the whole shows nothing: it is not made a hundred times brighter
@@ -108,4 +114,4 @@ def pattern_means(source: ImageSource, period: int) -> ArrayImage:
     means = np.asarray((cells / gain).mean(axis=(1, 3)), dtype=np.float32)
     if unusable is None:
         return ArrayImage(means)
-    return ArrayImage(means, np.asarray(_in_squares(unusable, period).any(axis=(1, 3))))
+    return ArrayImage(means, np.asarray(_in_blocks(unusable, (period, period)).any(axis=(1, 3))))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import glob
 import time
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -91,8 +92,9 @@ class Registered(ResultKind):
         search_px = (int(search[0]), int(search[1]))
         with write_products(folder, result, acquired, pixels=pixels, stack=stack, tell=tell) as written:
             step = steps_of(tell, "matching all pairs of bands, as they were and as they are now")
-            before = fit_every_pair(written.before, search_px=search_px, step=part_of(step, 0, 2))
-            after = fit_every_pair(written.after, search_px=search_px, step=part_of(step, 1, 2))
+            fit = partial(fit_every_pair, search_px=search_px, coarse=result.coarse)
+            before = fit(written.before, step=part_of(step, 0, 2))
+            after = fit(written.after, step=part_of(step, 1, 2))
             summary = summarize_registration(acquired, result, _recovered(result), written, before, after)
             summary["wall_seconds"] = time.perf_counter() - begun
             tell("writing the report")

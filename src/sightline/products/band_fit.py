@@ -6,13 +6,14 @@ Not here: laying them on each other (``register_bands.py``).
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
 from sightline.estimation.robust import robust_sigmas
+from sightline.imaging.reduce import ReducedImage, whole_pixels
 from sightline.imaging.source import ImageSource
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import MASKED, OUTSIDE
@@ -96,7 +97,12 @@ def fit_points(shape: tuple[int, int], window: tuple[int, int] = WINDOW, most: i
 
 
 def fit_bands(
-    a: ImageSource, b: ImageSource, images: tuple[int, int], *, search_px: tuple[int, int] = (8, 8)
+    a: ImageSource,
+    b: ImageSource,
+    images: tuple[int, int],
+    *,
+    search_px: tuple[int, int] = (8, 8),
+    factor: int = 1,
 ) -> BandFit:
     """Match two images of one grid with each other, window by window, and drop false matches.
 
@@ -108,7 +114,19 @@ def fit_bands(
         Their numbers, for the result.
     search_px : (lines, columns)
         px; half-range of the search about no offset.
+    factor : int
+        Where a pixel of either band fills so many of the grid along each side, means over these are matched:
+        between them there is no detail to compare.
     """
+    if factor > 1:
+        found = fit_bands(
+            ReducedImage(a, factor),
+            ReducedImage(b, factor),
+            images,
+            search_px=(-(-search_px[0] // factor), -(-search_px[1] // factor)),
+        )
+        points, offset, sigma = found.points, factor * found.offset_px, factor * found.sigma_px
+        return replace(found, points=whole_pixels(points, factor), offset_px=offset, sigma_px=sigma)
     points = fit_points((min(a.shape[0], b.shape[0]), min(a.shape[1], b.shape[1])))
     empty = np.empty((0, 2))
     if not len(points):

@@ -19,6 +19,7 @@ from sightline.execution import Step, no_step, part_of, stepped
 from sightline.simulate.frames import FrameScenario
 from sightline.simulate.scenarios import StripScenario
 from sightline.simulate.scene import Relief
+from sightline.simulate.strip_options import StripOptions
 from sightline.simulate.texture import Array
 from sightline.writing import whole_raster
 
@@ -57,12 +58,11 @@ def write_strip(
     dict of str to Path
         What was written, by file name.
     """
-    options = scenario.options
     written: list[Path] = []
     for index, band in enumerate(scenario.bands):
         path = folder / f"{band.name}.tif"
         lines = part_of(step, index, len(scenario.bands))
-        write_image(path, (options.lines, options.columns), scenario.chunks(index), lines)
+        write_image(path, scenario.shapes[index], scenario.chunks(index), lines)
         written.append(path)
     relief = scenario.scene.relief
     if relief is not None and dem:
@@ -114,7 +114,7 @@ def acquisition_toml(
         f"columns = {options.columns}",
         f"line_period = {options.line_period!r}",
     ]
-    for band in scenario.bands:
+    for index, band in enumerate(scenario.bands):
         lines += [
             "",
             "[[band]]",
@@ -126,12 +126,25 @@ def acquisition_toml(
             "rotation = 0.0",
             f"rotation_sigma = {options.rotation_sigma!r}",
             *([f"scale_sigma = {options.scale_sigma!r}"] if options.scale_sigma else []),
-            "first_line_time = 0.0",
+            f"first_line_time = {options.first_time(index)!r}",
+            *_own_size(options, index),
         ]
     lines += ["", "[surface]", *_surface_lines(scenario.scene.relief, dem)]
     for kind, table in sensors:
         lines += ["", "[[attitude_sensor]]", f'kind = "{kind}"', f'table = "{table}"']
     return "\n".join(lines) + "\n"
+
+
+def _own_size(options: StripOptions, band: int) -> list[str]:
+    """Keys of a band whose pixels are not those of the instrument."""
+    along, across = options.ratios(band)
+    if along == across == 1.0:
+        return []
+    return [
+        f"ifov = {options.ifov * across!r}",
+        f"columns = {options.shape(band)[1]}",
+        f"line_period = {options.line_period * along!r}",
+    ]
 
 
 def _surface_lines(relief: Relief | None, dem: bool) -> list[str]:

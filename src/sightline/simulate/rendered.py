@@ -64,13 +64,19 @@ class RenderedStrip(ABC):
 
     @property
     def line_times(self) -> Array:
-        """(lines,) s, alike for every band."""
+        """(lines,) s, of every band; where they differ, of the finest."""
         return np.arange(self.options.lines, dtype=np.float64) * self.options.line_period
 
     @property
     def truth(self) -> Array:
-        """(lines, 4) t, roll, pitch, yaw at every line."""
-        return np.column_stack([self.line_times, self.motion.at(self.line_times)])
+        """(N, 4) t, roll, pitch, yaw at every line."""
+        t = self.truth_times
+        return np.column_stack([t, self.motion.at(t)])
+
+    @property
+    def truth_times(self) -> Array:
+        """(N,) s, where the truth is written."""
+        return self.line_times
 
     def image(self, band: int) -> NDArray[np.uint16]:
         """Image of one band, (lines, columns)."""

@@ -8,6 +8,7 @@ them, the scene and the images. Frames of a matrix instrument are in ``frames.py
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -130,24 +131,39 @@ class StripScenario(RenderedStrip):
         """The true cameras, one per band."""
         trajectory = self.reference.with_motion(self.motion)
         return tuple(
-            PushbroomCamera(band.true, trajectory, FixedMount(), 0.0, self.options.lines)
-            for band in self.bands
+            PushbroomCamera(band.true, trajectory, FixedMount(), self.options.first_time(k), lines)
+            for k, (band, (lines, _)) in enumerate(zip(self.bands, self.shapes, strict=True))
         )
+
+    @property
+    def shapes(self) -> tuple[tuple[int, int], ...]:
+        """Lines and columns of each band."""
+        return tuple(self.options.shape(k) for k in range(len(self.bands)))
 
     @cached_property
     def nominal_cameras(self) -> tuple[PushbroomCamera, ...]:
         """The cameras as written in the ACQUISITION file: no motion, nominal detectors."""
         return _nominal_cameras(self.bands, self.reference, self.options)
 
+    @property
+    def truth_times(self) -> Array:
+        """As ever; beside bands of longer lines, so many lines more at both ends as one of those spans."""
+        longest = max(math.ceil(self.options.ratios(k)[0]) for k in range(len(self.bands)))
+        more = longest if longest > 1 else 0
+        lines = np.arange(-more, self.options.lines + more, dtype=np.float64)
+        return lines * self.options.line_period
+
     def chunks(self, band: int) -> Iterator[tuple[int, NDArray[np.uint16]]]:
         """Image of one band as (first line, block of lines), top to bottom; again alike at every call."""
+        along, across = self.options.ratios(band)
         yield from render_chunks(
             self.cameras[band],
             self.scene,
             band,
-            (self.options.lines, self.options.columns),
+            self.shapes[band],
             self.radiometry,
             self._stream("noise", band),
+            parts=(math.ceil(along), math.ceil(across)),
         )
 
     def star_tracker(self, rate: float = 8.0, sigma: float = 3.0 * ARC_SECOND) -> Array:
@@ -251,7 +267,10 @@ def planned_cameras(case: str = "nominal", seed: int = 0, **overrides: Any) -> t
 def _nominal_cameras(
     bands: tuple[BandTruth, ...], reference: Trajectory, options: StripOptions
 ) -> tuple[PushbroomCamera, ...]:
-    return tuple(PushbroomCamera(band.nominal, reference, FixedMount(), 0.0, options.lines) for band in bands)
+    return tuple(
+        PushbroomCamera(band.nominal, reference, FixedMount(), options.first_time(k), options.shape(k)[0])
+        for k, band in enumerate(bands)
+    )
 
 
 def motion_profile(name: str, data: Path | None = None) -> JitterProfile:
@@ -300,13 +319,14 @@ def _draw_bands(options: StripOptions, seed: np.random.SeedSequence) -> tuple[Ba
     bands = []
     for index, (name, lag) in enumerate(zip(options.names, options.lags, strict=True)):
         offset = (float(offsets[index, 0]), float(offsets[index, 1]))
+        along, across = options.ratios(index)
         rotation, look_ahead = float(rotations[index]), options.look_ahead[index]
         nominal, true = (
             LineDetector.from_ifov(
                 name,
-                options.columns,
-                options.ifov,
-                options.line_period,
+                options.shape(index)[1],
+                options.ifov * across,
+                options.line_period * along,
                 look_ahead=look_ahead,
                 offset_px=shift,
                 rotation=turn,

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -87,6 +88,7 @@ def footprint(
     columns: int,
     relief: Relief | None,
     node_step: int = 32,
+    parts: tuple[int, int] = (1, 1),
 ) -> Footprint:
     """Ground seen by all columns of lines ``lines[0]`` to ``lines[1] - 1``, by exact rays.
 
@@ -100,6 +102,8 @@ def footprint(
         None: the plane z = 0.
     node_step : int
         Columns between exact rays.
+    parts : (int, int)
+        So many evenly spread places of every line's exposure and of every pixel in place of their middles.
 
     Returns
     -------
@@ -110,11 +114,11 @@ def footprint(
     GeometryError
         Where a ray points upwards or does not settle on the relief.
     """
-    rows = lines[1] - lines[0]
-    nodes, first, weights = _nodes(columns, node_step)
+    rows, columns = (lines[1] - lines[0]) * parts[0], columns * parts[1]
+    nodes, first, weights = _nodes(columns, node_step * parts[1])
     pixels = np.empty((rows, nodes.size, 2))
-    pixels[..., 0] = np.arange(lines[0], lines[1])[:, None]
-    pixels[..., 1] = nodes
+    pixels[..., 0] = _places(np.arange(lines[0] * parts[0], lines[1] * parts[0]), parts[0])[:, None]
+    pixels[..., 1] = _places(nodes, parts[1])
     rays = camera.rays(pixels.reshape(-1, 2))
     if not np.all(rays.directions[:, 2] < 0.0):
         raise GeometryError(
@@ -137,6 +141,11 @@ def footprint(
                 "use gentler relief or view it closer to the vertical"
             )
     return Footprint(t, x, y, z, u, v)
+
+
+def _places(numbers: NDArray[Any], parts: int) -> Array:
+    """Where parts of pixels lie, by their number counted through."""
+    return np.asarray((numbers - 0.5 * (parts - 1)) / parts, dtype=np.float64)
 
 
 def _nodes(columns: int, step: int) -> tuple[Array, NDArray[np.intp], Array]:
@@ -219,16 +228,23 @@ def render_block(
     lines: tuple[int, int],
     columns: int,
     node_step: int = 32,
+    parts: tuple[int, int] = (1, 1),
 ) -> Array32:
-    """Noiseless brightness of a block of lines, in units of the mean ground: (lines, columns) float32."""
-    seen = footprint(camera, lines, columns, scene.relief, node_step)
+    """Noiseless brightness of a block of lines, in units of the mean ground: (lines, columns) float32.
+
+    Of `parts` of every exposure and pixel it is the mean.
+    """
+    seen = footprint(camera, lines, columns, scene.relief, node_step, parts)
     light = scene.ground_brightness(band, seen.x, seen.y)
     if scene.clouds is not None:
         x, y = seen.at_height(scene.clouds.height)
         opacity = scene.clouds.opacity(x, y, seen.t)
         shine = scene.clouds.shine(x, y, seen.t) * np.float32(scene.bands[band].gain)
         light = light + opacity * (shine - light)
-    return light
+    if parts == (1, 1):
+        return light
+    blocks = light.reshape(lines[1] - lines[0], parts[0], columns, parts[1])
+    return np.asarray(blocks.mean(axis=(1, 3), dtype=np.float64), dtype=np.float32)
 
 
 def render_chunks(
@@ -239,6 +255,7 @@ def render_chunks(
     radiometry: Radiometry,
     seed: np.random.SeedSequence,
     node_step: int = 32,
+    parts: tuple[int, int] = (1, 1),
 ) -> Iterator[tuple[int, NDArray[np.uint16]]]:
     """The image of one band, chunk by chunk.
 
@@ -254,6 +271,6 @@ def render_chunks(
     streams = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(len(starts))
     for first, stream in zip(starts, streams, strict=True):
         last = min(first + CHUNK_LINES, count)
-        light = render_block(camera, scene, band, (first, last), columns, node_step)
+        light = render_block(camera, scene, band, (first, last), columns, node_step, parts)
         dn = light * np.float32(radiometry.mean_dn)
         yield first, radiometry.digitise(dn, band_mean, np.random.default_rng(stream))

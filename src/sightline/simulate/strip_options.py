@@ -27,7 +27,7 @@ class StripOptions:
     Parameters
     ----------
     lines, columns : int
-        Of every band.
+        Of every band of the finest pixels.
     altitude : float
         m; straight and level over a flat Earth, flying north.
     ground_speed : float
@@ -60,6 +60,11 @@ class StripOptions:
         rad, size of the unknown rotations of the bands, likewise.
     scale_sigma : float
         Size of the unknown magnifications of the bands beside the first's, relative, likewise.
+    pixel_ratios : tuple of float
+        Pixels of each band over `ifov`; empty: 1 for all. `lines` and `columns` count pixels
+        of ratio 1; a coarse pixel shows the mean over itself and over its exposure.
+    line_ratios : tuple of float
+        Line period of each band over `line_period`; empty: as `pixel_ratios`.
     motion : str
         "nominal" (drift, broadband, tones), "late-tone" (with a tone that begins half-way), "step" (with a
         step), "curve" (measured), "other-family" (measured curve, chirp, step), "real" (measured curve, tones
@@ -98,6 +103,8 @@ class StripOptions:
     offset_sigma_px: float = 1.0
     rotation_sigma: float = 3e-4
     scale_sigma: float = 0.0
+    pixel_ratios: tuple[float, ...] = ()
+    line_ratios: tuple[float, ...] = ()
     motion: str = "nominal"
     relief: str = "none"
     relief_rms: float = 300.0
@@ -115,7 +122,8 @@ class StripOptions:
         "gains": (0.01, 3.0), "gammas": (0.1, 3.0), "coherence": (0.01, 1.0),
         "coherence_with_first": (0.01, 1.0), "snr": (0.1, 1e5), "contrast": (0.0, 10.0),
         "mtf_nyquist": (1e-3, 0.9), "offset_sigma_px": (0.0, 1e3), "rotation_sigma": (0.0, 0.1),
-        "scale_sigma": (0.0, 0.1), "relief_rms": (0.0, 3000.0), "cloud_cover": (0.0, 0.95),
+        "scale_sigma": (0.0, 0.1), "pixel_ratios": (1.0, 6.0), "line_ratios": (1.0, 6.0),
+        "relief_rms": (0.0, 3000.0), "cloud_cover": (0.0, 0.95),
         "cloud_banks": (0, MOST_LINES), "blank": (0, MOST_LINES),
     }  # fmt: skip
 
@@ -135,6 +143,33 @@ class StripOptions:
                 "`coherence_with_first` must have one entry per band in (0, 1], 1 for the first; got "
                 f"{given} for {len(self.names)} bands"
             )
+        for name in ("pixel_ratios", "line_ratios"):
+            ratios = getattr(self, name)
+            if ratios and len(ratios) != len(self.names):
+                raise InputError(
+                    f"`{name}` must have one entry per band, or none; got {len(ratios)} for "
+                    f"{len(self.names)} bands"
+                )
+        for name, (lines, columns) in zip(self.names, map(self.shape, range(len(self.names))), strict=True):
+            if min(lines, columns) < 16:
+                raise InputError(
+                    f"band {name} would have {lines} lines and {columns} columns by its ratios: 16 or more "
+                    "are needed; make the strip larger or the ratio smaller"
+                )
+
+    def ratios(self, band: int) -> tuple[float, float]:
+        """Line period and pixel of a band over those of the finest."""
+        across = self.pixel_ratios[band] if self.pixel_ratios else 1.0
+        return (self.line_ratios[band] if self.line_ratios else across), across
+
+    def shape(self, band: int) -> tuple[int, int]:
+        """Lines and columns of a band."""
+        along, across = self.ratios(band)
+        return int(self.lines / along + 1e-9), int(self.columns / across + 1e-9)
+
+    def first_time(self, band: int) -> float:
+        """s, middle of the first exposure of a band: all begin together."""
+        return 0.5 * (self.ratios(band)[0] - 1.0) * self.line_period
 
     @property
     def common_weights(self) -> tuple[float, ...]:
@@ -183,6 +218,7 @@ CASE_OPTIONS: dict[str, dict[str, Any]] = {
         "gammas": (1.0, 1.0, 1.0, 1.0),
     },
     "other-family": {"motion": "other-family"},
+    "pan-xs": {"pixel_ratios": (1.0, 4.0, 4.0, 4.0)},
 }
 """What each case changes."""
 

@@ -23,6 +23,9 @@ Array = NDArray[np.float64]
 #: A difference does not show an axis whose variance is so many times the median of its pair.
 UNSEEN = 100.0
 
+#: The angle that is seen along the lines.
+PITCH = 1
+
 
 @dataclass(frozen=True, eq=False)
 class AngleDifferences:
@@ -42,6 +45,8 @@ class AngleDifferences:
         Numbers of image a and image b: differences that share an image share its error.
     window : float
         s; time that the matching window spans: each difference is a mean over it.
+    stretch : float
+        s; by how much longer it is for pitch, which is seen along the lines.
     patch : (N,) or None
         Number of the patch of ground each difference was measured on; the same number in two pairs
         that share an image means the same error of that image.
@@ -54,6 +59,7 @@ class AngleDifferences:
     images: tuple[int, int] = (0, 1)
     window: float = 0.0
     patch: NDArray[np.intp] | None = None
+    stretch: float = 0.0
 
     def __post_init__(self) -> None:
         """Check shapes and freeze the arrays."""
@@ -95,7 +101,7 @@ class AngleDifferences:
             self.angles[:, axis],
             self.covariance[:, axis, axis],
             images=self.images,
-            window=self.window,
+            window=self.window + (self.stretch if axis == PITCH else 0.0),
             patch=None if self.patch is None else np.asarray(self.patch, dtype=np.int64),
         )
 

@@ -99,17 +99,39 @@ class Partners:
     earlier: tuple[int, ...]
 
 
-def partners_of(views: Views, order: Sequence[int], place: int, columns: int) -> list[Partners]:
+def partners_of(
+    views: Views, order: Sequence[int], place: int, columns: int, grains: Sequence[int] | None = None
+) -> list[Partners]:
     """The later images of `order` that hub ``order[place]``, of so many columns, is matched with.
 
     Images that look at the same columns of the hub stand together: their pairs share its error.
+
+    Parameters
+    ----------
+    views, order, place
+        As above.
+    columns : int
+        Of the hub.
+    grains : sequence of int, optional
+        Of each image, the number of its group of like pixels; all alike by default. What images of finer
+        pixels have in common they are asked on their own grid, and a coarser hub has nothing to add: of those
+        that look at the same columns it takes the first.
     """
     hub = order[place]
+    grain = grains if grains is not None else [0] * (max(order) + 1)
     groups: list[Partners] = []
+    taken: list[int] = []
     for image in order[place + 1 :]:
         if (hub, image) not in views:
             continue
-        earlier = tuple(e for e in order[:place] if (hub, e) in views and (image, e) in views)
+        if grain[image] != grain[hub]:
+            if any(_covers(views, hub, finer, image) for finer in taken):
+                continue
+            taken.append(image)
+        earlier = tuple(
+            e for e in order[:place]
+            if grain[e] == grain[hub] and (hub, e) in views and (image, e) in views
+        )  # fmt: skip
         here = usable(views[hub, image], columns)
         for k, group in enumerate(groups):
             if group.earlier == earlier and _alike(group.columns, here):
@@ -118,6 +140,14 @@ def partners_of(views: Views, order: Sequence[int], place: int, columns: int) ->
         else:
             groups.append(Partners((image,), here, earlier))
     return groups
+
+
+def _covers(views: Views, hub: int, image: int, other: int) -> bool:
+    """Whether `image` sees most of what `other` sees of the hub, and the two can be matched."""
+    if (image, other) not in views:
+        return False
+    (first, last), (low, high) = views[hub, image], views[hub, other]
+    return min(last, high) - max(first, low) + 1 >= MOST * (high - low + 1)
 
 
 def usable(view: tuple[int, int], columns: int) -> tuple[int, int] | None:

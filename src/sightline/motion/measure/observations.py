@@ -38,6 +38,8 @@ class Star:
         s; exposure of the partner.
     duration : float
         s; time a window spans along the hub's lines (0 for an area detector).
+    stretch : float
+        s; by how much longer what is measured along the lines averages than what is measured across them.
     residual_px : (G, K, 2)
         Measured minus predicted, px; NaN where there is no match.
     covariance_px : (G, K, 2, 2)
@@ -79,6 +81,12 @@ class Star:
     weight: Array
     brightness: Array | None = None
     window: tuple[int, int] | None = None
+    stretch: float = 0.0
+
+    @property
+    def longest(self) -> float:
+        """s; the longest time that a measurement averages over."""
+        return self.duration + self.stretch
 
     @property
     def present(self) -> NDArray[np.bool_]:

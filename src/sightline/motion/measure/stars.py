@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,10 +20,12 @@ from sightline.errors import EstimationError
 from sightline.execution import Step, in_threads, no_step
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Dem, Surface
+from sightline.geometry.trajectory import Motion
+from sightline.imaging.reduce import ReducedImage
 from sightline.imaging.source import ImageSource
-from sightline.imaging.warp import WarpedImage
+from sightline.imaging.warp import WarpedImage, mapping_of_parts
 from sightline.matching.match_images import match_images
-from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE
+from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, Matches
 from sightline.matching.select import Selection, chosen_windows
 from sightline.matching.whitening import Whitening, estimate_whitening, gradient_filter
 from sightline.motion.measure.common_view import Views, common_views, partners_of, usable
@@ -64,6 +66,27 @@ GRADIENT = gradient_filter()
 #: Lines over which their spacing on the ground is averaged, and departures of one from the next (lines) up to
 #: which lines pass for even.
 PLACE_MEAN, EVEN = 17, 1e-3
+#: Pixels that differ by more than this factor, along or across, are unlike.
+UNLIKE = 1.25
+#: Pixels that differ by more cannot be matched.
+MOST_UNLIKE = 6.0
+#: Parts of a pixel may be this much further apart than pixels of the image they are taken from.
+_PART_SLACK = 1.05
+#: Least windows (lines, columns) on grids coarser than the finest.
+COARSE_WINDOW = (2, 24)
+#: px that are searched there beyond what is as far on the finest (offsets are known in pixels of each band),
+#: and least pixels of a window that is searched for.
+COARSE_SEARCH, SEARCHED_PIXELS = 3, 200
+#: Rows of windows in the shortest lag at least, and lines of a window at least.
+ROWS_IN_LAG, LEAST_WINDOW = 1.8, 2
+#: px of the hub by which a finer partner is moved to see how matches respond, and how far the response of a
+#: window may lie from the usual one.
+RESPONSE_STEP, RESPONSE_SPREAD = 0.05, 0.5
+#: Lines squared by which the derivative along lines spreads what a low window averages over: tones of 30 to
+#: 120 Hz in pitch are seen through windows of 2 (3) lines as through 2.7 (3.4).
+NEIGHBOURS = 3.3
+#: Parts of an exposure over which the motion is averaged.
+EXPOSURE_PARTS = 5
 #: Windows enough to learn whitening from; a star of fewer looks all over its image instead.
 ENOUGH = 100
 
@@ -90,6 +113,8 @@ class MatchingPlan:
         One of SIMILARITIES: what is compared.
     weighting : str
         One of WEIGHTINGS: how matches count.
+    lag : float
+        Lines (of the finest image) of the shortest lag: rows and windows of coarse ones must not outlast it.
     predicted : tuple of (columns, 2) or None
         Of every image, the relative sigma along lines and columns of a match at each of its columns, as
         predicted from MTF and SNR; only ratios matter, and only with weighting ``"predicted"``.
@@ -103,7 +128,37 @@ class MatchingPlan:
     selection: Selection = field(default_factory=Selection)
     similarity: str = "whitened"
     weighting: str = "covariance"
+    lag: float = math.inf
     predicted: tuple[Array | None, ...] = ()
+
+    def coarser(self, ratio: tuple[float, float]) -> MatchingPlan:
+        """The plan on a grid of pixels coarser by `ratio` (along, across).
+
+        Windows are as many seconds long and metres wide, where these hold enough pixels.
+        """
+        if ratio == (1.0, 1.0):
+            return self
+
+        def reduced(sizes: tuple[int, int], least: tuple[int, int]) -> tuple[int, int]:
+            lines, columns = (
+                max(round(size / r), min(size, fewest))
+                for size, r, fewest in zip(sizes, ratio, least, strict=True)
+            )
+            return lines, columns
+
+        lines, columns = reduced(self.window, COARSE_WINDOW)
+        search = self.search_px
+        if max(search):
+            lines = max(lines, min(self.window[0], math.ceil(SEARCHED_PIXELS / columns)))
+            far = reduced(search, (0, 0))
+            search = min(search[0], far[0] + COARSE_SEARCH), min(search[1], far[1] + COARSE_SEARCH)
+        # as near in time as on the finest grid, overlap or not: fewer would not tell tones from their aliases
+        step = max(round(self.step / ratio[0]), 1)
+        if not max(self.search_px) and self.lag < math.inf:
+            lag = self.lag / ratio[0]
+            lines = min(lines, max(int(lag), LEAST_WINDOW))
+            step = min(step, max(int(lag / ROWS_IN_LAG), 1))
+        return replace(self, window=(lines, columns), step=step, search_px=search)
 
     def grid(self, shape: tuple[int, int], columns: tuple[int, int] | None = None) -> WindowGrid:
         """The windows of this plan on an image of `shape` (lines, columns).
@@ -171,20 +226,68 @@ def hub_windows(
     """
     if views is None:
         views = common_views(cameras, surface)
+    grains = groups_of_pixels(cameras)
+    order = sorted(order, key=lambda image: grains[image])
     out = []
     for place, hub in enumerate(order):
-        for group in partners_of(views, order, place, shapes[hub][1]):
-            grid = plan.grid(shapes[hub], group.columns)
+        here = plan.coarser(ratio_to_finest(cameras, hub))
+        for group in partners_of(views, order, place, shapes[hub][1], grains):
+            grid = here.grid(shapes[hub], group.columns)
             if group.earlier:
                 grid = _fresh(cameras, surface, shapes, hub, group.earlier, grid)
             if len(grid.lines):
                 out.append((hub, group.images, grid))
-        first = next((image for image in order[:place] if (hub, image) in views), None)
-        if first is not None and max(plan.search_px) == 0:
-            grid = plan.grid(shapes[hub], usable(views[hub, first], shapes[hub][1]))
-            lines = _end_lines(shapes[hub][0], grid.window[0], plan.step)
+        like = (image for image in order[:place] if (hub, image) in views and grains[image] == grains[hub])
+        first = next(like, None)
+        if first is not None and max(here.search_px) == 0:
+            grid = here.grid(shapes[hub], usable(views[hub, first], shapes[hub][1]))
+            lines = _end_lines(shapes[hub][0], grid.window[0], here.step)
             out.append((hub, (first,), WindowGrid(grid.window, lines, grid.columns)))
     return out
+
+
+def pixel_sizes(cameras: Sequence[MovingCamera]) -> Array:
+    """(K, 2) s between lines and tangent between columns of line detectors; ones of area detectors."""
+    return np.array(
+        [
+            (c.detector.line_period, c.detector.pixel_step) if isinstance(c, PushbroomCamera) else (1.0, 1.0)
+            for c in cameras
+        ]
+    )
+
+
+def groups_of_pixels(cameras: Sequence[MovingCamera]) -> tuple[int, ...]:
+    """Number of each image's group of like pixels, the coarsest 0: a group's first hub is of its own size."""
+    sizes = pixel_sizes(cameras)
+    leaders: list[int] = []
+    group = [0] * len(sizes)
+    for image in np.argsort(-sizes.prod(axis=1), kind="stable"):
+        ratios = [np.exp(np.abs(np.log(sizes[image] / sizes[leader])).max()) for leader in leaders]
+        if not ratios or min(ratios) > UNLIKE:
+            leaders.append(int(image))
+            group[image] = len(leaders) - 1
+        else:
+            group[image] = int(np.argmin(ratios))
+    return tuple(group)
+
+
+def ratio_to_finest(cameras: Sequence[MovingCamera], image: int) -> tuple[float, float]:
+    """Pixels of an image over those of the finest group, (along, across); 1 where they are like."""
+    sizes, groups = pixel_sizes(cameras), groups_of_pixels(cameras)
+    if groups[image] == max(groups):
+        return 1.0, 1.0
+    finest = sizes[np.array(groups) == max(groups)].min(axis=0)
+    along, across = np.maximum(sizes[image] / finest, 1.0)
+    return float(along), float(across)
+
+
+def parts_of_pixel(cameras: Sequence[MovingCamera], hub: int, partner: int) -> tuple[int, int]:
+    """Parts (along, across) of a hub's pixel over which a finer partner is averaged; 1 if they are like."""
+    sizes = pixel_sizes(cameras)
+    lines, columns = (
+        math.ceil(ratio / _PART_SLACK) if ratio > UNLIKE else 1 for ratio in sizes[hub] / sizes[partner]
+    )
+    return lines, columns
 
 
 def _fresh(
@@ -235,6 +338,8 @@ def match_star(
     Windows that `before`, the same star of an earlier pass, found to be wrong are not tried again: clouds
     among them would spoil the whitening and the pooled errors of the good ones.
     """
+    ratio = ratio_to_finest(cameras, hub)
+    plan = plan.coarser(ratio)
     predicted = predict_windows(cameras, hub, partners, surface, grid)
     g, k = len(grid.centres), len(partners)
     wrong = found_wrong(before, hub, grid, k)
@@ -245,7 +350,12 @@ def match_star(
     score = np.full((g, k), np.nan)
 
     seen = [np.isfinite(one.b[:, 0]) for one in predicted]
-    laid = [laid_on(images, cameras, surface, hub, partner) for partner in partners]
+    finer = [parts_of_pixel(cameras, hub, partner) != (1, 1) for partner in partners]
+    blurred = [exposed(camera) for camera in cameras] if ratio[0] > UNLIKE else cameras
+    laid = [
+        laid_on(images, cameras if one else blurred, surface, hub, partner)
+        for partner, one in zip(partners, finer, strict=True)
+    ]
 
     def whitening(j: int) -> Whitening | None:
         if plan.similarity != "whitened":
@@ -267,21 +377,32 @@ def match_star(
             step(j * g + done * g // total, k * g)
 
         points = np.where((seen[j] & ~wrong[:, j] & chosen)[:, None], grid.centres, np.nan)
-        matches = match_images(
-            images[hub],
-            laid[j],
-            points,
-            points,
-            window=grid.window,
-            search_px=plan.search_px,
-            whitening=whitenings[j],
-            step=blocks,
-        )
+
+        def matched(image: ImageSource, points: Array = points, j: int = j, step: Step = no_step) -> Matches:
+            return match_images(
+                images[hub],
+                image,
+                points,
+                points,
+                window=grid.window,
+                search_px=plan.search_px,
+                whitening=whitenings[j],
+                step=step,
+            )
+
+        matches = matched(laid[j], step=blocks)
         good = matches.kept & np.isfinite(values[:, j]).all(axis=(1, 2)) & seen[j]
         turn = predicted[j].affine[good]
+        if finer[j] and not max(plan.search_px):
+            moved = [
+                matched(laid_on(images, cameras, surface, hub, partner, moved=(line, column)))
+                for line, column in ((RESPONSE_STEP, 0.0), (0.0, RESPONSE_STEP))
+            ]
+            turn = turn @ np.linalg.inv(response(matches, moved)[good])
         residual[good, j] = np.einsum("nij,nj->ni", turn, matches.b[good] - grid.centres[good])
         covariance[good, j] = turn @ matches.covariance_px[good] @ np.swapaxes(turn, 1, 2)
-        beyond = ~within_image(predicted[j].b, images[partner].shape, grid.window)
+        size = _size_in(cameras, hub, partner, grid.window)
+        beyond = ~within_image(predicted[j].b, images[partner].shape, size)
         status[:, j] = np.where(beyond & (matches.status == MASKED), OUTSIDE, matches.status)
         status[seen[j] & ~chosen, j] = NOT_CHOSEN
         if plan.weighting != "covariance" and good.any():
@@ -290,6 +411,7 @@ def match_star(
             covariance[good, j] = mean * _relative(plan, (hub, partner), places)
         score[:, j] = matches.score
     camera = cameras[hub]
+    duration, stretch = _duration(camera, grid, exposed=ratio[0] > UNLIKE)
     star = Star(
         hub=hub,
         images=partners,
@@ -297,7 +419,8 @@ def match_star(
         pixels=grid.centres,
         t_hub=exposure_times(camera, grid.centres),
         t=np.stack([p.t for p in predicted], axis=1),
-        duration=_duration(camera, grid),
+        duration=duration,
+        stretch=stretch,
         residual_px=residual,
         covariance_px=covariance,
         by_hub=np.ascontiguousarray(values[..., 0:3]),
@@ -325,19 +448,72 @@ def _relative(plan: MatchingPlan, pair: tuple[int, int], columns: Array) -> Arra
     return np.asarray((variance / variance.mean())[:, :, None] * np.eye(2))
 
 
+def exposed(camera: MovingCamera) -> MovingCamera:
+    """A line camera whose motion is its mean over the exposure of a line.
+
+    Two images of coarse lines are laid on one another line by line: each line shows where it looked on
+    average. (An image of finer lines is averaged over the parts of an exposure, each with its own motion.)
+    """
+    motion = camera.trajectory.motion
+    if motion is None or not isinstance(camera, PushbroomCamera):
+        return camera
+    parts = (np.arange(EXPOSURE_PARTS) + 0.5) / EXPOSURE_PARTS - 0.5
+    instants = motion.t[:, None] + camera.detector.line_period * parts
+    inside = np.clip(instants, motion.t[0], motion.t[-1])
+    angles = motion.at(inside.ravel()).reshape(*inside.shape, 3).mean(axis=1)
+    return camera.with_trajectory(camera.trajectory.with_motion(Motion(motion.t, angles)))
+
+
+def response(matches: Matches, moved: Sequence[Matches]) -> Array:
+    """(N, 2, 2) change of matches with the shift of a finer partner, as `moved` shows it.
+
+    What a coarse pixel shows of detail finer than itself moves otherwise than its edges, as moire does, and
+    takes part of the shift back: measured once, the shift is found as a share of itself. Windows that were
+    not matched again, or answer otherwise than most, respond as the median does.
+    """
+    out = np.stack([(matches.b - other.b) / RESPONSE_STEP for other in moved], axis=2)
+    usable = matches.kept & np.isfinite(out).all(axis=(1, 2))
+    for other in moved:
+        usable &= other.kept
+    if not usable.any():
+        return np.broadcast_to(np.eye(2), out.shape)
+    middle = np.median(out[usable], axis=0)
+    with np.errstate(invalid="ignore"):
+        usable &= (np.abs(out - middle) <= RESPONSE_SPREAD).all(axis=(1, 2))
+    out[~usable] = middle
+    return out
+
+
 def laid_on(
-    images: Sequence[ImageSource], cameras: Sequence[MovingCamera], surface: Surface, hub: int, partner: int
-) -> WarpedImage:
-    """The partner's image in the geometry of the hub, as far as the cameras know it."""
+    images: Sequence[ImageSource],
+    cameras: Sequence[MovingCamera],
+    surface: Surface,
+    hub: int,
+    partner: int,
+    *,
+    moved: tuple[float, float] = (0.0, 0.0),
+) -> ImageSource:
+    """The partner's image in the geometry of the hub, as far as the cameras know it.
+
+    A partner of finer pixels is averaged over the pixels of the hub and their exposure. `moved`: (lines,
+    columns) px of the hub by which it is taken further on.
+    """
     source, target = cameras[hub], cameras[partner]
 
     def mapping(lines: Array, columns: Array) -> Array:
-        pixels = np.stack(np.meshgrid(lines, columns, indexing="ij"), axis=-1).reshape(-1, 2)
+        places = np.meshgrid(lines + moved[0], columns + moved[1], indexing="ij")
+        pixels = np.stack(places, axis=-1).reshape(-1, 2)
         b = target.project(source.locate(pixels, surface))
         return b.reshape(len(lines), len(columns), 2)
 
     spacing = RELIEF_SPACING if isinstance(surface, Dem) else SMOOTH_SPACING
-    return WarpedImage(images[partner], mapping, images[hub].shape, spacing, line_places(target, surface))
+    (lines, columns), parts = images[hub].shape, parts_of_pixel(cameras, hub, partner)
+    places = line_places(target, surface)
+    if parts == (1, 1):
+        return WarpedImage(images[partner], mapping, (lines, columns), spacing, places)
+    fine = lines * parts[0], columns * parts[1]
+    inner = mapping_of_parts(mapping, parts)
+    return ReducedImage(WarpedImage(images[partner], inner, fine, spacing, places), parts)
 
 
 def line_places(camera: MovingCamera, surface: Surface) -> Array | None:
@@ -421,7 +597,18 @@ def pair_whitening(
         return None
 
 
-def within_image(pixels: Array, shape: tuple[int, int], window: tuple[int, int]) -> NDArray[np.bool_]:
+def _size_in(
+    cameras: Sequence[MovingCamera], hub: int, partner: int, window: tuple[int, int]
+) -> tuple[float, float]:
+    """Lines and columns of a partner that a window of a hub fills."""
+    if parts_of_pixel(cameras, hub, partner) == (1, 1):
+        return window
+    sizes = pixel_sizes(cameras)
+    along, across = sizes[hub] / sizes[partner]
+    return window[0] * along, window[1] * across
+
+
+def within_image(pixels: Array, shape: tuple[int, int], window: tuple[float, float]) -> NDArray[np.bool_]:
     """Windows about `pixels` that lie in an image of `shape`; False for NaN."""
     half = (np.array(window) - 1) / 2.0
     with np.errstate(invalid="ignore"):
@@ -429,10 +616,18 @@ def within_image(pixels: Array, shape: tuple[int, int], window: tuple[int, int])
     return np.asarray(inside.all(axis=1))
 
 
-def _duration(camera: MovingCamera, grid: WindowGrid) -> float:
-    """Length (s) of the boxcar that spreads as the window's h line centres do: sqrt(h^2 - 1) line periods."""
+def _duration(camera: MovingCamera, grid: WindowGrid, *, exposed: bool) -> tuple[float, float]:
+    """Length (s) of the boxcar that spreads as the window's h line centres do, and what is added along lines.
+
+    That is sqrt(h^2 - 1) line periods. With the exposure of each line, which coarse lines average over, it is
+    h; and shifts along the lines, found by comparing neighbours, are averaged over NEIGHBOURS more. Of four
+    of the finest lines both are some per cent, and left out.
+    """
     if not isinstance(camera, PushbroomCamera):
-        return 0.0
+        return 0.0, 0.0
     ends = exposure_times(camera, np.array([[0.0, 0.0], [camera.lines - 1.0, 0.0]]))
     period = (ends[1] - ends[0]) / max(camera.lines - 1, 1)
-    return float(period * math.sqrt(grid.window[0] ** 2 - 1.0))
+    lines = grid.window[0]
+    if not exposed:
+        return float(period * math.sqrt(lines**2 - 1.0)), 0.0
+    return float(period * lines), float(period * (math.sqrt(lines**2 + NEIGHBOURS) - lines))

@@ -21,7 +21,7 @@ from sightline.estimation.prior import Autoregressive, Matern, Spectrum
 from sightline.estimation.series import DifferenceSeries
 from sightline.estimation.split import SplitPrior, coarse_ratio, split
 from sightline.execution import Step, in_threads, no_step
-from sightline.motion.estimators.differences import AngleDifferences
+from sightline.motion.estimators.differences import PITCH, AngleDifferences
 from sightline.motion.measure.observations import Star
 from sightline.motion.strip.joint import JointEstimate
 from sightline.motion.strip.normal_equations import TimeGrid
@@ -221,8 +221,7 @@ def angle_differences(
             good = part.t_hub == part.t_hub
             if good.sum() < FEWEST_ROWS:
                 continue
-            at_hub = averaged(estimate.grid, estimate.nodes, part.t_hub[good], star.duration)
-            at_partner = averaged(estimate.grid, estimate.nodes, part.t[good], star.duration)
+            at_hub, at_partner = (_seen(star, estimate, t[good]) for t in (part.t_hub, part.t))
             out.append(
                 AngleDifferences(
                     t=part.t_hub[good],
@@ -231,6 +230,7 @@ def angle_differences(
                     covariance=part.covariance[good],
                     images=(star.hub, image),
                     window=star.duration,
+                    stretch=star.stretch,
                     patch=patch_start + np.flatnonzero(good),
                 )
             )
@@ -278,6 +278,14 @@ def _collapse(star: Star, post: Array, k: int, relief_sigmas: tuple[float, float
         t_hub = np.where(count > 0, (w * star.t_hub.reshape(rows, blocks)).sum(1) / count, np.nan)
         t = np.nansum(w * np.nan_to_num(star.t[:, k]).reshape(rows, blocks), axis=1) / count
     return _Rows(t_hub, t, angles, inverse)
+
+
+def _seen(star: Star, estimate: JointEstimate, t: Array) -> Array:
+    """The motion (N, 3) at `t` as the windows of a star average it: pitch is seen along the lines."""
+    out = averaged(estimate.grid, estimate.nodes, t, star.duration)
+    if star.stretch > 0.0:
+        out[:, PITCH] = averaged(estimate.grid, estimate.nodes, t, star.longest)[:, PITCH]
+    return out
 
 
 def averaged(grid: TimeGrid, nodes: Array, t: Array, duration: float) -> Array:

@@ -139,20 +139,20 @@ def _scatter(local, index, used, n_local, block_n, ab, border, corner, rhs_grid,
 
 
 @njit(cache=True, nogil=True)
-def _expand(product, w, compact, statics, pairs, support, n_local, local):  # type: ignore[no-untyped-def]
+def _expand(product, w, compact, statics, instants, support, n_local, local):  # type: ignore[no-untyped-def]
     """Spread one patch's compact product over the nodes its instants are interpolated from.
 
     Unknown p of the patch has the places ``p * support ..`` of `local`, one per node.
     """
     moving = compact - statics
     for p in range(moving):
-        group_p = min(p // 3, 1 + pairs)
+        group_p = min(p // 3, instants)
         top = p * support
         for q in range(p, moving):
             value = product[p, q]
             if value == 0.0:
                 continue
-            group_q = min(q // 3, 1 + pairs)
+            group_q = min(q // 3, instants)
             left = q * support
             for m in range(support):
                 share = value * w[group_p, m]
@@ -173,6 +173,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
     t,
     t_ground,
     duration,
+    along,
     residual,
     covariance,
     weight,
@@ -198,18 +199,22 @@ def _accumulate(  # type: ignore[no-untyped-def]
     statics = by_static.shape[3]
     block = 5 if relief else 3
     block_n = ab.shape[1]
-    support = 4 + int(math.ceil(duration / step)) if duration > 0.0 else 4
-    n_local = (3 * (1 + pairs) + (2 if relief else 0)) * support + statics
+    longest = max(duration, along)
+    support = 4 + int(math.ceil(longest / step)) if longest > 0.0 else 4
+    # where what is measured along lines averages over another time, each instant counts twice
+    parts = 1 if along == duration else 2
+    instants = parts * (1 + pairs)
+    n_local = (3 * instants + (2 if relief else 0)) * support + statics
     rows_max = 2 * pairs
     local = np.zeros((n_local, n_local + 1))
     index = np.zeros(n_local, np.int64)
     used = np.zeros(n_local, np.bool_)
-    first = np.full(2 + pairs, -1, np.int64)
-    previous = np.full(2 + pairs, -1, np.int64)
+    first = np.full(1 + instants, -1, np.int64)
+    previous = np.full(1 + instants, -1, np.int64)
     # one column per angle of each instant, height and its tilt, statics, the data: weights in time come later
-    compact = 3 * (1 + pairs) + (2 if relief else 0) + statics
-    heights = 3 * (1 + pairs)
-    w = np.zeros((2 + pairs, support))
+    compact = 3 * instants + (2 if relief else 0) + statics
+    heights = 3 * instants
+    w = np.zeros((1 + instants, support))
     product = np.zeros((compact, compact + 1))
     a = np.zeros((rows_max, compact + 1))
     r = np.zeros((rows_max, rows_max))
@@ -224,25 +229,28 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 rows += 2
         if rows == 0:
             continue
-        first[0] = _window_weights(t_hub[g], duration, start, step, count, support, w[0])
-        for k in range(pairs):
-            first[1 + k] = -2
+        for c in range(parts):
+            spans = along if parts == 2 and c == 0 else duration
+            first[c] = _window_weights(t_hub[g], spans, start, step, count, support, w[c])
+        for k in range(parts, instants):
+            first[k] = -2
         if relief:
-            first[1 + pairs] = _window_weights(
-                t_ground[g], duration, start, step, count, support, w[1 + pairs]
-            )
+            first[instants] = _window_weights(t_ground[g], duration, start, step, count, support, w[instants])
         # rows of this patch
         row = 0
         for k in range(pairs):
             if not (weight[g, k] > 0.0 and residual[g, k, 0] == residual[g, k, 0]):
                 continue
-            first[1 + k] = _window_weights(t[g, k], duration, start, step, count, support, w[1 + k])
+            for c in range(parts):
+                spans, q = along if parts == 2 and c == 0 else duration, parts * (1 + k) + c
+                first[q] = _window_weights(t[g, k], spans, start, step, count, support, w[q])
             for c in range(2):
                 for j in range(compact + 1):
                     a[row + c, j] = 0.0
+                part = c if parts == 2 else 0
                 for axis in range(3):
-                    a[row + c, axis] = by_hub[g, k, c, axis]
-                    a[row + c, 3 * (1 + k) + axis] = by_partner[g, k, c, axis]
+                    a[row + c, 3 * part + axis] = by_hub[g, k, c, axis]
+                    a[row + c, 3 * (parts * (1 + k) + part) + axis] = by_partner[g, k, c, axis]
                 if relief:
                     a[row + c, heights] = by_height[g, k, c]
                     a[row + c, heights + 1] = by_height[g, k, c] * field[g]
@@ -253,14 +261,14 @@ def _accumulate(  # type: ignore[no-untyped-def]
         # error covariance of the rows: own Cholesky factors around the shared-image correlation
         ri = 0
         for k in range(pairs):
-            if first[1 + k] == -2:
+            if first[parts * (1 + k)] == -2:
                 continue
             k11 = math.sqrt(covariance[g, k, 0, 0] / weight[g, k])
             k21 = covariance[g, k, 1, 0] / weight[g, k] / k11
             k22 = math.sqrt(max(covariance[g, k, 1, 1] / weight[g, k] - k21 * k21, 1e-30))
             rj = 0
             for q in range(k + 1):
-                if first[1 + q] == -2:
+                if first[parts * (1 + q)] == -2:
                     continue
                 q11 = math.sqrt(covariance[g, q, 0, 0] / weight[g, q])
                 q21 = covariance[g, q, 1, 0] / weight[g, q] / q11
@@ -297,16 +305,16 @@ def _accumulate(  # type: ignore[no-untyped-def]
         rows_total += rows
         # same nodes as before? else hand over what was summed
         same = True
-        for k in range(2 + pairs):
+        for k in range(1 + instants):
             if first[k] != -2 and previous[k] != -2 and first[k] != previous[k]:
                 same = False
         if not same:
             _scatter(local, index, used, n_local, block_n, ab, border, corner, rhs_grid, rhs_static)
             for j in range(n_local - statics):
                 used[j] = False
-            for k in range(2 + pairs):
+            for k in range(1 + instants):
                 previous[k] = first[k]
-        for k in range(1 + pairs):
+        for k in range(instants):
             if first[k] == -2:
                 continue
             previous[k] = first[k]
@@ -316,11 +324,11 @@ def _accumulate(  # type: ignore[no-untyped-def]
                     index[j] = (first[k] + m - node) * block + axis
                     used[j] = True
         if relief:
-            previous[1 + pairs] = first[1 + pairs]
+            previous[instants] = first[instants]
             for axis in range(2):
                 for m in range(support):
                     j = (heights + axis) * support + m
-                    index[j] = (first[1 + pairs] + m - node) * block + 3 + axis
+                    index[j] = (first[instants] + m - node) * block + 3 + axis
                     used[j] = True
         for i in range(compact):
             for j in range(i, compact + 1):
@@ -331,7 +339,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 if f != 0.0:
                     for j in range(i, compact + 1):
                         product[i, j] += f * a[row, j]
-        _expand(product, w, compact, statics, pairs, support, n_local, local)
+        _expand(product, w, compact, statics, instants, support, n_local, local)
     _scatter(local, index, used, n_local, block_n, ab, border, corner, rhs_grid, rhs_static)
     return chi2, rows_total
 
@@ -342,6 +350,7 @@ def _modelled(  # type: ignore[no-untyped-def]
     t,
     t_ground,
     duration,
+    along,
     by_hub,
     by_partner,
     by_static,
@@ -357,16 +366,20 @@ def _modelled(  # type: ignore[no-untyped-def]
     """What the rows would read for given node values (count, block) and statics; into `out` (G, K, 2)."""
     patches, pairs = t.shape
     count = nodes.shape[0]
-    support = 4 + int(math.ceil(duration / step)) if duration > 0.0 else 4
+    longest = max(duration, along)
+    support = 4 + int(math.ceil(longest / step)) if longest > 0.0 else 4
+    parts = 1 if along == duration else 2
     w = np.zeros(support)
-    hub = np.zeros(3)
-    partner = np.zeros(3)
+    hub = np.zeros((2, 3))
+    partner = np.zeros((2, 3))
     for g in range(patches):
-        first = _window_weights(t_hub[g], duration, start, step, count, support, w)
-        for axis in range(3):
-            hub[axis] = 0.0
-            for m in range(support):
-                hub[axis] += w[m] * nodes[first + m, axis]
+        for c in range(parts):
+            spans = along if parts == 2 and c == 0 else duration
+            first = _window_weights(t_hub[g], spans, start, step, count, support, w)
+            for axis in range(3):
+                hub[c, axis] = 0.0
+                for m in range(support):
+                    hub[c, axis] += w[m] * nodes[first + m, axis]
         height = 0.0
         if relief:
             first = _window_weights(t_ground[g], duration, start, step, count, support, w)
@@ -377,15 +390,18 @@ def _modelled(  # type: ignore[no-untyped-def]
                 out[g, k, 0] = np.nan
                 out[g, k, 1] = np.nan
                 continue
-            first = _window_weights(t[g, k], duration, start, step, count, support, w)
-            for axis in range(3):
-                partner[axis] = 0.0
-                for m in range(support):
-                    partner[axis] += w[m] * nodes[first + m, axis]
-            for c in range(2):
-                total = by_height[g, k, c] * height
+            for c in range(parts):
+                spans = along if parts == 2 and c == 0 else duration
+                first = _window_weights(t[g, k], spans, start, step, count, support, w)
                 for axis in range(3):
-                    total += by_hub[g, k, c, axis] * hub[axis] + by_partner[g, k, c, axis] * partner[axis]
+                    partner[c, axis] = 0.0
+                    for m in range(support):
+                        partner[c, axis] += w[m] * nodes[first + m, axis]
+            for c in range(2):
+                total, q = by_height[g, k, c] * height, c if parts == 2 else 0
+                for axis in range(3):
+                    total += by_hub[g, k, c, axis] * hub[q, axis]
+                    total += by_partner[g, k, c, axis] * partner[q, axis]
                 for s in range(statics.shape[0]):
                     total += by_static[g, k, c, s] * statics[s]
                 out[g, k, c] = total
@@ -488,7 +504,7 @@ def bandwidth_of(
     widest = 0.0
     support = 4
     for star, order in zip(stars, orders, strict=True):
-        support = max(support, 4 + math.ceil(star.duration / grid.step))
+        support = max(support, 4 + math.ceil(star.longest / grid.step))
         seen = star.present
         every = np.concatenate([star.t_hub[:, None], np.where(seen, star.t, np.nan)], axis=1)
         if relief:
@@ -582,11 +598,11 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> tuple[int,
     """Sum one piece on the nodes it reaches, with at most `width` subdiagonals; their first unknown first."""
     star, part = piece.star, piece.part
     instants = np.concatenate([star.t_hub[part], star.t[part].ravel(), piece.t_ground[part]])
-    reach = 0.5 * star.duration + 4 * grid.step
+    reach = 0.5 * star.longest + 4 * grid.step
     low = math.floor((np.nanmin(instants) - reach - grid.start) / grid.step)
     high = math.ceil((np.nanmax(instants) + reach - grid.start) / grid.step)
     # rows at the end of the grid use its last nodes, wherever their instants are
-    support = 4 + math.ceil(star.duration / grid.step)
+    support = 4 + math.ceil(star.longest / grid.step)
     low, high = max(min(low, grid.count - support), 0), min(max(high, support), grid.count)
     n, statics = block * (high - low), star.by_static.shape[3]
     ab = np.zeros((min(width + 1, n), n))
@@ -597,6 +613,7 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> tuple[int,
         star.t[part],
         piece.t_ground[part],
         star.duration,
+        star.duration + star.stretch,
         np.ascontiguousarray(piece.measured[part]),
         star.covariance_px[part],
         star.weight[part],
@@ -687,6 +704,7 @@ def modelled(
             star.t[part],
             t_ground[part],
             star.duration,
+            star.duration + star.stretch,
             star.by_hub[part],
             star.by_partner[part],
             star.by_static[part],

@@ -20,7 +20,15 @@ from sightline.matching.select import Selection
 from sightline.motion.band import Band
 from sightline.motion.measure.common_view import Views, common_views
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
-from sightline.motion.measure.stars import SIMILARITIES, WEIGHTINGS, MatchingPlan
+from sightline.motion.measure.stars import (
+    LEAST_WINDOW,
+    MOST_UNLIKE,
+    ROWS_IN_LAG,
+    SIMILARITIES,
+    WEIGHTINGS,
+    MatchingPlan,
+    pixel_sizes,
+)
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.statics import apply_statics, band_statics
 from sightline.motion.strip.hyper import BROAD, KnownContent, PriorModel
@@ -37,8 +45,6 @@ METHODS = ("joint", "inverse", "wiener", "polynomial", "kalman")
 HYBRIDISE = ("global", "iterative")
 #: Lines at which the ground of a strip is sought.
 GROUND_PLACES = 9
-#: Rows of windows in the shortest lag at least, and lines of a window at least.
-ROWS_IN_LAG, LEAST_WINDOW = 1.8, 2
 
 
 @dataclass(frozen=True)
@@ -139,6 +145,7 @@ class Strip:
     known: KnownContent = field(default_factory=KnownContent)
     draft: bool = False
     withheld: tuple[tuple[int, int], ...] = ()
+    shortest_lag: float = math.inf
 
     def plan(
         self, options: RecoverOptions, window: tuple[int, int], step: int, search: tuple[int, int] = (0, 0)
@@ -153,6 +160,7 @@ class Strip:
             selection=options.selection,
             similarity=options.similarity,
             weighting=options.weighting,
+            lag=self.shortest_lag,
             predicted=tuple(band.match_sigma for band in self.bands),
         )
 
@@ -224,15 +232,15 @@ def suited(options: RecoverOptions, bands: Sequence[Band], surface: Surface) -> 
 
 
 def _shortest_lag(cameras: Sequence[PushbroomCamera], surface: Surface) -> float:
-    """Lines of the first of the pair between its sight of a place and the other's; inf where none has any."""
-    shortest = math.inf
+    """Lines of the finest between two images' sights of a place, the least of all pairs; inf without any."""
+    shortest, finest = math.inf, min(camera.detector.line_period for camera in cameras)
     for k, camera in enumerate(cameras):
         lines = np.linspace(0.0, camera.lines - 1.0, GROUND_PLACES)
         pixels = np.column_stack([lines, np.full(len(lines), (camera.columns - 1) / 2.0)])
-        ground, period = camera.locate(pixels, surface), camera.detector.line_period
+        ground = camera.locate(pixels, surface)
         for other in cameras[k + 1 :]:
             seen = other.project(ground)
-            lag = np.abs(other.times(seen[:, 0]) - camera.times(lines)) / period
+            lag = np.abs(other.times(seen[:, 0]) - camera.times(lines)) / finest
             known = lag[np.isfinite(lag) & (lag > 0.5)]  # half a line is none
             if len(known):
                 shortest = min(shortest, float(np.median(known)))
@@ -255,6 +263,7 @@ def prepared(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
             )
     pairs = _numbered(options.pairs, bands)
     views = common_views([band.camera for band in bands], surface, pairs)
+    _check_pixels(bands, views)
     axes = viewing_axes([band.camera for band in bands], views)
     cameras = tuple(band.camera if axes is None else in_axes(band.camera, axes) for band in bands)
     parameters = band_statics(bands)
@@ -280,7 +289,21 @@ def prepared(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
         half_width=half_width,
         ground_speed=ground_speed,
         broad=BROAD.scaled(pixel_angle, half_field),
+        shortest_lag=_shortest_lag(cameras, surface),
     )
+
+
+def _check_pixels(bands: Sequence[Band], views: Views) -> None:
+    """No pair whose pixels or lines are too unlike to be matched."""
+    sizes = pixel_sizes([band.camera for band in bands])
+    for a, b in views:
+        for what, ratio in zip(("line period", "pixel (ifov)"), sizes[a] / sizes[b], strict=True):
+            if ratio > 1.01 * MOST_UNLIKE:
+                raise InputError(
+                    f"the {what} of {bands[a].name!r} is {ratio:.3g} times that of {bands[b].name!r}; pairs "
+                    f"up to {MOST_UNLIKE:g} : 1 can be matched; check `ifov` and `line_period` of both, "
+                    "leave a band out, or name the pairs to match: [matching] pairs"
+                )
 
 
 def _numbered(pairs: Sequence[tuple[str, str]], bands: Sequence[Band]) -> list[tuple[int, int]] | None:

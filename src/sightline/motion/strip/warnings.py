@@ -43,7 +43,7 @@ def observed_lines(strip: Strip, state: StripState, t: Array) -> NDArray[np.bool
         return np.zeros(len(t), dtype=bool)
     at = np.clip(np.searchsorted(instants, t), 1, max(len(instants) - 1, 1))
     near = np.minimum(np.abs(t - instants[at - 1]), np.abs(t - instants[np.minimum(at, len(instants) - 1)]))
-    reach = 0.5 * (max(r.star.duration for r in state.records) + strip.grid.step)
+    reach = 0.5 * (max(r.star.longest for r in state.records) + strip.grid.step)
     return np.asarray(near <= reach)
 
 
