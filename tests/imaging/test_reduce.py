@@ -51,3 +51,13 @@ def test_means_over_a_pattern_flag_what_holds_a_bad_pixel_and_bear_a_dark_cell()
     assert flags is not None and np.argwhere(flags).tolist() == [[1, 2]]
     dark = pattern_means(ArrayImage(np.zeros((8, 8))), 2)
     assert (dark.read((0, 4), (0, 4)) == 0.0).all()
+
+
+def test_blocks_may_be_wider_than_high():
+    pixels = np.random.default_rng(2).normal(size=(7, 30))
+    image = ReducedImage(ArrayImage(pixels), (2, 5))
+    assert image.shape == (3, 6)
+    expected = pixels[2:6, 10:25].reshape(2, 2, 3, 5).mean(axis=(1, 3))
+    assert np.allclose(image.read((1, 3), (2, 5)), expected, atol=1e-6)
+    with pytest.raises(InputError, match="factor"):
+        ReducedImage(ArrayImage(pixels), (8, 5))

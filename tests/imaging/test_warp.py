@@ -7,8 +7,9 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sightline.geometry.interpolation import interpolate
+from sightline.imaging.reduce import ReducedImage
 from sightline.imaging.source import ArrayImage
-from sightline.imaging.warp import WarpedImage
+from sightline.imaging.warp import WarpedImage, mapping_of_parts
 
 SHAPE = (90, 400)
 # cycles per px, all within the 0.36 that the kernel promises to carry
@@ -189,3 +190,25 @@ def test_a_sheared_map_puts_every_window_where_it_says():
         # shift of the phase by least squares: sin(p + 0.9 d) = sin p + 0.9 d cos p
         shift = np.sum((got - np.sin(phase)) * np.cos(phase)) / np.sum(0.9 * np.cos(phase) ** 2)
         assert abs(shift) < 0.001
+
+
+@pytest.mark.parametrize("ratio", [1.5, 2.3, 4.0])
+def test_parts_of_a_coarse_pixel_average_the_image_as_the_pixel_does(ratio):
+    # pixels `ratio` wide over a pattern that they can carry: the mean over a pixel turns each wave down by
+    # sinc(ratio f); p parts, no more than a pixel apart, do so but for sinc(ratio f / p) of their own
+    parts = (int(np.ceil(ratio)), int(np.ceil(ratio)))
+    waves = [(0.3 * f / ratio, 0.3 * g / ratio, p) for f, g, p in ((1.0, 0.7, 0.4), (-0.5, 1.0, 1.9))]
+
+    def shown(line, column, share=lambda f: 1.0):
+        return sum(share(f) * share(g) * np.cos(2 * np.pi * (f * line + g * column) + p) for f, g, p in waves)
+
+    fine = ArrayImage(shown(*np.mgrid[0.0:120.0, 0.0:300.0]))
+    shape = (int(100 / ratio), int(270 / ratio))
+    mapping = mapping_of_parts(linear(ratio * np.eye(2), np.array([10.0, 12.0])), parts)
+    grid = shape[0] * parts[0], shape[1] * parts[1]
+    got = ReducedImage(WarpedImage(fine, mapping, grid), parts).read((2, shape[0] - 2), (2, shape[1] - 2))
+    at = np.stack(np.mgrid[2.0 : shape[0] - 2, 2.0 : shape[1] - 2], axis=-1) * ratio + [10.0, 12.0]
+    want = shown(at[..., 0], at[..., 1], lambda f: np.sinc(ratio * f))
+    # 1 / sinc(0.3 / parts) - 1 is at most 0.04 for two parts, along each axis; half a wave each on average
+    assert np.sqrt(np.mean((got - want) ** 2)) < 0.06 * want.std()
+    assert np.corrcoef(got.ravel(), want.ravel())[0, 1] > 0.999

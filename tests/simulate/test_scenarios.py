@@ -167,3 +167,35 @@ def test_measured_motions_fill_the_scene(motion, real_data):
 
 def test_every_case_has_a_name_that_the_command_lists():
     assert CASES == ("nominal", "relief", "clouds", "hard", "real", "other-family", "pan-xs")
+
+
+def test_a_coarse_pixel_is_the_mean_of_the_fine_ones_it_covers():
+    # one ground, one lag, nothing unknown, hardly any noise: rounding to whole numbers is what is left
+    same = {"names": ("FINE", "COARSE"), "lags": (0.0, 0.0), "gains": (1.0, 1.0), "gammas": (1.0, 1.0)}
+    exact = {"coherence": 1.0, "snr": 1e5, "offset_sigma_px": 0.0, "rotation_sigma": 0.0}
+    scenario = line_of_sight_case(
+        "nominal", 3, **SMALL, **same, **exact, pixel_ratios=(1.0, 4.0), line_ratios=(1.0, 2.0)
+    )
+    assert scenario.shapes == ((160, 96), (80, 24))
+    fine, coarse = scenario.image(0).astype(float), scenario.image(1).astype(float)
+    means = fine.reshape(80, 2, 24, 4).mean(axis=(1, 3))
+    assert means.std() > 20.0
+    assert np.sqrt(np.mean((coarse - means) ** 2)) < 0.5
+    # lines of both begin together, and the truth reaches over the exposures of all
+    first, second = scenario.cameras
+    assert second.times(np.array([0.0]))[0] == pytest.approx(first.times(np.array([0.5]))[0])
+    assert scenario.truth[0, 0] < 0.0 and scenario.truth[-1, 0] > first.times(np.array([159.0]))[0]
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"pixel_ratios": (1.0, 7.0)}, "`pixel_ratios` must be from 1 to 6"),
+        ({"pixel_ratios": (1.0, 2.0)}, "one entry per band, or none; got 2 for 4 bands"),
+        ({"line_ratios": (1.0, 1.0, 1.0, 6.0), "lines": 90}, "band B2 would have 15 lines"),
+    ],
+    ids=["beyond six", "of other bands", "too few lines"],
+)
+def test_ratios_that_cannot_be_are_refused(options, reason):
+    with pytest.raises(InputError, match=reason):
+        line_of_sight_case("nominal", 0, **{**SMALL, **options})

@@ -14,11 +14,14 @@ from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import ArrayImage
 from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTLIER, OUTSIDE
+from sightline.motion.measure.common_view import partners_of
+from sightline.motion.measure.predict import turned
 from sightline.motion.measure.stars import (
     END,
     MatchingPlan,
     StarRecord,
     found_wrong,
+    groups_of_pixels,
     hub_windows,
     laid_on,
     line_places,
@@ -27,6 +30,7 @@ from sightline.motion.measure.stars import (
 )
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.statics import band_statics
+from sightline.simulate.scenarios import line_of_sight_case
 
 SHAPE, AHEAD = (240, 320), (40.0, 0.0)
 #: What the images are shifted by beyond what the cameras know, (line, column) px.
@@ -266,3 +270,60 @@ def test_without_texture_there_is_no_whitening(images, cameras):
     laid = laid_on(images, cameras, Plane(), 0, 1)
     assert pair_whitening(images[0], laid, grid[grid[:, 0] < 180]) is not None
     assert pair_whitening(images[0], laid, grid[:0]) is None
+
+
+class TestUnlikePixels:
+    """A fine band, and coarse ones four times as wide and long."""
+
+    @pytest.fixture(scope="class")
+    def scenario(self):
+        return line_of_sight_case("pan-xs", 5, lines=480, columns=256, motion="none", snr=1000.0)
+
+    def test_the_coarsest_images_are_the_hubs_and_the_finest_is_asked_once(self, scenario):
+        cameras = scenario.nominal_cameras
+        assert groups_of_pixels(cameras) == (1, 0, 0, 0)
+        hubs = hub_windows(cameras, Plane(), scenario.shapes, (0, 1, 2, 3), MatchingPlan((4, 100), 4))
+        assert hubs[0][:2] == (1, (2, 3, 0))
+        # of like pixels the order stays as it is
+        assert groups_of_pixels(strip_cameras((30.0, 0.0))) == (0, 0)
+
+    def test_finer_images_that_see_the_same_are_left_to_their_own_grid(self):
+        views = {(a, b): (0, 99) for a in range(4) for b in range(4) if a != b}
+        (one,) = partners_of(views, (0, 1, 2, 3), 0, 100, grains=(0, 1, 1, 2))
+        assert one.images == (1,)
+        (other,) = partners_of(views, (0, 1, 2, 3), 1, 100, grains=(0, 1, 1, 2))
+        assert other.images == (2, 3) and other.earlier == ()
+        # a finer one that sees other columns is asked too
+        apart = {**views, (0, 2): (60, 99), (0, 1): (0, 40)}
+        found = partners_of(apart, (0, 1, 2), 0, 100, grains=(0, 1, 1))
+        assert [group.images for group in found] == [(1,), (2,)]
+
+    def test_windows_of_a_coarse_hub_are_as_many_seconds_and_metres(self):
+        plan = MatchingPlan((12, 120), 12).coarser((4.0, 4.0))
+        assert (plan.window, plan.step) == ((3, 30), 3)
+        least = MatchingPlan((4, 100), 4).coarser((6.0, 6.0))
+        assert (least.window, least.step) == ((2, 24), 1)
+        searched = MatchingPlan((10, 100), 20, (8, 8)).coarser((4.0, 4.0))
+        assert searched.search_px == (5, 5) and np.prod(searched.window) >= 200
+        # a lag of 6 fine lines is 3 of these
+        assert MatchingPlan((12, 120), 12, lag=6.0).coarser((2.0, 2.0)).window[0] == 3
+
+    @pytest.mark.parametrize("axis", [0, 1])
+    def test_a_shift_of_the_finer_image_is_found_whole(self, scenario, axis):
+        # the partner alone is turned by 0.1 of the hub's pixels: its share of the noise is the same both ways
+        images = [ArrayImage(scenario.image(k)) for k in (1, 0)]
+        hub, partner = scenario.cameras[1], scenario.cameras[0]
+        plan = MatchingPlan((16, 100), 16)
+        grid = plan.coarser((4.0, 4.0)).grid(images[0].shape)
+        turn, component = 0.4 * 5e-6 * np.eye(3)[axis], 1 - axis
+        found = []
+        for sign in (1.0, -1.0):
+            cameras = [hub, turned(partner, sign * turn)]
+            star = match_star(images, cameras, Plane(), 0, (1,), grid, (), plan).star
+            found.append(star.residual_px[:, 0, component])
+        moved = 0.5 * (found[0] - found[1])
+        kept = np.isfinite(moved)
+        assert kept.mean() > 0.4  # the rest lies beyond the partner
+        # without the response 0.8 to 0.85 of it; its own step (0.05 px) and that of this test differ
+        share = -moved[kept] / (star.by_partner[kept, 0, component, axis] * turn[axis])
+        assert np.median(share) == pytest.approx(1.0, abs=0.07)

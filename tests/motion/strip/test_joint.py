@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -478,3 +480,37 @@ def test_ground_that_has_no_room_on_the_grid_is_laid_closer():
     placed = np.concatenate([order.of(t) for order, t in zip(orders, hubs, strict=True)])
     np.testing.assert_allclose([placed.min(), placed.max()], [grid.nodes[1], grid.nodes[-2]], atol=1e-12)
     assert orders[0].rate == pytest.approx(0.98 / 1.3)
+
+
+def test_what_is_seen_along_the_lines_may_average_over_longer() -> None:
+    # the parabola of the test above: lines see it over the longer time, columns over the shorter
+    star = replace(small_star(4, duration=0.03), stretch=0.02)
+    grid = TimeGrid(0.0, STEP, COUNT)
+    nodes = np.zeros((COUNT, 3))
+    nodes[:, 1] = grid.nodes**2
+    got = modelled(star, grid, nodes, np.zeros(2))
+    inside = star.t.max(axis=1) + 0.05 < grid.nodes[-1]
+    for c, d in enumerate((0.05, 0.03)):
+        points = 2 + np.ceil(d / STEP - 1e-9)
+        extra = d**2 / 12 * (1 - 1 / points**2)
+        want = star.by_hub[..., c, 1] * (star.t_hub**2 + extra)[:, None]
+        want = want + star.by_partner[..., c, 1] * (star.t**2 + extra)
+        np.testing.assert_allclose(got[inside, :, c], want[inside], atol=1e-6)
+
+
+@pytest.mark.parametrize("relief", [False, True])
+def test_the_information_of_stretched_rows_is_that_of_what_they_read(relief: bool) -> None:
+    # x' N x is the squared length, in units of the noise, of what the rows read for the motion x
+    star = replace(small_star(6, duration=0.03), stretch=0.02)
+    grid = TimeGrid(0.0, STEP, COUNT)
+    block = 5 if relief else 3
+    data = normal_equations([star], [star.residual_px], grid, orders=[GroundOrder()], relief=relief)
+    rng = np.random.default_rng(7)
+    nodes, statics = rng.standard_normal((COUNT, block)), rng.standard_normal(2)
+    read = modelled(star, grid, nodes, statics)
+    _, _, noise = dense_rows(star, relief)
+    seen = read[np.isfinite(star.residual_px)]
+    want = seen @ np.linalg.solve(noise, seen)
+    along, across = data.times(nodes.ravel())
+    found = nodes.ravel() @ along + 2.0 * statics @ across + statics @ data.corner @ statics
+    np.testing.assert_allclose(found, want, rtol=1e-6)

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motion.strips import PERIOD, strip_cameras
+from motion.strips import IFOV, PERIOD, strip_cameras
+from sightline.errors import InputError
+from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Plane
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Band
@@ -51,3 +53,25 @@ def test_rows_follow_a_short_lag(lag, step, window, grid_lines):
     # what was asked for stays
     asked = RecoverOptions(step=3)
     assert suited(asked, bands, Plane()) is asked
+
+
+@pytest.mark.parametrize(
+    ("ifov", "period", "what"),
+    [
+        (7.0, 1.0, r"pixel \(ifov\) of 'coarse' is 7 times that of 'fine'"),
+        (1.0, 6.5, "line period of 'coarse'"),
+    ],
+    ids=["pixels", "lines"],
+)
+def test_pixels_more_unlike_than_six_to_one_are_refused_by_name(ifov, period, what):
+    rng = np.random.default_rng(0)
+    fine, other = strip_cameras((30.0, 0.0), *SHAPE)
+    columns, lines = max(int(SHAPE[1] / ifov), 16), int(SHAPE[0] / period)
+    detector = LineDetector.from_ifov("coarse", columns, ifov * IFOV, period * PERIOD)
+    coarse = replace(other, detector=detector, lines=lines)
+    bands = [
+        Band("fine", ArrayImage(rng.standard_normal(SHAPE)), fine),
+        Band("coarse", ArrayImage(rng.standard_normal((lines, columns))), coarse),
+    ]
+    with pytest.raises(InputError, match=what):
+        prepared(bands, Plane(), RecoverOptions())

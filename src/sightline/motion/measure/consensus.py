@@ -249,10 +249,14 @@ def _common_shift(star: Star, post_px: Array) -> _Shift:
 
 
 def _relative_lags(star: Star) -> Array:
-    """(K,) lag of each pair over the longest; zero where a pair sees nothing."""
+    """(K,) lag of each pair over the longest; zero where a pair sees nothing.
+
+    Where partners have finer pixels than the hub it is times so many: residuals are in pixels of the partner.
+    """
     apart = star.t - star.t_hub[:, None]
     seen = np.isfinite(apart)
     lag = np.array([np.median(apart[s, k]) if s.any() else 0.0 for k, s in enumerate(seen.T)])
+    lag = lag * np.array(star.fineness or 1.0)
     return np.asarray(lag / max(float(np.abs(lag).max()), 1e-12))
 
 
@@ -276,8 +280,8 @@ def _by_height(star: Star, lag: Array) -> Array:
 
 
 def _reaches(star: Star) -> list[int]:
-    """REACHES in rows."""
-    step = _line_step(star)
+    """REACHES, in lines of the finest image, in rows."""
+    step = _line_step(star) * star.coarseness
     return [max(1, round(reach / step)) for reach in REACHES]
 
 

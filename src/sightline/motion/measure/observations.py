@@ -38,6 +38,10 @@ class Star:
         s; exposure of the partner.
     duration : float
         s; time a window spans along the hub's lines (0 for an area detector).
+    coarseness : float
+        Line period of the hub over that of the finest of all images; 1 where they are like.
+    fineness : tuple of float
+        Pixels of each partner to one of the hub where they are finer, else 1; empty: 1 of all.
     stretch : float
         s; by how much longer what is measured along the lines averages than what is measured across them.
     residual_px : (G, K, 2)
@@ -82,6 +86,8 @@ class Star:
     brightness: Array | None = None
     window: tuple[int, int] | None = None
     stretch: float = 0.0
+    coarseness: float = 1.0
+    fineness: tuple[float, ...] = ()
 
     @property
     def longest(self) -> float:

@@ -421,6 +421,8 @@ def match_star(
         t=np.stack([p.t for p in predicted], axis=1),
         duration=duration,
         stretch=stretch,
+        coarseness=ratio[0],
+        fineness=_fineness(cameras, hub, partners),
         residual_px=residual,
         covariance_px=covariance,
         by_hub=np.ascontiguousarray(values[..., 0:3]),
@@ -595,6 +597,12 @@ def pair_whitening(
         return estimate_whitening(image, laid, points, points, most_tiles=tiles, tile=tile)
     except EstimationError:
         return None
+
+
+def _fineness(cameras: Sequence[MovingCamera], hub: int, partners: Sequence[int]) -> tuple[float, ...]:
+    """Pixels of each partner, across, to one of the hub: 1 where they are like."""
+    across = [pixel_sizes(cameras)[hub, 1] / pixel_sizes(cameras)[image, 1] for image in partners]
+    return tuple(float(ratio) if ratio > UNLIKE else 1.0 for ratio in across)
 
 
 def _size_in(
