@@ -103,6 +103,7 @@ def fit_bands(
     *,
     search_px: tuple[int, int] = (8, 8),
     factor: int = 1,
+    window: tuple[int, int] = WINDOW,
 ) -> BandFit:
     """Match two images of one grid with each other, window by window, and drop false matches.
 
@@ -117,6 +118,8 @@ def fit_bands(
     factor : int
         Where a pixel of either band fills so many of the grid along each side, means over these are matched:
         between them there is no detail to compare.
+    window : (lines, columns)
+        px, of means where these are matched: half of it.
     """
     if factor > 1:
         found = fit_bands(
@@ -124,10 +127,11 @@ def fit_bands(
             ReducedImage(b, factor),
             images,
             search_px=(-(-search_px[0] // factor), -(-search_px[1] // factor)),
+            window=(window[0] // 2, window[1] // 2),
         )
         points, offset, sigma = found.points, factor * found.offset_px, factor * found.sigma_px
         return replace(found, points=whole_pixels(points, factor), offset_px=offset, sigma_px=sigma)
-    points = fit_points((min(a.shape[0], b.shape[0]), min(a.shape[1], b.shape[1])))
+    points = fit_points((min(a.shape[0], b.shape[0]), min(a.shape[1], b.shape[1])), window)
     empty = np.empty((0, 2))
     if not len(points):
         return BandFit(images, empty, empty, empty, 0)
@@ -135,7 +139,7 @@ def fit_bands(
         whitening = estimate_whitening(a, b, points, points)
     except EstimationError:
         whitening = None
-    found = match_images(a, b, points, points, window=WINDOW, search_px=search_px, whitening=whitening)
+    found = match_images(a, b, points, points, window=window, search_px=search_px, whitening=whitening)
     offset = found.b - found.a
     kept = found.kept
     if kept.any():
