@@ -122,15 +122,15 @@ def fit_bands(
         px, of means where these are matched: half of it.
     """
     if factor > 1:
-        found = fit_bands(
+        coarse = fit_bands(
             ReducedImage(a, factor),
             ReducedImage(b, factor),
             images,
             search_px=(-(-search_px[0] // factor), -(-search_px[1] // factor)),
             window=(window[0] // 2, window[1] // 2),
         )
-        points, offset, sigma = found.points, factor * found.offset_px, factor * found.sigma_px
-        return replace(found, points=whole_pixels(points, factor), offset_px=offset, sigma_px=sigma)
+        points, offset, sigma = coarse.points, factor * coarse.offset_px, factor * coarse.sigma_px
+        return replace(coarse, points=whole_pixels(points, factor), offset_px=offset, sigma_px=sigma)
     points = fit_points((min(a.shape[0], b.shape[0]), min(a.shape[1], b.shape[1])), window)
     empty = np.empty((0, 2))
     if not len(points):

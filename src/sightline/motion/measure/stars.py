@@ -10,7 +10,7 @@ Not here: what is done with the observations (``motion/strip/joint.py``).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -509,27 +509,13 @@ def laid_on(
         return b.reshape(len(lines), len(columns), 2)
 
     spacing = RELIEF_SPACING if isinstance(surface, Dem) else SMOOTH_SPACING
-    pair = cameras[hub], cameras[partner]
-    return on_grid(images[partner], mapping, images[hub].shape, pair, spacing, line_places(target, surface))
-
-
-def on_grid(
-    image: ImageSource,
-    mapping: Callable[[Array, Array], Array],
-    shape: tuple[int, int],
-    pair: Sequence[MovingCamera],
-    spacing: int = SMOOTH_SPACING,
-    places: Array | None = None,
-) -> ImageSource:
-    """A partner's image through `mapping` on a hub's grid of `shape`, averaged over pixels that are coarser.
-
-    `pair` are the cameras of the two; other arguments as of `WarpedImage`.
-    """
-    parts = parts_of_pixel(pair, 0, 1)
+    (lines, columns), parts = images[hub].shape, parts_of_pixel(cameras, hub, partner)
+    places = line_places(target, surface)
     if parts == (1, 1):
-        return WarpedImage(image, mapping, shape, spacing, places)
-    fine = shape[0] * parts[0], shape[1] * parts[1]
-    return ReducedImage(WarpedImage(image, mapping_of_parts(mapping, parts), fine, spacing, places), parts)
+        return WarpedImage(images[partner], mapping, (lines, columns), spacing, places)
+    fine = lines * parts[0], columns * parts[1]
+    inner = mapping_of_parts(mapping, parts)
+    return ReducedImage(WarpedImage(images[partner], inner, fine, spacing, places), parts)
 
 
 def line_places(camera: MovingCamera, surface: Surface) -> Array | None:
