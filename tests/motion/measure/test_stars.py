@@ -272,12 +272,13 @@ def test_without_texture_there_is_no_whitening(images, cameras):
     assert pair_whitening(images[0], laid, grid[:0]) is None
 
 
+@pytest.fixture(scope="module")
+def scenario():
+    return line_of_sight_case("pan-xs", 5, lines=480, columns=256, motion="none", snr=1000.0)
+
+
 class TestUnlikePixels:
     """A fine band, and coarse ones four times as wide and long."""
-
-    @pytest.fixture(scope="class")
-    def scenario(self):
-        return line_of_sight_case("pan-xs", 5, lines=480, columns=256, motion="none", snr=1000.0)
 
     def test_the_coarsest_images_are_the_hubs_and_the_finest_is_asked_once(self, scenario):
         cameras = scenario.nominal_cameras
@@ -323,7 +324,7 @@ class TestUnlikePixels:
             found.append(star.residual_px[:, 0, component])
         moved = 0.5 * (found[0] - found[1])
         kept = np.isfinite(moved)
-        assert kept.mean() > 0.4  # the rest lies beyond the partner
+        assert kept.mean() > 0.3  # of 480 lines 300, and what kernels read, lie beyond the partner
         # without the response 0.8 to 0.85 of it; its own step (0.05 px) and that of this test differ
         share = -moved[kept] / (star.by_partner[kept, 0, component, axis] * turn[axis])
         assert np.median(share) == pytest.approx(1.0, abs=0.07)

@@ -400,8 +400,9 @@ def _modelled(  # type: ignore[no-untyped-def]
             for c in range(2):
                 total, q = by_height[g, k, c] * height, c if parts == 2 else 0
                 for axis in range(3):
-                    total += by_hub[g, k, c, axis] * hub[q, axis]
-                    total += by_partner[g, k, c, axis] * partner[q, axis]
+                    total += (
+                        by_hub[g, k, c, axis] * hub[q, axis] + by_partner[g, k, c, axis] * partner[q, axis]
+                    )
                 for s in range(statics.shape[0]):
                     total += by_static[g, k, c, s] * statics[s]
                 out[g, k, c] = total
