@@ -48,7 +48,9 @@ NEAR_RATE = 4.0
 SEEN_THROUGH = 0.8
 #: Least time scale of the broadband part, as a share of that time: quicker jitter is averaged away, and what
 #: the rows hold of it is like the noise of the measurements.
-QUICKEST = 0.2
+QUICKEST = 0.3
+#: Windows overlap where they are longer than so many times what lies between two rows.
+OVERLAPPING = 1.2
 #: Longest time scale of a drift, in lengths of the data: longer ones look alike in them, but claim ever more
 #: where measurements leave the drift to the prior.
 LONGEST_DRIFT = 1.0
@@ -134,7 +136,9 @@ class Search:
     ) -> None:
         self._corner = corner
         self._highest = min(0.3 / equations.grid.step, SEEN_THROUGH / max(window, 1e-12))
-        self._window = window
+        # windows that overlap: rows follow each other faster than what they can show
+        overlap = window * max(rates, default=0.0) > OVERLAPPING
+        self._quickest = QUICKEST * window if overlap else 0.0
         self._rates = tuple(rates)
         self._equations = equations
         self._offset_sigma = offset_sigma
@@ -189,7 +193,7 @@ class Search:
             (math.log(1e-3), math.log(30.0 * drift)),
             (math.log(20.0 * step), math.log(LONGEST_DRIFT * length)),
             (math.log(1e-3), math.log(30.0 * drift)),
-            (math.log(QUICKEST * max(step, self._window)), math.log(0.2 * length)),
+            (math.log(max(0.2 * step, self._quickest)), math.log(0.2 * length)),
         ]
         for tone, gain in zip(model.tones, model.gains, strict=True):
             farthest = 0.0 if gain == math.inf else min(1.0, 0.2 * tone.frequency * length)
