@@ -1,0 +1,66 @@
+"""Real Sentinel-2 bands in sensor geometry: blue, green and red give the motion; B08 is placed by it.
+
+Run: python examples/sentinel2_bands.py [OUT]. The crops have no metadata: height, speed, pixel and lags are
+the handbook's; the staggered detectors of scenes 03 to 07 look in the other order. Without truth, what counts
+is how well bands fit that are laid on one another (along / across px), and B08, of which only offset, turn
+and scale are fitted (px across, means over 44 lines).
+"""
+
+import math
+import os
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+import sightline
+from sightline.applications.registration import fit_every_pair
+from sightline.motion.measure.predict import predict_match
+from sightline.motion.measure.windows import window_grid
+from sightline.motion.statics import recovered_cameras
+
+DATA = Path(os.path.expandvars("$SIGHTLINE_DATA")) / "s2_l1b_bands"
+LAGS = {"B02": 0.0, "B03": 0.527, "B04": 1.005, "B08": 0.264}  # s
+HEAD = '[platform]\nkind = "level-flight"\naltitude = 786e3\nground_speed = 6667.0\n[surface]\nheight = 0.0\n'
+BAND = """[[band]]\nname = "{name}"\nimage = "{image}"\nimage_band = {number}\nfirst_line_time = {time}
+look_ahead = {ahead}\nline_period = 1.5e-3\nifov = 1.2723e-5\ncolumns = 352
+offset_sigma_px = 3.0\nrotation_sigma = 3e-3\n"""
+
+
+def infrared(acquired, motion, statics) -> tuple[float, float]:
+    """How far B08 lies from B03, and the noise of that."""
+    cameras = recovered_cameras(acquired.bands, motion, statics)
+    points = window_grid((352, 352), (12, 64), 12).centres
+    there = predict_match(cameras[1], cameras[3], acquired.surface, points)
+    points, there = (p[np.isfinite(there[:, 0])] for p in (points, there))
+    images = acquired.images[1], acquired.images[3]
+    match = sightline.match_images(*images, points, there, window=(12, 64), search_px=(6, 6))
+    left, (line, column) = (match.b - there)[match.kept, 1], points[match.kept].T
+    shape, good = np.column_stack([np.ones_like(line), line, column]), np.ones(len(left), dtype=bool)
+    for _ in range(5):  # windows that show something else than ground are left out
+        left = left - shape @ np.linalg.lstsq(shape[good], left[good], rcond=None)[0]
+        good = np.abs(left) < 3.0 * 1.4826 * np.median(np.abs(left[good]))
+    rows = [left[good & (line // 44 == k)] for k in range(8)]
+    means = np.array([(r.mean(), r.std() / math.sqrt(len(r))) for r in rows if len(r) > 4])
+    return tuple(np.sqrt((means**2).mean(axis=0)))
+
+
+if __name__ == "__main__":
+    out = Path(sys.argv[1] if len(sys.argv) > 1 else tempfile.mkdtemp(prefix="sentinel2-"))
+    if not (crops := sorted(DATA.glob("*.tif"))):
+        sys.exit(f"no crops in {DATA}; set SIGHTLINE_DATA to the folder of real data")
+    for image in crops:
+        toml = HEAD
+        for k, (name, lag) in enumerate(LAGS.items()):
+            time = -lag if image.stem in ("03", "04", "05", "06", "07") else lag
+            ahead = -math.atan(time * 6667.0 / 786e3)
+            toml += BAND.format(name=name, image=image, number=k + 1, time=time, ahead=ahead)
+        (out / f"{image.stem}.toml").write_text(toml)
+        acquired = sightline.load_acquisition(out / f"{image.stem}.toml")
+        found = sightline.recover_line_of_sight(acquired.bands[:3], acquired.surface)
+        statics = {estimate.name: estimate.value for estimate in found.statics}
+        laid = sightline.register_bands(acquired.bands[:3], acquired.surface, found.motion, statics)
+        apart = [fit_every_pair(images)[1].rms_px for images in (laid.before, laid.after)]
+        print("{}: B02 to B04 {:.3f} / {:.3f} px, laid {:.3f} / {:.3f}; B08 {:.3f}, its noise {:.3f}".format(
+            image.stem, *apart[0], *apart[1], *infrared(acquired, found.motion, statics)))  # fmt: skip
