@@ -151,7 +151,7 @@ def test_a_fit_gives_the_law_back_with_its_covariance():
     scatter = np.cov(np.array([f.coefficients for f in found]).T)
     # a variance of 400 draws is known to sqrt(2 / 400) = 7 %
     assert np.diag(scatter) == pytest.approx(np.diag(found[0].covariance), rel=0.25)
-    with pytest.raises(EstimationError, match="apart"):
+    with pytest.raises(EstimationError, match="do not separate"):
         fit_law(rows[:1], [1.0], [[1.0]])
 
 
