@@ -77,31 +77,44 @@ def alternative(hub: Band, partner: Band, surface: Surface, search_px: tuple[int
     size = (min(WINDOW[0], hub.image.shape[0]), min(WINDOW[1], hub.image.shape[1]))
     points = window_grid(hub.image.shape, size, size[0]).centres
     there = predict_match(hub.camera, partner.camera, surface, points)
-    seen = np.flatnonzero(np.isfinite(there[:, 0]))
-    if not len(seen):
+    seen = np.isfinite(there[:, 0])
+    if not seen.any():
         return ""
-    seen = seen[np.linspace(0, len(seen) - 1, min(len(seen), MOST)).astype(int)]
-    points, there = points[seen], there[seen]
     # px of the partner per px of the hub, as the cameras have them
-    step = [float(np.polyfit(points[:, axis], there[:, axis], 1)[0]) for axis in (0, 1)]
+    step = np.array([_step(hub, partner, surface, points[seen], there[seen], axis) for axis in (0, 1)])
+    some = np.linspace(0, len(points) - 1, min(len(points), MOST)).astype(int)
+    points, there = points[some], there[some]
     best, words = 0.5, ""
-    for image, predicted, stretch, said in _tried(hub, partner, points, there, search_px):
-        affine = np.broadcast_to(np.diag([step[0], step[1] * stretch]), (len(points), 2, 2)).copy()
-        share = _kept(hub.image, image, points, predicted, size, search_px, affine)
+    for image, predicted, stretch, said in _tried(hub, partner, points, there, step, search_px):
+        has = np.isfinite(predicted).all(axis=1)
+        affine = np.broadcast_to(np.diag(step * [1.0, stretch]), (int(has.sum()), 2, 2)).copy()
+        share = _kept(hub.image, image, points[has], predicted[has], size, search_px, affine)
         if share > best:
             best, words = share, said
     return words
 
 
+def _step(hub: Band, partner: Band, surface: Surface, points: Array, there: Array, axis: int) -> float:
+    """px of the partner per px of the hub along lines (axis 0) or columns (axis 1)."""
+    moved = points.copy()
+    moved[:, axis] += 1.0
+    steps = predict_match(hub.camera, partner.camera, surface, moved)[:, axis] - there[:, axis]
+    return float(np.nanmedian(steps)) if np.isfinite(steps).any() else 1.0
+
+
 def _tried(
-    hub: Band, partner: Band, points: Array, there: Array, search_px: tuple[int, int]
+    hub: Band, partner: Band, points: Array, there: Array, step: Array, search_px: tuple[int, int]
 ) -> Iterator[tuple[ImageSource, Array, float, str]]:
     """Image of the partner, where windows are sought in it, how much wider they are, and what that means."""
-    shift = np.median(there - points, axis=0)
+    # where the partner would show the same without a lag: lines begin together, columns share their middle
+    at_once = step * points
+    at_once[:, 1] += (partner.camera.columns - 1) / 2.0 - step[1] * (hub.camera.columns - 1) / 2.0
+    shift = np.nanmedian(there - at_once, axis=0)
     if abs(shift[0]) >= 2 * search_px[0]:  # else both signs are searched at once
+        # also what the cameras have outside the partner
         yield (
             partner.image,
-            points - shift,
+            at_once - shift,
             1.0,
             f"it matches {hub.name} as far on the other side: change the sign of its `look_ahead` (forward "
             "is positive) or of its lag",
