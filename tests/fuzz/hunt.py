@@ -452,6 +452,8 @@ def _names_a_file(message: str, case: Case) -> bool:
     given = {part for word in case.words for part in word.lstrip("-").split("=") if len(part) > 2}
     given |= {repr(part)[1:-1] for part in given}  # as it is quoted
     values = {word.partition("=")[2] or word for word in case.words}
+    if any(value[:100] in message for value in values if len(value) > 100):
+        return True  # its begin: what is very long is shortened
     if any(re.search(rf"(?<![\w.-]){re.escape(value)}(?![\w.])", message) for value in values if value):
         return True  # by itself, however short
     said = (message, message.replace("_", "-"))  # of Python's names too
