@@ -330,6 +330,12 @@ CASES: dict[str, tuple[str, Spoil, int, str]] = {
         2,
         r"summary\.json",
     ),
+    "a sigma of a static parameter that is a word": (
+        "io.tdi.motion.read_motion_knowledge",
+        entry("result/summary.json", "statics", 0, "sigma", value="px"),
+        2,
+        r"summary\.json",
+    ),
     "bands of a registration that lie elsewhere": (
         "open_result (results/bands)",
         entry("bands/summary.json", "files", value=["/etc/passwd", "XS.tif"]),

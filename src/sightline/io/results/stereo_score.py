@@ -22,12 +22,23 @@ from sightline.io.stereo.tables import listed
 Array = NDArray[np.float64]
 
 
+#: rad; beyond, what stands in a table is no angle, nor a sigma of one.
+LARGEST = 1e6
+
+
 def read_orientation(path: Path) -> tuple[tuple[str, ...], Array, Array]:
     """``orientation.csv``: cameras, angles (C, 3) rad and sigmas (C, 3) rad; nan and inf: not observable."""
     table = read_columns(path, ORIENTATION, text=ORIENTATION)
     cameras = tuple(str(name) for name in table["camera"])
     _refuse_twice(path, cameras)
-    return cameras, _numbers(path, table, AXES), _numbers(path, table, ORIENTATION[4:])
+    angles, sigma = _numbers(path, table, AXES), _numbers(path, table, ORIENTATION[4:])
+    for values in (angles, sigma[np.isfinite(sigma)]):
+        if (np.abs(values) > LARGEST).any():
+            raise FormatError(
+                f"{path}: holds {values[np.abs(values) > LARGEST][0]:g} rad; angles and sigmas up to "
+                f"{LARGEST:g} rad, nan and inf are expected; run `sightline orient` again"
+            )
+    return cameras, angles, sigma
 
 
 def _numbers(path: Path, table: dict[str, Any], names: tuple[str, ...]) -> Array:

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError
+from sightline.errors import FormatError, foreign_errors
 from sightline.geometry.trajectory import Motion
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.tables import ANGLES, read_columns, read_motion
@@ -63,7 +63,10 @@ def read_motion_knowledge(folder: Path, acquisition: Acquisition) -> RecoveredSt
     found = read_recovered(folder, acquisition)
     frequency, error, jitter = _error(folder)
     hidden, covariance, warnings = _hidden(folder, found.summary, found.motion)
-    sigmas = {str(s["name"]): float(s.get("sigma") or 0.0) for s in found.summary.get("statics", ())}
+    with foreign_errors(
+        folder / "summary.json", "`statics` are not those of a strip", "run `sightline recover` again"
+    ):
+        sigmas = {str(s["name"]): float(s.get("sigma") or 0.0) for s in found.summary.get("statics", ())}
     knowledge = MotionKnowledge(found.motion, frequency, error, hidden, covariance, jitter, warnings)
     return RecoveredStrip(knowledge, found.statics, sigmas)
 

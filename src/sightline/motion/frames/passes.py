@@ -100,7 +100,9 @@ class FrameOptions:
         wanted = self.windows
         if height_sigma > 0.0:
             wanted = min(wanted, max(MAX_HEIGHTS // frames, 24))
-        return max(8, round(math.sqrt((shape[0] - window[0]) * (shape[1] - window[1]) / wanted)))
+        # a frame without room for a window is refused where it is matched
+        room = max(shape[0] - window[0], 1) * max(shape[1] - window[1], 1)
+        return max(8, round(math.sqrt(room / wanted)))
 
     @classmethod
     def from_matching(cls, matching: Mapping[str, Any]) -> FrameOptions:
