@@ -11,6 +11,7 @@ import tempfile
 import threading
 import time
 from collections import Counter
+from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -372,6 +373,8 @@ _FOREIGN = re.compile(
     r"encountered in |divide by zero|overflow encountered|invalid value|RuntimeWarning|DeprecationWarning|"
     r"FutureWarning|NotGeoreferencedWarning|ComplexWarning|RankWarning|<class |Traceback|object at 0x"
 )
+#: Of a scene that is being drawn: it may be as large as is asked.
+_DRAWN = re.compile(r'File "[^"]*/sightline/simulate/')
 _NAN = re.compile(r"(?<![\w.-])-?(?:nan|inf)(?![\w.-])")
 
 
@@ -382,7 +385,8 @@ def faults_of(
     faults: dict[str, str] = {}
     where = answer.get("where", "")
     if "hung" in answer:
-        faults["hung" + _place_in(where)] = where[-1500:]
+        if not _DRAWN.search(_main_thread(where)):
+            faults["hung" + _place_in(where)] = where[-1500:]
         return faults
     if "died" in answer:
         faults[f"died {answer['died']}{_place_in(where)}"] = where[-1500:]
@@ -390,7 +394,7 @@ def faults_of(
     said = answer["said"] if row.words else answer["error"]
     if answer["status"] not in (0, 1, 2):
         faults[f"status {answer['status']}: {answer['kind']} at {where}"] = said[-1500:]
-    drawn = answer["status"] == 0 and "progress: rendering" in said  # a scene may be as large as is asked
+    drawn = answer["status"] == 0 and "progress: rendering" in said
     if answer["seconds"] > MOST_SECONDS and not drawn:
         faults["slow"] = f"{answer['seconds']:.1f} s"
     if answer["memory"] > MOST_MEMORY or "memory ran out" in said or answer["kind"] == "MemoryError":
@@ -406,9 +410,14 @@ def faults_of(
     return faults
 
 
+def _main_thread(log: str) -> str:
+    """What faulthandler wrote of the main thread: it stands last."""
+    return re.split(r"(?m)^(?:Current t|T)hread ", log)[-1]
+
+
 def _place_in(log: str) -> str:
     """The innermost line of the package in what faulthandler wrote."""
-    found = re.search(r'File "[^"]*/sightline/([^"]+)", line (\d+)', log)
+    found = re.search(r'File "[^"]*/sightline/([^"]+)", line (\d+)', _main_thread(log))
     return f" at {found[1]}:{found[2]}" if found else ""
 
 
@@ -434,7 +443,7 @@ def _faults_of_words(row: Reader, answer: dict[str, Any], case: Case) -> dict[st
     found = _FOREIGN.search(all_said)
     if found:
         faults[f"foreign words: {found[0].strip()}"] = all_said[-1500:]
-    if answer["status"] and not _names_a_file(message, case):
+    if answer["status"] and not _names_a_file(message, case, row.words):
         faults["no file named"] = message[-800:]
     if len(message) > 2500:
         faults["long-winded"] = f"{len(message)} characters: {message[:300]} ..."
@@ -445,16 +454,16 @@ def _faults_of_words(row: Reader, answer: dict[str, Any], case: Case) -> dict[st
     return faults
 
 
-def _names_a_file(message: str, case: Case) -> bool:
+def _names_a_file(message: str, case: Case, asked: Sequence[str] = ()) -> bool:
     """Whether a message names a file of the case, a path that stands in one, or an option."""
+    words = [*(word for word in asked if word.startswith("--") and word != "--out"), *case.words]
     names = {part for name in case.files for part in (name.rsplit("/", 1)[-1], name.split("/")[0])}
-    # an option by its name, or by what was given for it, unless that may stand in any message
-    given = {part for word in case.words for part in word.lstrip("-").split("=") if len(part) > 2}
+    # an option by its name, or by what was given for it, unless that may stand in any message; of what is
+    # very long the begin
+    given = {part[:100] for word in words for part in word.lstrip("-").split("=") if len(part) > 2}
     given |= {repr(part)[1:-1] for part in given}  # as it is quoted
     values = {word.partition("=")[2] or word for word in case.words}
-    if any(value[:100] in message for value in values if len(value) > 100):
-        return True  # its begin: what is very long is shortened
     if any(re.search(rf"(?<![\w.-]){re.escape(value)}(?![\w.])", message) for value in values if value):
         return True  # by itself, however short
     said = (message, message.replace("_", "-"))  # of Python's names too
-    return any(name in words for name in names | given for words in said) or "/case" in message
+    return any(name in text for name in names | given for text in said) or "/case" in message

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from sightline.geometry.interpolation import interpolate
-from sightline.imaging.reduce import ReducedImage
+from sightline.imaging.reduce import averaged
 from sightline.imaging.source import ArrayImage
-from sightline.imaging.warp import WarpedImage, mapping_of_parts
+from sightline.imaging.warp import WarpedImage
 
 SHAPE = (90, 400)
 # cycles per px, all within the 0.36 that the kernel promises to carry
@@ -204,9 +206,9 @@ def test_parts_of_a_coarse_pixel_average_the_image_as_the_pixel_does(ratio):
 
     fine = ArrayImage(shown(*np.mgrid[0.0:120.0, 0.0:300.0]))
     shape = (int(100 / ratio), int(270 / ratio))
-    mapping = mapping_of_parts(linear(ratio * np.eye(2), np.array([10.0, 12.0])), parts)
-    grid = shape[0] * parts[0], shape[1] * parts[1]
-    got = ReducedImage(WarpedImage(fine, mapping, grid), parts).read((2, shape[0] - 2), (2, shape[1] - 2))
+    mapping = linear(ratio * np.eye(2), np.array([10.0, 12.0]))
+    coarse = averaged(partial(WarpedImage, fine), mapping, shape, parts)
+    got = coarse.read((2, shape[0] - 2), (2, shape[1] - 2))
     at = np.stack(np.mgrid[2.0 : shape[0] - 2, 2.0 : shape[1] - 2], axis=-1) * ratio + [10.0, 12.0]
     want = shown(at[..., 0], at[..., 1], lambda f: np.sinc(ratio * f))
     # 1 / sinc(0.3 / parts) - 1 is at most 0.04 for two parts, along each axis; half a wave each on average

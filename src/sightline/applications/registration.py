@@ -18,16 +18,14 @@ from sightline.execution import Step, no_step, stepped
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
 from sightline.geometry.trajectory import Motion
-from sightline.imaging.reduce import ReducedImage
+from sightline.imaging.reduce import averaged
 from sightline.imaging.source import ImageSource
-from sightline.imaging.warp import mapping_of_parts
 from sightline.motion.band import Band
 from sightline.motion.measure.stars import parts_of_pixel
 from sightline.motion.measure.windows import field_positions
 from sightline.motion.statics import recovered_cameras
 from sightline.motion.strip.relief import RowRelief
 from sightline.products.band_fit import BandFit, fit_bands
-from sightline.products.image_map import Mapping as PlaceMap
 from sightline.products.register_bands import RaisedGround, RegisteredImage, band_map
 from sightline.result import Result, makes_result
 
@@ -104,8 +102,8 @@ def register_bands(
         return tuple(
             band.image
             if k == reference
-            else _laid(
-                band.image,
+            else averaged(
+                partial(RegisteredImage, band.image),
                 band_map(cameras[reference], cameras[k], surface, raised),
                 bands[reference].image.shape,
                 parts_of_pixel(nominal, reference, k),
@@ -116,14 +114,6 @@ def register_bands(
     raised = None if relief is None else partial(heights_of_rows, relief, refined[relief.image])
     coarse = tuple(max(parts_of_pixel(nominal, k, reference)) for k in range(len(bands)))
     return Registration(reference, laid(nominal), laid(refined, raised), coarse)
-
-
-def _laid(image: ImageSource, place: PlaceMap, shape: tuple[int, int], parts: tuple[int, int]) -> ImageSource:
-    """An image on a grid of `shape`; where that is coarser, means over `parts` of its pixels."""
-    if parts == (1, 1):
-        return RegisteredImage(image, place, shape)
-    fine = shape[0] * parts[0], shape[1] * parts[1]
-    return ReducedImage(RegisteredImage(image, mapping_of_parts(place, parts), fine), parts)
 
 
 def heights_of_rows(relief: RowRelief, camera: PushbroomCamera, places: Array) -> Array:

@@ -5,6 +5,7 @@ Not here: matching at several scales (``photogrammetry/match_frames.py``).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,9 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.imaging.source import ArrayImage, ImageSource, read_padded
+
+#: From lines (L,) and columns (C,) of a grid to places in an image, (L, C, 2).
+Mapping = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,3 +119,36 @@ def pattern_means(source: ImageSource, period: int) -> ArrayImage:
     if unusable is None:
         return ArrayImage(means)
     return ArrayImage(means, np.asarray(_in_blocks(unusable, (period, period)).any(axis=(1, 3))))
+
+
+def averaged(
+    laid: Callable[[Mapping, tuple[int, int]], ImageSource],
+    mapping: Mapping,
+    shape: tuple[int, int],
+    parts: tuple[int, int],
+) -> ImageSource:
+    """An image laid on a grid of coarser pixels: means over `parts` (lines, columns) of each of them.
+
+    Parameters
+    ----------
+    laid : callable
+        Lays the image by a mapping on a grid of a shape.
+    mapping : callable
+        From the grid to the image.
+    shape : (lines, columns)
+        Of the grid.
+    parts : (int, int)
+        (1, 1) for pixels that are alike.
+
+    Notes
+    -----
+    What lies between lines of the grid is mapped as exposed then: the mean is over pixel and exposure.
+    """
+    if parts == (1, 1):
+        return laid(mapping, shape)
+    m, n = parts
+
+    def of_parts(lines: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
+        return mapping((lines - 0.5 * (m - 1)) / m, (columns - 0.5 * (n - 1)) / n)
+
+    return ReducedImage(laid(of_parts, (shape[0] * m, shape[1] * n)), parts)

@@ -201,23 +201,6 @@ def lattice_map(exact: Callable[[Array], Array]) -> Callable[[Array, Array], Arr
     return mapping
 
 
-def mapping_of_parts(
-    mapping: Callable[[Array, Array], Array], parts: tuple[int, int]
-) -> Callable[[Array, Array], Array]:
-    """The same mapping for a grid of which so many lines and columns make one: parts of its pixels.
-
-    What lies between its lines is mapped as exposed then: the mean over parts is over pixel and exposure.
-    """
-    if parts == (1, 1):
-        return mapping
-    m, n = parts
-
-    def of_parts(lines: Array, columns: Array) -> Array:
-        return mapping((lines - 0.5 * (m - 1)) / m, (columns - 0.5 * (n - 1)) / n)
-
-    return of_parts
-
-
 def _lattice(places: Array) -> Array:
     """Places `_LATTICE` px apart that enclose all of `places`."""
     first, last = float(places.min()) - _LATTICE, float(places.max()) + _LATTICE

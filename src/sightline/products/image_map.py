@@ -9,14 +9,14 @@ Not here: resampling along the map (``register_bands.py``).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.imaging.reduce import Mapping
+
 Array = NDArray[np.float64]
-Mapping = Callable[[Array, Array], Array]
 
 #: px; deviation from the map, halfway between the places where it was evaluated, up to which they serve: a
 #: fifth of what motion is known to at its best. Ground of 1/f^2 power changes by 3e-4 of its rms over it.

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from sightline.execution import available_processors, in_threads
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Surface
+from sightline.imaging.reduce import Mapping
 from sightline.imaging.source import ImageSource
-from sightline.products.image_map import Mapping, sample_map
+from sightline.products.image_map import sample_map
 from sightline.products.resample import BEFORE, TAPS, product_kernel, resample_rows
 
 Array = NDArray[np.float64]

@@ -21,9 +21,9 @@ from sightline.execution import Step, in_threads, no_step
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Dem, Surface
 from sightline.geometry.trajectory import Motion
-from sightline.imaging.reduce import ReducedImage
+from sightline.imaging.reduce import Mapping, averaged
 from sightline.imaging.source import ImageSource
-from sightline.imaging.warp import WarpedImage, mapping_of_parts
+from sightline.imaging.warp import WarpedImage
 from sightline.matching.match_images import match_images
 from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, Matches
 from sightline.matching.select import Selection, chosen_windows
@@ -509,13 +509,12 @@ def laid_on(
         return b.reshape(len(lines), len(columns), 2)
 
     spacing = RELIEF_SPACING if isinstance(surface, Dem) else SMOOTH_SPACING
-    (lines, columns), parts = images[hub].shape, parts_of_pixel(cameras, hub, partner)
     places = line_places(target, surface)
-    if parts == (1, 1):
-        return WarpedImage(images[partner], mapping, (lines, columns), spacing, places)
-    fine = lines * parts[0], columns * parts[1]
-    inner = mapping_of_parts(mapping, parts)
-    return ReducedImage(WarpedImage(images[partner], inner, fine, spacing, places), parts)
+
+    def laid(mapping: Mapping, shape: tuple[int, int]) -> WarpedImage:
+        return WarpedImage(images[partner], mapping, shape, spacing, places)
+
+    return averaged(laid, mapping, images[hub].shape, parts_of_pixel(cameras, hub, partner))
 
 
 def line_places(camera: MovingCamera, surface: Surface) -> Array | None:
@@ -601,8 +600,9 @@ def pair_whitening(
 
 def _fineness(cameras: Sequence[MovingCamera], hub: int, partners: Sequence[int]) -> tuple[float, ...]:
     """Pixels of each partner, across, to one of the hub: 1 where they are like."""
-    across = [pixel_sizes(cameras)[hub, 1] / pixel_sizes(cameras)[image, 1] for image in partners]
-    return tuple(float(ratio) if ratio > UNLIKE else 1.0 for ratio in across)
+    across = pixel_sizes(cameras)[:, 1]
+    ratios = (across[hub] / across[image] for image in partners)
+    return tuple(float(ratio) if ratio > UNLIKE else 1.0 for ratio in ratios)
 
 
 def _size_in(

@@ -213,6 +213,16 @@ def exposure_times(camera: Camera, pixels: Array) -> Array:
     raise EstimationError(f"exposure times are not known for a camera of type {type(camera).__name__}")
 
 
+def near_instants(instants: Array, t: Array, reach: float) -> NDArray[np.bool_]:
+    """Whether any of `instants` (s; NaN is none) lies within `reach` (s) of each of `t` (N,)."""
+    known = np.sort(instants[np.isfinite(instants)])
+    if not len(known):
+        return np.zeros(len(t), dtype=bool)
+    at = np.clip(np.searchsorted(known, t), 1, max(len(known) - 1, 1))
+    gap = np.minimum(np.abs(t - known[at - 1]), np.abs(t - known[np.minimum(at, len(known) - 1)]))
+    return np.asarray(gap <= reach)
+
+
 def field_positions(columns: Array, width: int) -> Array:
     """Columns as positions across the field, -1 .. 1 from edge to edge."""
     half = max((width - 1) / 2.0, 1.0)

@@ -19,6 +19,7 @@ from sightline.matching.match_images import match_images
 from sightline.matching.matches import OUTSIDE
 from sightline.motion.band import Band
 from sightline.motion.measure.predict import predict_match
+from sightline.motion.measure.stars import pixel_sizes
 from sightline.motion.measure.windows import window_grid
 
 Array = NDArray[np.float64]
@@ -77,11 +78,11 @@ def alternative(hub: Band, partner: Band, surface: Surface, search_px: tuple[int
     size = (min(WINDOW[0], hub.image.shape[0]), min(WINDOW[1], hub.image.shape[1]))
     points = window_grid(hub.image.shape, size, size[0]).centres
     there = predict_match(hub.camera, partner.camera, surface, points)
-    seen = np.isfinite(there[:, 0])
-    if not seen.any():
+    if not np.isfinite(there).any():
         return ""
     # px of the partner per px of the hub, as the cameras have them
-    step = np.array([_step(hub, partner, surface, points[seen], there[seen], axis) for axis in (0, 1)])
+    of_hub, of_partner = pixel_sizes([hub.camera, partner.camera])
+    step = of_hub / of_partner
     some = np.linspace(0, len(points) - 1, min(len(points), MOST)).astype(int)
     points, there = points[some], there[some]
     best, words = 0.5, ""
@@ -92,14 +93,6 @@ def alternative(hub: Band, partner: Band, surface: Surface, search_px: tuple[int
         if share > best:
             best, words = share, said
     return words
-
-
-def _step(hub: Band, partner: Band, surface: Surface, points: Array, there: Array, axis: int) -> float:
-    """px of the partner per px of the hub along lines (axis 0) or columns (axis 1)."""
-    moved = points.copy()
-    moved[:, axis] += 1.0
-    steps = predict_match(hub.camera, partner.camera, surface, moved)[:, axis] - there[:, axis]
-    return float(np.nanmedian(steps)) if np.isfinite(steps).any() else 1.0
 
 
 def _tried(

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, STATUS_NAMES
 from sightline.motion.measure.stars import StarRecord
+from sightline.motion.measure.windows import near_instants
 from sightline.motion.strip.alternatives import alternative
 from sightline.motion.strip.estimate import StripState
 from sightline.motion.strip.fusion import uses
@@ -38,13 +39,8 @@ def observed_lines(strip: Strip, state: StripState, t: Array) -> NDArray[np.bool
     for record in state.records:
         star, present = record.star, record.star.present
         marks += [star.t_hub[present.any(axis=1)], star.t[present]]
-    instants = np.sort(np.concatenate(marks))
-    if len(instants) == 0:
-        return np.zeros(len(t), dtype=bool)
-    at = np.clip(np.searchsorted(instants, t), 1, max(len(instants) - 1, 1))
-    near = np.minimum(np.abs(t - instants[at - 1]), np.abs(t - instants[np.minimum(at, len(instants) - 1)]))
     reach = 0.5 * (max(r.star.longest for r in state.records) + strip.grid.step)
-    return np.asarray(near <= reach)
+    return near_instants(np.concatenate(marks), t, reach)
 
 
 def _spanned_field(strip: Strip, records: Sequence[StarRecord]) -> float:

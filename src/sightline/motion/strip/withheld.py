@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from statistics import NormalDist
 
 import numpy as np
@@ -24,9 +25,9 @@ from sightline.motion.measure.common_view import Views, common_views, usable
 from sightline.motion.measure.match_noise import plain_variance, robust_weights
 from sightline.motion.measure.observations import Star
 from sightline.motion.measure.stars import StarRecord, laid_on, match_star, pair_whitening
-from sightline.motion.measure.windows import WindowGrid
+from sightline.motion.measure.windows import WindowGrid, near_instants
 from sightline.motion.strip.estimate import StripState
-from sightline.motion.strip.normal_equations import modelled, window_rows
+from sightline.motion.strip.normal_equations import GroundOrder, modelled, window_rows
 from sightline.motion.strip.relief import hub_delay
 from sightline.motion.strip.strip import DRAFT_TILES, RecoverOptions, Strip
 
@@ -154,7 +155,8 @@ def unused_pairs(strip: Strip, records: Sequence[StarRecord]) -> list[tuple[int,
         seen = record.star.present.astype(int)
         through[np.ix_(record.star.images, record.star.images)] += seen.T @ seen
     pairs = [(a, a + apart) for apart in range(1, count) for a in range(count - apart)]
-    return [pair for pair in pairs if through[pair] >= LEAST_WINDOWS and _view(strip, *pair)][:SAMPLE_PAIRS]
+    checkable = (pair for pair in pairs if through[pair] >= LEAST_WINDOWS and _view(strip, *pair))
+    return list(islice(checkable, SAMPLE_PAIRS))
 
 
 def judged(strip: Strip, state: StripState, options: RecoverOptions) -> tuple[WithheldAxis, ...]:
@@ -228,7 +230,6 @@ def compared(
     if record is None:
         return None
     star, estimate = record.star, state.estimate
-    delay = hub_delay(strip.nominal, strip.surface, hub, state.records[0].star.hub)
     # cameras carry motion and statics: what the rows know beyond these is the relief found
     error = star.residual_px - _by_relief(strip, state, star)
     star = star.with_weight(robust_weights(star, error))
@@ -236,7 +237,7 @@ def compared(
     if seen.sum() < LEAST_WINDOWS:
         return None
     block = 3 if estimate.relief is None else 5
-    rows, statics = window_rows(star, strip.grid, block, state.ground.later(delay), np.flatnonzero(seen))
+    rows, statics = window_rows(star, strip.grid, block, _ground(strip, state, hub), np.flatnonzero(seen))
     variance = np.full((len(seen), 2), np.nan)
     variance[seen] = estimate.row_variance(rows, statics).reshape(-1, 2)
     own = star.covariance_px[:, 0][:, [0, 1], [0, 1]] / np.where(seen, star.weight[:, 0], np.nan)[:, None]
@@ -256,14 +257,15 @@ def _shared(strip: Strip, state: StripState, star: Star) -> Array:
     match does, but for what the pair alone gets wrong, which is looked for. Where it used either band against
     others, half of the errors of those matches are shared, with either's share of the prediction: 1/4 each.
     """
-    records, step = state.records, strip.grid.step
-    together = _used_together(records, star, step)
+    records, reach = state.records, 0.5 * star.duration + 2.0 * strip.grid.step
+    pair = (star.hub, star.images[0])
+    together = near_instants(_used_exposures(records, pair), star.t_hub, reach)
     apart = np.zeros(len(star.t_hub))
-    for image, t in ((star.hub, star.t_hub), (star.images[0], star.t[:, 0])):
+    for image, t in zip(pair, (star.t_hub, star.t[:, 0]), strict=True):
         seen = [_exposures(r.star)[image] for r in records if image in (r.star.hub, *r.star.images)]
         if seen:
-            apart += _near(np.concatenate(seen), t, 0.5 * star.duration + 2.0 * step)
-    alike = _alike(strip, state, (star.hub, star.images[0])) if together.any() else np.ones(2)
+            apart += near_instants(np.concatenate(seen), t, reach)
+    alike = _alike(strip, state, pair) if together.any() else np.ones(2)
     return np.where(together[:, None], alike, 0.25 * apart[:, None])
 
 
@@ -310,36 +312,26 @@ def _by_relief(strip: Strip, state: StripState, star: Star) -> Array:
     if state.estimate.relief is None:
         return np.zeros(star.residual_px.shape)
     nodes[:, :3] = 0.0
-    delay = hub_delay(strip.nominal, strip.surface, star.hub, state.records[0].star.hub)
-    order = state.ground.later(delay)
+    order = _ground(strip, state, star.hub)
     return modelled(star, strip.grid, nodes, np.zeros(len(state.estimate.statics)), order)
 
 
-def _used_directly(
-    strip: Strip, records: Sequence[StarRecord], pair: tuple[int, int], lines: Array, height: int
-) -> NDArray[np.bool_]:
-    """Whether the estimate used matches of the pair itself near these lines (N,) of its first band."""
-    camera = strip.nominal[pair[0]]
-    used = []
-    for record in records:
-        if record.star.hub in pair and set(pair) <= {record.star.hub, *record.star.images}:
-            times = _exposures(record.star)
-            used.append(np.where(np.isfinite(times[pair[1]]), times[pair[0]], np.nan))
-    if not used:
-        return np.zeros(len(lines), dtype=bool)
-    return _near(np.concatenate(used), camera.times(lines), height * camera.detector.line_period)
+def _ground(strip: Strip, state: StripState, hub: int) -> GroundOrder:
+    """How the ground that a hub sees lies on the grid."""
+    return state.ground.later(hub_delay(strip.nominal, strip.surface, hub, state.records[0].star.hub))
 
 
-def _used_together(records: Sequence[StarRecord], star: Star, step: float) -> NDArray[np.bool_]:
-    """(G,): windows on whose ground the estimate used windows of one hub found in both bands of a pair."""
-    a, b = star.hub, star.images[0]
-    out = np.zeros(len(star.t_hub), dtype=bool)
+def _used_exposures(records: Sequence[StarRecord], pair: tuple[int, int], *, directly: bool = False) -> Array:
+    """s; when the first band of a pair saw the windows that the estimate used in both, of whichever hub.
+
+    `directly`: only where one of the two was the hub.
+    """
+    used = [np.zeros(0)]
     for record in records:
         times = _exposures(record.star)
-        if a in times and b in times:
-            both = np.where(np.isfinite(times[b]), times[a], np.nan)
-            out |= _near(both, star.t_hub, 0.5 * star.duration + 2.0 * step)
-    return out
+        if set(pair) <= set(times) and (record.star.hub in pair or not directly):
+            used.append(np.where(np.isfinite(times[pair[1]]), times[pair[0]], np.nan))
+    return np.concatenate(used)
 
 
 def _exposures(star: Star) -> dict[int, Array]:
@@ -348,16 +340,6 @@ def _exposures(star: Star) -> dict[int, Array]:
     for k, image in enumerate(star.images):
         out[image] = np.where(star.present[:, k], star.t[:, k], np.nan)
     return out
-
-
-def _near(instants: Array, t: Array, reach: float) -> NDArray[np.bool_]:
-    """Whether an instant lies within `reach` (s) of each of `t`."""
-    known = np.sort(instants[np.isfinite(instants)])
-    if not len(known):
-        return np.zeros(len(t), dtype=bool)
-    at = np.clip(np.searchsorted(known, t), 1, max(len(known) - 1, 1))
-    gap = np.minimum(np.abs(t - known[at - 1]), np.abs(t - known[np.minimum(at, len(known) - 1)]))
-    return np.asarray(gap <= reach)
 
 
 def _matched(
@@ -379,7 +361,9 @@ def _matched(
     whole = plan.grid(shape, usable(view, shape[1]))
     apart = max(-(-whole.window[0] // options.step), 1)
     lines = whole.lines[::apart]
-    lines = lines[~_used_directly(strip, state.records, pair, lines, whole.window[0])]
+    camera = strip.nominal[hub]
+    used = _used_exposures(state.records, pair, directly=True)
+    lines = lines[~near_instants(used, camera.times(lines), whole.window[0] * camera.detector.line_period)]
     if not len(lines):
         return None
     # a row apart from the next tells more than a neighbour in it: rows are thinned last
