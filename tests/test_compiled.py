@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 from numba.core import config
 
@@ -290,3 +291,24 @@ def test_worker_processes_share_the_folder_and_leave_the_line_to_the_one_that_st
     assert [value for value, _ in rows] == ["2", "4", "6"]
     assert {Path(path).parent for _, path in rows} == {place.kept}
     assert ran.stderr.count("compiled kernels are kept in") == 1 and len(ran.stderr.splitlines()) == 1
+
+
+def test_what_may_round_freely_stands_in_its_callers_code():
+    # where a call is left, code of the same name that another process kept may answer it, and round otherwise
+    @compiled.njit(cache=False, fastmath=True)
+    def rounded_helper(values, k):
+        total = 0.0
+        for j in range(len(values)):
+            total += values[j] * values[j] * k
+        for j in range(len(values) - 1):  # of a size at which the compiler leaves the call
+            total += np.sin(values[j]) * np.exp(values[j + 1]) - np.exp(values[j]) * np.sin(values[j + 1])
+        return total
+
+    @compiled.njit(cache=False, fastmath=True)
+    def caller(values):
+        return sum([rounded_helper(values, k) for k in range(9)]) + rounded_helper(values, 9)
+
+    assert caller(np.ones(5)) == 5.0 * 45
+    (code,) = caller.inspect_asm().values()
+    assert "caller" in code
+    assert not [line for line in code.splitlines() if "rounded_helper" in line and "NumbaEnv" not in line]

@@ -57,6 +57,11 @@ def njit(*, cache: bool = True, **options: Any) -> Callable[[Callable[..., Any]]
         Those of `numba.njit`.
     """
 
+    # Code that may round as is fastest must stand in the code of its caller. Where it stands by itself too,
+    # what was loaded before decides which of the two is called, and a first run would differ from the next.
+    if options.get("fastmath"):
+        options.setdefault("forceinline", True)
+
     def compiled(function: Callable[..., Any]) -> Any:
         kernel = numba.njit(**options)(function)
         if cache and hasattr(kernel, "enable_caching"):  # a plain function under NUMBA_DISABLE_JIT
