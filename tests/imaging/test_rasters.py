@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import sys
 import threading
 import warnings
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -412,3 +413,19 @@ def test_pixels_of_imagine_in_another_file_lie_where_they_may_and_are_a_file(tmp
     os.mkfifo(folder / "a.ige")
     with pytest.raises(FormatError, match=r"a\.ige: is a pipe"):
         open_raster(folder / "a.img")
+
+
+def test_messages_of_gdal_that_quote_bytes_which_are_no_text_are_not_printed(tmp_path, capfd):
+    path = tmp_path / "band.tif"
+    with warnings.catch_warnings(action="ignore"):
+        with rasterio.open(path, "w", driver="GTiff", width=8, height=8, count=1, dtype="uint8") as target:
+            target.update_tags(A="B" * 40)
+    content = path.read_bytes()
+    start, end = content.find(b"<GDALMetadata"), content.find(b"</GDALMetadata>") + 15
+    spoilt = b"<GDALMetadata>\n  <Item \xff\xfe name>x</Item>\n".ljust(end - start)
+    path.write_bytes(content[:start] + spoilt + content[end:])
+    hooks = sys.excepthook, sys.unraisablehook
+    with open_raster(path) as dataset:
+        assert dataset.shape == (8, 8)
+    assert capfd.readouterr().err == ""
+    assert (sys.excepthook, sys.unraisablehook) == hooks

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import os
 import re
+import sys
 import threading
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
+from types import TracebackType
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -78,7 +80,7 @@ _KNOWN = (*_RASTERS, b"\xff\xd8\xff", b"\x89PNG", b"\0\0\0\x0cjP", b"NITF", *_CL
 #: What HDF5 begins with, at the start or after a block of 512 bytes, 1024, 2048 ...
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
-# Filters of warnings belong to the process: only one thread at a time may change them.
+# Filters of warnings and hooks belong to the process: only one thread at a time may change them.
 _OPENING = threading.Lock()
 
 
@@ -145,13 +147,39 @@ def open_raster(path: Path, access: Access | None = None) -> Any:
     return dataset
 
 
+@contextmanager
+def _messages_that_are_no_text() -> Iterator[None]:
+    """GDAL quotes bytes of a file in its messages; where they are no text, rasterio fails and prints that."""
+    uncaught, ignored = sys.excepthook, sys.unraisablehook
+
+    def of_message(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        if not issubclass(kind, UnicodeDecodeError):
+            uncaught(kind, error, trace)
+
+    def of_callback(what: Any) -> None:
+        if not issubclass(what.exc_type, UnicodeDecodeError):
+            ignored(what)
+
+    sys.excepthook, sys.unraisablehook = of_message, of_callback
+    try:
+        yield
+    finally:
+        sys.excepthook, sys.unraisablehook = uncaught, ignored
+
+
 def _opened(path: Path, name: str, drivers: Sequence[str], access: Access) -> Any:
     from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
     from rasterio.io import DatasetReader
 
     os.environ.setdefault("GDAL_CACHEMAX", str(CACHE_MIB))
     os.environ.setdefault("CPL_LOG", os.devnull)  # what GDAL warns of goes to stderr else
-    with _OPENING, raster_errors(path), raster_environment(access), warnings.catch_warnings():
+    with (
+        _OPENING,
+        raster_errors(path),
+        raster_environment(access),
+        warnings.catch_warnings(),
+        _messages_that_are_no_text(),
+    ):
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         try:
             return DatasetReader(name, driver=list(drivers), sharing=False)
