@@ -31,12 +31,15 @@ def test_directions_written_straight_into_the_summary_are_read():
 def test_a_summary_that_lists_none_gives_none(tmp_path):
     assert read_summary(tmp_path) == {}
     assert read_hidden(tmp_path, {}, 5) is None
+    none, names = read_hidden(tmp_path, {"hidden_directions": {"table": "hidden.csv", "names": []}}, 5)
+    assert none.shape == (5, 3, 0) and names == ()
 
 
 @pytest.mark.parametrize(
     ("entry", "message"),
     [
         ("drift", "neither a list nor a table"),
+        ({"table": "hidden.csv"}, "names of directions are expected"),
         ([{"name": "drift", "yaw": [1.0, 2.0]}], "'yaw' must be 5 finite numbers"),
         ([{"name": "drift", "yaw": "x"}], "'yaw' must be 5 finite numbers"),
     ],

@@ -159,7 +159,9 @@ def _from_table(folder: Path, entry: Mapping[str, Any], lines: int) -> tuple[Arr
     place = f"{folder / 'summary.json'}: `hidden_directions`"
     with foreign_errors(place, "cannot be read", "names of directions are expected"):
         check_inside(path, [folder.resolve()], folder / "summary.json")
-        names = tuple(str(name) for name in entry.get("names", ()))
+        names = tuple(str(name) for name in entry["names"])
+    if not names:
+        return np.zeros((lines, 3, 0)), ()
     columns = [f"{name} {axis}" for name in names for axis in ANGLES]
     table = read_columns(path, columns)
     values = np.array([np.asarray(table[column]) for column in columns]).reshape(len(names), 3, -1)
