@@ -397,6 +397,19 @@ def test_a_variable_that_libraries_stumble_over_is_refused_before_any_command(
     assert f"error: {name} is" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("words", "name"),
+    [
+        (["recover", ""], "a word of the command"),
+        (["simulate", "frames", "--scene="], "--scene"),
+        (["simulate", "frames", "--scene", "", "--out", "x"], "--scene"),
+    ],
+)
+def test_what_is_empty_is_not_taken_for_the_folder_of_work(capsys, words, name):
+    assert command.run(words) == 2
+    assert f"error: {name} is empty; give a value" in capsys.readouterr().err
+
+
 def test_a_variable_that_the_compiler_stumbles_over_is_refused():
     code = (
         "from sightline.cli import main, check\n"

@@ -267,7 +267,8 @@ class TestCommand:
         ("more", "says"),
         [
             (["missing.npy"], "missing.npy: no such file; give raw images"),
-            (["--dark-level", "nan"], "--dark-level is nan; a number of DN is allowed"),
+            (["--dark-level", "nan"], "--dark-level is nan; a number of DN from -1e9 to 1e9 is allowed"),
+            (["--dark-level=-1e18"], "--dark-level is -1e+18; a number of DN"),
             (["--electrons-per-dn", "0"], "--electrons-per-dn is 0; a number above 0"),
             (["--stages", "0"], "--stages is 0; 1 or more"),
             (["light-0.npy"], "light-0.npy is given twice"),

@@ -153,6 +153,8 @@ def test_a_fit_gives_the_law_back_with_its_covariance():
     assert np.diag(scatter) == pytest.approx(np.diag(found[0].covariance), rel=0.25)
     with pytest.raises(EstimationError, match="do not separate"):
         fit_law(rows[:1], [1.0], [[1.0]])
+    with pytest.raises(EstimationError, match="have no inverse"):
+        fit_law(rows, rows @ true, np.zeros((4, 4)))
 
 
 def test_what_cannot_be_estimated_is_refused():

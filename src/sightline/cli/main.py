@@ -147,6 +147,7 @@ def run(words: list[str], *, debug: bool = False) -> int:
     published.clear()
     try:
         _check_environment()
+        _check_words(words)
         with warnings_as_messages():
             # what a command lets be opened ends with it
             status = copy_context().run(app, words, prog_name="sightline", standalone_mode=False)
@@ -166,6 +167,17 @@ def run(words: list[str], *, debug: bool = False) -> int:
     except Exception as error:
         return _failed(error, debug)
     return status if isinstance(status, int) else 0
+
+
+def _check_words(words: list[str]) -> None:
+    """InputError for a word or a value that is empty: as a path it would be the folder of work."""
+    for word, before in zip(words, ["", *words], strict=False):
+        if not word or re.fullmatch("--[a-z-]+=", word):
+            name = word.rstrip("=") or (before if before.startswith("--") else "")
+            raise InputError(
+                f"{name or 'a word of the command'} is empty; give a value, or leave it out (a variable of "
+                "the shell that is not set leaves nothing)"
+            )
 
 
 def _check_environment() -> None:

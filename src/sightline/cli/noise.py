@@ -85,8 +85,8 @@ def _check(dark_level: float | None, electrons_per_dn: float | None, stages: int
 
     from sightline.errors import InputError
 
-    if dark_level is not None and not math.isfinite(dark_level):
-        raise InputError(f"--dark-level is {dark_level:g}; a number of DN is allowed")
+    if dark_level is not None and not abs(dark_level) <= 1e9:
+        raise InputError(f"--dark-level is {dark_level:g}; a number of DN from -1e9 to 1e9 is allowed")
     if electrons_per_dn is not None and not 0.0 < electrons_per_dn < math.inf:
         raise InputError(f"--electrons-per-dn is {electrons_per_dn:g}; a number above 0 is allowed")
     if stages is not None and stages < 1:

@@ -616,7 +616,13 @@ def fit_law(rows: ArrayLike, measured: ArrayLike, covariance: ArrayLike) -> LawF
         If they do not separate the terms.
     """
     design, target = np.asarray(rows, dtype=np.float64), np.asarray(measured, dtype=np.float64)
-    weighted = np.linalg.solve(np.asarray(covariance, dtype=np.float64), design)
+    try:
+        weighted = np.linalg.solve(np.asarray(covariance, dtype=np.float64), design)
+    except np.linalg.LinAlgError:
+        raise EstimationError(
+            "the errors of the measurements have no inverse: numbers of unlike size; look at the signals and "
+            "at the dark level"
+        ) from None
     with np.errstate(divide="ignore", invalid="ignore"):
         # A s^2 and C^2 differ by seven orders of magnitude
         scale = 1.0 / np.sqrt(np.diag(design.T @ weighted))
