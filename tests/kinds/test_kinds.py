@@ -441,6 +441,10 @@ def test_a_result_put_together_by_hand_cannot_be_written(recovery, tmp_path):
         (lambda folder: (folder / "summary.json").write_text('{"result": ["TdiResult"]}'), "`result` is of"),
         (lambda folder: (folder / "summary.json").write_text("[1]"), "an object with named values"),
         (lambda folder: (folder / "summary.json").write_text("{"), "summary.json"),
+        (
+            lambda folder: (folder / "summary.json").write_text('{"result": "Registration", "files": 3}'),
+            "its list of files cannot be read",
+        ),
         (lambda folder: (folder / "table.bin").write_bytes(b"no table"), "table.bin"),
         (lambda folder: (folder / "table.bin").unlink(), "table.bin"),
     ],

@@ -387,10 +387,13 @@ class ResultKind:
     def open(self, folder: Path, summary: dict[str, Any], cls: type[Result]) -> Result:
         """The result of a folder."""
         result = object.__new__(cls)
-        origin = _opened_folder(folder, summary, self.patterns(summary))
+        again = "run the command that wrote it again"
+        with foreign_errors(folder / SUMMARY, "its list of files cannot be read", again):
+            patterns = self.patterns(summary)
+        origin = _opened_folder(folder, summary, patterns)
         object.__setattr__(result, "origin", origin)
         # whatever its files hold, an opened result shows itself
-        with foreign_errors(folder, "cannot be opened as a result", "run the command that wrote it again"):
+        with foreign_errors(folder, "cannot be opened as a result", again):
             for name, value in self.opened(folder, summary).items():
                 object.__setattr__(result, name, value)
             self.facts(result)
