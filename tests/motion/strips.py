@@ -94,4 +94,4 @@ def given_bands(names, offset_sigma_px, rotation_sigma, scale_sigma=None):
     scales = [0.0] * len(names) if scale_sigma is None else scale_sigma
     keys = ("name", "offset_sigma_px", "rotation_sigma", "scale_sigma")
     rows = zip(names, offset_sigma_px, rotation_sigma, scales, strict=True)
-    return [SimpleNamespace(**dict(zip(keys, row, strict=True))) for row in rows]
+    return [SimpleNamespace(**dict(zip(keys, row, strict=True)), shape="line") for row in rows]

@@ -2,24 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from motion.strips import ALTITUDE, T0, T1, given_bands, strip_cameras
+from sightline.errors import EstimationError
 from sightline.geometry.camera import FrameCamera
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Plane
-from sightline.geometry.trajectory import Trajectory
+from sightline.geometry.trajectory import Motion, Trajectory
+from sightline.motion.band import Band
 from sightline.motion.measure.predict import predict_match, sensitivities
-from sightline.motion.statics import apply_statics, band_statics, frame_statics
+from sightline.motion.statics import apply_statics, band_statics, frame_statics, recovered_cameras
 
 PIXELS = np.array([[10.0, 0.0], [100.0, 159.5], [200.0, 300.0]])
 
 
 def bands():
     return band_statics(given_bands(["PAN", "red"], [0.0, 1.5], [0.0, 3e-4]))
+
+
+def shaped(cameras, *shapes):
+    """Two bands known but for their shape, in pieces of 100 columns where they are."""
+    pieces = {"pieces": (100, 200)}
+    return [
+        Band(name, None, camera, 0.0, 0.0, 0.0, shape=shape, pieces=pieces.get(shape, ()))
+        for name, camera, shape in zip(("PAN", "red"), cameras, shapes, strict=True)
+    ]
 
 
 def matrix_cameras(distortion: tuple[float, ...] = ()) -> list[FrameCamera]:
@@ -60,6 +73,46 @@ class TestBands:
         want = -(1.0 - 1.0 / 1.002) * (before[:, 1] - 159.5)
         assert_allclose((after - before)[:, 1], want, atol=1e-5)
         assert_allclose((after - before)[:, 0], 0.0, atol=1e-5)
+
+    def test_a_bent_band_departs_by_a_polynomial_that_neither_shifts_nor_turns_it(self):
+        cameras = strip_cameras((0.0, -83.0))
+        statics = band_statics(shaped(cameras, "line", "polynomial"))
+        assert [p.name for p in statics[:2]] == ["red bend along of degree 2", "red bend along of degree 3"]
+        assert len(statics) == 8 and {p.sigma for p in statics} == {0.5}
+        moved = apply_statics(cameras, statics, np.array([0.3, 0, 0, 0, 0, 0.2, 0, 0]))
+        before, after = (predict_match(*pair, Plane(), PIXELS) for pair in (cameras, moved))
+        u = (PIXELS[:, 1] - 159.5) / 159.5
+        # what lies there is met up to 0.2 px beside the column; the bends change by 6e-3 and 8e-3 per px
+        assert_allclose((after - before)[:, 0], -0.3 * (1.5 * u**2 - 0.5), atol=1.2e-3)
+        assert_allclose((after - before)[:, 1], -0.2 * (2.5 * u**3 - 1.5 * u), atol=2e-3)
+
+    def test_the_first_line_that_is_straight_is_the_measure_of_the_others_and_else_the_first(self):
+        cameras = strip_cameras((0.0, -83.0))
+        assert [p.name for p in band_statics(shaped(cameras, "pieces", "line"))] == [
+            f"PAN step {axis} at column {column}" for axis in ("along", "across") for column in (100, 200)
+        ]
+        both = shaped(cameras, "pieces", "pieces")
+        both[1] = replace(both[1], pieces=(50, 205))
+        # those of the measure are seen as the others'; two that nearly meet are one
+        assert [p.name for p in band_statics(both)[:3]] == [
+            f"red step along at column {column}" for column in (50, 100, 205)
+        ]
+
+    def test_steps_that_were_found_where_none_were_given_go_into_the_cameras(self):
+        bands = [replace(band, pieces=()) for band in shaped(strip_cameras((0.0, -83.0)), "line", "pieces")]
+        still = Motion.zero(T0, T1)
+        found = {"red step along at column 120": 0.4, "PAN step along at column 7": 9.0}
+        moved = recovered_cameras(bands, still, found)[1].detector
+        step = np.diff(moved.tangents, axis=0) / moved.pixel_step
+        assert_allclose(step[119], [1.0, 0.4], atol=1e-3)
+        assert_allclose(np.delete(step, 119, axis=0)[:, 1], 0.0, atol=1e-9)
+        assert_allclose(moved.rough_columns, [119.0, 120.0])
+
+    def test_ccds_that_would_overlap_are_an_error_that_says_what_to_check(self):
+        cameras = strip_cameras((0.0, -83.0))
+        statics = band_statics(shaped(cameras, "line", "pieces"))
+        with pytest.raises(EstimationError, match=r"'band 1', found up to 1.2 px, .* check `pieces`"):
+            apply_statics(cameras, statics, np.array([0.0, 0.0, -1.2, 0.0]))
 
     def test_an_offset_of_the_hub_acts_the_other_way(self):
         cameras = strip_cameras((0.0, -83.0))

@@ -53,6 +53,63 @@ def test_offsets_and_rotations_have_the_sizes_given():
     assert np.sqrt(np.mean(rotations**2)) == pytest.approx(3e-4, rel=0.23)
 
 
+def test_true_lines_bend_or_break_as_the_keys_say_and_nothing_else_of_the_scene_changes():
+    plain, bent, broken = (
+        line_of_sight_case("nominal", 4, **SMALL, **keys)
+        for keys in ({}, {"bend_sigma_px": 0.3}, {"pieces": (32, 64), "piece_sigma_px": 0.5})
+    )
+    assert plain.bands[1].departure_px is None
+    for scene in (bent, broken):
+        assert scene.bands[1].offset_px == plain.bands[1].offset_px
+        truth, nominal = (detector.tangents / 5e-6 for detector in (scene.bands[1].true, plain.bands[1].true))
+        # camera x and y: towards larger columns, forward
+        np.testing.assert_allclose((truth - nominal)[:, ::-1], scene.bands[1].departure_px, atol=1e-4)
+        assert np.abs(scene.bands[1].departure_px.mean(axis=0)).max() < 0.01
+    fourth = np.diff(bent.bands[1].departure_px, 4, axis=0)
+    np.testing.assert_allclose(fourth, 0.0, atol=1e-12)
+    steps = np.abs(np.diff(broken.bands[1].departure_px, axis=0)).max(axis=1)
+    assert np.flatnonzero(steps > 1e-9).tolist() == [31, 63]
+    assert [band.shape for band in (*bent.as_given()[:1], *broken.as_given()[:1])] == ["polynomial", "pieces"]
+    assert broken.as_given()[0].pieces == (32, 64)
+
+
+def test_a_step_is_in_the_image_from_its_column_on():
+    keys = {
+        "lines": 64,
+        "columns": 96,
+        "motion": "none",
+        "snr": 1e5,
+        "offset_sigma_px": 0.0,
+        "rotation_sigma": 0.0,
+    }
+    plain, broken = (
+        line_of_sight_case("nominal", 4, **keys, pieces=(40,), piece_sigma_px=size).image(0)
+        for size in (0.0, 0.8)
+    )
+    # before the column the image is that of a line moved by the mean of the step, so both halves differ
+    moved = np.abs(plain.astype(float) - broken).mean(axis=0)
+    assert moved[:40].mean() > 5.0 and moved[40:].mean() > 5.0
+    shift = line_of_sight_case("nominal", 4, **keys, pieces=(40,), piece_sigma_px=0.8).bands[0].departure_px
+    whole = map_coordinates(plain.astype(float), np.mgrid[20:40, 10:30] + shift[0].reshape(2, 1, 1), order=3)
+    # light is interpolated to some 2 % of its contrast of 240
+    np.testing.assert_allclose(broken[20:40, 10:30], whole, atol=40.0)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"pieces": (64, 32)}, "`pieces` must rise within columns 1 to 95"),
+        ({"pieces": (96,)}, "`pieces` must rise within columns 1 to 95"),
+        ({"pieces": (32,), "bend_sigma_px": 0.1}, "keep one of them"),
+        ({"bend_sigma_px": 10.0}, "`bend_sigma_px` = 10 folds the line of band"),
+    ],
+    ids=["falling", "beyond", "both", "folded"],
+)
+def test_shapes_that_cannot_be_are_refused(keys, words):
+    with pytest.raises(InputError, match=words):
+        line_of_sight_case("nominal", 0, **SMALL, **keys)
+
+
 def test_the_nominal_cameras_know_neither_motion_nor_offsets():
     scenario = line_of_sight_case("nominal", 2, **SMALL)
     nominal = scenario.nominal_cameras[0]

@@ -49,7 +49,8 @@ from sightline.motion.strip.joint import (
 )
 from sightline.motion.strip.methods import by_method, check_method, strip_differences
 from sightline.motion.strip.relief import RowRelief
-from sightline.motion.strip.strip import RecoverOptions, Strip, prepared, suited
+from sightline.motion.strip.shape import ask_for_shapes, shape_warnings, unknown_shapes, with_shapes
+from sightline.motion.strip.strip import RecoverOptions, Shapes, Strip, prepared, suited
 from sightline.motion.strip.viewing_axes import (
     turned_amplitudes,
     turned_band,
@@ -76,6 +77,8 @@ DRAFT_NODES, DRAFT_TOLERANCE = 1.5, 3.0
 DRAFT_WORK = 0.3
 #: A given spectrum that moves the motion by more of its sigmas is not that of the motion.
 FOREIGN_SPECTRUM = 3.0
+#: Windows by which shapes of detector lines are found: narrow, and of enough lines to match well.
+SHAPE_WINDOW = (16, 24)
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
 #: Stages that are kept: the state after so many passes, after the last one of a wide strip, and after that
@@ -87,13 +90,15 @@ _AFTER, _WHOLE, _GIVEN = "pass-{}", "pass-last", "pass-given"
 class _Passed:
     """What is known after a pass.
 
-    `changes` are by how much each pass so far changed the motion, `left` by how much a given spectrum did.
+    `changes` are by how much each pass so far changed the motion, `left` by how much a given spectrum did;
+    `shapes` are those that were found of detector lines.
     """
 
     name: str
     state: StripState
     changes: tuple[float, ...] = ()
     left: float = 0.0
+    shapes: Shapes = ()
 
 
 @makes_result
@@ -203,7 +208,12 @@ def joint_line_of_sight(
     names += [_WHOLE] * wide + [_GIVEN] * (strip.known.spectra is not None)
     passed = _resumed(stages, names)
     if passed is None:
-        passed = _kept(stages, names, _Passed(names[0], _begin(draft, options, height_sigma, tell)))
+        begun = _begin(draft, options, height_sigma, tell)
+        shapes = _found_shapes(draft, begun, options, tell)
+        if shapes:
+            begun = _begin(with_shapes(draft, shapes), options, height_sigma, tell)
+        passed = _kept(stages, names, _Passed(names[0], begun, shapes=shapes))
+    strip, draft = with_shapes(strip, passed.shapes), with_shapes(draft, passed.shapes)
     while len(passed.changes) < options.passes:
         # the first of the changes has no spectrum of its own yet
         if len(passed.changes) > 1 and passed.changes[-1] < tolerance:
@@ -212,7 +222,7 @@ def joint_line_of_sight(
         step = steps_of(tell, f"pass {number + 1} of at most {options.passes}: matching")
         refined = _compensated_pass(draft, state, number, options, height_sigma, tell, step)
         changes = (*passed.changes, _change(draft, state, refined))
-        passed = _kept(stages, names, _Passed(names[number + 1], refined, changes))
+        passed = _kept(stages, names, replace(passed, name=names[number + 1], state=refined, changes=changes))
     if wide and passed.name not in (_WHOLE, _GIVEN):
         step = steps_of(tell, "last pass: matching over the whole field")
         state = _compensated_pass(strip, passed.state, options.passes, options, height_sigma, tell, step)
@@ -321,6 +331,21 @@ def _first_pass(strip: Strip, options: RecoverOptions, height_sigma: float, tell
     )
 
 
+def _found_shapes(strip: Strip, state: StripState, options: RecoverOptions, tell: Progress) -> Shapes:
+    """Shapes of detector lines that are not given, where the first matches show any, from narrow windows.
+
+    A line that is not straight spoils what the first pass found: the narrow windows are sought anew.
+    """
+    if not ask_for_shapes(strip, state):
+        return ()
+    statics = np.zeros(len(strip.parameters))
+    nodes = initial_attitude(strip, statics)
+    plan = strip.plan(options, SHAPE_WINDOW, SHAPE_WINDOW[0], options.search_px)
+    step = steps_of(tell, "looking for the shape of detector lines")
+    records = _match(strip, nodes, statics, replace(plan, most_blocks=0), step=step)
+    return unknown_shapes(strip, records, strip.cameras(nodes, statics), state.height_sigma)
+
+
 def _counts(records: Sequence[StarRecord]) -> str:
     """How many windows ended how, the most frequent first: ``"150 low score, 90 outside"``."""
     if not records:
@@ -362,7 +387,9 @@ def _compensated_pass(
     nodes, statics = nodes_on(state.estimate, strip.grid), state.estimate.statics
     plan = strip.plan(options, options.window, options.step)
     records = _match(strip, nodes, statics, plan, state.records, step)
+    _some_left(strip, state, records)
     solved = solve_strip(strip, records, nodes, statics, state.model, height_sigma, before=state)
+    _some_left(strip, solved, solved.records)
     if given is not None:
         # what it does not hold is no jump
         return solve_strip(
@@ -398,6 +425,16 @@ def _compensated_pass(
     return solve_strip(
         strip, solved.records, nodes, statics, model, height_sigma, before=state, rounds=rounds
     )
+
+
+def _some_left(strip: Strip, state: StripState, records: Sequence[StarRecord]) -> None:
+    """EstimationError where all windows are thrown out, as where a detector line is not straight."""
+    if any(record.star.present.any() for record in records):
+        return
+    words = shape_warnings(strip, state) or [
+        "check look angles, line times and `[surface]`, or clouds hide all"
+    ]
+    raise EstimationError(f"no windows of a row agree with each other: {'; '.join(words)}")
 
 
 def _match(

@@ -28,6 +28,10 @@ from sightline.geometry.checks import (
 )
 from sightline.geometry.pointing import FixedMount, Pointing
 
+#: px; second difference of a row's directions from which it is rough: what a bend of 10 px over 100 columns
+#: stays below, and CCDs that meet with an error of some hundredths of a pixel exceed.
+STEP_PX = 0.01
+
 
 @dataclass(frozen=True, eq=False)
 class LineDetector(ReadOnlyArrays):
@@ -151,6 +155,12 @@ class LineDetector(ReadOnlyArrays):
         )
         return bool(worst < 1e-9 * self.pixel_step)
 
+    @cached_property
+    def rough_columns(self) -> Array:
+        """Columns that depart from the run of their neighbours by `STEP_PX`, as where two CCDs meet."""
+        bends = np.abs(np.diff(self.curve, 2, axis=0)).max(axis=1, initial=0.0)
+        return frozen(1.0 + np.flatnonzero(bends > STEP_PX * self.pixel_step))
+
     def directions_at(self, columns: ArrayLike) -> Array:
         """Unit directions (N, 3), camera axes, at fractional `columns` (N,).
 
@@ -161,14 +171,19 @@ class LineDetector(ReadOnlyArrays):
         return _unit(t[:, 0], t[:, 1])
 
     def adjusted(
-        self, line_px: float = 0.0, column_px: float = 0.0, rotation: float = 0.0, scale: float = 0.0
+        self,
+        line_px: float | Array = 0.0,
+        column_px: float | Array = 0.0,
+        rotation: float = 0.0,
+        scale: float = 0.0,
     ) -> LineDetector:
         """The same row shifted, turned and stretched about its own centre.
 
         Parameters
         ----------
-        line_px, column_px : float
-            Shift in units of `pixel_step`: the row looks that much further toward larger lines, columns.
+        line_px, column_px : float or (columns,)
+            Shift in units of `pixel_step`: the row, or each of its pixels, looks that much further toward
+            larger lines, columns.
         rotation : float
             rad; positive looks further toward larger lines at larger columns.
         scale : float

@@ -30,6 +30,8 @@ REACH = TAPS // 2
 SLACK = 0.25
 #: px between places where a map is computed exactly, where `lattice_map` makes it.
 _LATTICE = 8.0
+#: Columns on either side of a rough one at which the map is evaluated more often.
+ROUGH = 6
 #: Highest frequency (cycles per line) that must come through between uneven lines, as between even ones.
 _BAND = 0.38
 
@@ -226,6 +228,8 @@ class WarpedImage:
     places : (source lines, 2), optional
         Where the lines of `source` stand along the track at its first and at its last column, in lines of
         even spacing: a platform that shakes scans unevenly.
+    rough : tuple of float
+        Columns of the grid about which the map is not smooth: it is evaluated at every second one there.
 
     Notes
     -----
@@ -239,6 +243,7 @@ class WarpedImage:
     shape: tuple[int, int]
     spacing: int = 64
     places: Array | None = None
+    rough: tuple[float, ...] = ()
 
     def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[np.float32]:
         """Resampled pixels, float32; NaN where the kernel would leave the source or meet an unusable pixel.
@@ -251,6 +256,9 @@ class WarpedImage:
         out = np.full((lines[1] - lines[0], columns[1] - columns[0]), np.nan, dtype=np.float32)
         inner = np.arange(columns[0], columns[1], self.spacing)
         nodes = np.append(inner, columns[1])
+        if len(self.rough):
+            about = np.rint(np.array(self.rough)[:, None] + np.arange(-ROUGH, ROUGH + 1, 2)).astype(np.int64)
+            nodes = np.union1d(nodes, about[(about > columns[0]) & (about < columns[1])])
         position = self.mapping(np.arange(*lines, dtype=np.float64), nodes.astype(np.float64))
         usable = np.isfinite(position)
         if not usable.any():

@@ -13,6 +13,9 @@ from numpy.typing import NDArray
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.imaging.source import ImageSource
 
+#: A detector line is as its directions say, bent smoothly, or made of CCDs that meet in steps.
+SHAPES = ("line", "polynomial", "pieces")
+
 
 @dataclass(frozen=True, eq=False)
 class Band:
@@ -32,6 +35,12 @@ class Band:
         Relative; how well its magnification beside the first band's is known (0: exactly).
     match_sigma : (columns, 2) or None
         Relative sigma along lines and columns of matches at each column, as predicted from MTF and SNR.
+    shape : str or None
+        One of SHAPES: how the line departs from the directions given of it; None: as the images show.
+    shape_sigma_px : float
+        px; size of these departures: of each bend at the ends of the line, of each step (0: none).
+    pieces : tuple of int
+        First column of every further CCD of a line in ``"pieces"``.
     """
 
     name: str
@@ -41,6 +50,9 @@ class Band:
     rotation_sigma: float = 3e-4
     scale_sigma: float = 1e-3
     match_sigma: NDArray[np.float64] | None = None
+    shape: str | None = None
+    shape_sigma_px: float = 0.5
+    pieces: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,13 +7,16 @@ Not here: their estimation (``motion/strip/joint.py``, ``motion/frames/solve.py`
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.errors import EstimationError, InputError
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
+from sightline.geometry.instrument import LineDetector
 from sightline.geometry.trajectory import Motion
 from sightline.motion.band import Band
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
@@ -21,43 +24,121 @@ from sightline.motion.measure.predict import MovingCamera, StaticParameter
 Array = NDArray[np.float64]
 
 
-def band_statics(bands: Sequence[Band]) -> list[StaticParameter]:
-    """Offsets along and across, rotation and scale of each detector line; those with sigma 0 are left out.
+#: Degrees of the Legendre polynomials of a bent line; those below are its offset, rotation and scale. Lenses
+#: bend lines in the second, their distortion stretches them in the third, and both go on in fourth and fifth.
+BEND_DEGREES = (2, 3, 4, 5)
+#: Columns within which steps of a line and of its measure are seen as one.
+ONE_STEP = 16
+
+
+def band_statics(bands: Sequence[Band], *, alone: bool = False) -> list[StaticParameter]:
+    """Offsets, rotation, scale and shape of each detector line; those with sigma 0 are left out.
 
     Parameters
     ----------
     bands : sequence of Band
         In the order of the cameras.
+    alone : bool
+        Also what bands have only beside others: the measure may not be among them.
 
     Notes
     -----
-    The scale of all bands together is the height of the platform: the first band is the others' measure.
+    The scale of all bands together is the height of the platform: the first band is the others' measure. What
+    bends all lines alike is seen by no pair: the first band that is a line is the measure of the shapes, the
+    first of all where none is; its steps are then the others'.
     """
     out = []
+    measure = -1 if alone else measure_of_shapes(bands)
     for image, band in enumerate(bands):
         known = [
             ("offset along", "line_px", "px", band.offset_sigma_px, 0.1),
             ("offset across", "column_px", "px", band.offset_sigma_px, 0.1),
             ("rotation", "rotation", "rad", band.rotation_sigma, 1e-4),
-            ("scale", "scale", "", band.scale_sigma if image else 0.0, 1e-4),
+            ("scale", "scale", "", band.scale_sigma if image or alone else 0.0, 1e-4),
         ]
         out += [
             StaticParameter(f"{band.name} {name}", unit, float(sigma), step, _adjust(image, key), (image,))
             for name, key, unit, sigma, step in known
             if sigma > 0.0
         ]
+        if band.shape in ("polynomial", "pieces") and image != measure and band.shape_sigma_px > 0.0:
+            others = bands[measure] if measure >= 0 and bands[measure].shape == "pieces" else None
+            out += _shape_statics(band, image, others)
     return out
 
 
-def _adjust(image: int, key: str) -> Callable[[Sequence[MovingCamera], float], list[MovingCamera]]:
+def measure_of_shapes(bands: Sequence[Band]) -> int:
+    """Number of the band beside which the shapes of the others are found."""
+    return next((image for image, band in enumerate(bands) if band.shape in (None, "line")), 0)
+
+
+def _with_shape_of(band: Band, statics: Mapping[str, float]) -> Band:
+    """A band with the shape, and the columns of its steps, that the names of its statics say."""
+    said = re.compile(re.escape(band.name) + r" (?:step \w+ at column|bend \w+ of degree) (\d+)")
+    named = {name: said.fullmatch(name) for name in statics}
+    steps = {int(one[1]) for name, one in named.items() if one and " step " in name.removeprefix(band.name)}
+    if steps:
+        return replace(band, shape="pieces", pieces=tuple(sorted(steps)))
+    return replace(band, shape="polynomial") if any(named.values()) else band
+
+
+def _shape_statics(band: Band, image: int, measure: Band | None) -> list[StaticParameter]:
+    """Departures of a line from its directions, along and across: bends, or steps between its CCDs.
+
+    Of a band in pieces also where those of the `measure` meet, whose steps are seen as its own.
+    """
+    columns = band.camera.columns
+    u = 2.0 * np.arange(columns) / (columns - 1) - 1.0
+    if band.shape == "polynomial":
+        profiles = {f"bend {{}} of degree {n}": np.polynomial.Legendre.basis(n)(u) for n in BEND_DEGREES}
+    else:
+        borders = set(band.pieces)
+        if measure is not None:
+            ratio = columns / measure.camera.columns
+            others = {round(border * ratio) for border in measure.pieces}
+            borders |= {b for b in others if all(abs(b - own) >= ONE_STEP for own in band.pieces)}
+        profiles = {}
+        for border in sorted(borders):
+            # about the mean: the offset stays that of the whole line
+            beyond = (np.arange(columns) >= border).astype(np.float64)
+            profiles[f"step {{}} at column {border}"] = beyond - beyond.mean()
+    out = []
+    for axis, key in (("along", "line_px"), ("across", "column_px")):
+        whole = StaticParameter(f"{band.name} {axis}", "px", 1.0, 0.1, _adjust(image, key), (image,))
+        for words, profile in profiles.items():
+            name, change = f"{band.name} {words.format(axis)}", _adjust(image, key, profile)
+            sigma = float(band.shape_sigma_px)
+            out.append(StaticParameter(name, "px", sigma, 0.1, change, (image,), whole, profile))
+    return out
+
+
+def _adjust(
+    image: int, key: str, profile: Array | None = None
+) -> Callable[[Sequence[MovingCamera], float], list[MovingCamera]]:
     def apply(cameras: Sequence[MovingCamera], value: float) -> list[MovingCamera]:
         out = list(cameras)
         camera = out[image]
         if isinstance(camera, PushbroomCamera):
-            out[image] = camera.with_detector(camera.detector.adjusted(**{key: value}))
+            if profile is None:
+                detector = camera.detector.adjusted(**{key: value})
+            else:
+                detector = _departed(camera.detector, key, value * profile)
+            out[image] = camera.with_detector(detector)
         return out
 
     return apply
+
+
+def _departed(detector: LineDetector, key: str, px: Array) -> LineDetector:
+    """A detector line whose columns depart by so many px each; EstimationError where it would turn back."""
+    try:
+        return detector.adjusted(**{key: px})  # type: ignore[arg-type]
+    except InputError:
+        raise EstimationError(
+            f"steps between the CCDs of {detector.name!r}, found up to {np.abs(np.diff(px)).max():.2g} px, "
+            "would have its columns overlap: check `pieces` and `shape_sigma_px`, or give CCDs that overlap "
+            "by a pixel or more as bands of their own"
+        ) from None
 
 
 def frame_statics(
@@ -139,6 +220,7 @@ def recovered_cameras(
         Name of a static parameter to its value; names of other things than these bands' are passed over.
     """
     moved = [band.camera.with_trajectory(band.camera.trajectory.with_motion(motion)) for band in bands]
-    parameters = band_statics(bands)
+    found = [_with_shape_of(band, statics) for band in bands]
+    parameters = band_statics(found, alone=True)
     values = np.array([statics.get(parameter.name, 0.0) for parameter in parameters])
     return tuple(c for c in apply_statics(moved, parameters, values) if isinstance(c, PushbroomCamera))

@@ -126,6 +126,7 @@ def acquisition_toml(
             "rotation = 0.0",
             f"rotation_sigma = {options.rotation_sigma!r}",
             *([f"scale_sigma = {options.scale_sigma!r}"] if options.scale_sigma else []),
+            *(f"{key} = {_toml(value)}" for key, value in scenario.shape_known(index).items()),
             f"first_line_time = {options.first_time(index)!r}",
             *_own_size(options, index),
         ]
@@ -133,6 +134,13 @@ def acquisition_toml(
     for kind, table in sensors:
         lines += ["", "[[attitude_sensor]]", f'kind = "{kind}"', f'table = "{table}"']
     return "\n".join(lines) + "\n"
+
+
+def _toml(value: str | float | tuple[int, ...]) -> str:
+    """A value as TOML writes it."""
+    if isinstance(value, str):
+        return f'"{value}"'
+    return repr(list(value)) if isinstance(value, tuple) else repr(value)
 
 
 def _own_size(options: StripOptions, band: int) -> list[str]:

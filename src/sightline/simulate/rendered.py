@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,6 +98,12 @@ class RenderedStrip(ABC):
             if getattr(self.options, name, 0.0) > 0.0 or name != "scale_sigma"
         }
         return [
-            Band(band.name, ArrayImage(image), camera, **knowledge)
-            for band, image, camera in zip(self.bands, rendered, self.nominal_cameras, strict=True)
+            Band(band.name, ArrayImage(image), camera, **knowledge, **self.shape_known(k))
+            for k, (band, image, camera) in enumerate(
+                zip(self.bands, rendered, self.nominal_cameras, strict=True)
+            )
         ]
+
+    def shape_known(self, band: int) -> dict[str, Any]:
+        """What a user knows of the shape of a detector line, as keys of its band."""
+        return {}

@@ -55,7 +55,7 @@ from sightline.simulate.scene import (
     scattered_clouds,
     scene_layers,
 )
-from sightline.simulate.sensor import Radiometry, render_chunks
+from sightline.simulate.sensor import NODE_STEP, Radiometry, render_chunks
 from sightline.simulate.strip_options import CASE_OPTIONS, MOTIONS, StripOptions
 from sightline.simulate.texture import Array, raster_layer
 
@@ -84,6 +84,8 @@ class BandTruth:
     nominal, true : LineDetector
     scale : float
         True magnification beside the first band's, less 1; nominally 0.
+    departure_px : (columns, 2) or None
+        True departure of each pixel from the line, forward and towards larger columns; nominally none.
     """
 
     name: str
@@ -94,6 +96,7 @@ class BandTruth:
     nominal: LineDetector
     true: LineDetector
     scale: float = 0.0
+    departure_px: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,8 +166,19 @@ class StripScenario(RenderedStrip):
             self.shapes[band],
             self.radiometry,
             self._stream("noise", band),
+            node_step=1 if len(self.bands[band].true.rough_columns) else NODE_STEP,
             parts=(math.ceil(along), math.ceil(across)),
         )
+
+    def shape_known(self, band: int) -> dict[str, Any]:
+        """Bends, or where its CCDs meet, and the size of both."""
+        options = self.options
+        if options.pieces and options.piece_sigma_px:
+            known = {"shape": "pieces", "shape_sigma_px": options.piece_sigma_px}
+            return {**known, "pieces": options.pieces_of(band)}
+        if options.bend_sigma_px:
+            return {"shape": "polynomial", "shape_sigma_px": options.bend_sigma_px}
+        return {}
 
     def star_tracker(self, rate: float = 8.0, sigma: float = 3.0 * ARC_SECOND) -> Array:
         """Table t, roll, pitch, yaw, sigma of a star tracker on the body, during the strip."""
@@ -316,6 +330,7 @@ def _draw_bands(options: StripOptions, seed: np.random.SeedSequence) -> tuple[Ba
     rotations = options.rotation_sigma * rng.standard_normal(len(options.names))
     scales = options.scale_sigma * rng.standard_normal(len(options.names))
     scales[0] = 0.0
+    departures = [_departures(options, index, rng) for index in range(len(options.names))]
     bands = []
     for index, (name, lag) in enumerate(zip(options.names, options.lags, strict=True)):
         offset = (float(offsets[index, 0]), float(offsets[index, 1]))
@@ -336,8 +351,37 @@ def _draw_bands(options: StripOptions, seed: np.random.SeedSequence) -> tuple[Ba
         scale = float(scales[index])
         if scale:
             true = true.adjusted(scale=scale)
-        bands.append(BandTruth(name, lag, look_ahead, offset, rotation, nominal, true, scale))
+        departure = departures[index]
+        if departure is not None:
+            true = true.adjusted(*departure.T)
+        bands.append(BandTruth(name, lag, look_ahead, offset, rotation, nominal, true, scale, departure))
     return tuple(bands)
+
+
+def _departures(options: StripOptions, band: int, rng: np.random.Generator) -> Array | None:
+    """(columns, 2) px by which the pixels of a band depart from a straight line; None of a straight one.
+
+    Their mean is 0, and a bend does not turn or stretch the line as a whole.
+    """
+    columns = options.shape(band)[1]
+    pieces, bend = options.pieces_of(band), options.bend_sigma_px
+    if pieces and options.piece_sigma_px:
+        # CCDs of one line do not overlap by a pixel
+        steps = np.clip(options.piece_sigma_px * rng.standard_normal((len(pieces), 2)), -0.9, 0.9)
+        number = np.searchsorted(pieces, np.arange(columns), side="right")
+        out = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])[number]
+        return np.asarray(out - out.mean(axis=0))
+    if not bend:
+        return None
+    arc, stretch = bend * rng.standard_normal((2, 2))
+    u = np.linspace(-1.0, 1.0, columns)[:, None]
+    out = np.asarray(arc * (1.5 * u**2 - 0.5) + stretch * (2.5 * u**3 - 1.5 * u))
+    if np.diff(out[:, 1]).min() <= -0.9:
+        raise InputError(
+            f"`bend_sigma_px` = {bend:g} folds the line of band {options.names[band]}, of {columns} columns; "
+            "make it smaller, or the line longer"
+        )
+    return out
 
 
 def _reference(options: StripOptions) -> Trajectory:

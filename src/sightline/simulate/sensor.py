@@ -24,6 +24,8 @@ from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.simulate.scene import Relief, Scene
 from sightline.simulate.texture import Array, Array32
 
+#: Columns between the nodes at which the rays of a smooth detector line are computed.
+NODE_STEP = 32
 CHUNK_LINES = 64
 """Lines rendered at a time, each chunk with a random stream of its own."""
 
@@ -87,7 +89,7 @@ def footprint(
     lines: tuple[int, int],
     columns: int,
     relief: Relief | None,
-    node_step: int = 32,
+    node_step: int = NODE_STEP,
     parts: tuple[int, int] = (1, 1),
 ) -> Footprint:
     """Ground seen by all columns of lines ``lines[0]`` to ``lines[1] - 1``, by exact rays.
@@ -227,7 +229,7 @@ def render_block(
     band: int,
     lines: tuple[int, int],
     columns: int,
-    node_step: int = 32,
+    node_step: int = NODE_STEP,
     parts: tuple[int, int] = (1, 1),
 ) -> Array32:
     """Noiseless brightness of a block of lines, in units of the mean ground: (lines, columns) float32.
@@ -254,7 +256,7 @@ def render_chunks(
     shape: tuple[int, int],
     radiometry: Radiometry,
     seed: np.random.SeedSequence,
-    node_step: int = 32,
+    node_step: int = NODE_STEP,
     parts: tuple[int, int] = (1, 1),
 ) -> Iterator[tuple[int, NDArray[np.uint16]]]:
     """The image of one band, chunk by chunk.

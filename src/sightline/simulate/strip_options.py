@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
@@ -60,6 +61,13 @@ class StripOptions:
         rad, size of the unknown rotations of the bands, likewise.
     scale_sigma : float
         Size of the unknown magnifications of the bands beside the first's, relative, likewise.
+    bend_sigma_px : float
+        px, size of the unknown bends of the bands at the ends of their lines: of the second degree (an arc)
+        and of the third, along and across.
+    pieces : tuple of int
+        First column of every CCD after the first, of all bands, in columns of the finest; empty: one CCD.
+    piece_sigma_px : float
+        px, size of the unknown steps where they meet, along and across; none is larger than 0.9 px.
     pixel_ratios : tuple of float
         Pixels of each band over `ifov`; empty: 1 for all. `lines` and `columns` count pixels
         of ratio 1; a coarse pixel shows the mean over itself and over its exposure.
@@ -103,6 +111,9 @@ class StripOptions:
     offset_sigma_px: float = 1.0
     rotation_sigma: float = 3e-4
     scale_sigma: float = 0.0
+    bend_sigma_px: float = 0.0
+    pieces: tuple[int, ...] = ()
+    piece_sigma_px: float = 0.3
     pixel_ratios: tuple[float, ...] = ()
     line_ratios: tuple[float, ...] = ()
     motion: str = "nominal"
@@ -122,7 +133,8 @@ class StripOptions:
         "gains": (0.01, 3.0), "gammas": (0.1, 3.0), "coherence": (0.01, 1.0),
         "coherence_with_first": (0.01, 1.0), "snr": (0.1, 1e5), "contrast": (0.0, 10.0),
         "mtf_nyquist": (1e-3, 0.9), "offset_sigma_px": (0.0, 1e3), "rotation_sigma": (0.0, 0.1),
-        "scale_sigma": (0.0, 0.1), "pixel_ratios": (1.0, 6.0), "line_ratios": (1.0, 6.0),
+        "scale_sigma": (0.0, 0.1), "bend_sigma_px": (0.0, 10.0), "pieces": (1, MOST_COLUMNS),
+        "piece_sigma_px": (0.0, 0.9), "pixel_ratios": (1.0, 6.0), "line_ratios": (1.0, 6.0),
         "relief_rms": (0.0, 3000.0), "cloud_cover": (0.0, 0.95),
         "cloud_banks": (0, MOST_LINES), "blank": (0, MOST_LINES),
     }  # fmt: skip
@@ -142,6 +154,16 @@ class StripOptions:
             raise InputError(
                 "`coherence_with_first` must have one entry per band in (0, 1], 1 for the first; got "
                 f"{given} for {len(self.names)} bands"
+            )
+        if any(b <= a for a, b in pairwise((0, *self.pieces, self.columns))):
+            raise InputError(
+                f"`pieces` must rise within columns 1 to {self.columns - 1}, where CCDs begin; got "
+                f"{', '.join(map(str, self.pieces))}"
+            )
+        if self.pieces and self.bend_sigma_px:
+            raise InputError(
+                f"`pieces` and `bend_sigma_px` = {self.bend_sigma_px:g} are both given; a detector is in "
+                "pieces or bent: keep one of them"
             )
         for name in ("pixel_ratios", "line_ratios"):
             ratios = getattr(self, name)
@@ -170,6 +192,10 @@ class StripOptions:
     def first_time(self, band: int) -> float:
         """s, middle of the first exposure of a band: all begin together."""
         return 0.5 * (self.ratios(band)[0] - 1.0) * self.line_period
+
+    def pieces_of(self, band: int) -> tuple[int, ...]:
+        """First columns of the CCDs of a band after the first."""
+        return tuple(round(column / self.ratios(band)[1]) for column in self.pieces)
 
     @property
     def common_weights(self) -> tuple[float, ...]:

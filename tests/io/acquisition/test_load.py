@@ -71,6 +71,37 @@ def test_what_is_not_said_about_an_offset_is_not_taken_as_exact(folder):
     assert (xs.offset_sigma_px, xs.rotation_sigma) == (1.0, 3e-4)
 
 
+@pytest.mark.parametrize(
+    ("pieces", "columns"), [("", ()), ("pieces = [50, 90]", (50, 90)), ("pieces = 4", (30, 60, 90))], ids=str
+)
+def test_a_band_in_pieces_says_where_they_begin_or_how_many_there_are(folder, pieces, columns):
+    folder.add(f'shape = "pieces"\nshape_sigma_px = 0.2\n{pieces}\n')
+    pan, xs = load_acquisition(folder.write()).bands
+    assert (pan.shape, pan.shape_sigma_px, pan.pieces) == (None, 0.5, ())
+    assert (xs.shape, xs.shape_sigma_px, xs.pieces) == ("pieces", 0.2, columns)
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ("pieces = 3", 'pieces = 3 says where CCDs begin; shape is not given; write shape = "pieces"'),
+        ('shape = "pieces"\npieces = [90, 50]', "pieces = [90, 50] must rise"),
+        ('shape = "pieces"\npieces = []', "names no column"),
+        (
+            'shape = "pieces"\npieces = [50, 120]',
+            "[[band]] XS: pieces = [50, 120] does not fit the 120 columns",
+        ),
+        ('shape = "pieces"\npieces = 100', "pieces = 100 does not fit the 120 columns"),
+        ('shape = "bent"', "line"),
+        ("shape_sigma_px = -1.0", "shape_sigma_px"),
+    ],
+    ids=["unasked", "falling", "none", "beyond", "many", "word", "sigma"],
+)
+def test_a_shape_that_cannot_be_is_refused(folder, keys, words):
+    said = message(folder.add(keys + "\n"))
+    assert words in said and "acquisition.toml" in said
+
+
 def test_every_input_file_is_hashed(folder):
     acquisition = load_acquisition(folder.write())
     hashes = acquisition.input_hashes()

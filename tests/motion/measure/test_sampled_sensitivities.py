@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.testing import assert_allclose
 
 from motion.strips import ALTITUDE, IFOV, PERIOD, given_bands, moved_by_turn, sampled_motion, strip_cameras
 from sightline.geometry.surface import Plane
+from sightline.motion.band import Band
 from sightline.motion.measure.sampled_sensitivities import sampled_sensitivities
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.statics import band_statics
@@ -19,7 +22,7 @@ def test_every_window_between_the_samples_has_the_sensitivity_of_its_place():
     cameras = strip_cameras(AHEAD)
     statics = band_statics(given_bands(["first", "second"], [0.0, 1.0], [0.0, 0.0]))
     seen = GRID.centres[:, 0] + 200 < 590
-    got = sampled_sensitivities(cameras, 0, 1, Plane(), GRID, seen, statics)
+    got = sampled_sensitivities(cameras, 0, 1, Plane(), GRID, seen, statics, GRID.centres)
     assert got.shape == (len(GRID.centres), 2, 9) and got.dtype == np.float32
     # 0.1 px/rad of the finite differences (see test_predict); float32 of values up to 2e5 px/rad adds 0.01
     assert_allclose(got[..., 0:3], -moved_by_turn(GRID.centres, AHEAD[0]), atol=0.12)
@@ -37,7 +40,9 @@ def test_every_row_has_the_sensitivity_of_its_own_motion():
     growth, lag = 0.3, 200 * PERIOD
     cameras = strip_cameras(AHEAD, motion=sampled_motion(yaw=lambda t: growth * t**2))
     grid = window_grid((380, 320), (10, 100), 40)
-    got = sampled_sensitivities(cameras, 0, 1, Plane(), grid, np.ones(len(grid.centres), bool), [])
+    got = sampled_sensitivities(
+        cameras, 0, 1, Plane(), grid, np.ones(len(grid.centres), bool), [], grid.centres
+    )
     t = grid.centres[:, 0] * PERIOD
     turned = growth * ((t + lag) ** 2 - t**2 / 2)
     # while the partner waits, the body yaws by 2 c t < 0.18 rad/s at a field of 8e-4, against V / H =
@@ -49,11 +54,35 @@ def test_every_row_has_the_sensitivity_of_its_own_motion():
 def test_rows_whose_partner_is_not_seen_take_the_nearest_row_that_is():
     cameras = strip_cameras(AHEAD)
     seen = (GRID.centres[:, 0] > 100) & (GRID.centres[:, 0] < 300)
-    got = sampled_sensitivities(cameras, 0, 1, Plane(), GRID, seen, [])
+    got = sampled_sensitivities(cameras, 0, 1, Plane(), GRID, seen, [], GRID.centres)
     assert_allclose(got[..., 3:6], moved_by_turn(GRID.centres, AHEAD[1]), atol=0.12)
+
+
+def test_a_window_that_a_step_divides_moves_by_the_share_beyond_it():
+    cameras = strip_cameras(AHEAD)
+    names = ("first", "second")
+    bands = [
+        Band(n, None, c, 0.0, 0.0, 0.0, shape="pieces", pieces=(105,))
+        for n, c in zip(names, cameras, strict=True)
+    ]
+    bands[0] = replace(bands[0], shape="line", pieces=())
+    statics = band_statics(bands)
+    assert [p.name for p in statics] == [
+        "second step along at column 105",
+        "second step across at column 105",
+    ]
+    seen = np.ones(len(GRID.centres), bool)
+    got = sampled_sensitivities(cameras, 0, 1, Plane(), GRID, seen, statics, GRID.centres)[..., 7:]
+    # windows of 20 columns from 0 on: that of columns 100 to 119 has 15 of them beyond; the mean of all is 0
+    beyond = np.clip((GRID.centres[:, 1] + 10.0 - 104.5) / 20.0, 0.0, 1.0) - (320 - 105) / 320
+    assert_allclose(got[:, 0, 0], -beyond, atol=2e-5)
+    assert_allclose(got[:, 1, 1], -beyond, atol=2e-5)
+    assert_allclose(got[:, 0, 1], 0.0, atol=1e-5)
 
 
 def test_a_partner_that_sees_nothing_has_no_sensitivity():
     cameras = strip_cameras(AHEAD)
-    got = sampled_sensitivities(cameras, 0, 1, Plane(), GRID, np.zeros(len(GRID.centres), bool), [])
+    got = sampled_sensitivities(
+        cameras, 0, 1, Plane(), GRID, np.zeros(len(GRID.centres), bool), [], GRID.centres
+    )
     assert got.shape == (len(GRID.centres), 2, 7) and not got.any()

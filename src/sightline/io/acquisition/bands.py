@@ -90,6 +90,9 @@ def build_bands(config: AcquisitionFile, files: InputFolder, *, look: bool = Tru
             band.rotation_sigma,
             band.scale_sigma,
             match_sigma_of(band, image, files),
+            band.shape,
+            band.shape_sigma_px,
+            pieces_of(band, image, files),
         )
         for band, image, (detector, timing) in zip(config.band, images, plans, strict=True)
     )
@@ -98,6 +101,22 @@ def build_bands(config: AcquisitionFile, files: InputFolder, *, look: bool = Tru
 def match_sigma_of(band: BandSection, image: Source, files: InputFolder) -> Array | None:
     """Relative sigma of matches at every column, where the band names a table of its quality."""
     return None if band.quality is None else read_match_sigma(files(band.quality), image.shape[1])
+
+
+def pieces_of(band: BandSection, image: Source, files: InputFolder) -> tuple[int, ...]:
+    """First columns of the further CCDs of a band; none where they are not given."""
+    columns, pieces = image.shape[1], band.pieces
+    if pieces is None:
+        return ()
+    last = 2 * pieces - 1 if isinstance(pieces, int) else pieces[-1]
+    if last >= columns:
+        raise FormatError(
+            f"{files.toml}: [[band]] {band.name}: pieces = {pieces} does not fit the {columns} columns of "
+            f"{image.path.name}; give the first column of each CCD after the first, from 0, or their number"
+        )
+    if isinstance(pieces, int):
+        return tuple(round(k * columns / pieces) for k in range(1, pieces))
+    return tuple(pieces)
 
 
 def open_band_image(band: BandSection, files: InputFolder, *, look: bool) -> Source:

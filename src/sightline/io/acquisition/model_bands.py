@@ -10,7 +10,7 @@ import numpy as np
 from sightline.errors import FormatError
 from sightline.geometry.camera import PushbroomCamera
 from sightline.io.acquisition.acquired import InputFolder
-from sightline.io.acquisition.bands import match_sigma_of, open_band_image
+from sightline.io.acquisition.bands import match_sigma_of, open_band_image, pieces_of
 from sightline.io.acquisition.schema import AcquisitionFile, BandSection
 from sightline.io.acquisition.spin import mount_of
 from sightline.io.formats.isd import LineScanModel, read_line_scan_model
@@ -64,6 +64,9 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
                 band.rotation_sigma,
                 band.scale_sigma,
                 match_sigma_of(band, image, files),
+                band.shape,
+                band.shape_sigma_px,
+                pieces_of(band, image, files),
             )
         )
     return tuple(bands)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import posixpath
 from datetime import datetime
+from itertools import pairwise
 from typing import Annotated, Literal
 
 import numpy as np
@@ -259,6 +260,11 @@ class LineGeometry(SchemaSection):
     )
 
 
+#: CCDs of a detector line, and columns at which one begins.
+PieceCount = Annotated[int, Within(2, 1000)]
+PieceColumn = Annotated[int, Within(1, 1_000_000)]
+
+
 class BandSection(LineGeometry):
     """``[[band]]``: one detector line and its image."""
 
@@ -283,6 +289,18 @@ class BandSection(LineGeometry):
         default=1e-3,
         description="How well its magnification beside the first band's is known, relative; 0 = exactly",
     )
+    shape: Literal["line", "polynomial", "pieces"] | None = Field(
+        default=None,
+        description="How the detector line departs from its directions: not, in smooth bends, or in steps "
+        "between its CCDs; default: a line, unless the images show something else",
+    )
+    shape_sigma_px: Annotated[float, Within(1e-7, 100.0, "px", zero=True)] = Field(
+        default=0.5, description="Size of each bend at the ends of the line, of each step, px; 0 = none"
+    )
+    pieces: PieceCount | list[PieceColumn] | None = Field(
+        default=None,
+        description='Of shape "pieces": how many equal CCDs, or the first column of each after the first',
+    )
     first_line_time: Seconds | None = Field(
         default=None, description="s, centre of the exposure of line 0 (default 0)"
     )
@@ -298,6 +316,21 @@ class BandSection(LineGeometry):
     model: FileName | None = Field(
         default=None, description="Sensor-model file of this band, [platform] kind camera-model"
     )
+
+    @model_validator(mode="after")
+    def _pieces_follow(self) -> BandSection:
+        if self.pieces is None:
+            return self
+        if self.shape != "pieces":
+            raise ValueError(
+                f"pieces = {self.pieces} says where CCDs begin; shape is {self.shape or 'not given'}; write "
+                'shape = "pieces", or leave pieces out'
+            )
+        if isinstance(self.pieces, list) and not self.pieces:
+            raise ValueError("pieces = [] names no column; give the first column of each CCD after the first")
+        if isinstance(self.pieces, list) and any(b <= a for a, b in pairwise(self.pieces)):
+            raise ValueError(f"pieces = {self.pieces} must rise: columns are counted from 0 at the first CCD")
+        return self
 
 
 class FrameSection(SchemaSection):

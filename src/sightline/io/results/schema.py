@@ -219,7 +219,7 @@ class RecoverySummary(RunSummary):
     pairs: list[ImagePair] = _is("Windows of each pair")
     withheld: list[Withheld] = _is("Pairs that the estimate did not use, predicted from it; may be empty")
     relief: FoundRelief | None = _is("The ground that was found; null where none was sought")
-    statics: list[Static] = _is("Offsets, rotations and scales of the bands")
+    statics: list[Static] = _is("Offsets, rotations, scales and shapes of the bands")
     sensors: list[Sensor] = _is("What attitude sensors and control points gave")
     hidden_directions: Hidden | None = _is("What the images cannot see; null: all is seen")
     changes: list[Number] = _is("Change of the motion per pass, in its sigmas")

@@ -50,6 +50,10 @@ class StaticParameter:
         ``apply(cameras, value)`` gives the cameras with the parameter `value` away from nominal.
     images : tuple of int
         Which images it touches.
+    whole : StaticParameter or None
+        Where it moves the columns of its one image unlike, and not smoothly: what moves all of them alike.
+    profile : (columns,) or None
+        How far it moves each of them, as a share of what `whole` does.
     """
 
     name: str
@@ -58,6 +62,8 @@ class StaticParameter:
     step: float
     apply: Callable[[Sequence[MovingCamera], float], list[MovingCamera]]
     images: tuple[int, ...]
+    whole: StaticParameter | None = None
+    profile: Array | None = None
 
 
 @dataclass(frozen=True, eq=False)

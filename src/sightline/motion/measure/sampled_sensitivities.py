@@ -32,6 +32,7 @@ def sampled_sensitivities(
     grid: WindowGrid,
     seen: NDArray[np.bool_],
     statics: Sequence[StaticParameter],
+    places: Array,
 ) -> NDArray[np.float32]:
     """Sensitivities of every window of a grid, (G, 2, 7 + Q) float32.
 
@@ -41,9 +42,18 @@ def sampled_sensitivities(
     ----------
     seen : (G,)
         Windows whose partner lies inside the other image.
+    places : (G, 2)
+        px; where the windows lie in the other image.
+
+    Notes
+    -----
+    What moves the columns of an image unlike is what moves all of them, times its profile averaged over each
+    window: the few columns of a row would miss bends and steps.
     """
+    own = statics
+    statics = list(dict.fromkeys(parameter.whole or parameter for parameter in own))
     rows, blocks = grid.shape
-    out = np.zeros((rows * blocks, 2, 7 + len(statics)), dtype=np.float32)
+    out = np.zeros((rows * blocks, 2, 7 + len(own)), dtype=np.float32)
     table = seen.reshape(rows, blocks)
     usable = np.flatnonzero(table.any(axis=1))
     if len(usable) == 0:
@@ -59,7 +69,28 @@ def sampled_sensitivities(
     whole = _fill_and_interpolate(
         across.transpose(1, 0, 2), sample_rows.astype(float), np.arange(rows, dtype=float)
     ).transpose(1, 0, 2)
-    return np.ascontiguousarray(whole.reshape(rows * blocks, 2, -1), dtype=np.float32)
+    whole = whole.reshape(rows * blocks, 2, -1)
+    if len(statics) < len(own) or any(parameter.whole for parameter in own):
+        columns = {image: places[:, 1], hub: grid.centres[:, 1]}
+        parts = [whole[..., :7]]
+        for parameter in own:
+            moved = whole[..., 7 + statics.index(parameter.whole or parameter)]
+            if parameter.profile is not None and parameter.images[0] in columns:
+                share = _averaged(parameter.profile, columns[parameter.images[0]], grid.window[1])
+                moved = moved * share[:, None]
+            parts.append(moved[..., None])
+        whole = np.concatenate(parts, axis=2)
+    return np.ascontiguousarray(whole, dtype=np.float32)
+
+
+def _averaged(profile: Array, columns: Array, width: float) -> Array:
+    """Mean of a profile (columns,) over windows about `columns` (G,), `width` px wide."""
+    edges = np.arange(len(profile) + 1) - 0.5
+    summed = np.concatenate([[0.0], np.cumsum(profile)])
+    low, high = columns - 0.5 * width, columns + 0.5 * width
+    inside = np.clip(high, edges[0], edges[-1]) - np.clip(low, edges[0], edges[-1])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.asarray((np.interp(high, edges, summed) - np.interp(low, edges, summed)) / inside)
 
 
 def _fill_and_interpolate(values: Array, x: Array, wanted: Array) -> Array:

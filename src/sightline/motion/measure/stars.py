@@ -28,7 +28,6 @@ from sightline.matching.match_images import match_images
 from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, Matches
 from sightline.matching.select import Selection, chosen_windows
 from sightline.matching.whitening import Whitening, estimate_whitening, gradient_filter
-from sightline.motion.measure.aliasing import RESPONSE_STEP, folding, response
 from sightline.motion.measure.common_view import Views, common_views, partners_of, usable
 from sightline.motion.measure.observations import Star, shared_image_correlation
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
@@ -46,6 +45,8 @@ Array = NDArray[np.float64]
 
 #: Columns between the places where the map of two images is evaluated: over relief, over smooth surfaces.
 RELIEF_SPACING, SMOOTH_SPACING = 16, 64
+#: Lines at which the columns are sought where the CCDs of a line meet in steps.
+STEP_LINES = 5
 #: Tiles that teach the whitening of a pair.
 TILES = 400
 #: A row that lost more than this share of its windows is tried again: the estimate may have been wrong.
@@ -80,6 +81,9 @@ COARSE_WINDOW = (2, 24)
 COARSE_SEARCH, SEARCHED_PIXELS = 3, 200
 #: Rows of windows in the shortest lag at least, and lines of a window at least.
 ROWS_IN_LAG, LEAST_WINDOW = 1.8, 2
+#: px of the hub by which a finer partner is moved to see how matches respond, and how far the response of a
+#: window may lie from the usual one.
+RESPONSE_STEP, RESPONSE_SPREAD = 0.05, 0.5
 #: Lines squared by which the derivative along lines spreads what a low window averages over: tones of 30 to
 #: 120 Hz in pitch are seen through windows of 2 (3) lines as through 2.7 (3.4).
 NEIGHBOURS = 3.3
@@ -279,17 +283,6 @@ def ratio_to_finest(cameras: Sequence[MovingCamera], image: int) -> tuple[float,
     return float(along), float(across)
 
 
-def finest_view(cameras: Sequence[MovingCamera], surface: Surface, hub: int, grid: WindowGrid) -> int | None:
-    """The image of the finest pixels in which most windows of a coarser hub lie; None for a hub of these."""
-    groups = groups_of_pixels(cameras)
-    finest = [image for image, group in enumerate(groups) if group == max(groups)]
-    if hub in finest:
-        return None
-    ground = cameras[hub].locate(grid.centres, surface)
-    seen = [np.isfinite(cameras[image].project(ground)).all(axis=1).sum() for image in finest]
-    return finest[int(np.argmax(seen))] if max(seen) else None
-
-
 def parts_of_pixel(cameras: Sequence[MovingCamera], hub: int, partner: int) -> tuple[int, int]:
     """Parts (along, across) of a hub's pixel over which a finer partner is averaged; 1 if they are like."""
     sizes = pixel_sizes(cameras)
@@ -365,7 +358,6 @@ def match_star(
         laid_on(images, cameras if one else blurred, surface, hub, partner)
         for partner, one in zip(partners, finer, strict=True)
     ]
-    finest = None if max(plan.search_px) else finest_view(cameras, surface, hub, grid)
 
     def whitening(j: int) -> Whitening | None:
         if plan.similarity != "whitened":
@@ -376,7 +368,8 @@ def match_star(
         return pair_whitening(images[hub], laid[j], points, plan.tiles)
 
     def sensitivity(j: int) -> NDArray[np.float32]:
-        return sampled_sensitivities(cameras, hub, partners[j], surface, grid, seen[j], statics)
+        places = predicted[j].b
+        return sampled_sensitivities(cameras, hub, partners[j], surface, grid, seen[j], statics, places)
 
     whitenings = in_threads(whitening, range(k))
     values = np.stack(in_threads(sensitivity, range(k)), axis=1)
@@ -388,15 +381,9 @@ def match_star(
 
         points = np.where((seen[j] & ~wrong[:, j] & chosen)[:, None], grid.centres, np.nan)
 
-        def matched(
-            image: ImageSource,
-            points: Array = points,
-            j: int = j,
-            step: Step = no_step,
-            own: ImageSource = images[hub],
-        ) -> Matches:
+        def matched(image: ImageSource, points: Array = points, j: int = j, step: Step = no_step) -> Matches:
             return match_images(
-                own,
+                images[hub],
                 image,
                 points,
                 points,
@@ -415,18 +402,8 @@ def match_star(
                 for line, column in ((RESPONSE_STEP, 0.0), (0.0, RESPONSE_STEP))
             ]
             turn = turn @ np.linalg.inv(response(matches, moved)[good])
-        shift, uncertain = matches.b[good] - grid.centres[good], matches.covariance_px[good]
-        if finest is not None and not finer[j]:
-            shown = list(images)
-            for image in (hub, partner):
-                shown[image] = laid_on(images, cameras, surface, image, finest)
-            fold = matched(laid_on(shown, blurred, surface, hub, partner), own=shown[hub])
-            folded, unknown = folding(
-                shift, fold.b[good] - fold.a[good], fold.kept[good], grid.centres[good, 0]
-            )
-            shift, uncertain = shift - folded, uncertain + unknown
-        residual[good, j] = np.einsum("nij,nj->ni", turn, shift)
-        covariance[good, j] = turn @ uncertain @ np.swapaxes(turn, 1, 2)
+        residual[good, j] = np.einsum("nij,nj->ni", turn, matches.b[good] - grid.centres[good])
+        covariance[good, j] = turn @ matches.covariance_px[good] @ np.swapaxes(turn, 1, 2)
         size = _size_in(cameras, hub, partner, grid.window)
         beyond = ~within_image(predicted[j].b, images[partner].shape, size)
         status[:, j] = np.where(beyond & (matches.status == MASKED), OUTSIDE, matches.status)
@@ -492,6 +469,26 @@ def exposed(camera: MovingCamera) -> MovingCamera:
     return camera.with_trajectory(camera.trajectory.with_motion(Motion(motion.t, angles)))
 
 
+def response(matches: Matches, moved: Sequence[Matches]) -> Array:
+    """(N, 2, 2) change of matches with the shift of a finer partner, as `moved` shows it.
+
+    What a coarse pixel shows of detail finer than itself moves otherwise than its edges, as moire does, and
+    takes part of the shift back: measured once, the shift is found as a share of itself. Windows that were
+    not matched again, or answer otherwise than most, respond as the median does.
+    """
+    out = np.stack([(matches.b - other.b) / RESPONSE_STEP for other in moved], axis=2)
+    usable = matches.kept & np.isfinite(out).all(axis=(1, 2))
+    for other in moved:
+        usable &= other.kept
+    if not usable.any():
+        return np.broadcast_to(np.eye(2), out.shape)
+    middle = np.median(out[usable], axis=0)
+    with np.errstate(invalid="ignore"):
+        usable &= (np.abs(out - middle) <= RESPONSE_SPREAD).all(axis=(1, 2))
+    out[~usable] = middle
+    return out
+
+
 def laid_on(
     images: Sequence[ImageSource],
     cameras: Sequence[MovingCamera],
@@ -515,12 +512,30 @@ def laid_on(
         return b.reshape(len(lines), len(columns), 2)
 
     spacing = RELIEF_SPACING if isinstance(surface, Dem) else SMOOTH_SPACING
+    parts = parts_of_pixel(cameras, hub, partner)
+    rough = _rough_columns(source, target, mapping, images[hub].shape)
     places = line_places(target, surface)
 
     def laid(mapping: Mapping, shape: tuple[int, int]) -> WarpedImage:
-        return WarpedImage(images[partner], mapping, shape, spacing, places)
+        return WarpedImage(images[partner], mapping, shape, spacing, places, tuple(rough * parts[1]))
 
-    return averaged(laid, mapping, images[hub].shape, parts_of_pixel(cameras, hub, partner))
+    return averaged(laid, mapping, images[hub].shape, parts)
+
+
+def _rough_columns(
+    source: MovingCamera, target: MovingCamera, mapping: Mapping, shape: tuple[int, int]
+) -> Array:
+    """Columns of the source at which a detector line of either camera is not smooth."""
+    own, other = (
+        c.detector.rough_columns if isinstance(c, PushbroomCamera) else np.empty(0) for c in (source, target)
+    )
+    if not len(other):
+        return own
+    columns = np.arange(shape[1], dtype=np.float64)
+    seen = mapping(np.linspace(0.0, shape[0] - 1.0, STEP_LINES + 2)[1:-1], columns)[..., 1]
+    with np.errstate(invalid="ignore"):
+        between = [(line[:-1] - c) * (line[1:] - c) <= 0.0 for line in seen for c in other]
+    return np.union1d(own, np.flatnonzero(np.any(between, axis=0)) + 0.5)
 
 
 def line_places(camera: MovingCamera, surface: Surface) -> Array | None:

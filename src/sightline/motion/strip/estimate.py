@@ -71,6 +71,7 @@ class StripState:
     before_px: tuple[Array, ...]
     relief_length: float
     ground: GroundOrder
+    height_sigma: float = 0.0
 
     def jumps(self) -> list[Array]:
         """Instants (s) at which roll, pitch, yaw were let jump."""
@@ -187,7 +188,16 @@ def solve_strip(
         length = relief_length(stars, without, height_sigma, strip.half_width)
     kept = tuple(StarRecord(s, r.status, r.score) for s, r in zip(stars, records, strict=True))
     return StripState(
-        estimate, prior, model, kept, tuple(post), tuple(without), tuple(measured), length, orders[0]
+        estimate,
+        prior,
+        model,
+        kept,
+        tuple(post),
+        tuple(without),
+        tuple(measured),
+        length,
+        orders[0],
+        height_sigma,
     )
 
 

@@ -37,6 +37,10 @@ from sightline.motion.strip.viewing_axes import in_axes, turned_spectra, viewing
 
 Array = NDArray[np.float64]
 
+#: Shapes of detector lines: number of the band, one of ``band.SHAPES``, columns where its CCDs meet, and px
+#: (rms over the columns) by which it departs from a straight line.
+Shapes = tuple[tuple[int, str, tuple[int, ...], float], ...]
+
 #: Tiles per pair that teach the whitening of drafts.
 DRAFT_TILES = 128
 #: Estimators of the motion (S1, claim 6).
@@ -124,7 +128,8 @@ class Strip:
     """What does not change from pass to pass; a `draft` is a wide strip before its last pass.
 
     `nominal` are the cameras in the axes of the estimate; `turn` (3, 3) leads from them to body axes;
-    `withheld` are the pairs that were asked to be left out, of which `views` has none.
+    `withheld` are the pairs that were asked to be left out, of which `views` has none; `shapes` those of
+    detector lines that were not given, but found.
     """
 
     bands: tuple[Band, ...]
@@ -146,6 +151,7 @@ class Strip:
     draft: bool = False
     withheld: tuple[tuple[int, int], ...] = ()
     shortest_lag: float = math.inf
+    shapes: Shapes = ()
 
     def plan(
         self, options: RecoverOptions, window: tuple[int, int], step: int, search: tuple[int, int] = (0, 0)

@@ -15,6 +15,7 @@ from sightline.motion.strip.alternatives import alternative
 from sightline.motion.strip.estimate import StripState
 from sightline.motion.strip.fusion import uses
 from sightline.motion.strip.joint import JointEstimate
+from sightline.motion.strip.shape import shape_warnings
 from sightline.motion.strip.strip import RecoverOptions, Strip
 from sightline.motion.strip.viewing_axes import turned_spectra
 
@@ -191,6 +192,7 @@ def strip_warnings(
         )
     out += _far_off(strip, state.estimate, motion)
     out += _sensor_warnings(strip, state.estimate)
+    out += shape_warnings(strip, state)
     covariance = motion.covariance
     assert covariance is not None
     prior_yaw = turned_spectra(state.model.spectra, strip.turn)[2].sigma
