@@ -28,6 +28,7 @@ from sightline.matching.match_images import match_images
 from sightline.matching.matches import KEPT, MASKED, NOT_CHOSEN, OUTLIER, OUTSIDE, Matches
 from sightline.matching.select import Selection, chosen_windows
 from sightline.matching.whitening import Whitening, estimate_whitening, gradient_filter
+from sightline.motion.measure.aliasing import RESPONSE_STEP, folding, response
 from sightline.motion.measure.common_view import Views, common_views, partners_of, usable
 from sightline.motion.measure.observations import Star, shared_image_correlation
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
@@ -81,9 +82,6 @@ COARSE_WINDOW = (2, 24)
 COARSE_SEARCH, SEARCHED_PIXELS = 3, 200
 #: Rows of windows in the shortest lag at least, and lines of a window at least.
 ROWS_IN_LAG, LEAST_WINDOW = 1.8, 2
-#: px of the hub by which a finer partner is moved to see how matches respond, and how far the response of a
-#: window may lie from the usual one.
-RESPONSE_STEP, RESPONSE_SPREAD = 0.05, 0.5
 #: Lines squared by which the derivative along lines spreads what a low window averages over: tones of 30 to
 #: 120 Hz in pitch are seen through windows of 2 (3) lines as through 2.7 (3.4).
 NEIGHBOURS = 3.3
@@ -283,6 +281,17 @@ def ratio_to_finest(cameras: Sequence[MovingCamera], image: int) -> tuple[float,
     return float(along), float(across)
 
 
+def finest_view(cameras: Sequence[MovingCamera], surface: Surface, hub: int, grid: WindowGrid) -> int | None:
+    """The image of the finest pixels in which most windows of a coarser hub lie; None for a hub of these."""
+    groups = groups_of_pixels(cameras)
+    finest = [image for image, group in enumerate(groups) if group == max(groups)]
+    if hub in finest:
+        return None
+    ground = cameras[hub].locate(grid.centres, surface)
+    seen = [np.isfinite(cameras[image].project(ground)).all(axis=1).sum() for image in finest]
+    return finest[int(np.argmax(seen))] if max(seen) else None
+
+
 def parts_of_pixel(cameras: Sequence[MovingCamera], hub: int, partner: int) -> tuple[int, int]:
     """Parts (along, across) of a hub's pixel over which a finer partner is averaged; 1 if they are like."""
     sizes = pixel_sizes(cameras)
@@ -358,6 +367,7 @@ def match_star(
         laid_on(images, cameras if one else blurred, surface, hub, partner)
         for partner, one in zip(partners, finer, strict=True)
     ]
+    finest = None if max(plan.search_px) else finest_view(cameras, surface, hub, grid)
 
     def whitening(j: int) -> Whitening | None:
         if plan.similarity != "whitened":
@@ -381,9 +391,15 @@ def match_star(
 
         points = np.where((seen[j] & ~wrong[:, j] & chosen)[:, None], grid.centres, np.nan)
 
-        def matched(image: ImageSource, points: Array = points, j: int = j, step: Step = no_step) -> Matches:
+        def matched(
+            image: ImageSource,
+            points: Array = points,
+            j: int = j,
+            step: Step = no_step,
+            own: ImageSource = images[hub],
+        ) -> Matches:
             return match_images(
-                images[hub],
+                own,
                 image,
                 points,
                 points,
@@ -402,8 +418,18 @@ def match_star(
                 for line, column in ((RESPONSE_STEP, 0.0), (0.0, RESPONSE_STEP))
             ]
             turn = turn @ np.linalg.inv(response(matches, moved)[good])
-        residual[good, j] = np.einsum("nij,nj->ni", turn, matches.b[good] - grid.centres[good])
-        covariance[good, j] = turn @ matches.covariance_px[good] @ np.swapaxes(turn, 1, 2)
+        shift, uncertain = matches.b[good] - grid.centres[good], matches.covariance_px[good]
+        if finest is not None and not finer[j]:
+            shown = list(images)
+            for image in (hub, partner):
+                shown[image] = laid_on(images, cameras, surface, image, finest)
+            fold = matched(laid_on(shown, blurred, surface, hub, partner), own=shown[hub])
+            folded, unknown = folding(
+                shift, fold.b[good] - fold.a[good], fold.kept[good], grid.centres[good, 0]
+            )
+            shift, uncertain = shift - folded, uncertain + unknown
+        residual[good, j] = np.einsum("nij,nj->ni", turn, shift)
+        covariance[good, j] = turn @ uncertain @ np.swapaxes(turn, 1, 2)
         size = _size_in(cameras, hub, partner, grid.window)
         beyond = ~within_image(predicted[j].b, images[partner].shape, size)
         status[:, j] = np.where(beyond & (matches.status == MASKED), OUTSIDE, matches.status)
@@ -467,26 +493,6 @@ def exposed(camera: MovingCamera) -> MovingCamera:
     inside = np.clip(instants, motion.t[0], motion.t[-1])
     angles = motion.at(inside.ravel()).reshape(*inside.shape, 3).mean(axis=1)
     return camera.with_trajectory(camera.trajectory.with_motion(Motion(motion.t, angles)))
-
-
-def response(matches: Matches, moved: Sequence[Matches]) -> Array:
-    """(N, 2, 2) change of matches with the shift of a finer partner, as `moved` shows it.
-
-    What a coarse pixel shows of detail finer than itself moves otherwise than its edges, as moire does, and
-    takes part of the shift back: measured once, the shift is found as a share of itself. Windows that were
-    not matched again, or answer otherwise than most, respond as the median does.
-    """
-    out = np.stack([(matches.b - other.b) / RESPONSE_STEP for other in moved], axis=2)
-    usable = matches.kept & np.isfinite(out).all(axis=(1, 2))
-    for other in moved:
-        usable &= other.kept
-    if not usable.any():
-        return np.broadcast_to(np.eye(2), out.shape)
-    middle = np.median(out[usable], axis=0)
-    with np.errstate(invalid="ignore"):
-        usable &= (np.abs(out - middle) <= RESPONSE_SPREAD).all(axis=(1, 2))
-    out[~usable] = middle
-    return out
 
 
 def laid_on(
