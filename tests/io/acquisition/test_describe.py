@@ -46,6 +46,21 @@ def test_frequencies_below_one_period_of_the_strip_are_not_promised(folder):
     assert said["passbands"][0][0] == pytest.approx(1.0 / (t[1] - t[0]))
 
 
+@pytest.mark.parametrize("coarse", [[1], [0], [0, 1]])
+def test_frequencies_are_promised_up_to_a_quarter_of_the_coarser_line_rate(folder, coarse):
+    acquisition = load_acquisition(folder.write())
+    period = acquisition.cameras[0].detector.line_period
+    cameras = tuple(
+        camera.with_detector(replace(camera.detector, line_period=4.0 * period)) if k in coarse else camera
+        for k, camera in enumerate(acquisition.cameras)
+    )
+    bands = tuple(
+        replace(band, camera=camera) for band, camera in zip(acquisition.bands, cameras, strict=True)
+    )
+    said = describe_acquisition(replace(acquisition, bands=bands))
+    assert said["highest_frequency"] == pytest.approx(0.25 / (4.0 * period))
+
+
 def test_yaw_is_said_to_be_seen_worse_by_the_field(folder):
     said = describe_acquisition(load_acquisition(folder.write()))
     # edge of the field at 59.5 px: 1 px = 16807 urad; roll 5 urad: 3361 times

@@ -129,10 +129,14 @@ def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
 
 
 def _highest_frequency(acquisition: Acquisition) -> float:
-    """Hz: a quarter of the line rate, as S1 advises; for frames, half their rate."""
+    """Hz: a quarter of the line rate, as S1 advises; for frames, half their rate.
+
+    A pair of unlike lines is matched on the coarser ones: the second finest band has the rate that counts.
+    """
     cameras = acquisition.cameras
-    if isinstance(cameras[0], PushbroomCamera):
-        return 0.25 / cameras[0].detector.line_period
+    periods = sorted(c.detector.line_period for c in cameras if isinstance(c, PushbroomCamera))
+    if periods:
+        return 0.25 / periods[:2][-1]
     times = np.unique([camera.t for camera in cameras if not isinstance(camera, PushbroomCamera)])
     return float(0.5 / np.median(np.diff(times)))
 
