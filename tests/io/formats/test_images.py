@@ -44,6 +44,16 @@ def test_no_data_nan_and_the_mask_image_are_not_to_be_used(tmp_path):
     assert sorted(zip(*np.nonzero(bad), strict=True)) == [(2, 3), (4, 5), (6, 7)]
 
 
+@pytest.mark.filterwarnings("error")
+def test_numbers_that_float32_has_not_are_masked_without_a_word(tmp_path):
+    pixels = np.arange(400.0).reshape(20, 20)
+    pixels[3, 4] = 1e300
+    pixels.view(np.uint64)[5, 6] = 0x7FF0000000000001  # a NaN that signals
+    np.save(tmp_path / "band.npy", pixels)
+    mask = open_image(tmp_path / "band.npy").mask((0, 20), (0, 20))
+    assert np.argwhere(mask).tolist() == [[3, 4], [5, 6]]
+
+
 def test_luminance_is_the_mean_of_the_bands(tmp_path):
     import rasterio
 

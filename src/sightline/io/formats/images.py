@@ -31,8 +31,8 @@ EMPTY_SHARE = 0.9
 
 
 def _as_image(pixels: NDArray[Any]) -> Image:
-    """Pixels as float32, C order; what is too large for it is infinite, and masked."""
-    with np.errstate(over="ignore"):
+    """Pixels as float32, C order; what is too large for it is infinite, and masked, as NaN of any kind is."""
+    with np.errstate(over="ignore", invalid="ignore"):
         return np.ascontiguousarray(pixels, dtype=np.float32)
 
 
