@@ -96,3 +96,14 @@ def test_bad_input_is_named() -> None:
         series_equations([series(t, 10.0, t)], Grid(0.0, 0.01, 60))
     with pytest.raises(InputError, match="no series holds a finite measurement"):
         series_equations([series(t, 0.1, t * np.nan)], Grid(0.0, 0.01, 60))
+
+
+@pytest.mark.parametrize(("window", "tdi"), [(2e-3, 16e-3), (16e-3, 2e-3), (0.0, 8e-3)])
+def test_tdi_averages_a_motion_besides_the_window(window: float, tdi: float) -> None:
+    grid, f = Grid(0.0, 1e-3, 200), 47.0
+    t = np.linspace(0.03, 0.17, 40)
+    first, weights = grid.weights(t, window, tdi)
+    x = np.sin(2.0 * np.pi * f * grid.nodes)
+    values = np.einsum("nk,nk->n", weights, x[first[:, None] + np.arange(weights.shape[1])])
+    left = np.sinc(f * window) * np.sinc(f * tdi)
+    np.testing.assert_allclose(values, left * np.sin(2.0 * np.pi * f * t), atol=0.003)

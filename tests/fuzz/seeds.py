@@ -127,6 +127,7 @@ def level(folder: Path) -> None:
     look = IFOV * (np.arange(COLUMNS) - 19.5)
     table(folder / "directions.csv", "column,x,y,z", [(k, x, 0.0, 1.0) for k, x in enumerate(look)])
     table(folder / "quality.csv", "column,mtf_x,mtf_y,snr", [(k, 0.2, 0.1, 50 + k) for k in range(COLUMNS)])
+    table(folder / "stages.csv", "column,stages", [(k, 8 if k < 20 else 16) for k in range(COLUMNS)])
     table(folder / "stars.csv", "t,roll,pitch,yaw,sigma", [(k, 1e-6, 2e-6, 0.0, 1e-5) for k in t[::16]])
     table(
         folder / "gyro.csv",
@@ -145,7 +146,8 @@ def level(folder: Path) -> None:
     text = BANDS.replace(
         'image = "PAN.tif"', 'image = "PAN.tif"\nmask = "mask.tif"\nline_times = "times.csv"'
     )
-    text = text.replace("look_ahead = 5e-5", 'look_ahead = 5e-5\nquality = "quality.csv"', 1)
+    more = 'quality = "quality.csv"\nstages = "stages.csv"\ntime_reference = "centre"'
+    text = text.replace("look_ahead = 5e-5", f"look_ahead = 5e-5\n{more}", 1)
     text = text.replace("ifov = 5e-6", 'directions = "directions.csv"', 1)
     (folder / "acquisition.toml").write_text(
         f"""

@@ -210,3 +210,54 @@ class TestFrame:
         bent = self.frame(distortion=(0.5,)).detector
         camera = self.frame().with_detector(bent)
         assert camera.detector is bent and camera.shape == (100, 200)
+
+
+class TestTdiStages:
+    T = np.arange(-200, 1300) * PERIOD
+    JITTER = Motion(T, 1e-6 * np.stack([np.sin(300.0 * T), np.cos(500.0 * T), np.sin(400.0 * T)], axis=1))
+    MOVING = FLIGHT.with_motion(JITTER)
+    PIXELS = np.array([[100.0, 0.0], [333.0, 499.0], [334.5, 998.0], [700.0, 700.0]])
+
+    def stage(self, late: float) -> PushbroomCamera:
+        """What one stage is: so many line periods later, so many pixels further back."""
+        return PushbroomCamera(DETECTOR.adjusted(-late), self.MOVING, FixedMount(), late * PERIOD, 1000)
+
+    @pytest.mark.parametrize(
+        ("reference", "first"), [("centre", -7.5), ("first-stage", 0), ("last-stage", -15)]
+    )
+    def test_a_pixel_looks_where_its_stages_look_on_average(self, reference, first):
+        camera = pushbroom(self.MOVING, stages=16, time_reference=reference)
+        each = [self.stage(first + k).locate(self.PIXELS, Plane()) for k in range(16)]
+        # 3.4 m are a pixel
+        assert_allclose(camera.locate(self.PIXELS, Plane()), np.mean(each, axis=0), atol=2e-3)
+        assert_allclose(camera.rays(self.PIXELS).t, (self.PIXELS[:, 0] + first + 7.5) * PERIOD, atol=1e-9)
+
+    def test_columns_of_other_stages_have_their_own_times_and_averages(self):
+        counts = np.where(np.arange(1000) < 600, 4, 32)
+        camera = pushbroom(self.MOVING, stages=counts, time_reference="first-stage")
+        for column, count in ((100.0, 4), (800.0, 32)):
+            pixel = np.array([[400.0, column]])
+            whole = pushbroom(self.MOVING, stages=count, time_reference="first-stage")
+            assert_allclose(camera.locate(pixel, Plane()), whole.locate(pixel, Plane()), atol=1e-9)
+            assert camera.integration(pixel)[0] == pytest.approx(np.sqrt(count**2 - 1.0) * PERIOD)
+
+    def test_points_are_found_again_where_columns_differ(self):
+        counts = np.where(np.arange(1000) < 600, 4, 32)
+        camera = pushbroom(self.MOVING, stages=counts, time_reference="first-stage")
+        assert_allclose(camera.project(camera.locate(self.PIXELS, Plane())), self.PIXELS, atol=1e-6)
+        moved = camera.with_detector(DETECTOR.adjusted(0.5, 0.25))
+        assert_allclose(moved.project(moved.locate(self.PIXELS, Plane())), self.PIXELS, atol=1e-6)
+
+    def test_one_stage_is_no_tdi(self):
+        camera = pushbroom(self.MOVING, stages=1)
+        assert camera.stages is None
+        assert np.array_equal(
+            camera.project([[0.0, 300.0, 0.0]]), pushbroom(self.MOVING).project([[0, 300, 0]])
+        )
+
+    @pytest.mark.parametrize(
+        "stages", [0, np.ones(999), np.full((2, 1000), 4)], ids=["none", "short", "lines"]
+    )
+    def test_stages_that_do_not_go_with_the_image_are_refused(self, stages):
+        with pytest.raises(InputError, match="`stages` must be whole numbers from 1 to"):
+            pushbroom(stages=stages)

@@ -256,3 +256,18 @@ def test_a_coarse_pixel_is_the_mean_of_the_fine_ones_it_covers():
 def test_ratios_that_cannot_be_are_refused(options, reason):
     with pytest.raises(InputError, match=reason):
         line_of_sight_case("nominal", 0, **{**SMALL, **options})
+
+
+def test_a_still_strip_imaged_stage_by_stage_is_the_strip():
+    still = {**SMALL, "motion": "none", "snr": 1e4}
+    plain = line_of_sight_case("nominal", 2, **still).image(1).astype(float)
+    for reference in ("centre", "first-stage"):
+        tdi = line_of_sight_case("nominal", 2, **still, stages=(4, 8), time_reference=reference)
+        assert np.abs(tdi.image(1) - plain).max() < 3.0
+
+
+def test_columns_have_their_own_stages():
+    uneven, even = (line_of_sight_case("nominal", 2, **SMALL, stages=s).image(1) for s in ((16, 1), (16, 16)))
+    half = uneven.shape[1] // 2
+    assert np.abs(uneven[:, :half].astype(float) - even[:, :half]).max() <= 1.0  # rounding
+    assert (uneven[:, half:].astype(float) - even[:, half:]).std() > 5.0

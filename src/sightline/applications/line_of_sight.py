@@ -513,7 +513,8 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
     between = np.zeros((len(t), 3, 3))
     for axis, spectrum in enumerate(state.model.spectra):
         between[:, axis, axis] = interpolation_variance(spectrum, strip.grid, t)
-    covariance += turn @ between @ turn.T
+    unseen = turn @ np.diag(state.model.unseen_variance) @ turn.T
+    covariance += turn @ between @ turn.T + unseen
     motion = Motion(t, angles_at(estimate, t) @ turn.T, covariance)
     statics = tuple(
         StaticEstimate(p.name, p.unit, float(v), float(s), p.sigma)
@@ -524,7 +525,7 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
     records = [replace(r, star=turned_star(r.star, turn)) for r in state.records]
     return LineOfSight(
         motion=motion,
-        absolute_sigma=estimate.absolute_sigma(t, turn),
+        absolute_sigma=np.sqrt(estimate.absolute_sigma(t, turn) ** 2 + np.diag(unseen)),
         hidden=hidden,
         hidden_names=_hidden_names(drifts, turn),
         hidden_covariance=turned_amplitudes(estimate.hidden_covariance(drifts), turn),

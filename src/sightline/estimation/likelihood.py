@@ -126,7 +126,9 @@ def fit_spectrum(
     offset = 1.0 if offset_sigma is None else offset_sigma / unit
     window = min(s.window for s in scaled)
     rates = () if offset_sigma is None else _rates(scaled)
-    search = Search(summed(None), offset, fit_noise, grid.step * grid.count, corner, rates, window)
+    search = Search(
+        summed(None), offset, fit_noise, grid.step * grid.count, corner, rates, window, _tdi(scaled)
+    )
     guesses = _guesses(inside, grid) + ([] if start is None else [NoiseModel.of(start.scaled(1.0 / unit))])
     model = min(guesses, key=search.deviance)
     model = search.with_given_tones(model, known_tones)
@@ -174,13 +176,18 @@ def _rates(series: Sequence[DifferenceSeries]) -> tuple[float, ...]:
     return tuple(sorted(rates))
 
 
+def _tdi(series: Sequence[DifferenceSeries]) -> tuple[float, ...]:
+    """Times (s) that TDI averages over in the images."""
+    return tuple(sorted({each for s in series for each in s.tdi}))
+
+
 def span(series: Sequence[DifferenceSeries]) -> tuple[float, float]:
     """First and last instant that the series touch (s), windows included."""
     edges = []
     for s in series:
         t = np.concatenate([s.t[s.used], (s.t + s.lag)[s.used]])
         if len(t):
-            edges += [t.min() - 0.5 * s.window, t.max() + 0.5 * s.window]
+            edges += [t.min() - 0.5 * s.whole, t.max() + 0.5 * s.whole]
     return float(min(edges)), float(max(edges))
 
 
@@ -205,12 +212,12 @@ def _fitting_grid(
 
 def _within(s: DifferenceSeries, first: float, last: float) -> DifferenceSeries:
     """The measurements of a series whose both instants lie in an interval."""
-    low = np.minimum(s.t, s.t + s.lag) - 0.5 * s.window
-    high = np.maximum(s.t, s.t + s.lag) + 0.5 * s.window
+    low = np.minimum(s.t, s.t + s.lag) - 0.5 * s.whole
+    high = np.maximum(s.t, s.t + s.lag) + 0.5 * s.whole
     keep = (low >= first) & (high <= last)
     patch = None if s.patch is None else s.patch[keep]
     return DifferenceSeries(
-        s.t[keep], s.lag[keep], s.values[keep], s.variance[keep], s.images, s.window, patch
+        s.t[keep], s.lag[keep], s.values[keep], s.variance[keep], s.images, s.window, patch, s.tdi
     )
 
 

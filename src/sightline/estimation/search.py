@@ -46,6 +46,9 @@ NEAR_RATE = 4.0
 #: Highest frequency of a tone that is looked for, in units of one over the time that a measurement averages
 #: over: a quarter of such a tone is left in it.
 SEEN_THROUGH = 0.8
+#: Least share of a tone that TDI leaves where tones are looked for: what images show of the motion is its
+#: mean over the stages but for some thousandths of a pixel, which would pass for a tone many times as large.
+LEFT_BY_TDI = 0.15
 #: Least time scale of the broadband part, as a share of that time: quicker jitter is averaged away, and what
 #: the rows hold of it is like the noise of the measurements.
 QUICKEST = 0.3
@@ -122,6 +125,8 @@ class Search:
         and none is looked for.
     window : float
         s; over which measurements average.
+    tdi : sequence of float
+        s; over which TDI averages in the images: no tone is looked for where all leave less than LEFT_BY_TDI.
     """
 
     def __init__(
@@ -133,7 +138,9 @@ class Search:
         corner: float | None = None,
         rates: Sequence[float] = (),
         window: float = 0.0,
+        tdi: Sequence[float] = (),
     ) -> None:
+        self._tdi = tuple(tdi)
         self._corner = corner
         self._highest = min(0.3 / equations.grid.step, SEEN_THROUGH / max(window, 1e-12))
         # windows that overlap: rows follow each other faster than what they can show
@@ -299,6 +306,7 @@ class Search:
         for f in known:
             usable &= np.abs(frequency - f) > 1.5 / self._length
         usable &= ~self._constant(frequency) & ~self._alias(frequency, known)
+        usable &= left_by_tdi(frequency, self._tdi) >= LEFT_BY_TDI
         peak = np.zeros(len(ratio), dtype=bool)
         peak[1:-1] = (ratio[1:-1] >= ratio[:-2]) & (ratio[1:-1] > ratio[2:])
         where = np.flatnonzero(peak & usable)
@@ -446,6 +454,12 @@ class Search:
             if self.deviance(fewer) < present + 6.0:
                 model = fewer
         return model
+
+
+def left_by_tdi(frequency: Array, tdi: Sequence[float]) -> Array:
+    """Largest share of tones at frequencies (Hz) that averages over any of `tdi` (s) leave; 1 without any."""
+    shares = [np.abs(np.sinc(frequency * each)) for each in tdi]
+    return np.asarray(np.max(shares, axis=0)) if shares else np.ones(len(frequency))
 
 
 def gain_of_chance(count: float, false_alarm: float) -> float:

@@ -47,6 +47,8 @@ class DifferenceSeries:
         Which images a and b are. Series that name the same image share its error.
     window : float
         s; length over which the matching window averages the motion.
+    tdi : (float, float)
+        s; over which what is in the window averages the motion by itself, in image a and in image b (TDI).
     patch : (N,) of int, optional
         Ground patch of each measurement: equal numbers in two series mean the same piece of ground.
     """
@@ -58,6 +60,7 @@ class DifferenceSeries:
     images: tuple[int, int] | None = None
     window: float = 0.0
     patch: Index | None = None
+    tdi: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         shapes = {np.shape(a) for a in (self.t, self.lag, self.values, self.variance)}
@@ -68,6 +71,11 @@ class DifferenceSeries:
             )
         if self.patch is not None and np.shape(self.patch) != np.shape(self.t):
             raise InputError(f"`patch` must have shape {np.shape(self.t)}, got {np.shape(self.patch)}")
+
+    @property
+    def whole(self) -> float:
+        """s; from the first to the last instant of an average."""
+        return self.window + max(self.tdi)
 
     @cached_property
     def used(self) -> NDArray[np.bool_]:
@@ -98,12 +106,15 @@ class Grid:
         count = math.ceil((last - first) / step * (1.0 - 1e-12) - 1e-9) + 1
         return cls(first, step, max(count, TAPS))
 
-    def weights(self, t: Array, window: float = 0.0) -> tuple[Index, Array]:
-        """First node (N,) and weights (N, K) that interpolate at `t` (N,), averaged over `window` (s)."""
+    def weights(self, t: Array, window: float = 0.0, tdi: float = 0.0) -> tuple[Index, Array]:
+        """First node (N,) and weights (N, K) that interpolate at `t` (N,), averaged over `window` (s).
+
+        And over `tdi` (s) besides, as in `DifferenceSeries`.
+        """
         t = np.ascontiguousarray(t, dtype=np.float64)
         first = np.empty(len(t), dtype=np.int64)
-        weights = np.empty((len(t), _support(window, self.step, self.count)))
-        fill_grid_weights(t, float(window), self.start, self.step, self.count, first, weights)
+        weights = np.empty((len(t), _support(window + tdi, self.step, self.count)))
+        fill_grid_weights(t, float(window), float(tdi), self.start, self.step, self.count, first, weights)
         return first, weights
 
 
@@ -179,13 +190,13 @@ def series_equations(
     times = np.concatenate([flat.t_a, flat.t_b])
     if len(times) == 0:
         raise InputError("no series holds a finite measurement; check the matches of every pair")
-    slack = 0.5 * grid.step + 0.5 * max(s.window for s in series)
+    slack = 0.5 * grid.step + 0.5 * max(s.whole for s in series)
     if times.min() < grid.start - slack or times.max() > last + slack:
         raise InputError(
             f"measurements from {times.min():.6g} to {times.max():.6g} s lie outside the grid "
             f"[{grid.start:.6g}, {last:.6g}] s; extend the grid or drop them"
         )
-    support = _support(float(flat.window.max()), grid.step, grid.count)
+    support = _support(float(flat.whole.max()), grid.step, grid.count)
     reach = int(np.ceil(_longest_span(flat) / grid.step)) + support
     band = np.zeros((min(reach, grid.count - 1) + 1, grid.count))
     columns = flat.constants if offsets else 0
@@ -193,7 +204,8 @@ def series_equations(
     corner = np.zeros((columns, columns))
     rhs, rhs_border = np.zeros(grid.count), np.zeros(columns)
     misfit, logdet, used = accumulate(
-        flat.starts, flat.t_a, flat.t_b, flat.window, flat.values, flat.image_a, flat.image_b,
+        flat.starts, flat.t_a, flat.t_b, flat.window, flat.tdi_a, flat.tdi_b, flat.values,
+        flat.image_a, flat.image_b,
         flat.variance_a, flat.variance_b, flat.variance_own, grid.start, grid.step, support,
         band, rhs, border, corner, rhs_border,
     )  # fmt: skip
@@ -208,6 +220,8 @@ class _Flat:
     t_a: Array
     t_b: Array
     window: Array
+    tdi_a: Array
+    tdi_b: Array
     values: Array
     image_a: Index
     image_b: Index
@@ -215,6 +229,11 @@ class _Flat:
     variance_b: Array
     variance_own: Array  # of this pair alone
     constants: int
+
+    @property
+    def whole(self) -> Array:
+        """(N,) s; from the first to the last instant of an average."""
+        return self.window + np.maximum(self.tdi_a, self.tdi_b)
 
 
 def _flatten(series: Sequence[DifferenceSeries], independent: float) -> _Flat:
@@ -239,9 +258,10 @@ def _flatten(series: Sequence[DifferenceSeries], independent: float) -> _Flat:
             next_patch += count
         else:
             patch = np.asarray(s.patch, dtype=np.int64)[use]
-        constant = np.broadcast_to([[s.window], [a], [b], [s_a], [s_b]], (5, count))
+        own_constants: list[list[float]] = [[s.window], [s.tdi[0]], [s.tdi[1]], [a], [b], [s_a], [s_b]]
+        constant = np.broadcast_to(own_constants, (7, count))
         columns.append([patch, s.t[use], s.lag[use], s.values[use], s.variance[use], *constant])
-    patch, t, lag, values, variance, window, image_a, image_b, s_a_all, s_b_all = (
+    patch, t, lag, values, variance, window, tdi_a, tdi_b, image_a, image_b, s_a_all, s_b_all = (
         np.concatenate(parts) for parts in zip(*columns, strict=True)
     )
     order = np.argsort(patch, kind="stable")
@@ -249,7 +269,8 @@ def _flatten(series: Sequence[DifferenceSeries], independent: float) -> _Flat:
     expected = (s_a_all + s_b_all)[order]
     shared, own = _split_variance(variance[order], expected, starts, independent)
     return _Flat(
-        starts.astype(np.int64), t[order], (t + lag)[order], window[order], values[order],
+        starts.astype(np.int64), t[order], (t + lag)[order], window[order], tdi_a[order],
+        tdi_b[order], values[order],
         image_a[order].astype(np.int64), image_b[order].astype(np.int64),
         shared * s_a_all[order] / expected, shared * s_b_all[order] / expected, own, constants,
     )  # fmt: skip
@@ -265,16 +286,20 @@ def _with_interpolation_error(flat: _Flat, grid: Grid, spectrum: Spectrum) -> _F
     parts = [replace(c, bandwidth=1e-9) if isinstance(c, Tone) else c for c in spectrum.components]
     spectrum = Spectrum(tuple(parts))
     extra = [np.zeros(len(flat.values)), np.zeros(len(flat.values))]
-    for window in np.unique(flat.window):
-        table = interpolation_variance(spectrum, grid.step, float(window), np.arange(bins) / bins)
-        same = flat.window == window
-        for k, t in enumerate((flat.t_a, flat.t_b)):
+    sides = ((flat.t_a, flat.tdi_a), (flat.t_b, flat.tdi_b))
+    every = np.stack([np.tile(flat.window, 2), np.concatenate([flat.tdi_a, flat.tdi_b])], axis=1)
+    for window, tdi in np.unique(every, axis=0):
+        table = interpolation_variance(spectrum, grid.step, float(window), np.arange(bins) / bins, float(tdi))
+        for k, (t, own) in enumerate(sides):
+            same = (flat.window == window) & (own == tdi)
             place = (t[same] - grid.start) / grid.step * bins
             extra[k][same] = table[np.rint(place).astype(np.int64) % bins]
     return replace(flat, variance_a=flat.variance_a + extra[0], variance_b=flat.variance_b + extra[1])
 
 
-def interpolation_variance(spectrum: Spectrum, step: float, window: float, fraction: Array) -> Array:
+def interpolation_variance(
+    spectrum: Spectrum, step: float, window: float, fraction: Array, tdi: float = 0.0
+) -> Array:
     """Variance (N,) of a windowed motion less its interpolation from a grid of `step` (s).
 
     Parameters
@@ -285,16 +310,23 @@ def interpolation_variance(spectrum: Spectrum, step: float, window: float, fract
         s.
     fraction : (N,)
         Where the centre of the window stands between two nodes, in steps.
+    tdi : float
+        s; over which what is in the window averages by itself.
     """
-    grid = Grid(0.0, step, 2 * TAPS + _support(window, step, 10**9))
+    grid = Grid(0.0, step, 2 * TAPS + _support(window + tdi, step, 10**9))
     centre = (grid.count // 2 + np.asarray(fraction)) * step
-    first, weights = grid.weights(centre, window)
-    points = 1 if window <= 0.0 else 2 + 4 * math.ceil(window / step)
-    offsets = window * ((np.arange(points) + 0.5) / points - 0.5)
+    first, weights = grid.weights(centre, window, tdi)
+    whole = window + tdi
+    points = 1 if whole <= 0.0 else 2 + 4 * math.ceil(whole / step)
+    offsets = whole * ((np.arange(points) + 0.5) / points - 0.5)
+    shares = np.full(points, 1.0 / points)
+    if tdi > 0.0 and window > 0.0:
+        shares = np.minimum(1.0, (0.5 * whole - np.abs(offsets)) / min(window, tdi))
+        shares /= shares.sum()
     out = np.empty(len(centre))
     for k, t in enumerate(centre):
         at = np.concatenate([t + offsets, (first[k] + np.arange(weights.shape[1])) * step])
-        row = np.concatenate([np.full(points, 1.0 / points), -weights[k]])
+        row = np.concatenate([shares, -weights[k]])
         out[k] = row @ spectrum.autocovariance(at[:, None] - at) @ row
     return np.maximum(out, 0.0)
 
@@ -353,8 +385,8 @@ def image_variances(series: Sequence[DifferenceSeries]) -> dict[int, float]:
 
 def _longest_span(flat: _Flat) -> float:
     """Longest time between two instants that meet in one row or one patch (s)."""
-    low = np.minimum(flat.t_a, flat.t_b) - 0.5 * flat.window
-    high = np.maximum(flat.t_a, flat.t_b) + 0.5 * flat.window
+    low = np.minimum(flat.t_a, flat.t_b) - 0.5 * flat.whole
+    high = np.maximum(flat.t_a, flat.t_b) + 0.5 * flat.whole
     starts = flat.starts[:-1]
     return float(np.max(np.maximum.reduceat(high, starts) - np.minimum.reduceat(low, starts)))
 

@@ -19,22 +19,36 @@ REDUNDANT = 1e-6
 
 
 @njit(cache=True, nogil=True)
-def _window_weights(t, window, start, step, count, support, weights):  # type: ignore[no-untyped-def]
-    """Interpolation weights at `t` averaged over `window`, into `weights`; returns the first node."""
-    first = math.floor((t - 0.5 * window - start) / step + 1e-6) - (TAPS // 2 - 1)
+def _window_weights(t, window, tdi, start, step, count, support, weights):  # type: ignore[no-untyped-def]
+    """Interpolation weights at `t` averaged over `window`, into `weights`; returns the first node.
+
+    What is in the window is itself an average over `tdi` (s): the weight of an instant is a trapezium.
+    """
+    first = math.floor((t - 0.5 * (window + tdi) - start) / step + 1e-6) - (TAPS // 2 - 1)
     first = max(0, min(first, count - support))
     for k in range(support):
         weights[k] = 0.0
-    points = 1 if window <= 0.0 else 2 + 2 * math.ceil(window / step)
+    whole = window + tdi
+    points = 1 if whole <= 0.0 else 2 + 2 * math.ceil(whole / step)
+    flat, least, total = 0.5 * abs(window - tdi), min(window, tdi), 0.0
+    if tdi > 0.0:
+        points *= 2
+        for p in range(points):
+            away = abs(whole * ((p + 0.5) / points - 0.5))
+            total += 1.0 if away <= flat else (0.5 * whole - away) / least
     for p in range(points):
-        x = (t + window * ((p + 0.5) / points - 0.5) - start) / step
+        offset = whole * ((p + 0.5) / points - 0.5)
+        share = 1.0 / points
+        if tdi > 0.0:
+            share = (1.0 if abs(offset) <= flat else (0.5 * whole - abs(offset)) / least) / total
+        x = (t + offset - start) / step
         nearest = math.floor(x + 0.5)
         if abs(x - nearest) < 1e-6:
             x = nearest
         node = math.floor(x) - (TAPS // 2 - 1)
         node = max(first, min(node, first + support - TAPS))
         for i in range(TAPS):
-            w = 1.0 / points
+            w = share
             for j in range(TAPS):
                 if j != i:
                     w *= (x - node - j) / (i - j)
@@ -43,10 +57,10 @@ def _window_weights(t, window, start, step, count, support, weights):  # type: i
 
 
 @njit(cache=True, nogil=True)
-def fill_grid_weights(t, window, start, step, count, first, weights):  # type: ignore[no-untyped-def]
+def fill_grid_weights(t, window, tdi, start, step, count, first, weights):  # type: ignore[no-untyped-def]
     """Rows of interpolation weights for many instants."""
     for k in range(len(t)):
-        first[k] = _window_weights(t[k], window, start, step, count, weights.shape[1], weights[k])
+        first[k] = _window_weights(t[k], window, tdi, start, step, count, weights.shape[1], weights[k])
 
 
 @njit(cache=True, nogil=True)
@@ -99,7 +113,7 @@ def _patch_weight(k0, m, image_a, image_b, var_a, var_b, var_own, lower, kept, w
 
 @njit(cache=True, nogil=True)
 def accumulate(  # type: ignore[no-untyped-def]
-    starts, t_a, t_b, window, y, image_a, image_b, var_a, var_b, var_own, start, step, support,
+    starts, t_a, t_b, window, tdi_a, tdi_b, y, image_a, image_b, var_a, var_b, var_own, start, step, support,
     band, rhs, border, corner, rhs_border,
 ):  # fmt: skip
     """Sum the rows of all patches into the normal equations; returns (y'R^-1 y, log det R, rows kept)."""
@@ -123,8 +137,12 @@ def accumulate(  # type: ignore[no-untyped-def]
         logdet += log_patch
         for k in range(independent):
             i = k0 + kept[k]
-            first[k, 0] = _window_weights(t_a[i], window[i], start, step, count, support, rows[k, 0])
-            first[k, 1] = _window_weights(t_b[i], window[i], start, step, count, support, rows[k, 1])
+            first[k, 0] = _window_weights(
+                t_a[i], window[i], tdi_a[i], start, step, count, support, rows[k, 0]
+            )
+            first[k, 1] = _window_weights(
+                t_b[i], window[i], tdi_b[i], start, step, count, support, rows[k, 1]
+            )
         for k in range(independent):
             i = k0 + kept[k]
             for h in range(independent):

@@ -12,9 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sightline.geometry.camera import PushbroomCamera
 from sightline.motion.measure.observations import Star
 from sightline.motion.observability import (
     Passbands,
+    averaged_away,
     blind_frequencies,
     intervals_above,
     power_transfer,
@@ -76,9 +78,14 @@ def observed(result: LineOfSight, frequency: ArrayLike) -> MatchedDirections:
             if not np.isfinite(lag) or lag == 0.0:
                 continue
             shape = power_transfer(f, lag) * window_gain(f, star.duration) ** 2
+            shape *= _left_by_stages(star, k, f)
             total += shape[:, None] * information
             upper = float(f[-1])
-            blind[star.hub, image] = blind_frequencies(lag, upper)
+            here = blind_frequencies(lag, upper)
+            stages = _stage_times(result, star.hub), _stage_times(result, image)
+            if all(stages):
+                here = np.unique(np.concatenate([here, averaged_away([*stages[0], *stages[1]], upper)]))
+            blind[star.hub, image] = here
     with np.errstate(divide="ignore"):
         sigma = np.sqrt(2.0 / total)
         margin = SEEN_TONE_PX * result.scale / (SEEN_SIGMAS * sigma)
@@ -86,6 +93,24 @@ def observed(result: LineOfSight, frequency: ArrayLike) -> MatchedDirections:
     margin[f * duration < 1.0] = 0.0  # less than one period: like a drift
     bands = [intervals_above(f, np.minimum(margin[:, axis], 2.0), 1.0) for axis in range(3)]
     return MatchedDirections(f, sigma, margin >= 1.0, (bands[0], bands[1], bands[2]), blind)
+
+
+def _stage_times(result: LineOfSight, image: int) -> tuple[float, ...]:
+    """s that the stages of an image take; none without TDI."""
+    camera = result.cameras[image]
+    return camera.stage_times if isinstance(camera, PushbroomCamera) else ()
+
+
+def _left_by_stages(star: Star, k: int, f: Array) -> Array:
+    """(F,) share of the power of a motion that TDI leaves in the kept windows of a pair, on average."""
+    kept = star.present[:, k]
+    times, counts = np.unique(
+        np.round(np.stack([t[kept] for t in (star.averaging()[0], star.averaging()[1][:, k])], axis=1), 9),
+        axis=0,
+        return_counts=True,
+    )
+    left = 0.5 * (np.sinc(f * times[:, :1]) ** 2 + np.sinc(f * times[:, 1:]) ** 2)
+    return np.asarray((counts[:, None] * left).sum(axis=0) / counts.sum())
 
 
 def _information(star: Star, k: int) -> tuple[Array, float]:

@@ -13,7 +13,7 @@ from functools import cached_property
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from sightline.errors import InputError, SpanError
 from sightline.geometry.camera_kernels import find_lines, line_rays, seen_tangents
@@ -43,6 +43,12 @@ _MARGIN_LINES = 16
 #: Rays may reach this far (lines) beyond the trajectory, and images beyond the centres of their first and
 #: last line: half a pixel, and rounding.
 _EDGE = 0.5 + 1e-6
+
+#: TDI stages that a pixel may have.
+MOST_STAGES = 1024
+#: Which of a pixel's TDI stages the time of its line is of: where their middle lies from it, in halves of the
+#: time from the first to the last.
+TIME_REFERENCES = {"centre": 0.0, "first-stage": 1.0, "last-stage": -1.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,9 +106,18 @@ class PushbroomCamera(ReadOnlyArrays):
         s; exposure of each line where they are not evenly spaced. Then `first_line_time` is its first.
     lever_arm : (3,)
         From the point whose positions are given to the entrance pupil, m, body axes.
+    stages : (1 or lines, columns) int or None
+        TDI stages that pixels are summed of, of every line or of each; given as one number or one per column
+        too. None: one each.
+    time_reference : str
+        One of TIME_REFERENCES: which of a pixel's stages looks as `detector` says, at the time of its line.
 
     Notes
     -----
+    A pixel of N stages shows the ground as it was seen in N line periods, each stage one line period and one
+    pixel after the one before: it looks where the stages do on average. Position and nominal direction are
+    those of their middle, the attitude is its mean.
+
     Line i is exposed at t = first_line_time + line_period * i. Poses are exact at whole lines and follow the
     cubic through the four nearest lines between them.
     """
@@ -114,6 +129,8 @@ class PushbroomCamera(ReadOnlyArrays):
     lines: int
     line_times: Array | None = None
     lever_arm: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    stages: NDArray[np.int16] | int | None = None
+    time_reference: str = "centre"
 
     def __post_init__(self) -> None:
         """Check and freeze."""
@@ -129,6 +146,24 @@ class PushbroomCamera(ReadOnlyArrays):
                 )
             object.__setattr__(self, "line_times", times)
             object.__setattr__(self, "first_line_time", float(times[0]))
+        if self.time_reference not in TIME_REFERENCES:
+            raise InputError(
+                f"`time_reference` is {self.time_reference!r}; allowed are {', '.join(TIME_REFERENCES)}"
+            )
+        if self.stages is not None:
+            given = np.asarray(self.stages)
+            shapes = ((), (self.columns,), (1, self.columns), (self.lines, self.columns))
+            if given.shape not in shapes or not ((given >= 1) & (given <= MOST_STAGES)).all():
+                raise InputError(
+                    f"`stages` must be whole numbers from 1 to {MOST_STAGES}: one for all, one per column "
+                    f"({self.columns},), or one per pixel ({self.lines}, {self.columns}); got shape "
+                    f"{given.shape}"
+                )
+            if given.ndim < 2:
+                given = np.broadcast_to(given, (1, self.columns))
+            counts = np.array(given, dtype=np.int16)
+            counts.setflags(write=False)
+            object.__setattr__(self, "stages", counts if (counts > 1).any() else None)
 
     @property
     def columns(self) -> int:
@@ -154,6 +189,73 @@ class PushbroomCamera(ReadOnlyArrays):
         end = np.where(places < 0, self.line_times[0], self.line_times[-1])
         return np.where(slope > 0, end + slope * (places - ends), inside)
 
+    def stages_of(self, pixels: Array) -> Array:
+        """TDI stages (N,) of `pixels` (N, 2), fractions allowed, those of the nearest; 1 without TDI."""
+        if self.stages is None:
+            return np.ones(len(pixels))
+        table = np.asarray(self.stages)
+        line, column = np.rint(np.clip(np.nan_to_num(pixels), 0.0, np.array(table.shape) - 1.0)).T
+        return np.asarray(table[line.astype(np.intp), column.astype(np.intp)], dtype=np.float64)
+
+    def delays(self, pixels: Array) -> Array:
+        """(N,) s from the time of a line to the middle of the stages of its `pixels` (N, 2)."""
+        return _delay(self.stages_of(pixels), self.time_reference) * self.detector.line_period
+
+    def integration(self, pixels: Array) -> Array:
+        """(N,) s over which TDI averages the motion at `pixels` (N, 2); 0 without TDI.
+
+        That of the boxcar that spreads as the middles of the stages do: each is an instant, as lines are.
+        """
+        return np.sqrt(self.stages_of(pixels) ** 2 - 1.0) * self.detector.line_period
+
+    @cached_property
+    def stage_times(self) -> tuple[float, ...]:
+        """s from the begin of a pixel's first stage to the end of its last, of all that occur; rising."""
+        if self.stages is None:
+            return ()
+        return tuple(float(count) * self.detector.line_period for count in np.unique(self.stages))
+
+    @cached_property
+    def reach(self) -> tuple[float, float]:
+        """s by which the stages of a line reach beyond its time, before and after it; 0 without TDI."""
+        if self.stages is None:
+            return 0.0, 0.0
+        counts = np.unique(self.stages).astype(np.float64)
+        middle, half = _delay(counts, self.time_reference), 0.5 * counts
+        before, after = float(np.max(half - middle)), float(np.max(half + middle))
+        return before * self.detector.line_period, after * self.detector.line_period
+
+    @cached_property
+    def _parts(self) -> tuple[tuple[float, PushbroomCamera], ...]:
+        """Where pixels differ, or the time is not that of the middle: a camera for each number of stages."""
+        if self.stages is None:
+            return ()
+        counts = np.unique(self.stages)
+        if len(counts) == 1 and self.time_reference == "centre":
+            return ()
+        return tuple((float(count), self._part(float(count), self.detector)) for count in counts)
+
+    def _part(self, count: float, detector: LineDetector) -> PushbroomCamera:
+        """The camera whose every pixel has `count` stages, at the time of their middle."""
+        periods = _delay(np.array(count), self.time_reference)
+        late = float(periods) * detector.line_period
+        return replace(
+            self,
+            detector=detector.adjusted(-float(periods)) if periods else detector,
+            first_line_time=self.first_line_time + late,
+            line_times=None if self.line_times is None else self.line_times + late,
+            stages=int(count),
+            time_reference="centre",
+        )
+
+    @cached_property
+    def _stage_times(self) -> Array | None:
+        """s from the middle of the stages to each; None without TDI, or where pixels differ (`_parts`)."""
+        if self.stages is None or self._parts:
+            return None
+        count = int(np.asarray(self.stages)[0, 0])
+        return read_only((np.arange(count) - (count - 1) / 2.0) * self.detector.line_period)
+
     @property
     def _span(self) -> tuple[float, float]:
         """First and last time (s) at which trajectory and pointing are both known."""
@@ -175,7 +277,9 @@ class PushbroomCamera(ReadOnlyArrays):
             )
         first = int(places[covered[0]])
         lever_arm = as_vector(self.lever_arm, "lever_arm")
-        return PoseTable.of(first, read_only(t[covered]), self.trajectory, self.pointing, lever_arm)
+        return PoseTable.of(
+            first, read_only(t[covered]), self.trajectory, self.pointing, lever_arm, self._stage_times
+        )
 
     def camera_tangents(self, points: ArrayLike, lines: ArrayLike) -> Array:
         """Where points would appear in the focal plane if it were exposed at given lines.
@@ -208,6 +312,9 @@ class PushbroomCamera(ReadOnlyArrays):
     @property
     def known_lines(self) -> tuple[float, float]:
         """First and last line (fractions) that have rays: half a line more than the trajectory covers."""
+        if self._parts:
+            known = [part.known_lines for _, part in self._parts]
+            return max(low for low, _ in known), min(high for _, high in known)
         return self._table.first - _EDGE, self._table.last + _EDGE
 
     def rays(self, pixels: ArrayLike) -> Rays:
@@ -233,10 +340,19 @@ class PushbroomCamera(ReadOnlyArrays):
         t = np.full(len(given), np.nan)
         known = np.isfinite(given[:, 0])
         t[known] = self.times(given[known, 0])
+        if self.stages is not None:
+            t[known] += self.delays(given[known])
         return Rays(t, origins, directions)
 
     def _half_lines(self, pixels: Array) -> tuple[Array, Array]:
         """Origins and directions (N, 3) of checked `pixels`."""
+        if self._parts:
+            own = self.stages_of(pixels)
+            origins, directions = np.empty((len(pixels), 3)), np.empty((len(pixels), 3))
+            for count, part in self._parts:
+                here = own == count
+                origins[here], directions[here] = part._half_lines(pixels[here])
+            return origins, directions
         table = self._table
         self._check_lines(pixels[:, 0])
         origins, directions = np.empty((len(pixels), 3)), np.empty((len(pixels), 3))
@@ -330,6 +446,8 @@ class PushbroomCamera(ReadOnlyArrays):
         its pixels.
         """
         given = as_points(points)
+        if self._parts:
+            return self._project_parts(given, line_margin)
         pixels = np.empty((len(given), 2))
         table, detector = self._table, self.detector
         known = self.known_lines
@@ -352,6 +470,19 @@ class PushbroomCamera(ReadOnlyArrays):
         )
         return pixels
 
+    def _project_parts(self, points: Array, line_margin: float) -> Array:
+        """Pixels (N, 2): of those that the numbers of stages give, the one whose pixel has as many.
+
+        Where stages change, motion may show a point twice or not at all: one of the places about there.
+        """
+        out, least = np.full((len(points), 2), np.nan), np.full(len(points), np.inf)
+        for count, part in self._parts:
+            pixels = part.project(points, line_margin=line_margin)
+            apart = np.where(np.isnan(pixels[:, 0]), np.inf, np.abs(self.stages_of(pixels) - count))
+            better = apart < least
+            out[better], least[better] = pixels[better], apart[better]
+        return out
+
     def with_trajectory(self, trajectory: Trajectory) -> PushbroomCamera:
         """The same camera carried along another trajectory."""
         return replace(self, trajectory=trajectory)
@@ -361,7 +492,15 @@ class PushbroomCamera(ReadOnlyArrays):
         other = replace(self, detector=detector)
         if "_table" in self.__dict__ and detector.line_period == self.detector.line_period:
             other.__dict__["_table"] = self._table
+        if "_parts" in self.__dict__ and detector.line_period == self.detector.line_period:
+            moved = ((count, self._part(count, detector).detector, part) for count, part in self._parts)
+            other.__dict__["_parts"] = tuple((count, part.with_detector(d)) for count, d, part in moved)
         return other
+
+
+def _delay(stages: Array, reference: str) -> Array:
+    """Line periods from the time of a line to the middle of its stages."""
+    return np.asarray(TIME_REFERENCES[reference] * (stages - 1.0) / 2.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,11 @@ from sightline.geometry.trajectory import Trajectory
 
 
 def camera_poses(
-    t: Array, trajectory: Trajectory, pointing: Pointing, lever_arm: Array
+    t: Array,
+    trajectory: Trajectory,
+    pointing: Pointing,
+    lever_arm: Array,
+    around: Array | None = None,
 ) -> tuple[Array, Array]:
     """Camera axes and entrance pupil at times `t` (M,).
 
@@ -33,6 +37,8 @@ def camera_poses(
         How camera axes sit in the body.
     lever_arm : (3,)
         m, body axes.
+    around : (K,), optional
+        s; the attitude is the mean of those so much later than each of `t`.
 
     Returns
     -------
@@ -41,7 +47,7 @@ def camera_poses(
     position : (M, 3)
         m, world axes.
     """
-    pose = trajectory.at(t)
+    pose = trajectory.at(t) if around is None else trajectory.mean_at(t, around)
     world_from_body = pose.world_from_body.as_matrix()
     if isinstance(pointing, FixedMount):
         world_from_camera = world_from_body @ pointing.body_from_camera.as_matrix()
@@ -71,13 +77,21 @@ class PoseTable(ReadOnlyArrays):
 
     @classmethod
     def of(
-        cls, first: int, t: Array, trajectory: Trajectory, pointing: Pointing, lever_arm: Array
+        cls,
+        first: int,
+        t: Array,
+        trajectory: Trajectory,
+        pointing: Pointing,
+        lever_arm: Array,
+        around: Array | None = None,
     ) -> PoseTable:
         """Table for the exposure times `t` (R,), s, of the lines first, first + 1, ...
 
+        `around` (K,): s from each to the stages of its pixels.
+
         Fewer lines than a cubic needs become samples of the polynomial through them.
         """
-        world_from_camera, position = camera_poses(t, trajectory, pointing, lever_arm)
+        world_from_camera, position = camera_poses(t, trajectory, pointing, lever_arm, around)
         origin = position.mean(axis=0)
         rows = np.empty((len(t), ROW))
         rows[:, :9] = world_from_camera.reshape(-1, 9)

@@ -297,6 +297,38 @@ class Trajectory(ReadOnlyArrays):
             attitude = attitude * Rotation.from_rotvec(self.motion.at(times))
         return Pose(reference.position.copy(), attitude)
 
+    def mean_at(self, t: ArrayLike, around: ArrayLike) -> Pose:
+        """Pose at times `t` (M,), its attitude the mean of those `around` (K,) s later: what TDI averages.
+
+        The mean is that of small turns from the middle one. Beyond its span an attitude counts as that of the
+        end: a line is only seen where its middle is.
+        """
+        times, offsets = as_times(t), np.asarray(around, dtype=np.float64)
+        _check_span(times, self.span, "the trajectory")
+        reference = self._mean_reference(times, offsets)
+        attitude = reference.world_from_body
+        if self.motion is not None:
+            near = np.clip(times[:, np.newaxis] + offsets, *self.motion.span)
+            angles = self.motion.at(near.ravel()).reshape(*near.shape, 3).mean(axis=1)
+            attitude = attitude * Rotation.from_rotvec(angles)
+        return Pose(reference.position.copy(), attitude)
+
+    def _mean_reference(self, t: Array, around: Array) -> Pose:
+        """Pose without motion, its attitude averaged; kept like `_reference`."""
+        key = hashlib.blake2b(t.tobytes() + around.tobytes(), digest_size=16).digest()
+        known = self._known
+        if key not in known:
+            middle = self._reference(t)
+            turn, ends = np.zeros((len(t), 3)), (self.t_attitude[0], self.t_attitude[-1])
+            for offset in around:
+                there = self._reference_attitude(np.clip(t + offset, *ends))
+                turn += (middle.world_from_body.inv() * there).as_rotvec()
+            mean = middle.world_from_body * Rotation.from_rotvec(turn / len(around))
+            while len(known) >= _KEPT:
+                known.pop(next(iter(known)), None)
+            known[key] = Pose(middle.position, mean)
+        return known[key]
+
     @cached_property
     def _known(self) -> dict[bytes, Pose]:
         """Reference poses of the latest long tables of times; shared by all motions about one reference."""

@@ -21,6 +21,8 @@ from sightline.errors import InputError
 Array = NDArray[np.float64]
 Passbands = tuple[tuple[float, float], ...]
 
+#: Periods by which a time may differ from a whole number of them.
+WHOLE_PERIODS = 1e-6
 #: Places at which the least gain of a gap is sought.
 GAP_SAMPLES = 401
 
@@ -75,6 +77,23 @@ def blind_frequencies(lag: float, upper: float) -> Array:
     first = 1.0 / abs(lag)
     count = math.floor(upper / first * (1.0 + 1e-12))
     return np.asarray(first * np.arange(1, count + 1))
+
+
+def averaged_away(times: Sequence[float], upper: float) -> Array:
+    """Frequencies (Hz) up to `upper` that averages over each of `times` (s) remove: k / (N T) of N stages.
+
+    Empty without any time.
+
+    Examples
+    --------
+    >>> averaged_away([0.008, 0.016], 300.0)
+    array([125., 250.])
+    """
+    if not times:
+        return np.zeros(0)
+    found = blind_frequencies(min(times), upper)
+    periods = np.outer(found, np.asarray(times))
+    return np.asarray(found[(np.abs(periods - np.rint(periods)) < WHOLE_PERIODS).all(axis=1)])
 
 
 def filter_response(frequency: ArrayLike, lag: float, k: float) -> NDArray[np.complex128]:

@@ -64,6 +64,10 @@ def write_strip(
         lines = part_of(step, index, len(scenario.bands))
         write_image(path, scenario.shapes[index], scenario.chunks(index), lines)
         written.append(path)
+        counts = scenario.options.column_stages(index)
+        if counts is not None and (counts != counts[0]).any():
+            rows = enumerate(counts.tolist())
+            written.append(write_rows(folder / _stage_table(band.name), "column,stages", rows))
     relief = scenario.scene.relief
     if relief is not None and dem:
         written.append(write_dem(folder / "dem.tif", relief.heights, relief.transform))
@@ -129,6 +133,7 @@ def acquisition_toml(
             *(f"{key} = {_toml(value)}" for key, value in scenario.shape_known(index).items()),
             f"first_line_time = {options.first_time(index)!r}",
             *_own_size(options, index),
+            *_stages(options, index),
         ]
     lines += ["", "[surface]", *_surface_lines(scenario.scene.relief, dem)]
     for kind, table in sensors:
@@ -153,6 +158,20 @@ def _own_size(options: StripOptions, band: int) -> list[str]:
         f"columns = {options.shape(band)[1]}",
         f"line_period = {options.line_period * along!r}",
     ]
+
+
+def _stages(options: StripOptions, band: int) -> list[str]:
+    """Keys of a band with TDI; what differs from column to column is in a table."""
+    if not options.stages:
+        return []
+    alike = len(set(options.stages)) == 1
+    said = str(options.stages[0]) if alike else f'"{_stage_table(options.names[band])}"'
+    return [f"stages = {said}", f'time_reference = "{options.time_reference}"']
+
+
+def _stage_table(band: str) -> str:
+    """Name of the table of the stages of a band's columns."""
+    return f"{band}_stages.csv"
 
 
 def _surface_lines(relief: Relief | None, dem: bool) -> list[str]:

@@ -8,6 +8,7 @@ them, the scene and the images. Frames of a matrix instrument are in ``frames.py
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -168,6 +169,7 @@ class StripScenario(RenderedStrip):
             self._stream("noise", band),
             node_step=1 if len(self.bands[band].true.rough_columns) else NODE_STEP,
             parts=(math.ceil(along), math.ceil(across)),
+            stages=self._stages(band),
         )
 
     def shape_known(self, band: int) -> dict[str, Any]:
@@ -179,6 +181,29 @@ class StripScenario(RenderedStrip):
         if options.bend_sigma_px:
             return {"shape": "polynomial", "shape_sigma_px": options.bend_sigma_px}
         return {}
+
+    def _stages(self, band: int) -> list[list[PushbroomCamera]]:
+        """Cameras of single stages, side by side those of columns of as many stages; empty without TDI."""
+        counts, camera = self.options.column_stages(band), self.cameras[band]
+        if counts is None:
+            return []
+        period, out = camera.detector.line_period, []
+        for columns in np.split(np.arange(len(counts)), np.flatnonzero(np.diff(counts)) + 1):
+            count = int(counts[columns[0]])
+            side = []
+            for stage in range(count):
+                # line periods, and pixels, from the stage that the line is timed by
+                late = {
+                    "centre": stage - 0.5 * (count - 1),
+                    "first-stage": float(stage),
+                    "last-stage": stage - (count - 1.0),
+                }[self.options.time_reference]
+                looks = camera.detector.adjusted(-late)
+                looks = dataclasses.replace(looks, directions=looks.directions[columns])
+                first = camera.first_line_time + late * period
+                side.append(PushbroomCamera(looks, camera.trajectory, FixedMount(), first, camera.lines))
+            out.append(side)
+        return out
 
     def star_tracker(self, rate: float = 8.0, sigma: float = 3.0 * ARC_SECOND) -> Array:
         """Table t, roll, pitch, yaw, sigma of a star tracker on the body, during the strip."""
@@ -282,7 +307,15 @@ def _nominal_cameras(
     bands: tuple[BandTruth, ...], reference: Trajectory, options: StripOptions
 ) -> tuple[PushbroomCamera, ...]:
     return tuple(
-        PushbroomCamera(band.nominal, reference, FixedMount(), options.first_time(k), options.shape(k)[0])
+        PushbroomCamera(
+            band.nominal,
+            reference,
+            FixedMount(),
+            options.first_time(k),
+            options.shape(k)[0],
+            stages=options.column_stages(k),
+            time_reference=options.time_reference,
+        )
         for k, band in enumerate(bands)
     )
 
@@ -317,10 +350,16 @@ def motion_profile(name: str, data: Path | None = None) -> JitterProfile:
     return curve_profile(*measured.hirise_curve(data), extra=extras[name])
 
 
+def _margin_lines(options: StripOptions) -> int:
+    """Lines by which the motion is known beyond both ends, those of TDI stages included."""
+    return MOTION_MARGIN_LINES + max(options.stages, default=0)
+
+
 def _draw_motion(
     options: StripOptions, profile: JitterProfile, seed: np.random.SeedSequence
 ) -> tuple[Motion, Motion]:
-    lines = np.arange(-MOTION_MARGIN_LINES, options.lines + MOTION_MARGIN_LINES, dtype=np.float64)
+    margin = _margin_lines(options)
+    lines = np.arange(-margin, options.lines + margin, dtype=np.float64)
     return profile.draw(lines * options.line_period, options.rad_per_px, seed)
 
 
@@ -385,7 +424,7 @@ def _departures(options: StripOptions, band: int, rng: np.random.Generator) -> A
 
 
 def _reference(options: StripOptions) -> Trajectory:
-    margin = MOTION_MARGIN_LINES * options.line_period
+    margin = _margin_lines(options) * options.line_period
     return Trajectory.level_flight(options.altitude, options.ground_speed, -margin, options.duration + margin)
 
 

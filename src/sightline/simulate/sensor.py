@@ -11,7 +11,7 @@ flat world (local x east, y north, z up) are rendered here.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -258,8 +258,12 @@ def render_chunks(
     seed: np.random.SeedSequence,
     node_step: int = NODE_STEP,
     parts: tuple[int, int] = (1, 1),
+    stages: Sequence[Sequence[PushbroomCamera]] = (),
 ) -> Iterator[tuple[int, NDArray[np.uint16]]]:
     """The image of one band, chunk by chunk.
+
+    With TDI `stages` stand in the place of the camera: side by side the columns of equal numbers of stages,
+    of each one camera per stage. Brightness is the mean of what they see.
 
     Yields
     ------
@@ -273,6 +277,17 @@ def render_chunks(
     streams = np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(len(starts))
     for first, stream in zip(starts, streams, strict=True):
         last = min(first + CHUNK_LINES, count)
-        light = render_block(camera, scene, band, (first, last), columns, node_step, parts)
+        if stages:
+            sides = [
+                sum(
+                    render_block(one, scene, band, (first, last), one.columns, node_step, parts)
+                    for one in side
+                )
+                / np.float32(len(side))
+                for side in stages
+            ]
+            light = np.concatenate(sides, axis=1)
+        else:
+            light = render_block(camera, scene, band, (first, last), columns, node_step, parts)
         dn = light * np.float32(radiometry.mean_dn)
         yield first, radiometry.digitise(dn, band_mean, np.random.default_rng(stream))

@@ -11,8 +11,10 @@ from itertools import pairwise
 from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sightline.errors import InputError
+from sightline.geometry.camera import TIME_REFERENCES
 from sightline.simulate.option_checks import MOST_COLUMNS, MOST_LINES, check_names, check_options
 from sightline.simulate.texture import Array
 
@@ -73,6 +75,12 @@ class StripOptions:
         of ratio 1; a coarse pixel shows the mean over itself and over its exposure.
     line_ratios : tuple of float
         Line period of each band over `line_period`; empty: as `pixel_ratios`.
+    stages : tuple of int
+        TDI stages of every band, one number for each equal part of its columns; empty: no TDI. What a stage
+        sees is rendered by itself, one line period and one pixel after the stage before.
+    time_reference : str
+        Which stage looks as the viewing angle says, at the time of the line: "centre" (the middle of all),
+        "first-stage" or "last-stage".
     motion : str
         "nominal" (drift, broadband, tones), "late-tone" (with a tone that begins half-way), "step" (with a
         step), "curve" (measured), "other-family" (measured curve, chirp, step), "real" (measured curve, tones
@@ -116,6 +124,8 @@ class StripOptions:
     piece_sigma_px: float = 0.3
     pixel_ratios: tuple[float, ...] = ()
     line_ratios: tuple[float, ...] = ()
+    stages: tuple[int, ...] = ()
+    time_reference: str = "centre"
     motion: str = "nominal"
     relief: str = "none"
     relief_rms: float = 300.0
@@ -125,7 +135,7 @@ class StripOptions:
     blank: tuple[tuple[int, int], ...] = ()
 
     WORDS: ClassVar[Mapping[str, tuple[str, ...]]] = {
-        "motion": MOTIONS, "relief": RELIEFS, "ground": GROUNDS,
+        "motion": MOTIONS, "relief": RELIEFS, "ground": GROUNDS, "time_reference": tuple(TIME_REFERENCES),
     }  # fmt: skip
     RANGES: ClassVar[Mapping[str, tuple[float, float]]] = {
         "lines": (16, MOST_LINES), "columns": (16, MOST_COLUMNS), "altitude": (100.0, 1e8),
@@ -135,6 +145,7 @@ class StripOptions:
         "mtf_nyquist": (1e-3, 0.9), "offset_sigma_px": (0.0, 1e3), "rotation_sigma": (0.0, 0.1),
         "scale_sigma": (0.0, 0.1), "bend_sigma_px": (0.0, 10.0), "pieces": (1, MOST_COLUMNS),
         "piece_sigma_px": (0.0, 0.9), "pixel_ratios": (1.0, 6.0), "line_ratios": (1.0, 6.0),
+        "stages": (1, 128),
         "relief_rms": (0.0, 3000.0), "cloud_cover": (0.0, 0.95),
         "cloud_banks": (0, MOST_LINES), "blank": (0, MOST_LINES),
     }  # fmt: skip
@@ -188,6 +199,13 @@ class StripOptions:
         """Lines and columns of a band."""
         along, across = self.ratios(band)
         return int(self.lines / along + 1e-9), int(self.columns / across + 1e-9)
+
+    def column_stages(self, band: int) -> NDArray[np.int16] | None:
+        """(columns,) TDI stages of a band; None without TDI."""
+        if not self.stages:
+            return None
+        columns = self.shape(band)[1]
+        return np.array(self.stages, dtype=np.int16)[np.arange(columns) * len(self.stages) // columns]
 
     def first_time(self, band: int) -> float:
         """s, middle of the first exposure of a band: all begin together."""

@@ -25,6 +25,7 @@ from sightline.io.acquisition.schema import (
     LineGeometry,
 )
 from sightline.io.acquisition.spin import pointing_of
+from sightline.io.acquisition.stages import stages_of
 from sightline.io.formats import tables
 from sightline.io.formats.images import Source, check_content, open_image
 from sightline.motion.band import Band
@@ -75,6 +76,10 @@ def build_bands(config: AcquisitionFile, files: InputFolder, *, look: bool = Tru
         _detector_and_timing(config, band, index, image, files)
         for index, (band, image) in enumerate(zip(config.band, images, strict=True))
     ]
+    stages = [
+        stages_of(band, image.shape, f"{files.toml}: [[band]] number {index + 1} ({band.name})", files)
+        for index, (band, image) in enumerate(zip(config.band, images, strict=True))
+    ]
     spans = [timing.span for _, timing in plans]
     span = min(s[0] for s in spans), max(s[1] for s in spans)
     trajectory = build_trajectory(config, files, span)
@@ -84,7 +89,14 @@ def build_bands(config: AcquisitionFile, files: InputFolder, *, look: bool = Tru
             band.name,
             image,
             PushbroomCamera(
-                detector, trajectory, pointing, timing.first, timing.lines, line_times=timing.table
+                detector,
+                trajectory,
+                pointing,
+                timing.first,
+                timing.lines,
+                line_times=timing.table,
+                stages=counts,
+                time_reference=band.time_reference or "centre",
             ),
             band.offset_sigma_px,
             band.rotation_sigma,
@@ -94,7 +106,7 @@ def build_bands(config: AcquisitionFile, files: InputFolder, *, look: bool = Tru
             band.shape_sigma_px,
             pieces_of(band, image, files),
         )
-        for band, image, (detector, timing) in zip(config.band, images, plans, strict=True)
+        for band, image, (detector, timing), counts in zip(config.band, images, plans, stages, strict=True)
     )
 
 

@@ -13,6 +13,7 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sightline.evaluation.band_words import passband_words
 from sightline.geometry.camera import PushbroomCamera
@@ -24,6 +25,7 @@ from sightline.io.formats.ccsds import epoch_words
 from sightline.io.formats.images import RasterImage
 from sightline.motion.observability import (
     Passbands,
+    averaged_away,
     blind_frequencies,
     passbands,
     shared_blind_frequencies,
@@ -107,6 +109,10 @@ def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
     upper = _highest_frequency(acquisition)
     bands = _from(1.0 / _duration(acquisition), passbands(lags, upper)) if lags else ()
     shared = shared_blind_frequencies(lags, bands, upper) if lags else ()
+    stages = _stage_times(acquisition)
+    if lags and all(stages):
+        averaged = averaged_away([time for times in stages for time in times], upper)
+        shared = tuple(np.unique([*shared, *averaged]).tolist())
     return {
         "understood": _understood(acquisition),
         "missing": _missing(acquisition, pairs),
@@ -118,7 +124,7 @@ def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
                 "lag": pair.lag,
                 "parallax": pair.parallax,
                 "overlap": pair.overlap,
-                "blind_frequencies": blind_frequencies(pair.lag, upper) if pair.lag else [],
+                "blind_frequencies": _blind(acquisition, pair, upper),
             }
             for pair in pairs
         ],
@@ -126,6 +132,22 @@ def describe_acquisition(acquisition: Acquisition) -> dict[str, Any]:
         "shared_blind_frequencies": shared,
         "highest_frequency": upper,
     }
+
+
+def _stage_times(acquisition: Acquisition) -> list[tuple[float, ...]]:
+    """s that the stages of every image take; none without TDI."""
+    return [c.stage_times if isinstance(c, PushbroomCamera) else () for c in acquisition.cameras]
+
+
+def _blind(acquisition: Acquisition, pair: PairGeometry, upper: float) -> NDArray[np.float64]:
+    """Frequencies (Hz) that a pair does not see: by its lag, and by the stages of both images."""
+    if not pair.lag:
+        return np.zeros(0)
+    lag = blind_frequencies(pair.lag, upper)
+    stages = dict(zip(acquisition.names, _stage_times(acquisition), strict=True))
+    if not (stages[pair.a] and stages[pair.b]):
+        return lag
+    return np.unique(np.concatenate([lag, averaged_away([*stages[pair.a], *stages[pair.b]], upper)]))
 
 
 def _highest_frequency(acquisition: Acquisition) -> float:
@@ -172,6 +194,8 @@ def _understood(acquisition: Acquisition) -> list[str]:
             when = f"exposed at t = {camera.t:.4f} s"
         of = f" ({image.words})" if isinstance(image, RasterImage) and image.count > 1 else ""
         lines.append(f"{name}: {image.shape[0]} lines x {image.shape[1]} columns, {when}{of}")
+        if isinstance(camera, PushbroomCamera) and camera.stages is not None:
+            lines.append(_stage_words(name, camera))
     ifov = acquisition.ifov * 1e6
     lines.append(
         f"one pixel is {ifov:.4g} urad; the field reaches {acquisition.half_field_px:.0f} px from its middle"
@@ -195,6 +219,21 @@ def _understood(acquisition: Acquisition) -> list[str]:
     if acquisition.control_points is not None:
         lines.append(f"{len(acquisition.control_points.sigma)} control points")
     return lines
+
+
+def _stage_words(name: str, camera: PushbroomCamera) -> str:
+    """What the TDI of a band does to its motion."""
+    assert camera.stages is not None
+    counts, times = np.unique(camera.stages), [1e3 * time for time in camera.stage_times]
+    several = "" if len(counts) == 1 else f" (columns differ: {', '.join(map(str, counts))})"
+    which = {"centre": "the middle", "first-stage": "the first", "last-stage": "the last"}
+    span = f"{times[-1]:.4g} ms" if len(counts) == 1 else f"{times[0]:.4g} to {times[-1]:.4g} ms"
+    gone = averaged_away([0.001 * time for time in times], 2.5 / camera.stage_times[0])
+    return (
+        f"{name}: TDI of {counts[-1]} stages{several}; each pixel averages the motion over {span}, times and "
+        f"look angle are of {which[camera.time_reference]} of them"
+        + (f"; {_named(gone)} Hz and multiples are averaged away" if len(gone) else "")
+    )
 
 
 def _strip_times(acquisition: Acquisition) -> tuple[float, float]:
@@ -258,7 +297,7 @@ def _observable(
     lines = []
     for pair in pairs:
         if pair.lag:
-            named = _named(blind_frequencies(pair.lag, upper))
+            named = _named(_blind(acquisition, pair, upper))
             lines.append(
                 f"{pair.a} - {pair.b}: lag {_seconds(pair.lag)}, {100.0 * pair.overlap:.0f} % common "
                 f"ground, blind at "

@@ -5,6 +5,8 @@ Not here: reading the file (``io/formats/isd.py``), bands with a trajectory of t
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from sightline.errors import FormatError
@@ -13,6 +15,7 @@ from sightline.io.acquisition.acquired import InputFolder
 from sightline.io.acquisition.bands import match_sigma_of, open_band_image, pieces_of
 from sightline.io.acquisition.schema import AcquisitionFile, BandSection
 from sightline.io.acquisition.spin import mount_of
+from sightline.io.acquisition.stages import stages_of
 from sightline.io.formats.isd import LineScanModel, read_line_scan_model
 from sightline.motion.band import Band
 
@@ -59,7 +62,11 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
             Band(
                 band.name,
                 image,
-                _placed(model, band, config),
+                replace(
+                    _placed(model, band, config),
+                    stages=stages_of(band, image.shape, where, files),
+                    time_reference=band.time_reference or "centre",
+                ),
                 band.offset_sigma_px,
                 band.rotation_sigma,
                 band.scale_sigma,

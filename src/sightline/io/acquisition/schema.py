@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from sightline.errors import FormatError
+from sightline.geometry.camera import MOST_STAGES
 from sightline.io.formats.ccsds import parse_utc
 from sightline.io.quantities import (
     Altitude,
@@ -306,6 +307,19 @@ class BandSection(LineGeometry):
     )
     line_times: FileName | None = Field(
         default=None, description="CSV line,t for uneven lines, in place of first_line_time"
+    )
+    stages: Annotated[int, Within(1, MOST_STAGES)] | FileName | None = Field(
+        default=None,
+        description="TDI stages of its pixels: one number, or a file: CSV column,stages; tags.bin of `tdi "
+        "--signals` (line by line); choice.csv of `tdi`, with stages_signal",
+    )
+    stages_signal: Annotated[float, Within(1e-3, 1e9, "electrons")] | None = Field(
+        default=None, description="Electrons per head line: whose rows of a choice.csv are its stages"
+    )
+    time_reference: Literal["centre", "first-stage", "last-stage"] | None = Field(
+        default=None,
+        description="Which of a pixel's stages look_ahead and first_line_time are of (default centre; needed "
+        "where stages differ)",
     )
     mask: FileName | None = Field(default=None, description="Raster of the same size; non-zero: do not use")
     quality: FileName | None = Field(

@@ -45,6 +45,8 @@ class AngleDifferences:
         Numbers of image a and image b: differences that share an image share its error.
     window : float
         s; time that the matching window spans: each difference is a mean over it.
+    tdi : (float, float)
+        s; over which TDI averages the motion besides, in image a and in image b.
     stretch : float
         s; by how much longer it is for pitch, which is seen along the lines.
     patch : (N,) or None
@@ -60,6 +62,7 @@ class AngleDifferences:
     window: float = 0.0
     patch: NDArray[np.intp] | None = None
     stretch: float = 0.0
+    tdi: tuple[float, float] = (0.0, 0.0)
 
     def __post_init__(self) -> None:
         """Check shapes and freeze the arrays."""
@@ -103,6 +106,7 @@ class AngleDifferences:
             images=self.images,
             window=self.window + (self.stretch if axis == PITCH else 0.0),
             patch=None if self.patch is None else np.asarray(self.patch, dtype=np.int64),
+            tdi=self.tdi,
         )
 
     def sigma(self) -> Array:
@@ -147,6 +151,7 @@ def _reversed(one: AngleDifferences) -> AngleDifferences:
         (one.images[1], one.images[0]),
         one.window,
         None if one.patch is None else one.patch[order],
+        tdi=(one.tdi[1], one.tdi[0]),
     )
 
 
@@ -170,4 +175,5 @@ def _joined(parts: Sequence[AngleDifferences]) -> AngleDifferences:
         parts[0].images,
         parts[0].window,
         None if patch is None else patch[order],
+        tdi=parts[0].tdi,
     )

@@ -42,6 +42,9 @@ class Star:
         Line period of the hub over that of the finest of all images; 1 where they are like.
     fineness : tuple of float
         Pixels of each partner to one of the hub where they are finer, else 1; empty: 1 of all.
+    tdi_hub, tdi : (G,) and (G, K), optional
+        s; how long TDI averages the motion in the hub and in the partner, beside the window; None: no band
+        has TDI.
     stretch : float
         s; by how much longer what is measured along the lines averages than what is measured across them.
     residual_px : (G, K, 2)
@@ -88,11 +91,33 @@ class Star:
     stretch: float = 0.0
     coarseness: float = 1.0
     fineness: tuple[float, ...] = ()
+    tdi_hub: Array | None = None
+    tdi: Array | None = None
 
     @property
     def longest(self) -> float:
         """s; the longest time that a measurement averages over."""
-        return self.duration + self.stretch
+        whole = self.duration + self.stretch
+        if self.tdi_hub is None or self.tdi is None:
+            return whole
+        return whole + max(float(self.tdi_hub.max(initial=0.0)), float(np.nanmax(self.tdi, initial=0.0)))
+
+    def averaging(self) -> tuple[Array, Array]:
+        """`tdi_hub` and `tdi`, zeros where there are none."""
+        if self.tdi_hub is None or self.tdi is None:
+            return np.zeros(len(self.t_hub)), np.zeros(self.t.shape)
+        return self.tdi_hub, self.tdi
+
+    def by_stages(self) -> list[Star]:
+        """The star for each set of times that TDI averages over in its images; others have no weight."""
+        if self.tdi_hub is None or self.tdi is None:
+            return [self]
+        times = np.round(np.column_stack([self.tdi_hub, self.tdi]), 12)
+        out = []
+        for each in np.unique(times[self.present.any(axis=1)], axis=0):
+            alike = (times == each).all(axis=1)
+            out.append(self.with_weight(np.where(alike[:, None], self.weight, 0.0)))
+        return out
 
     @property
     def present(self) -> NDArray[np.bool_]:

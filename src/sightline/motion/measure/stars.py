@@ -33,7 +33,9 @@ from sightline.motion.measure.common_view import Views, common_views, partners_o
 from sightline.motion.measure.observations import Star, shared_image_correlation
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
 from sightline.motion.measure.sampled_sensitivities import sampled_sensitivities
+from sightline.motion.measure.uneven_blur import displacement
 from sightline.motion.measure.windows import (
+    Predictions,
     WindowGrid,
     brightest_parts,
     exposure_times,
@@ -87,6 +89,10 @@ ROWS_IN_LAG, LEAST_WINDOW = 1.8, 2
 NEIGHBOURS = 3.3
 #: Parts of an exposure over which the motion is averaged.
 EXPOSURE_PARTS = 5
+#: Share of a window's columns that may lie where TDI has another number of stages than at its middle.
+MIXED = 0.1
+#: Windows are narrowed, by whole parts to at most so many, where that lets so much more of a line be used.
+MOST_PARTS, MORE_USED = 4, 1.1
 #: Windows enough to learn whitening from; a star of fewer looks all over its image instead.
 ENOUGH = 100
 
@@ -228,11 +234,11 @@ def hub_windows(
         views = common_views(cameras, surface)
     grains = groups_of_pixels(cameras)
     order = sorted(order, key=lambda image: grains[image])
-    out = []
+    out: list[tuple[int, tuple[int, ...], WindowGrid]] = []
     for place, hub in enumerate(order):
         here = plan.coarser(ratio_to_finest(cameras, hub))
         for group in partners_of(views, order, place, shapes[hub][1], grains):
-            grid = here.grid(shapes[hub], group.columns)
+            grid = within_stages(here.grid(shapes[hub], group.columns), cameras[hub])
             if group.earlier:
                 grid = _fresh(cameras, surface, shapes, hub, group.earlier, grid)
             if len(grid.lines):
@@ -241,8 +247,57 @@ def hub_windows(
         first = next(like, None)
         if first is not None and max(here.search_px) == 0:
             grid = here.grid(shapes[hub], usable(views[hub, first], shapes[hub][1]))
+            grid = within_stages(grid, cameras[hub])
             lines = _end_lines(shapes[hub][0], grid.window[0], here.step)
             out.append((hub, (first,), WindowGrid(grid.window, lines, grid.columns)))
+    return out
+
+
+def within_stages(grid: WindowGrid, camera: MovingCamera) -> WindowGrid:
+    """The same rows of windows, laid between the columns at which the number of TDI stages changes.
+
+    They are made narrower where stages change so often that much of the line would go unused; what is less
+    than a window wide still does.
+    """
+    if not isinstance(camera, PushbroomCamera) or camera.stages is None or not len(grid.columns):
+        return grid
+    first, last = (int(side) for side in grid.sides)
+    stages = np.asarray(camera.stages)[:, first:last]
+    if len(stages) > 1:  # differ from line to line: there is no laying windows between them
+        return grid
+    stages = stages[0]
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(stages)) + 1, [len(stages)]])
+    if len(edges) == 2:
+        return grid
+    runs = np.diff(edges)
+    height, whole = grid.window
+    # of windows that a draft thins out the gaps stay
+    apart = int(np.diff(grid.columns).min(initial=whole)) // whole
+    width, used = whole, 0.0
+    for parts in range(1, MOST_PARTS + 1):
+        narrow = max(whole // parts, min(LEAST_WIDTH, whole))
+        if float((runs // narrow * narrow).sum()) > MORE_USED * used:
+            width, used = narrow, float((runs // narrow * narrow).sum())
+    columns: list[float] = []
+    for begin, run in zip(edges, runs, strict=False):
+        count = int(run) // width
+        left = first + begin + (run - count * width) // 2 + (width - 1) / 2.0
+        columns += (left + width * np.arange(0, count, apart)).tolist()
+    if not columns:
+        return grid
+    return WindowGrid((height, width), grid.lines, np.array(columns))
+
+
+def mixed_stages(camera: MovingCamera, centres: Array, window: tuple[float, float]) -> NDArray[np.bool_]:
+    """Which windows about `centres` (N, 2) px see more than MIXED of other numbers of TDI stages."""
+    out = np.zeros(len(centres), dtype=bool)
+    if not isinstance(camera, PushbroomCamera) or camera.stages is None:
+        return out
+    middle, (height, width) = camera.stages_of(centres), window
+    half = (0.5 - MIXED) * width
+    for line in np.linspace(-0.5, 0.5, 3) * max(height - 1.0, 0.0):
+        for column in np.linspace(-half, half, max(3, int(width // LEAST_WIDTH))):
+            out |= camera.stages_of(centres + np.array([line, column])) != middle
     return out
 
 
@@ -360,7 +415,12 @@ def match_star(
     status = np.ones((g, k), dtype=np.uint8)
     score = np.full((g, k), np.nan)
 
-    seen = [np.isfinite(one.b[:, 0]) for one in predicted]
+    mixed = mixed_stages(cameras[hub], grid.centres, grid.window)
+    sizes = [_size_in(cameras, hub, partner, grid.window) for partner in partners]
+    seen = [
+        np.isfinite(one.b[:, 0]) & ~mixed & ~mixed_stages(cameras[partner], one.b, size)
+        for one, partner, size in zip(predicted, partners, sizes, strict=True)
+    ]
     finer = [parts_of_pixel(cameras, hub, partner) != (1, 1) for partner in partners]
     blurred = [exposed(camera) for camera in cameras] if ratio[0] > UNLIKE else cameras
     laid = [
@@ -429,9 +489,17 @@ def match_star(
             )
             shift, uncertain = shift - folded, uncertain + unknown
         residual[good, j] = np.einsum("nij,nj->ni", turn, shift)
+        if not max(plan.search_px):
+            residual[good, j] -= displacement(
+                cameras,
+                (hub, partner),
+                (grid.centres[good], predicted[j].b[good]),
+                (exposure_times(cameras[hub], grid.centres[good]), predicted[j].t[good]),
+                (values[good, j, :, 0:3], values[good, j, :, 3:6]),
+                whitenings[j],
+            )
         covariance[good, j] = turn @ uncertain @ np.swapaxes(turn, 1, 2)
-        size = _size_in(cameras, hub, partner, grid.window)
-        beyond = ~within_image(predicted[j].b, images[partner].shape, size)
+        beyond = ~within_image(predicted[j].b, images[partner].shape, sizes[j])
         status[:, j] = np.where(beyond & (matches.status == MASKED), OUTSIDE, matches.status)
         status[seen[j] & ~chosen, j] = NOT_CHOSEN
         if plan.weighting != "covariance" and good.any():
@@ -440,6 +508,7 @@ def match_star(
             covariance[good, j] = mean * _relative(plan, (hub, partner), places)
         score[:, j] = matches.score
     camera = cameras[hub]
+    tdi_hub, tdi = _tdi(cameras, hub, partners, grid, predicted)
     duration, stretch = _duration(camera, grid, exposed=ratio[0] > UNLIKE)
     star = Star(
         hub=hub,
@@ -450,6 +519,8 @@ def match_star(
         t=np.stack([p.t for p in predicted], axis=1),
         duration=duration,
         stretch=stretch,
+        tdi_hub=tdi_hub,
+        tdi=tdi,
         coarseness=ratio[0],
         fineness=_fineness(cameras, hub, partners),
         residual_px=residual,
@@ -486,8 +557,8 @@ def exposed(camera: MovingCamera) -> MovingCamera:
     average. (An image of finer lines is averaged over the parts of an exposure, each with its own motion.)
     """
     motion = camera.trajectory.motion
-    if motion is None or not isinstance(camera, PushbroomCamera):
-        return camera
+    if motion is None or not isinstance(camera, PushbroomCamera) or camera.stages is not None:
+        return camera  # its stages are averaged over already
     parts = (np.arange(EXPOSURE_PARTS) + 0.5) / EXPOSURE_PARTS - 0.5
     instants = motion.t[:, None] + camera.detector.line_period * parts
     inside = np.clip(instants, motion.t[0], motion.t[-1])
@@ -651,6 +722,25 @@ def within_image(pixels: Array, shape: tuple[int, int], window: tuple[float, flo
     return np.asarray(inside.all(axis=1))
 
 
+def _tdi(
+    cameras: Sequence[MovingCamera],
+    hub: int,
+    partners: Sequence[int],
+    grid: WindowGrid,
+    predicted: Sequence[Predictions],
+) -> tuple[Array | None, Array | None]:
+    """Times (G,) and (G, K) s that TDI averages over in hub and partners; None where none has TDI."""
+
+    def times(image: int, pixels: Array) -> Array:
+        camera = cameras[image]
+        return camera.integration(pixels) if isinstance(camera, PushbroomCamera) else np.zeros(len(pixels))
+
+    if all(getattr(cameras[image], "stages", None) is None for image in (hub, *partners)):
+        return None, None
+    there = [times(image, p.b) for image, p in zip(partners, predicted, strict=True)]
+    return times(hub, grid.centres), np.stack(there, axis=1)
+
+
 def _duration(camera: MovingCamera, grid: WindowGrid, *, exposed: bool) -> tuple[float, float]:
     """Length (s) of the boxcar that spreads as the window's h line centres do, and what is added along lines.
 
@@ -663,6 +753,9 @@ def _duration(camera: MovingCamera, grid: WindowGrid, *, exposed: bool) -> tuple
     ends = exposure_times(camera, np.array([[0.0, 0.0], [camera.lines - 1.0, 0.0]]))
     period = (ends[1] - ends[0]) / max(camera.lines - 1, 1)
     lines = grid.window[0]
+    if camera.stages is not None and exposed:
+        spread = math.sqrt(lines**2 - 1.0)
+        return float(period * spread), float(period * (math.sqrt(lines**2 - 1.0 + NEIGHBOURS) - spread))
     if not exposed:
         return float(period * math.sqrt(lines**2 - 1.0)), 0.0
     return float(period * lines), float(period * (math.sqrt(lines**2 + NEIGHBOURS) - lines))

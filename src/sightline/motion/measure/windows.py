@@ -202,11 +202,13 @@ def predict_windows(
 
 
 def exposure_times(camera: Camera, pixels: Array) -> Array:
-    """Instants (N,) s at which `pixels` (N, 2) were exposed; NaN for NaN pixels."""
+    """Instants (N,) s at which `pixels` (N, 2) were exposed (middle of TDI stages); NaN for NaN pixels."""
     if isinstance(camera, PushbroomCamera):
         out = np.full(len(pixels), np.nan)
         seen = np.isfinite(pixels[:, 0])
         out[seen] = camera.times(pixels[seen, 0])
+        if camera.stages is not None:
+            out[seen] += camera.delays(pixels[seen])
         return out
     if isinstance(camera, FrameCamera):
         return camera.times(pixels[:, 0])

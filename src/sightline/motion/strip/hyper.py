@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
 from sightline.estimation.likelihood import WORK, FittedSpectrum, fit_spectrum
-from sightline.estimation.prior import Autoregressive, Matern, Spectrum
+from sightline.estimation.prior import Autoregressive, Matern, Spectrum, Tone
+from sightline.estimation.search import LEFT_BY_TDI, left_by_tdi
 from sightline.estimation.series import DifferenceSeries
 from sightline.estimation.split import SplitPrior, coarse_ratio, split
 from sightline.execution import Step, in_threads, no_step
@@ -46,6 +47,10 @@ SHOWN = 3.0
 ROUGH = 0.5
 #: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
 MOST_ACROSS = 0.5
+#: What TDI may hide is looked at up to this over the shortest time that it averages over, so finely.
+HIDDEN_TO, HIDDEN_STEP = 4.0, 0.02
+#: A tone stands out of rows of windows where its amplitude is so many sigmas of theirs.
+STANDS_OUT = 4.0
 #: Fewest rows of windows that tell of a pair's differences.
 FEWEST_ROWS = 8
 
@@ -55,11 +60,18 @@ class PriorModel:
     """Spectra of roll, pitch and yaw (rad), and how far the rows' errors exceed what their scatter shows.
 
     `noise_scale` holds one factor on the variance per axis: errors that a whole row shares do not scatter
-    within it; the marginal likelihood sees them.
+    within it; the marginal likelihood sees them. `unseen` are wide tones, as strong as what TDI may hide at
+    their frequencies: no estimate finds them, its sigma owns them.
     """
 
     spectra: tuple[Spectrum, Spectrum, Spectrum]
     noise_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    unseen: tuple[tuple[Tone, ...], ...] = ((), (), ())
+
+    @property
+    def unseen_variance(self) -> Array:
+        """(3,) rad^2 of what TDI averages away."""
+        return np.array([sum(tone.sigma**2 for tone in tones) for tones in self.unseen])
 
     def grown(self, correlation: Array) -> Array:
         """Error correlation (2K, 2K) of a star scaled along lines (pitch, yaw) and columns (roll)."""
@@ -216,25 +228,29 @@ def angle_differences(
     patch_start = 0
     for star, post in zip(stars, post_px, strict=True):
         rows, _ = star.shape
-        for k, image in enumerate(star.images):
-            part = _collapse(star, post, k, relief_sigmas)
-            good = part.t_hub == part.t_hub
-            if good.sum() < FEWEST_ROWS:
-                continue
-            at_hub, at_partner = (_seen(star, estimate, t[good]) for t in (part.t_hub, part.t))
-            out.append(
-                AngleDifferences(
-                    t=part.t_hub[good],
-                    lag=part.t[good] - part.t_hub[good],
-                    angles=part.angles[good] + at_partner - at_hub,
-                    covariance=part.covariance[good],
-                    images=(star.hub, image),
-                    window=star.duration,
-                    stretch=star.stretch,
-                    patch=patch_start + np.flatnonzero(good),
+        # a difference is of windows that average alike
+        for alike in star.by_stages():
+            for k, image in enumerate(star.images):
+                part = _collapse(alike, post, k, relief_sigmas)
+                good = part.t_hub == part.t_hub
+                if good.sum() < FEWEST_ROWS:
+                    continue
+                at_hub = _seen(star, estimate, part.t_hub[good], part.tdi_hub)
+                at_partner = _seen(star, estimate, part.t[good], part.tdi)
+                out.append(
+                    AngleDifferences(
+                        t=part.t_hub[good],
+                        lag=part.t[good] - part.t_hub[good],
+                        angles=part.angles[good] + at_partner - at_hub,
+                        covariance=part.covariance[good],
+                        images=(star.hub, image),
+                        window=star.duration,
+                        stretch=star.stretch,
+                        tdi=(part.tdi_hub, part.tdi),
+                        patch=patch_start + np.flatnonzero(good),
+                    )
                 )
-            )
-        patch_start += rows
+            patch_start += rows
     return out
 
 
@@ -244,6 +260,8 @@ class _Rows:
     t: Array
     angles: Array
     covariance: Array
+    tdi_hub: float = 0.0
+    tdi: float = 0.0
 
 
 def _collapse(star: Star, post: Array, k: int, relief_sigmas: tuple[float, float]) -> _Rows:
@@ -277,19 +295,30 @@ def _collapse(star: Star, post: Array, k: int, relief_sigmas: tuple[float, float
     with np.errstate(invalid="ignore", divide="ignore"):
         t_hub = np.where(count > 0, (w * star.t_hub.reshape(rows, blocks)).sum(1) / count, np.nan)
         t = np.nansum(w * np.nan_to_num(star.t[:, k]).reshape(rows, blocks), axis=1) / count
-    return _Rows(t_hub, t, angles, inverse)
+    if not seen.any():
+        return _Rows(t_hub, t, angles, inverse)
+    hub, partner = star.averaging()
+    return _Rows(t_hub, t, angles, inverse, float(hub[seen].mean()), float(partner[seen, k].mean()))
 
 
-def _seen(star: Star, estimate: JointEstimate, t: Array) -> Array:
-    """The motion (N, 3) at `t` as the windows of a star average it: pitch is seen along the lines."""
-    out = averaged(estimate.grid, estimate.nodes, t, star.duration)
+def _seen(star: Star, estimate: JointEstimate, t: Array, tdi: float) -> Array:
+    """The motion (N, 3) at `t` as the windows of a star average it: pitch is seen along the lines.
+
+    Its lines average over `tdi` (s).
+    """
+    out = averaged(estimate.grid, estimate.nodes, t, star.duration, tdi)
     if star.stretch > 0.0:
-        out[:, PITCH] = averaged(estimate.grid, estimate.nodes, t, star.longest)[:, PITCH]
+        whole = star.duration + star.stretch
+        out[:, PITCH] = averaged(estimate.grid, estimate.nodes, t, whole, tdi)[:, PITCH]
     return out
 
 
-def averaged(grid: TimeGrid, nodes: Array, t: Array, duration: float) -> Array:
-    """Mean of the node motion over windows of `duration` about `t`: (N, C)."""
+def averaged(grid: TimeGrid, nodes: Array, t: Array, duration: float, tdi: float = 0.0) -> Array:
+    """Mean of the node motion over windows of `duration` about `t`, of lines averaged over `tdi`: (N, C)."""
+    if tdi > 0.0:
+        points = 2 + int(np.ceil(2.0 * tdi / grid.step))
+        offsets = tdi * ((np.arange(points) + 0.5) / points - 0.5)
+        return np.asarray(sum(averaged(grid, nodes, t + o, duration) for o in offsets) / points)
     if duration <= 0.0:
         return grid.interpolate(nodes, t)
     points = 2 + int(np.ceil(duration / grid.step))
@@ -377,7 +406,61 @@ def fit_prior_model(
         for one, grown, share in zip((roll, pitch, yaw), grown_by, own, strict=True)
     ]
     model = PriorModel((roll.spectrum, pitch.spectrum, yaw.spectrum), (scales[0], scales[1], scales[2]))
-    return model.with_turns(length)
+    model = model.with_turns(length)
+    return replace(model, unseen=_unseen(model.spectra, differences, estimate))
+
+
+def _unseen(
+    spectra: Sequence[Spectrum], differences: Sequence[AngleDifferences], estimate: JointEstimate
+) -> tuple[tuple[Tone, ...], ...]:
+    """Tones of each axis that TDI hides, as strong as is to be expected of those that are seen.
+
+    Notes
+    -----
+    Modes are as dense in frequency where TDI averages them away as below, and their variance falls as f^-4.
+    One that would stand out nevertheless is not there. What is left of the density of variance over each
+    stretch that is hidden is one wide tone.
+    """
+    tdi = sorted({each for d in differences for each in d.tdi})
+    if not tdi or not tdi[0] > 0.0:
+        return ((), (), ())
+    f = np.arange(1.0, HIDDEN_TO / min(tdi), HIDDEN_STEP * 2.0 / max(tdi))
+    left = left_by_tdi(f, tdi)
+    hidden = left < LEFT_BY_TDI
+    first = float(f[np.argmax(hidden)])
+    rows = max(len(d) for d in differences)
+    out: list[tuple[Tone, ...]] = []
+    for axis, spectrum in enumerate(spectra):
+        tones = [tone.frequency for tone in spectrum.tones if tone.frequency < first]
+        if not tones:
+            out.append(())
+            continue
+        strength = float(np.mean([_power(estimate, axis, tone) * tone**4 for tone in tones]))
+        density = (len(tones) + 0.5) / first
+        # amplitude of a tone that stands out of the rows of the best pair
+        smallest = STANDS_OUT * _row_sigma(differences, axis) * np.sqrt(2.0 / rows)
+        variance = density * np.minimum(strength / f**4, (smallest / np.maximum(left, 1e-6)) ** 2)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(int)))
+        parts = []
+        for begin, end in edges.reshape(-1, 2):
+            each = variance[begin:end] * (f[1] - f[0])
+            if each.sum() > 0.0 and end - begin > 1:
+                middle = float((f[begin:end] * each).sum() / each.sum())
+                wide = 0.25 * float(f[end - 1] - f[begin])
+                parts.append(Tone(float(np.sqrt(each.sum())), middle, min(wide, 0.1 * middle)))
+        out.append(tuple(parts))
+    return tuple(out)
+
+
+def _power(estimate: JointEstimate, axis: int, frequency: float) -> float:
+    """Variance (rad^2) of the estimated motion at a frequency (Hz)."""
+    phase = 2.0 * np.pi * frequency * (estimate.grid.nodes - estimate.grid.start)
+    x = estimate.nodes[:, axis]
+    x = np.diff(x, 2)  # less its drift, which leaks
+    gain = (2.0 * np.sin(np.pi * frequency * estimate.grid.step)) ** 2
+    waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)[1:-1] * np.hanning(len(x))[:, None]
+    amplitude = 2.0 * (x @ waves) / np.hanning(len(x)).sum() / gain
+    return float(0.5 * (amplitude**2).sum())
 
 
 def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> list[float]:
@@ -427,8 +510,8 @@ def _corners_elsewhere(spectra: Sequence[Spectrum], row_sigma: Sequence[float]) 
 
 def _without_jumps(series: DifferenceSeries, jumps: Array) -> DifferenceSeries:
     """The series with differences across a jump made infinitely uncertain."""
-    early = np.minimum(series.t, series.t + series.lag) - series.window
-    late = np.maximum(series.t, series.t + series.lag) + series.window
+    early = np.minimum(series.t, series.t + series.lag) - series.whole
+    late = np.maximum(series.t, series.t + series.lag) + series.whole
     across = np.zeros(len(series.t), dtype=bool)
     for instant in jumps:
         across |= (early < instant) & (instant < late)

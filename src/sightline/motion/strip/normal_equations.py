@@ -76,9 +76,12 @@ class TimeGrid:
 
 
 @njit(cache=True, nogil=True)
-def _window_weights(t, duration, start, step, count, support, weights):  # type: ignore[no-untyped-def]
-    """Lagrange weights averaged over a window of `duration` about `t`; returns the first node."""
-    half = 0.5 * duration
+def _window_weights(t, duration, tdi, start, step, count, support, weights):  # type: ignore[no-untyped-def]
+    """Lagrange weights averaged over a window of `duration` about `t`; returns the first node.
+
+    Each line of the window is an average over `tdi` (s): the weight of an instant is a trapezium.
+    """
+    half = 0.5 * (duration + tdi)
     first = int(math.floor((t - half - start) / step)) - 1
     if first < 0:
         first = 0
@@ -86,6 +89,25 @@ def _window_weights(t, duration, start, step, count, support, weights):  # type:
         first = count - support
     for k in range(support):
         weights[k] = 0.0
+    if tdi > 0.0:
+        whole, flat = duration + tdi, 0.5 * abs(duration - tdi)
+        least = min(duration, tdi)
+        points, total = 2 + int(math.ceil(2.0 * whole / step)), 0.0
+        for p in range(points):
+            away = abs(whole * ((p + 0.5) / points - 0.5))
+            total += 1.0 if away <= flat else (half - away) / least
+        for p in range(points):
+            offset = whole * ((p + 0.5) / points - 0.5)
+            share = (1.0 if abs(offset) <= flat else (half - abs(offset)) / least) / total
+            x = (t + offset - start) / step
+            node = min(max(int(math.floor(x)) - 1, first), first + support - 4)
+            u = x - node
+            o = node - first
+            weights[o] += -(u - 1) * (u - 2) * (u - 3) / 6 * share
+            weights[o + 1] += u * (u - 2) * (u - 3) / 2 * share
+            weights[o + 2] += -u * (u - 1) * (u - 3) / 2 * share
+            weights[o + 3] += u * (u - 1) * (u - 2) / 6 * share
+        return first
     points = 1 if duration <= 0.0 else 2 + int(math.ceil(duration / step))
     for p in range(points):
         instant = t + duration * ((p + 0.5) / points - 0.5)
@@ -174,6 +196,9 @@ def _accumulate(  # type: ignore[no-untyped-def]
     t_ground,
     duration,
     along,
+    tdi_hub,
+    tdi,
+    support,
     residual,
     covariance,
     weight,
@@ -199,8 +224,6 @@ def _accumulate(  # type: ignore[no-untyped-def]
     statics = by_static.shape[3]
     block = 5 if relief else 3
     block_n = ab.shape[1]
-    longest = max(duration, along)
-    support = 4 + int(math.ceil(longest / step)) if longest > 0.0 else 4
     # where what is measured along lines averages over another time, each instant counts twice
     parts = 1 if along == duration else 2
     instants = parts * (1 + pairs)
@@ -231,11 +254,13 @@ def _accumulate(  # type: ignore[no-untyped-def]
             continue
         for c in range(parts):
             spans = along if parts == 2 and c == 0 else duration
-            first[c] = _window_weights(t_hub[g], spans, start, step, count, support, w[c])
+            first[c] = _window_weights(t_hub[g], spans, tdi_hub[g], start, step, count, support, w[c])
         for k in range(parts, instants):
             first[k] = -2
         if relief:
-            first[instants] = _window_weights(t_ground[g], duration, start, step, count, support, w[instants])
+            first[instants] = _window_weights(
+                t_ground[g], duration, 0.0, start, step, count, support, w[instants]
+            )
         # rows of this patch
         row = 0
         for k in range(pairs):
@@ -243,7 +268,7 @@ def _accumulate(  # type: ignore[no-untyped-def]
                 continue
             for c in range(parts):
                 spans, q = along if parts == 2 and c == 0 else duration, parts * (1 + k) + c
-                first[q] = _window_weights(t[g, k], spans, start, step, count, support, w[q])
+                first[q] = _window_weights(t[g, k], spans, tdi[g, k], start, step, count, support, w[q])
             for c in range(2):
                 for j in range(compact + 1):
                     a[row + c, j] = 0.0
@@ -351,6 +376,9 @@ def _modelled(  # type: ignore[no-untyped-def]
     t_ground,
     duration,
     along,
+    tdi_hub,
+    tdi,
+    support,
     by_hub,
     by_partner,
     by_static,
@@ -366,8 +394,6 @@ def _modelled(  # type: ignore[no-untyped-def]
     """What the rows would read for given node values (count, block) and statics; into `out` (G, K, 2)."""
     patches, pairs = t.shape
     count = nodes.shape[0]
-    longest = max(duration, along)
-    support = 4 + int(math.ceil(longest / step)) if longest > 0.0 else 4
     parts = 1 if along == duration else 2
     w = np.zeros(support)
     hub = np.zeros((2, 3))
@@ -375,14 +401,14 @@ def _modelled(  # type: ignore[no-untyped-def]
     for g in range(patches):
         for c in range(parts):
             spans = along if parts == 2 and c == 0 else duration
-            first = _window_weights(t_hub[g], spans, start, step, count, support, w)
+            first = _window_weights(t_hub[g], spans, tdi_hub[g], start, step, count, support, w)
             for axis in range(3):
                 hub[c, axis] = 0.0
                 for m in range(support):
                     hub[c, axis] += w[m] * nodes[first + m, axis]
         height = 0.0
         if relief:
-            first = _window_weights(t_ground[g], duration, start, step, count, support, w)
+            first = _window_weights(t_ground[g], duration, 0.0, start, step, count, support, w)
             for m in range(support):
                 height += w[m] * (nodes[first + m, 3] + field[g] * nodes[first + m, 4])
         for k in range(pairs):
@@ -392,7 +418,7 @@ def _modelled(  # type: ignore[no-untyped-def]
                 continue
             for c in range(parts):
                 spans = along if parts == 2 and c == 0 else duration
-                first = _window_weights(t[g, k], spans, start, step, count, support, w)
+                first = _window_weights(t[g, k], spans, tdi[g, k], start, step, count, support, w)
                 for axis in range(3):
                     partner[c, axis] = 0.0
                     for m in range(support):
@@ -505,7 +531,7 @@ def bandwidth_of(
     widest = 0.0
     support = 4
     for star, order in zip(stars, orders, strict=True):
-        support = max(support, 4 + math.ceil(star.longest / grid.step))
+        support = max(support, _support(star, grid))
         seen = star.present
         every = np.concatenate([star.t_hub[:, None], np.where(seen, star.t, np.nan)], axis=1)
         if relief:
@@ -588,6 +614,11 @@ class _Piece:
     part: slice
 
 
+def _support(star: Star, grid: TimeGrid) -> int:
+    """Nodes that a row of a star is interpolated from, at each of its two instants."""
+    return TAPS + math.ceil(star.longest / grid.step)
+
+
 def _parts(star: Star) -> list[slice]:
     """Whole rows of windows of a star, some PART_PATCHES patches at a time."""
     rows, blocks = star.shape
@@ -603,18 +634,22 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> tuple[int,
     low = math.floor((np.nanmin(instants) - reach - grid.start) / grid.step)
     high = math.ceil((np.nanmax(instants) + reach - grid.start) / grid.step)
     # rows at the end of the grid use its last nodes, wherever their instants are
-    support = 4 + math.ceil(star.longest / grid.step)
+    support = _support(star, grid)
     low, high = max(min(low, grid.count - support), 0), min(max(high, support), grid.count)
     n, statics = block * (high - low), star.by_static.shape[3]
     ab = np.zeros((min(width + 1, n), n))
     border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
     rhs, rhs_static = np.zeros(n), np.zeros(statics)
+    tdi_hub, tdi = star.averaging()
     chi2, rows = _accumulate(
         star.t_hub[part],
         star.t[part],
         piece.t_ground[part],
         star.duration,
         star.duration + star.stretch,
+        tdi_hub[part],
+        tdi[part],
+        support,
         np.ascontiguousarray(piece.measured[part]),
         star.covariance_px[part],
         star.weight[part],
@@ -698,6 +733,7 @@ def modelled(
     out = np.empty(star.residual_px.shape)
     t_ground, nodes = order.of(star.t_hub), np.ascontiguousarray(nodes)
     values = np.asarray(statics, dtype=float)
+    support, (tdi_hub, tdi) = _support(star, grid), star.averaging()
 
     def work(part: slice) -> None:
         _modelled(
@@ -706,6 +742,9 @@ def modelled(
             t_ground[part],
             star.duration,
             star.duration + star.stretch,
+            tdi_hub[part],
+            tdi[part],
+            support,
             star.by_hub[part],
             star.by_partner[part],
             star.by_static[part],

@@ -276,6 +276,8 @@ def prepared(bands: Sequence[Band], surface: Surface, options: RecoverOptions) -
     ends = np.array([[c.times(np.array([-2.0]))[0], c.times(np.array([c.lines + 1.0]))[0]] for c in cameras])
     period = min((ends[k, 1] - ends[k, 0]) / (c.lines + 3) for k, c in enumerate(cameras))
     step = options.grid_lines * period
+    # the stages of a line reach beyond its time
+    ends += np.array([[-c.reach[0], c.reach[1]] for c in cameras])
     start = float(ends[:, 0].min()) - 2 * step
     count = math.ceil((float(ends[:, 1].max()) - start) / step) + 3
     first = cameras[0]

@@ -1,0 +1,153 @@
+"""``stages`` of a ``[[band]]``: TDI stages of all its pixels, of its columns, or line by line.
+
+Reads a table ``column,stages``, ``choice.csv`` of ``sightline tdi`` for one signal, or its ``tags.bin``.
+
+Not here: what they do to a camera (``geometry/camera.py``).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.errors import FormatError, reads
+from sightline.geometry.camera import MOST_STAGES
+from sightline.io.acquisition.acquired import InputFolder
+from sightline.io.acquisition.schema import BandSection
+from sightline.io.formats.tables import header_of, read_columns
+from sightline.io.results.tdi_tags import read_tdi_tags
+
+Stages = NDArray[np.int16]
+
+TAGS_ENDING = ".bin"
+
+
+def stages_of(band: BandSection, shape: tuple[int, int], where: str, files: InputFolder) -> Stages | None:
+    """TDI stages (1 or lines, columns) of a band whose image has `shape`; None where it names none.
+
+    Parameters
+    ----------
+    where : str
+        File and band, for messages.
+
+    Raises
+    ------
+    FormatError
+        If they do not go with the image, or with the band's other keys.
+    """
+    if band.stages is None:
+        if band.stages_signal is not None:
+            raise FormatError(
+                f"{where}: stages_signal is given without stages; give stages = a choice.csv of `tdi` too"
+            )
+        return None
+    if isinstance(band.stages, int):
+        if band.stages_signal is not None:
+            raise FormatError(
+                f"{where}: stages_signal = {band.stages_signal:g} is given with stages = {band.stages}; it "
+                "chooses the rows of a choice.csv: leave it out"
+            )
+        counts = np.full((1, shape[1]), band.stages, dtype=np.int16)
+    else:
+        path = files(band.stages)
+        if path.suffix == TAGS_ENDING:
+            if band.stages_signal is not None:
+                raise FormatError(
+                    f"{where}: stages_signal is given with {path.name}, whose tags hold each line's own "
+                    "stages: leave it out"
+                )
+            counts = read_tag_stages(path, shape)
+        else:
+            counts = read_stages(path, shape[1], band.stages_signal)
+    if counts.max() > shape[0]:
+        raise FormatError(
+            f"{where}: stages: {counts.max()} stages are more than the {shape[0]} lines of {band.image}; "
+            "give the stages that the image was taken with"
+        )
+    if band.time_reference is None and (counts != counts.flat[0]).any():
+        raise FormatError(
+            f"{where}: time_reference is missing: stages are from {counts.min()} to {counts.max()}, and what "
+            'first_line_time and look_ahead are of is not known; give "centre" (the middle of the stages of '
+            'each pixel), "first-stage" or "last-stage"'
+        )
+    return counts
+
+
+@reads("a table of TDI stages")
+def read_stages(path: Path, columns: int, signal: float | None = None) -> Stages:
+    """(1, columns) TDI stages of a table ``column,stages``, or of a ``choice.csv`` for one signal.
+
+    Parameters
+    ----------
+    path : Path
+        One row for every column of the image, in any order.
+    columns : int
+        Of the image.
+    signal : float, optional
+        Electrons; of a table with a column ``signal`` the rows of that one count.
+
+    Raises
+    ------
+    FormatError
+        If the rows are not those of the columns of the image, or there is no such signal.
+    """
+    several = "signal" in header_of(path)
+    if several and signal is None:
+        raise FormatError(
+            f"{path}: has stages for each of several signals; give stages_signal (electrons per head line), "
+            "or stages = the tags.bin of `tdi --signals`, which has those of every line"
+        )
+    if not several and signal is not None:
+        raise FormatError(
+            f"{path}: has no column 'signal', and stages_signal = {signal:g} is given: leave it out"
+        )
+    names = ("column", "stages", "signal") if several else ("column", "stages")
+    table = {name: np.asarray(value, dtype=np.float64) for name, value in read_columns(path, names).items()}
+    if several:
+        known = np.unique(table["signal"])
+        assert signal is not None
+        if not known[0] * (1.0 - 1e-6) <= signal <= known[-1] * (1.0 + 1e-6):
+            raise FormatError(
+                f"{path}: stages_signal = {signal:g} is beyond its signals, {known[0]:g} to {known[-1]:g} "
+                "electrons; give one of them"
+            )
+        rows = table["signal"] == known[np.argmin(np.abs(known - signal))]
+        table = {name: value[rows] for name, value in table.items()}
+    at, counts = table["column"], table["stages"]
+    wrong = ~((counts >= 1) & (counts <= MOST_STAGES) & (counts == np.round(counts)))
+    if wrong.any():
+        row = int(np.flatnonzero(wrong)[0])
+        raise FormatError(
+            f"{path}: stages = {counts[row]:g} at column {at[row]:g}; whole numbers from 1 to {MOST_STAGES} "
+            "are allowed"
+        )
+    order = np.argsort(at, kind="stable")
+    if not np.array_equal(at[order], np.arange(columns)):
+        raise FormatError(
+            f"{path}: its {len(at)} rows are of columns {at.min():g} to {at.max():g}; the image has the "
+            f"columns 0 to {columns - 1}: give one row for each of them, and the table of this band"
+        )
+    return np.asarray(counts[order][None, :], dtype=np.int16)
+
+
+@reads("TDI tags")
+def read_tag_stages(path: Path, shape: tuple[int, int]) -> Stages:
+    """(lines, columns) TDI stages of every pixel of an image of `shape`, as its tags say.
+
+    Raises
+    ------
+    FormatError
+        If the tags are of another image.
+    """
+    tags = read_tdi_tags(path)
+    if (len(tags), tags.columns) != shape:
+        raise FormatError(
+            f"{path}: tags of {len(tags)} lines x {tags.columns} columns, the image has {shape[0]} x "
+            f"{shape[1]}; give the tags of this image"
+        )
+    if tags.stages.max() > MOST_STAGES:
+        raise FormatError(f"{path}: {tags.stages.max()} stages; up to {MOST_STAGES} are allowed")
+    widths = np.diff(np.append(tags.first_column, tags.columns))
+    return np.repeat(tags.stages.astype(np.int16), widths, axis=1)

@@ -1,0 +1,179 @@
+"""How far jitter within the stages of TDI displaces a match beyond the mean motion.
+
+A pixel of N stages shows the scene through the mean of N displacements. To first order that is the scene at
+the mean displacement; but where a motion within the stages is lopsided (it lingers on one side) fine detail
+is displaced otherwise than coarse detail, and a match of all detail by thousandths to hundredths of a pixel.
+That is known where the motion is: it is the phase of a mean of phase factors, weighed over the frequencies as
+the match weighs them.
+
+Not here: the mean itself (``geometry/trajectory.py``), matching (``stars.py``).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.compiled import njit
+from sightline.estimation.search import LEFT_BY_TDI
+from sightline.execution import in_threads
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.trajectory import Motion
+from sightline.matching.whitening import Whitening
+from sightline.motion.measure.predict import MovingCamera
+
+Array = NDArray[np.float64]
+
+#: Every so many-th frequency of the coherence's grid is taken, up to so many cycles per pixel.
+_EVERY, _HIGHEST = 4, 0.45
+#: A frequency weighs at most as one of this coherence.
+_MOST = 0.999
+#: Motion of which the stages leave this share is taken whole, less of what they leave less of (LEFT_BY_TDI:
+#: nothing); shorter ones as they are.
+_WHOLE, _FEWEST = 0.25, 16
+#: Windows that one thread takes at a time.
+_AT_ONCE = 2048
+
+
+def displacement(
+    cameras: Sequence[MovingCamera],
+    pair: tuple[int, int],
+    pixels: tuple[Array, Array],
+    t: tuple[Array, Array],
+    by: tuple[NDArray[np.float32], NDArray[np.float32]],
+    whitening: Whitening | None,
+) -> Array:
+    """(G, 2) px by which matches of a partner lie beyond where the mean motion has them.
+
+    Parameters
+    ----------
+    cameras : sequence of cameras
+        Of all images, with the best motion known.
+    pair : (int, int)
+        Hub and partner.
+    pixels, t : two of (G, 2) px and (G,) s
+        Centres of the windows in each, and the middle of their exposures; NaN where not seen.
+    by : two of (G, 2, 3)
+        px/rad; change of the predicted partner with the attitude of each.
+    whitening : Whitening or None
+        Says how much each frequency counts; nothing is known without its coherence.
+    """
+    out = np.zeros((len(t[0]), 2))
+    coherence = None if whitening is None else whitening.coherence
+    tdi = [isinstance(c, PushbroomCamera) and c.stages is not None for c in (cameras[k] for k in pair)]
+    if coherence is None or not any(tdi) or cameras[pair[0]].trajectory.motion is None:
+        return out
+    frequency, weight = _weights(coherence)
+    motions = [_known(cameras[image]) for image in pair]
+    seen = np.flatnonzero(np.isfinite(t[0]) & np.isfinite(t[1]) & np.isfinite(pixels[1]).all(axis=1))
+
+    def values(first: int) -> Array:
+        which = seen[first : first + _AT_ONCE]
+        return _of_windows(cameras, pair, pixels, t, by, motions, which, frequency, weight)
+
+    begins = range(0, len(seen), _AT_ONCE)
+    for first, part in zip(begins, in_threads(values, begins), strict=True):
+        out[seen[first : first + _AT_ONCE]] = part
+    return out
+
+
+def _known(camera: MovingCamera) -> Motion:
+    """The motion of a camera less what its stages average away: that is hardly known."""
+    motion = camera.trajectory.motion
+    assert motion is not None
+    assert isinstance(camera, PushbroomCamera)
+    if camera.stages is None or len(motion.t) < _FEWEST:
+        return motion
+    step = float(np.median(np.diff(motion.t)))
+    t = np.arange(motion.t[0], motion.t[-1], step)
+    angles = motion.at(t)
+    # what is left between the ends of a line through both has no jump where it is continued
+    line = angles[0] + (angles[-1] - angles[0]) * np.linspace(0.0, 1.0, len(t))[:, None]
+    rest = np.concatenate([angles - line, -(angles - line)[::-1]])
+    frequency = np.fft.rfftfreq(len(rest), step)
+    left = np.abs(np.sinc(frequency * float(np.min(camera.stages)) * camera.detector.line_period))
+    share = np.clip((left - LEFT_BY_TDI) / (_WHOLE - LEFT_BY_TDI), 0.0, 1.0)
+    kept = np.fft.irfft(np.fft.rfft(rest, axis=0) * share[:, None], len(rest), axis=0)
+    return Motion(t, line + kept[: len(t)])
+
+
+def _weights(coherence: NDArray[np.float64]) -> tuple[Array, Array]:
+    """Frequencies (Q, 2), rad/px, and how much they count for a shift."""
+    lines, half = coherence.shape
+    along, across = np.fft.fftfreq(lines), np.fft.rfftfreq(2 * (half - 1))
+    keep = (np.abs(along) < _HIGHEST)[:, None] & (across < _HIGHEST)[None, :]
+    keep &= (np.arange(lines) % _EVERY == 0)[:, None] & (np.arange(half) % _EVERY == 0)[None, :]
+    squared = np.clip(coherence[keep], 0.0, _MOST)
+    y, x = np.broadcast_arrays(along[:, None], across[None, :])
+    frequency = 2.0 * math.pi * np.stack([y[keep], x[keep]], axis=1)
+    both = np.where(frequency[:, 1] > 0.0, 2.0, 1.0)  # half of the plane stands for the whole
+    return frequency, both * squared / (1.0 - squared)
+
+
+def _of_windows(
+    cameras: Sequence[MovingCamera],
+    pair: tuple[int, int],
+    pixels: tuple[Array, Array],
+    t: tuple[Array, Array],
+    by: tuple[NDArray[np.float32], NDArray[np.float32]],
+    motions: Sequence[Motion],
+    which: NDArray[np.intp],
+    frequency: Array,
+    weight: Array,
+) -> Array:
+    """The same (N, 2) of some windows."""
+    sides = []
+    for side, image in enumerate(pair):
+        camera, motion = cameras[image], motions[side]
+        assert isinstance(camera, PushbroomCamera)
+        counts = camera.stages_of(pixels[side][which]).astype(np.int64)
+        most = int(counts.max())
+        stage = np.arange(most)[None, :]
+        late = (
+            np.minimum(stage, counts[:, None] - 1) - 0.5 * (counts[:, None] - 1)
+        ) * camera.detector.line_period
+        instants = np.clip(t[side][which][:, None] + late, *motion.span)
+        angles = motion.at(instants.ravel()).reshape(*instants.shape, 3)
+        # the hub shows what lies the other way
+        turn = (-1.0 if side == 0 else 1.0) * by[side][which].astype(np.float64)
+        moved = np.einsum("nca,nka->nkc", turn, angles)
+        used = (stage < counts[:, None])[:, :, None]
+        moved -= (moved * used).sum(axis=1, keepdims=True) / counts[:, None, None]
+        sides.append((np.ascontiguousarray(moved), counts))
+    (hub, hub_counts), (partner, partner_counts) = sides
+    out = np.zeros((len(which), 2))
+    _shifts(hub, hub_counts, partner, partner_counts, frequency, weight, out)
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _shifts(hub, hub_counts, partner, partner_counts, frequency, weight, out):  # type: ignore[no-untyped-def]
+    """Shift that fits the phases of two means of phase factors best, into `out` (N, 2)."""
+    for n in range(len(out)):
+        a11, a12, a22, b1, b2 = 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(len(weight)):
+            y, x = frequency[k, 0], frequency[k, 1]
+            re_h, im_h, re_p, im_p = 0.0, 0.0, 0.0, 0.0
+            for s in range(hub_counts[n]):
+                phase = y * hub[n, s, 0] + x * hub[n, s, 1]
+                re_h += math.cos(phase)
+                im_h += math.sin(phase)
+            for s in range(partner_counts[n]):
+                phase = y * partner[n, s, 0] + x * partner[n, s, 1]
+                re_p += math.cos(phase)
+                im_p += math.sin(phase)
+            re = (re_p * re_h + im_p * im_h) / (hub_counts[n] * partner_counts[n])
+            im = (im_p * re_h - re_p * im_h) / (hub_counts[n] * partner_counts[n])
+            w = weight[k] * math.sqrt(re * re + im * im)
+            a11 += w * y * y
+            a12 += w * y * x
+            a22 += w * x * x
+            b1 += weight[k] * y * im
+            b2 += weight[k] * x * im
+        det = a11 * a22 - a12 * a12
+        if det > 0.0:
+            out[n, 0] = (a22 * b1 - a12 * b2) / det
+            out[n, 1] = (a11 * b2 - a12 * b1) / det
