@@ -29,6 +29,31 @@ REQUIRE_ALL = os.environ.get("SIGHTLINE_REQUIRE_ALL", "") not in ("", "0")
 ROOT = Path(__file__).resolve().parents[1]
 DATA = Path(os.environ.get("SIGHTLINE_DATA", ROOT / ".." / "shared" / "data")).resolve()
 
+#: Files whose tests take ten seconds or more, the longest first: those that recover strips, and all others.
+LONGEST = (
+    (
+        "applications/test_instruments.py", "applications/test_fusion.py", "test_cli_recover.py",
+        "applications/test_relief.py", "applications/test_line_of_sight.py", "applications/test_hybridise.py",
+        "applications/test_unlike_bands.py", "motion/strip/test_withheld.py", "test_cli_register.py",
+        "test_cli_tdi.py", "report/test_hostile_names.py", "kinds/test_kinds.py",
+        "applications/test_registration.py", "applications/test_wrong_lag.py",
+        "estimation/test_likelihood.py", "test_examples.py",
+    ),
+    (
+        "applications/test_sequence_bad_input.py", "applications/test_frame_attitude.py",
+        "applications/test_sequence_poses.py", "fuzz/test_fuzz.py", "applications/test_frame_cube.py",
+        "applications/test_tdi_lines.py", "applications/test_focal_plane.py", "test_cli_output.py",
+        "test_read_only.py", "io/stereo/test_load.py", "photogrammetry/block/test_bundle.py",
+        "photogrammetry/flight/test_focal.py", "applications/test_spin_attitude.py",
+        "simulate/test_sequence.py", "motion/frames/test_solve.py", "products/test_resample.py",
+        "simulate/test_scenarios.py", "photogrammetry/test_triangulate.py",
+        "photogrammetry/flight/test_poses.py", "test_cli_georeference.py",
+        "photogrammetry/pair/test_plane.py", "test_cli_orient.py",
+        "applications/test_stereo_orientation.py", "imaging/test_noise_estimation.py",
+        "io/results/test_tdi_table.py", "fuzz/test_cases.py", "motion/layout/test_search.py",
+    ),
+)  # fmt: skip
+
 _write_json = line_of_sight.write_json
 
 
@@ -139,13 +164,37 @@ def pytest_addoption(parser) -> None:
     )
 
 
+def _longest_first(items) -> list[Any]:
+    """The same tests, those of long files first: of strips at once, of all else where the second half begins.
+
+    Of two workers each is handed one half: nothing long is left for the end, when one would wait for the
+    other, and each compiles kernels that the other finds ready.
+    """
+    places: dict[Path, tuple[int, int]] = {
+        ROOT / "tests" / name: (group, place)
+        for group, names in enumerate(LONGEST)
+        for place, name in enumerate(names)
+    }
+    missing = [str(path) for path in places if not path.is_file()]
+    if missing:
+        raise pytest.UsageError(f"LONGEST of tests/conftest.py names no file: {', '.join(missing)}")
+    rank = {item: places.get(item.path, (len(LONGEST), 0)) for item in items}
+    strips, others, short = (
+        sorted((item for item in items if rank[item][0] == group), key=lambda item: rank[item])
+        for group in range(len(LONGEST) + 1)
+    )
+    before = max(0, len(items) // 2 - len(strips))
+    return [*strips, *short[:before], *others, *short[before:]]
+
+
 def pytest_collection_modifyitems(config, items) -> None:
-    """Leave out what is listed as done."""
+    """Leave out what is listed as done; begin with what takes long."""
     file = config.getoption("done")
     if file and file.is_file():
         done = set(file.read_text(encoding="utf-8").splitlines())
         config.hook.pytest_deselected(items=[item for item in items if item.nodeid in done])
         items[:] = [item for item in items if item.nodeid not in done]
+    items[:] = _longest_first(items)
 
 
 def _refuse_skip(report) -> None:

@@ -84,25 +84,29 @@ def content(folder: Path) -> dict[str, object]:
     return found | {key: summary[key] for key in summary if key not in ("wall_seconds", "peak_memory_bytes")}
 
 
-@pytest.mark.parametrize(("passes", "words"), [(0, ["--resume"]), (2, []), (1, ["--overwrite", "--resume"])])
-def test_a_run_that_was_stopped_goes_on_to_the_same_bits(
-    recovery, tmp_path, capsys, monkeypatch, passes, words
+def test_a_run_that_was_stopped_time_and_again_goes_on_to_the_same_bits(
+    recovery, tmp_path, capsys, monkeypatch
 ):
     from sightline.applications import line_of_sight
-
-    out = tmp_path / "out"
-    command = ["recover", str(recovery.scene / "acquisition.toml"), "--out", str(out)]
-    stopped_after(passes, command, monkeypatch)
-    said = capsys.readouterr().err
-    assert str(out / ".partial" / "stages") in said and "--resume" in said
-    assert [path.name for path in (out / ".partial" / "stages").iterdir()] == [f"pass-{passes}.stage.npz"]
 
     def again(*_, **__):
         raise AssertionError("the first pass has been done before")
 
-    monkeypatch.setattr(line_of_sight, "_begin", again)
-    assert run([*command, *words]) == 0
-    assert ("goes on from the finished stages" in capsys.readouterr().err) == (not words)
+    out = tmp_path / "out"
+    command = ["recover", str(recovery.scene / "acquisition.toml"), "--out", str(out)]
+    # the words of the run that is stopped after so many passes; the last one ends
+    for passes, words in enumerate(([], ["--resume"], [], ["--overwrite", "--resume"])):
+        if passes == 3:
+            assert run([*command, *words]) == 0
+        else:
+            stopped_after(passes, [*command, *words], monkeypatch)
+        said = capsys.readouterr().err
+        assert ("goes on from the finished stages" in said) == (passes == 2)
+        if passes < 3:
+            assert str(out / ".partial" / "stages") in said and "--resume" in said
+            stages = [path.name for path in (out / ".partial" / "stages").iterdir()]
+            assert stages == [f"pass-{passes}.stage.npz"]
+        monkeypatch.setattr(line_of_sight, "_begin", again)
     assert not (out / ".partial").exists()
     assert content(out) == content(recovery.folder)
 
@@ -189,8 +193,8 @@ def test_a_folder_with_files_is_refused_and_left_as_it_is(quick, tmp_path, capsy
 
 @pytest.mark.slow
 def test_the_demo_ends_with_the_score_and_where_the_report_is(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(demo_command, "LINES", 640)
-    monkeypatch.setattr(demo_command, "COLUMNS", 320)
+    monkeypatch.setattr(demo_command, "LINES", 480)
+    monkeypatch.setattr(demo_command, "COLUMNS", 240)
     out = tmp_path / "demo"
     assert run(["demo", "--out", str(out)]) == 0
     said = capsys.readouterr().out.splitlines()

@@ -108,7 +108,8 @@ def test_a_band_that_matches_nothing_is_named_by_recover_and_marked_by_register(
     scene, folder, out = shutil.copytree(recovery.scene, tmp_path / "scene"), tmp_path / "r", tmp_path / "out"
     toml = scene / "acquisition.toml"
     before, after = toml.read_text().split('name = "B1"')
-    toml.write_text(before + 'name = "B1"' + after.replace("look_ahead = -", "look_ahead = ", 1))
+    swapped = before + 'name = "B1"' + after.replace("look_ahead = -", "look_ahead = ", 1)
+    toml.write_text(swapped + "\n[matching]\npasses = 1\n")
     assert run(["recover", str(toml), "--out", str(folder)]) == 0
     warnings = [line for line in capsys.readouterr().err.splitlines() if "matches nothing" in line]
     assert len(warnings) == 1 and "B1 matches nothing" in warnings[0] and "change the sign" in warnings[0]

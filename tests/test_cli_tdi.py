@@ -340,7 +340,10 @@ def strip(tmp_path_factory):
     folder = tmp_path_factory.mktemp("strip")
     size = ["--lines", "400", "--columns", "200"]
     assert run(["simulate", "line-of-sight", "--seed", "3", *size, "--out", str(folder / "strip")]) == 0
-    assert run(["recover", str(folder / "strip" / "acquisition.toml"), "--out", str(folder / "seen")]) == 0
+    # one pass: these tests are of what is made of a motion, not of how well it is known
+    toml = folder / "strip" / "acquisition.toml"
+    toml.write_text(toml.read_text() + "\n[matching]\npasses = 1\n")
+    assert run(["recover", str(toml), "--out", str(folder / "seen")]) == 0
     text = TEXT.replace('table = "columns.csv"', 'acquisition = "strip/acquisition.toml"\nband = "PAN"')
     (folder / "tdi.toml").write_text(text)
     return folder

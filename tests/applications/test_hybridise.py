@@ -32,15 +32,14 @@ def recovered(bands, hybridise):
     return recover_line_of_sight(bands, Plane(0.0), options=RecoverOptions(hybridise=hybridise, passes=2))
 
 
-@pytest.mark.parametrize("count", [3, 5])
-def test_both_ways_give_the_same_motion_within_its_sigma(count):
-    _, bands = strip(count)
+def test_both_ways_give_the_same_motion_within_its_sigma():
+    _, bands = strip(5)
     one, other = (recovered(bands, how) for how in ("global", "iterative"))
     apart = (one.motion.angles - other.motion.angles) / one.scale
     apart = remove_directions(apart, one.hidden / one.scale[:, None])
     sigma = one.sigma / one.scale
     assert (np.sqrt((apart**2).mean(axis=0)) < np.sqrt((sigma**2).mean(axis=0))).all()
-    assert len(other.cameras) == count and other.image_names == one.image_names
+    assert len(other.cameras) == 5 and other.image_names == one.image_names
 
 
 def test_groups_that_are_not_matched_with_each_other_are_begun_one_after_the_other():
@@ -54,7 +53,8 @@ def test_groups_that_are_not_matched_with_each_other_are_begun_one_after_the_oth
 
 def test_two_bands_have_one_pair_and_one_answer():
     _, bands = strip(2)
-    one, other = (recovered(bands, how) for how in ("global", "iterative"))
+    options = (RecoverOptions(hybridise=how, passes=1) for how in ("global", "iterative"))
+    one, other = (recover_line_of_sight(bands, Plane(0.0), options=given) for given in options)
     np.testing.assert_array_equal(one.motion.angles, other.motion.angles)
 
 

@@ -27,17 +27,17 @@ from sightline.motion.strip.viewing_axes import in_axes
 from sightline.simulate.instrument_files import write_instrument
 from sightline.simulate.instruments import DetectorOptions, instrument_case
 
-#: Lines, columns, degrees off the nadir; detectors of fewer columns keep their own.
+#: Lines, columns, degrees off the nadir; detectors of fewer columns keep their own. The spin of a low orbit
+#: is that of the test of a wrong given spin below.
 SCENES = {
     "pushbroom": (400, 220, 30.0),
-    "spin-leo": (400, 220, 30.0),
     "spin-geo": (400, 220, 5.0),
     "mirror-leo": (400, 220, 25.0),
     "mirror-geo": (400, 220, 5.0),
     "staggered": (800, 0, 10.0),
-    "every-line": (300, 220, 20.0),
+    "every-line": (220, 220, 20.0),
     "dedicated-matrix": (700, 500, 5.0),
-    "dedicated-strip": (600, 300, 20.0),
+    "dedicated-strip": (400, 220, 20.0),
     "multi-line": (400, 220, 30.0),
 }
 
@@ -63,10 +63,18 @@ def recovered(case, folder, **overrides):
     return result, score, scenario
 
 
+def assert_seen(score, scenario):
+    """Along and across the scan the error is far below the motion (2 px rms, less what is hidden), wherever
+    yaw does not come between."""
+    truth = scenario.truth[:, 1:]
+    moved = np.sqrt(np.mean((truth - truth.mean(axis=0)) ** 2, axis=0))[:2] / scenario.options.ifov
+    best = min(score.roll.rms, score.pitch.rms)
+    assert best < 0.3 * moved.max() and best < 0.12
+
+
 @pytest.mark.parametrize("case", SCENES)
 def test_the_motion_of_every_instrument_is_recovered_within_its_sigma(case, tmp_path):
-    _, score, scenario = recovered(case, tmp_path)
-    truth = scenario.truth[:, 1:]
+    result, score, scenario = recovered(case, tmp_path)
     for name, axis in score.axes.items():
         # one seed: rms / sigma of n independent errors scatters by 1 / sqrt(2 n), and slow errors, of which a
         # short strip holds some three, make it that of three draws: .15 to 2.1 but once in a hundred; a sign
@@ -74,24 +82,16 @@ def test_the_motion_of_every_instrument_is_recovered_within_its_sigma(case, tmp_
         spread = 1.0 + 3.0 / np.sqrt(2.0 * min(axis.effective_samples, 100.0))
         factor = max(1.4, spread)
         assert 0.15 * axis.sigma < axis.rms < factor * axis.sigma, (name, axis)
-    # the images tell something: along and across the scan the error is far below the motion (2 px rms, less
-    # what is hidden), wherever yaw does not come between
-    moved = np.sqrt(np.mean((truth - truth.mean(axis=0)) ** 2, axis=0))[:2] / scenario.options.ifov
-    best = min(score.roll.rms, score.pitch.rms)
-    assert best < 0.3 * moved.max() and best < 0.12
-
-
-def test_staggered_detectors_say_that_yaw_is_nearly_blind(tmp_path):
-    result, _, _ = recovered("staggered", tmp_path)
-    (said,) = [text for text in result.warnings if "yaw" in text]
-    # two windows of 21 of 952 columns
-    assert said.startswith("yaw is nearly blind: the matches span 4 % of the field")
+    assert_seen(score, scenario)
+    if case == "staggered":  # two windows of 21 of 952 columns
+        (said,) = [text for text in result.warnings if "yaw" in text]
+        assert said.startswith("yaw is nearly blind: the matches span 4 % of the field")
 
 
 def test_lines_that_look_past_the_limb_are_not_observed_and_nothing_breaks(tmp_path):
-    """The disc's edge is 8.70 degrees off: from there the sweep, 900 lines of 28 urad, sees the sky."""
-    result, _, scenario = recovered("spin-geo", tmp_path, off_nadir=np.radians(8.4), lines=900, columns=110)
-    rays = scenario.cameras[0].rays(np.column_stack([np.arange(900.0), np.full(900, 55.0)]))
+    """The disc's edge is 8.70 degrees off: from there the sweep, 700 lines of 28 urad, sees the sky."""
+    result, _, scenario = recovered("spin-geo", tmp_path, off_nadir=np.radians(8.47), lines=700, columns=110)
+    rays = scenario.cameras[0].rays(np.column_stack([np.arange(700.0), np.full(700, 55.0)]))
     seen = np.isfinite(Ellipsoid().intersect(rays.origins, rays.directions)).all(axis=1)
     assert 0.5 < seen.mean() < 0.9
     # the last band looks 143 lines behind the first: it sees the Earth for so much longer
@@ -130,7 +130,8 @@ def test_a_wrong_given_spin_is_a_drift_that_the_motion_takes(tmp_path):
     given = replace(scenario.spin, rate=1.005 * scenario.spin.rate, axis=[1e-3, 1.0, 0.0])
     write_instrument(replace(scenario, spin=given), tmp_path)
     acquired = load_acquisition(tmp_path / "acquisition.toml")
-    result = recover_acquisition(acquired, silent)
+    quick = replace(acquired, matching={**acquired.matching, "passes": 2})
+    result = recover_acquisition(quick, silent)
     t, true = scenario.truth[:, 0], scenario.spin
     departed = given.at(t).inv() * true.at(t) * Rotation.from_rotvec(scenario.truth[:, 1:])
     truth = departed.as_rotvec()
@@ -143,6 +144,7 @@ def test_a_wrong_given_spin_is_a_drift_that_the_motion_takes(tmp_path):
     )  # fmt: skip
     for name, axis in score.axes.items():
         assert axis.sigma / 3.0 < axis.rms < 1.5 * axis.sigma, (name, axis)
+    assert_seen(score, scenario)
     # to first order the departure is what `Spin.departures` says of those errors
     across = true.departures(t)
     errors = np.array([true.rate - given.rate, 0.0, 0.0])

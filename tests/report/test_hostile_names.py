@@ -78,6 +78,7 @@ def strip(base, command):
     command("simulate", "line-of-sight", "--seed", "3", *size, "--out", folder / "strip")
     bands = dict(zip(("PAN", "B1", "B0", "B2"), NAMES, strict=True))
     toml = renamed(folder / "strip" / "acquisition.toml", bands, [f"{band}.tif" for band in bands])
+    toml.write_text(toml.read_text() + "\n[matching]\npasses = 1\n")
     command("check", toml)
     command("recover", toml, "--out", base / "recovered")
     command("register", toml, "--motion", base / "recovered", "--out", base / "registered")
