@@ -78,7 +78,7 @@ DRAFT_WORK = 0.3
 #: A given spectrum that moves the motion by more of its sigmas is not that of the motion.
 FOREIGN_SPECTRUM = 3.0
 #: Windows by which shapes of detector lines are found: narrow, and of enough lines to match well.
-SHAPE_WINDOW = (16, 24)
+SHAPE_WINDOW = (10, 32)
 #: Fewer first matches than this share of the windows tried mean a wrong prediction, not missing texture.
 MIN_KEPT_SHARE = 0.02
 #: Stages that are kept: the state after so many passes, after the last one of a wide strip, and after that

@@ -55,7 +55,8 @@ def test_steps_are_found_where_they_are_whatever_rows_do_and_some_windows_say(ba
     values[:, 0, 1] += 0.2 * share
     values[np.random.default_rng(2).choice(len(values), bad, replace=False)] += 5.0
     found = departures([star], [values])[0, 1]
-    assert found.chance < 1e-12
+    # 0.036 px rms of 10 columns known to 0.007 px: F of 8 and 42 is about 27; half as much has 1e-8
+    assert found.chance < 1e-8
     # the step is known to 0.1 / sqrt(200) / 0.2 of a window
     assert len(found.borders) == 1 and abs(found.borders[0] - 370) < 4 * 80 * 0.035
 
@@ -65,12 +66,12 @@ def test_a_bend_is_told_from_steps():
     u = star.star.field
     values[:, 0, 0] += 0.1 * (1.5 * u**2 - 0.5) + 0.1 * (2.5 * u**3 - 1.5 * u)
     found = departures([star], [values])[0, 1]
-    assert found.chance < 1e-12 and found.borders == ()
+    assert found.chance < 1e-8 and found.borders == ()
     assert found.size_px > 0.02
 
 
 def test_too_few_windows_say_nothing():
-    assert departures([record(rows=8)], [left(0, rows=8)]) == {}
+    assert departures([record(rows=5)], [left(0, rows=5)]) == {}
     assert departures([record(blocks=2)], [left(0, blocks=2)]) == {}
 
 

@@ -34,6 +34,11 @@ GROUPS, STRETCHES = 16, 64
 FAR = 5.0
 #: px; error of the mean of windows that a step divides: they match where their texture is.
 DIVIDED = 0.01
+#: Fewest rows of windows, and windows of a column, that say anything; windows side by side that tell bends
+#: from steps.
+FEW_ROWS, FEW_COLUMNS = 6, 8
+#: Most places at which a step is tried.
+MOST_PLACES = 2000
 #: Lines at which the columns of two bands are compared.
 PLACES = 5
 
@@ -52,6 +57,8 @@ class Departure:
         Columns of the other image (its hub) at which steps explain it better than bends do; empty: bends.
     steps : tuple of int
         Columns of the best steps, whether or not bends explain it better.
+    either : bool
+        Whether it was too coarse a look to tell bends from steps.
     profile : (C, 2)
         px; mean departure of each group of columns along and across.
     """
@@ -60,6 +67,7 @@ class Departure:
     size_px: float
     borders: tuple[int, ...]
     steps: tuple[int, ...]
+    either: bool
     profile: Array
 
 
@@ -88,10 +96,10 @@ def departures(
     found: dict[tuple[int, int], Departure] = {}
     tests = 2 * len(record.star.images)
     for pair, image in enumerate(record.star.images):
-        means = _by_stretch(record, residual, pair, GROUPS)
-        if means is None:
+        beside = _beside_rows(record, residual, pair)
+        if beside is None:
             continue
-        values, u, _ = means
+        values, u = _by_stretch(beside)
         profile = values.mean(axis=0)
         noise = values.var(axis=0, ddof=1) / len(values)
         squares = np.maximum((profile**2 - noise).mean(axis=0), 0.0)
@@ -99,46 +107,77 @@ def departures(
         tested = squares >= ground**2
         chance = min((_chance(values[..., axis], u) for axis in np.flatnonzero(tested)), default=1.0)
         size = float(np.sqrt(squares[tested].sum()))
-        steps, bent = _steps(record, residual, pair)
+        steps, bent = _steps(beside)
         found[record.star.hub, image] = Departure(
-            min(tests * chance, 1.0), size, () if bent else steps, steps, profile
+            min(tests * chance, 1.0), size, () if bent else steps, steps, bent and beside.coarse, profile
         )
     return found
 
 
-def _by_stretch(
-    record: StarRecord, residual: Array, pair: int, groups: int
-) -> tuple[Array, Array, list[NDArray[np.intp]]] | None:
-    """Mean residuals (B, C, 2) of stretches of the strip and groups of columns, less what their rows do.
+@dataclass(frozen=True)
+class _BesideRows:
+    """What matches of a pair leave beside what their rows do, of rows and columns of windows that match.
 
-    With the places (C,) of the groups in the field, -1 .. 1, and the blocks of each; None where too few
-    windows are matched.
+    left (R, C, 2) px, NaN where nothing is matched; u (C,) places in the field, -1 .. 1; columns (C,) of the
+    hub, in windows so `width` px wide.
     """
+
+    left: Array
+    u: Array
+    columns: Array
+    width: float
+
+    @property
+    def coarse(self) -> bool:
+        """Whether so few windows lie side by side that bends and steps look alike."""
+        return len(self.u) < FEW_COLUMNS
+
+
+def _beside_rows(record: StarRecord, residual: Array, pair: int) -> _BesideRows | None:
+    """Residuals of a pair less constant and slope of each row; None where too little is matched."""
     star = record.star
     rows, blocks = star.shape
-    count = min(blocks, groups)
-    if count < 3 or rows < 2:
-        return None
     r = residual[:, pair].reshape(rows, blocks, 2)
     ok = (record.status[:, pair] == KEPT).reshape(rows, blocks) & np.isfinite(r).all(axis=2)
-    r = np.where(ok[..., None], r, 0.0)
-    u = star.field.reshape(rows, blocks)[0]
+    counts = ok.sum(axis=0)
+    seen = counts >= 0.5 * counts.max(initial=1)
+    ok, r, u = (
+        ok[:, seen],
+        np.where(ok[..., None], r, 0.0)[:, seen],
+        star.field.reshape(rows, blocks)[0, seen],
+    )
+    if len(u) < 3:
+        return None
     for _ in range(3):
-        ok &= ok.sum(axis=1, keepdims=True) >= max(3, blocks // 2)
+        ok &= ok.sum(axis=1, keepdims=True) >= max(3, len(u) // 2)
         if not ok.any():
             return None
         left = r - _row_lines(r, ok, u)
         size = 1.4826 * np.median(np.abs(left[ok]), axis=0)
         ok &= (np.abs(left) <= FAR * size).all(axis=2)
-    parts = np.array_split(np.arange(blocks), count)
-    stretches = np.array_split(np.arange(rows), min(STRETCHES, max(rows // 4, min(rows, 2 * count))))
-    weight = np.array([[ok[np.ix_(s, p)].sum() for p in parts] for s in stretches], dtype=float)
-    whole = (weight > 0).all(axis=1)
-    if whole.sum() < count:
+    used = ok.any(axis=1)
+    if used.sum() < FEW_ROWS or (ok.sum(axis=0) < FEW_ROWS).any():
         return None
-    left = np.where(ok[..., None], left, 0.0)
-    total = np.array([[left[np.ix_(s, p)].sum(axis=(0, 1)) for p in parts] for s in stretches])
-    return total[whole] / weight[whole][..., None], np.array([u[p].mean() for p in parts]), parts
+    columns = star.pixels.reshape(rows, blocks, 2)[0, seen, 1]
+    width = float(star.window[1]) if star.window else float(np.diff(columns).mean())
+    return _BesideRows(np.where(ok[..., None], left, np.nan)[used], u, columns, width)
+
+
+def _by_stretch(beside: _BesideRows) -> tuple[Array, Array]:
+    """Means (B, C, 2) px of stretches of the strip and groups of columns, and places (C,) of the groups."""
+    rows, blocks = beside.left.shape[:2]
+    groups = min(blocks, GROUPS, max(rows // 3, 3))
+    parts = np.array_split(np.arange(blocks), groups)
+    stretches = np.array_split(np.arange(rows), min(STRETCHES, max(rows // 4, min(rows, 3 * groups))))
+    filled = np.nan_to_num(beside.left)
+    weight = np.isfinite(beside.left[..., 0])
+    count = np.array([[weight[s][:, p].sum() for p in parts] for s in stretches], dtype=float)
+    total = np.array([[filled[s][:, p].sum(axis=(0, 1)) for p in parts] for s in stretches])
+    whole = (count > 0).all(axis=1)
+    places = np.array([beside.u[p].mean() for p in parts])
+    if whole.sum() < 2:
+        return np.zeros((2, groups, 2)), places
+    return total[whole] / count[whole][..., None], places
 
 
 def _row_lines(r: Array, ok: NDArray[np.bool_], u: Array) -> Array:
@@ -164,7 +203,7 @@ def _chance(values: Array, u: Array) -> float:
 
     y = values @ _beyond_lines(u)
     n, p = y.shape
-    if n <= p + 1:
+    if n <= p + 1 or not y.any():
         return 1.0
     mean, scatter = y.mean(axis=0), np.atleast_2d(np.cov(y, rowvar=False))
     if np.linalg.matrix_rank(scatter) < p:
@@ -175,24 +214,21 @@ def _chance(values: Array, u: Array) -> float:
     return float(f.sf(square * (n - p) / (p * (n - 1)), p, n - p))
 
 
-def _steps(record: StarRecord, residual: Array, pair: int) -> tuple[tuple[int, ...], bool]:
+def _steps(beside: _BesideRows) -> tuple[tuple[int, ...], bool]:
     """Columns of the hub at which steps explain what is left of a pair; whether bends do better.
 
     As many as pay for their two sizes and their place (Schwarz's criterion).
     """
-    means = _by_stretch(record, residual, pair, record.star.shape[1])
-    if means is None:
-        return (), True
-    values, u, _ = means
-    columns = record.star.pixels.reshape(*record.star.shape, 2)[0, :, 1]
-    width = record.star.window[1] if record.star.window else float(np.diff(columns).mean())
+    u, columns, width = beside.u, beside.columns, beside.width
     q = _beyond_lines(u)
-    # columns err on their own: their scatter is that between stretches
-    noise = values.var(axis=0, ddof=1) / len(values) + DIVIDED**2
+    # columns err on their own: their scatter is that between rows
+    mean = np.nanmean(beside.left, axis=0)
+    noise = np.nanvar(beside.left, axis=0, ddof=1) / np.isfinite(beside.left).sum(axis=0) + DIVIDED**2
     whiten = [np.linalg.inv(np.linalg.cholesky(q.T @ (noise[:, a, None] * q))) for a in range(2)]
-    data = [whiten[a] @ (q.T @ values[..., a].mean(axis=0)) for a in range(2)]
-    price = float(np.log(values.size))
-    candidates = np.arange(int(columns[0]), int(columns[-1]) + 1)
+    data = [whiten[a] @ (q.T @ mean[:, a]) for a in range(2)]
+    price = float(np.log(beside.left.size))
+    apart = max(1, round((columns[-1] - columns[0]) / MOST_PLACES))
+    candidates = np.arange(int(columns[0]), int(columns[-1]) + 1, apart)
     share = np.clip((columns[:, None] - candidates) / width + 0.5, 0.0, 1.0)
     along = [whiten[a] @ (q.T @ share) for a in range(2)]
 
@@ -224,10 +260,8 @@ def _steps(record: StarRecord, residual: Array, pair: int) -> tuple[tuple[int, .
         if gain < 3.0 * price:
             break
         chosen.append(at)
-        for _ in range(2):
-            for k in range(len(chosen)):
-                others = chosen[:k] + chosen[k + 1 :]
-                chosen[k] = best(others)[0]
+    for k in (*range(len(chosen)), *range(len(chosen))):
+        chosen[k] = best(chosen[:k] + chosen[k + 1 :])[0]
     degrees = [n for n in BEND_DEGREES if n < len(u)]
     bends = np.stack([np.polynomial.Legendre.basis(n)(u) for n in degrees], axis=1)
     costs = []
@@ -311,6 +345,7 @@ def shape_warnings(strip: Strip, state: StripState) -> list[str]:
             continue
         borders = columns_in(strip, cameras, hub, image, one.borders)
         key = f'shape = "pieces", pieces = {list(borders)}' if borders else 'shape = "polynomial"'
+        key += ', or "pieces" if it is made of CCDs' if one.either else ""
         largest = float(np.abs(one.profile).max())
         out.append(
             f"{strip.bands[image].name} departs from its shape beside {strip.bands[hub].name}: "
