@@ -534,7 +534,7 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
         ifov=strip.pixel_angle,
         half_field=strip.half_field,
         statics=statics,
-        spectra=strip.known.spectra or turned_spectra(state.model.spectra, turn),
+        spectra=strip.known.spectra or turned_spectra(state.model.whole(), turn),
         records=tuple(without_common_ground(r, cameras, strip.surface, window) for r in records),
         before_px=state.before_px,
         after_px=state.post_px,

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.evaluation.error_spectrum import error_psd
+from sightline.geometry.camera import PushbroomCamera
 from sightline.motion.results import LineOfSight
 from sightline.motion.tone_history import ToneHistory, TonePair, close_pairs, tone_histories
 from sightline.motion.tones import AXES, DetectedTone
@@ -109,15 +110,46 @@ def line_smear(result: LineOfSight) -> Smear:
     Notes
     -----
     Half the change between the lines before and after. Its error is that of the motion through the filter
-    ``sin(2 pi f Te)`` of this difference, summed over the error's spectrum.
+    ``sin(2 pi f Te)`` of this difference, summed over the error's spectrum. With TDI (the most stages of the
+    first band) it is the length of the even motion that blurs as much: sqrt(12) times the rms departure from
+    the mean over the stages; the error goes through ``12 (1 - sinc(f N Te)^2)``.
     """
     period = float(np.median(np.diff(result.motion.t)))
     f = np.linspace(0.0, 0.5 / period, FREQUENCIES)[1:]
-    error = error_psd(result, f) * np.sin(2.0 * np.pi * f * period)[:, None] ** 2
+    count = _stages(result)
+    if count > 1:
+        share = 12.0 * (1.0 - np.sinc(f * count * period) ** 2)
+    else:
+        share = np.sin(2.0 * np.pi * f * period) ** 2
+    error = error_psd(result, f) * share[:, None]
     sigma = np.sqrt(np.trapezoid(error, f, axis=0)) / result.scale
     return Smear(smear_px(result), sigma)
 
 
+def _stages(result: LineOfSight) -> int:
+    """Most TDI stages of the first band."""
+    camera = result.cameras[0]
+    counts = camera.stages if isinstance(camera, PushbroomCamera) else None
+    return 1 if counts is None else int(np.max(counts))
+
+
+def _within_stages(angles: Array, count: int) -> Array:
+    """(N, 3) sqrt(12) times the rms of `angles` (N, 3) over `count` lines about each, less their mean."""
+    total = np.cumsum(np.concatenate([np.zeros((1, 3)), angles - angles.mean(axis=0)]), axis=0)
+    square = np.cumsum(np.concatenate([np.zeros((1, 3)), (angles - angles.mean(axis=0)) ** 2]), axis=0)
+    at = np.arange(len(angles))
+    low, high = np.clip(at - count // 2, 0, None), np.clip(at - count // 2 + count, None, len(angles))
+    number = (high - low)[:, None]
+    mean = (total[high] - total[low]) / number
+    return np.asarray(np.sqrt(12.0 * np.maximum((square[high] - square[low]) / number - mean**2, 0.0)))
+
+
 def smear_px(result: LineOfSight) -> Array:
-    """(N, 3) px that the image moves during each line: half the change between its neighbours."""
+    """(N, 3) px that the image moves during each line: half the change between its neighbours.
+
+    With TDI the length of the even motion that blurs as much as that within the stages does.
+    """
+    count = _stages(result)
+    if count > 1:
+        return _within_stages(result.motion.angles / result.scale, count)
     return np.asarray(np.gradient(result.motion.angles / result.scale, axis=0))

@@ -209,6 +209,15 @@ class PushbroomCamera(ReadOnlyArrays):
         return np.sqrt(self.stages_of(pixels) ** 2 - 1.0) * self.detector.line_period
 
     @cached_property
+    def rough_columns(self) -> Array:
+        """Columns beside which the line of sight steps: where CCDs meet, or stages change."""
+        own = self.detector.rough_columns
+        if self.stages is None:
+            return own
+        steps = np.flatnonzero((np.diff(np.asarray(self.stages), axis=1) != 0).any(axis=0))
+        return frozen(np.union1d(own, np.union1d(steps, steps + 1)))
+
+    @cached_property
     def stage_times(self) -> tuple[float, ...]:
         """s from the begin of a pixel's first stage to the end of its last, of all that occur; rising."""
         if self.stages is None:

@@ -94,6 +94,13 @@ def columns_of_acquisition(file: TdiFile, files: InputFolder, motion: Path | Non
         return SeenColumns(columns, geometry, strip_span(camera), None, ())
     knowledge, notes = found.knowledge, found.knowledge.doubts(geometry)
     taken = file.motion
+    averaged = [band.name for band in acquisition.bands if band.camera.stages is not None]
+    if averaged and (taken.stages > 1 or taken.integration_ratio < 1.0):
+        raise InputError(
+            f"[motion] stages = {taken.stages}, integration_ratio = {taken.integration_ratio:g}: "
+            f"{acquisition.path} says the stages of {', '.join(averaged)} itself, and what was recovered of "
+            "it is the motion, not its average; leave [motion] out"
+        )
     if taken.stages > 1 or taken.integration_ratio < 1.0:
         knowledge, highest = knowledge.without_tdi(
             taken.stages, taken.integration_ratio, geometry.line_period

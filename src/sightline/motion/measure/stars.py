@@ -602,9 +602,9 @@ def laid_on(
 def _rough_columns(
     source: MovingCamera, target: MovingCamera, mapping: Mapping, shape: tuple[int, int]
 ) -> Array:
-    """Columns of the source at which a detector line of either camera is not smooth."""
+    """Columns of the source at which the line of either camera is not smooth."""
     own, other = (
-        c.detector.rough_columns if isinstance(c, PushbroomCamera) else np.empty(0) for c in (source, target)
+        c.rough_columns if isinstance(c, PushbroomCamera) else np.empty(0) for c in (source, target)
     )
     if not len(other):
         return own

@@ -22,6 +22,7 @@ from sightline.estimation.prior import Spectrum, Tone
 from sightline.estimation.robust import robust_sigma
 from sightline.geometry.trajectory import Trajectory
 from sightline.motion.measure.predict import ANGLE_STEP, MovingCamera, StaticParameter, turned
+from sightline.motion.measure.windows import exposure_times
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.strip.normal_equations import NormalEquations, TimeGrid
 
@@ -458,7 +459,7 @@ def _control_of_image(
         if image in parameter.images:
             sides = [parameter.apply(cameras, s * parameter.step)[image].project(ground) for s in (1, -1)]
             by_static[..., k] = (sides[0] - sides[1]) / (2.0 * parameter.step)
-    t = camera.times(seen[:, 0])
+    t = exposure_times(camera, seen)
     value = seen - camera.project(ground)
     value += np.einsum("nij,nj->ni", by, grid.interpolate(nodes, t)) + by_static @ statics
     # what leaves the image within a step of a derivative is as if it were not in it

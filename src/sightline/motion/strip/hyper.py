@@ -68,6 +68,14 @@ class PriorModel:
     noise_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     unseen: tuple[tuple[Tone, ...], ...] = ((), (), ())
 
+    def whole(self) -> tuple[Spectrum, Spectrum, Spectrum]:
+        """The spectra with what TDI averages away."""
+        roll, pitch, yaw = (
+            Spectrum((*s.components, *more)) if more else s
+            for s, more in zip(self.spectra, self.unseen, strict=True)
+        )
+        return roll, pitch, yaw
+
     @property
     def unseen_variance(self) -> Array:
         """(3,) rad^2 of what TDI averages away."""

@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -700,15 +701,23 @@ def window_rows(
         tilted = np.concatenate([height, height * star.field[:, None, None]], axis=2)
         parts.append((order.of(star.t_hub), tilted, 3))
     points = 2 + math.ceil(star.duration / grid.step) if star.duration > 0.0 else 1
+    hub, partner = star.averaging()
+    # hub, partner, and the ground, which TDI does not average
+    stages = (hub, partner[:, 0], np.zeros(len(hub)))
     values, columns = [], []
-    for t, by, unknown in parts:
-        for point in range(points):
-            first, w = grid.weights(t[which] + star.duration * ((point + 0.5) / points - 0.5))
+    for (t, by, unknown), tdi in zip(parts, stages, strict=False):
+        longest = float(tdi[which].max(initial=0.0))
+        each = 2 + math.ceil(2.0 * longest / grid.step) if longest > 0.0 else 1
+        for point, stage in product(range(points), range(each)):
+            instants = t[which] + star.duration * ((point + 0.5) / points - 0.5)
+            if longest > 0.0:
+                instants = instants + tdi[which] * ((stage + 0.5) / each - 0.5)
+            first, w = grid.weights(instants)
             node = first[:, None, None, None] + np.arange(TAPS)[:, None]
             at = np.broadcast_to(
                 block * node + unknown + np.arange(by.shape[2]), (len(which), 2, TAPS, by.shape[2])
             )
-            share = by[which][:, :, None, :] * w[:, None, :, None] / points
+            share = by[which][:, :, None, :] * w[:, None, :, None] / (points * each)
             values.append(share.reshape(2 * len(which), -1))
             columns.append(at.reshape(2 * len(which), -1))
     value, column = np.concatenate(values, axis=1), np.concatenate(columns, axis=1)
