@@ -59,3 +59,17 @@ def test_the_summary_and_the_table_hold_it(recovery):
     rms = np.sqrt(np.mean(np.square(table["roll"])))
     assert rms == pytest.approx(found["smear_px"]["roll"]["rms"], rel=1e-6)
     assert len(table["t"]) == 640
+
+
+def test_the_smear_of_tdi_is_that_within_its_stages(recovery):
+    result = recovery.result
+    t = result.motion.t
+    # an even motion of 0.01 px per line moves 0.16 px within 16 stages
+    angles = 0.01 * result.ifov * np.arange(len(t))[:, None] * np.array([[1.0, 0.0, 0.0]])
+    camera = replace(result.cameras[0], stages=16)
+    tdi = replace(
+        result, motion=Motion(t, angles, result.motion.covariance), cameras=(camera, *result.cameras[1:])
+    )
+    smear = line_smear(tdi)
+    assert smear.px[20:-20, 0] == pytest.approx(0.16, rel=0.01)
+    assert (smear.sigma_px > line_smear(result).sigma_px).all()

@@ -24,6 +24,7 @@ def recovery(weight=1.0, duration=0.0):
     slope[:, 0, 0, 2] = HALF_FIELD * field
     present = np.ones((t_hub.size, 1), dtype=bool)
     star = SimpleNamespace(
+        tdi_hub=None,
         hub=0,
         images=(1,),
         t_hub=t_hub,

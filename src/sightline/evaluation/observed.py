@@ -78,13 +78,14 @@ def observed(result: LineOfSight, frequency: ArrayLike) -> MatchedDirections:
             if not np.isfinite(lag) or lag == 0.0:
                 continue
             shape = power_transfer(f, lag) * window_gain(f, star.duration) ** 2
-            shape *= _left_by_stages(star, k, f)
-            total += shape[:, None] * information
             upper = float(f[-1])
             here = blind_frequencies(lag, upper)
-            stages = _stage_times(result, star.hub), _stage_times(result, image)
-            if all(stages):
-                here = np.unique(np.concatenate([here, averaged_away([*stages[0], *stages[1]], upper)]))
+            if star.tdi_hub is not None:
+                shape *= _left_by_stages(star, k, f)
+                stages = _stage_times(result, star.hub), _stage_times(result, image)
+                if all(stages):
+                    here = np.unique(np.concatenate([here, averaged_away([*stages[0], *stages[1]], upper)]))
+            total += shape[:, None] * information
             blind[star.hub, image] = here
     with np.errstate(divide="ignore"):
         sigma = np.sqrt(2.0 / total)
