@@ -36,6 +36,7 @@ from sightline.imaging.noise_estimation import (
     shows_texture,
     white_noise,
 )
+from sightline.imaging.photon_transfer import Alike
 from sightline.imaging.source import ImageSource
 from sightline.imaging.strip_noise import (
     LawRows,
@@ -98,6 +99,8 @@ class ImageNoise:
         Largest signal that has a value; None where no pixel reaches it.
     figures : tuple of Figure
     warnings : tuple of str
+    weight : float
+        Of its columns beside those of other images.
     """
 
     name: str
@@ -111,6 +114,7 @@ class ImageNoise:
     ceiling: float | None
     figures: tuple[NoiseFigure, ...]
     warnings: tuple[str, ...] = ()
+    weight: float = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +134,67 @@ class DarkNoise:
     resting: Estimate | None
     figures: tuple[NoiseFigure, ...]
     warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class ExposureNoise:
+    """Frames of one exposure.
+
+    Attributes
+    ----------
+    name : str
+        Of the first frame.
+    frames : int
+    signal : float
+        DN above the level without light.
+    variance : Estimate or None
+        Between frames, DN^2, rounding taken off; None where they are cut off.
+    cut : float
+        Share of pixels that are cut off.
+    used : bool
+        For the conversion gain.
+    """
+
+    name: str
+    frames: int
+    signal: float
+    variance: Estimate | None
+    cut: float
+    used: bool
+
+
+@dataclass(frozen=True, eq=False)
+class PhotonTransfer:
+    """What frames of even light say of a detector (EMVA 1288).
+
+    Attributes
+    ----------
+    shot, rest : Estimate
+        B, DN per electron, and C^2, DN^2; `rest` is None where nothing parts it.
+    pixels, columns : Estimate
+        Relative variance of the response of pixels that neither rows, columns nor a shading have; of columns,
+        finer than their neighbours.
+    exposures : tuple of ExposureNoise
+        By signal.
+    electrons_per_dn, sigma_electrons_per_dn, sigma_gain, sigma_offset : (columns,)
+        Of each column by itself; NaN where it is not known.
+    alike : dict of str to Alike
+        Whether columns differ in ``conversion`` (DN per electron), ``gain`` and ``offset`` (DN).
+    figures : tuple of NoiseFigure
+        EMVA 1288's.
+    """
+
+    shot: Estimate
+    rest: Estimate | None
+    pixels: Estimate
+    columns: Estimate
+    exposures: tuple[ExposureNoise, ...]
+    electrons_per_dn: Array
+    sigma_electrons_per_dn: Array
+    sigma_gain: Array
+    sigma_offset: Array
+    alike: dict[str, Alike]
+    figures: tuple[NoiseFigure, ...]
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -156,6 +221,8 @@ class DetectorNoise(Result):
         Of all images together.
     images : tuple of ImageNoise
     warnings : tuple of str
+    transfer : PhotonTransfer or None
+        Where the images are frames of even light, two or more of an exposure.
     """
 
     law: NoiseLaw
@@ -170,6 +237,7 @@ class DetectorNoise(Result):
     figures: tuple[NoiseFigure, ...]
     images: tuple[ImageNoise, ...]
     warnings: tuple[str, ...]
+    transfer: PhotonTransfer | None = None
 
 
 def strip_image_noise(
@@ -203,9 +271,9 @@ def dark_noise(frames: Sequence[ImageSource]) -> DarkNoise:
     levels, variances, sigmas, steps = [], [], [], []
     for frame in frames:
         _must_be_large(frame)
-        found = _values(frame)
+        found = look_through(frame)
         steps.append(found.step)
-        chunks = ((part, found.usable(raw)) for part, raw in _chunks(frame))
+        chunks = ((part, found.usable(raw)) for part, raw in chunks_of(frame))
         means, blocks = _means_and_blocks(chunks, found.step, frame.shape[1])
         levels.append(np.average(means, axis=0, weights=[len(part) for part in _ranges(frame)]))
         known = blocks.white[np.isfinite(blocks.white)]
@@ -253,7 +321,7 @@ def plain_image_noise(
         If the image is too small or its scene leaves no room for noise.
     """
     _must_be_large(image)
-    found = _values(image)
+    found = look_through(image)
     columns = image.shape[1]
     share = found.cut / (image.shape[0] * columns)
     if share > MOST_CLIPPED:
@@ -264,10 +332,10 @@ def plain_image_noise(
     level = dark.level if dark is not None else np.full(columns, dark_level or 0.0)
     if len(level) != columns:
         raise InputError(f"frames without light have {len(level)} columns, the image {columns}; give its own")
-    chunks = ((part, found.usable(raw) - level) for part, raw in _chunks(image))
+    chunks = ((part, found.usable(raw) - level) for part, raw in chunks_of(image))
     means, blocks = _means_and_blocks(chunks, found.step, columns)
     white = white_noise(blocks) if shows_texture(blocks) else even_noise(blocks)
-    pattern = _pattern(means)
+    pattern = pattern_of_parts(means)
     warnings = list(dark.warnings) if dark is not None else []
     if dark is None and dark_level is None:
         warnings.append(
@@ -310,6 +378,7 @@ def detector_noise(
     *,
     stages: int = 1,
     electrons_per_dn: float | None = None,
+    transfer: PhotonTransfer | None = None,
 ) -> DetectorNoise:
     """The law and the columns that images of one detector show together.
 
@@ -322,6 +391,8 @@ def detector_noise(
         That were summed, as charge that is read once.
     electrons_per_dn : float, optional
         The conversion gain, from somewhere else. Without it the law is in DN.
+    transfer : PhotonTransfer, optional
+        Where `images` are exposures of even light: it measures A, B, C^2, the columns and the conversion gain.
 
     Raises
     ------
@@ -335,10 +406,16 @@ def detector_noise(
         raise InputError(f"images of {sorted(columns)} columns are not of one detector; give one at a time")
     if stages < 1 or not (electrons_per_dn is None or 0.0 < electrons_per_dn < np.inf):
         raise InputError(f"{stages} stages and {electrons_per_dn} electrons per DN; both are above 0")
-    gain_noise, shot, rest = _law(images, dark)
-    pattern = _weighted([one.columns.variance for one in images])
+    given = electrons_per_dn
+    if transfer is None:
+        gain_noise, shot, rest = _law(images, dark)
+        pattern = _weighted([one.columns.variance for one in images])
+    else:
+        gain_noise, shot, rest, pattern = transfer.pixels, transfer.shot, transfer.rest, transfer.columns
+        electrons_per_dn = 1.0 / shot.value if given is None else given
     unit, scale = ("DN", 1.0) if electrons_per_dn is None else ("e-", electrons_per_dn)
-    how = f"all of {len(images)} image{'s' if len(images) > 1 else ''} and what stands beside"
+    of = "image" if transfer is None else "exposure"
+    how = f"all of {len(images)} {of}{'s' if len(images) > 1 else ''} and what stands beside"
     conversion = Estimate(1.0 / shot.value, shot.sigma / shot.value**2)
     warnings = [said for one in images for said in one.warnings]
     known = rest is not None
@@ -361,6 +438,7 @@ def detector_noise(
             measured_figure("C^2 of the sum", "DN^2", rest, how),
         ]
     figures = [
+        *(transfer.figures if transfer is not None else ()),
         *(dark.figures if dark is not None else ()),
         _gain_bound(images, rest)
         if gain_noise is None
@@ -368,8 +446,8 @@ def detector_noise(
         *of_law,
         measured_figure("A_col", "1", pattern, f"columns, finer than {SMOOTH} of them"),
     ]
-    gain = gain_noise.value if gain_noise is not None else 0.0
-    if electrons_per_dn is not None:
+    gain = max(gain_noise.value, 0.0) if gain_noise is not None else 0.0
+    if given is not None:
         apart = abs(shot.value - 1.0 / scale)
         # where B is a bound, a larger conversion gain contradicts nothing
         if apart > CONTRADICTS * shot.sigma and (known or 1.0 / scale > shot.value):
@@ -409,6 +487,7 @@ def detector_noise(
         figures=tuple(figures),
         images=tuple(images),
         warnings=tuple(dict.fromkeys(warnings)),
+        transfer=transfer,
     )
 
 
@@ -464,8 +543,9 @@ def _columns(images: Sequence[ImageNoise]) -> tuple[Array, Array, Flags]:
     """Gain, offset and flags of every column."""
     patterns = np.array([one.columns.pattern for one in images])
     known = np.isfinite(patterns)
-    count = known.sum(axis=0)
-    total = np.where(known, patterns, 0.0).sum(axis=0)
+    weights = np.array([[one.weight] for one in images])
+    count = (known * weights).sum(axis=0)
+    total = np.where(known, weights * patterns, 0.0).sum(axis=0)
     pattern = np.divide(total, count, out=np.zeros(patterns.shape[1]), where=count > 0)
     flags = np.bitwise_or.reduce([one.flags for one in images])
     unknown = (count == 0) | (flags & DEAD != 0)
@@ -495,7 +575,7 @@ def _ranges(image: ImageSource) -> list[range]:
     return [range(a, b) for a, b in pairwise(ends)]
 
 
-def _chunks(image: ImageSource) -> Iterator[tuple[int, Array]]:
+def chunks_of(image: ImageSource) -> Iterator[tuple[int, Array]]:
     """Some lines of an image after the other, with the number of their part; NaN where not to be used."""
     size = max(AT_ONCE // image.shape[1], 2 * BLOCK + 2 * ORDER)
     for number, part in enumerate(_ranges(image)):
@@ -526,7 +606,7 @@ def _means_and_blocks(chunks: Iterable[tuple[int, Array]], step: float, columns:
 
 
 @dataclass(frozen=True, eq=False)
-class _Values:
+class PixelValues:
     """What the values of an image are like.
 
     Attributes
@@ -557,13 +637,13 @@ class _Values:
         return np.where((values > self.low) & (values < self.high) & ~self.dead, values, np.nan)
 
 
-def _values(image: ImageSource) -> _Values:
+def look_through(image: ImageSource) -> PixelValues:
     """Look through an image, part after part."""
     lines, columns = image.shape
     least, most = np.full(columns, np.inf), np.full(columns, -np.inf)
     histogram: Counter[float] = Counter()
     whole = True
-    for _, values in _chunks(image):
+    for _, values in chunks_of(image):
         least = np.fmin(least, np.fmin.reduce(values))
         most = np.fmax(most, np.fmax.reduce(values))
         known = values[np.isfinite(values)]
@@ -575,7 +655,7 @@ def _values(image: ImageSource) -> _Values:
     if dead.all():
         raise EstimationError("no column has values that change: nothing shows its noise")
     if not whole:
-        return _Values(-np.inf, np.inf, 0.0, dead, 0)
+        return PixelValues(-np.inf, np.inf, 0.0, dead, 0)
     if dead.mean() <= MOST_DEAD:
         for value in least[dead & np.isfinite(least)].tolist():
             histogram[value] -= lines  # a dead column is no pile of cut pixels
@@ -584,7 +664,7 @@ def _values(image: ImageSource) -> _Values:
     enough = CLIPPED_SHARE * counts.sum()
     bottom = counts[0] > max(enough, PILED * counts[1])
     top = counts[-1] > max(enough, PILED * counts[-2])
-    return _Values(
+    return PixelValues(
         float(values[0]) if bottom else -np.inf,
         float(values[-1]) if top else np.inf,
         float(np.diff(values).min()),
@@ -593,7 +673,7 @@ def _values(image: ImageSource) -> _Values:
     )
 
 
-def _pattern(means: Array) -> ColumnPattern:
+def pattern_of_parts(means: Array) -> ColumnPattern:
     """Pattern of columns from means (parts, columns), NaN where a column has none.
 
     A column that stands out would bend the parabola that its neighbours are judged by: it is left out of it.

@@ -157,21 +157,37 @@ def _of_plain(
 ) -> DetectorNoise:
     """Noise of plain images."""
     from sightline.applications.detector_noise import dark_noise, detector_noise, plain_image_noise
+    from sightline.applications.photon_transfer import even_exposures, photon_transfer
     from sightline.errors import InputError, naming
     from sightline.io.formats.images import open_image
 
     if dark and dark_level is not None:
         raise InputError("--dark and --dark-level both say the level without light; give one of them")
+    sources = [open_image(path) for path in raw]
+    without = [open_image(path) for path in dark]
+    groups = even_exposures(sources, without, dark_level)
+    if groups is not None:
+        names = [path.name for path in raw]
+        return photon_transfer(
+            names,
+            sources,
+            groups,
+            without,
+            dark_level,
+            report,
+            stages=stages,
+            electrons_per_dn=electrons_per_dn,
+        )
     frames = None
     if dark:
         report("frames without light")
         with naming(dark[0]):
-            frames = dark_noise([open_image(path) for path in dark])
+            frames = dark_noise(without)
     images = []
     for number, path in enumerate(raw):
         report("reading and estimating", number, len(raw))
         with naming(path):
-            images.append(plain_image_noise(path.name, open_image(path), frames, dark_level))
+            images.append(plain_image_noise(path.name, sources[number], frames, dark_level))
     return detector_noise(images, frames, stages=stages, electrons_per_dn=electrons_per_dn)
 
 
