@@ -392,7 +392,7 @@ def detector_noise(
     electrons_per_dn : float, optional
         The conversion gain, from somewhere else. Without it the law is in DN.
     transfer : PhotonTransfer, optional
-        Where `images` are exposures of even light: it measures A, B, C^2, the columns and the conversion gain.
+        Where `images` are exposures of even light: it measures A, B, C^2, columns and conversion.
 
     Raises
     ------

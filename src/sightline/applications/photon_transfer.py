@@ -63,14 +63,25 @@ class _Level:
 
 
 def even_exposures(
-    images: Sequence[ImageSource], dark: Sequence[ImageSource], dark_level: float | None
+    names: Sequence[str], images: Sequence[ImageSource], dark: Sequence[ImageSource], dark_level: float | None
 ) -> list[list[int]] | None:
     """Which frames show the same exposure; None where no two do: then they are scenes.
 
     Frames of one exposure are of one size, have one mean within what noise and a lamp's drift allow, and
     differ by noise alone.
     """
-    if len(images) < 2 or len({image.shape for image in images}) != 1:
+    if len(images) < 2:
+        return None
+    sizes = sorted({image.shape for image in images})
+    for size in sizes if len(sizes) > 1 else ():
+        alike = [image for image in images if image.shape == size]
+        if even_exposures(names, alike, dark, dark_level) is not None:
+            other = next(k for k, image in enumerate(images) if image.shape != size)
+            raise InputError(
+                f"{names[other]} has {images[other].shape[0]} lines x {images[other].shape[1]} columns, frames of "
+                f"one exposure {size[0]} x {size[1]}; give frames of one size"
+            )
+    if len(sizes) > 1:
         return None
     levels = [_level(image) for image in images]
     means = np.array([one.mean for one in levels])
@@ -122,10 +133,10 @@ def photon_transfer(
         If no exposure is left that is not cut off, or the noise does not grow with the signal.
     """
     shape = images[0].shape
-    for frame in dark:
+    for number, frame in enumerate(dark):
         if frame.shape != shape:
             raise InputError(
-                f"frames without light have {frame.shape[0]} lines x {frame.shape[1]} columns, those with "
+                f"--dark number {number + 1} has {frame.shape[0]} lines x {frame.shape[1]} columns, frames with "
                 f"light {shape[0]} x {shape[1]}; give frames of one size"
             )
     looks, means = [], np.empty(len(images))
@@ -233,8 +244,8 @@ def _without_light(
     cut = float(np.mean([one.cut for one in looks])) / pixels
     if cut > 0.5:
         raise EstimationError(
-            f"frames without light are cut off, at {looks[0].ends} DN, and show neither level nor noise; give "
-            "frames with an offset, or their level (--dark-level)"
+            f"frames without light are cut off, at {looks[0].ends} DN, and show neither level nor noise; "
+            "give frames with an offset, or their level (--dark-level)"
         )
     dead = np.logical_and.reduce([one.dead for one in looks])
     stack = measure_stack(dark, means.tolist(), -np.inf, np.inf, dead)
@@ -243,8 +254,8 @@ def _without_light(
     noise = Estimate(value, stack.noise.sigma)
     if cut > CLIPPED_SHARE:
         warnings.append(
-            f"{100.0 * cut:.2g} % of the pixels without light are cut off, at {looks[0].ends} DN: their level "
-            "is too large, and their noise is not used"
+            f"{100.0 * cut:.2g} % of the pixels without light are cut off, at {looks[0].ends} DN: their "
+            "level is too large, and their noise is not used"
         )
     elif value <= (LEAST_STEPS * step) ** 2:
         warnings.append(
@@ -290,8 +301,8 @@ def _assembled(
     said += [f"{beyond} above 70 % of the saturation"] if beyond else []
     if said:
         warnings.append(
-            f"of {len(exposures)} exposures, {' and '.join(said)} are left out; signals of {signals[used].min():.4g} "
-            f"to {signals[used].max():.4g} DN are used"
+            f"of {len(exposures)} exposures, {' and '.join(said)} are left out; signals of "
+            f"{signals[used].min():.4g} to {signals[used].max():.4g} DN are used"
         )
     variances = [Estimate(stack.noise.value - step**2 / 12.0, stack.noise.sigma) for _, stack in stacks]
     taken = np.flatnonzero(used).tolist()
@@ -300,8 +311,8 @@ def _assembled(
     c2 = law.fit.estimate(1) if len(law.fit.coefficients) > 1 else None
     if not shot.value > 2.0 * shot.sigma:
         raise EstimationError(
-            f"the noise does not grow with the signal: by {shot.value:.3g} +- {shot.sigma:.2g} DN^2 per DN; give "
-            "exposures of more unlike light, neither resampled nor filtered"
+            f"the noise does not grow with the signal: by {shot.value:.3g} +- {shot.sigma:.2g} DN^2 per DN; "
+            "give exposures of more unlike light, neither resampled nor filtered"
         )
     chosen = [stacks[k] for k in taken]
     images = [
@@ -475,8 +486,8 @@ def _figures(
     how = f"mean of {stack.frames} frames at {one.signal:.4g} DN, shading included"
     if response.value > MOST_UNEVEN**2:
         warnings.append(
-            f"pixels differ by {100.0 * response.value**0.5:.3g} % at {one.signal:.4g} DN: the light is not even, "
-            "and PRNU and columns are those of the scene"
+            f"pixels differ by {100.0 * response.value**0.5:.3g} % at {one.signal:.4g} DN: the light is not "
+            "even, and PRNU and columns are those of the scene"
         )
     found.append(_rooted("PRNU", "%", response, how, 100.0))
     found.append(

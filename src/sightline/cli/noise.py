@@ -20,7 +20,8 @@ def noise(
         typer.Argument(
             metavar="RAW...",
             help="Raw images of one detector: HiRISE EDRs with what was read beside them, or plain rasters "
-            "or .npy files, neither resampled nor filtered.",
+            "or .npy files, neither resampled nor filtered; frames of even light, two or more of an exposure, are "
+            "compared with one another (photon transfer).",
         ),
     ],
     out: Out,
@@ -29,7 +30,8 @@ def noise(
         typer.Option(
             "--dark",
             metavar="FILE",
-            help="Frame without light, for plain images; may be given several times.",
+            help="Frame without light, for plain images; may be given several times, also as a pattern in "
+            "quotes. As many as RAW: each of the exposure of its image.",
         ),
     ] = None,
     dark_level: Annotated[
@@ -62,13 +64,14 @@ def noise(
     from sightline.kinds.noise import Noise
 
     _check(dark_level, electrons_per_dn, stages)
+    dark = [path for one in dark or [] for path in _matching(one)]
     begun = time.perf_counter()
     with (
         output_folder(out, overwrite=overwrite) as folder,
         progress() as report,
     ):
-        found = estimate(raw, dark or [], report, dark_level, electrons_per_dn, stages)
-        inputs = [*raw, *(dark or [])]
+        found = estimate(raw, dark, report, dark_level, electrons_per_dn, stages)
+        inputs = [*raw, *dark]
         summary = Noise().render(found, folder, report, begun, inputs=inputs)
     if as_json:
         print_json(summary)
@@ -77,6 +80,21 @@ def noise(
         complain("warning", warning)
     tell(found, summary)
     say(f"{out / 'noise.toml'}, {out / 'columns.csv'}, {out / 'tdi.toml'}")
+
+
+def _matching(path: Path) -> list[Path]:
+    """The files that a pattern names, in order; any other path itself."""
+    import glob
+
+    from sightline.access import remote_name
+    from sightline.errors import InputError
+
+    if remote_name(path) is not None or path.exists() or not glob.has_magic(str(path)):
+        return [path]
+    found = sorted(glob.glob(str(path)))
+    if not found:
+        raise InputError(f"--dark {path}: no file has such a name; give frames without light")
+    return [Path(one) for one in found]
 
 
 def _check(dark_level: float | None, electrons_per_dn: float | None, stages: int | None) -> None:
@@ -165,9 +183,9 @@ def _of_plain(
         raise InputError("--dark and --dark-level both say the level without light; give one of them")
     sources = [open_image(path) for path in raw]
     without = [open_image(path) for path in dark]
-    groups = even_exposures(sources, without, dark_level)
+    names = [path.name for path in raw]
+    groups = even_exposures(names, sources, without, dark_level)
     if groups is not None:
-        names = [path.name for path in raw]
         return photon_transfer(
             names,
             sources,
@@ -199,6 +217,14 @@ def tell(found: DetectorNoise, summary: dict[str, Any]) -> None:
         say(str(figure))
     law = ", ".join(f"{key} {value:.4g}" for key, value in summary["noise"].items())
     say(f"[noise] of a TDI line, signals in {found.unit}: {law}")
+    for name, one in found.transfer.alike.items() if found.transfer is not None else ():
+        unit = {"conversion": "DN/e-", "gain": "", "offset": "DN"}[name]
+        compared = f"chi-square {one.chi_square:.0f} of {one.freedom}"
+        if one.alike:
+            said = f"columns alike in {name}: {compared}; they differ by less than {one.upper:.2g} {unit}"
+        else:
+            said = f"columns differ in {name}: {compared}; by {one.scatter:.2g} {unit}"
+        say(f"{said.rstrip()} rms")
     flagged = ", ".join(
         f"{count} {name.replace('_', ' ')}" for name, count in summary["columns"]["flagged"].items() if count
     )

@@ -4,7 +4,7 @@ The variance between frames of one exposure is that of the noise, whatever the f
 the signal is the conversion gain, DN per electron (EMVA 1288). The scatter of the pixels of their mean, less
 what noise leaves in it, is the fixed pattern. Frames are read one after the other; only sums are kept.
 
-Not here: which frames show the same exposure, and the law that TDI takes (``applications/detector_noise.py``).
+Not here: which frames show the same exposure, the law that TDI takes (``applications/photon_transfer.py``).
 """
 
 from __future__ import annotations

@@ -22,6 +22,7 @@ from sightline.applications.detector_noise import (
     OFFSET_UNKNOWN,
     OUTLYING,
     DetectorNoise,
+    PhotonTransfer,
 )
 from sightline.imaging.strip_noise import NoiseFigure
 from sightline.io.acquisition.acquired import sha256
@@ -32,6 +33,8 @@ from sightline.writing import whole_text
 
 #: Every file that is written.
 NOISE_FILES = ("columns.csv", "noise.toml", "summary.json", "tdi.toml")
+#: Columns of ``columns.csv`` beside the usual ones, of photon transfer.
+TRANSFER_COLUMNS = ("sigma_gain", "sigma_offset", "electrons_per_dn", "sigma_electrons_per_dn")
 #: Bits of the flags of ``columns.csv``.
 FLAGS = {"gain_unknown": GAIN_UNKNOWN, "offset_unknown": OFFSET_UNKNOWN, "dead": DEAD, "outlying": OUTLYING}
 
@@ -60,6 +63,8 @@ def write_noise(
         "offset": noise.offset,
         "flags": noise.flags,
     }
+    if noise.transfer is not None:
+        columns |= {name: getattr(noise.transfer, name) for name in TRANSFER_COLUMNS}
     write_columns(folder / "columns.csv", columns)
     summary = summarize_noise(noise, inputs, wall_seconds=wall_seconds)
     write_json(folder / "summary.json", summary)
@@ -163,10 +168,30 @@ def summarize_noise(noise: DetectorNoise, inputs: Sequence[Path], *, wall_second
             "flagged": {name: int((noise.flags & bit != 0).sum()) for name, bit in FLAGS.items()},
             "rms_gain": float(np.sqrt(np.mean((noise.gain - 1.0) ** 2))),
         },
+        "photon_transfer": None if noise.transfer is None else _transfer(noise.transfer),
         "warnings": list(noise.warnings),
         "wall_seconds": wall_seconds,
         "peak_memory_bytes": peak_memory(),
         "inputs": {path.name if names[path.name] == 1 else str(path): sha256(path) for path in inputs},
+    }
+
+
+def _transfer(found: PhotonTransfer) -> dict[str, Any]:
+    """What only frames of even light say: the exposures, and whether columns differ."""
+    return {
+        "exposures": [
+            {
+                "name": one.name,
+                "frames": one.frames,
+                "signal": one.signal,
+                "variance": None if one.variance is None else one.variance.value,
+                "sigma": None if one.variance is None else one.variance.sigma,
+                "cut": one.cut,
+                "used": one.used,
+            }
+            for one in found.exposures
+        ],
+        "columns": {name: {"alike": one.alike, **asdict(one)} for name, one in found.alike.items()},
     }
 
 

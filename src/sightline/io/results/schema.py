@@ -666,6 +666,35 @@ class NoiseColumns(Part):
     rms_gain: Number
 
 
+class NoiseExposure(Part):
+    """Frames of one exposure."""
+
+    name: str = _is("Of the first frame")
+    frames: Count
+    signal: Number = _is("DN above the level without light")
+    variance: Number = _is("DN^2 between frames, rounding taken off; null: cut off")
+    sigma: Number = _is("Of the variance; null: cut off")
+    cut: Number = _is("Share of pixels that are cut off")
+    used: bool = _is("For the conversion gain")
+
+
+class ColumnsAlike(Part):
+    """Whether columns differ by more than their sigma."""
+
+    alike: bool = _is("Not seen to differ, at 3 sigma")
+    chi_square: Number
+    freedom: Count
+    scatter: Number = _is("rms beyond their sigma")
+    upper: Number = _is("Its upper limit, 2 sigma")
+
+
+class NoiseTransfer(Part):
+    """Photon transfer of frames of even light."""
+
+    exposures: list[NoiseExposure] = _is("By signal")
+    columns: dict[str, ColumnsAlike] = _is("conversion (DN/e-), gain (1), offset (DN; with dark frames)")
+
+
 class NoiseSummary(RunSummary):
     """Of ``noise``."""
 
@@ -679,6 +708,7 @@ class NoiseSummary(RunSummary):
     figures: list[Figure] = _is("Of all images together")
     images: list[ImageFigures] = _is("Of each image")
     columns: NoiseColumns = _is("The column pattern")
+    photon_transfer: NoiseTransfer | None = _may("Of frames of even light; else null")
 
 
 # --------------------------------------------------------------------------------------- score
