@@ -78,8 +78,8 @@ def even_exposures(
         if even_exposures(names, alike, dark, dark_level) is not None:
             other = next(k for k, image in enumerate(images) if image.shape != size)
             raise InputError(
-                f"{names[other]} has {images[other].shape[0]} lines x {images[other].shape[1]} columns, frames of "
-                f"one exposure {size[0]} x {size[1]}; give frames of one size"
+                f"{names[other]} has {images[other].shape[0]} lines x {images[other].shape[1]} columns, "
+                f"frames of one exposure {size[0]} x {size[1]}; give frames of one size"
             )
     if len(sizes) > 1:
         return None
@@ -136,8 +136,8 @@ def photon_transfer(
     for number, frame in enumerate(dark):
         if frame.shape != shape:
             raise InputError(
-                f"--dark number {number + 1} has {frame.shape[0]} lines x {frame.shape[1]} columns, frames with "
-                f"light {shape[0]} x {shape[1]}; give frames of one size"
+                f"--dark number {number + 1} has {frame.shape[0]} lines x {frame.shape[1]} columns, frames "
+                f"with light {shape[0]} x {shape[1]}; give frames of one size"
             )
     looks, means = [], np.empty(len(images))
     for number, image in enumerate(images):
@@ -147,10 +147,10 @@ def photon_transfer(
     uncut = CLIPPED_SHARE * shape[0] * shape[1]
     whole = [one for one in looks if one.cut <= uncut]
     if not whole:
-        ends = " and ".join(sorted({one.ends for one in looks}))
-        raise EstimationError(f"all frames are cut off, at {ends} DN; give exposures of less light")
+        said = " and ".join(sorted({one.ends for one in looks}))
+        raise EstimationError(f"all frames are cut off, at {said} DN; give exposures of less light")
     step = min((one.step for one in whole if one.step > 0.0), default=0.0)
-    ends = max(one.low for one in looks), min(one.high for one in looks)
+    low, high = max(one.low for one in looks), min(one.high for one in looks)
     dead = np.logical_and.reduce([one.dead for one in whole])
     rest = _without_light(dark, len(images), step, dark_level, report)
     warnings, exposures = list(rest.warnings), []
@@ -171,7 +171,7 @@ def photon_transfer(
         cut = float(np.mean([looks[k].cut for k in group])) / (shape[0] * shape[1])
         stack = None
         if cut <= CLIPPED_SHARE:
-            stack = measure_stack([images[k] for k in group], means[group].tolist(), *ends, dead)
+            stack = measure_stack([images[k] for k in group], means[group].tolist(), low, high, dead)
         exposures.append(_Exposure(first, len(group), signal, cut, stack))
     return _assembled(
         sorted(exposures, key=lambda one: one.signal), rest, step, dead, warnings, stages, electrons_per_dn
@@ -296,13 +296,15 @@ def _assembled(
             "no two frames show an exposure that is neither cut off nor above 70 % of the saturation; give "
             "pairs of exposures of less light"
         )
-    cut, beyond = len(exposures) - len(stacks), int((~used).sum())
+    # exposures that are all cut off look alike: frames are counted
+    cut = sum(one.frames for one in exposures if one.stack is None)
+    beyond = sum(one.frames for (one, _), use in zip(stacks, used, strict=True) if not use)
     said = [f"{cut} cut off"] if cut else []
     said += [f"{beyond} above 70 % of the saturation"] if beyond else []
     if said:
         warnings.append(
-            f"of {len(exposures)} exposures, {' and '.join(said)} are left out; signals of "
-            f"{signals[used].min():.4g} to {signals[used].max():.4g} DN are used"
+            f"of {sum(one.frames for one in exposures)} frames, {' and '.join(said)} are left out; signals "
+            f"of {signals[used].min():.4g} to {signals[used].max():.4g} DN are used"
         )
     variances = [Estimate(stack.noise.value - step**2 / 12.0, stack.noise.sigma) for _, stack in stacks]
     taken = np.flatnonzero(used).tolist()

@@ -20,8 +20,8 @@ def noise(
         typer.Argument(
             metavar="RAW...",
             help="Raw images of one detector: HiRISE EDRs with what was read beside them, or plain rasters "
-            "or .npy files, neither resampled nor filtered; frames of even light, two or more of an exposure, are "
-            "compared with one another (photon transfer).",
+            "or .npy files, neither resampled nor filtered; frames of even light, two or more of an "
+            "exposure, are compared with one another (photon transfer).",
         ),
     ],
     out: Out,

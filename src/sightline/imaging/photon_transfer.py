@@ -168,8 +168,8 @@ def measure_stack(
         jumps = max(part.value, 0.0) / n
         spread += (4.0 * float(np.nanvar(fixed)) * jumps + 2.0 * jumps**2 * n / (n - 1)) / size_of
     # mixed differences of neighbours share pixels: 36 / 16 times as much scatter as of as many pixels
-    one, other = noise / (n // 2), noise / (n - n // 2)
-    of_corner = 2.25 * (one * other + max(corner, 0.0) * (one + other)) / count
+    of_odd, of_even = noise / (n // 2), noise / (n - n // 2)
+    of_corner = 2.25 * (of_odd * of_even + max(corner, 0.0) * (of_odd + of_even)) / count
     return Stack(
         n,
         lines,
