@@ -429,3 +429,15 @@ def test_messages_of_gdal_that_quote_bytes_which_are_no_text_are_not_printed(tmp
         assert dataset.shape == (8, 8)
     assert capfd.readouterr().err == ""
     assert (sys.excepthook, sys.unraisablehook) == hooks
+
+
+@pytest.mark.filterwarnings("error::numpy.exceptions.ComplexWarning")
+def test_complex_pixels_are_refused_by_the_number_of_their_band(tmp_path):
+    path = tmp_path / "slc.tif"
+    with warnings.catch_warnings(action="ignore"):
+        with rasterio.open(
+            path, "w", driver="GTiff", width=8, height=8, count=1, dtype="complex64"
+        ) as target:
+            target.write(np.ones((1, 8, 8), np.complex64))
+    with pytest.raises(FormatError, match=r"slc\.tif: its band 1 holds complex numbers \(complex64\)"):
+        open_raster(path)

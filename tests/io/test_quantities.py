@@ -101,10 +101,10 @@ def test_an_absurd_value_is_refused_for_every_key_that_takes_a_number(what):
 
 #: Where 0 is allowed among numbers of both signs, what is next to it is rounding.
 ROUNDING = ("tiny", "minus tiny")
-#: Keys that may hold such a value all the same: words and lists beside numbers, wells without end.
+#: Keys that may hold such a value all the same: words, files and lists beside numbers, wells without end.
 TAKEN = {
     "without end": {"full_well_line", "full_well_sum"},
-    "a word": {"time", "wavelength_nm"},
+    "a word": {"time", "wavelength_nm", "stages"},
     # none of these; or too few, which the whole table or its command says
     "an empty list": {"distortion", "tones", "image_sigma_px", "lines", "positions_px", "positions_s"},
 }

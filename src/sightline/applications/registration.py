@@ -22,7 +22,7 @@ from sightline.imaging.reduce import averaged
 from sightline.imaging.source import ImageSource
 from sightline.motion.band import Band
 from sightline.motion.measure.stars import parts_of_pixel
-from sightline.motion.measure.windows import field_positions
+from sightline.motion.measure.windows import exposure_times, field_positions
 from sightline.motion.statics import recovered_cameras
 from sightline.motion.strip.relief import RowRelief
 from sightline.products.band_fit import BandFit, fit_bands
@@ -122,7 +122,7 @@ def heights_of_rows(relief: RowRelief, camera: PushbroomCamera, places: Array) -
     Before and after its image those of the first and the last row go on.
     """
     pixels = camera.project(places, line_margin=float(camera.lines))
-    return relief.at(camera.times(pixels[:, 0]), field_positions(pixels[:, 1], camera.columns))
+    return relief.at(exposure_times(camera, pixels), field_positions(pixels[:, 1], camera.columns))
 
 
 def fit_every_pair(

@@ -141,10 +141,21 @@ def open_raster(path: Path, access: Access | None = None) -> Any:
     dataset = _opened(path, os.path.abspath(path), drivers, access)
     try:
         check.counted(dataset.files)
+        _refuse_complex(path, dataset)
     except SightlineError:
         dataset.close()
         raise
     return dataset
+
+
+def _refuse_complex(path: Path, dataset: Any) -> None:
+    """FormatError for pixels that are no real numbers: half of each would be lost without a word."""
+    for number, kind in enumerate(dataset.dtypes, 1):
+        if "complex" in str(kind):
+            raise FormatError(
+                f"{path}: its band {number} holds complex numbers ({kind}); real ones are expected: give "
+                "their magnitude, or another file"
+            )
 
 
 @contextmanager

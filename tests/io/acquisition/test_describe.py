@@ -105,3 +105,16 @@ def test_an_angle_in_degrees_shows_in_the_refusal(folder):
     # tan 0.2 of 700 km
     with pytest.raises(GeometryError, match=r"rad ahead.* 142 km from that of the nearest other.*in rad\?"):
         load_acquisition(folder.write())
+
+
+def test_lags_are_between_the_middles_of_tdi_stages(folder):
+    acquisition = load_acquisition(folder.write())
+    period = acquisition.cameras[0].detector.line_period
+    bands = tuple(
+        replace(band, camera=replace(band.camera, stages=stages, time_reference="first-stage"))
+        for band, stages in zip(acquisition.bands, (5, 21), strict=True)
+    )
+    (plain,) = describe_acquisition(acquisition)["pairs"]
+    (pair,) = describe_acquisition(replace(acquisition, bands=bands))["pairs"]
+    # the middles are exposed 2 and 10 lines after the first stages, and see the same ground as these
+    assert pair["lag"] == pytest.approx(plain["lag"] + 8.0 * period, abs=1e-3 * period)

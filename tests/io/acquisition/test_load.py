@@ -86,7 +86,7 @@ def test_a_band_in_pieces_says_where_they_begin_or_how_many_there_are(folder, pi
     [
         ("pieces = 3", 'pieces = 3 says where CCDs begin; shape is not given; write shape = "pieces"'),
         ('shape = "pieces"\npieces = [90, 50]', "pieces = [90, 50] must rise"),
-        ('shape = "pieces"\npieces = []', "names no column"),
+        ('shape = "pieces"\npieces = []', "pieces = [] is not allowed"),
         (
             'shape = "pieces"\npieces = [50, 120]',
             "[[band]] XS: pieces = [50, 120] does not fit the 120 columns",

@@ -18,6 +18,7 @@ from sightline.geometry.surface import Dem, Ellipsoid, Infinity, Plane, Surface
 from sightline.io.acquisition.acquired import InputFolder, world_kind
 from sightline.io.acquisition.schema import AcquisitionFile, CameraModelPlatform, SurfaceSection
 from sightline.io.formats.dem import Bounds, read_dem
+from sightline.motion.measure.windows import exposure_times
 
 Array = NDArray[np.float64]
 MovingCamera = PushbroomCamera | FrameCamera
@@ -498,4 +499,4 @@ def _lags(camera: MovingCamera, other: MovingCamera, surface: Surface) -> list[f
     """Lags (s) of a few points that both images see: empty where they share no ground."""
     pixels, seen = _common(camera, other, surface)
     both = np.isfinite(seen[:, 0])
-    return [float(v) for v in other.times(seen[both, 0]) - camera.times(pixels[both, 0])]
+    return [float(v) for v in exposure_times(other, seen[both]) - exposure_times(camera, pixels[both])]

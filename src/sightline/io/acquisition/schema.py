@@ -298,7 +298,7 @@ class BandSection(LineGeometry):
     shape_sigma_px: Annotated[float, Within(1e-7, 100.0, "px", zero=True)] = Field(
         default=0.5, description="Size of each bend at the ends of the line, of each step, px; 0 = none"
     )
-    pieces: PieceCount | list[PieceColumn] | None = Field(
+    pieces: PieceCount | Annotated[list[PieceColumn], Field(min_length=1, max_length=1000)] | None = Field(
         default=None,
         description='Of shape "pieces": how many equal CCDs, or the first column of each after the first',
     )
@@ -340,8 +340,6 @@ class BandSection(LineGeometry):
                 f"pieces = {self.pieces} says where CCDs begin; shape is {self.shape or 'not given'}; write "
                 'shape = "pieces", or leave pieces out'
             )
-        if isinstance(self.pieces, list) and not self.pieces:
-            raise ValueError("pieces = [] names no column; give the first column of each CCD after the first")
         if isinstance(self.pieces, list) and any(b <= a for a, b in pairwise(self.pieces)):
             raise ValueError(f"pieces = {self.pieces} must rise: columns are counted from 0 at the first CCD")
         return self

@@ -156,7 +156,10 @@ def _reversed(one: AngleDifferences) -> AngleDifferences:
 
 
 def _joined(parts: Sequence[AngleDifferences]) -> AngleDifferences:
-    """Several sets of one pair as one, less what does not show every axis."""
+    """Several sets of one pair as one, less what does not show every axis.
+
+    Where TDI has unequal stages it is taken to average over as long as it does in the mean.
+    """
     t, lag, angles, covariance = (
         np.concatenate([getattr(one, name) for one in parts]) for name in ("t", "lag", "angles", "covariance")
     )
@@ -167,6 +170,9 @@ def _joined(parts: Sequence[AngleDifferences]) -> AngleDifferences:
     usual = np.median(variance[finite], axis=0) if finite.any() else np.zeros(3)
     seen = finite & (variance <= UNSEEN * usual).all(axis=1)
     order = np.flatnonzero(seen)[np.argsort(t[seen], kind="stable")]
+    mean = np.average(
+        [one.tdi for one in parts], axis=0, weights=[max(len(one), 1) for one in parts]
+    ).tolist()
     return AngleDifferences(
         t[order],
         lag[order],
@@ -175,5 +181,5 @@ def _joined(parts: Sequence[AngleDifferences]) -> AngleDifferences:
         parts[0].images,
         parts[0].window,
         None if patch is None else patch[order],
-        tdi=parts[0].tdi,
+        tdi=(mean[0], mean[1]),
     )

@@ -433,6 +433,8 @@ def _unseen(
     if not tdi or not tdi[0] > 0.0:
         return ((), (), ())
     f = np.arange(1.0, HIDDEN_TO / min(tdi), HIDDEN_STEP * 2.0 / max(tdi))
+    if len(f) < 2:  # all that is sought is below 1 Hz
+        return ((), (), ())
     left = left_by_tdi(f, tdi)
     hidden = left < LEFT_BY_TDI
     first = float(f[np.argmax(hidden)])

@@ -20,6 +20,7 @@ from sightline.motion.measure.predict import MovingCamera, predict_match
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.statics import BEND_DEGREES, band_statics, measure_of_shapes
 from sightline.motion.strip.estimate import StripState
+from sightline.motion.strip.joint import nodes_on
 from sightline.motion.strip.strip import Shapes, Strip
 
 Array = NDArray[np.float64]
@@ -303,6 +304,8 @@ def unknown_shapes(
         band = strip.bands[image]
         borders = columns_in(strip, cameras, hub, image, one.borders or one.steps)
         if _without_columns(band):
+            if not borders:
+                continue
             out.append((image, "pieces", borders, one.size_px))
         elif band.shape is None and one.chance < CHANCE and one.size_px > TAKEN_PX:
             shape = "pieces" if one.borders else "polynomial"
@@ -339,7 +342,7 @@ def shape_warnings(strip: Strip, state: StripState) -> list[str]:
         for image, band in enumerate(strip.bands)
         if _without_columns(band) and image != measure_of_shapes(strip.bands)
     ]
-    cameras = strip.cameras(state.estimate.nodes, state.estimate.statics)
+    cameras = strip.cameras(nodes_on(state.estimate, strip.grid), state.estimate.statics)
     for (hub, image), one in departures(state.records, state.post_px, state.height_sigma).items():
         if one.chance > CHANCE or one.size_px < LEAST_PX:
             continue

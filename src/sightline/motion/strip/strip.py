@@ -29,6 +29,7 @@ from sightline.motion.measure.stars import (
     MatchingPlan,
     pixel_sizes,
 )
+from sightline.motion.measure.windows import exposure_times
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.statics import apply_statics, band_statics
 from sightline.motion.strip.hyper import BROAD, KnownContent, PriorModel
@@ -246,7 +247,7 @@ def _shortest_lag(cameras: Sequence[PushbroomCamera], surface: Surface) -> float
         ground = camera.locate(pixels, surface)
         for other in cameras[k + 1 :]:
             seen = other.project(ground)
-            lag = np.abs(other.times(seen[:, 0]) - camera.times(lines)) / finest
+            lag = np.abs(exposure_times(other, seen) - exposure_times(camera, pixels)) / finest
             known = lag[np.isfinite(lag) & (lag > 0.5)]  # half a line is none
             if len(known):
                 shortest = min(shortest, float(np.median(known)))

@@ -25,7 +25,7 @@ from sightline.motion.measure.common_view import Views, common_views, usable
 from sightline.motion.measure.match_noise import plain_variance, robust_weights
 from sightline.motion.measure.observations import Star
 from sightline.motion.measure.stars import StarRecord, laid_on, match_star, pair_whitening
-from sightline.motion.measure.windows import WindowGrid, near_instants
+from sightline.motion.measure.windows import WindowGrid, exposure_times, near_instants
 from sightline.motion.strip.estimate import StripState
 from sightline.motion.strip.normal_equations import GroundOrder, modelled, window_rows
 from sightline.motion.strip.relief import hub_delay
@@ -363,7 +363,9 @@ def _matched(
     lines = whole.lines[::apart]
     camera = strip.nominal[hub]
     used = _used_exposures(state.records, pair, directly=True)
-    lines = lines[~near_instants(used, camera.times(lines), whole.window[0] * camera.detector.line_period)]
+    middles = np.column_stack([lines, np.full(len(lines), 0.5 * (view[0] + view[1]))])
+    reach = whole.window[0] * camera.detector.line_period
+    lines = lines[~near_instants(used, exposure_times(camera, middles), reach)]
     if not len(lines):
         return None
     # a row apart from the next tells more than a neighbour in it: rows are thinned last
