@@ -159,6 +159,66 @@ def test_a_dark_level_that_grows_with_the_exposure_is_taken_from_the_frames_of_i
     assert abs(K.value - camera.gain) < 4.0 * K.sigma < 0.06 * camera.gain
 
 
+def test_dark_current_that_differs_from_pixel_to_pixel_is_no_noise():
+    rng = np.random.default_rng(131)
+    camera, current = Camera(), 0.02 * rng.exponential(size=(LINES, COLUMNS))
+    exposures = [one for one in EXPOSURES for _ in range(2)]
+    bright, dark = (
+        [
+            ArrayImage(np.round(camera.frame(rng, one * lit) + camera.gain * rng.poisson(current * one)))
+            for one in exposures
+        ]
+        for lit in (1.0, 0.0)
+    )
+    found = by_name(transferred(bright, dark))
+    # read noise and the shot noise of the mean current, DN^2
+    expected = camera.gain**2 * (camera.read**2 + camera.rows**2 + 0.02 * np.mean(EXPOSURES))
+    assert (found["dark noise"].value * found["K"].value) ** 2 == pytest.approx(expected, rel=0.02)
+
+
+def test_what_piles_up_at_the_bottom_is_no_saturation():
+    bright, _ = Camera(level=-45.0).frames(132, (150.0, 1200.0, 2500.0, 4000.0, 5500.0))
+    found = transferred(bright, [], -45.0)
+    assert [one.variance is None for one in found.transfer.exposures] == [True] + 4 * [False]
+    assert [one.used for one in found.transfer.exposures] == [False] + 4 * [True]
+    assert "saturation" not in by_name(found) and "2 cut off are left out" in found.warnings[0]
+    K = by_name(found)["K"]
+    assert abs(K.value - 0.3) < 4.0 * K.sigma
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+def test_a_series_may_begin_without_light(sign):
+    bright, dark = Camera().frames(133, (0.0, *EXPOSURES))
+    for k in range(2):
+        bright[k] = ArrayImage(dark[k].array[::-1] + sign * 0.05)
+    found = transferred(bright, dark)
+    assert len(found.transfer.exposures) == len(EXPOSURES) + (sign > 0.0)
+    assert ["no brighter than frames without light" in one for one in found.warnings] == [True] * (sign < 0.0)
+    K = by_name(found)["K"]
+    assert abs(K.value - 0.3) < 4.0 * K.sigma < 0.02
+    assert found.transfer.alike["conversion"].alike
+
+
+@pytest.mark.parametrize("values", ["constant", "two"])
+def test_a_frame_of_one_or_two_values_cuts_no_other_off(values):
+    bright, dark = Camera().frames(134)
+    usual = by_name(transferred(bright, dark))["K"]
+    rng = np.random.default_rng(134)
+    frames = [
+        ArrayImage(
+            np.full((LINES, COLUMNS), 45.0)
+            if values == "constant"
+            else 45.0 + (rng.random((LINES, COLUMNS)) < 0.05)
+        )
+        for _ in range(2)
+    ]
+    found = transferred(frames + bright, dark[:2] + dark)
+    assert found.transfer.exposures[0].variance is None
+    K = by_name(found)["K"]
+    assert K.value == pytest.approx(usual.value, abs=0.5 * usual.sigma)
+    assert "saturation" not in by_name(found)
+
+
 def test_scatter_beyond_the_noise_enters_the_sigma_of_the_gain():
     signals = np.linspace(200.0, 3000.0, 12)
     errors = []

@@ -40,6 +40,7 @@ from sightline.imaging.photon_transfer import (
     measure_stack,
     same_exposure,
     usable_stacks,
+    with_noise_of,
 )
 from sightline.imaging.source import ImageSource
 from sightline.imaging.strip_noise import LawRows, NoiseFigure, bounded_figure, measured_figure
@@ -139,36 +140,51 @@ def photon_transfer(
                 f"--dark number {number + 1} has {frame.shape[0]} lines x {frame.shape[1]} columns, frames "
                 f"with light {shape[0]} x {shape[1]}; give frames of one size"
             )
-    looks, means = [], np.empty(len(images))
+    looks, levels = [], []
     for number, image in enumerate(images):
         report("looking through frames", number, len(images))
         looks.append(_look(image))
-        means[number] = _level(image).mean
+        levels.append(_level(image))
+    means = np.array([one.mean for one in levels])
     uncut = CLIPPED_SHARE * shape[0] * shape[1]
     whole = [one for one in looks if one.cut <= uncut]
     if not whole:
         said = " and ".join(sorted({one.ends for one in looks}))
         raise EstimationError(f"all frames are cut off, at {said} DN; give exposures of less light")
     step = min((one.step for one in whole if one.step > 0.0), default=0.0)
-    low, high = max(one.low for one in looks), min(one.high for one in looks)
+    low, high = _ends(looks, means[[one.cut <= uncut for one in looks]])
     dead = np.logical_and.reduce([one.dead for one in whole])
-    rest = _without_light(dark, len(images), step, dark_level, report)
+    cuts = [float(np.mean([looks[k].cut for k in group])) / (shape[0] * shape[1]) for group in groups]
+    # all exposures that are cut off look alike: their dark frames need not be
+    alike = [
+        group for group, cut in zip(groups, cuts, strict=True) if len(group) > 1 and cut <= CLIPPED_SHARE
+    ]
+    rest = _without_light(dark, len(images), alike, step, dark_level, report)
     warnings, exposures = list(rest.warnings), []
-    for number, group in enumerate(groups):
+    signals = [float(np.mean(means[group] - rest.levels[group])) for group in groups]
+    unsure = [SIGMAS * max(levels[k].sigma for k in group) for group in groups]
+    darkest = int(np.argmin(np.add(signals, unsure)))
+    if signals[darkest] < -unsure[darkest] or max(signals) <= 0.0:
+        raise InputError(
+            f"{names[groups[darkest][0]]} has a mean {abs(signals[darkest]):.4g} DN below its frames without "
+            "light; frames with light are brighter: exchange them and --dark, or give the dark frames of "
+            "each exposure in its order"
+        )
+    for number, (group, signal, cut) in enumerate(zip(groups, signals, cuts, strict=True)):
         report("comparing frames of an exposure", number, len(groups))
-        first, signal = names[group[0]], float(np.mean(means[group] - rest.levels[group]))
+        first = names[group[0]]
         if signal <= 0.0:
-            raise InputError(
-                f"{first} has a mean {-signal:.4g} DN below its frames without light; frames with light are "
-                "brighter: exchange them and --dark, or give the dark frames of each exposure in its order"
+            warnings.append(
+                f"{first}: its exposure, a mean of {means[group[0]]:.5g} DN, is no brighter than frames "
+                "without light, and it is left out"
             )
+            continue
         if len(group) == 1:
             warnings.append(
                 f"{first}: no other frame shows its exposure, a mean of {means[group[0]]:.5g} DN, and it is "
                 "left out; give two frames or more of each exposure"
             )
             continue
-        cut = float(np.mean([looks[k].cut for k in group])) / (shape[0] * shape[1])
         stack = None
         if cut <= CLIPPED_SHARE:
             stack = measure_stack([images[k] for k in group], means[group].tolist(), low, high, dead)
@@ -216,7 +232,12 @@ class _Rest:
 
 
 def _without_light(
-    dark: Sequence[ImageSource], count: int, step: float, level: float | None, report: Progress
+    dark: Sequence[ImageSource],
+    count: int,
+    groups: Sequence[Sequence[int]],
+    step: float,
+    level: float | None,
+    report: Progress,
 ) -> _Rest:
     """Level and noise without light: of each frame's own exposure where there are as many dark ones."""
     if not dark:
@@ -248,7 +269,14 @@ def _without_light(
             "give frames with an offset, or their level (--dark-level)"
         )
     dead = np.logical_and.reduce([one.dead for one in looks])
-    stack = measure_stack(dark, means.tolist(), -np.inf, np.inf, dead)
+    ends = -np.inf, np.inf
+    stack = measure_stack(dark, means.tolist(), *ends, dead)
+    if len(dark) == count and groups:
+        # the dark current of pixels grows with the exposure: from one to the next it is no noise
+        own = [
+            measure_stack([dark[k] for k in group], means[group].tolist(), *ends, dead) for group in groups
+        ]
+        stack = with_noise_of(stack, own)
     value = stack.noise.value - step**2 / 12.0
     warnings = []
     noise = Estimate(value, stack.noise.sigma)
@@ -288,8 +316,10 @@ def _assembled(
 ) -> DetectorNoise:
     """The fit of all exposures, the fixed pattern and the columns."""
     stacks = [(one, one.stack) for one in exposures if one.stack is not None]
-    saturated = any(one.stack is None for one in exposures)
     signals = np.array([one.signal for one, _ in stacks])
+    # what is cut off below shows no saturation
+    brightest = max(signals.tolist(), default=0.0)
+    saturated = any(one.stack is None and one.signal > brightest for one in exposures)
     used, top = usable_stacks(signals, [stack for _, stack in stacks], saturated)
     if not used.any():
         raise EstimationError(
@@ -372,7 +402,7 @@ def _image(
     one: _Exposure, stack: Stack, variance: Estimate, rest: _Rest, dead: NDArray[np.bool_]
 ) -> ImageNoise:
     """What one exposure says, as other images say it."""
-    pattern = pattern_of_parts(stack.column_means - rest.columns)
+    pattern = pattern_of_parts(_lit(one, stack, rest))
     rows = LawRows(
         np.array([[one.signal**2, one.signal, 1.0]]),
         np.array([variance.value]),
@@ -399,6 +429,12 @@ def _image(
         ),
         weight=one.signal**2 / noise,
     )
+
+
+def _lit(one: _Exposure, stack: Stack, rest: _Rest) -> Array:
+    """Means of columns in parts above those without light, (PARTS, columns); the level is of its exposure."""
+    above = stack.column_means - rest.columns
+    return np.asarray(above + (one.signal - float(np.nanmean(above))))
 
 
 def _relative(bright: Estimate, dark: Estimate | None, signal: float) -> Estimate:
@@ -431,19 +467,14 @@ def _columns_alone(
     width = len(chosen[0][1].column_noise)
     if rest.stack is not None:
         still, of_still = rest.stack.column_noise, 2.0 * rest.stack.noise.value**2
-        of_still /= rest.stack.lines * (rest.stack.frames - 1)
+        of_still /= rest.stack.lines * rest.stack.freedom
     else:
         still, of_still = np.full(width, 0.0 if c2 is None else c2.value), 0.0
     top, bottom, variance = np.zeros(width), np.zeros(width), of_still * law.weights.sum() ** 2
     for weight, (one, stack) in zip(law.weights, chosen, strict=True):
         top += weight * (stack.column_noise - still)
-        bottom += (
-            weight
-            * (stack.columns() - rest.columns)
-            * one.signal
-            / float(np.nanmean(stack.columns() - rest.columns))
-        )
-        variance += weight**2 * 2.0 * stack.noise.value**2 / (stack.lines * (stack.frames - 1))
+        bottom += weight * np.nanmean(_lit(one, stack, rest), axis=0)
+        variance += weight**2 * 2.0 * stack.noise.value**2 / (stack.lines * stack.freedom)
     with np.errstate(divide="ignore", invalid="ignore"):
         return top / bottom, np.sqrt(variance) / np.abs(bottom)
 
@@ -502,23 +533,15 @@ def _figures(
         )
     )
     if dark is not None:
-        electrons = _rooted(
-            "DSNU", "e-", dark.fixed, f"mean of {dark.frames} frames without light", 1.0 / shot.value
-        )
-        if electrons.sigma is not None:
-            electrons = replace(
-                electrons, sigma=float(np.hypot(electrons.sigma, electrons.value * shot.sigma / shot.value))
-            )
-        found.append(electrons)
-        found.append(
-            _rooted(
-                "rows that jump together",
-                "e-",
-                dark.rows,
-                "without light, from frame to frame; in dark noise",
-                1.0 / shot.value,
-            )
-        )
+        for name, square, how in (
+            ("DSNU", dark.fixed, f"mean of {dark.frames} frames without light"),
+            ("rows that jump together", dark.rows, "without light, from frame to frame; in dark noise"),
+        ):
+            electrons = _rooted(name, "e-", square, how, 1.0 / shot.value)
+            if electrons.sigma is not None:
+                of_gain = electrons.value * shot.sigma / shot.value
+                electrons = replace(electrons, sigma=float(np.hypot(electrons.sigma, of_gain)))
+            found.append(electrons)
     if top is not None:
         found.append(
             measured_figure(
@@ -539,6 +562,13 @@ def _look(image: ImageSource) -> PixelValues:
         value = float(np.nanmax(image.read((0, 1), (0, image.shape[1]))))
         dead = np.ones(image.shape[1], dtype=bool)
         return PixelValues(-np.inf, value, 0.0, dead, image.shape[0] * image.shape[1])
+
+
+def _ends(looks: Sequence[PixelValues], means: Array) -> tuple[float, float]:
+    """Where the detector cuts off: beyond the means of frames that are not cut off, else not known."""
+    low = min((one.low for one in looks if np.isfinite(one.low)), default=-np.inf)
+    high = max((one.high for one in looks if np.isfinite(one.high)), default=np.inf)
+    return (low if low < means.min() else -np.inf), (high if high > means.max() else np.inf)
 
 
 def _level(image: ImageSource) -> _Level:

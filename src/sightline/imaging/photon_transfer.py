@@ -10,7 +10,7 @@ Not here: which frames show the same exposure, the law that TDI takes (``applica
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -55,6 +55,8 @@ class Stack:
         Mean in parts of the frame.
     cut : float
         Share of pixels that were left out.
+    freedom : int
+        Degrees of freedom of the noise of a pixel.
     """
 
     frames: int
@@ -67,6 +69,7 @@ class Stack:
     column_noise: Array
     column_means: Array
     cut: float
+    freedom: int
 
     def columns(self) -> Array:
         """Mean of each column, (columns,)."""
@@ -103,7 +106,8 @@ def measure_stack(
     pairs, squares, total = np.zeros(n // 2), 0.0, 0.0
     mixed, mixed_count = 0.0, 0
     part_of = np.arange(lines) * PARTS // lines
-    size = max(AT_ONCE // columns, 2)
+    # a difference is kept of each pair until all frames have said which pixels are good
+    size = max(AT_ONCE // (columns * max(n // 2, 1)), 2)
     for first in range(0, lines, size):
         here = slice(first, min(first + size, lines))
         shape = (here.stop - here.start, columns)
@@ -181,6 +185,29 @@ def measure_stack(
         of_columns,
         level + parts,
         1.0 - float(count) / (lines * columns),
+        n - 1,
+    )
+
+
+def with_noise_of(whole: Stack, parts: Sequence[Stack]) -> Stack:
+    """A stack of unlike exposures with the noise of each by itself, by degrees of freedom."""
+    freedom = np.array([one.freedom for one in parts])
+    share = freedom / freedom.sum()
+
+    def together(each: Sequence[Estimate]) -> Estimate:
+        value = float(share @ [one.value for one in each])
+        return Estimate(value, float(np.linalg.norm(share * [one.sigma for one in each])))
+
+    noise = together([one.noise for one in parts])
+    # of the fixed pattern too much was taken off as noise
+    fixed = whole.fixed.value + (whole.noise.value - noise.value) / whole.frames
+    return replace(
+        whole,
+        noise=noise,
+        rows=together([one.rows for one in parts]),
+        fixed=Estimate(fixed, whole.fixed.sigma),
+        column_noise=share @ np.stack([one.column_noise for one in parts]),
+        freedom=int(freedom.sum()),
     )
 
 
@@ -208,7 +235,8 @@ def _shared(means: Array, white: float) -> Estimate:
     n = len(means)
     each = means.var(axis=0, ddof=1)
     known = each[np.isfinite(each)]
-    value = float(known.mean())
+    # the level of each frame is taken off its rows
+    value = float(known.mean()) * len(known) / max(len(known) - 1, 1)
     return Estimate(value - white, value * float(np.sqrt(2.0 / (len(known) * (n - 1)))))
 
 
