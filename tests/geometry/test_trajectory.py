@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError, SpanError
 from sightline.geometry.rotations import orbital_axes
-from sightline.geometry.trajectory import Motion, Trajectory
+from sightline.geometry.trajectory import Motion, Pose, Trajectory
 
 RADIUS, RATE = 7.0e6, 1.08e-3
 
@@ -198,3 +198,25 @@ def test_poses_kept_for_speed_do_not_outlive_a_change_and_cannot_be_spoilt():
     turned = flight.with_motion(Motion.zero(0.0, 10.0).shifted([0.1, 0.0, 0.0])).at(t)
     assert_allclose((first.world_from_body.inv() * turned.world_from_body).as_rotvec(), [[0.1, 0, 0]] * 500)
     assert_allclose(flight.at(t + 0.5).position[:, 1], 50.0 * (t + 0.5), atol=1e-12)
+
+
+def test_the_tables_of_many_bands_are_evaluated_once_each(monkeypatch):
+    asked, work = [], Trajectory._reference_pose
+    monkeypatch.setattr(Trajectory, "_reference_pose", lambda self, t: asked.append(t[0]) or work(self, t))
+    flight = Trajectory.level_flight(1e3, 50.0, 0.0, 10.0)
+    for _ in range(2):
+        for band in range(30):
+            flight.mean_at(np.linspace(1.0, 8.0, 300) + 0.01 * band, [-0.1, 0.1])
+    assert len(asked) == 30
+
+
+def test_poses_that_another_thread_drops_at_once_are_still_returned():
+    class Dropping(dict[bytes, Pose]):
+        def __setitem__(self, key, pose):
+            super().__setitem__(key, pose)
+            self.clear()
+
+    t = np.linspace(1.0, 8.0, 300)
+    flight = Trajectory.level_flight(1e3, 50.0, 0.0, 10.0)
+    flight.__dict__["_known"] = Dropping()
+    assert_allclose(flight.mean_at(t, [-0.1, 0.1]).position[:, 1], 50.0 * t, atol=1e-12)

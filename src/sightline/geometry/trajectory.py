@@ -8,6 +8,7 @@ Not here: estimating any of it (``motion/``), or how the camera sits in the body
 from __future__ import annotations
 
 import hashlib
+import threading
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -32,8 +33,11 @@ from sightline.geometry.interpolation import interpolate, interpolate_hermite, s
 
 #: Times this close beyond a span count as its end (s): ten times the float64 step of t at one day.
 TIME_SLACK = 1e-10
-#: Tables of reference poses that a trajectory keeps, and the shortest (rows) that it keeps at all.
-_KEPT, _WORTH_KEEPING = 16, 200
+#: Tables of reference poses that a trajectory keeps: two for each number of stages of each band, and fewer
+#: where they are long, so that poses of 56 bytes stay below 250 MB; and the shortest (rows) kept at all.
+_KEPT, _KEPT_ROWS, _WORTH_KEEPING = 64, 4_000_000, 200
+#: Held while tables are kept and dropped: threads share them.
+_KEEPING = threading.Lock()
 
 
 def _check_span(t: Array, span: tuple[float, float], what: str) -> None:
@@ -316,18 +320,16 @@ class Trajectory(ReadOnlyArrays):
     def _mean_reference(self, t: Array, around: Array) -> Pose:
         """Pose without motion, its attitude averaged; kept like `_reference`."""
         key = hashlib.blake2b(t.tobytes() + around.tobytes(), digest_size=16).digest()
-        known = self._known
-        if key not in known:
+        pose = self._known.get(key)
+        if pose is None:
             middle = self._reference(t)
             turn, ends = np.zeros((len(t), 3)), (self.t_attitude[0], self.t_attitude[-1])
             for offset in around:
                 there = self._reference_attitude(np.clip(t + offset, *ends))
                 turn += (middle.world_from_body.inv() * there).as_rotvec()
             mean = middle.world_from_body * Rotation.from_rotvec(turn / len(around))
-            while len(known) >= _KEPT:
-                known.pop(next(iter(known)), None)
-            known[key] = Pose(middle.position, mean)
-        return known[key]
+            pose = self._keep(key, Pose(middle.position, mean))
+        return pose
 
     @cached_property
     def _known(self) -> dict[bytes, Pose]:
@@ -339,12 +341,18 @@ class Trajectory(ReadOnlyArrays):
         if len(t) < _WORTH_KEEPING:
             return self._reference_pose(t)
         key = hashlib.blake2b(t.tobytes(), digest_size=16).digest()
+        pose = self._known.get(key)
+        return self._keep(key, self._reference_pose(t)) if pose is None else pose
+
+    def _keep(self, key: bytes, pose: Pose) -> Pose:
+        """The same pose, kept in place of the oldest ones."""
         known = self._known
-        if key not in known:
-            while len(known) >= _KEPT:
-                known.pop(next(iter(known)), None)
-            known[key] = self._reference_pose(t)
-        return known[key]
+        with _KEEPING:
+            known[key] = pose
+            rows = sum(len(one.position) for one in known.values())
+            while len(known) > 1 and (len(known) > _KEPT or rows > _KEPT_ROWS):
+                rows -= len(known.pop(next(iter(known))).position)
+        return pose
 
     def _reference_pose(self, t: Array) -> Pose:
         """Work of `_reference`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -9,17 +10,20 @@ import pytest
 from numpy.testing import assert_allclose
 
 from matching.fourier_textures import shifted_pair
-from motion.strips import PERIOD, given_bands, plain_star, strip_cameras
+from motion.strips import IFOV, PERIOD, given_bands, plain_star, strip_cameras
+from sightline.geometry.instrument import LineDetector
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
 from sightline.imaging.source import ArrayImage
 from sightline.matching.matches import KEPT, LOW_SCORE, MASKED, OUTLIER, OUTSIDE
+from sightline.motion.band import Band
 from sightline.motion.measure.common_view import partners_of
 from sightline.motion.measure.predict import turned
 from sightline.motion.measure.stars import (
     END,
     MatchingPlan,
     StarRecord,
+    _rough_columns,
     found_wrong,
     groups_of_pixels,
     hub_windows,
@@ -261,6 +265,65 @@ def test_lines_stand_where_the_pitch_and_the_yaw_of_the_camera_put_them(cameras)
     # +- pitch and yaw at either side; the mean of 17 lines keeps some of it, most at the ends
     want = np.diff(np.outer(nod[8:-8], [0.1 - 0.2, 0.1 + 0.2]), 2, axis=0)[8:-8]
     assert_allclose(np.diff(places, 2, axis=0)[8:-8], want, atol=0.03 * np.abs(want).max())
+
+
+def test_columns_are_rough_where_the_line_of_the_other_camera_steps_between_them(cameras):
+    stages = np.ones(SHAPE[1], dtype=int)
+    stages[11:] = 4
+    other = replace(cameras[1], stages=stages[None, :])
+    assert other.rough_columns.tolist() == [10.0, 11.0]
+
+    def rough(shift, sign=1.0):
+        def mapping(lines, columns):
+            seen = np.where(columns < 300.0, sign * columns + shift, np.nan)
+            return np.stack(np.broadcast_arrays(lines[:, None], seen), axis=-1)
+
+        return _rough_columns(cameras[0], other, mapping, SHAPE).tolist()
+
+    assert rough(0.25) == [9.5, 10.5]
+    assert rough(0.0) == [9.5, 10.5, 11.5]
+    assert rough(20.25, -1.0) == [9.5, 10.5]
+    assert rough(-280.25) == [290.5, 291.5] and rough(-289.5) == []
+
+
+def test_roughness_everywhere_takes_no_table_of_columns_by_columns(cameras):
+    columns = 4000
+    camera = replace(
+        cameras[0],
+        detector=LineDetector.from_ifov("wide", columns, IFOV, PERIOD),
+        stages=1 + np.arange(columns)[None, :] % 2,
+    )
+
+    def mapping(lines, columns):
+        return np.stack(np.broadcast_arrays(lines[:, None], columns + 0.25), axis=-1)
+
+    assert len(camera.rough_columns) == columns
+    tracemalloc.start()
+    got = _rough_columns(cameras[0], camera, mapping, (SHAPE[0], columns))
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert got.tolist() == (np.arange(columns - 1) + 0.5).tolist()
+    assert peak < columns**2 / 4
+
+
+def test_a_step_of_a_finer_partner_moves_a_window_by_the_share_of_its_own_columns(cameras):
+    fine = replace(cameras[0], detector=LineDetector.from_ifov("fine", 4 * SHAPE[1], IFOV / 4, PERIOD))
+    bands = [
+        Band(name, None, camera, 0.0, 0.0, 0.0, shape=shape, pieces=pieces)
+        for name, camera, shape, pieces in (
+            ("coarse", cameras[0], "line", ()),
+            ("fine", fine, "pieces", (500,)),
+        )
+    ]
+    noise = np.random.default_rng(1).normal(100.0, 20.0, (SHAPE[0], 4 * SHAPE[1]))
+    grid = window_grid(SHAPE, (40, 40), 80)
+    found = match_star(
+        [ArrayImage(noise[:, ::4]), ArrayImage(noise)], [cameras[0], fine], Plane(), 0, (1,), grid,
+        band_statics(bands), MatchingPlan((40, 40), 80),
+    )  # fmt: skip
+    # the window of columns 120 to 159 fills 480 to 639 of the partner: 140 beyond, less the mean of all
+    across = found.star.by_static[grid.centres[:, 1] == 139.5, 0, 1, 1]
+    assert_allclose(across, -(140 / 160 - 780 / 1280), atol=1e-4)
 
 
 def test_without_texture_there_is_no_whitening(images, cameras):

@@ -17,7 +17,7 @@ T = np.arange(-100, 500) * PERIOD
 FLAT = Whitening(np.zeros((7, 7)), np.zeros((7, 7)), coherence=np.full((64, 33), 0.5))
 
 
-def found(roll_px, whitening=FLAT, stages=STAGES):
+def found(roll_px, whitening=FLAT, stages=STAGES, finer=1.0):
     """Displacement (G, 2) of windows at rising times of a partner that rolls; the hub stands still."""
     flight = Trajectory.level_flight(680e3, 6800.0, T[0], T[-1])
     detector = LineDetector.from_ifov("PAN", 100, 5e-6, PERIOD)
@@ -31,8 +31,9 @@ def found(roll_px, whitening=FLAT, stages=STAGES):
     t = PERIOD * np.arange(20.0, 380.0, 7.0)
     pixels = np.stack([t / PERIOD, np.full(len(t), 50.0)], axis=1)
     by = np.zeros((len(t), 2, 3), dtype=np.float32)
-    by[:, 1, 0] = 1.0 / 5e-6
-    return t, displacement(cameras, (0, 1), (pixels, pixels), (t, t), (by, by), whitening)
+    by[:, 1, 0] = finer / 5e-6
+    affine = np.tile(finer * np.eye(2), (len(t), 1, 1))
+    return t, displacement(cameras, (0, 1), (pixels, pixels), (t, t), (by, by), affine, whitening)
 
 
 def test_the_shift_is_the_third_moment_of_a_small_motion():
@@ -58,3 +59,10 @@ def test_there_is_none_without_tdi_and_none_is_claimed_without_weights():
 def test_motion_that_the_stages_average_away_is_not_relied_on():
     hidden = 0.5 * np.sin(2.0 * np.pi / (STAGES * PERIOD) * T)
     assert np.abs(found(hidden)[1]).max() < 1e-3
+
+
+def test_the_same_motion_displaces_as_far_on_the_hub_whatever_the_pixels_of_the_partner():
+    roll = 0.3 * np.sin(2.0 * np.pi * 50.0 * T) + 0.2 * np.cos(2.0 * np.pi * 90.0 * T)
+    like = found(roll)[1]
+    assert np.abs(like).max() > 1e-3
+    assert_allclose(found(roll, finer=4.0)[1], like, rtol=1e-6, atol=1e-12)

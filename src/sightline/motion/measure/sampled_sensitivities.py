@@ -33,6 +33,7 @@ def sampled_sensitivities(
     seen: NDArray[np.bool_],
     statics: Sequence[StaticParameter],
     places: Array,
+    width: float | None = None,
 ) -> NDArray[np.float32]:
     """Sensitivities of every window of a grid, (G, 2, 7 + Q) float32.
 
@@ -44,6 +45,8 @@ def sampled_sensitivities(
         Windows whose partner lies inside the other image.
     places : (G, 2)
         px; where the windows lie in the other image.
+    width : float, optional
+        Columns of the other image that a window fills; as many as in the hub unless given.
 
     Notes
     -----
@@ -71,12 +74,13 @@ def sampled_sensitivities(
     ).transpose(1, 0, 2)
     whole = whole.reshape(rows * blocks, 2, -1)
     if len(statics) < len(own) or any(parameter.whole for parameter in own):
-        columns = {image: places[:, 1], hub: grid.centres[:, 1]}
+        other = grid.window[1] if width is None else width
+        columns = {image: (places[:, 1], other), hub: (grid.centres[:, 1], grid.window[1])}
         parts = [whole[..., :7]]
         for parameter in own:
             moved = whole[..., 7 + statics.index(parameter.whole or parameter)]
             if parameter.profile is not None and parameter.images[0] in columns:
-                share = _averaged(parameter.profile, columns[parameter.images[0]], grid.window[1])
+                share = _averaged(parameter.profile, *columns[parameter.images[0]])
                 moved = moved * share[:, None]
             parts.append(moved[..., None])
         whole = np.concatenate(parts, axis=2)

@@ -438,8 +438,10 @@ def match_star(
         return pair_whitening(images[hub], laid[j], points, plan.tiles)
 
     def sensitivity(j: int) -> NDArray[np.float32]:
-        places = predicted[j].b
-        return sampled_sensitivities(cameras, hub, partners[j], surface, grid, seen[j], statics, places)
+        places, width = predicted[j].b, sizes[j][1]
+        return sampled_sensitivities(
+            cameras, hub, partners[j], surface, grid, seen[j], statics, places, width
+        )
 
     whitenings = in_threads(whitening, range(k))
     values = np.stack(in_threads(sensitivity, range(k)), axis=1)
@@ -488,16 +490,17 @@ def match_star(
                 shift, fold.b[good] - fold.a[good], fold.kept[good], grid.centres[good, 0]
             )
             shift, uncertain = shift - folded, uncertain + unknown
-        residual[good, j] = np.einsum("nij,nj->ni", turn, shift)
         if not max(plan.search_px):
-            residual[good, j] -= displacement(
+            shift = shift - displacement(
                 cameras,
                 (hub, partner),
                 (grid.centres[good], predicted[j].b[good]),
                 (exposure_times(cameras[hub], grid.centres[good]), predicted[j].t[good]),
                 (values[good, j, :, 0:3], values[good, j, :, 3:6]),
+                predicted[j].affine[good],
                 whitenings[j],
             )
+        residual[good, j] = np.einsum("nij,nj->ni", turn, shift)
         covariance[good, j] = turn @ uncertain @ np.swapaxes(turn, 1, 2)
         beyond = ~within_image(predicted[j].b, images[partner].shape, sizes[j])
         status[:, j] = np.where(beyond & (matches.status == MASKED), OUTSIDE, matches.status)
@@ -610,9 +613,10 @@ def _rough_columns(
         return own
     columns = np.arange(shape[1], dtype=np.float64)
     seen = mapping(np.linspace(0.0, shape[0] - 1.0, STEP_LINES + 2)[1:-1], columns)[..., 1]
-    with np.errstate(invalid="ignore"):
-        between = [(line[:-1] - c) * (line[1:] - c) <= 0.0 for line in seen for c in other]
-    return np.union1d(own, np.flatnonzero(np.any(between, axis=0)) + 0.5)
+    # whether any of `other`, which rises, lies from one column to the next, both included; none beside NaN
+    low, high = np.minimum(seen[:, :-1], seen[:, 1:]), np.maximum(seen[:, :-1], seen[:, 1:])
+    between = np.searchsorted(other, high, "right") > np.searchsorted(other, low, "left")
+    return np.union1d(own, np.flatnonzero(between.any(axis=0)) + 0.5)
 
 
 def line_places(camera: MovingCamera, surface: Surface) -> Array | None:

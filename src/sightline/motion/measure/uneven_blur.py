@@ -44,9 +44,10 @@ def displacement(
     pixels: tuple[Array, Array],
     t: tuple[Array, Array],
     by: tuple[NDArray[np.float32], NDArray[np.float32]],
+    affine: Array,
     whitening: Whitening | None,
 ) -> Array:
-    """(G, 2) px by which matches of a partner lie beyond where the mean motion has them.
+    """(G, 2) px of the hub by which matches of a partner lie beyond where the mean motion has them.
 
     Parameters
     ----------
@@ -58,6 +59,8 @@ def displacement(
         Centres of the windows in each, and the middle of their exposures; NaN where not seen.
     by : two of (G, 2, 3)
         px/rad; change of the predicted partner with the attitude of each.
+    affine : (G, 2, 2)
+        px/px; change of the predicted partner with the pixel of the hub, where frequencies are of the hub's.
     whitening : Whitening or None
         Says how much each frequency counts; nothing is known without its coherence.
     """
@@ -72,7 +75,7 @@ def displacement(
 
     def values(first: int) -> Array:
         which = seen[first : first + _AT_ONCE]
-        return _of_windows(cameras, pair, pixels, t, by, motions, which, frequency, weight)
+        return _of_windows(cameras, pair, pixels, t, by, affine, motions, which, frequency, weight)
 
     begins = range(0, len(seen), _AT_ONCE)
     for first, part in zip(begins, in_threads(values, begins), strict=True):
@@ -119,6 +122,7 @@ def _of_windows(
     pixels: tuple[Array, Array],
     t: tuple[Array, Array],
     by: tuple[NDArray[np.float32], NDArray[np.float32]],
+    affine: Array,
     motions: Sequence[Motion],
     which: NDArray[np.intp],
     frequency: Array,
@@ -138,7 +142,9 @@ def _of_windows(
         instants = np.clip(t[side][which][:, None] + late, *motion.span)
         angles = motion.at(instants.ravel()).reshape(*instants.shape, 3)
         # the hub shows what lies the other way
-        turn = (-1.0 if side == 0 else 1.0) * by[side][which].astype(np.float64)
+        turn = (-1.0 if side == 0 else 1.0) * np.linalg.solve(
+            affine[which], by[side][which].astype(np.float64)
+        )
         moved = np.einsum("nca,nka->nkc", turn, angles)
         used = (stage < counts[:, None])[:, :, None]
         moved -= (moved * used).sum(axis=1, keepdims=True) / counts[:, None, None]
