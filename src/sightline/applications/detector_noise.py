@@ -37,7 +37,7 @@ from sightline.imaging.noise_estimation import (
     white_noise,
 )
 from sightline.imaging.photon_transfer import Alike
-from sightline.imaging.source import ImageSource
+from sightline.imaging.source import ImageSource, usable_lines
 from sightline.imaging.strip_noise import (
     LawRows,
     NoiseFigure,
@@ -580,10 +580,7 @@ def chunks_of(image: ImageSource) -> Iterator[tuple[int, Array]]:
     size = max(AT_ONCE // image.shape[1], 2 * BLOCK + 2 * ORDER)
     for number, part in enumerate(_ranges(image)):
         for first in range(part.start, part.stop, size):
-            window = (first, min(first + size, part.stop)), (0, image.shape[1])
-            values = image.read(*window).astype(np.float64)
-            unusable = image.mask(*window)
-            yield number, values if unusable is None else np.where(unusable, np.nan, values)
+            yield number, usable_lines(image, first, min(first + size, part.stop))
 
 
 def _means_and_blocks(chunks: Iterable[tuple[int, Array]], step: float, columns: int) -> tuple[Array, Blocks]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -55,17 +56,23 @@ SAME_SCENE = 25.0
 MOST_UNEVEN = 0.25
 
 
-@dataclass(frozen=True)
-class _Level:
+class FrameLevel(NamedTuple):
     """Mean of a frame and how far one of the same exposure may be, DN."""
 
     mean: float
     sigma: float
 
 
+class EvenExposures(NamedTuple):
+    """Which frames show the same exposure, and the level of every frame."""
+
+    groups: list[list[int]]
+    levels: list[FrameLevel]
+
+
 def even_exposures(
     names: Sequence[str], images: Sequence[ImageSource], dark: Sequence[ImageSource], dark_level: float | None
-) -> list[list[int]] | None:
+) -> EvenExposures | None:
     """Which frames show the same exposure; None where no two do: then they are scenes.
 
     Frames of one exposure are of one size, have one mean within what noise and a lamp's drift allow, and
@@ -95,13 +102,15 @@ def even_exposures(
     drift = DRIFT * np.abs(means - rest)
     groups = same_exposure(means, drift + SIGMAS * np.array([one.sigma for one in levels]))
     shared = [group for group in groups if len(group) > 1]
-    return groups if any(_differ_by_noise(images[a], images[b]) for a, b, *_ in shared) else None
+    if not any(_differ_by_noise(images[a], images[b]) for a, b, *_ in shared):
+        return None
+    return EvenExposures(groups, levels)
 
 
 def photon_transfer(
     names: Sequence[str],
     images: Sequence[ImageSource],
-    groups: Sequence[Sequence[int]],
+    even: EvenExposures,
     dark: Sequence[ImageSource],
     dark_level: float | None,
     report: Progress,
@@ -115,8 +124,8 @@ def photon_transfer(
     ----------
     names : sequence of str
     images : sequence of ImageSource
-    groups : sequence of sequences of int
-        Those that show the same exposure (`even_exposures`).
+    even : EvenExposures
+        Of `even_exposures`: those that show the same exposure.
     dark : sequence of ImageSource
         As many as `images`, each the one of its exposure, or any number, common to all.
     dark_level : float or None
@@ -133,18 +142,17 @@ def photon_transfer(
     EstimationError
         If no exposure is left that is not cut off, or the noise does not grow with the signal.
     """
-    shape = images[0].shape
+    shape, (groups, levels) = images[0].shape, even
     for number, frame in enumerate(dark):
         if frame.shape != shape:
             raise InputError(
                 f"--dark number {number + 1} has {frame.shape[0]} lines x {frame.shape[1]} columns, frames "
                 f"with light {shape[0]} x {shape[1]}; give frames of one size"
             )
-    looks, levels = [], []
+    looks = []
     for number, image in enumerate(images):
         report("looking through frames", number, len(images))
         looks.append(_look(image))
-        levels.append(_level(image))
     means = np.array([one.mean for one in levels])
     uncut = CLIPPED_SHARE * shape[0] * shape[1]
     whole = [one for one in looks if one.cut <= uncut]
@@ -571,7 +579,7 @@ def _ends(looks: Sequence[PixelValues], means: Array) -> tuple[float, float]:
     return (low if low < means.min() else -np.inf), (high if high > means.max() else np.inf)
 
 
-def _level(image: ImageSource) -> _Level:
+def _level(image: ImageSource) -> FrameLevel:
     """Mean of a frame, and what rows that jump together leave in it."""
     sums, counts = [], []
     for _, values in chunks_of(image):
@@ -580,9 +588,9 @@ def _level(image: ImageSource) -> _Level:
         sums.append(np.where(known, values, 0.0).sum(axis=1))
     total, count = np.concatenate(sums), np.concatenate(counts)
     if not count.sum():
-        return _Level(np.nan, np.nan)
+        return FrameLevel(np.nan, np.nan)
     rows = total[count > 0] / count[count > 0]
-    return _Level(float(total.sum() / count.sum()), float(rows.std()) / np.sqrt(len(rows)))
+    return FrameLevel(float(total.sum() / count.sum()), float(rows.std()) / np.sqrt(len(rows)))
 
 
 def _differ_by_noise(one: ImageSource, other: ImageSource) -> bool:

@@ -184,12 +184,12 @@ def _of_plain(
     sources = [open_image(path) for path in raw]
     without = [open_image(path) for path in dark]
     names = [path.name for path in raw]
-    groups = even_exposures(names, sources, without, dark_level)
-    if groups is not None:
+    even = even_exposures(names, sources, without, dark_level)
+    if even is not None:
         return photon_transfer(
             names,
             sources,
-            groups,
+            even,
             without,
             dark_level,
             report,

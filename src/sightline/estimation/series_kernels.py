@@ -19,6 +19,17 @@ REDUNDANT = 1e-6
 
 
 @njit(cache=True, nogil=True)
+def share_of_instant(away, window, tdi):  # type: ignore[no-untyped-def]
+    """What an instant `away` (s) from the middle counts in a mean over `window` of means over `tdi` (s).
+
+    A trapezium: 1 where it is flat; to be divided by its sum. Instants beyond its ends are none.
+    """
+    if away <= 0.5 * abs(window - tdi):
+        return 1.0
+    return (0.5 * (window + tdi) - away) / min(window, tdi)
+
+
+@njit(cache=True, nogil=True)
 def _window_weights(t, window, tdi, start, step, count, support, weights):  # type: ignore[no-untyped-def]
     """Interpolation weights at `t` averaged over `window`, into `weights`; returns the first node.
 
@@ -30,17 +41,16 @@ def _window_weights(t, window, tdi, start, step, count, support, weights):  # ty
         weights[k] = 0.0
     whole = window + tdi
     points = 1 if whole <= 0.0 else 2 + 2 * math.ceil(whole / step)
-    flat, least, total = 0.5 * abs(window - tdi), min(window, tdi), 0.0
+    total = 0.0
     if tdi > 0.0:
         points *= 2
         for p in range(points):
-            away = abs(whole * ((p + 0.5) / points - 0.5))
-            total += 1.0 if away <= flat else (0.5 * whole - away) / least
+            total += share_of_instant(abs(whole * ((p + 0.5) / points - 0.5)), window, tdi)
     for p in range(points):
         offset = whole * ((p + 0.5) / points - 0.5)
         share = 1.0 / points
         if tdi > 0.0:
-            share = (1.0 if abs(offset) <= flat else (0.5 * whole - abs(offset)) / least) / total
+            share = share_of_instant(abs(offset), window, tdi) / total
         x = (t + offset - start) / step
         nearest = math.floor(x + 0.5)
         if abs(x - nearest) < 1e-6:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import EstimationError
 from sightline.imaging.noise_estimation import PARTS, Estimate, LawFit, fit_law
-from sightline.imaging.source import ImageSource
+from sightline.imaging.source import ImageSource, usable_lines
 
 Array = NDArray[np.float64]
 
@@ -116,7 +116,7 @@ def measure_stack(
         differences = []
         previous = None
         for number, frame in enumerate(frames):
-            values = _window(frame, here)
+            values = usable_lines(frame, here.start, here.stop)
             good &= np.isfinite(values) & (values > low) & (values < high)
             values = np.nan_to_num(values - means[number])
             summed += values
@@ -214,14 +214,6 @@ def with_noise_of(whole: Stack, parts: Sequence[Stack]) -> Stack:
 def _corners(values: Array) -> Array:
     """Mixed differences of neighbours: no row, no column and no shading is left in them."""
     return values[1:, 1:] - values[1:, :-1] - values[:-1, 1:] + values[:-1, :-1]
-
-
-def _window(frame: ImageSource, lines: slice) -> Array:
-    """Whole lines; NaN where not to be used."""
-    window = (lines.start, lines.stop), (0, frame.shape[1])
-    values = frame.read(*window).astype(np.float64)
-    unusable = frame.mask(*window)
-    return values if unusable is None else np.where(unusable, np.nan, values)
 
 
 def _of_mean(values: Array) -> float:

@@ -163,6 +163,14 @@ class MaskedImage:
         return more if own is None else own | more
 
 
+def usable_lines(image: ImageSource, first: int, last: int) -> NDArray[np.float64]:
+    """Whole lines [first, last) as float64; NaN where not to be used."""
+    window = (first, last), (0, image.shape[1])
+    values = image.read(*window).astype(np.float64)
+    unusable = image.mask(*window)
+    return values if unusable is None else np.where(unusable, np.nan, values)
+
+
 def read_padded(
     image: ImageSource, lines: tuple[int, int], columns: tuple[int, int]
 ) -> tuple[NDArray[np.float32], NDArray[np.bool_] | None]:

@@ -427,7 +427,12 @@ def match_star(
         laid_on(images, cameras if one else blurred, surface, hub, partner)
         for partner, one in zip(partners, finer, strict=True)
     ]
-    finest = None if max(plan.search_px) else finest_view(cameras, surface, hub, grid)
+    searched = max(plan.search_px) > 0
+    finest = None if searched else finest_view(cameras, surface, hub, grid)
+    shown = list(images)  # as the finest shows the ground to coarse pixels
+    if finest is not None:
+        for image in (hub, *(partner for partner, one in zip(partners, finer, strict=True) if not one)):
+            shown[image] = laid_on(images, cameras, surface, image, finest)
 
     def whitening(j: int) -> Whitening | None:
         if plan.similarity != "whitened":
@@ -474,7 +479,7 @@ def match_star(
         matches = matched(laid[j], step=blocks)
         good = matches.kept & np.isfinite(values[:, j]).all(axis=(1, 2)) & seen[j]
         turn = predicted[j].affine[good]
-        if finer[j] and not max(plan.search_px):
+        if finer[j] and not searched:
             moved = [
                 matched(laid_on(images, cameras, surface, hub, partner, moved=(line, column)))
                 for line, column in ((RESPONSE_STEP, 0.0), (0.0, RESPONSE_STEP))
@@ -482,15 +487,12 @@ def match_star(
             turn = turn @ np.linalg.inv(response(matches, moved)[good])
         shift, uncertain = matches.b[good] - grid.centres[good], matches.covariance_px[good]
         if finest is not None and not finer[j]:
-            shown = list(images)
-            for image in (hub, partner):
-                shown[image] = laid_on(images, cameras, surface, image, finest)
             fold = matched(laid_on(shown, blurred, surface, hub, partner), own=shown[hub])
             folded, unknown = folding(
                 shift, fold.b[good] - fold.a[good], fold.kept[good], grid.centres[good, 0]
             )
             shift, uncertain = shift - folded, uncertain + unknown
-        if not max(plan.search_px):
+        if not searched:
             shift = shift - displacement(
                 cameras,
                 (hub, partner),
@@ -757,9 +759,8 @@ def _duration(camera: MovingCamera, grid: WindowGrid, *, exposed: bool) -> tuple
     ends = exposure_times(camera, np.array([[0.0, 0.0], [camera.lines - 1.0, 0.0]]))
     period = (ends[1] - ends[0]) / max(camera.lines - 1, 1)
     lines = grid.window[0]
-    if camera.stages is not None and exposed:
-        spread = math.sqrt(lines**2 - 1.0)
-        return float(period * spread), float(period * (math.sqrt(lines**2 - 1.0 + NEIGHBOURS) - spread))
-    if not exposed:
-        return float(period * math.sqrt(lines**2 - 1.0)), 0.0
-    return float(period * lines), float(period * (math.sqrt(lines**2 + NEIGHBOURS) - lines))
+    # the exposure of TDI is averaged over beside the window
+    square = lines**2 - (0.0 if exposed and camera.stages is None else 1.0)
+    spread = math.sqrt(square)
+    stretch = math.sqrt(square + NEIGHBOURS) - spread if exposed else 0.0
+    return float(period * spread), float(period * stretch)

@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from sightline.compiled import njit
 from sightline.estimation.banded import band_times
+from sightline.estimation.series_kernels import share_of_instant
 from sightline.execution import in_threads
 from sightline.motion.measure.observations import Star
 
@@ -91,15 +92,13 @@ def _window_weights(t, duration, tdi, start, step, count, support, weights):  # 
     for k in range(support):
         weights[k] = 0.0
     if tdi > 0.0:
-        whole, flat = duration + tdi, 0.5 * abs(duration - tdi)
-        least = min(duration, tdi)
+        whole = duration + tdi
         points, total = 2 + int(math.ceil(2.0 * whole / step)), 0.0
         for p in range(points):
-            away = abs(whole * ((p + 0.5) / points - 0.5))
-            total += 1.0 if away <= flat else (half - away) / least
+            total += share_of_instant(abs(whole * ((p + 0.5) / points - 0.5)), duration, tdi)
         for p in range(points):
             offset = whole * ((p + 0.5) / points - 0.5)
-            share = (1.0 if abs(offset) <= flat else (half - abs(offset)) / least) / total
+            share = share_of_instant(abs(offset), duration, tdi) / total
             x = (t + offset - start) / step
             node = min(max(int(math.floor(x)) - 1, first), first + support - 4)
             u = x - node

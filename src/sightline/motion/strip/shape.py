@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.estimation.robust import robust_sigmas
 from sightline.matching.matches import KEPT
 from sightline.motion.band import Band
 from sightline.motion.measure.predict import MovingCamera, predict_match
@@ -154,8 +155,7 @@ def _beside_rows(record: StarRecord, residual: Array, pair: int) -> _BesideRows 
         if not ok.any():
             return None
         left = r - _row_lines(r, ok, u)
-        size = 1.4826 * np.median(np.abs(left[ok]), axis=0)
-        ok &= (np.abs(left) <= FAR * size).all(axis=2)
+        ok &= (np.abs(left) <= FAR * robust_sigmas(left[ok], 0)).all(axis=2)
     used = ok.any(axis=1)
     if used.sum() < FEW_ROWS or (ok.sum(axis=0) < FEW_ROWS).any():
         return None
