@@ -181,15 +181,21 @@ def spoiled(isds, tmp_path, change) -> str:
 
 def test_a_distortion_that_is_not_read_is_refused_by_name(isds, tmp_path):
     def change(data):
-        data["optical_distortion"] = {"transverse": {"x": [0.0], "y": [0.0]}}
+        data["optical_distortion"] = {"legendre": {"x_coefficients": [0.0], "y_coefficients": [0.0]}}
 
     said = spoiled(isds, tmp_path, change)
-    assert "optical_distortion 'transverse' is not read; radial, lrolrocnac or none are" in said
+    assert "optical_distortion 'legendre' is not read: the file holds neither the half widths" in said
+    assert (
+        "; radial, transverse, kaguyalism, dawnfc, lrolrocnac, cahvor, radtan, themisir or none are" in said
+    )
 
 
 def test_another_sensor_model_is_refused_by_name(isds, tmp_path):
     said = spoiled(isds, tmp_path, lambda data: data.update(name_model="USGS_ASTRO_FRAME_SENSOR_MODEL"))
-    assert "is of model 'USGS_ASTRO_FRAME_SENSOR_MODEL'; USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL is read" in said
+    assert (
+        "is of model 'USGS_ASTRO_FRAME_SENSOR_MODEL'; USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL is read here"
+        in said
+    )
 
 
 def test_a_missing_key_of_the_model_is_named(isds, tmp_path):

@@ -198,6 +198,8 @@ class InputFolder:
         """Start with the TOML file itself."""
         self.toml = toml
         self.used: list[Path] = [toml]
+        #: What the files leave open, as they say when they are read.
+        self.doubts: list[str] = []
         self._keys_of: dict[str, list[str]] = {}
         self._place_of: dict[Path, str] = {}
         if config is not None:

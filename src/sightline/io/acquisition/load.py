@@ -140,6 +140,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         inputs=tuple(files.used),
         assumed=assumed_ground(config.surface),
         doubts=(
+            *dict.fromkeys(files.doubts),
             *look_doubts(config, cameras, names, surface),
             *sensor_doubts(sensors, (float(exposed.min()), float(exposed.max()))),
         ),

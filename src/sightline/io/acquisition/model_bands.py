@@ -52,6 +52,7 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
         _refuse_own_geometry(config, band, where)
         model = read_line_scan_model(files(name), reference)
         reference = model.reference_et
+        files.doubts += model.doubts
         image = open_band_image(band, files, look=look)
         if image.shape != model.camera.shape:
             raise FormatError(

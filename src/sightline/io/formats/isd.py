@@ -1,47 +1,49 @@
 """USGS CSM line-scan sensor models → PushbroomCamera: image support data (ISD) and model states.
 
 An ISD holds positions and attitudes in J2000 and the rotation of the body; a model state holds
-them in body-fixed axes already. Both describe the focal plane by an affine map to detector
-pixels and a distortion.
+them in body-fixed axes already. Both are evaluated at the time of every line as the library ``usgscsm`` and
+ALE, which write them, do: attitudes of an ISD by slerp, positions through their velocities, both of a state
+by Lagrange's polynomial through the eight nearest.
 
-Read: distortion "radial" (three coefficients), "lrolrocnac" (one), or none. Others are refused.
-Not here: frame cameras and writing.
+Not here: the focal plane and its distortion (``focal_plane.py``), frame cameras (``isd_frame.py``), writing.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation, Slerp
 
-from sightline.access import read_json
-from sightline.errors import FormatError, reads
+from sightline.errors import FormatError, InputError, reads
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.instrument import LineDetector
+from sightline.geometry.interpolation import interpolate, interpolate_hermite
 from sightline.geometry.pointing import FixedMount
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.trajectory import Trajectory
+from sightline.io.formats.csm_keys import LINE_SCANNER, CsmKeys, read_keys
+from sightline.io.formats.focal_plane import FocalPlane, isd_plane, state_plane
 
 Array = NDArray[np.float64]
 
-#: The sensor model whose files are read.
-MODEL_NAME = "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
-#: Names of the distortions in ISDs, with their number of coefficients.
-DISTORTIONS = {"radial": 3, "lrolrocnac": 1}
-#: Numbers of the distortions in model states (others are refused).
-STATE_DISTORTIONS = {0: "radial", 4: "lrolrocnac"}
 #: Lines and samples beyond which a file is damaged: no line scanner makes such images.
-_MOST_LINES, _MOST_SAMPLES = 10_000_000, 1_000_000
-#: m in the units of ISDs.
-_UNITS = {"km": 1e3, "m": 1.0}
+_MOST_LINES, _MOST_SAMPLES = 4_000_000, 1_000_000
+#: Steps of a table by which positions and attitudes are continued beyond its ends, where lines lie there.
+MOST_STEPS = 2.0
+#: Lines beyond the image at whose times the trajectory is known too, where the tables reach there.
+_MARGIN_LINES = 16
+#: Line periods within which an instant of a table and the time of a line are one.
+_SAME = 1e-3
+#: Share of the way between two positions by which velocities may disagree with them and still be used.
+_AGREE = 0.01
 #: Lists of a model state that hold rows one after the other, and the length of these.
 _FLAT = (("m_positions", 3), ("m_velocities", 3), ("m_quaternions", 4))
-#: Stands for no default.
-_NEEDED = object()
+#: Nodes of the polynomial by which a state is interpolated, and those where its table holds few quaternions.
+_LAGRANGE, _FEW, _LAGRANGE_OF_FEW = 8, 6, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,60 +58,77 @@ class LineScanModel:
         m; equatorial and polar radius of the body.
     reference_et : float
         s past J2000 (TDB), the instant t = 0.
+    doubts : tuple of str
+        What the file leaves open, and what was done about it.
     """
 
     camera: PushbroomCamera
     radii: tuple[float, float]
     reference_et: float
+    doubts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
-class _FocalPlane:
-    """Where detector pixels lie behind the lens (mm), after CSM."""
+class _Timing:
+    """Size of the image and when its lines are exposed; times in s from the centre of the image."""
 
-    focal_length: float
-    pixel_from_x: tuple[Array, Array]
-    centre: tuple[float, float]
-    starting: tuple[float, float]
-    sample_summing: float
-    distortion: str
-    coefficients: Array
+    lines: int
+    samples: int
+    rates: Array
+    centre_et: float
+    radii: tuple[float, float]
 
-    def directions(self, samples: int) -> Array:
-        """(samples, 3) looking directions of image columns 0, 1, ... in sensor axes, z = 1.
+    def line_times(self) -> Array:
+        """(lines,) s from the centre time; centre of exposure.
 
-        CSM counts the centre of the first image pixel as 0.5; the detector line of a line scanner is the
-        starting one, and its origin and affine lead to the focal plane.
+        Rows of the rate table: line at which it begins to hold (0.5 is the begin of the first), time of that
+        from the centre, s from each line to the next.
         """
-        sample = (np.arange(samples) + 0.5) * self.sample_summing + self.starting[1] - self.centre[1]
-        line = np.full(samples, self.starting[0] - self.centre[0])
-        by_line, by_sample = self.pixel_from_x
-        matrix = np.array([by_line[1:], by_sample[1:]])
-        x, y = np.linalg.solve(matrix, np.stack([line - by_line[0], sample - by_sample[0]]))
-        x, y = self._undistorted(x, y)
-        return np.column_stack([x / self.focal_length, y / self.focal_length, np.ones(samples)])
-
-    def _undistorted(self, x: Array, y: Array) -> tuple[Array, Array]:
-        """Focal-plane coordinates (mm) without the lens' distortion."""
-        k = self.coefficients
-        if self.distortion == "radial":
-            r2 = x**2 + y**2
-            shrink = 1.0 - (k[0] + r2 * (k[1] + r2 * k[2]))
-            return x * shrink, y * shrink
-        if self.distortion == "lrolrocnac":
-            return x, y / (1.0 + k[0] * y**2)
-        return x, y
+        line = np.arange(self.lines) + 0.5
+        row = np.clip(np.searchsorted(self.rates[:, 0], line, side="right") - 1, 0, None)
+        first, start, period = self.rates[row].T
+        return np.asarray(start + period * (line - first + 0.5))
 
 
 @dataclass(frozen=True, eq=False)
 class _Motion:
-    """Positions and attitudes in body-fixed axes; times in s past J2000."""
+    """Where the sensor is and how it is turned, body-fixed, at any time (s from the centre of the image)."""
 
-    t_position: Array
-    position: Array
-    velocity: Array
-    t_attitude: Array
-    world_from_sensor: Rotation
+    nodes: Array
+    position: Callable[[Array], Array]
+    world_from_sensor: Callable[[Array], Rotation]
+
+
+@dataclass(frozen=True, eq=False)
+class _Table:
+    """Instants (s from the centre of the image) of a table of the file, under its name."""
+
+    name: str
+    t: Array
+
+    def check(self, data: CsmKeys, line_times: Array) -> str | None:
+        """What is said where lines lie up to two steps beyond it; more are refused."""
+        first, last = float(line_times[0]), float(line_times[-1])
+        early, late = self.t[0] - first, last - self.t[-1]
+        if max(early, late) <= 0.0:
+            return None
+        if len(self.t) < 2:
+            raise data.refused(self.name, "has one instant; the lines take more, so two or more are needed")
+        words = []
+        for beyond, step, which in (
+            (early, self.t[1] - self.t[0], "begins {} s after the first line"),
+            (late, self.t[-1] - self.t[-2], "ends {} s before the last line"),
+        ):
+            if beyond > MOST_STEPS * step:
+                raise data.refused(
+                    self.name,
+                    f"{which.format(f'{beyond:.6g}')}, {beyond / step:.3g} of its steps of {step:.6g} s; "
+                    f"lines are exposed from {first:.6f} to {last:.6f} s after the centre of the image, the "
+                    f"table holds {self.t[0]:.6f} to {self.t[-1]:.6f} s; {MOST_STEPS:g} steps are continued",
+                )
+            if beyond > 0.0:
+                words.append(f"{which.format(f'{beyond:.4g}')} ({beyond / step:.2g} steps)")
+        return f"{self.name} {' and '.join(words)}: continued evenly"
 
 
 @reads("a line-scan sensor model")
@@ -119,7 +138,7 @@ def read_line_scan_model(path: Path, reference_et: float | None = None) -> LineS
     Parameters
     ----------
     path : Path
-        JSON; a model state may be preceded by a line with the model's name.
+        JSON; a model state may be preceded by a line with the model's name, as in the adjusted states of ASP.
     reference_et : float, optional
         s past J2000 that become t = 0; the start of the image if not given.
 
@@ -137,281 +156,202 @@ def read_line_scan_model(path: Path, reference_et: float | None = None) -> LineS
     Body axes are chosen by what the sensor does: z along its boresight, x across its row of pixels to
     the side it flies. Columns may then increase to the left or to the right.
     """
-    data = _Keys(path, _load(path))
-    if any(key.startswith("m_") for key in data.values):
-        return _assemble(
-            _state_motion(data, path), _state_plane(data, path), _state_timing(data), reference_et
-        )
-    return _assemble(_isd_motion(data, path), _isd_plane(data, path), _isd_timing(data), reference_et)
+    data = read_keys(path, LINE_SCANNER)
+    timing = (_state_timing if data.is_state else _isd_timing)(data)
+    plane = (state_plane if data.is_state else isd_plane)(data)
+    motion, doubts = (_state_motion if data.is_state else _isd_motion)(data, timing)
+    return _assemble(motion, plane, timing, reference_et, doubts)
 
 
-def _load(path: Path) -> dict[str, Any]:
-    """The JSON of the file, checked to be of our model."""
-    data = read_json(path, "an ISD or model state", advice="check the name in the TOML file", before="{")
-    name = data.get("name_model", data.get("m_modelName")) if isinstance(data, dict) else None
-    if name != MODEL_NAME:
-        raise FormatError(f"{path}: is of model {name!r}; {MODEL_NAME} is read")
-    return dict(data)
-
-
-@dataclass(frozen=True, eq=False)
-class _Keys:
-    """The values of the file, by names of keys with a dot between a table and its key."""
-
-    path: Path
-    values: dict[str, Any]
-
-    def refused(self, key: str, why: str) -> FormatError:
-        """The error of a key that is not as it should be."""
-        return FormatError(
-            f"{self.path}: the key {key!r} {why}; a line-scan ISD or model state of {MODEL_NAME} is expected"
-        )
-
-    def value(self, key: str, default: Any = _NEEDED) -> Any:
-        """What a key holds."""
-        inner: Any = self.values
-        names = key.split(".")
-        for depth, name in enumerate(names, 1):
-            if not isinstance(inner, dict) or name not in inner:
-                if default is _NEEDED:
-                    raise self.refused(".".join(names[:depth]), "is missing")
-                return default
-            inner = inner[name]
-        return inner
-
-    def array(self, key: str, *shape: int) -> Array:
-        """Finite numbers of a shape; -1 stands for any length of 1 or more."""
-        try:
-            array = np.array(self.value(key), dtype=np.float64)
-        except (TypeError, ValueError, OverflowError):
-            raise self.refused(key, "does not hold numbers, as many in every row") from None
-        if not np.isfinite(array).all():
-            raise self.refused(key, "holds what is no finite number")
-        fits = len(array.shape) == len(shape) and all(
-            size == want or (want < 0 and size > 0) for size, want in zip(array.shape, shape, strict=True)
-        )
-        if not fits:
-            wanted = " x ".join("n" if want < 0 else str(want) for want in shape) or "one number"
-            raise self.refused(key, f"is of shape {list(array.shape)}, not {wanted}")
-        return array
-
-    def number(self, key: str) -> float:
-        """A finite number."""
-        return float(self.array(key))
-
-    def positive(self, key: str) -> float:
-        """A number above 0."""
-        number = self.number(key)
-        if number <= 0.0:
-            raise self.refused(key, f"is {number:g}, not above 0")
-        return number
-
-    def count(self, key: str, least: int, most: int) -> int:
-        """A whole number."""
-        number = self.number(key)
-        if number != round(number) or not least <= number <= most:
-            raise self.refused(key, f"is {number:g}, no whole number from {least} to {most:,}")
-        return int(number)
-
-    def times(self, key: str) -> Array:
-        """Instants (n,) s that increase."""
-        t = self.array(key, -1)
-        if (np.diff(t) <= 0.0).any():
-            raise self.refused(key, "does not increase")
-        return t
-
-    def rows(self, table: str, key: str, width: int, times: Array) -> Array:
-        """Rows of a table, one for each of its instants."""
-        rows = self.array(f"{table}.{key}", -1, width)
-        if len(rows) != len(times):
-            raise self.refused(
-                f"{table}.{key}", f"has {len(rows)} rows, {table}.ephemeris_times {len(times)}"
-            )
-        return rows
-
-
-@dataclass(frozen=True, eq=False)
-class _Timing:
-    """Size of the image and when its lines are exposed; radii of the body."""
-
-    lines: int
-    samples: int
-    rates: Array
-    centre_et: float
-    radii: tuple[float, float]
-
-    def line_times(self) -> Array:
-        """(lines,) s past J2000; centre of exposure.
-
-        Rows of the rate table: first line (0.5 is the first), start relative to the centre time, period.
-        """
-        line = np.arange(self.lines) + 0.5
-        row = np.clip(np.searchsorted(self.rates[:, 0], line, side="right") - 1, 0, None)
-        first, start, period = self.rates[row].T
-        return np.asarray(self.centre_et + start + period * (line - first + 0.5))
-
-
-def _isd_timing(data: _Keys) -> _Timing:
+def _isd_timing(data: CsmKeys) -> _Timing:
     """Timing of an ISD."""
-    unit = _metres(data, "radii.unit")
-    return _Timing(
-        data.count("image_lines", 2, _MOST_LINES),
-        data.count("image_samples", 2, _MOST_SAMPLES),
-        data.array("line_scan_rate", -1, 3),
-        data.number("center_ephemeris_time"),
-        (data.positive("radii.semimajor") * unit, data.positive("radii.semiminor") * unit),
+    unit = data.metres("radii.unit")
+    return _checked(
+        data,
+        "line_scan_rate",
+        _Timing(
+            data.count("image_lines", 1, _MOST_LINES),
+            data.count("image_samples", 1, _MOST_SAMPLES),
+            data.array("line_scan_rate", -1, 3),
+            data.number("center_ephemeris_time"),
+            (data.positive("radii.semimajor") * unit, data.positive("radii.semiminor") * unit),
+        ),
     )
 
 
-def _state_timing(data: _Keys) -> _Timing:
+def _state_timing(data: CsmKeys) -> _Timing:
     """Timing of a model state."""
     lines = data.array("m_intTimeLines", -1)
     rates = [data.array(key, len(lines)) for key in ("m_intTimeStartTimes", "m_intTimes")]
-    return _Timing(
-        data.count("m_nLines", 2, _MOST_LINES),
-        data.count("m_nSamples", 2, _MOST_SAMPLES),
-        np.column_stack([lines, *rates]),
-        data.number("m_centerEphemerisTime"),
-        (data.positive("m_majorAxis"), data.positive("m_minorAxis")),
+    return _checked(
+        data,
+        "m_intTimes",
+        _Timing(
+            data.count("m_nLines", 1, _MOST_LINES),
+            data.count("m_nSamples", 1, _MOST_SAMPLES),
+            np.column_stack([lines, *rates]),
+            data.number("m_centerEphemerisTime"),
+            (data.positive("m_majorAxis"), data.positive("m_minorAxis")),
+        ),
     )
 
 
-def _metres(data: _Keys, key: str) -> float:
-    """Metres in the unit of length that a key names."""
-    unit = data.value(key, "km")
-    if not isinstance(unit, str) or unit.lower() not in _UNITS:
-        raise data.refused(key, f"is {str(unit)[:40]!r}, none of {', '.join(_UNITS)}")
-    return _UNITS[unit.lower()]
-
-
-def _isd_plane(data: _Keys, path: Path) -> _FocalPlane:
-    """Focal plane of an ISD."""
-    distortion = data.value("optical_distortion", None) or {}
-    if not isinstance(distortion, dict):
-        raise data.refused("optical_distortion", "is no table")
-    name = next(iter(distortion), "none")
-    if name != "none" and name not in DISTORTIONS:
-        raise FormatError(
-            f"{path}: optical_distortion {name!r} is not read; {', '.join(DISTORTIONS)} or none are"
+def _checked(data: CsmKeys, key: str, timing: _Timing) -> _Timing:
+    """The same timing; refused where there is no pair of columns, or lines do not follow one another."""
+    if timing.samples < 2:
+        raise data.refused(
+            "m_nSamples" if data.is_state else "image_samples",
+            "is 1: the image is one column, which shows no pixel beside another; two or more are needed",
         )
-    coefficients = np.empty(0)
-    if name != "none":
-        coefficients = _coefficients(data, f"optical_distortion.{name}.coefficients")
-    _check_coefficients(path, name, coefficients)
-    return _FocalPlane(
-        data.positive("focal_length_model.focal_length"),
-        (data.array("focal2pixel_lines", 3), data.array("focal2pixel_samples", 3)),
-        (data.number("detector_center.line"), data.number("detector_center.sample")),
-        (data.number("starting_detector_line"), data.number("starting_detector_sample")),
-        data.positive("detector_sample_summing"),
-        name,
-        coefficients,
-    )
+    first, _, period = timing.rates.T
+    if (period <= 0.0).any():
+        row = int(np.argmax(period <= 0.0))
+        raise data.refused(key, f"gives {period[row]:.6g} s from line to line in row {row + 1}, not above 0")
+    if (np.diff(first) <= 0.0).any():
+        raise data.refused(key, "gives lines that do not increase from row to row")
+    if (np.diff(timing.line_times()) <= 0.0).any():
+        raise data.refused(key, "gives times at which a line is exposed before the one that precedes it")
+    return timing
 
 
-def _coefficients(data: _Keys, key: str) -> Array:
-    """A number or a list of them, which may be empty."""
-    given = data.value(key)
-    if isinstance(given, list):
-        return data.array(key, len(given))
-    return np.atleast_1d(data.array(key))
+def _turning(data: CsmKeys, name: str, centre_et: float) -> tuple[_Table | None, Callable[[Array], Rotation]]:
+    """Instants and rotation at any time of an ISD's table: slerp between quaternions, then the constant part.
 
-
-def _state_plane(data: _Keys, path: Path) -> _FocalPlane:
-    """Focal plane of a model state."""
-    number = data.count("m_distortionType", 0, 1000)
-    if number not in STATE_DISTORTIONS:
-        raise FormatError(
-            f"{path}: m_distortionType {number} is not read; "
-            f"{', '.join(f'{n} ({name})' for n, name in STATE_DISTORTIONS.items())} are"
-        )
-    coefficients = _coefficients(data, "m_opticalDistCoeffs")
-    _check_coefficients(path, STATE_DISTORTIONS[number], coefficients)
-    adjusted = data.value("m_currentParameterValue", None) is not None
-    if adjusted and _coefficients(data, "m_currentParameterValue").any():
-        raise FormatError(
-            f"{path}: m_currentParameterValue holds adjustments, which are not read; apply them first"
-        )
-    return _FocalPlane(
-        data.positive("m_focalLength"),
-        (data.array("m_iTransL", 3), data.array("m_iTransS", 3)),
-        (data.number("m_detectorLineOrigin"), data.number("m_detectorSampleOrigin")),
-        (data.number("m_startingDetectorLine"), data.number("m_startingDetectorSample")),
-        data.positive("m_detectorSampleSumming"),
-        STATE_DISTORTIONS[number],
-        coefficients,
-    )
-
-
-def _check_coefficients(path: Path, name: str, coefficients: Array) -> None:
-    """A distortion must have its number of coefficients."""
-    if len(coefficients) != DISTORTIONS.get(name, 0):
-        raise FormatError(
-            f"{path}: distortion {name!r} has {len(coefficients)} coefficients; {DISTORTIONS.get(name, 0)} "
-            f"are expected"
-        )
-
-
-def _scalar_first(data: _Keys, name: str, times: Array) -> Rotation:
-    """Rotations of an ISD's table: scalar-first quaternions, then the constant rotation."""
-    quaternions = data.rows(name, "quaternions", 4, times)
+    Without quaternions, or with one, it is constant. Beyond the ends it turns on as between the last two.
+    """
+    constant = Rotation.identity()
+    if data.has(f"{name}.constant_rotation"):
+        constant = Rotation.from_matrix(data.array(f"{name}.constant_rotation", 9).reshape(3, 3))
+    if not data.has(f"{name}.quaternions") and data.has(f"{name}.constant_rotation"):
+        return None, lambda t: constant * Rotation.from_matrix(np.tile(np.eye(3), (len(t), 1, 1)))
+    t = data.times(f"{name}.ephemeris_times") - centre_et
+    quaternions = data.rows(name, "quaternions", 4, t)
     if (np.linalg.norm(quaternions, axis=1) == 0.0).any():
         raise data.refused(f"{name}.quaternions", "holds one of length 0")
-    turning = Rotation.from_quat(quaternions, scalar_first=True)
-    if data.value(f"{name}.constant_rotation", None) is None:
-        return turning
-    constant = data.array(f"{name}.constant_rotation", 9).reshape(3, 3)
-    return Rotation.from_matrix(constant) * turning
+    turns = Rotation.from_quat(quaternions, scalar_first=True)
+    if len(t) == 1:
+        return _Table(name, t), lambda at: constant * turns[np.zeros(len(at), dtype=np.intp)]
+    slerp = Slerp(t, turns)
+    rates = (turns[:-1].inv() * turns[1:])[[0, -1]].as_rotvec() / np.diff(t)[[0, -1], None]
+
+    def at(when: Array) -> Rotation:
+        inside = np.clip(when, t[0], t[-1])
+        beyond = when - inside
+        rate = np.where((beyond > 0.0)[:, None], rates[1], rates[0])
+        return constant * slerp(inside) * Rotation.from_rotvec(beyond[:, None] * rate)
+
+    return _Table(name, t), at
 
 
-def _isd_motion(data: _Keys, path: Path) -> _Motion:
+def _isd_position(data: CsmKeys, centre_et: float) -> tuple[_Table, Callable[[Array], Array]]:
+    """Instants and positions (m, J2000) at any time of an ISD.
+
+    Where velocities are given and go with the positions they are interpolated through too.
+    """
+    name = "instrument_position"
+    t = data.times(f"{name}.ephemeris_times") - centre_et
+    unit = data.metres(f"{name}.unit")
+    position = unit * data.rows(name, "positions", 3, t)
+    if data.has(f"{name}.velocities"):
+        velocity = unit * data.rows(name, "velocities", 3, t)
+        if len(t) > 1:
+            way = np.diff(position, axis=0)
+            lacking = way - 0.5 * np.diff(t)[:, None] * (velocity[:-1] + velocity[1:])
+            if np.linalg.norm(lacking) <= _AGREE * np.linalg.norm(way):
+                return _Table(name, t), lambda at: interpolate_hermite(t, position, velocity, at)
+    return _Table(name, t), lambda at: interpolate(t, position, at)
+
+
+def _isd_motion(data: CsmKeys, timing: _Timing) -> tuple[_Motion, tuple[str, ...]]:
     """Positions and attitudes of an ISD, turned from J2000 into body-fixed axes.
 
-    ``body_rotation`` is body-fixed from J2000, ``instrument_pointing`` sensor from J2000; the body turns
-    evenly (slerp) between the instants given for it.
+    ``body_rotation`` is body-fixed from J2000, ``instrument_pointing`` sensor from J2000.
     """
     for name in ("body_rotation", "instrument_pointing", "instrument_position"):
         frame = data.value(f"{name}.reference_frame", 1)
         if frame != 1:
-            raise FormatError(f"{path}: {name} has reference_frame {frame!r:.40}; 1 (J2000) is read")
-    t_body, t_pointing, t_place = (
-        data.times(f"{name}.ephemeris_times")
-        for name in ("body_rotation", "instrument_pointing", "instrument_position")
+            raise FormatError(f"{data.path}: {name} has reference_frame {frame!r:.40}; 1 (J2000) is read")
+    body_table, body = _turning(data, "body_rotation", timing.centre_et)
+    pointing_table, pointing = _turning(data, "instrument_pointing", timing.centre_et)
+    place_table, place = _isd_position(data, timing.centre_et)
+    tables = [table for table in (body_table, pointing_table, place_table) if table is not None]
+    said = [table.check(data, timing.line_times()) for table in tables]
+    motion = _Motion(
+        _shared(tables[1:] if body_table else tables),
+        lambda t: body(t).apply(place(t)),
+        lambda t: body(t) * pointing(t).inv(),
     )
-    if len(t_body) == 1:
-        raise FormatError(f"{path}: body_rotation has one instant; two or more are needed")
-    fixed = _scalar_first(data, "body_rotation", t_body)
-    turning = Slerp(t_body - t_body[0], fixed)
-    unit = _metres(data, "instrument_position.unit")
-    inertial = unit * data.rows("instrument_position", "positions", 3, t_place)
-    inertial_rate = unit * data.rows("instrument_position", "velocities", 3, t_place)
-    there = turning(np.clip(t_place - t_body[0], 0.0, t_body[-1] - t_body[0]))
-    steps = (fixed[:-1].inv() * fixed[1:]).as_rotvec() / np.diff(t_body)[:, None]
-    spin = steps[np.clip(np.searchsorted(t_body, t_place, side="right") - 1, 0, len(steps) - 1)]
-    # fixed(t + dt) = fixed(t) * exp(spin dt): a point at rest in J2000 drifts by spin x in body axes
-    velocity = there.apply(inertial_rate + np.cross(spin, inertial))
-    then = turning(np.clip(t_pointing - t_body[0], 0.0, t_body[-1] - t_body[0]))
-    sensor = _scalar_first(data, "instrument_pointing", t_pointing)
-    return _Motion(t_place, there.apply(inertial), velocity, t_pointing, then * sensor.inv())
+    return motion, tuple(f"{data.path.name}: {words}" for words in said if words)
 
 
-def _state_motion(data: _Keys, path: Path) -> _Motion:
+def _state_motion(data: CsmKeys, timing: _Timing) -> tuple[_Motion, tuple[str, ...]]:
     """Positions and attitudes of a model state: evenly spaced, body-fixed, quaternions scalar last."""
-    flat = [(key, size, data.array(key, -1)) for key, size in _FLAT]
+    if data.has("m_currentParameterValue") and data.numbers("m_currentParameterValue").any():
+        raise FormatError(
+            f"{data.path}: m_currentParameterValue holds adjustments, which are not read; apply them first"
+        )
+    flat = [(key, size, data.array(key, -1)) for key, size in _FLAT if key != "m_velocities" or data.has(key)]
     for key, size, values in flat:
         if len(values) % size:
             raise data.refused(key, f"holds {len(values)} numbers, no rows of {size}")
-    position, velocity, quaternions = (values.reshape(-1, size) for _, size, values in flat)
+    rows = {key: values.reshape(-1, size) for key, size, values in flat}
+    position, quaternions = rows["m_positions"], rows["m_quaternions"]
+    velocity = rows.get("m_velocities")
+    if velocity is not None and len(position) != len(velocity):
+        raise FormatError(
+            f"{data.path}: {len(position)} positions and {len(velocity)} velocities; one of each is expected"
+        )
     if (np.linalg.norm(quaternions, axis=1) == 0.0).any():
         raise data.refused("m_quaternions", "holds one of length 0")
-    centre = data.number("m_centerEphemerisTime")
-    t_position = _evenly(centre + data.number("m_t0Ephem"), data.positive("m_dtEphem"), len(position))
-    t_attitude = _evenly(centre + data.number("m_t0Quat"), data.positive("m_dtQuat"), len(quaternions))
-    if len(position) != len(velocity):
-        raise FormatError(
-            f"{path}: {len(position)} positions and {len(velocity)} velocities; one of each is expected"
-        )
-    return _Motion(t_position, position, velocity, t_attitude, Rotation.from_quat(quaternions))
+    signed = _one_side(quaternions)
+    t_position = _evenly(data.number("m_t0Ephem"), data.positive("m_dtEphem"), len(position))
+    t_attitude = _evenly(data.number("m_t0Quat"), data.positive("m_dtQuat"), len(quaternions))
+    order = _LAGRANGE_OF_FEW if quaternions.size < _FEW else _LAGRANGE
+    tables = (_Table("m_quaternions", t_attitude), _Table("m_positions", t_position))
+    said = [table.check(data, timing.line_times()) for table in tables]
+    motion = _Motion(
+        _shared(tables),
+        lambda t: lagrange(t_position, position, t, _LAGRANGE),
+        lambda t: Rotation.from_quat(lagrange(t_attitude, signed, t, order)),
+    )
+    return motion, tuple(f"{data.path.name}: {words}" for words in said if words)
+
+
+def _shared(tables: Sequence[_Table]) -> Array:
+    """Instants of the first table in the time that all of them hold."""
+    t = tables[0].t
+    return t[(t >= max(table.t[0] for table in tables)) & (t <= min(table.t[-1] for table in tables))]
+
+
+def _one_side(quaternions: Array) -> Array:
+    """The same rotations, each quaternion on the side of the one before it."""
+    turns = np.sign((quaternions[1:] * quaternions[:-1]).sum(axis=1))
+    return quaternions * np.cumprod(np.concatenate([[1.0], np.where(turns < 0.0, -1.0, 1.0)]))[:, None]
+
+
+def lagrange(nodes: Array, values: Array, t: Array, order: int) -> Array:
+    """Values (A, K) at evenly spaced `nodes` (A,), at the times `t` (N,): (N, K).
+
+    By the polynomial through the `order` nodes about each time; nearer to the ends than half of these lie,
+    through so many as lie evenly about it: two in the first and last step, as ``usgscsm`` does.
+    """
+    count = len(nodes)
+    if count == 1:
+        return np.repeat(values, len(t), axis=0)
+    place = (t - nodes[0]) / (nodes[-1] - nodes[0]) * (count - 1)
+    index = np.clip(np.floor(place).astype(np.intp), 0, count - 2)
+    half = np.minimum(np.minimum(index + 1, count - 1 - index), order // 2)
+    out = np.zeros((len(t), values.shape[1]))
+    for reach in np.unique(half):
+        rows = np.flatnonzero(half == reach)
+        first, x = index[rows] - reach + 1, place[rows]
+        for a in range(2 * reach):
+            weight = np.ones(len(rows))
+            for b in range(2 * reach):
+                if b != a:
+                    weight *= (x - (first + b)) / (a - b)
+            out[rows] += weight[:, None] * values[first + a]
+    return out
 
 
 def _evenly(start: float, step: float, count: int) -> Array:
@@ -420,43 +360,74 @@ def _evenly(start: float, step: float, count: int) -> Array:
 
 
 def _assemble(
-    motion: _Motion, plane: _FocalPlane, timing: _Timing, reference_et: float | None
+    motion: _Motion,
+    plane: FocalPlane,
+    timing: _Timing,
+    reference_et: float | None,
+    doubts: tuple[str, ...],
 ) -> LineScanModel:
     """The camera: body axes chosen, directions turned into camera axes, times counted from the reference."""
     line_times = timing.line_times()
-    reference = float(line_times[0]) if reference_et is None else reference_et
-    sensor_directions = plane.directions(timing.samples)
-    body_from_sensor = _body_axes(sensor_directions, motion)
-    camera_from_sensor = NADIR_MOUNT.inv() * body_from_sensor
-    directions = camera_from_sensor.apply(sensor_directions)
-    t = line_times - reference
-    period = float((t[-1] - t[0]) / (len(t) - 1))
-    even = len(timing.rates) == 1
-    trajectory = Trajectory(
-        motion.t_position - reference,
-        motion.position,
-        motion.t_attitude - reference,
-        motion.world_from_sensor * body_from_sensor.inv(),
-        velocity=motion.velocity,
-    )
+    reference = timing.centre_et + float(line_times[0]) if reference_et is None else reference_et
+    later = timing.centre_et - reference
+    nodes = _nodes(motion.nodes, line_times, float(timing.rates[0, 2]), float(timing.rates[-1, 2]))
+    position, world_from_sensor = motion.position(nodes), motion.world_from_sensor(nodes)
+    sensor_directions = plane.row(timing.samples)
+    body_from_sensor = _body_axes(sensor_directions, nodes, position, world_from_sensor)
+    directions = (NADIR_MOUNT.inv() * body_from_sensor).apply(sensor_directions)
+    t = line_times + later
+    if reference_et is None:
+        t, nodes = line_times - line_times[0], nodes - line_times[0]
+    else:
+        nodes = nodes + later
+    steps = np.diff(line_times)
+    period = float(steps.mean()) if len(steps) else float(timing.rates[0, 2])
     camera = PushbroomCamera(
         LineDetector("model", directions / np.linalg.norm(directions, axis=1)[:, None], period),
-        trajectory,
+        Trajectory(nodes, position, nodes, world_from_sensor * body_from_sensor.inv()),
         FixedMount(),
         float(t[0]),
         timing.lines,
-        line_times=None if even else t,
+        line_times=None if len(timing.rates) == 1 else t,
     )
-    return LineScanModel(camera, timing.radii, reference)
+    over = plane.turned_over(timing.samples)
+    if over is not None:
+        doubts += (
+            f"the radial distortion takes a pixel {over[0]:.3g} mm from the axis across it, to {over[1]:.3g} "
+            "mm on its other side, as no lens does: are its coefficients those of another formula?",
+        )
+    return LineScanModel(camera, timing.radii, reference, doubts)
 
 
-def _body_axes(directions: Array, motion: _Motion) -> Rotation:
+def _nodes(given: Array, line_times: Array, before: float, after: float) -> Array:
+    """Times at which the trajectory is known: those of all lines, and those of the table between and beyond.
+
+    Poses of whole lines are then those of the model itself, whatever lies between the rows of its tables. So
+    are those of some lines more on either side, `before` and `after` s apart, where the table reaches there.
+    """
+    more = np.arange(1.0, _MARGIN_LINES + 1.0)
+    lines = np.concatenate([line_times[0] - before * more[::-1], line_times, line_times[-1] + after * more])
+    held = np.zeros(len(lines), dtype=bool)
+    if len(given):
+        held = (lines >= given[0]) & (lines <= given[-1])
+    held[_MARGIN_LINES:-_MARGIN_LINES] = True
+    near = np.clip(np.searchsorted(lines, given), 1, len(lines) - 1)
+    gap = np.minimum(np.abs(given - lines[near - 1]), np.abs(given - lines[near]))
+    alone = gap > _SAME * np.diff(lines)[near - 1]
+    return np.unique(np.concatenate([lines[held], given[alone]]))
+
+
+def _body_axes(directions: Array, t: Array, position: Array, world_from_sensor: Rotation) -> Rotation:
     """body_from_sensor: z kept, x across the row of pixels on the side the sensor flies to."""
     row = directions[-1, :2] - directions[0, :2]
-    across = np.array([-row[1], row[0], 0.0]) / np.linalg.norm(row)
-    middle = len(motion.t_attitude) // 2
-    near = int(np.argmin(np.abs(motion.t_position - motion.t_attitude[middle])))
-    flight = motion.world_from_sensor[middle].inv().apply(motion.velocity[near])
-    forward = across if flight @ across > 0.0 else -across
+    length = np.linalg.norm(row)
+    if length == 0.0:
+        raise InputError("all columns look one way; are focal2pixel_samples or m_iTransS in pixels per mm?")
+    across = np.array([-row[1], row[0], 0.0]) / length
+    middle = min(len(t) // 2, max(len(t) - 2, 0))
+    forward = across
+    if len(t) > 1:
+        flight = world_from_sensor[middle].inv().apply(position[middle + 1] - position[middle])
+        forward = across if flight @ across > 0.0 else -across
     down = np.array([0.0, 0.0, 1.0])
     return Rotation.from_matrix(np.array([forward, np.cross(down, forward), down]))
