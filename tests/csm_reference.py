@@ -119,6 +119,29 @@ def isd_ray(isd: dict, line: float, sample: float) -> tuple[np.ndarray, np.ndarr
     return 1e3 * body @ hermite(isd["instrument_position"], et), direction / np.linalg.norm(direction)
 
 
+def frame_ray(isd: dict, line: float, sample: float) -> tuple[np.ndarray, np.ndarray]:
+    """The same of a frame ISD: every pixel at the one instant of the image."""
+    et = isd["center_ephemeris_time"]
+    x, y = affine(
+        isd["focal2pixel_lines"],
+        isd["focal2pixel_samples"],
+        line * isd["detector_line_summing"] + isd["starting_detector_line"] - isd["detector_center"]["line"],
+        sample * isd["detector_sample_summing"]
+        + isd["starting_detector_sample"]
+        - isd["detector_center"]["sample"],
+    )
+    ((kind, coefficients),) = isd["optical_distortion"].items()
+    x, y = undistorted(kind, coefficients, x, y)
+    look = np.array([x, y, isd["focal_length_model"]["focal_length"]])
+    body, pointing = (
+        np.reshape(table.get("constant_rotation", np.eye(3)), (3, 3)) @ matrix(*table["quaternions"][0])
+        for table in (isd["body_rotation"], isd["instrument_pointing"])
+    )
+    assert isd["instrument_position"]["ephemeris_times"] == [et]
+    direction = body @ pointing.T @ look
+    return 1e3 * body @ isd["instrument_position"]["positions"][0], direction / np.linalg.norm(direction)
+
+
 def even_lagrange(flat: list, width: int, start: float, step: float, t: float, order: int) -> np.ndarray:
     """usgscsm's: of `order` nodes inside, fewer towards the ends: 2, 4, 6."""
     rows = np.reshape(flat, (-1, width))

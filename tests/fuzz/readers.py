@@ -223,6 +223,7 @@ _row(
 )  # fmt: skip
 function("formats.isd.read_line_scan_model", "sensor-model", "isd.json")
 function("formats.isd.read_line_scan_model", "sensor-model", "state.json")
+function("formats.isd_frame.read_frame_model", "sensor-model", "frame.json")
 function("formats.hirise_edr.is_hirise", "hirise", "raw.IMG")
 function("formats.hirise_edr.read_hirise_edr", "hirise", "raw.IMG")
 function("formats.junocam.read_metadata", "juno", "JNCE_30.json")

@@ -338,6 +338,8 @@ def sensor_model(folder: Path) -> None:
         "detector_sample_summing": 1,
     }
     (folder / "isd.json").write_text(json.dumps(isd))
+    frame = isd | {"name_model": "USGS_ASTRO_FRAME_SENSOR_MODEL", "detector_line_summing": 1}
+    (folder / "frame.json").write_text(json.dumps(frame))
     state = {
         "m_modelName": isd["name_model"],
         "m_nLines": lines,

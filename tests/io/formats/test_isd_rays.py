@@ -140,7 +140,7 @@ def test_pointing_that_begins_a_little_after_the_first_line_is_continued_and_sai
     ("begin", "end", "said"),
     [(4, None, r"instrument_pointing' begins 0\.006\d* s after the first line, 3\.5 of its steps"),
      (0, -4, r"instrument_pointing' ends 0\.006\d* s before the last line, 3\.5 of its steps"),
-     (7, 8, r"instrument_pointing' has one instant; the lines take more")],
+     (7, 8, r"instrument_pointing' has one instant, and another is asked for")],
 )  # fmt: skip
 def test_pointing_that_leaves_more_than_two_steps_open_is_refused(isds, tmp_path, begin, end, said):
     _, read = changed(isds, tmp_path, lambda isd: cut(isd, begin, end))

@@ -15,6 +15,7 @@ from sightline.geometry.camera import FrameCamera
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.trajectory import Trajectory
 from sightline.io.acquisition.acquired import InputFolder
+from sightline.io.acquisition.model_frames import frame_models, modelled_trajectory
 from sightline.io.acquisition.platform import build_trajectory
 from sightline.io.acquisition.schema import AcquisitionFile, CameraModelPlatform, FrameSection, SpinPlatform
 from sightline.io.acquisition.spin import pointing_of
@@ -50,18 +51,19 @@ def build_frames(config: AcquisitionFile, files: InputFolder, *, look: bool = Tr
     """
     if not config.frame:
         return ()
-    if isinstance(config.platform, CameraModelPlatform):
-        raise FormatError(
-            f'{files.toml}: [platform] kind "camera-model" takes [[band]]; frames need another kind'
-        )
     spins = isinstance(config.platform, SpinPlatform)
     images = [_open_frame_image(entry, files, look=look, sky=spins) for entry in config.frame]
-    detector = area_detector(config, images[0], files)
-    times = [frame_time(entry, config.acquisition.epoch, files) for entry in config.frame]
+    if isinstance(config.platform, CameraModelPlatform):
+        models = frame_models(config, images[0], files)
+        detector, times = models[0].detector, [model.et - models[0].et for model in models]
+    else:
+        models, detector = [], area_detector(config, images[0], files)
+        times = [frame_time(entry, config.acquisition.epoch, files) for entry in config.frame]
     _check_frames(config, images, times, files)
     shake = 5.0 * max(entry.time_sigma for entry in config.frame) + abs(config.camera.readout_time)
     span = min(times) - abs(config.camera.readout_time), max(times) + abs(config.camera.readout_time)
-    trajectory = extended(build_trajectory(config, files, span), shake)
+    known = modelled_trajectory(models) if models else build_trajectory(config, files, span)
+    trajectory = extended(known, shake)
     pointing = pointing_of(config, files, span)
     names = [entry.name or Path(entry.image).stem for entry in config.frame]
     frames = tuple(
@@ -157,6 +159,7 @@ def lens_knowledge(config: AcquisitionFile, shape: tuple[int, int] | None) -> Le
 
 def frame_time(entry: FrameSection, epoch: str | None, files: InputFolder) -> float:
     """Seconds from the epoch of a frame's ``time``: a number, a UTC instant, or "exif"."""
+    assert entry.time is not None  # the schema asks for it
     if not isinstance(entry.time, str):
         return float(entry.time)
     path = files(entry.image)

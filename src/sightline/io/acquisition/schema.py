@@ -165,7 +165,8 @@ class CameraModelPlatform(KnownAttitude):
 
     kind: Literal["camera-model"]
     model: FileName | None = Field(
-        default=None, description="USGS CSM line-scan ISD (JSON); or one `model` per [[band]]"
+        default=None,
+        description="USGS CSM line-scan ISD or model state (JSON); or one `model` per [[band]] or [[frame]]",
     )
 
 
@@ -353,7 +354,13 @@ class FrameSection(SchemaSection):
     image_band: BandNumber | Literal["luminance"] = Field(
         default="luminance", description='Which band of the raster, or "luminance": their mean'
     )
-    time: Seconds | Name = Field(description='s from the epoch, an ISO 8601 UTC instant, or "exif"')
+    time: Seconds | Name | None = Field(
+        default=None,
+        description='s from the epoch, an ISO 8601 UTC instant, or "exif"; needed unless `model` brings it',
+    )
+    model: FileName | None = Field(
+        default=None, description="USGS CSM frame ISD (JSON) of this exposure, [platform] kind camera-model"
+    )
     time_sigma: TimeSigma = Field(
         default=0.0, description="How well the time is known, s (0.29 for 1-s stamps)"
     )
@@ -546,6 +553,8 @@ class KnownMotionSection(SchemaSection):
         return self
 
 
+#: Keys of ``[camera]`` that a frame's model brings.
+LENS = frozenset(("shape", "focal_length_px", "principal_point_px", "distortion"))
 #: Keys of ``[matching]`` that say nothing about frames.
 BANDS_ONLY = frozenset(
     {"hybridise", "pairs", "select", "strength", "points", "features", "similarity", "weighting"}
@@ -648,6 +657,7 @@ class AcquisitionFile(InputFile):
             raise ValueError(
                 f"[instrument] {line[0]} describes detector lines, but [[frame]] is given; remove it"
             )
+        self._frames_have_a_time()
         if isinstance(self.platform, CameraModelPlatform) and self.pointing.kind != "fixed":
             raise ValueError(
                 '[pointing] is given, but kind = "camera-model" brings its own; remove [pointing]'
@@ -664,6 +674,28 @@ class AcquisitionFile(InputFile):
                 raise ValueError(
                     '[world] is given, but kind = "level-flight" has axes of its own; remove [world]'
                 )
+
+    def _frames_have_a_time(self) -> None:
+        """Of its own, or that of its model, which brings lens and pose too."""
+        modelled = isinstance(self.platform, CameraModelPlatform)
+        for number, entry in enumerate(self.frame, 1):
+            where = f"[[frame]] number {number}: "
+            given = [key for key in ("time", "model") if getattr(entry, key) is not None]
+            if modelled and given != ["model"]:
+                what = (
+                    "time is given, but model brings it; remove it"
+                    if "model" in given
+                    else "model is missing"
+                )
+                raise ValueError(f'{where}{what}; [platform] kind = "camera-model" takes model = ISD alone')
+            if not modelled and given != ["time"]:
+                what = (
+                    'model needs [platform] kind = "camera-model"' if "model" in given else "time is missing"
+                )
+                raise ValueError(f'{where}{what}; give time = s from the epoch, a UTC instant, or "exif"')
+        lens = sorted(self.camera.model_fields_set & LENS)
+        if modelled and self.frame and lens:
+            raise ValueError(f"[camera] {lens[0]} is given, but the model files bring it; remove it")
 
     def _strips_are_a_chip(self) -> None:
         """Strips have names of their own, and belong to a camera that spins."""

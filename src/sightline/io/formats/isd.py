@@ -36,6 +36,8 @@ _MOST_LINES, _MOST_SAMPLES = 4_000_000, 1_000_000
 MOST_STEPS = 2.0
 #: Lines beyond the image at whose times the trajectory is known too, where the tables reach there.
 _MARGIN_LINES = 16
+#: s within which the one instant of a table is that asked for: as far apart as instants near 1e9 s are told.
+_INSTANT = 1e-5
 #: Line periods within which an instant of a table and the time of a line are one.
 _SAME = 1e-3
 #: Share of the way between two positions by which velocities may disagree with them and still be used.
@@ -112,8 +114,10 @@ class _Table:
         early, late = self.t[0] - first, last - self.t[-1]
         if max(early, late) <= 0.0:
             return None
+        if len(self.t) < 2 and max(early, late) <= _INSTANT:
+            return None
         if len(self.t) < 2:
-            raise data.refused(self.name, "has one instant; the lines take more, so two or more are needed")
+            raise data.refused(self.name, "has one instant, and another is asked for; two or more are needed")
         words = []
         for beyond, step, which in (
             (early, self.t[1] - self.t[0], "begins {} s after the first line"),
@@ -159,13 +163,14 @@ def read_line_scan_model(path: Path, reference_et: float | None = None) -> LineS
     data = read_keys(path, LINE_SCANNER)
     timing = (_state_timing if data.is_state else _isd_timing)(data)
     plane = (state_plane if data.is_state else isd_plane)(data)
-    motion, doubts = (_state_motion if data.is_state else _isd_motion)(data, timing)
+    motion, doubts = (_state_motion if data.is_state else _isd_motion)(
+        data, timing.centre_et, timing.line_times()
+    )
     return _assemble(motion, plane, timing, reference_et, doubts)
 
 
 def _isd_timing(data: CsmKeys) -> _Timing:
     """Timing of an ISD."""
-    unit = data.metres("radii.unit")
     return _checked(
         data,
         "line_scan_rate",
@@ -174,7 +179,7 @@ def _isd_timing(data: CsmKeys) -> _Timing:
             data.count("image_samples", 1, _MOST_SAMPLES),
             data.array("line_scan_rate", -1, 3),
             data.number("center_ephemeris_time"),
-            (data.positive("radii.semimajor") * unit, data.positive("radii.semiminor") * unit),
+            isd_radii(data),
         ),
     )
 
@@ -262,7 +267,19 @@ def _isd_position(data: CsmKeys, centre_et: float) -> tuple[_Table, Callable[[Ar
     return _Table(name, t), lambda at: interpolate(t, position, at)
 
 
-def _isd_motion(data: CsmKeys, timing: _Timing) -> tuple[_Motion, tuple[str, ...]]:
+def isd_radii(data: CsmKeys) -> tuple[float, float]:
+    """Equatorial and polar radius of the body of an ISD, m."""
+    unit = data.metres("radii.unit")
+    return data.positive("radii.semimajor") * unit, data.positive("radii.semiminor") * unit
+
+
+def body_fixed(data: CsmKeys, et: float) -> tuple[Array, Rotation]:
+    """Position (3,) m and world_from_sensor of an ISD at one instant, s past J2000; body-fixed axes."""
+    motion, _ = _isd_motion(data, et, np.zeros(1))
+    return motion.position(np.zeros(1))[0], motion.world_from_sensor(np.zeros(1))[0]
+
+
+def _isd_motion(data: CsmKeys, centre_et: float, line_times: Array) -> tuple[_Motion, tuple[str, ...]]:
     """Positions and attitudes of an ISD, turned from J2000 into body-fixed axes.
 
     ``body_rotation`` is body-fixed from J2000, ``instrument_pointing`` sensor from J2000.
@@ -271,20 +288,21 @@ def _isd_motion(data: CsmKeys, timing: _Timing) -> tuple[_Motion, tuple[str, ...
         frame = data.value(f"{name}.reference_frame", 1)
         if frame != 1:
             raise FormatError(f"{data.path}: {name} has reference_frame {frame!r:.40}; 1 (J2000) is read")
-    body_table, body = _turning(data, "body_rotation", timing.centre_et)
-    pointing_table, pointing = _turning(data, "instrument_pointing", timing.centre_et)
-    place_table, place = _isd_position(data, timing.centre_et)
-    tables = [table for table in (body_table, pointing_table, place_table) if table is not None]
-    said = [table.check(data, timing.line_times()) for table in tables]
+    body_table, body = _turning(data, "body_rotation", centre_et)
+    pointing_table, pointing = _turning(data, "instrument_pointing", centre_et)
+    place_table, place = _isd_position(data, centre_et)
+    tables = [table for table in (pointing_table, place_table) if table is not None]
+    asked = tables if body_table is None else [body_table, *tables]
+    said = [table.check(data, line_times) for table in asked]
     motion = _Motion(
-        _shared(tables[1:] if body_table else tables),
+        _shared(tables),
         lambda t: body(t).apply(place(t)),
         lambda t: body(t) * pointing(t).inv(),
     )
     return motion, tuple(f"{data.path.name}: {words}" for words in said if words)
 
 
-def _state_motion(data: CsmKeys, timing: _Timing) -> tuple[_Motion, tuple[str, ...]]:
+def _state_motion(data: CsmKeys, _: float, line_times: Array) -> tuple[_Motion, tuple[str, ...]]:
     """Positions and attitudes of a model state: evenly spaced, body-fixed, quaternions scalar last."""
     if data.has("m_currentParameterValue") and data.numbers("m_currentParameterValue").any():
         raise FormatError(
@@ -308,7 +326,7 @@ def _state_motion(data: CsmKeys, timing: _Timing) -> tuple[_Motion, tuple[str, .
     t_attitude = _evenly(data.number("m_t0Quat"), data.positive("m_dtQuat"), len(quaternions))
     order = _LAGRANGE_OF_FEW if quaternions.size < _FEW else _LAGRANGE
     tables = (_Table("m_quaternions", t_attitude), _Table("m_positions", t_position))
-    said = [table.check(data, timing.line_times()) for table in tables]
+    said = [table.check(data, line_times) for table in tables]
     motion = _Motion(
         _shared(tables),
         lambda t: lagrange(t_position, position, t, _LAGRANGE),
