@@ -375,6 +375,41 @@ class TestMotion:
         )
         assert after < before
 
+    def test_optics_of_each_column_count_beside_the_motion(self, strip, tmp_path):
+        optics = np.linspace(0.2, 0.5, 200)
+        rows = [f"{c},{value:.9g},{0.5 * value:.9g}" for c, value in enumerate(optics)]
+        (strip / "optics.csv").write_text("\n".join(["column,optics_mtf_x,optics_mtf_y", *rows]))
+        path, text = strip / "optics.toml", (strip / "tdi.toml").read_text()
+        path.write_text(text.replace("[signals]", 'table = "optics.csv"\n[signals]'))
+        found = []
+        for toml in (strip / "tdi.toml", path):
+            out = tmp_path / toml.stem
+            command = ["tdi", str(toml), "--no-pictures", "--motion", str(strip / "seen")]
+            assert run([*command, "--out", str(out)]) == 0
+            found.append(rows_of(out))
+        for axis, share in (("mtf_x", 1.0), ("mtf_y", 0.5)):
+            ratio = [float(b[axis]) / float(a[axis]) for a, b in zip(*found, strict=True)]
+            # a factor of a column's merit moves no setting: what differs is the optics (0.35 in the file)
+            assert ratio == pytest.approx((share * np.repeat(optics, 5) / 0.35).tolist(), rel=1e-6)
+        assert [a["stages"] for a in found[0]] == [b["stages"] for b in found[1]]
+
+    @pytest.mark.parametrize(
+        ("table", "message"),
+        [
+            (COLUMNS, "gives scan_velocity, and [columns] acquisition is given"),
+            ("column,optics_mtf_x\n0,0.3\n", "column 'optics_mtf_y' is missing"),
+            ("column,optics_mtf_x,optics_mtf_y\n0,0.3,0.3\n", "its 1 rows are of columns 0 to 0"),
+            ("column,optics_mtf_x,optics_mtf_y\n0,0.3,1.3\n", "optics_mtf_y must lie above 0, up to 1"),
+        ],
+    )
+    def test_a_table_beside_an_acquisition_is_of_its_optics(self, strip, tmp_path, capsys, table, message):
+        (strip / "other.csv").write_text(table)
+        path, text = strip / "other.toml", (strip / "tdi.toml").read_text()
+        path.write_text(text.replace("[signals]", 'table = "other.csv"\n[signals]'))
+        assert run(["tdi", str(path), "--out", str(tmp_path / "out")]) == 2
+        said = capsys.readouterr().err
+        assert message in said and "Traceback" not in said
+
     def test_a_motion_needs_its_cameras(self, strip, toml, tmp_path, capsys):
         assert run(["tdi", str(toml), "--motion", str(strip / "seen"), "--out", str(tmp_path / "out")]) == 2
         assert "--motion belongs to an acquisition" in capsys.readouterr().err

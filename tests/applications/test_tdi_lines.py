@@ -140,7 +140,12 @@ def test_with_hysteresis_settings_are_held_and_little_merit_is_lost(free, steady
     clean = np.where(scene > 0.0, scene, 0.0).astype(float)
     setting = setting_numbers(steady, after)
     factors = merit_factors(model, choice)
-    wide = replace(factors, by_column=factors.by_column[nearest], column_kept=factors.column_kept[nearest])
+    wide = replace(
+        factors,
+        by_column=factors.by_column[nearest],
+        column_kept=factors.column_kept[nearest],
+        first=factors.first[nearest],
+    )
     of_columns = replace(choice, setting=choice.setting[nearest], columns=choice.columns.part(nearest))
     loss = line_loss(wide, of_columns, setting, clean)
     # a setting that fills a well at the very signal gives way to the table's, which may be another

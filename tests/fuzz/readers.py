@@ -265,10 +265,23 @@ function("stereo.load.read_stereo", "pair", "stereo.toml *.csv", planned=True)
 function("stereo.load.load_stereo", "simulated-pair", "stereo.toml *.csv dem.tif")
 function("stereo.plan.has_plan", "plan", "stereo.toml")
 function("stereo.plan.read_plan", "plan", "stereo.toml")
-function("tdi.load.load_tdi", "tdi", "tdi.toml columns.csv")
+function("tdi.load.load_tdi", "tdi", "tdi.toml columns.csv noise.csv")
 _row("tdi.load.tdi_inputs", "tdi", ["tdi.toml"], lambda folder, read: read(folder / "tdi.toml"))
 
 # Results ----------------------------------------------------------------------------------------------------
+
+
+def _noise_table(folder: Path, read: Any) -> None:
+    import numpy
+
+    from sightline.io.config import read_toml, validate
+    from sightline.io.tdi.schema import TdiFile
+
+    toml = folder / "tdi.toml"
+    read(folder / "noise.csv", toml, validate(TdiFile, read_toml(toml), toml), numpy.array([0.0, 1.0, 7.0]))
+
+
+_row("tdi.noise_table.read_noise_table", "tdi", ["noise.csv"], _noise_table)
 
 
 def _of_acquisition(place: str, seed: str, targets: str, folder_name: str) -> None:
@@ -376,7 +389,7 @@ for _name, _seed, _targets, _words, _check in (
     ("orient", "pair", "stereo.toml *.csv", "orient @stereo.toml --out @out", "stereo.toml"),
     ("orient with a DEM", "simulated-pair", "*.csv dem.tif", "orient @stereo.toml --out @out", "stereo.toml"),
     ("orient --predict", "plan", "stereo.toml", "orient @stereo.toml --predict --out @out", "stereo.toml"),
-    ("tdi", "tdi", "tdi.toml columns.csv", "tdi @tdi.toml --out @out", "tdi.toml"),
+    ("tdi", "tdi", "tdi.toml *s.csv noise.csv", "tdi @tdi.toml --out @out", "tdi.toml"),
     ("tdi --signals", "tdi", "t*.toml s*", "tdi @tdi.toml --signals @signals.npy --out @out", ""),
     ("tdi --motion", "recovered", "tdi.toml result/*", "tdi @tdi.toml --motion @result --out @out", ""),
     ("layout", "instrument", "*", "layout @instrument.toml --passband 40 150 --out @out", ""),

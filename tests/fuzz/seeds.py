@@ -992,7 +992,11 @@ full_well_sum = 400000
 def tdi(folder: Path) -> None:
     rows = [(0, 1.0, -0.03), (1, 1.0, 0.0), (7, 0.999, 0.03)]
     table(folder / "columns.csv", "column,scan_velocity,slip", rows)
-    (folder / "tdi.toml").write_text(TDI)
+    table(
+        folder / "noise.csv", "column,dark,output,gain", [(0, 3.0, 5.0, 1e-5), (1, 0, 5, 1e-5), (7, 4, 6, 0)]
+    )
+    of_columns = TDI.replace("gain = 9e-6", 'table = "noise.csv"')
+    (folder / "tdi.toml").write_text(of_columns)
     from sightline.imaging.tdi_transfer import Exposure
     from sightline.io.results.tdi_table import write_table
     from sightline.io.results.tdi_tags import write_tags

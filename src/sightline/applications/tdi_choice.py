@@ -313,14 +313,14 @@ def _other_ways(problem: TdiProblem, choice: TdiChoice) -> tuple[OtherWay, Other
 
     # beyond the main lobe contrast comes back reversed, a full well shows nothing: worth nothing
     reversed_ = ~main_lobe(part, problem.grid, rules)
-    full = ~signal_factors(problem.signals, problem.grid, problem.detector, rules).unsaturated
 
     def loss(setting: Index) -> Array:
         with np.errstate(invalid="ignore", divide="ignore"):
             share = np.where(best > 0.0, 1.0 - merit(setting) / best, 0.0)
-        useless = (
-            np.take_along_axis(reversed_, setting, axis=1) | np.take_along_axis(full, setting.T, axis=1).T
-        )
+        useless = np.take_along_axis(reversed_, setting, axis=1)
+        for of_kind, at in problem.detector.by_kind(part):
+            full = ~signal_factors(problem.signals, problem.grid, of_kind, rules).unsaturated
+            useless[at] |= np.take_along_axis(full, setting[at].T, axis=1).T
         return np.where(useless & ~choice.infeasible[some], 1.0, np.maximum(share, 0.0))
 
     best = merit(reference)
@@ -355,7 +355,10 @@ def _landscape(problem: TdiProblem) -> Landscape:
     which = np.unique([0, count // 2, count - 1])
     by_column = column_factors(problem.model, which, problem.grid, problem.rules).merit
     some = problem.signals[signal : signal + 1]
-    by_signal = signal_factors(some, problem.grid, problem.detector, problem.rules).merit
+    detectors = [problem.detector.of_column(problem.columns, int(place)) for place in which]
+    by_signal = np.concatenate(
+        [signal_factors(some, problem.grid, one, problem.rules).merit for one in detectors]
+    )
     shape = (len(which), len(problem.grid.stages), len(problem.grid.ratios))
     return Landscape(which, signal, (by_column * by_signal).reshape(shape))
 

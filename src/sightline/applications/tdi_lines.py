@@ -18,10 +18,10 @@ from sightline.applications.tdi_choice import TdiResult
 from sightline.errors import InputError
 from sightline.imaging.source import ImageSource
 from sightline.tdi.hysteresis import LineHold, MeritFactors, merit_factors
-from sightline.tdi.merit import SomeColumns, filled
+from sightline.tdi.merit import SomeColumns
 from sightline.tdi.setting import Array, Index, ScanColumns
 from sightline.tdi.table import TdiTable
-from sightline.tdi.tagging import SystemMtf, TdiTags, tag_lines
+from sightline.tdi.tagging import SystemMtf, TdiTags, overflows, tag_lines
 
 #: Pixels that are worked on at once.
 AT_ONCE = 1 << 19
@@ -145,7 +145,11 @@ class SignalLines:
         choice, nearest = self.result.choice, self._nearest
         factors = merit_factors(self.result.problem.model, choice)
         wide = MeritFactors(
-            factors.by_column[nearest], factors.by_signal, factors.column_kept[nearest], factors.signal_kept
+            factors.by_column[nearest],
+            factors.by_signal,
+            factors.column_kept[nearest],
+            factors.signal_kept,
+            factors.first[nearest],
         )
         return LineHold(
             replace(
@@ -224,5 +228,5 @@ class SignalLines:
     def _fills(self, signals: Array, setting: Index) -> NDArray[np.bool_]:
         """Where a line or the sum fills its well."""
         grid, detector = self.result.problem.grid, self.result.problem.detector
-        line, total = filled(signals, grid.stages_of(setting), grid.ratio_of(setting), detector)
-        return np.asarray((line > detector.full_well_line) | (total > detector.full_well_sum))
+        stages, ratio = grid.stages_of(setting), grid.ratio_of(setting)
+        return overflows(signals, stages, ratio, self._model.columns, detector)

@@ -201,13 +201,15 @@ def strip_pictures(
     target = tdi_target(seed, margin=margin)
     crops: dict[ColumnGroup, Crop] = {}
     for number, group in enumerate(dict.fromkeys((*chosen, *single))):
-        exposed, settings = exposed_target(target, group, choice.detector)
-        strip = read_strip(exposed, settings, choice.detector, signal, np.random.default_rng([seed, number]))
+        place = int(np.searchsorted(choice.columns.column, group.column))
+        detector = choice.detector.of_column(choice.columns, place)
+        exposed, settings = exposed_target(target, group, detector)
+        strip = read_strip(exposed, settings, detector, signal, np.random.default_rng([seed, number]))
         frequencies = choice.rules.frequencies
         crops[group] = Crop(
             group, strip.radiance, float(strip.saturated.mean()),
             measured_quality(strip.radiance, frequencies),
-            predicted_quality(group, choice.detector, signal, frequencies),
+            predicted_quality(group, detector, signal, frequencies),
         )  # fmt: skip
     which = np.linspace(0, count - 1, MINIATURE[1]).round().astype(np.intp)
     small = [
@@ -240,8 +242,15 @@ def _miniature(
     # optics differ little along a line: one blur for all
     blur = column_group(choice, len(choice.columns) // 2, 0, signal_number, aperture).blur
     exposed = exposed_stages(ground.blurred(blur, aperture), settings, choice.detector)
-    noise = np.random.default_rng([seed, 1000])
-    return read_strip(exposed, settings, choice.detector, signal, noise).radiance
+    radiance = np.empty(exposed.shape[:2])
+    for number, (detector, at) in enumerate(choice.detector.by_kind(columns)):
+        alike = StripSettings(
+            np.broadcast_to(settings.stages, len(which))[at], np.broadcast_to(settings.ratio, len(which))[at],
+            columns.velocity[at], columns.slip[at],
+        )  # fmt: skip
+        noise = np.random.default_rng([seed, 1000 + number])
+        radiance[:, at] = read_strip(exposed[:, at], alike, detector, signal, noise).radiance
+    return radiance
 
 
 def column_group(choice: TdiChoice, c: int, setting_of: int, signal: int, aperture: Pair) -> ColumnGroup:

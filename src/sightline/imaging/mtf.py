@@ -23,9 +23,10 @@ def aperture_mtf(frequency: ArrayLike, width: float) -> Array:
     return np.asarray(np.abs(np.sinc(width * np.asarray(frequency, dtype=np.float64))))
 
 
-def diffusion_mtf(frequency: ArrayLike, sigma: float) -> Array:
-    """MTF of charge that diffuses as a Gaussian of `sigma` pixels."""
-    return np.asarray(np.exp(-2.0 * (np.pi * sigma * np.asarray(frequency, dtype=np.float64)) ** 2))
+def diffusion_mtf(frequency: ArrayLike, sigma: ArrayLike) -> Array:
+    """MTF of charge that diffuses as a Gaussian of `sigma` pixels; broadcast."""
+    spread = np.pi * np.asarray(sigma, dtype=np.float64)
+    return np.asarray(np.exp(-2.0 * (spread * np.asarray(frequency, dtype=np.float64)) ** 2))
 
 
 def absorption_mtf(frequency: ArrayLike, absorption: float, depth: float, length: float) -> Array:

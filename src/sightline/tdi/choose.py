@@ -126,10 +126,11 @@ def choose_settings(
     shape = (len(columns), len(signals))
     setting, limit = np.empty(shape, dtype=np.intp), np.empty(shape, dtype=np.uint8)
     mtf, snr = np.empty((*shape, 2)), np.empty(shape)
-    by_signal = signal_factors(signals, grid, detector, rules)
-    fullness = _fullness(signals, grid, detector)
-    for begin in stepped(range(0, len(columns), CHUNK), step):
-        part = slice(begin, min(begin + CHUNK, len(columns)))
+    last: TdiDetector | None = None
+    for of_kind, part in stepped(_chunks(columns, detector), step):
+        if of_kind is not last:
+            by_signal = signal_factors(signals, grid, of_kind, rules)
+            fullness, last = _fullness(signals, grid, of_kind), of_kind
         by_column = column_factors(model, part, grid, rules)
         chosen, why = _best(by_column, by_signal, fullness)
         setting[part], limit[part] = chosen, why
@@ -147,14 +148,24 @@ def merit_of(
     rules: ChoiceRules,
 ) -> Array:
     """Merit (C, S) of given settings (C, S), limits aside; parameters as of `choose_settings`."""
-    by_signal = signal_factors(signals, grid, detector, rules)
     merit = np.empty(setting.shape)
-    for begin in range(0, len(model.columns), CHUNK):
-        part = slice(begin, min(begin + CHUNK, len(model.columns)))
+    last: TdiDetector | None = None
+    for of_kind, part in _chunks(model.columns, detector):
+        if of_kind is not last:
+            by_signal, last = signal_factors(signals, grid, of_kind, rules), of_kind
         by_column = column_factors(model, part, grid, rules)
         of_signal = np.take_along_axis(by_signal.merit, setting[part].T, axis=1).T
         merit[part] = np.take_along_axis(by_column.merit, setting[part], axis=1) * of_signal
     return merit
+
+
+def _chunks(columns: ScanColumns, detector: TdiDetector) -> list[tuple[TdiDetector, Index]]:
+    """Columns of one kind, at most `CHUNK` at once, with what they are like; kinds one after the other."""
+    return [
+        (of_kind, places[k : k + CHUNK])
+        for of_kind, places in detector.by_kind(columns)
+        for k in range(0, len(places), CHUNK)
+    ]
 
 
 def _best(by_column: ColumnFactors, by_signal: SignalFactors, fullness: Array) -> tuple[Index, Small]:

@@ -46,16 +46,23 @@ class MeritFactors:
 
     Attributes
     ----------
-    by_column, by_signal : (C, P), (S, P) float32
-        Their product is the merit by the rules.
-    column_kept, signal_kept : (C, P), (S, P) uint8
+    by_column, by_signal : (C, P), (K S, P) float32
+        Their product is the merit by the rules; signals kind of column by kind.
+    column_kept, signal_kept : (C, P), (K S, P) uint8
         Bits: main lobe and bounds of the MTF; full wells and least SNR.
+    first : (C,) int
+        Row of `by_signal` of the first signal, as columns of this kind see it.
     """
 
     by_column: Single
     by_signal: Single
     column_kept: Small
     signal_kept: Small
+    first: Index
+
+    def rows(self, cell: Index | int, column: Index) -> Index:
+        """Rows of `by_signal` of signals by their number, at columns by their place; broadcast."""
+        return np.asarray(self.first[column] + cell)
 
 
 def merit_factors(model: ColumnMtf, choice: TdiChoice) -> MeritFactors:
@@ -76,9 +83,13 @@ def merit_factors(model: ColumnMtf, choice: TdiChoice) -> MeritFactors:
         column_kept[part] = of_columns.in_lobe * np.uint8(IN_LOBE) | of_columns.in_bounds * np.uint8(
             IN_BOUNDS
         )
-    of_signals = signal_factors(choice.signals, choice.grid, choice.detector, choice.rules)
-    signal_kept = of_signals.unsaturated * np.uint8(UNSATURATED) | of_signals.clear * np.uint8(CLEAR)
-    return MeritFactors(by_column, of_signals.merit.astype(np.float32), column_kept, signal_kept)
+    first, merit, kept = np.empty(shape[0], dtype=np.intp), [], []
+    for k, (of_kind, places) in enumerate(choice.detector.by_kind(choice.columns)):
+        of_signals = signal_factors(choice.signals, choice.grid, of_kind, choice.rules)
+        merit.append(of_signals.merit.astype(np.float32))
+        kept.append(of_signals.unsaturated * np.uint8(UNSATURATED) | of_signals.clear * np.uint8(CLEAR))
+        first[places] = k * len(choice.signals)
+    return MeritFactors(by_column, np.concatenate(merit), column_kept, np.concatenate(kept), first)
 
 
 @dataclass(frozen=True, eq=False)
@@ -168,14 +179,12 @@ def steady_choice(
     axis = DIRECTIONS.index(along)
     length, others = setting.shape[axis], setting.shape[1 - axis]
     levels = int(min(_LEVELS, 2**62 // (length + 2) ** 3))
-    lines = [(both.by_column, both.column_kept), (both.by_signal, both.signal_kept)]
-    (varies, varies_kept), (fixed, fixed_kept) = lines[axis], lines[1 - axis]
     needed = _NEEDED[choice.limit]
     for i in range(others):
         cells = (slice(None), i) if axis == 0 else (i, slice(None))
         path, jumps = np.empty(length, dtype=np.intp), np.empty(length, dtype=bool)
         fewest_changes(
-            varies, varies_kept, fixed[i], fixed_kept[i],
+            *_factors_along(both, i, axis, length),
             np.ascontiguousarray(choice.setting[cells]), np.ascontiguousarray(needed[cells]),
             float(hysteresis), len(choice.grid.ratios), step, levels, path, jumps,
         )  # fmt: skip
@@ -185,6 +194,19 @@ def steady_choice(
     return SteadyChoice(
         steady, _loss(both, choice.setting, setting), far, before[0], after[0], before[1], after[1]
     )
+
+
+def _factors_along(both: MeritFactors, i: int, axis: int, length: int) -> tuple[Single, Small, Single, Small]:
+    """Factor that varies along a line of cells with what settings keep, and the same of the other factor."""
+    if axis == 1:
+        rows = slice(both.first[i], both.first[i] + length)
+        return both.by_signal[rows], both.signal_kept[rows], both.by_column[i], both.column_kept[i]
+    rows_of = both.rows(i, np.arange(length))
+    if (rows_of == rows_of[0]).all():
+        return both.by_column, both.column_kept, both.by_signal[rows_of[0]], both.signal_kept[rows_of[0]]
+    # unlike columns see a signal unlike: all of it varies
+    of_column = both.by_column * both.by_signal[rows_of], both.column_kept | both.signal_kept[rows_of]
+    return *of_column, np.ones_like(both.by_signal[0]), np.zeros_like(both.signal_kept[0])
 
 
 def _checked(hysteresis: float, largest_step: int | None) -> int:
@@ -205,9 +227,10 @@ def _differences(setting: Index, n_ratios: int, axis: int) -> tuple[int, int]:
 def _loss(factors: MeritFactors, best: Index, setting: Index) -> Array:
     """(C, S) share of merit lost where `setting` (C, S) stands for `best`."""
     column, signal = np.ogrid[: setting.shape[0], : setting.shape[1]]
+    row = factors.rows(signal, column)
 
     def merit(of: Index) -> Array:
-        product = factors.by_column[column, of].astype(np.float64) * factors.by_signal[signal, of]
+        product = factors.by_column[column, of].astype(np.float64) * factors.by_signal[row, of]
         return np.asarray(product)
 
     free, taken = merit(best), merit(setting)
@@ -222,8 +245,10 @@ def with_settings(model: ColumnMtf, choice: TdiChoice, setting: Index) -> TdiCho
         part = slice(begin, min(begin + CHUNK, len(setting)))
         system = model.central(part) * choice.columns.static_mtf[part][:, None, :]
         mtf[part] = np.take_along_axis(system, setting[part][..., None], axis=1)
-    of_signals = signal_factors(choice.signals, choice.grid, choice.detector, choice.rules)
-    snr = np.take_along_axis(of_signals.snr, setting.T, axis=1).T
+    snr = np.empty(setting.shape)
+    for of_kind, places in choice.detector.by_kind(choice.columns):
+        of_signals = signal_factors(choice.signals, choice.grid, of_kind, choice.rules)
+        snr[places] = np.take_along_axis(of_signals.snr, setting[places].T, axis=1).T
     return replace(choice, setting=setting, mtf=mtf, snr=snr)
 
 
@@ -276,7 +301,7 @@ class LineHold:
         out = np.empty(lines.shape, dtype=np.intp)
         both = self.factors
         hold(
-            both.by_column, both.column_kept, both.by_signal, both.signal_kept,
+            both.by_column, both.column_kept, both.by_signal, both.signal_kept, both.first,
             self.choice.setting, _NEEDED[self.choice.limit],
             float(self.hysteresis), len(self.choice.grid.ratios), self._step, lines, self.last, out,
         )  # fmt: skip
@@ -302,9 +327,10 @@ def line_loss(factors: MeritFactors, choice: TdiChoice, setting: Index, signals:
     """
     cell = signal_cells(signals, choice.signals)
     group = np.broadcast_to(np.arange(setting.shape[1]), setting.shape)
+    row = factors.rows(cell, group)
 
     def merit(of: Index) -> Array:
-        return np.asarray(factors.by_column[group, of].astype(np.float64) * factors.by_signal[cell, of])
+        return np.asarray(factors.by_column[group, of].astype(np.float64) * factors.by_signal[row, of])
 
     free, taken = merit(choice.setting[group, cell]), merit(setting)
     return np.asarray(1.0 - np.divide(taken, free, out=np.ones_like(free), where=free > 0.0))

@@ -96,6 +96,31 @@ def patent_mtf(velocity, slip, fx, fy, stages, ratios, head, head_ratio, shift, 
                 out[c, n * n_ratios + r, 1] = abs(_sinc(mean * fy)) * _dirichlet(stages[n], along * mean)
 
 
+@njit(cache=True, nogil=True)
+def snr_of_settings(signals, total, square, linear, constant, out):  # type: ignore[no-untyped-def]
+    """SNR of every signal and setting.
+
+    Parameters
+    ----------
+    signals : (S,)
+        Electrons of one line at an integration ratio of 1.
+    total : (P,)
+        Line periods that all stages integrate.
+    square, linear, constant : (P,)
+        Of the variance, a parabola of the signal.
+    out : (S, P)
+        Overwritten; without noise infinite where there is signal, else 0.
+    """
+    for s in range(signals.shape[0]):
+        signal = signals[s]
+        for p in range(total.shape[0]):
+            variance = (square[p] * signal + linear[p]) * signal + constant[p]
+            if variance > 0.0:
+                out[s, p] = signal * total[p] / math.sqrt(variance)
+            else:
+                out[s, p] = math.inf if signal * total[p] > 0.0 else 0.0
+
+
 @njit(cache=True, nogil=True, fastmath=True)
 def largest(a, b):  # type: ignore[no-untyped-def]
     """Largest product of two rows of numbers from 0 up."""

@@ -14,9 +14,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sightline.imaging.tdi_noise import snr, summed_signal
+from sightline.imaging.tdi_noise import summed_signal
 from sightline.imaging.tdi_transfer import ALIGNMENTS, Exposure, phases
-from sightline.tdi.kernels import exact_mtf, patent_mtf
+from sightline.tdi.kernels import exact_mtf, patent_mtf, snr_of_settings
 from sightline.tdi.setting import ChoiceRules, Index, ScanColumns, TdiDetector, TdiGrid
 
 Array = NDArray[np.float64]
@@ -325,13 +325,26 @@ def fullest_signals(grid: TdiGrid, detector: TdiDetector, rules: ChoiceRules) ->
 
 
 def _snr_of(signals: Array, grid: TdiGrid, detector: TdiDetector) -> Array:
-    """(S, P) SNR of every setting."""
+    """(S, P) SNR of every setting, that of `imaging.tdi_noise`: its variance is a parabola of the signal."""
     stages, ratio = grid.settings
-    return snr(signals[:, None], stages, ratio, detector.noise, detector.exposure, detector.reference)
+    law, exposure = detector.noise, detector.exposure
+    head = np.minimum(stages, exposure.head_stages)
+    total = exposure.total(stages, ratio)
+    squares = head * exposure.head_ratio**2 + (stages - head) * ratio**2
+    parabola = (
+        law.gain * squares + law.column_fixed * total**2,
+        law.shot * total,
+        law.dark * total + stages * law.read**2 + law.output**2,
+    )
+    out = np.empty((len(signals), len(grid)))
+    snr_of_settings(np.asarray(signals, dtype=np.float64) / detector.signal_ratio, total, *parabola, out)
+    return out
 
 
 def unsaturated(signals: Array, grid: TdiGrid, detector: TdiDetector, rules: ChoiceRules) -> Flags:
     """(S, P) whether no line, and not their sum, fills its well."""
+    if detector.without_wells:
+        return np.ones((len(signals), len(grid)), dtype=bool)
     line, total = well_levels(signals * _headroom(rules), grid, detector)
     return np.asarray((line <= detector.full_well_line) & (total <= detector.full_well_sum))
 

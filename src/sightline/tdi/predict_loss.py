@@ -75,7 +75,6 @@ def predict_loss(
         )
     at = _spread(len(choice.columns)) if places is None else np.asarray(places, dtype=np.intp)
     bright = _spread(len(choice.signals)) if signals is None else np.asarray(signals, dtype=np.intp)
-    by_signal = signal_factors(choice.signals[bright], choice.grid, choice.detector, choice.rules)
     losses = []
     for place in at:
         which = slice(int(place), int(place) + 1)
@@ -83,6 +82,8 @@ def predict_loss(
         if each is None:
             losses.append(np.zeros((1, len(bright))))
             continue
+        detector = choice.detector.of_column(choice.columns, int(place))
+        by_signal = signal_factors(choice.signals[bright], choice.grid, detector, choice.rules)
         factors = column_factors(model, which, choice.grid, choice.rules)
         allowed = (factors.in_lobe & factors.in_bounds)[0]
         losses.append(_losses(each[:, 0], allowed, by_signal.allowed, choice.setting[place, bright]))

@@ -5,6 +5,7 @@ Not here: what a setting makes of the image (``merit.py``), the choice (``choose
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -95,6 +96,9 @@ class TdiDetector:
         Integration ratio that signals are given for; the head's by default, 1 without a head.
     full_well_line, full_well_sum : float
         Electrons that one line, and the sum of all, can hold.
+    kinds : tuple of TdiDetector
+        Where columns are unlike in noise or wells: one for each kind of column, alike in all else;
+        `ScanColumns.kind` says which column is of which. Empty: all columns are like this.
     """
 
     exposure: Exposure = field(default_factory=Exposure)
@@ -102,6 +106,7 @@ class TdiDetector:
     reference: float | None = None
     full_well_line: float = np.inf
     full_well_sum: float = np.inf
+    kinds: tuple[TdiDetector, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("full_well_line", "full_well_sum"):
@@ -115,6 +120,25 @@ class TdiDetector:
         if self.reference is not None:
             return self.reference
         return self.exposure.head_ratio if self.exposure.head_stages else 1.0
+
+    @property
+    def without_wells(self) -> bool:
+        """Whether nothing is too bright."""
+        return bool(np.isinf(self.full_well_line) and np.isinf(self.full_well_sum))
+
+    def of_column(self, columns: ScanColumns, place: int) -> TdiDetector:
+        """What the column at a place of `columns` is like."""
+        return self if columns.kind is None else self.kinds[int(columns.kind[place])]
+
+    def by_kind(self, columns: ScanColumns) -> Iterator[tuple[TdiDetector, Index]]:
+        """Each kind of column that there is among `columns`, and the places (c,) of its columns, rising."""
+        if columns.kind is None:
+            yield self, np.arange(len(columns))
+            return
+        order = np.argsort(columns.kind, kind="stable")
+        number, first = np.unique(columns.kind[order], return_index=True)
+        for k, places in zip(number, np.split(order, first[1:]), strict=True):
+            yield self.kinds[int(k)], places
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,6 +157,8 @@ class ScanColumns:
         MTF of optics, pixel and diffusion across and along, at the two frequencies of the rules.
     covariance : (C, 2, 2) or None
         Of velocity and slip; None where they are exact.
+    kind : (C,) int or None
+        Number of the column's kind among `TdiDetector.kinds`; None where all are alike.
     """
 
     column: Array
@@ -140,6 +166,7 @@ class ScanColumns:
     slip: Array
     static_mtf: Array
     covariance: Array | None = None
+    kind: Index | None = None
 
     def __len__(self) -> int:
         """Number of columns."""
@@ -159,12 +186,20 @@ class ScanColumns:
             raise InputError(
                 f"columns: `covariance` has shape {np.shape(self.covariance)}; ({count}, 2, 2) is needed"
             )
+        if self.kind is not None and np.shape(self.kind) != (count,):
+            raise InputError(f"columns: `kind` has shape {np.shape(self.kind)}; ({count},) is needed")
 
     def part(self, which: slice | Index) -> ScanColumns:
         """Some of the columns."""
         covariance = None if self.covariance is None else self.covariance[which]
+        kind = None if self.kind is None else self.kind[which]
         return ScanColumns(
-            self.column[which], self.velocity[which], self.slip[which], self.static_mtf[which], covariance
+            self.column[which],
+            self.velocity[which],
+            self.slip[which],
+            self.static_mtf[which],
+            covariance,
+            kind,
         )
 
 

@@ -143,6 +143,7 @@ def hold(  # type: ignore[no-untyped-def]
     column_kept,
     by_signal,
     signal_kept,
+    first,
     best,
     needed,
     share,
@@ -158,8 +159,10 @@ def hold(  # type: ignore[no-untyped-def]
     ----------
     by_column, column_kept : (G, P)
         Factor of the merit by column group; bits of what a setting keeps.
-    by_signal, signal_kept : (S, P)
-        The same by signal.
+    by_signal, signal_kept : (K S, P)
+        The same by signal, for K kinds of columns.
+    first : (G,) int
+        Row of the first signal of each group.
     best : (G, S) int
         Freely best setting.
     needed : (G, S) uint8
@@ -180,11 +183,12 @@ def hold(  # type: ignore[no-untyped-def]
             if p < 0:
                 p = aim
             elif p != aim:
-                most = by_column[g, aim] * by_signal[s, aim]
+                row = first[g] + s
+                most = by_column[g, aim] * by_signal[row, aim]
                 need = needed[g, s]
-                good = (column_kept[g, p] | signal_kept[s, p]) & need == need
-                if not (good and by_column[g, p] * by_signal[s, p] >= most * (1.0 - share) > 0.0):
-                    p = _towards(p, aim, signal_kept[s], n_ratios, largest_step)
+                good = (column_kept[g, p] | signal_kept[row, p]) & need == need
+                if not (good and by_column[g, p] * by_signal[row, p] >= most * (1.0 - share) > 0.0):
+                    p = _towards(p, aim, signal_kept[row], n_ratios, largest_step)
             last[g] = out[line, g] = p
 
 

@@ -11,6 +11,7 @@ loses at worst (``table_certificate.py``).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
@@ -24,7 +25,7 @@ from sightline.tdi.merit import (
     column_factors,
     well_levels,
 )
-from sightline.tdi.setting import STAGE_BITS, Array, Index
+from sightline.tdi.setting import STAGE_BITS, Array, Index, TdiDetector
 from sightline.tdi.table import INFEASIBLE as INFEASIBLE_FLAG
 from sightline.tdi.table import TdiTable, check_words_fit
 from sightline.tdi.table_certificate import (
@@ -44,9 +45,10 @@ from sightline.tdi.table_kernels import (
     best_merits,
     bounds_of_blocks,
     cheapest_groups,
-    fairest_setting,
+    first_largest,
     good_settings,
     split_signals,
+    worst_shares,
 )
 from sightline.tdi.table_stretches import MOST_STRETCHES, finer_codes, first_codes, well_codes
 
@@ -66,6 +68,8 @@ TIGHTER = 0.02
 ROUNDS = 8
 #: Memory for sets of settings, bytes.
 PANEL_BYTES = 96 << 20
+#: Memory for what signals give to kinds of columns, bytes.
+AXES_BYTES = 384 << 20
 
 
 def build_table(model: ColumnMtf, choice: TdiChoice, max_loss: float = 0.005) -> tuple[TdiTable, Certificate]:
@@ -157,6 +161,7 @@ class _Panel:
     """Settings that sampled columns can take, by stretch of signals, and the merits behind them."""
 
     columns: Index
+    ends: Array
     level: Small
     merit: Array
     best: Array
@@ -168,14 +173,12 @@ class _Panel:
 
 @dataclass(frozen=True, eq=False)
 class _SignalAxis:
-    """Stretches of signals from code to code, and what signals give to the merit at both ends of each.
+    """Stretches of signals from code to code, and what signals give one kind of column at both ends of each.
 
     `safe` is zero, and `safe_level` too, for settings with which a well overflows anywhere in the stretch.
     `least` and `most` are bounds of `allowed` over blocks of ends.
     """
 
-    codes: Index
-    ends: Array
     allowed: Array
     level: Small
     merit: Array
@@ -193,24 +196,26 @@ class _Builder:
     model: ColumnMtf
     choice: TdiChoice
     max_loss: float
-    axis: _SignalAxis | None = None
+    codes: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    axes: dict[int, _SignalAxis] = field(default_factory=dict)
     begins: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     built_to: dict[int, float] = field(default_factory=dict)
     kept: dict[tuple[int, float, bytes], tuple[list[_Group], Index]] = field(default_factory=dict)
 
     def build(self, samples: Index, codes: Index) -> tuple[TdiTable, Index]:
         """Table from sampled columns, and the samples, to which those are added that blocks need."""
-        if self.axis is None or not np.array_equal(self.axis.codes, codes):
-            self.axis = _signal_axis(codes, self.choice)
+        if not np.array_equal(self.codes, codes):
+            self.codes = codes
+            self.axes.clear()
             self.kept.clear()
         count = len(self.choice.columns)
         while True:
-            self._set_panels(samples, self.axis)
+            self._set_panels(samples)
             ends = np.append(np.searchsorted(samples, self.begins), len(samples))
-            built = [self._built(samples, int(a), int(b), self.axis) for a, b in pairwise(ends)]
+            built = [self._built(samples, int(a), int(b)) for a, b in pairwise(ends)]
             broken = np.concatenate([invalid for _, invalid in built])
             if not len(broken):
-                return self._table([group for groups, _ in built for group in groups], self.axis), samples
+                return self._table([group for groups, _ in built for group in groups]), samples
             samples = _cut(samples, np.searchsorted(samples, broken), count)
 
     def tighten(self, failed: Index) -> None:
@@ -219,22 +224,37 @@ class _Builder:
             first = int(self.begins[panel])
             self.built_to[first] = self.built_to.get(first, BUILT_TO) * (1.0 - TIGHTER)
 
-    def _built(self, samples: Index, begin: int, end: int, axis: _SignalAxis) -> tuple[list[_Group], Index]:
+    def axis_of(self, detector: TdiDetector) -> _SignalAxis:
+        """Of one kind of column; the last few are kept."""
+        if id(detector) not in self.axes:
+            axis = _signal_axis(self.codes, self.choice, detector)
+            while self.axes and (len(self.axes) + 1) * axis.allowed.nbytes * 3 > AXES_BYTES:
+                self.axes.pop(next(iter(self.axes)))
+            self.axes[id(detector)] = axis
+        return self.axes[id(detector)]
+
+    def by_kind(self, columns: Index) -> Iterator[tuple[_SignalAxis, Index | slice]]:
+        """Kinds among some columns: what signals give them, and which of the columns they are."""
+        scan = self.choice.columns.part(columns)
+        for of_kind, rows in self.choice.detector.by_kind(scan):
+            yield self.axis_of(of_kind), slice(None) if len(rows) == len(columns) else rows
+
+    def _built(self, samples: Index, begin: int, end: int) -> tuple[list[_Group], Index]:
         """Groups of a panel, or the columns at which blocks begin that must be cut first."""
         # the first column after a block is its last but one step: it shows what lies between
         columns = samples[begin : end + 1]
         share = self.built_to.get(int(columns[0]), BUILT_TO)
         key = (end - begin, share, columns.tobytes())
         if key not in self.kept:
-            panel = self._panel(columns, axis, 1.0 - share * self.max_loss)
-            blocks, invalid = _blocks(panel, axis, end - begin, len(self.choice.columns))
-            groups = [] if len(invalid) else _groups(panel, blocks, axis, self._bytes())
+            panel = self._panel(columns, 1.0 - share * self.max_loss)
+            blocks, invalid = _blocks(panel, end - begin, len(self.choice.columns))
+            groups = [] if len(invalid) else self._groups(panel, blocks)
             self.kept[key] = groups, columns[invalid]
         return self.kept[key]
 
-    def _set_panels(self, samples: Index, axis: _SignalAxis) -> None:
+    def _set_panels(self, samples: Index) -> None:
         """Columns at which runs of samples begin that fit the memory; those there are stay."""
-        stretches, settings = len(axis.codes), len(self.choice.grid)
+        stretches, settings = len(self.codes), len(self.choice.grid)
         each = stretches * (settings // 64 + 1) * 32 + settings * 32
         size = max(PANEL_BYTES // each, 64)
         if not len(self.begins):
@@ -247,37 +267,95 @@ class _Builder:
         """Of a group and of a cell."""
         return (4 if self.choice.columns.column[-1] < 1 << 16 else 8), 4
 
-    def _panel(self, columns: Index, axis: _SignalAxis, keep: float) -> _Panel:
-        choice, ends = self.choice, len(axis.ends)
+    def _panel(self, columns: Index, keep: float) -> _Panel:
+        choice, ends = self.choice, _ends(self.codes, self.choice)
         n, settings = len(columns), len(choice.grid)
         words = settings // 64 + 1
         level, merit = np.empty((n, settings), dtype=np.uint8), np.empty((n, settings))
         allowed = np.empty((n, settings))
-        for k, part in _slices(columns):
-            factors = column_factors(self.model, part, choice.grid, choice.rules)
+        for k, these in _slices(columns):
+            factors = column_factors(self.model, these, choice.grid, choice.rules)
             here = slice(k, k + len(factors.merit))
             merit[here], allowed[here] = factors.merit, factors.allowed
             level[here] = 1 + factors.in_lobe + (factors.in_lobe & factors.in_bounds)
-        best, tiers = np.empty((n, ends)), np.empty((n, ends), dtype=np.uint8)
-        best_merits(
-            allowed, level, merit, axis.allowed, axis.least, axis.most, axis.level, axis.merit, axis.ends,
-            best, tiers,
+        panel = _Panel(
+            columns, ends, level, merit, np.empty((n, len(ends))), np.empty((n, len(ends)), dtype=np.uint8),
+            np.empty((n, len(self.codes), words), dtype=np.uint64),
+            np.empty((n, len(self.codes), words), dtype=np.uint64),
+            np.empty((n, len(self.codes)), dtype=np.uint8),
         )  # fmt: skip
-        shape = (n, ends // 2)
-        strict, loose = np.empty((*shape, words), dtype=np.uint64), np.empty((*shape, words), dtype=np.uint64)
-        kind = np.empty(shape, dtype=np.uint8)
-        good_settings(
-            allowed, level, merit, axis.safe, axis.least, axis.most, axis.safe_level, axis.merit,
-            axis.least_full, best, tiers, keep, strict, loose, kind,
-        )  # fmt: skip
-        return _Panel(columns, level, merit, best, tiers, strict, loose, kind)
+        for axis, rows in self.by_kind(columns):
+            # of some rows these are copies, of all of them views
+            of_rows = (level[rows], merit[rows])
+            best, tiers, kind = panel.best[rows], panel.tiers[rows], panel.kind[rows]
+            strict, loose = panel.strict[rows], panel.loose[rows]
+            best_merits(
+                allowed[rows], *of_rows, axis.allowed, axis.least, axis.most, axis.level, axis.merit, ends,
+                best, tiers,
+            )  # fmt: skip
+            good_settings(
+                allowed[rows], *of_rows, axis.safe, axis.least, axis.most, axis.safe_level, axis.merit,
+                axis.least_full, best, tiers, keep, strict, loose, kind,
+            )  # fmt: skip
+            if not isinstance(rows, slice):
+                panel.best[rows], panel.tiers[rows], panel.kind[rows] = best, tiers, kind
+                panel.strict[rows], panel.loose[rows] = strict, loose
+        return panel
 
-    def _table(self, groups: list[_Group], axis: _SignalAxis) -> TdiTable:
+    def _groups(self, panel: _Panel, blocks: _Blocks) -> list[_Group]:
+        """Columns of a panel in groups such that the table is smallest, with their cells."""
+        origin = np.zeros(len(blocks.kind) + 1, dtype=np.intp)
+        cheapest_groups(
+            blocks.strict, blocks.loose, blocks.kind, panel.ends, MIXED_SPAN, *self._bytes(), origin
+        )
+        begins, end = [], len(blocks.kind)
+        while end > 0:
+            begins.append((int(origin[end]), end))
+            end = int(origin[end])
+        return [self._group(panel, blocks, begin, end) for begin, end in reversed(begins)]
+
+    def _group(self, panel: _Panel, blocks: _Blocks, begin: int, end: int) -> _Group:
+        strict, loose, kind = (v[begin].copy() for v in (blocks.strict, blocks.loose, blocks.kind))
+        for k in range(begin + 1, end):
+            add_to_group(strict, loose, kind, blocks.strict[k], blocks.loose[k], blocks.kind[k])
+        starts = np.empty(len(kind), dtype=np.int64)
+        span = MIXED_SPAN if end - begin > 1 else np.inf
+        cells = split_signals(strict, loose, kind, panel.ends, span, starts)
+        stretch = starts[:cells].astype(np.intp)
+        columns = np.arange(begin, min(end + 1, len(panel.columns)) if _reaches(panel, end) else end)
+        shared = [
+            np.flatnonzero(
+                np.unpackbits(
+                    np.bitwise_and.reduce((loose if kind[a] == MIXED else strict)[a:b], axis=0).view(
+                        np.uint8
+                    ),
+                    bitorder="little",
+                )
+            )
+            for a, b in pairwise(np.append(stretch, len(kind)))
+        ]
+        setting = self._fairest(panel, columns, np.append(stretch, len(kind)), kind[stretch], shared)
+        return _Group(int(panel.columns[begin]), stretch, setting, kind[stretch] != FEASIBLE)
+
+    def _fairest(
+        self, panel: _Panel, columns: Index, borders: Index, kind: Small, candidates: list[Index]
+    ) -> Index:
+        """(cells,) setting whose worst share of the best merit in a cell is largest; the first of equals."""
+        shares = [np.full(len(c), np.inf) for c in candidates]
+        for axis, rows in self.by_kind(panel.columns[columns]):
+            for cell, (a, b) in enumerate(pairwise(borders)):
+                worst_shares(
+                    columns[rows], a, b, candidates[cell], kind[cell], panel.level, panel.merit, axis.level,
+                    axis.merit, axis.least_full, panel.best, panel.tiers, shares[cell],
+                )  # fmt: skip
+        return np.array([c[first_largest(s)] for c, s in zip(candidates, shares, strict=True)], dtype=np.intp)
+
+    def _table(self, groups: list[_Group]) -> TdiTable:
         choice, exposure = self.choice, self.choice.detector.exposure
         column = choice.columns.column.astype(np.intp)
         first = [0] + [int(column[g.first - 1] + column[g.first]) // 2 + 1 for g in groups[1:]]
         first[0] = int(column[0])
-        thresholds = [np.where(np.arange(len(g.stretch)) == 0, 0, axis.codes[g.stretch]) for g in groups]
+        thresholds = [np.where(np.arange(len(g.stretch)) == 0, 0, self.codes[g.stretch]) for g in groups]
         setting = np.concatenate([g.setting for g in groups])
         ratios = len(choice.grid.ratios)
         words = choice.grid.stages_of(setting) | (setting % ratios) << STAGE_BITS
@@ -320,37 +398,44 @@ def _slices(columns: Index) -> list[tuple[int, slice]]:
     return found
 
 
-def _signal_axis(codes: Index, choice: TdiChoice) -> _SignalAxis:
-    """Stretches from code to code, each up to where the next begins."""
+def _ends(codes: Index, choice: TdiChoice) -> Array:
+    """(2 T,) electrons at the lower and upper end of each stretch, up to where the next begins."""
     low, high = float(choice.signals.min()), float(choice.signals.max())
     first = np.clip(codes * 2.0 ** shift_of(choice.signals), low, high)
     last = np.maximum(np.append(first[1:], high) * BELOW, first)
-    ends = np.stack([first, last], axis=1).ravel()
+    return np.stack([first, last], axis=1).ravel()
+
+
+def _signal_axis(codes: Index, choice: TdiChoice, detector: TdiDetector) -> _SignalAxis:
+    """Stretches from code to code as a kind of column sees them."""
+    ends = _ends(codes, choice)
     shape = (len(ends), len(choice.grid))
     blocks = (-(-len(ends) // BLOCK), len(choice.grid))
     axis = _SignalAxis(
-        codes, ends, np.empty(shape), np.empty(shape, dtype=np.uint8), np.empty(shape, dtype=np.float32),
+        np.empty(shape), np.empty(shape, dtype=np.uint8), np.empty(shape, dtype=np.float32),
         np.empty(shape), np.empty(shape, dtype=np.uint8), np.empty(len(ends), dtype=np.intp),
         np.empty(blocks), np.empty(blocks),
     )  # fmt: skip
     for begin in range(0, len(ends), AT_ONCE):
         part = slice(begin, begin + AT_ONCE)
-        factors = whole_electrons(ends[part], choice)
+        factors = whole_electrons(ends[part], choice, detector)
         # what overflows at the upper end of a stretch is no setting for it
         safe = np.repeat(factors.unsaturated[1::2], 2, axis=0)
         axis.allowed[part], axis.merit[part] = factors.allowed, factors.merit
         axis.level[part] = np.where(factors.unsaturated, 1 + factors.clear, 0)
         axis.safe[part] = np.where(safe, axis.allowed[part], 0.0)
         axis.safe_level[part] = np.where(safe, axis.level[part], 0)
-        axis.least_full[part] = _least_full(ends[part], choice)
+        axis.least_full[part] = _least_full(ends[part], choice, detector)
     bounds_of_blocks(axis.allowed, axis.least, axis.most)
     return axis
 
 
-def _least_full(signals: Array, choice: TdiChoice) -> Index:
+def _least_full(signals: Array, choice: TdiChoice, detector: TdiDetector) -> Index:
     """(S,) setting that fills the fuller of its two wells least."""
-    line, total = well_levels(signals, choice.grid, choice.detector)
-    full = np.maximum(line / choice.detector.full_well_line, total / choice.detector.full_well_sum)
+    if detector.without_wells:
+        return np.zeros(len(signals), dtype=np.intp)
+    line, total = well_levels(signals, choice.grid, detector)
+    full = np.maximum(line / detector.full_well_line, total / detector.full_well_sum)
     return np.asarray(full.argmin(axis=1))
 
 
@@ -363,7 +448,7 @@ class _Blocks:
     kind: Small
 
 
-def _blocks(panel: _Panel, axis: _SignalAxis, count: int, after: int) -> tuple[_Blocks, Index]:
+def _blocks(panel: _Panel, count: int, after: int) -> tuple[_Blocks, Index]:
     """The first `count` blocks of columns between samples, and those in which no setting suits both ends."""
     strict, loose, kind = panel.strict[:count].copy(), panel.loose[:count].copy(), panel.kind[:count].copy()
     wide = np.flatnonzero(np.diff(panel.columns, append=after)[:count] > 1)
@@ -374,40 +459,9 @@ def _blocks(panel: _Panel, axis: _SignalAxis, count: int, after: int) -> tuple[_
             add_to_group(
                 strict[k], loose[k], kind[k], panel.strict[k + 1], panel.loose[k + 1], panel.kind[k + 1]
             )
-        if split_signals(strict[k], loose[k], kind[k], axis.ends, MIXED_SPAN, starts) == 0:
+        if split_signals(strict[k], loose[k], kind[k], panel.ends, MIXED_SPAN, starts) == 0:
             invalid.append(k)
     return _Blocks(strict, loose, kind), np.array(invalid, dtype=np.intp)
-
-
-def _groups(panel: _Panel, blocks: _Blocks, axis: _SignalAxis, size: tuple[int, int]) -> list[_Group]:
-    """Columns of a panel in groups such that the table is smallest, with their cells."""
-    origin = np.zeros(len(blocks.kind) + 1, dtype=np.intp)
-    cheapest_groups(blocks.strict, blocks.loose, blocks.kind, axis.ends, MIXED_SPAN, *size, origin)
-    begins, end = [], len(blocks.kind)
-    while end > 0:
-        begins.append((int(origin[end]), end))
-        end = int(origin[end])
-    return [_group(panel, blocks, axis, begin, end) for begin, end in reversed(begins)]
-
-
-def _group(panel: _Panel, blocks: _Blocks, axis: _SignalAxis, begin: int, end: int) -> _Group:
-    strict, loose, kind = (v[begin].copy() for v in (blocks.strict, blocks.loose, blocks.kind))
-    for k in range(begin + 1, end):
-        add_to_group(strict, loose, kind, blocks.strict[k], blocks.loose[k], blocks.kind[k])
-    starts = np.empty(len(kind), dtype=np.int64)
-    span = MIXED_SPAN if end - begin > 1 else np.inf
-    cells = split_signals(strict, loose, kind, axis.ends, span, starts)
-    stretch = starts[:cells]
-    columns = np.arange(begin, min(end + 1, len(panel.columns)) if _reaches(panel, end) else end)
-    setting = np.empty(cells, dtype=np.intp)
-    for cell, (a, b) in enumerate(zip(stretch, np.append(stretch[1:], len(kind)), strict=True)):
-        shared = np.bitwise_and.reduce((loose if kind[a] == MIXED else strict)[a:b], axis=0)
-        candidates = np.flatnonzero(np.unpackbits(shared.view(np.uint8), bitorder="little"))
-        setting[cell] = fairest_setting(
-            columns, a, b, candidates, kind[a], panel.level, panel.merit, axis.level, axis.merit,
-            axis.least_full, panel.best, panel.tiers,
-        )  # fmt: skip
-    return _Group(int(panel.columns[begin]), stretch.astype(np.intp), setting, kind[stretch] != FEASIBLE)
 
 
 def _reaches(panel: _Panel, end: int) -> bool:

@@ -19,7 +19,7 @@ from sightline.tdi.merit import (
     signal_factors,
     unsaturated,
 )
-from sightline.tdi.setting import Array, Index
+from sightline.tdi.setting import Array, Index, TdiDetector
 from sightline.tdi.table import TdiTable
 from sightline.tdi.table_kernels import (
     largest_products,
@@ -96,29 +96,31 @@ def table_loss(
         Against the best that keeps limits for the signal itself, not for all that the table confuses with
         it.
     """
-    grid, rules = choice.grid, choice.rules
-    if own_limits:
-        by_signal = signal_factors(signals, grid, choice.detector, rules).allowed
-    else:
-        by_signal = np.concatenate(
-            [
-                whole_electrons(signals[k : k + AT_ONCE], choice).allowed
-                for k in range(0, len(signals), AT_ONCE)
-            ]
-        )
     setting, group = _settings_at(table, choice, signals)
     loss = np.empty((len(group), len(signals)))
-    blocks = signal_blocks(by_signal)
-    for begin in range(0, len(choice.columns), CHUNK):
-        part = slice(begin, min(begin + CHUNK, len(choice.columns)))
-        a = column_factors(model, part, grid, rules).allowed
-        for block, best in zip((b for b, *_ in blocks), best_of_blocks(a, by_signal, blocks), strict=True):
-            chosen = setting[group[part], block]
-            merit = np.take_along_axis(a, chosen, axis=1)
-            merit *= np.take_along_axis(by_signal[block], chosen.T, axis=1).T
-            with np.errstate(invalid="ignore", divide="ignore"):
-                loss[part, block] = np.where(best > 0.0, np.maximum(1.0 - merit / best, 0.0), np.nan)
+    for of_kind, places in choice.detector.by_kind(choice.columns):
+        by_signal = _by_signal(signals, choice, of_kind, own_limits=own_limits)
+        blocks = signal_blocks(by_signal)
+        for begin in range(0, len(places), CHUNK):
+            part = places[begin : begin + CHUNK]
+            a = column_factors(model, part, choice.grid, choice.rules).allowed
+            for (block, *_), best in zip(blocks, best_of_blocks(a, by_signal, blocks), strict=True):
+                chosen = setting[group[part], block]
+                merit = np.take_along_axis(a, chosen, axis=1)
+                merit *= np.take_along_axis(by_signal[block], chosen.T, axis=1).T
+                with np.errstate(invalid="ignore", divide="ignore"):
+                    loss[part, block] = np.where(best > 0.0, np.maximum(1.0 - merit / best, 0.0), np.nan)
     return loss
+
+
+def _by_signal(signals: Array, choice: TdiChoice, detector: TdiDetector, *, own_limits: bool) -> Array:
+    """(S, P) what signals give to the merit of a kind of column; parameters as of `table_loss`."""
+    if own_limits:
+        return signal_factors(signals, choice.grid, detector, choice.rules).allowed
+    parts = range(0, len(signals), AT_ONCE)
+    return np.concatenate(
+        [whole_electrons(signals[k : k + AT_ONCE], choice, detector).allowed for k in parts]
+    )
 
 
 def signal_blocks(by_signal: Array) -> list[tuple[slice, Array, Array]]:
@@ -176,10 +178,11 @@ def loss_at_limits(model: ColumnMtf, choice: TdiChoice, table: TdiTable) -> floa
     """Worst loss at those signals whose own limits allow more than whole electrons do, unflagged ones."""
     signals = dense_signals(choice.signals, table)
     near = np.zeros(len(signals), dtype=bool)
-    for k in range(0, len(signals), AT_ONCE):
-        part = signals[k : k + AT_ONCE]
-        own = signal_factors(part, choice.grid, choice.detector, choice.rules).allowed
-        near[k : k + AT_ONCE] = (own != whole_electrons(part, choice).allowed).any(axis=1)
+    for of_kind, _ in choice.detector.by_kind(choice.columns):
+        if of_kind.without_wells and choice.rules.snr_min <= 0.0:
+            continue
+        own = _by_signal(signals, choice, of_kind, own_limits=True)
+        near |= (own != _by_signal(signals, choice, of_kind, own_limits=False)).any(axis=1)
     if not near.any():
         return 0.0
     loss = table_loss(model, choice, table, signals[near], own_limits=True)
@@ -220,9 +223,9 @@ def _settings_at(table: TdiTable, choice: TdiChoice, signals: Array) -> tuple[In
     return per_group, group
 
 
-def whole_electrons(signals: Array, choice: TdiChoice) -> SignalFactors:
-    """What signals give to the merit; limits are kept by all that the table confuses with them."""
-    grid, detector, rules = choice.grid, choice.detector, choice.rules
+def whole_electrons(signals: Array, choice: TdiChoice, detector: TdiDetector) -> SignalFactors:
+    """What signals give to the merit of a kind of column; limits are kept by all that the table confuses."""
+    grid, rules = choice.grid, choice.rules
     unit = 2.0 ** shift_of(choice.signals)
     whole = np.floor(signals / unit) * unit
     most = unsaturated(np.minimum(whole + unit, choice.signals.max()), grid, detector, rules)

@@ -373,27 +373,28 @@ def cheapest_groups(strict, loose, kind, ends, mixed_span, group_bytes, cell_byt
 
 
 @njit(cache=True, nogil=True)
-def fairest_setting(  # type: ignore[no-untyped-def]
+def worst_shares(  # type: ignore[no-untyped-def]
     columns, first, last, candidates, kind, column_level, column_merit, signal_level, signal_merit,
-    least_full, best, tiers,
+    least_full, best, tiers, shares,
 ):  # fmt: skip
-    """Setting whose worst share of the best merit over a cell is largest; the first of equals.
+    """Worst share of the best merit that each candidate has over columns of a cell.
 
     Parameters
     ----------
     columns : (m,) int
-        Rows of the columns of the cell.
+        Rows of columns of the cell, of one kind.
     first, last : int
         First stretch of signals, and the one after the last.
     candidates : (k,) int
     kind : int
         Of the cell: in a mixed one only feasible points are judged.
+    shares : (k,)
+        Lowered to what is found.
     others
         As of `good_settings`.
     """
-    most, chosen = -1.0, candidates[0]
-    for p in candidates:
-        share = np.inf
+    for k in range(candidates.shape[0]):
+        p, share = candidates[k], shares[k]
         for c in columns:
             for e in range(2 * first, 2 * last):
                 tier = tiers[c, e]
@@ -403,6 +404,14 @@ def fairest_setting(  # type: ignore[no-untyped-def]
                     tier, column_level[c], column_merit[c], signal_level[e], signal_merit[e], p, least_full[e]
                 )
                 share = min(share, merit / best[c, e])
-        if share > most * (1.0 + TIE):
-            most, chosen = share, p
+        shares[k] = share
+
+
+@njit(cache=True, nogil=True)
+def first_largest(shares):  # type: ignore[no-untyped-def]
+    """Number of the (nearly) largest share; the first of equals."""
+    most, chosen = -1.0, 0
+    for k in range(shares.shape[0]):
+        if shares[k] > most * (1.0 + TIE):
+            most, chosen = shares[k], k
     return chosen

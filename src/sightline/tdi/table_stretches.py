@@ -14,7 +14,7 @@ from sightline.tdi.merit import (
     column_factors,
     fullest_signals,
 )
-from sightline.tdi.setting import Array, Index
+from sightline.tdi.setting import Array, Index, TdiDetector
 from sightline.tdi.table_certificate import (
     AT_ONCE,
     BELOW,
@@ -75,22 +75,29 @@ def well_codes(model: ColumnMtf, choice: TdiChoice, max_loss: float) -> Index:
     choice : TdiChoice
     max_loss : float
     """
+    some = np.unique(np.linspace(0, len(choice.columns) - 1, WELL_COLUMNS).astype(np.intp))
+    kinds = choice.detector.by_kind(choice.columns.part(some))
+    found = [_missed_codes(model, choice, max_loss, of_kind, some[places]) for of_kind, places in kinds]
+    return np.unique(np.concatenate(found))
+
+
+def _missed_codes(
+    model: ColumnMtf, choice: TdiChoice, max_loss: float, detector: TdiDetector, columns: Index
+) -> Index:
+    """Those of columns of one kind."""
     unit, low, high = 2.0 ** shift_of(choice.signals), choice.signals.min(), choice.signals.max()
-    full = fullest_signals(choice.grid, choice.detector, choice.rules)
+    full = fullest_signals(choice.grid, detector, choice.rules)
     full = full[(full >= low) & (full < high)] / unit
     # where one is a whole number but for rounding, both sides
     codes = np.unique(np.floor(np.concatenate([full * BELOW, full / BELOW])))
     codes = codes[(codes * unit > low) & (codes * unit < high)]
     a = np.concatenate(
-        [
-            column_factors(model, np.array([k]), choice.grid, choice.rules).allowed
-            for k in np.unique(np.linspace(0, len(choice.columns) - 1, WELL_COLUMNS).astype(np.intp))
-        ]
+        [column_factors(model, np.array([k]), choice.grid, choice.rules).allowed for k in columns]
     )
     missed = np.zeros(len(codes), dtype=bool)
     for begin in range(0, len(codes), AT_ONCE // 2):
         at = codes[begin : begin + AT_ONCE // 2] * unit
-        by_signal = whole_electrons(np.stack([at * BELOW, at], axis=1).ravel(), choice).allowed
+        by_signal = whole_electrons(np.stack([at * BELOW, at], axis=1).ravel(), choice, detector).allowed
         best = np.concatenate(list(best_of_blocks(a, by_signal, signal_blocks(by_signal))), axis=1)
         falls = best[:, 1::2] < (1.0 - WELL_STEP * max_loss) * best[:, ::2]
         missed[begin : begin + AT_ONCE // 2] = falls.any(axis=0)

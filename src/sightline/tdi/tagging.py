@@ -19,7 +19,7 @@ from sightline.imaging.tdi_noise import snr
 from sightline.imaging.tdi_transfer import Exposure
 from sightline.tdi.choose import CHUNK
 from sightline.tdi.merit import ColumnMtf, filled
-from sightline.tdi.setting import Array, Index, TdiDetector, TdiGrid
+from sightline.tdi.setting import Array, Index, ScanColumns, TdiDetector, TdiGrid
 from sightline.tdi.tag_kernels import decode_runs, encode_runs
 
 #: Every field of a tag with the form in which it is kept, little-endian.
@@ -200,10 +200,14 @@ def tag_lines(
     if system is None:
         system = SystemMtf(model, np.unique(setting))
     mtf = system(setting)
-    line, total = filled(signal, stages, ratio, detector)
+    saturated = overflows(signal, stages, ratio, model.columns, detector)
     if step > 0.0:
         signal = rounded_signal(signal, step)
-    ones = np.ones_like(signal)
+    ones, of_noise = np.ones_like(signal), np.empty_like(signal)
+    for of_kind, at in detector.by_kind(model.columns):
+        of_noise[:, at] = snr(
+            signal[:, at], stages[:, at], ratio[:, at], of_kind.noise, of_kind.exposure, of_kind.reference
+        )
     return TdiTags(
         first_column=np.asarray(first_column),
         columns=columns,
@@ -212,15 +216,26 @@ def tag_lines(
         signal_ratio=detector.signal_ratio,
         stages=stages,
         ratio_index=setting % len(grid.ratios),
-        saturated=(line > detector.full_well_line) | (total > detector.full_well_sum),
+        saturated=saturated,
         table=np.full(setting.shape, table),
         velocity=model.columns.velocity * ones,
         slip=model.columns.slip * ones,
         signal=signal,
         mtf_across=mtf[..., 0],
         mtf_along=mtf[..., 1],
-        snr=snr(signal, stages, ratio, detector.noise, detector.exposure, detector.reference),
+        snr=of_noise,
     )
+
+
+def overflows(
+    signals: Array, stages: Index, ratio: Array, columns: ScanColumns, detector: TdiDetector
+) -> NDArray[np.bool_]:
+    """Where a line, or the sum, of columns fills its well: all of shape (L, C)."""
+    full = np.empty(signals.shape, dtype=bool)
+    for of_kind, at in detector.by_kind(columns):
+        line, total = filled(signals[:, at], stages[:, at], ratio[:, at], of_kind)
+        full[:, at] = (line > of_kind.full_well_line) | (total > of_kind.full_well_sum)
+    return full
 
 
 def rounded_signal(signals: ArrayLike, step: float = 0.05) -> Array:

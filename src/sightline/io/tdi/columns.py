@@ -5,17 +5,19 @@ Not here: columns by count or by a table (``load.py``).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import InputError
+from sightline.errors import FormatError, InputError
 from sightline.imaging.mtf import aperture_mtf, diffusion_mtf, optics_mtf
 from sightline.imaging.tdi_transfer import Exposure
 from sightline.io.acquisition.acquired import InputFolder
 from sightline.io.acquisition.load import load_acquisition
+from sightline.io.formats.tables import header_of, read_columns
 from sightline.io.tdi.motion import read_motion_knowledge
 from sightline.io.tdi.schema import MtfSection, TdiFile
 from sightline.tdi.motion_knowledge import MotionKnowledge
@@ -24,6 +26,11 @@ from sightline.tdi.scan_columns import ColumnGeometry, band_camera, column_geome
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiGrid
 
 Array = NDArray[np.float64]
+
+#: Columns of a table of columns.
+COLUMNS = ("column", "scan_velocity", "slip")
+OPTICS = ("optics_mtf_x", "optics_mtf_y")
+SIGMAS = ("sigma_velocity", "sigma_slip")
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +96,10 @@ def columns_of_acquisition(file: TdiFile, files: InputFolder, motion: Path | Non
         [0.0, 0.0, float(np.hypot(rotation_sigma, section.sigma_slip))], [0.0] * 3
     )
     doubt[:, 0, 0] += section.sigma_velocity**2
-    columns = geometry.columns(static_mtf(file.mtf), doubt if doubt.any() else None)
+    static = np.tile(static_mtf(file.mtf), (len(geometry.column), 1))
+    if section.table is not None:
+        static *= _optics_of_columns(files(section.table), geometry.column) / optics_of(file.mtf)
+    columns = geometry.columns(static, doubt if doubt.any() else None)
     if found is None:
         return SeenColumns(columns, geometry, strip_span(camera), None, ())
     knowledge, notes = found.knowledge, found.knowledge.doubts(geometry)
@@ -111,6 +121,36 @@ def columns_of_acquisition(file: TdiFile, files: InputFolder, motion: Path | Non
             "beyond, its density there stands for it, falling",
         )
     return SeenColumns(columns, geometry, strip_span(camera), knowledge, notes)
+
+
+def check_optics(path: Path, given: Mapping[str, Array]) -> None:
+    """FormatError where MTFs of the optics by column are none."""
+    for name in OPTICS:
+        if name in given and not ((given[name] > 0.0) & (given[name] <= 1.0)).all():
+            raise FormatError(f"{path}: {name} must lie above 0, up to 1")
+
+
+def _optics_of_columns(path: Path, column: Array) -> Array:
+    """(C, 2) MTF of the optics of a table whose columns' motion the cameras say."""
+    of_motion = [name for name in header_of(path) if name in (*COLUMNS[1:], *SIGMAS)]
+    if of_motion:
+        raise FormatError(
+            f"{path}: gives {of_motion[0]}, and [columns] acquisition is given, whose cameras say how the "
+            f"scene moves; leave {', '.join(of_motion)} out of the table, or the acquisition"
+        )
+    table = {
+        name: np.asarray(values, dtype=np.float64)
+        for name, values in read_columns(path, ("column", *OPTICS)).items()
+    }
+    check_optics(path, table)
+    order = np.argsort(table["column"], kind="stable")
+    if not np.array_equal(table["column"][order], column):
+        raise FormatError(
+            f"{path}: its {len(order)} rows are of columns {table['column'].min():g} to "
+            f"{table['column'].max():g}; the band has the columns {column[0]:g} to {column[-1]:g}: give one "
+            "row for each of them"
+        )
+    return np.column_stack([table[name][order] for name in OPTICS])
 
 
 def optics_of(section: MtfSection) -> Array:

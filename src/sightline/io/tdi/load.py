@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,17 @@ from sightline.imaging.tdi_transfer import Exposure
 from sightline.io.acquisition.acquired import InputFolder, input_files
 from sightline.io.config import read_toml, validate
 from sightline.io.formats.tables import header_of, read_columns
-from sightline.io.tdi.columns import columns_of_acquisition, optics_of, static_mtf
+from sightline.io.tdi.columns import (
+    COLUMNS,
+    OPTICS,
+    SIGMAS,
+    SeenColumns,
+    check_optics,
+    columns_of_acquisition,
+    optics_of,
+    static_mtf,
+)
+from sightline.io.tdi.noise_table import NOISE, WELLS, read_noise_table, with_noise_table
 from sightline.io.tdi.schema import MOST_COLUMNS, ChoiceSection, TdiFile
 from sightline.result import set_source
 from sightline.tdi.setting import ChoiceRules, ScanColumns, TdiDetector, TdiGrid
@@ -29,9 +40,6 @@ from sightline.tdi.table import check_words_fit
 
 Array = NDArray[np.float64]
 
-COLUMNS = ("column", "scan_velocity", "slip")
-OPTICS = ("optics_mtf_x", "optics_mtf_y")
-SIGMAS = ("sigma_velocity", "sigma_slip")
 #: Cycles of slip over all stages that no image shows.
 UNSEEN = 1e-3
 #: A scene that moves so many times as fast as the clock, or as slowly, is not scanned by TDI.
@@ -68,7 +76,7 @@ def _problem(path: Path, file: TdiFile, files: InputFolder, motion: str | Path |
     head, choice = file.head, file.choice
     detector = TdiDetector(
         Exposure(head.stages, head.integration_ratio, choice.align),
-        NoiseLaw(**file.noise.model_dump()),
+        NoiseLaw(**file.noise.model_dump(exclude={"table"})),
         file.signals.integration_ratio,
         choice.full_well_line,
         choice.full_well_sum,
@@ -77,17 +85,21 @@ def _problem(path: Path, file: TdiFile, files: InputFolder, motion: str | Path |
         TdiGrid(np.array(file.grid.stage_list), np.array(file.grid.ratio_list)),
         _rules(choice, file),
     )
-    if file.columns.acquisition is not None:
-        seen = columns_of_acquisition(file, files, None if motion is None else Path(motion))
-        columns, notes = seen.columns, seen.notes
-        moved = seen.mtf(grid, detector.exposure, rules)
-    elif motion is not None:
+    if file.columns.acquisition is None and motion is not None:
         raise InputError(
             f"{path}: --motion belongs to an acquisition, whose cameras turn it into image motion; name it "
             "with [columns] acquisition = FILE in place of count or table"
         )
-    else:
-        columns, notes, moved = _columns(file, files), (), None
+    seen: SeenColumns | None = None
+    if file.columns.acquisition is not None:
+        seen = columns_of_acquisition(file, files, None if motion is None else Path(motion))
+    columns = _columns(file, files) if seen is None else seen.columns
+    if file.noise.table is not None:
+        table = files(file.noise.table)
+        values = read_noise_table(table, path, file, columns.column)
+        columns, detector = with_noise_table(columns, detector, file, values, table)
+    moved = None if seen is None else replace(seen, columns=columns).mtf(grid, detector.exposure, rules)
+    notes = () if seen is None else seen.notes
     if not (columns.static_mtf > 0.0).all():
         raise FormatError(
             f"{path}: optics, pixel and diffusion leave no contrast at mtf.frequencies = "
@@ -191,9 +203,7 @@ def _read_columns(path: Path, static: Array, file: TdiFile) -> ScanColumns:
             f"{table['scan_velocity'][row]:g}; pixels per line period along the column, near 1 (in step "
             "with the clock), are expected; is the sign of the scan reversed, or the unit another?"
         )
-    for name in OPTICS:
-        if name in table and not ((table[name] > 0.0) & (table[name] <= 1.0)).all():
-            raise FormatError(f"{path}: {name} must lie above 0, up to 1")
+    check_optics(path, table)
     for name in SIGMAS:
         if name in table and (table[name] < 0.0).any():
             raise FormatError(f"{path}: {name} must be 0 or more")
@@ -227,8 +237,9 @@ def _with_sigmas(
 
 def tdi_inputs(path: Path, motion: Path | None = None) -> list[Path]:
     """The TDI.toml, the files that it names, and what was read of a recovered motion."""
-    columns = validate(TdiFile, read_toml(path), path).columns
-    named = [path.parent / name for name in (columns.table, columns.acquisition) if name is not None]
+    file = validate(TdiFile, read_toml(path), path)
+    names = (file.columns.table, file.columns.acquisition, file.noise.table)
+    named = [path.parent / name for name in names if name is not None]
     read = ("motion.csv", "summary.json", "spectrum.csv", "hidden.csv", "covariance.npz")
     recovered = [] if motion is None else [motion / name for name in read if (motion / name).is_file()]
     return [path, *named, *recovered]
@@ -257,9 +268,20 @@ def _understood(problem: TdiProblem) -> list[str]:
         f"signals of {signals[0]:g} to {signals[-1]:g} electrons a line",
         f"velocity 1 {columns.velocity.min() - 1.0:+.3g} to 1 {columns.velocity.max() - 1.0:+.3g} px a line, "
         f"slip {np.degrees(columns.slip.min()):.4g} to {np.degrees(columns.slip.max()):.4g} degrees",
+        *_kinds(detector),
         f"MTF of what stands still: {_range(columns.static_mtf[:, 0])} across, "
         f"{_range(columns.static_mtf[:, 1])} along, at {problem.rules.frequencies} cycles per px",
     ]
+
+
+def _kinds(detector: TdiDetector) -> list[str]:
+    """How unlike the columns are in noise and wells."""
+    if not detector.kinds:
+        return []
+    values = {name: np.array([getattr(kind.noise, name) for kind in detector.kinds]) for name in NOISE}
+    values |= {name: np.array([getattr(kind, name) for kind in detector.kinds]) for name in WELLS}
+    unlike = [f"{name} {_range(each)}" for name, each in values.items() if each.min() < each.max()]
+    return [f"columns of {len(detector.kinds):,} kinds: {', '.join(unlike)}"]
 
 
 def _range(values: Array) -> str:
@@ -268,11 +290,11 @@ def _range(values: Array) -> str:
 
 
 def _missing(problem: TdiProblem) -> list[str]:
-    noise, detector = problem.detector.noise, problem.detector
+    kinds = problem.detector.kinds or (problem.detector,)
     said = []
-    if noise.read == 0.0 and noise.output == 0.0:
+    if all(kind.noise.read == 0.0 and kind.noise.output == 0.0 for kind in kinds):
         said.append("[noise] read or output: without them short integrations cost nothing")
-    if np.isinf(detector.full_well_line) and np.isinf(detector.full_well_sum):
+    if all(np.isinf(kind.full_well_line) and np.isinf(kind.full_well_sum) for kind in kinds):
         said.append("[choice] full_well_line, full_well_sum: nothing says when the detector saturates")
     if problem.columns.covariance is None and problem.motion is None:
         said.append("sigmas of velocity and slip, or --motion: the choice will trust them as exact")

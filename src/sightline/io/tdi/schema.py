@@ -149,10 +149,16 @@ class NoiseSection(SchemaSection):
     column_fixed: RelativeVariance = Field(
         default=0.0, description="A_col: relative variance of a column's pattern, common to all its lines (1)"
     )
+    table: FileName | None = Field(
+        default=None,
+        description="CSV column and any of gain,shot,read,dark,output,full_well_line,full_well_sum,"
+        "diffusion_sigma_px: those of each column, in place of the key for all",
+    )
 
     @model_validator(mode="after")
     def _something_is_noisy(self) -> NoiseSection:
-        if not any((self.gain, self.shot, self.read, self.dark, self.output, self.column_fixed)):
+        given = (self.gain, self.shot, self.read, self.dark, self.output, self.column_fixed)
+        if self.table is None and not any(given):
             raise ValueError(
                 "no noise: every setting would have an infinite SNR; shot = 1 is that of photons"
             )
@@ -168,7 +174,7 @@ class ColumnsSection(SchemaSection):
     table: FileName | None = Field(
         default=None,
         description="CSV column,scan_velocity,slip[,optics_mtf_x,optics_mtf_y][,sigma_velocity,sigma_slip]: "
-        "pixels per line period, rad",
+        "pixels per line period, rad; beside acquisition column,optics_mtf_x,optics_mtf_y",
     )
     acquisition: FileName | None = Field(
         default=None, description="An ACQUISITION.toml whose cameras give velocity and slip"
@@ -184,9 +190,12 @@ class ColumnsSection(SchemaSection):
     @model_validator(mode="after")
     def _one_source(self) -> ColumnsSection:
         given = [key for key in ("count", "table", "acquisition") if getattr(self, key) is not None]
-        if len(given) != 1:
+        if len(given) != 1 and given != ["table", "acquisition"]:
             said = " and ".join(given) or "none of them"
-            raise ValueError(f"give one of count, table and acquisition; {said} is there")
+            raise ValueError(
+                "give one of count, table and acquisition, or an acquisition with a table of the MTF of its "
+                f"optics; {said} is there"
+            )
         if self.band is not None and self.acquisition is None:
             raise ValueError("band belongs to acquisition; remove it, or give acquisition")
         return self
