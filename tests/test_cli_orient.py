@@ -128,7 +128,7 @@ def test_the_corrected_cameras_need_no_correction(done, given, tmp_path):
 
 
 def test_attitude_messages_hold_the_corrected_bodies(done, given):
-    from sightline.io.formats.ccsds import read_aem
+    from sightline.io.formats.ccsds_attitude import read_aem
 
     rows = rows_of(done / "cameras_corrected.csv")
     angles = angles_of(done)

@@ -142,11 +142,16 @@ function("formats.tables.read_motion", "recovered", "result/motion.csv")
 function("acquisition.quality.read_match_sigma", "level", "quality.csv", 40)
 function("acquisition.stages.read_stages", "level", "stages.csv", 40)
 function("acquisition.stages.read_tag_stages", "tdi", "tags.bin", (20, 31))
-function("acquisition.platform.read_positions", "orbit-ccsds", "orbit.oem", EPOCH)
-function("acquisition.platform.read_attitudes", "orbit-ccsds", "attitude.aem", EPOCH)
+function("acquisition.ephemeris.read_positions", "orbit-ccsds", "orbit.oem", EPOCH)
+function("acquisition.ephemeris.read_attitudes", "orbit-ccsds", "attitude.aem", EPOCH)
 function("formats.ccsds.read_oem", "orbit-ccsds", "orbit.oem", EPOCH)
-function("formats.ccsds.read_aem", "orbit-ccsds", "attitude.aem", EPOCH)
+function("formats.ccsds_attitude.read_aem", "orbit-ccsds", "attitude.aem", EPOCH)
 function("formats.ccsds.is_ccsds", "orbit-ccsds", "attitude.aem", "AEM")
+function("formats.ccsds_attitude.read_apm", "orbit-stars", "attitude.apm", EPOCH)
+function("formats.ccsds_message.kind_of", "orbit-stars", "orbit.xml")
+function("formats.ccsds_message.read_message", "orbit-stars", "orbit.xml", "OEM")
+function("formats.packed.read_packed_text", "orbit-stars", "orbit.oem", "text")
+function("formats.earth_orientation.read_earth_orientation", "orbit-stars", "earth.c04")
 function("sequence.times.first_instant", "flown-lonlat", "frames.csv")
 function(
     "sequence.times.read_timed",
@@ -361,7 +366,8 @@ for _place, _targets in (
 # Commands ---------------------------------------------------------------------------------------------------
 
 for _seed, _toml in (
-    ("level", "acquisition"), ("orbit-csv", "acquisition"), ("orbit-ccsds", "acquisition"), ("sensor-model",
+    ("level", "acquisition"), ("orbit-csv", "acquisition"), ("orbit-ccsds", "acquisition"),
+    ("orbit-stars", "acquisition"), ("sensor-model",
     "acquisition"),
     ("mirror", "acquisition"), ("spin", "acquisition"), ("turning-frames", "acquisition"), ("frames",
     "acquisition"),

@@ -6,6 +6,7 @@ Each function below makes one folder. Nothing outside the repository is read.
 from __future__ import annotations
 
 import contextlib
+import gzip
 import io
 import json
 import shutil
@@ -287,6 +288,63 @@ radii = [6378137.0, 6356752.3]
 {WINDOWS}
 """
     )
+
+
+@seed
+def orbit_stars(folder: Path) -> None:
+    """The same in axes of the stars, of two rows of an old table: an OEM in gzip and XML, one attitude."""
+    from sightline.geometry.earth_orientation import fixed_axes
+    from sightline.io.formats.ccsds import read_oem, write_oem
+    from sightline.io.formats.ccsds_attitude import read_aem
+    from sightline.io.formats.earth_orientation import read_earth_orientation
+
+    orbit_ccsds(folder)
+    rows = [
+        f"2026   1   {day}   0  {61040 + day}.00 0.1 0.3 0.1 0 0 0 0 0.001 0.03 0.03 0.002 0 0 0 0 0"
+        for day in (1, 2)
+    ]
+    (folder / "earth.c04").write_text("# made for a test\n" + "\n".join(rows) + "\n")
+    epoch = "2026-01-01T00:00:10Z"
+    given, turned = read_oem(folder / "orbit.oem", epoch), read_aem(folder / "attitude.aem", epoch)
+    axes = fixed_axes("EME2000", given.t, (61041, 47.0), read_earth_orientation(folder / "earth.c04"))
+    place = np.einsum("nji,nj->ni", axes.turn, given.position)
+    speed = np.einsum("nji,nj->ni", axes.turn, given.velocity - np.einsum("nij,nj->ni", axes.change, place))
+    middle = Rotation.from_matrix(axes.turn[4]).inv() * Rotation.from_quat(turned.quat_xyzw[4])
+    write_oem(folder / "plain.oem", given.t, place, speed, epoch, frame="EME2000")
+    text = (folder / "plain.oem").read_text()
+    (folder / "plain.oem").unlink()
+    (folder / "orbit.oem").write_bytes(gzip.compress(text.encode(), mtime=0))
+    (folder / "attitude.aem").unlink()
+    numbers = "\n".join(
+        f"{key} = {v}" for key, v in zip(("Q1", "Q2", "Q3", "QC"), middle.as_quat(), strict=True)
+    )
+    (folder / "attitude.apm").write_text(
+        "CCSDS_APM_VERS = 2.0\nCREATION_DATE = 2026-01-01T00:00:00\nORIGINATOR = TEST\nMETA_START\n"
+        "OBJECT_NAME = EXAMPLE\nOBJECT_ID = 2026-001A\nCENTER_NAME = EARTH\nTIME_SYSTEM = UTC\nMETA_STOP\n"
+        f"EPOCH = {epoch[:-1]}\nQUAT_START\nREF_FRAME_A = EME2000\nREF_FRAME_B = "
+        f"SC_BODY_1\n{numbers}\nQUAT_STOP\n"
+    )
+    states = "".join(
+        "<stateVector>" + "".join(f"<{key}>{value}</{key}>" for key, value in zip(
+            ("EPOCH", "X", "Y", "Z", "X_DOT", "Y_DOT", "Z_DOT"), line.split(), strict=True
+        )) + "</stateVector>\n"
+        for line in text.splitlines() if line.startswith("2026-")
+    )  # fmt: skip
+    meta = "".join(
+        f"<{key}>{value}</{key}>"
+        for key, value in (
+            line.split(" = ") for line in text[text.index("OBJECT") :].splitlines() if " = " in line
+        )
+    )
+    (folder / "orbit.xml").write_text(
+        '<?xml version="1.0" encoding="UTF-8"?>\n<oem id="CCSDS_OEM_VERS" '
+        'version="2.0">\n<header><CREATION_DATE>'
+        "2026-01-01T00:00:00</CREATION_DATE><ORIGINATOR>TEST</ORIGINATOR></header>\n<body><segment><metadata>"
+        f"{meta}</metadata>\n<data>{states}</data></segment></body></oem>\n"
+    )
+    toml = (folder / "acquisition.toml").read_text().replace("attitude.aem", "attitude.apm")
+    named = 'earth_orientation = "earth.c04"\n'
+    (folder / "acquisition.toml").write_text(toml.replace("attitudes = ", named + "attitudes = ", 1))
 
 
 @seed

@@ -256,8 +256,10 @@ def test_attitudes_that_do_not_reach_over_the_strip_give_both_spans(folder):
 
 def test_an_attitude_table_that_ends_early_is_named(folder):
     local_ephemeris(folder, np.linspace(-0.1, 0.3, 9))
-    tables.write_attitudes(folder.path / "a.csv", np.linspace(0.01, 0.3, 4), level_attitude(4))
-    assert "a.csv: the attitudes cover [0.010000, 0.300000] s" in message(folder, SpanError)
+    tables.write_attitudes(folder.path / "a.csv", np.linspace(0.25, 0.3, 4), level_attitude(4))
+    said = message(folder, SpanError)
+    assert "a.csv: the attitudes cover [0.250000, 0.300000] s" in said
+    assert "continued by two of their steps at most (0.0166667 s)" in said
 
 
 def test_attitudes_that_look_up_are_refused_with_a_hint(folder):

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError
 from sightline.io.acquisition.load import load_acquisition
-from sightline.io.formats import ccsds
+from sightline.io.formats import ccsds, ccsds_attitude, instants
 
 EPOCH = "2026-01-01T00:00:00Z"
 
@@ -52,7 +52,12 @@ META_STOP
 2026-01-01T00:00:01.0 7000.0 7.0 1.5 0.0 7.0 0.5
 COVARIANCE_START
 EPOCH = 2026-01-01T00:00:00
-1.0
+4e-6
+0 9e-6
+0 0 16e-6
+0 0 0 1e-12
+0 0 0 0 1e-12
+0 0 0 0 0 1e-12
 COVARIANCE_STOP
 META_START
 OBJECT_NAME = EXAMPLE
@@ -86,7 +91,7 @@ def matrix_of_the_standard(q1, q2, q3, qc):
 
 
 def test_an_aem_turns_vectors_as_the_standard_says(tmp_path):
-    attitude = ccsds.read_aem(file(tmp_path, AEM), EPOCH)
+    attitude = ccsds_attitude.read_aem(file(tmp_path, AEM), EPOCH)
     np.testing.assert_array_equal(attitude.t, [1.0, 2.5])
     earth_from_body = Rotation.from_quat(attitude.quat_xyzw[0]).as_matrix()
     np.testing.assert_allclose(
@@ -105,8 +110,8 @@ def test_an_aem_turns_vectors_as_the_standard_says(tmp_path):
     ],
 )
 def test_an_aem_the_other_way_round_is_the_inverse(tmp_path, old, new):
-    forward = ccsds.read_aem(file(tmp_path, AEM), EPOCH)
-    backward = ccsds.read_aem(file(tmp_path, AEM.replace(old, new)), EPOCH)
+    forward = ccsds_attitude.read_aem(file(tmp_path, AEM), EPOCH)
+    backward = ccsds_attitude.read_aem(file(tmp_path, AEM.replace(old, new)), EPOCH)
     there, back = Rotation.from_quat(forward.quat_xyzw), Rotation.from_quat(backward.quat_xyzw)
     assert (there * back).magnitude().max() < 1e-12
 
@@ -117,8 +122,8 @@ def test_a_scalar_that_stands_first_is_put_last(tmp_path):
     )
     text = text.replace("0.42319 -0.45697 0.23784 0.74533", "0.74533 0.42319 -0.45697 0.23784")
     np.testing.assert_allclose(
-        ccsds.read_aem(file(tmp_path, text), EPOCH).quat_xyzw,
-        ccsds.read_aem(file(tmp_path, AEM), EPOCH).quat_xyzw,
+        ccsds_attitude.read_aem(file(tmp_path, text), EPOCH).quat_xyzw,
+        ccsds_attitude.read_aem(file(tmp_path, AEM), EPOCH).quat_xyzw,
         atol=1e-12,
     )
 
@@ -127,7 +132,7 @@ def test_a_written_aem_is_read_back_to_a_nanosecond_and_to_rounding(tmp_path):
     t = 12.5 + np.arange(2000) / 2000.0 + 1e-9 * np.arange(2000)
     quat = Rotation.from_rotvec(np.random.default_rng(0).normal(size=(2000, 3))).as_quat()
     ccsds.write_aem(tmp_path / "a.aem", t, quat, EPOCH, object_name="EXAMPLE")
-    again = ccsds.read_aem(tmp_path / "a.aem", EPOCH)
+    again = ccsds_attitude.read_aem(tmp_path / "a.aem", EPOCH)
     np.testing.assert_allclose(again.t, t, atol=0.6e-9)
     np.testing.assert_allclose(again.quat_xyzw, quat, atol=1e-15)
     assert "START_TIME = 2026-01-01T00:00:12.500000000" in (tmp_path / "a.aem").read_text()
@@ -136,10 +141,10 @@ def test_a_written_aem_is_read_back_to_a_nanosecond_and_to_rounding(tmp_path):
 def test_instants_agree_with_the_calendar():
     # by another path: the standard library's arithmetic
     for text, seconds in (("2026-01-02T03:04:05.25Z", 97445.25), ("2025-365T23:59:59", -1.0)):
-        assert ccsds.seconds_from_epoch(text, EPOCH, "") == seconds
+        assert instants.seconds_from_epoch(text, EPOCH, "") == seconds
     later = datetime(2026, 1, 1, tzinfo=UTC) + timedelta(seconds=4000.5)
-    assert ccsds.utc_text(4000.5, EPOCH) == later.strftime("%Y-%m-%dT%H:%M:%S.500000000")
-    assert ccsds.utc_text(-0.25, "2026-01-01T00:00:00.125Z") == "2025-12-31T23:59:59.875000000"
+    assert instants.utc_text(4000.5, EPOCH) == later.strftime("%Y-%m-%dT%H:%M:%S.500000000")
+    assert instants.utc_text(-0.25, "2026-01-01T00:00:00.125Z") == "2025-12-31T23:59:59.875000000"
 
 
 def test_an_oem_becomes_metres_and_its_segments_one_table(tmp_path):
@@ -153,33 +158,64 @@ def test_an_oem_becomes_metres_and_its_segments_one_table(tmp_path):
     ("text", "read", "words"),
     [
         (
-            OEM.replace("ITRF", "EME2000"),
+            OEM.replace("ITRF", "EMEE2000"),
             ccsds.read_oem,
-            "REF_FRAME = EME2000 is not handled; allowed: EARTH_FIXED",
+            "REF_FRAME = EMEE2000 is not handled; is EME2000 meant?",
         ),
-        (OEM.replace("UTC", "TDB"), ccsds.read_oem, "TIME_SYSTEM = TDB is not handled; allowed: UTC"),
+        (OEM.replace("ITRF", "RTN"), ccsds.read_oem, "REF_FRAME = RTN is not handled; it goes round with"),
+        (
+            OEM.replace("UTC", "TDB"),
+            ccsds.read_oem,
+            "TIME_SYSTEM = TDB is not handled; allowed: UTC, TAI, GPS, TT, UT1",
+        ),
+        (OEM.replace("UTC", "GPS", 1), ccsds.read_oem, "its segments differ in TIME_SYSTEM: GPS and UTC"),
+        (OEM.replace("4e-6", "-4e-6"), ccsds.read_oem, "line 16: the covariance is not positive"),
+        (OEM.replace("\n0 9e-6", "\n7e-6 9e-6"), ccsds.read_oem, "line 16: the covariance is not positive"),
+        (OEM.replace("01.0 7000.0 7.0 1.5", "09.0 7000.0 7.0 1.5", 1), ccsds.read_oem, "epochs are mixed"),
+        (
+            OEM.replace("CENTER_NAME = EARTH", "CENTRE = EARTH", 1),
+            ccsds.read_oem,
+            "keyword CENTER_NAME is missing",
+        ),
+        (OEM.replace("META_STOP", "", 1), ccsds.read_oem, "is not KEYWORD = value"),
+        (OEM.replace("= 2.0", "= 7.0", 1), ccsds.read_oem, "CCSDS_OEM_VERS = 7.0 is not known"),
+        (OEM.replace("ORIGINATOR = TEST\n", ""), ccsds.read_oem, "ORIGINATOR is missing"),
         (
             OEM.replace("7.0 1.5", "x 1.5"),
             ccsds.read_oem,
             "line 14: '7000.0 x 1.5 0.0 7.0 0.5' are not numbers",
         ),
         (
-            AEM.replace("ITRF2014", "EME2000"),
-            ccsds.read_aem,
-            "attitude from EME2000 to SC_BODY_1; one must be Earth",
+            AEM.replace("SC_BODY_1", "EME2000"),
+            ccsds_attitude.read_aem,
+            "attitude from ITRF2014 to EME2000; one of both must be the body",
         ),
         (
-            AEM.replace("= QUATERNION", "= EULER_ANGLE"),
-            ccsds.read_aem,
-            "ATTITUDE_TYPE = EULER_ANGLE is not handled",
+            AEM.replace("= QUATERNION\n", "= SPIN\n"),
+            ccsds_attitude.read_aem,
+            "ATTITUDE_TYPE = SPIN is not handled: it does not say which axis of the body spins",
+        ),
+        (
+            AEM.replace("= QUATERNION\n", "= EULER_ANGEL\n"),
+            ccsds_attitude.read_aem,
+            "ATTITUDE_TYPE = EULER_ANGEL is not handled; is EULER_ANGLE meant?",
+        ),
+        (
+            AEM.replace("DATA_STOP\n", ""),
+            ccsds_attitude.read_aem,
+            "not between one DATA_START and one DATA_STOP",
         ),
         (
             AEM.replace("2026-01-01T00:00:01 0", "yesterday 0"),
-            ccsds.read_aem,
+            ccsds_attitude.read_aem,
             "'yesterday' is not a UTC instant",
         ),
-        (AEM.replace("0.68427", "0.98427"), ccsds.read_aem, "row 1 holds a quaternion of length"),
-        (AEM.replace("2026-001T00:00:02.5", "2026-001T00:00:00.5"), ccsds.read_aem, "unordered times"),
+        (AEM.replace("0.68427", "0.98427"), ccsds_attitude.read_aem, "row 1 holds a quaternion of length"),
+        (
+            AEM.replace("2026-001T00:00:02.5", "2026-001T00:00:00.5"),
+            ccsds_attitude.read_aem,
+            "unordered times",
+        ),
     ],
 )
 def test_what_cannot_be_used_is_refused_by_name(tmp_path, text, read, words):
@@ -193,11 +229,16 @@ def test_a_message_of_the_wrong_kind_is_said_to_be_so(tmp_path):
         ccsds.is_ccsds(file(tmp_path, AEM), "OEM")
 
 
+def test_the_covariance_nearest_to_the_images_gives_the_sigma(tmp_path):
+    # variances of 4, 9 and 16 mm^2 km-wise: 2, 3, 4 m; their rms
+    assert ccsds.read_oem(file(tmp_path, OEM), EPOCH).sigma == pytest.approx(np.sqrt((4 + 9 + 16) / 3))
+
+
 def test_an_acquisition_may_name_an_oem_and_an_aem(folder):
     t = np.linspace(-1.0, 2.0, 7)
     position = np.column_stack([7.078e6 + 0 * t, 0 * t, 7000.0 * t])
     rows = [
-        f"{ccsds.utc_text(k, EPOCH)} {p[0] / 1e3} {p[1] / 1e3} {p[2] / 1e3} 0 0 7.0"
+        f"{instants.utc_text(k, EPOCH)} {p[0] / 1e3} {p[1] / 1e3} {p[2] / 1e3} 0 0 7.0"
         for k, p in zip(t, position, strict=True)
     ]
     head = OEM[: OEM.index("2026-01-01T00:00:00.0")]

@@ -6,7 +6,7 @@ Not here: reading the file (``load.py``).
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -77,6 +77,8 @@ class Acquisition:
         What was given and is hardly meant.
     assumed : tuple of str
         What of the ground is not given, with what is taken for it.
+    sources : tuple of str
+        What orbit and attitudes are: axes, time scale, Earth orientation.
     """
 
     path: Path
@@ -100,6 +102,7 @@ class Acquisition:
     inputs: tuple[Path, ...] = field(repr=False)
     doubts: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
+    sources: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         """One line."""
@@ -187,6 +190,10 @@ class HasWorld(Protocol):
 class InputFolder:
     """Paths relative to the TOML file, remembered as they are used, with the keys that name them.
 
+    And what was understood of them on the way: `said`, `doubts`, what they add to the sigma of the reference
+    attitude (`attitude_sigmas`, rad), and the Earth-fixed axes against those that attitudes are given in at a
+    time (`fixed_from_given`, None: the same).
+
     Parameters
     ----------
     toml : Path
@@ -198,8 +205,10 @@ class InputFolder:
         """Start with the TOML file itself."""
         self.toml = toml
         self.used: list[Path] = [toml]
-        #: What the files leave open, as they say when they are read.
+        self.said: list[str] = []
         self.doubts: list[str] = []
+        self.attitude_sigmas: list[float] = []
+        self.fixed_from_given: Callable[[float], Rotation] | None = None
         self._keys_of: dict[str, list[str]] = {}
         self._place_of: dict[Path, str] = {}
         if config is not None:

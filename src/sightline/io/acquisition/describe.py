@@ -21,8 +21,8 @@ from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.acquisition.describe_spin import describe_spin, ground_words
 from sightline.io.acquisition.ground import ground_steps, sampling_doubts, shared_ground
 from sightline.io.acquisition.looks import look_words
-from sightline.io.formats.ccsds import epoch_words
 from sightline.io.formats.images import RasterImage
+from sightline.io.formats.instants import epoch_words
 from sightline.motion.observability import (
     Passbands,
     averaged_away,
@@ -196,6 +196,7 @@ def _understood(acquisition: Acquisition) -> list[str]:
         lines.append(f"{name}: {image.shape[0]} lines x {image.shape[1]} columns, {when}{of}")
         if isinstance(camera, PushbroomCamera) and camera.stages is not None:
             lines.append(_stage_words(name, camera))
+    lines += acquisition.sources
     ifov = acquisition.ifov * 1e6
     lines.append(
         f"one pixel is {ifov:.4g} urad; the field reaches {acquisition.half_field_px:.0f} px from its middle"

@@ -13,7 +13,7 @@ import numpy as np
 
 from sightline.geometry.surface import Dem, Ellipsoid, Infinity, Plane, Surface
 from sightline.io.acquisition.acquired import Acquisition
-from sightline.io.formats.ccsds import epoch_words
+from sightline.io.formats.instants import epoch_words
 from sightline.motion.spin.matches import StripPair, strip_pairs
 
 

@@ -20,9 +20,9 @@ from sightline.io.acquisition.platform import build_trajectory
 from sightline.io.acquisition.schema import AcquisitionFile, CameraModelPlatform, FrameSection, SpinPlatform
 from sightline.io.acquisition.spin import pointing_of
 from sightline.io.acquisition.strips import cut_into_strips
-from sightline.io.formats.ccsds import seconds_from_epoch
 from sightline.io.formats.exif import read_exif
 from sightline.io.formats.images import Source, check_content, open_image
+from sightline.io.formats.instants import seconds_from_epoch
 from sightline.motion.band import Frame, LensKnowledge
 
 #: Start value of an unknown focal length and its sigma, in larger sides of the frame (1.0: 53 degrees).

@@ -112,7 +112,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         sweeps = config.platform.kind == "spin" or config.pointing.kind == "scan-mirror"
         check_coverage(
             path, surface, cameras, names, sweeps=sweeps,
-            otherwise=lambda camera: otherwise_written(config, camera, surface),
+            otherwise=lambda camera: otherwise_written(config, camera, surface, files.fixed_from_given),
         )  # fmt: skip
         check_sampling(path, surface, cameras, names)
         check_overlap(path, surface, cameras, names)
@@ -139,9 +139,10 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         parallax_sigma=config.surface.parallax_sigma,
         inputs=tuple(files.used),
         assumed=assumed_ground(config.surface),
+        sources=tuple(files.said),
         doubts=(
             *dict.fromkeys(files.doubts),
-            *look_doubts(config, cameras, names, surface),
+            *look_doubts(config, cameras, names, surface, files.fixed_from_given),
             *sensor_doubts(sensors, (float(exposed.min()), float(exposed.max()))),
         ),
     )
@@ -208,7 +209,8 @@ def read_known_motion(config: AcquisitionFile, files: InputFolder) -> KnownConte
     section, platform = config.known_motion, config.platform
     known = KnownContent(tuple(section.tones))
     if isinstance(platform, KnownAttitude):
-        known = replace(known, attitude_sigma=platform.attitude_sigma, rate_sigma=platform.rate_sigma)
+        sigma = float(np.linalg.norm([platform.attitude_sigma, *files.attitude_sigmas]))
+        known = replace(known, attitude_sigma=sigma, rate_sigma=platform.rate_sigma)
     if section.psd is None:
         return known
     f, density = tables.read_psd(files(section.psd))

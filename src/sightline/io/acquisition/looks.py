@@ -176,7 +176,11 @@ def _column_zero(camera: PushbroomCamera, frame: _Frame) -> Array:
 
 
 def look_doubts(
-    config: AcquisitionFile, cameras: Sequence[MovingCamera], names: Sequence[str], surface: Surface
+    config: AcquisitionFile,
+    cameras: Sequence[MovingCamera],
+    names: Sequence[str],
+    surface: Surface,
+    axes_at: Callable[[float], Rotation] | None = None,
 ) -> tuple[str, ...]:
     """What is hardly meant of where cameras look: far from straight down, across the track, backwards.
 
@@ -204,7 +208,7 @@ def look_doubts(
             f"its lines follow each other {_sided(twist, 'degrees right', 'degrees left')} of the flown "
             "direction"
         )
-    other = otherwise_written(config, camera, surface)
+    other = otherwise_written(config, camera, surface, axes_at)
     if said or other:
         said = said or [f"the camera looks {seen.words()} from straight down, turned by {twist:.3g} degrees"]
         said = [
@@ -234,8 +238,16 @@ def _aims(camera: PushbroomCamera, frame: _Frame, body: Rotation) -> tuple[Look,
     return min(looks, key=lambda look: look.off), frame.heading(body.apply(later))
 
 
-def otherwise_written(config: AcquisitionFile, camera: MovingCamera, surface: Surface) -> str:
-    """The end of a message where quaternions written in another way make the camera look straight down."""
+def otherwise_written(
+    config: AcquisitionFile,
+    camera: MovingCamera,
+    surface: Surface,
+    axes_at: Callable[[float], Rotation] | None = None,
+) -> str:
+    """The end of a message where quaternions written in another way make the camera look straight down.
+
+    `axes_at` gives the axes of computation against those that the file is in, at a time (s).
+    """
     platform = config.platform
     if (
         not isinstance(platform, EphemerisPlatform)
@@ -255,7 +267,7 @@ def otherwise_written(config: AcquisitionFile, camera: MovingCamera, surface: Su
 
     if odd(given) <= _ODD:
         return ""
-    axes = Rotation.identity()
+    axes = Rotation.identity() if axes_at is None else axes_at(frame.t)
     if config.world.frame == "local" and config.world.origin is not None:
         axes = local_axes(*np.radians(config.world.origin[:2]))
     written = (axes.inv() * given).as_quat()

@@ -1,14 +1,15 @@
 """``[platform]`` and ``[world]`` → a Trajectory in the axes everything is computed in.
 
-Level flight over a flat Earth; a spinning body; positions and attitudes from CSV tables or CCSDS messages,
-in Earth-fixed, local or geodetic coordinates.
+Level flight over a flat Earth; a spinning body; positions and attitudes of files, in Earth-fixed, local or
+geodetic coordinates.
 
-Not here: what a spin's keys mean (``spin.py``), sensor-model files, which bring trajectory and detector
-together (``io/formats/isd.py``).
+Not here: files of orbits and attitudes, and their axes (``ephemeris.py``), what a spin's keys mean
+(``spin.py``), sensor-model files, which bring trajectory and detector together (``io/formats/isd.py``).
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,13 @@ from sightline.errors import FormatError
 from sightline.geometry.earth import WGS84, from_geodetic, local_axes, to_geodetic
 from sightline.geometry.trajectory import Trajectory
 from sightline.io.acquisition.acquired import InputFolder, attitude_to_world, world_kind
+from sightline.io.acquisition.ephemeris import (
+    GivenOrbit,
+    earth_of,
+    fixed_attitude,
+    fixed_orbit,
+    say_orientation,
+)
 from sightline.io.acquisition.schema import (
     AcquisitionFile,
     EphemerisPlatform,
@@ -26,8 +34,8 @@ from sightline.io.acquisition.schema import (
     SpinPlatform,
     WorldSection,
 )
-from sightline.io.acquisition.spin import must_cover, spin_of
-from sightline.io.formats import ccsds, tables
+from sightline.io.acquisition.spin import spin_of
+from sightline.io.formats.earth_orientation import TurningEarth
 
 Array = NDArray[np.float64]
 
@@ -76,33 +84,34 @@ def build_trajectory(config: AcquisitionFile, files: InputFolder, span: tuple[fl
         raise FormatError(
             f"{files.toml}: [platform] kind {platform.kind!r} takes its trajectory from the model file"
         )
-    t_position, position, velocity = _positions(config, files(platform.positions), span)
+    earth = earth_of(config, files)
+    orbit = _positions(config, files(platform.positions), span, earth, files)
+    t_position, position, velocity = orbit.t, orbit.position, orbit.velocity
+    given: str | None = None
     if platform.attitudes == "along-track":
         t_attitude, attitude = (
             t_position,
             along_track_attitude(t_position, position, world_kind(config), config.surface.radii or WGS84),
         )
     else:
-        path = files(platform.attitudes)
-        t_attitude, quat_xyzw = read_attitudes(path, config.acquisition.epoch)
-        must_cover(path, "attitudes", t_attitude, span)
-        attitude = attitude_to_world(Rotation.from_quat(quat_xyzw), config)
+        t_attitude, attitude, given = fixed_attitude(config, files(platform.attitudes), span, earth, files)
+        if given is None:
+            attitude = attitude_to_world(attitude, config)
+        elif given not in ("ITRF", "BODY"):
+            axes = given
+            files.fixed_from_given = lambda t: Rotation.from_matrix(earth.axes(axes, np.array([t])).turn[0])
+    say_orientation(earth, orbit, given, span, config.surface.radii, files)
     return Trajectory(
         t_position, position, t_attitude, attitude, epoch=config.acquisition.epoch, velocity=velocity
     )
 
 
 def _positions(
-    config: AcquisitionFile, path: Path, span: tuple[float, float]
-) -> tuple[Array, Array, Array | None]:
-    """Times (N,) s, positions (N, 3) and velocities (N, 3) or None of a table, axes of computation."""
-    t, raw, velocity = read_positions(path, config.acquisition.epoch)
-    must_cover(path, "positions", t, span)
-    if velocity is not None and config.world.frame != "earth-fixed":
-        raise FormatError(
-            f'{path}: an OEM is in Earth-fixed axes; [world] frame must be "earth-fixed" or left out'
-        )
-    return t, to_world(raw, config, path), velocity
+    config: AcquisitionFile, path: Path, span: tuple[float, float], earth: TurningEarth, files: InputFolder
+) -> GivenOrbit:
+    """Positions of a file, axes of computation."""
+    given = fixed_orbit(config, path, span, earth, files)
+    return replace(given, position=to_world(given.position, config, path))
 
 
 def _spinning(
@@ -113,7 +122,10 @@ def _spinning(
     wide = span[0] - margin, span[1] + margin
     velocity: Array | None = None
     if platform.positions is not None:
-        t, position, velocity = _positions(config, files(platform.positions), span)
+        earth = earth_of(config, files)
+        orbit = _positions(config, files(platform.positions), span, earth, files)
+        t, position, velocity = orbit.t, orbit.position, orbit.velocity
+        say_orientation(earth, orbit, None, span, config.surface.radii, files)
     else:
         at = np.zeros((1, 3))  # only directions matter: the ground is at infinity
         if platform.position is not None:
@@ -122,22 +134,6 @@ def _spinning(
     spin = spin_of(config)
     assert spin is not None  # the platform is one
     return spin.trajectory(t, position, wide, velocity=velocity, epoch=config.acquisition.epoch)
-
-
-def read_positions(path: Path, epoch: str | None) -> tuple[Array, Array, Array | None]:
-    """Positions of a CSV table or a CCSDS OEM: times (N,) s, positions (N, 3), velocities (N, 3) or None."""
-    if ccsds.is_ccsds(path, "OEM"):
-        ephemeris = ccsds.read_oem(path, ccsds.need_epoch(path, epoch))
-        return ephemeris.t, ephemeris.position, ephemeris.velocity
-    return *tables.read_positions(path), None
-
-
-def read_attitudes(path: Path, epoch: str | None) -> tuple[Array, Array]:
-    """Attitudes from a CSV table or a CCSDS AEM: times (N,) s from the epoch, quaternions (N, 4) x y z w."""
-    if ccsds.is_ccsds(path, "AEM"):
-        attitude = ccsds.read_aem(path, ccsds.need_epoch(path, epoch))
-        return attitude.t, attitude.quat_xyzw
-    return tables.read_attitudes(path)
 
 
 def to_world(points: Array, config: AcquisitionFile, path: Path | None = None) -> Array:

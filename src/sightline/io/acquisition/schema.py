@@ -18,7 +18,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from sightline.errors import FormatError
 from sightline.geometry.camera import MOST_STAGES
-from sightline.io.formats.ccsds import parse_utc
+from sightline.io.formats.instants import parse_utc
 from sightline.io.quantities import (
     Altitude,
     AngleSigma,
@@ -141,6 +141,11 @@ class KnownAttitude(SchemaSection):
     )
 
 
+#: Axes that a table without words of its own may be in.
+GivenAxes = Literal["ITRF", "GCRF", "EME2000", "MOD", "TOD", "TEME", "CIRS", "TIRS"]
+EARTH_ORIENTATION = "IERS finals2000A or C04 (default: the table of astropy-iers-data), for axes of the stars"
+
+
 class LevelFlight(KnownAttitude):
     """``[platform]`` kind level-flight: straight and level over a flat Earth, flying north."""
 
@@ -156,8 +161,15 @@ class EphemerisPlatform(KnownAttitude):
     positions: FileName = Field(description="CSV t,x,y,z or CCSDS OEM")
     attitudes: FileName = Field(
         default="along-track",
-        description='CSV t,qx,qy,qz,qw (world_from_body), CCSDS AEM, or "along-track" (z down, x ahead)',
+        description='CSV t,qx,qy,qz,qw (world_from_body), CCSDS AEM, APM, or "along-track" (z down, x ahead)',
     )
+    position_axes: GivenAxes | None = Field(
+        default=None, description="Axes of a CSV table of positions that is not in those of [world]"
+    )
+    attitude_axes: GivenAxes | None = Field(
+        default=None, description="Axes of a CSV table of attitudes that is not in those of [world]"
+    )
+    earth_orientation: FileName | None = Field(default=None, description=EARTH_ORIENTATION)
 
 
 class CameraModelPlatform(KnownAttitude):
@@ -175,6 +187,7 @@ class SpinPlatform(SchemaSection):
 
     kind: Literal["spin"]
     positions: FileName | None = Field(default=None, description="CSV t,x,y,z or CCSDS OEM")
+    earth_orientation: FileName | None = Field(default=None, description=EARTH_ORIENTATION)
     position: Place | None = Field(
         default=None, description="The same place at all times, axes of [world]; with neither: the origin"
     )

@@ -1,38 +1,57 @@
-"""CCSDS orbit and attitude messages in keyword = value notation (KVN).
+"""CCSDS orbit ephemeris messages (OEM, 502.0-B) read and written, attitude ephemeris messages (AEM) written.
 
-OEM (orbit ephemeris, CCSDS 502.0-B) read; AEM (attitude ephemeris, CCSDS 504.0-B) read and
-written, quaternions only. Times are UTC and become seconds from the epoch.
+Times become seconds from the epoch, axes are those of the message.
 
-Not here: CSV tables (``tables.py``).
+Not here: the form of messages (``ccsds_message.py``), attitudes read (``ccsds_attitude.py``), other axes
+(``geometry/earth_orientation.py``), CSV tables (``tables.py``).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.access import check_file, read_text
-from sightline.errors import FormatError, InputError, foreign_errors, printable, reads, shortened
-from sightline.io.formats.tables import check_quaternions, check_times
+from sightline.errors import FormatError, InputError, printable, reads, shortened
+from sightline.io.formats.ccsds_message import (
+    Clock,
+    Message,
+    Part,
+    Row,
+    Segment,
+    check_alike,
+    check_interpolation,
+    check_keys,
+    chosen,
+    clock_of,
+    kind_of,
+    known_axes,
+    read_message,
+    timed_numbers,
+    useable_span,
+)
+from sightline.io.formats.instants import utc_text
 from sightline.writing import creation_date, whole
 
 Array = NDArray[np.float64]
 
-#: Reference frames that turn with the Earth; others need an Earth-rotation model and are refused.
-EARTH_FIXED_FRAMES = ("EARTH_FIXED", "ECEF", "ITRF", "ITRS", "TDR", "WGS84", "EFG")
-#: Years in which images are taken: the oldest photographs of land from above are of 1858.
-FIRST_YEAR, LAST_YEAR = 1850, 2200
 #: Characters that a name in a message has at most.
 _LONGEST_NAME = 80
-#: Names for the axes of our body in an attitude message.
-BODY_FRAMES = ("SC_BODY", "BODY", "SC_BODY_1", "SPACECRAFT_BODY")
-#: Bytes in which the first line of a message is looked for.
-_HEAD = 65536
+_NEEDED = ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME", "REF_FRAME", "TIME_SYSTEM", "START_TIME", "STOP_TIME")
+_KNOWN = (
+    "REF_FRAME_EPOCH",
+    "USEABLE_START_TIME",
+    "USEABLE_STOP_TIME",
+    "INTERPOLATION",
+    "INTERPOLATION_DEGREE",
+)
+#: Numbers of a data line: place and velocity, with acceleration or without.
+_COUNTS = (6, 9)
+#: Share of the largest by which an eigenvalue of scaled covariances may lie below 0: eight written digits.
+_NEGATIVE = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,85 +63,43 @@ class OrbitEphemeris:
     t : (N,)
         s from the epoch.
     position : (N, 3)
-        m, Earth-fixed.
+        m.
     velocity : (N, 3)
-        m/s, Earth-fixed.
+        m/s.
+    axes : str
+        A key of ``AXES`` of ``geometry/earth_orientation.py``, or "BODY": turning with another body.
+    centre : str
+        The body they are about.
+    time_scale : str
+        Of the message.
+    useable : (first, last)
+        s; rows beyond serve interpolation alone.
+    sigma : float or None
+        m per axis; of the covariance nearest to the middle of the images.
+    segments : int
+        How many were joined.
     """
 
     t: Array
     position: Array
     velocity: Array
+    axes: str = "ITRF"
+    centre: str = "EARTH"
+    time_scale: str = "UTC"
+    useable: tuple[float, float] = (-np.inf, np.inf)
+    sigma: float | None = None
+    segments: int = 1
 
 
-@dataclass(frozen=True, eq=False)
-class AttitudeEphemeris:
-    """An AEM as arrays.
+def is_ccsds(path: Path, *kinds: str) -> str | None:
+    """Which of the kinds ("OEM", ...) of CCSDS messages a file is; FormatError if it is of another one.
 
-    Attributes
-    ----------
-    t : (N,)
-        s from the epoch.
-    quat_xyzw : (N, 4)
-        world_from_body, scalar last.
+    A file that is no CCSDS message (a CSV table) gives None.
     """
-
-    t: Array
-    quat_xyzw: Array
-
-
-def epoch_words(epoch: str | None) -> str:
-    """When t = 0 is, in words; that a time without a zone is taken as UTC."""
-    if epoch is None:
-        return "no epoch"
-    zoned = epoch.strip().endswith(("Z", "+00:00"))
-    return f"t = 0 at {epoch}" + ("" if zoned else " (assumed: UTC, as it has no Z)")
-
-
-def parse_utc(text: str, place: str) -> tuple[datetime, float]:
-    """A UTC instant as whole seconds and the fraction that datetime would cut at a microsecond.
-
-    Parameters
-    ----------
-    text : str
-        ISO 8601, calendar (2026-01-31T...) or ordinal (2026-031T...), with or without Z.
-    place : str
-        Named in messages.
-
-    Returns
-    -------
-    whole : datetime
-    fraction : float
-        s, 0 <= fraction < 1.
-    """
-    body, dot, digits = text.strip().removesuffix("Z").removesuffix("+00:00").partition(".")
-    for form in ("%Y-%m-%dT%H:%M:%S", "%Y-%jT%H:%M:%S", "%Y-%m-%d %H:%M:%S", "%Y-%m-%dT%H:%M", "%Y-%m-%d"):
-        try:
-            whole = datetime.strptime(body, form).replace(tzinfo=UTC)
-        except ValueError:
-            continue
-        if not FIRST_YEAR <= whole.year <= LAST_YEAR:
-            raise FormatError(
-                f"{place}: {text!r} is an instant of the year {whole.year}; images are of {FIRST_YEAR} to "
-                f"{LAST_YEAR}"
-            )
-        if not dot or digits.isdigit():
-            return whole, float(f"0.{digits or 0}")
-    raise FormatError(f"{place}: {text[:80]!r} is not a UTC instant; write it like 2026-01-31T12:00:00.123Z")
-
-
-def seconds_from_epoch(text: str, epoch: str, place: str) -> float:
-    """Seconds from `epoch` to the instant `text` (both UTC, no leap second counted)."""
-    whole, fraction = parse_utc(text, place)
-    start, start_fraction = parse_utc(epoch, "epoch")
-    return (whole - start).total_seconds() + (fraction - start_fraction)
-
-
-def utc_text(t: float, epoch: str) -> str:
-    """The instant `t` seconds after `epoch`, to the nanosecond, as CCSDS writes it."""
-    start, fraction = parse_utc(epoch, "epoch")
-    nanoseconds = round((t + fraction) * 1e9)
-    whole = start + timedelta(seconds=nanoseconds // 1_000_000_000)
-    return f"{whole:%Y-%m-%dT%H:%M:%S}.{nanoseconds % 1_000_000_000:09d}"
+    found = kind_of(path)
+    if found is not None and found not in kinds:
+        raise FormatError(f"{path}: is a CCSDS {found[:20]}; {' or '.join(kinds)} is needed here")
+    return found
 
 
 def need_epoch(path: Path, epoch: str | None) -> str:
@@ -134,186 +111,132 @@ def need_epoch(path: Path, epoch: str | None) -> str:
     return epoch
 
 
-def is_ccsds(path: Path, kind: str) -> bool:
-    """Whether the file is a CCSDS message of `kind` ("OEM", "AEM"); FormatError if it is of another kind.
-
-    A file that is not CCSDS at all (a CSV table) gives False.
-    """
-    check_file(path, "check the name in the TOML file")
-    with foreign_errors(path, "cannot be read", "a table or a CCSDS message is expected"):
-        with path.open("rb") as stream:
-            lines = stream.read(_HEAD).decode("utf-8", "replace").lstrip("\ufeff").splitlines()
-    first = next((line.strip() for line in lines if line.strip()), "")
-    if not first.startswith("CCSDS_"):
-        if first.startswith("<?xml"):
-            raise FormatError(f"{path}: XML messages are not read; write it as KVN (keyword = value)")
-        return False
-    found = first.split("=")[0].strip().removeprefix("CCSDS_").removesuffix("_VERS")
-    if found != kind:
-        raise FormatError(f"{path}: is a CCSDS {found}; {kind} is needed here")
-    return True
-
-
-def _lines(path: Path) -> Iterator[tuple[int, str]]:
-    """Numbered lines without comments and blank ones."""
-    text = read_text(path, "a CCSDS message in KVN")
-    for number, line in enumerate(text.splitlines(), 1):
-        stripped = line.strip()
-        if stripped and not stripped.startswith("COMMENT"):
-            yield number, stripped
-
-
-def _segments(path: Path) -> Iterator[tuple[dict[str, str], list[tuple[int, list[str]]]]]:
-    """Metadata and data rows of every segment of a message."""
-    meta: dict[str, str] | None = None
-    rows: list[tuple[int, list[str]]] = []
-    inside, skip = False, False
-    for number, line in _lines(path):
-        if line == "META_START":
-            if meta is not None:
-                yield meta, rows
-            meta, rows, inside = {}, [], True
-        elif line == "META_STOP":
-            inside = False
-        elif line in ("DATA_START", "DATA_STOP"):
-            continue
-        elif line in ("COVARIANCE_START", "COVARIANCE_STOP"):
-            skip = line == "COVARIANCE_START"
-        elif inside and meta is not None:
-            key, equals, value = line.partition("=")
-            if not equals:
-                raise FormatError(f"{path}: line {number}: {line!r} is not KEYWORD = value")
-            meta[key.strip()] = value.strip()
-        elif meta is not None and not skip:
-            rows.append((number, line.split()))
-    if meta is None:
-        raise FormatError(f"{path}: has no META_START; a CCSDS ephemeris message in KVN is expected")
-    yield meta, rows
-
-
-def _numeric(path: Path, rows: list[tuple[int, list[str]]], count: int, epoch: str) -> tuple[Array, Array]:
-    """Times (N,) s and the `count` numbers after each time, (N, count)."""
-    times, values = np.empty(len(rows)), np.empty((len(rows), count))
-    for k, (number, cells) in enumerate(rows):
-        if len(cells) < count + 1:
-            raise FormatError(
-                f"{path}: line {number} holds {len(cells)} values; an instant and {count} numbers are "
-                f"expected"
-            )
-        times[k] = seconds_from_epoch(cells[0], epoch, f"{path}: line {number}")
-        try:
-            values[k] = [float(cell) for cell in cells[1 : count + 1]]
-        except ValueError:
-            raise FormatError(f"{path}: line {number}: {' '.join(cells[1:])!r} are not numbers") from None
-    if not len(rows):
-        raise FormatError(f"{path}: a segment without data; at least one row is needed")
-    if not np.isfinite(values).all():
-        raise FormatError(
-            f"{path}: line {rows[int(np.argmin(np.isfinite(values).all(axis=1)))][0]}: not a finite number"
-        )
-    return times, values
-
-
-def _join(path: Path, parts: list[tuple[Array, Array]]) -> tuple[Array, Array]:
-    """Segments one after the other; an instant that ends one and starts the next is kept once."""
-    times, values = parts[0]
-    for t, v in parts[1:]:
-        skip = int(np.searchsorted(t, times[-1], side="right"))
-        times, values = np.concatenate([times, t[skip:]]), np.concatenate([values, v[skip:]])
-    check_times(path, times, "epoch")
-    return times, values
-
-
-def _require(path: Path, meta: dict[str, str], key: str, allowed: tuple[str, ...], hint: str) -> None:
-    """FormatError unless a metadata keyword has one of the values we handle."""
-    given = meta.get(key)
-    if given is None:
-        raise FormatError(f"{path}: metadata keyword {key} is missing; allowed: {', '.join(allowed)}")
-    if not any(given.upper().startswith(name) for name in allowed):
-        raise FormatError(f"{path}: {key} = {given} is not handled; allowed: {', '.join(allowed)}; {hint}")
+def no_ut1(t: float) -> float:
+    """UT1 - UTC where nothing is known of the Earth's rotation: 0 s."""
+    return 0.0 * t
 
 
 @reads("a CCSDS OEM")
-def read_oem(path: Path, epoch: str) -> OrbitEphemeris:
+def read_oem(
+    path: Path,
+    epoch: str,
+    *,
+    span: tuple[float, float] | None = None,
+    ut1_less_utc: Callable[[float], float] = no_ut1,
+) -> OrbitEphemeris:
     """Positions and velocities of an orbit ephemeris message.
 
     Parameters
     ----------
     path : Path
-        An OEM in KVN, Earth-fixed axes (ITRF), UTC; several segments are joined.
+        An OEM, version 1 to 3, in KVN or XML, compressed or not.
     epoch : str
         UTC of t = 0.
+    span : (first, last), optional
+        s; of the images: the segment that covers it is taken, else those that do so together.
+    ut1_less_utc : callable, optional
+        UT1 - UTC (s) at t (s), for messages whose time scale is UT1.
 
     Returns
     -------
     OrbitEphemeris
-        Kilometres have become metres.
+        In the axes of the message; kilometres have become metres.
 
     Raises
     ------
     FormatError
-        For inertial axes or other time systems; the message says what to convert.
+        For what the standard does not allow, and for axes and time scales that are not known.
     """
-    parts = []
-    for meta, rows in _segments(path):
-        _require(path, meta, "REF_FRAME", EARTH_FIXED_FRAMES, "convert the orbit to ITRF first")
-        _require(path, meta, "TIME_SYSTEM", ("UTC",), "convert the times to UTC first")
-        parts.append(_numeric(path, rows, 6, epoch))
-    t, state = _join(path, parts)
-    return OrbitEphemeris(t, state[:, :3] * 1e3, state[:, 3:] * 1e3)
+    message = read_message(path, "OEM")
+    for segment in message.segments:
+        check_keys(message, segment, _NEEDED, (*_KNOWN, "MESSAGE_ID"))
+    clock = clock_of(message, epoch, ut1_less_utc)
+    for key in ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME"):
+        check_alike(message, key)
+    sigmas: list[tuple[float, float]] = []
+    parts = [_part(message, segment, clock, sigmas) for segment in message.segments]
+    part, count = chosen(message, parts, span)
+    middle = 0.5 * sum(span) if span is not None else 0.5 * float(part.t[0] + part.t[-1])
+    return OrbitEphemeris(
+        part.t, part.values[:, :3] * 1e3, part.values[:, 3:] * 1e3, part.axes,
+        message.segments[0].meta["CENTER_NAME"], clock.scale, part.useable,
+        min(sigmas, key=lambda known: abs(known[0] - middle))[1] if sigmas else None, count,
+    )  # fmt: skip
 
 
-@reads("a CCSDS AEM")
-def read_aem(path: Path, epoch: str) -> AttitudeEphemeris:
-    """Attitudes of an attitude ephemeris message.
-
-    Parameters
-    ----------
-    path : Path
-        An AEM in KVN, version 1 or 2, quaternions between Earth-fixed and spacecraft-body axes, UTC.
-    epoch : str
-        UTC of t = 0.
-
-    Returns
-    -------
-    AttitudeEphemeris
-        world_from_body, scalar last, whatever order and direction the message uses.
-
-    Notes
-    -----
-    CCSDS 504.0-B: the quaternion describes the rotation from frame A to frame B and turns the
-    *components* of a vector from A into B: v_B = M(q) v_A with the passive matrix, which is scipy's
-    ``Rotation(q).inv()``. With A the body and B the Earth that is earth_from_body = Rotation(q).inv(),
-    and with A the Earth and B the body, earth_from_body = Rotation(q).
-    """
-    parts = []
-    for meta, rows in _segments(path):
-        _require(path, meta, "TIME_SYSTEM", ("UTC",), "convert the times to UTC first")
-        _require(path, meta, "ATTITUDE_TYPE", ("QUATERNION",), "export the attitude as quaternions")
-        t, values = _numeric(path, rows, 4, epoch)
-        if meta.get("QUATERNION_TYPE", "LAST").upper() == "FIRST":
-            values = values[:, [1, 2, 3, 0]]
-        if not _earth_to_body(path, meta):
-            values = values * [-1.0, -1.0, -1.0, 1.0]
-        parts.append((t, values))
-    t, quat_xyzw = _join(path, parts)
-    return AttitudeEphemeris(t, check_quaternions(path, quat_xyzw))
+def _part(message: Message, segment: Segment, clock: Clock, sigmas: list[tuple[float, float]]) -> Part:
+    """The table of a segment; sigmas of its covariances (s, m) are appended."""
+    meta = segment.meta
+    axes = known_axes(message, segment.line, "REF_FRAME", meta["REF_FRAME"])
+    if "REF_FRAME_EPOCH" in meta and axes in ("TOD", "MOD", "TEME", "CIRS"):
+        raise FormatError(
+            f"{message.at(segment.line)}: REF_FRAME = {meta['REF_FRAME']} of one REF_FRAME_EPOCH is not "
+            "handled, "
+            "only of date; export it in EME2000 or ITRF"
+        )
+    check_interpolation(message, segment, "INTERPOLATION")
+    useable = useable_span(message, segment, clock)
+    rows, blocks = _split(message, segment)
+    sigmas += [_position_sigma(message, block, clock) for block in blocks]
+    return Part(useable, *timed_numbers(message, segment, rows, _COUNTS, clock), axes)
 
 
-def _earth_to_body(path: Path, meta: dict[str, str]) -> bool:
-    """Whether the quaternion goes from Earth-fixed axes (A) to the body (B); FormatError for other frames."""
-    first, second = meta.get("REF_FRAME_A", "").upper(), meta.get("REF_FRAME_B", "").upper()
-    if meta.get("ATTITUDE_DIR", "A2B").upper() == "B2A":
-        first, second = second, first
-    earth = [any(frame.startswith(name) for name in EARTH_FIXED_FRAMES) for frame in (first, second)]
-    body = [any(frame.startswith(name) for name in BODY_FRAMES) for frame in (first, second)]
-    if (earth[0] and body[1]) or (body[0] and earth[1]):
-        return earth[0]
-    raise FormatError(
-        f"{path}: attitude from {first or '(nothing)'} to {second or '(nothing)'}; one must be Earth-fixed "
-        f"({', '.join(EARTH_FIXED_FRAMES)}) and the other the body ({', '.join(BODY_FRAMES)}); convert it "
-        f"first"
-    )
+def _split(message: Message, segment: Segment) -> tuple[list[Row], list[list[Row]]]:
+    """Data lines, and the lines of each covariance, from its EPOCH on."""
+    rows: list[Row] = []
+    blocks: list[list[Row]] = []
+    inside = False
+    for line, text in segment.rows:
+        if text in ("COVARIANCE_START", "COVARIANCE_STOP"):
+            if inside == text.endswith("START"):
+                raise FormatError(f"{message.at(line)}: {text} without the other one before it")
+            inside = not inside
+        elif not inside:
+            rows.append((line, text))
+        elif text.replace(" ", "").startswith("EPOCH="):
+            blocks.append([(line, text)])
+        elif not blocks:
+            raise FormatError(f"{message.at(line)}: a covariance begins with EPOCH = ...; got {text[:60]!r}")
+        else:
+            blocks[-1].append((line, text))
+    if inside:
+        raise FormatError(
+            f"{message.path}: ends within covariances: COVARIANCE_STOP is missing; the file was cut"
+        )
+    return rows, blocks
+
+
+def _position_sigma(message: Message, block: list[Row], clock: Clock) -> tuple[float, float]:
+    """Time (s) of a covariance and the rms position sigma per axis (m), whatever its axes."""
+    line, text = block[0]
+    t = clock.seconds(text.partition("=")[2].strip(), f"{message.at(line)}: EPOCH")
+    rows = [row for row in block[1:] if not row[1].startswith("COV_REF_FRAME")]
+    matrix = np.zeros((6, 6))
+    if [len(row[1].split()) for row in rows] != [1, 2, 3, 4, 5, 6]:
+        raise FormatError(
+            f"{message.at(line)}: a covariance is 6 lines of 1 to 6 numbers, the lower triangle; got lines "
+            "of "
+            f"{', '.join(str(len(row[1].split())) for row in rows[:8]) or 'nothing'}"
+        )
+    for k, (place, cells) in enumerate(rows):
+        try:
+            matrix[k, : k + 1] = [float(cell) for cell in cells.split()]
+        except ValueError:
+            raise FormatError(f"{message.at(place)}: {cells[:80]!r} are not numbers") from None
+    matrix += np.tril(matrix, -1).T
+    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    scale = np.where(size > 0.0, size, 1.0)
+    if (
+        not np.isfinite(matrix).all()
+        or np.any(np.diag(matrix) < 0.0)
+        or (np.linalg.eigvalsh(matrix / np.outer(scale, scale))[0] < -6.0 * _NEGATIVE)
+    ):
+        raise FormatError(
+            f"{message.at(line)}: the covariance is not positive: a variance is below 0 or a correlation "
+            "beyond 1; "
+            "remove the block, or correct it"
+        )
+    return t, 1e3 * float(np.sqrt(np.mean(np.diag(matrix)[:3])))
 
 
 def write_aem(
@@ -325,6 +248,7 @@ def write_aem(
     object_name: str = "UNKNOWN",
     object_id: str = "0000-000A",
     frame: str = "ITRF",
+    centre: str = "EARTH",
     originator: str = "SIGHTLINE",
 ) -> None:
     """An attitude ephemeris message, KVN, version 1.0, scalar last.
@@ -339,8 +263,8 @@ def write_aem(
         world_from_body, scalar last.
     epoch : str
         UTC of t = 0.
-    object_name, object_id, frame, originator : str
-        Metadata; `frame` is the name of the world axes.
+    object_name, object_id, frame, centre, originator : str
+        Metadata; `frame` is the name of the world axes, `centre` the body they are fixed to.
 
     Notes
     -----
@@ -353,13 +277,7 @@ def write_aem(
         )
     stamps = [utc_text(float(instant), epoch) for instant in t]
     header = [
-        "CCSDS_AEM_VERS = 1.0",
-        f"CREATION_DATE = {creation_date():%Y-%m-%dT%H:%M:%S}",
-        f"ORIGINATOR = {originator}",
-        "",
-        "META_START",
-        f"OBJECT_NAME = {shortened(printable(object_name), _LONGEST_NAME)}",
-        f"OBJECT_ID = {object_id}",
+        *_header("AEM", "1.0", originator, object_name, object_id, centre),
         f"REF_FRAME_A = {frame}",
         "REF_FRAME_B = SC_BODY_1",
         "ATTITUDE_DIR = A2B",
@@ -377,3 +295,73 @@ def write_aem(
         for stamp, quaternion in zip(stamps, np.asarray(quat_xyzw).tolist(), strict=True):
             stream.write(stamp + "".join(f" {value:.16f}" for value in quaternion) + "\n")
         stream.write("DATA_STOP\n")
+
+
+def write_oem(
+    path: Path,
+    t: Array,
+    position: Array,
+    velocity: Array,
+    epoch: str,
+    *,
+    object_name: str = "UNKNOWN",
+    object_id: str = "0000-000A",
+    frame: str = "ITRF",
+    centre: str = "EARTH",
+    originator: str = "SIGHTLINE",
+) -> None:
+    """An orbit ephemeris message, KVN, version 2.0.
+
+    Parameters
+    ----------
+    path : Path
+        Written complete or not at all.
+    t : (N,)
+        s from the epoch, increasing.
+    position, velocity : (N, 3)
+        m and m/s, in the axes `frame`, relative to them.
+    epoch : str
+        UTC of t = 0.
+    object_name, object_id, frame, centre, originator : str
+        Metadata; of another body as ``frame="IAU_MARS", centre="MARS"``.
+
+    Notes
+    -----
+    Times are rounded to the nanosecond, positions to the nanometre, velocities to the femtometre per second.
+    """
+    if not len(t) == len(position) == len(velocity) or not len(t):
+        raise InputError(
+            f"{len(t)} times, {len(position)} positions and {len(velocity)} velocities were given; one of "
+            "each per "
+            "row is needed"
+        )
+    stamps = [utc_text(float(instant), epoch) for instant in t]
+    header = [
+        *_header("OEM", "2.0", originator, object_name, object_id, centre),
+        f"REF_FRAME = {frame}",
+        "TIME_SYSTEM = UTC",
+        f"START_TIME = {stamps[0]}",
+        f"STOP_TIME = {stamps[-1]}",
+        "META_STOP",
+        "",
+    ]
+    rows = np.column_stack([position, velocity]) * 1e-3
+    with whole(path) as draft, draft.open("w", encoding="utf-8") as stream:
+        stream.write("\n".join(header) + "\n")
+        for stamp, row in zip(stamps, rows.tolist(), strict=True):
+            place = "".join(f" {value:.12f}" for value in row[:3])
+            stream.write(stamp + place + "".join(f" {value:.18f}" for value in row[3:]) + "\n")
+
+
+def _header(kind: str, version: str, originator: str, name: str, number: str, centre: str) -> list[str]:
+    """The first lines of a message, as far as its messages are alike."""
+    return [
+        f"CCSDS_{kind}_VERS = {version}",
+        f"CREATION_DATE = {creation_date():%Y-%m-%dT%H:%M:%S}",
+        f"ORIGINATOR = {originator}",
+        "",
+        "META_START",
+        f"OBJECT_NAME = {shortened(printable(name), _LONGEST_NAME)}",
+        f"OBJECT_ID = {number}",
+        f"CENTER_NAME = {centre}",
+    ]

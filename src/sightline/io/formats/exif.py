@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from sightline.errors import FormatError, foreign_errors, reads
 from sightline.imaging.rasters import open_raster
-from sightline.io.formats.ccsds import parse_utc, seconds_from_epoch
+from sightline.io.formats.instants import parse_utc, seconds_from_epoch
 from sightline.io.formats.tables import write_positions
 from sightline.io.names import toml_string
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sightline.geometry.surface import Ellipsoid, Plane
 from sightline.io.camera_schema import field_degrees
-from sightline.io.formats.ccsds import epoch_words
+from sightline.io.formats.instants import epoch_words
 from sightline.io.sequence.load import FrameSequence
 from sightline.io.sequence.outlook import cadence_words, map_words, overlap_words, program_words
 from sightline.io.whereabouts import flight_words

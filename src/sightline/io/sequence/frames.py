@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from sightline.errors import FormatError
 from sightline.io.acquisition.acquired import InputFolder
-from sightline.io.formats.ccsds import seconds_from_epoch
 from sightline.io.formats.exif import Exif, NoExifTime, read_exif
+from sightline.io.formats.instants import seconds_from_epoch
 from sightline.io.formats.tables import check_images, check_times
 from sightline.io.formats.xmp import Xmp, read_xmp
 from sightline.io.sequence.frame_files import Probe, probe, reason_of

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import FormatError, reads
-from sightline.io.formats.ccsds import seconds_from_epoch
+from sightline.io.formats.instants import seconds_from_epoch
 from sightline.io.formats.tables import first_row, line_of_row, read_columns
 
 Array = NDArray[np.float64]

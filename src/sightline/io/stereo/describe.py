@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.geometry.units import ARCSEC
-from sightline.io.formats.ccsds import epoch_words
+from sightline.io.formats.instants import epoch_words
 from sightline.io.stereo.checks import boresights
 from sightline.io.stereo.load import Stereo
 from sightline.photogrammetry.pair.problem import StereoProblem
