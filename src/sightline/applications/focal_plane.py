@@ -48,6 +48,8 @@ STEPS_PER_PERIOD = 32
 MOST_PLACES, LEAST_STEPS = 4000, 8
 #: Images' worth below which a layout counts as blind at its worst frequency.
 BLIND_IMAGES = 1e-6
+#: What TDI leaves of a motion that it is said to average away.
+UNSEEN = 1e-6
 #: Layouts with less than this part of the best worst case are listed only where they stand out.
 WORTH_LISTING = 0.01
 #: Layouts count as one where no detector is further apart than this part of a period of the upper end.
@@ -120,6 +122,8 @@ class FocalPlane:
         px; in place of span, spacing and step: the lines of one detector to choose from.
     window_lines, step_lines : float
         Lines that a row of windows spans, and lines from one row to the next.
+    stages : tuple of int
+        TDI stages of each image, which averages the motion over as many line periods; empty: no TDI.
     prior : Spectrum or None
         Of the motion, px.
     duration : float or None
@@ -139,6 +143,7 @@ class FocalPlane:
     lines: Array | None = None
     window_lines: float = 1.0
     step_lines: float = 1.0
+    stages: tuple[int, ...] = ()
     prior: Spectrum | None = None
     duration: float | None = None
     layouts: tuple[NamedLayout, ...] = ()
@@ -165,16 +170,27 @@ class FocalPlane:
     def noise(self) -> RowNoise:
         """Of its images; rows that overlap hold no more than rows that touch."""
         window = self.window_lines * self.line_period
+        some = any(count > 1 for count in self.stages)
+        # a single stage is an instant, as a line is
+        times = (count * self.line_period if count > 1 else 0.0 for count in self.stages)
         return RowNoise(
-            self.image_sigma_px, max(window, 1.0 / self.row_rate), window if self.window_lines > 1.0 else 0.0
+            self.image_sigma_px,
+            max(window, 1.0 / self.row_rate),
+            window if self.window_lines > 1.0 else 0.0,
+            tuple(times) if some else (),
         )
 
     def noise_of(self, detectors: int) -> RowNoise:
-        """The same, of a layout that may have another number of detectors (then all of the mean variance)."""
+        """The same, of a layout that may have another number of detectors.
+
+        Then all are of the mean variance and the longest TDI.
+        """
+        noise = self.noise
         if detectors == self.detectors:
-            return self.noise
+            return noise
         mean = math.sqrt(float(np.mean(np.square(self.image_sigma_px))))
-        return replace(self.noise, sigma_px=(mean,) * detectors)
+        tdi = (max(noise.tdi),) * detectors if noise.tdi else ()
+        return replace(noise, sigma_px=(mean,) * detectors, tdi=tdi)
 
     def candidates(self, upper: float) -> Candidates:
         """Places to choose from, in s, for a band that ends at `upper` (Hz)."""
@@ -403,7 +419,25 @@ def _checked_band(plane: FocalPlane, passband: Sequence[float]) -> tuple[float, 
             f"the pass-band ends at {high:g} Hz, but windows of {1e3 * plane.noise.window:g} ms average "
             f"motion away at {1.0 / plane.noise.window:g} Hz; lower the band or window_lines"
         )
+    _check_tdi(plane, low, high)
     return low, high
+
+
+def _check_tdi(plane: FocalPlane, low: float, high: float) -> None:
+    """Refuse a band in which there is a frequency that the TDI of every image averages away."""
+    noise = plane.noise
+    if not noise.tdi or min(noise.tdi) == 0.0:
+        return
+    least = min(noise.tdi)
+    first, last = math.ceil(low * least * (1.0 - 1e-9)), math.floor(high * least * (1.0 + 1e-9))
+    hidden = np.arange(max(first, 1), last + 1) / least
+    hidden = hidden[(np.abs(noise.seen(hidden)) < UNSEEN).all(axis=0)]
+    if len(hidden):
+        counts = " and ".join(str(count) for count in sorted(set(plane.stages)))
+        raise InputError(
+            f"the pass-band {low:g} to {high:g} Hz holds {hidden[0]:.6g} Hz, which TDI of {counts} stages "
+            f"averages away in every image (k / (stages x line_period)); move the band, or give fewer stages"
+        )
 
 
 def _believed(plane: FocalPlane, low: float, high: float) -> tuple[Spectrum, float, list[str]]:
@@ -452,7 +486,7 @@ class _Judge:
         noise = self.plane.noise_of(len(positions))
         along = np.argsort(positions) if order is None else np.asarray(order)
         positions = np.sort(positions)
-        noise = replace(noise, sigma_px=tuple(noise.sigma_px[k] for k in along))
+        noise = noise.ordered(along)
         worst, at = worst_case(positions, self.passband, noise)
         harmonic = harmonic_sigma(positions, noise, self.prior, self.duration)
         listed = listed_up_to(positions, self.highest)
@@ -473,7 +507,7 @@ class _Judge:
             sigma_px=self._smoothed(name, positions, noise, harmonic),
             harmonic_sigma_px=harmonic,
             band_sigma_px=harmonic_sigma(positions, noise, self.prior, self.duration, passband=self.passband),
-            blind=blind_frequencies_of(positions, listed),
+            blind=blind_frequencies_of(positions, listed, noise.tdi),
             common=common_lags(positions, listed),
         )
 
@@ -503,15 +537,15 @@ class _Shortlist:
 
     def noise(self, order: Sequence[int]) -> RowNoise:
         """Of the images in this order."""
-        return replace(self.plane.noise, sigma_px=tuple(self.plane.image_sigma_px[k] for k in order))
+        return self.plane.noise.ordered(order)
 
     def holds(self, positions: Array, order: Sequence[int]) -> bool:
         """Whether a layout like this is listed."""
         same = SAME / self.passband[1]
-        sigma, mirrored = self.noise(order).sigma_px, positions[0] + positions[-1] - positions[::-1]
+        kinds, mirrored = self.noise(order).kinds, positions[0] + positions[-1] - positions[::-1]
         return any(
-            (sigma == self.noise(o).sigma_px and np.abs(positions - p).max() < same)
-            or (sigma[::-1] == self.noise(o).sigma_px and np.abs(mirrored - p).max() < same)
+            (kinds == self.noise(o).kinds and np.abs(positions - p).max() < same)
+            or (kinds[::-1] == self.noise(o).kinds and np.abs(mirrored - p).max() < same)
             for _, p, o in self.entries
         )
 
@@ -595,9 +629,7 @@ def _by_span(
     seen = seen[np.union1d(shown, [np.argmax(found.by_span[seen])])]
     positions = candidates.t[found.by_span_places[seen]]
     sigma = [
-        harmonic_sigma(
-            p, replace(plane.noise, sigma_px=tuple(plane.image_sigma_px[k] for k in order)), prior, duration
-        )
+        harmonic_sigma(p, plane.noise.ordered(order), prior, duration)
         for p, order in zip(positions, found.by_span_order[seen], strict=True)
     ]
     return positions[:, -1] - positions[:, 0], found.by_span[seen], np.array(sigma)

@@ -235,6 +235,13 @@ class PushbroomCamera(ReadOnlyArrays):
         return before * self.detector.line_period, after * self.detector.line_period
 
     @cached_property
+    def middles(self) -> tuple[float, float]:
+        """s from the time of a line to the middle of the stages of its pixels: the least and the most."""
+        counts = np.ones(1) if self.stages is None else np.unique(self.stages).astype(np.float64)
+        late = _delay(counts, self.time_reference) * self.detector.line_period
+        return float(late.min()), float(late.max())
+
+    @cached_property
     def _parts(self) -> tuple[tuple[float, PushbroomCamera], ...]:
         """Where pixels differ, or the time is not that of the middle: a camera for each number of stages."""
         if self.stages is None:
@@ -266,7 +273,7 @@ class PushbroomCamera(ReadOnlyArrays):
         return read_only((np.arange(count) - (count - 1) / 2.0) * self.detector.line_period)
 
     @property
-    def _span(self) -> tuple[float, float]:
+    def known_span(self) -> tuple[float, float]:
         """First and last time (s) at which trajectory and pointing are both known."""
         (begin, end), (first, last) = self.trajectory.span, self.pointing.span
         return max(begin, first), min(end, last)
@@ -276,7 +283,7 @@ class PushbroomCamera(ReadOnlyArrays):
         """Poses at the whole lines that the trajectory covers, a few lines more than the image if it can."""
         places = np.arange(-_MARGIN_LINES, self.lines + _MARGIN_LINES)
         t = self.times(places)
-        begin, end = self._span
+        begin, end = self.known_span
         covered = np.flatnonzero((t >= begin - TIME_SLACK) & (t <= end + TIME_SLACK))
         if len(covered) == 0:
             raise SpanError(
@@ -380,7 +387,7 @@ class PushbroomCamera(ReadOnlyArrays):
             return
         line = least if least < low else most
         t = float(self.times(line)[0])
-        begin, end = self._span
+        begin, end = self.known_span
         if begin <= t <= end:
             raise SpanError(
                 f"line {line:.6g} lies outside the image of {self.lines} lines and the {_MARGIN_LINES} lines "

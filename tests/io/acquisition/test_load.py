@@ -254,6 +254,31 @@ def test_attitudes_that_do_not_reach_over_the_strip_give_both_spans(folder):
     assert "[0.000000, 0.099500] s" in said
 
 
+@pytest.mark.parametrize(("reference", "late"), [("first-stage", 3.75e-3), ("last-stage", -3.75e-3)])
+def test_stages_beyond_the_attitudes_are_refused_before_anything_runs(folder, reference, late):
+    """16 stages of 0.5 ms: their middle is 7.5 line periods after the first, 7.5 before the last."""
+    folder.add(f'stages = 16\ntime_reference = "{reference}"\n')
+    local_ephemeris(folder, np.linspace(0.0, 0.0995, 9))
+    said = message(folder, SpanError)
+    begin, end = min(0.0, late), max(0.0995, 0.0995 + late)
+    assert "(XS)" in said or "XS: time_reference" in said
+    assert f"are needed in [{begin:.6f}, {end:.6f}] s and cover [0.000000, 0.099500] s" in said
+    # over that span every pixel of every line has its ray
+    t = np.linspace(begin, end, 9)
+    tables.write_positions(folder.path / "p.csv", t, np.column_stack([0 * t, 7000.0 * t, 700e3 + 0 * t]))
+    tables.write_attitudes(folder.path / "a.csv", t, level_attitude(9))
+    camera = load_acquisition(folder.write()).cameras[1]
+    rays = camera.rays([[0.0, 5.0], [LINES - 1.0, 5.0]])
+    assert rays.t == pytest.approx([late, 0.0995 + late])
+
+
+def test_stages_timed_by_their_middle_need_no_more_than_the_lines(folder):
+    folder.add("stages = 16\n")
+    local_ephemeris(folder, np.linspace(0.0, 0.0995, 9))
+    rays = load_acquisition(folder.write()).cameras[1].rays([[0.0, 5.0], [LINES - 1.0, 5.0]])
+    assert rays.t == pytest.approx([0.0, 0.0995])
+
+
 def test_an_attitude_table_that_ends_early_is_named(folder):
     local_ephemeris(folder, np.linspace(-0.1, 0.3, 9))
     tables.write_attitudes(folder.path / "a.csv", np.linspace(0.25, 0.3, 4), level_attitude(4))

@@ -78,6 +78,16 @@ def test_images_may_differ_in_their_noise(load):
     assert plane.image_sigma_px == (0.02, 0.02, 0.05)
 
 
+def test_tdi_stages_are_of_all_images_or_of_each(load):
+    assert load().stages == () and load().noise.tdi == ()
+    plane = load("detectors = 4", "detectors = 4\nstages = 16")
+    assert plane.stages == (16,) * 4 and plane.noise.tdi == pytest.approx((8e-3,) * 4)
+    plane = load("detectors = 4", "detectors = 4\nstages = [16, 32, 1, 16]")
+    assert plane.noise.tdi == pytest.approx((8e-3, 16e-3, 0.0, 8e-3))
+    said = " ".join(describe_instrument(plane)["observable"])
+    assert "TDI of 16, 32 stages averages motion away at 125, 62.5 Hz and its multiples" in said
+
+
 def test_it_is_described_in_words(load):
     said = describe_instrument(load())
     text = " ".join(said["understood"] + said["observable"])
@@ -106,6 +116,13 @@ BAD = [
     ("match_sigma_px = 0.03", "image_sigma_px = [0.1, 0.1]", "holds 2 values, but there are detectors = 4"),
     ("match_sigma_px = 0.03\ndetectors = 4", "image_sigma_px = [0.1]", "holds 1 values"),
     ("detectors = 4\n", "", "'detectors' is missing"),
+    ("detectors = 4", "detectors = 4\nstages = 0", "stages = 0 is not allowed"),
+    (
+        "detectors = 4",
+        "detectors = 4\nstages = [16, 32]",
+        "stages holds 2 values, but there are detectors = 4",
+    ),
+    ("detectors = 4", 'detectors = 4\nstages = "many"', "stages = 'many' is not allowed"),
     ("detectors = 4", "detectors = 1", "detectors = 1 is not allowed"),
     ("detectors = 4", "detectors = 200", "detectors = 200 is not allowed"),
     ("detectors = 4", "detectors = 64\nstep_px = 6.0", "do not fit: there is room for 58"),

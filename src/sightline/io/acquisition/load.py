@@ -44,6 +44,7 @@ from sightline.io.acquisition.schema import (
     SpinPlatform,
 )
 from sightline.io.acquisition.spin import spin_of
+from sightline.io.acquisition.stages import check_covered
 from sightline.io.acquisition.strips import attitude_sigma, chip_knowledge
 from sightline.io.config import read_toml, validate
 from sightline.io.formats import tables
@@ -98,6 +99,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
     """The file with everything that it names."""
     modelled = isinstance(config.platform, CameraModelPlatform)
     bands = (build_model_bands if modelled else build_bands)(config, files, look=look)
+    check_covered(bands, path)
     frames = build_frames(config, files, look=look)
     cameras: list[PushbroomCamera | FrameCamera] = [
         *(band.camera for band in bands),

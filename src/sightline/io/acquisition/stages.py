@@ -7,17 +7,19 @@ Not here: what they do to a camera (``geometry/camera.py``).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sightline.errors import FormatError, reads
+from sightline.errors import FormatError, SpanError, reads
 from sightline.geometry.camera import MOST_STAGES
 from sightline.io.acquisition.acquired import InputFolder
 from sightline.io.acquisition.schema import BandSection
 from sightline.io.formats.tables import header_of, read_columns
 from sightline.io.results.tdi_tags import read_tdi_tags
+from sightline.motion.band import Band
 
 Stages = NDArray[np.int16]
 
@@ -73,6 +75,35 @@ def stages_of(band: BandSection, shape: tuple[int, int], where: str, files: Inpu
             'each pixel), "first-stage" or "last-stage"'
         )
     return counts
+
+
+def check_covered(bands: Sequence[Band], toml: Path) -> None:
+    """Refuse bands whose stages lie further from the times of their lines than poses are known.
+
+    Raises
+    ------
+    SpanError
+        Names the band, and up to when poses are needed.
+    """
+    for band in bands:
+        camera = band.camera
+        if camera.stages is None or camera.time_reference == "centre":
+            continue
+        low, high = camera.known_lines
+        if low <= 0.0 and high >= camera.lines - 1.0:
+            continue
+        most = int(np.asarray(camera.stages).max())
+        late = camera.middles
+        first, last = (float(t) for t in camera.times([0.0, camera.lines - 1.0]))
+        begin, end = min(first, first + late[0]), max(last, last + late[1])
+        known = camera.known_span
+        raise SpanError(
+            f'{toml}: [[band]] {band.name}: time_reference = "{camera.time_reference}": the middle of up to '
+            f"{most} stages is {late[0]:+.6f} to {late[1]:+.6f} s from the time of a line; positions and "
+            f"attitudes are needed in [{begin:.6f}, {end:.6f}] s and cover [{known[0]:.6f}, {known[1]:.6f}] "
+            "s: supply them over that span, or times of the middles of the stages with time_reference = "
+            '"centre"'
+        )
 
 
 @reads("a table of TDI stages")

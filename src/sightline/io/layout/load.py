@@ -72,6 +72,7 @@ def _instrument(path: Path, file: InstrumentFile) -> FocalPlane:
         lines=lines,
         window_lines=file.window_lines,
         step_lines=file.step_lines,
+        stages=_stages(file),
         prior=Spectrum(tuple(_component(part) for part in file.prior)) if file.prior else None,
         duration=file.duration,
         layouts=tuple(_named(entry, rate) for entry in file.layout),
@@ -90,6 +91,13 @@ def _image_sigma(file: InstrumentFile) -> tuple[float, ...]:
         return tuple(file.image_sigma_px)
     each = (file.match_sigma_px or 0.0) / math.sqrt(2.0)
     return (each,) * (file.detectors or 0)
+
+
+def _stages(file: InstrumentFile) -> tuple[int, ...]:
+    """TDI stages of each image; empty without TDI."""
+    if file.stages is None:
+        return ()
+    return tuple(file.stages) if isinstance(file.stages, list) else (file.stages,) * len(_image_sigma(file))
 
 
 def _component(part: PriorSection) -> Matern | Tone:
@@ -169,11 +177,17 @@ def _missing(plane: FocalPlane) -> list[str]:
 def _observable(plane: FocalPlane) -> list[str]:
     upper = 0.5 * plane.row_rate
     lines = [f"rows of windows sample motion up to {upper:.5g} Hz: the pass-band must end below"]
+    counts = sorted({count for count in plane.stages if count > 1})
+    if counts:
+        first = ", ".join(f"{1.0 / (count * plane.line_period):.5g}" for count in counts)
+        said = ", ".join(map(str, counts))
+        lines.append(f"TDI of {said} stages averages motion away at {first} Hz and its multiples")
     most = MOST_PERIODS // max(len(plane.layouts), 1)
     for own in plane.layouts:
         listed = listed_up_to(own.positions, upper, most)
         reach = f" up to {listed:.4g} Hz" if listed < upper else ""
-        blind = [f"{b.frequency:.4g}" for b in blind_frequencies_of(own.positions, listed)]
+        tdi = plane.noise_of(len(own.positions)).tdi
+        blind = [f"{b.frequency:.4g}" for b in blind_frequencies_of(own.positions, listed, tdi)]
         named = ", ".join(blind[:_NAMED]) + (", ..." if len(blind) > _NAMED else "")
         lines.append(
             f"{own.name}: all pairs blind at {named} Hz" if blind else f"{own.name}: nowhere blind{reach}"

@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
+from sightline.geometry.camera import MOST_STAGES
 from sightline.io.acquisition.schema import InputFile, SchemaSection
 from sightline.io.quantities import (
     Duration,
@@ -33,6 +34,8 @@ Detectors = Annotated[int, Within(2, 64)]
 MOST_LINES = 100_000
 #: Lines of a row of windows, and from one to the next.
 Lines = Annotated[float, Within(1.0, 1e6, "lines")]
+#: Detectors sum 8 to 256 lines.
+Stages = Annotated[int, Within(1, MOST_STAGES, "stages")]
 #: On a focal plane: stereo cameras look 25 degrees ahead and back, 300,000 px apart; mosaics end at 1e6.
 Separation = Annotated[float, Within(1e-3, 1e7, "px")]
 #: px a second: microscopes 1, satellites 1e3 to 1e4, the fastest line cameras 3e5.
@@ -122,6 +125,11 @@ class InstrumentFile(InputFile):
     detectors: Detectors | None = Field(
         default=None, description="How many to place, or lines of one to choose"
     )
+    stages: Stages | Annotated[list[Stages], Field(max_length=64)] | None = Field(
+        default=None,
+        description="TDI stages of every image, or one number per detector: each averages the motion over as "
+        "many line periods",
+    )
     span_px: Separation | None = Field(
         default=None, description="Most distance between the first and the last detector, px"
     )
@@ -174,4 +182,10 @@ class InstrumentFile(InputFile):
             wanted = "two or more" if self.detectors is None else f"detectors = {self.detectors}"
             raise ValueError(
                 f"image_sigma_px holds {count} values, but there are {wanted}; give one for each"
+            )
+        count = self.detectors if count is None else count
+        if isinstance(self.stages, list) and len(self.stages) != count:
+            raise ValueError(
+                f"stages holds {len(self.stages)} values, but there are detectors = {count}; give one for "
+                "each, or one number for all"
             )

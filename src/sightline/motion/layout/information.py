@@ -14,8 +14,8 @@ Not here: which places are best (``search.py``), the sigma of the motion (``sigm
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Hashable, Iterable, Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -53,11 +53,33 @@ class RowNoise:
         s; between rows whose errors are independent: the longer of a row's window and of the step.
     window : float
         s; time that a row's windows span, over which the motion is averaged.
+    tdi : tuple of float
+        s; time of all TDI stages of each image, over which it averages the motion besides; empty: no TDI.
     """
 
     sigma_px: tuple[float, ...]
     period: float
     window: float = 0.0
+    tdi: tuple[float, ...] = ()
+
+    @property
+    def kinds(self) -> tuple[Hashable, ...]:
+        """What distinguishes each image: two of one kind may change places."""
+        return tuple(zip(self.sigma_px, self.tdi, strict=True)) if self.tdi else self.sigma_px
+
+    def ordered(self, order: Iterable[int]) -> RowNoise:
+        """Of the images in this order."""
+        numbers = list(order)
+        return replace(
+            self,
+            sigma_px=tuple(self.sigma_px[k] for k in numbers),
+            tdi=tuple(self.tdi[k] for k in numbers) if self.tdi else (),
+        )
+
+    def seen(self, frequency: Array) -> Array:
+        """(n, F) what TDI leaves of a motion of each frequency (Hz) in each image."""
+        times = np.array(self.tdi if self.tdi else (0.0,) * len(self.sigma_px))
+        return window_gain(np.asarray(frequency) * times[:, None], 1.0)
 
     @property
     def weights(self) -> Array:
@@ -90,7 +112,8 @@ def information(frequency: ArrayLike, positions: ArrayLike, noise: RowNoise) -> 
     Notes
     -----
     By pairs, ``sum_{k<l} w_k w_l / W 4 sin^2(pi f (t_l - t_k))`` with W the sum of the weights: the same as
-    above, and exact where it vanishes.
+    above, and exact where it vanishes. With TDI z_k is seen times ``g_k = sinc(f N_k T)``, and a pair has
+    ``(g_k - g_l)^2 + g_k g_l 4 sin^2``: of equal images the whole times ``sinc^2(f N T)``.
 
     Examples
     --------
@@ -101,15 +124,19 @@ def information(frequency: ArrayLike, positions: ArrayLike, noise: RowNoise) -> 
     f = np.asarray(frequency, dtype=np.float64)
     t, w = _checked(positions, noise)
     total = np.zeros(f.shape)
+    seen = noise.seen(f.ravel()).reshape(-1, *f.shape) if noise.tdi else None
     for k, m in combinations(range(len(t)), 2):
-        total += w[k] * w[m] * power_transfer(f, t[m] - t[k])
+        of_pair = power_transfer(f, t[m] - t[k])
+        if seen is not None:
+            of_pair = (seen[k] - seen[m]) ** 2 + seen[k] * seen[m] * of_pair
+        total += w[k] * w[m] * of_pair
     return total / w.sum() * window_gain(f, noise.window) ** 2
 
 
-def images_worth(frequency: ArrayLike, positions: ArrayLike) -> Array:
+def images_worth(frequency: ArrayLike, positions: ArrayLike, tdi: tuple[float, ...] = ()) -> Array:
     """Information of equal images without a window, in units of one image's: between 0 and n."""
     t = np.asarray(positions, dtype=np.float64)
-    return information(frequency, t, RowNoise((1.0,) * len(t), 1.0))
+    return information(frequency, t, RowNoise((1.0,) * len(t), 1.0, tdi=tdi))
 
 
 def worst_case(positions: ArrayLike, passband: tuple[float, float], noise: RowNoise) -> tuple[float, float]:
@@ -119,7 +146,10 @@ def worst_case(positions: ArrayLike, passband: tuple[float, float], noise: RowNo
     """
     t, _ = _checked(positions, noise)
     low, high = checked_passband(passband)
-    count = max(16, math.ceil(PER_PERIOD * (high - low) * float(np.ptp(t) + noise.window)))
+    count = max(
+        16,
+        math.ceil(PER_PERIOD * (high - low) * float(np.ptp(t) + noise.window + max(noise.tdi, default=0.0))),
+    )
     step = (high - low) / count
     for _ in range(2):
         f = np.linspace(low, high, count + 1)
@@ -159,8 +189,12 @@ def listed_up_to(positions: ArrayLike, upper: float, most: int = MOST_PERIODS) -
     return min(upper, most / max(together, 1e-300))
 
 
-def blind_frequencies_of(positions: ArrayLike, upper: float) -> tuple[BlindFrequency, ...]:
+def blind_frequencies_of(
+    positions: ArrayLike, upper: float, tdi: tuple[float, ...] = ()
+) -> tuple[BlindFrequency, ...]:
     """Frequencies up to `upper` (Hz), the constant apart, at which all pairs of equal images go blind.
+
+    With `tdi` (s, of all stages of each image) also those that all of them average away, k / (N T).
 
     Examples
     --------
@@ -168,15 +202,15 @@ def blind_frequencies_of(positions: ArrayLike, upper: float) -> tuple[BlindFrequ
     [100.0, 200.0]
     """
     t = np.asarray(positions, dtype=np.float64)
-    span = float(np.ptp(t))
+    span = float(np.ptp(t)) + max(tdi, default=0.0)
     count = max(64, math.ceil(PER_PERIOD * upper * span))
     f = np.linspace(0.0, upper, count + 1)
-    share = images_worth(f, t) / (len(t) - 1.0)
+    share = images_worth(f, t, tdi) / (len(t) - 1.0)
     inner = np.flatnonzero((share[1:-1] <= share[:-2]) & (share[1:-1] < share[2:])) + 1
     out = []
     for k in inner:
         fine = np.linspace(f[k - 1], f[k + 1], 401)
-        near = images_worth(fine, t) / (len(t) - 1.0)
+        near = images_worth(fine, t, tdi) / (len(t) - 1.0)
         if near.min() < BLIND_SHARE:
             out.append(BlindFrequency(float(fine[int(np.argmin(near))]), float(near.min())))
     return tuple(out)

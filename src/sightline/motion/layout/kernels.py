@@ -1,8 +1,9 @@
 """Compiled loops of the search for layouts: all choices gone through, or single ones improved.
 
-A layout's information at one frequency is ``gain (W - |S|^2 / W)``, S the weighted sum of the phasors of its
-places (rows of `re` and `im`, one column per frequency) and W that of the weights; its worth is the least
-over the frequencies, given up as soon as it falls below what is wanted.
+A layout's information at one frequency is ``gain (power - |S|^2 / W)``: S is the sum of the phasors of its
+places (rows of `re` and `im`, one column per frequency) times `weights` (a row per detector: what it sees of
+the motion, by its weight), W that of the weights, `power` that of weights by squares of what is seen. Its
+worth is the least over the frequencies, given up as soon as it falls below what is wanted.
 
 Not here: what they are called with (``search.py``).
 """
@@ -15,11 +16,10 @@ from sightline.compiled import njit
 
 
 @njit(cache=True, nogil=True)
-def enumerate_layouts(re, im, gain, weights, allowed, bins, firsts, mirrored, kept):  # type: ignore[no-untyped-def]
+def enumerate_layouts(re, im, gain, power, weights, total, allowed, bins, firsts, mirrored, kept):  # type: ignore[no-untyped-def]
     """Go through all layouts whose first place is below `firsts`; keep the best, and those of each span."""
     places, count = re.shape
     n = len(weights)
-    total = weights.sum()
     sums_re, sums_im = np.zeros((n, count), np.float32), np.zeros((n, count), np.float32)
     at = np.zeros(n, np.int64)
     pool, values = np.zeros((2 * kept, n), np.int64), np.full(2 * kept, -np.inf)
@@ -34,8 +34,8 @@ def enumerate_layouts(re, im, gain, weights, allowed, bins, firsts, mirrored, ke
             continue
         p = at[level]
         for f in range(count):
-            sums_re[level, f] = weights[level] * re[p, f]
-            sums_im[level, f] = weights[level] * im[p, f]
+            sums_re[level, f] = weights[level, f] * re[p, f]
+            sums_im[level, f] = weights[level, f] * im[p, f]
             if level > 0:
                 sums_re[level, f] += sums_re[level - 1, f]
                 sums_im[level, f] += sums_im[level - 1, f]
@@ -54,9 +54,9 @@ def enumerate_layouts(re, im, gain, weights, allowed, bins, firsts, mirrored, ke
             worst = np.inf
             for q in range(-1, count):
                 f = killer if q < 0 else q
-                a = sums_re[n - 2, f] + last * re[k, f]
-                b = sums_im[n - 2, f] + last * im[k, f]
-                value = gain[f] * (total - (a * a + b * b) / total)
+                a = sums_re[n - 2, f] + last[f] * re[k, f]
+                b = sums_im[n - 2, f] + last[f] * im[k, f]
+                value = gain[f] * (power[f] - (a * a + b * b) / total)
                 if value < worst:
                     worst = value
                     if value <= least:
@@ -85,13 +85,13 @@ def enumerate_layouts(re, im, gain, weights, allowed, bins, firsts, mirrored, ke
 
 
 @njit(cache=True, nogil=True)
-def _least(re, im, gain, weight, sum_re, sum_im, total, k, enough):  # type: ignore[no-untyped-def]
+def _least(re, im, gain, power, weight, sum_re, sum_im, total, k, enough):  # type: ignore[no-untyped-def]
     """Least information of a partial sum and one detector more at place k; given up once below `enough`."""
     worst = np.inf
     for f in range(len(gain)):
-        a = sum_re[f] + weight * re[k, f]
-        b = sum_im[f] + weight * im[k, f]
-        value = gain[f] * (total - (a * a + b * b) / total)
+        a = sum_re[f] + weight[f] * re[k, f]
+        b = sum_im[f] + weight[f] * im[k, f]
+        value = gain[f] * (power[f] - (a * a + b * b) / total)
         if value < worst:
             worst = value
             if worst <= enough:
@@ -109,25 +109,24 @@ def _rest(re, im, weights, at, one, two, sum_re, sum_im, allowed, open_places): 
         if d == one or d == two:
             continue
         for f in range(re.shape[1]):
-            sum_re[f] += weights[d] * re[at[d], f]
-            sum_im[f] += weights[d] * im[at[d], f]
+            sum_re[f] += weights[d, f] * re[at[d], f]
+            sum_im[f] += weights[d, f] * im[at[d], f]
         for k in range(len(allowed)):
             if k < allowed[at[d]] and at[d] < allowed[k]:
                 open_places[k] = False
 
 
 @njit(cache=True, nogil=True)
-def exchange(re, im, gain, weights, allowed, start, free, pairs, alike):  # type: ignore[no-untyped-def]
+def exchange(re, im, gain, power, weights, total, allowed, start, free, pairs, alike):  # type: ignore[no-untyped-def]
     """Move detectors from number `free` on to their best places, one or two at once, until none gains."""
     places, count = re.shape
     n = len(weights)
-    total = weights.sum()
     at = start.copy()
     sum_re, sum_im = np.zeros(count, np.float32), np.zeros(count, np.float32)
     two_re, two_im = np.zeros(count, np.float32), np.zeros(count, np.float32)
     open_places = np.ones(places, np.bool_)
     _rest(re, im, weights, at, 0, 0, sum_re, sum_im, allowed, open_places)
-    best = _least(re, im, gain, weights[0], sum_re, sum_im, total, at[0], -np.inf)
+    best = _least(re, im, gain, power, weights[0], sum_re, sum_im, total, at[0], -np.inf)
     tried, moved = 0, True
     while moved:
         moved = False
@@ -136,7 +135,7 @@ def exchange(re, im, gain, weights, allowed, start, free, pairs, alike):  # type
             for k in range(places):
                 if open_places[k]:
                     tried += 1
-                    value = _least(re, im, gain, weights[one], sum_re, sum_im, total, k, best)
+                    value = _least(re, im, gain, power, weights[one], sum_re, sum_im, total, k, best)
                     if value > best:
                         best, moved = value, True
                         at[one] = k
@@ -149,13 +148,13 @@ def exchange(re, im, gain, weights, allowed, start, free, pairs, alike):  # type
                     if not open_places[k]:
                         continue
                     for f in range(count):
-                        two_re[f] = sum_re[f] + weights[one] * re[k, f]
-                        two_im[f] = sum_im[f] + weights[one] * im[k, f]
+                        two_re[f] = sum_re[f] + weights[one, f] * re[k, f]
+                        two_im[f] = sum_im[f] + weights[one, f] * im[k, f]
                     for m in range(allowed[k] if alike else 0, places):
                         if not open_places[m] or (m < allowed[k] and k < allowed[m]):
                             continue
                         tried += 1
-                        value = _least(re, im, gain, weights[two], two_re, two_im, total, m, best)
+                        value = _least(re, im, gain, power, weights[two], two_re, two_im, total, m, best)
                         if value > best:
                             best, moved = value, True
                             at[one], at[two] = k, m

@@ -12,7 +12,7 @@ Not here: what information is (``information.py``).
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Hashable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -144,10 +144,10 @@ def search_layouts(
     n = len(noise.sigma_px)
     check_room(candidates, n)
     if exhaustive is None:
-        exhaustive = choices(candidates, noise) <= EXHAUSTIVE and _orders(noise.sigma_px) <= MOST_ORDERS
+        exhaustive = choices(candidates, noise) <= EXHAUSTIVE and _orders(noise.kinds) <= MOST_ORDERS
     tables = _Tables.of(candidates, noise, passband)
     if exhaustive:
-        orders = distinct_orders(noise.sigma_px, mirrored=candidates.even)
+        orders = distinct_orders(noise.kinds, mirrored=candidates.even)
         return _joined([_exhaust(tables, candidates, noise, order) for order in orders], True)
     return _joined([_improve(tables, candidates, noise, seed)], False)
 
@@ -157,7 +157,7 @@ def expected_trials(candidates: Candidates, noise: RowNoise) -> float:
 
     By starts that move a detector some three times, and pairs of detectors that move once or twice.
     """
-    if choices(candidates, noise) <= EXHAUSTIVE and _orders(noise.sigma_px) <= MOST_ORDERS:
+    if choices(candidates, noise) <= EXHAUSTIVE and _orders(noise.kinds) <= MOST_ORDERS:
         return choices(candidates, noise)
     places, n = len(candidates.t), len(noise.sigma_px)
     work = 0.5 * places**2 * 0.5 * n * (n - 1)
@@ -170,17 +170,17 @@ def choices(candidates: Candidates, noise: RowNoise) -> float:
     places, n = len(candidates.t), len(noise.sigma_px)
     ways = math.comb(places - 1, n - 1) if candidates.even else math.comb(places, n)
     try:
-        return ways * _orders(noise.sigma_px) / (2.0 if candidates.even and n > 2 else 1.0)
+        return ways * _orders(noise.kinds) / (2.0 if candidates.even and n > 2 else 1.0)
     except OverflowError:  # 64 of 100,000 places are more than a float counts
         return math.inf
 
 
-def _orders(sigma: Sequence[float]) -> int:
+def _orders(images: Sequence[Hashable]) -> int:
     """In how many orders images that are alike or not can stand."""
-    return math.factorial(len(sigma)) // math.prod(math.factorial(sigma.count(s)) for s in set(sigma))
+    return math.factorial(len(images)) // math.prod(math.factorial(images.count(s)) for s in set(images))
 
 
-def distinct_orders(sigma: Sequence[float], *, mirrored: bool) -> Index:
+def distinct_orders(sigma: Sequence[Hashable], *, mirrored: bool) -> Index:
     """Orders of images along the track that differ in their noise, (M, n); one of two mirrored ones."""
     kinds = {value: k for k, value in enumerate(dict.fromkeys(sigma))}
     seen: dict[tuple[int, ...], tuple[int, ...]] = {}
@@ -191,11 +191,11 @@ def distinct_orders(sigma: Sequence[float], *, mirrored: bool) -> Index:
     return np.array(list(seen.values()), dtype=np.int64)
 
 
-def _arranged(images: list[int], sigma: Sequence[float]) -> Iterator[tuple[int, ...]]:
+def _arranged(images: list[int], sigma: Sequence[Hashable]) -> Iterator[tuple[int, ...]]:
     """Every order of images that differs in their noise, once: alike ones in the order of their numbers."""
     if not images:
         yield ()
-    tried = set()
+    tried: set[Hashable] = set()
     for k, image in enumerate(images):
         if sigma[image] not in tried:
             tried.add(sigma[image])
@@ -255,16 +255,20 @@ def check_room(candidates: Candidates, detectors: int) -> None:
 
 @dataclass(frozen=True, eq=False)
 class _Tables:
-    """Phasors of every place at every frequency, and what the window leaves."""
+    """Phasors of every place at every frequency, what the window leaves, and what each image sees."""
 
     re: NDArray[np.float32]  # (G, F)
     im: NDArray[np.float32]
     gain: NDArray[np.float32]  # (F,)
+    power: NDArray[np.float32]  # (F,) sum of weights by squares of what is seen
+    weights: NDArray[np.float32]  # (n, F) weights by what is seen
+    total: np.float32  # sum of weights
 
     @classmethod
     def of(cls, candidates: Candidates, noise: RowNoise, passband: tuple[float, float]) -> _Tables:
         low, high = passband
         periods, places = (high - low) * (float(np.ptp(candidates.t)) + noise.window), len(candidates.t)
+        periods += (high - low) * max(noise.tdi, default=0.0)
         count = min(PER_PERIOD * periods, MOST_CELLS / places)
         if count < LEAST_PER_PERIOD * periods:
             raise InputError(
@@ -276,9 +280,13 @@ class _Tables:
         f = np.random.default_rng(0).permutation(f)
         phase = 2.0 * np.pi * (candidates.t - candidates.t[0])[:, None] * f
         gain = window_gain(f, noise.window) ** 2
+        seen, weights = noise.seen(f), noise.weights.astype(np.float32)
+        total = weights.sum()
+        power = (weights[:, None] * seen**2).sum(axis=0) if noise.tdi else np.full(len(f), total)
         return cls(
-            np.cos(phase).astype(np.float32), np.sin(phase).astype(np.float32), gain.astype(np.float32)
-        )
+            np.cos(phase).astype(np.float32), np.sin(phase).astype(np.float32), gain.astype(np.float32),
+            power.astype(np.float32), (weights[:, None] * seen).astype(np.float32), total,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,12 +304,12 @@ class _Part:
 
 def _exhaust(tables: _Tables, candidates: Candidates, noise: RowNoise, order: Index) -> _Part:
     """All layouts for one order of the images."""
-    weights = noise.weights[order]
-    mirrored = candidates.even and bool(np.array_equal(weights, weights[::-1]))
+    kinds = noise.ordered(order).kinds
+    mirrored = candidates.even and kinds == kinds[::-1]
     firsts = 1 if candidates.even else len(candidates.t)
     places, worst, by_span, by_span_places, tried = enumerate_layouts(
-        tables.re, tables.im, tables.gain, weights.astype(np.float32), candidates.next_allowed,
-        _span_bins(candidates), firsts, mirrored, KEPT,
+        tables.re, tables.im, tables.gain, tables.power, tables.weights[order], tables.total,
+        candidates.next_allowed, _span_bins(candidates), firsts, mirrored, KEPT,
     )  # fmt: skip
     orders, by_span_order = (np.tile(order, (len(rows), 1)) for rows in (places, by_span_places))
     return _Part(places, orders, worst, by_span, by_span_places, by_span_order, float(tried))
@@ -319,7 +327,7 @@ class _Improver:
     def __init__(self, tables: _Tables, candidates: Candidates, noise: RowNoise, seed: int) -> None:
         self.tables, self.candidates, self.noise = tables, candidates, noise
         self.rng = np.random.default_rng(seed)
-        self.alike = len(set(noise.sigma_px)) == 1
+        self.alike = len(set(noise.kinds)) == 1
         self.found: dict[tuple[tuple[int, ...], tuple[int, ...]], float] = {}
         self.tried = 0.0
 
@@ -329,8 +337,8 @@ class _Improver:
         """Improve one layout, its first `held` detectors left alone, within the first `places` candidates."""
         tables, inside = self.tables, slice(places)
         moved, value, count = exchange(
-            tables.re[inside], tables.im[inside], tables.gain, self.noise.weights[order].astype(np.float32),
-            self.candidates.next_allowed[inside], at, held, pairs, self.alike,
+            tables.re[inside], tables.im[inside], tables.gain, tables.power, tables.weights[order],
+            tables.total, self.candidates.next_allowed[inside], at, held, pairs, self.alike,
         )  # fmt: skip
         along = np.argsort(moved)
         kept = order if self.alike else order[along]

@@ -107,19 +107,20 @@ def least_sigma(
     f = quadrature_frequencies(candidates.t, prior, duration, 0.5 / noise.period)
     share = np.gradient(f) * (1.0 - np.sinc(f * duration) ** 2)
     wanting = 1.0 / prior.psd(f)
-    w = noise.weights
+    w, whole = noise.weights[:, None] * noise.seen(f), noise.weights.sum()
+    power = noise.weights @ noise.seen(f) ** 2
     seen = window_gain(f, noise.window) ** 2 / (2.0 * noise.period)
 
-    def variances(rest: Array, weight: float, places: Array) -> Array:
+    def variances(rest: Array, weight: Array, places: Array) -> Array:
         total = rest + weight * np.exp(2j * np.pi * f * places[:, None])
-        return np.asarray((share / (wanting + seen * (w.sum() - np.abs(total) ** 2 / w.sum()))).sum(axis=1))
+        return np.asarray((share / (wanting + seen * (power - np.abs(total) ** 2 / whole))).sum(axis=1))
 
     best, moved = np.inf, True
     while moved:
         moved = False
         for k in range(1, len(at)):
             others = np.delete(at, k)
-            rest = np.delete(w, k) @ np.exp(2j * np.pi * others[:, None] * f)
+            rest = (np.delete(w, k, axis=0) * np.exp(2j * np.pi * others[:, None] * f)).sum(axis=0)
             places = _open_places(candidates, others)
             stride = max(1, len(places) // SIGMA_PLACES)
             coarse = places[::stride]
@@ -184,7 +185,8 @@ def pair_rows(positions: ArrayLike, noise: RowNoise, duration: float) -> list[Di
     order = np.argsort(p)
     first = math.ceil((0.0 - p[order[-1]]) / noise.period)
     rows = np.arange(first, math.floor((duration - p[order[0]]) / noise.period) + 1)
-    half = 0.5 * noise.window
+    tdi = noise.tdi or (0.0,) * len(p)
+    half = 0.5 * (noise.window + max(tdi))
     out = []
     for a, b in combinations(order.tolist(), 2):
         t_a, t_b = rows * noise.period + p[a], rows * noise.period + p[b]
@@ -193,5 +195,6 @@ def pair_rows(positions: ArrayLike, noise: RowNoise, duration: float) -> list[Di
         variance = np.full(count, noise.sigma_px[a] ** 2 + noise.sigma_px[b] ** 2)
         lag = np.full(count, p[b] - p[a])
         patch = (rows[seen] - first).astype(np.int64)
-        out.append(DifferenceSeries(t, lag, np.zeros(count), variance, (a, b), noise.window, patch))
+        both = (tdi[a], tdi[b])
+        out.append(DifferenceSeries(t, lag, np.zeros(count), variance, (a, b), noise.window, patch, both))
     return [series for series in out if len(series.t)]
