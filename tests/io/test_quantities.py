@@ -106,7 +106,15 @@ TAKEN = {
     "without end": {"full_well_line", "full_well_sum"},
     "a word": {"time", "wavelength_nm", "stages"},
     # none of these; or too few, which the whole table or its command says
-    "an empty list": {"distortion", "tones", "image_sigma_px", "lines", "positions_px", "positions_s"},
+    "an empty list": {
+        "distortion",
+        "tones",
+        "image_sigma_px",
+        "lines",
+        "positions_px",
+        "positions_s",
+        "stages",
+    },
 }
 
 
