@@ -77,14 +77,18 @@ def undistorted(kind: str, k: dict, x: float, y: float) -> tuple[float, float]:
         k0, k1, k2 = k["coefficients"]
         r2 = x * x + y * y
         return x * (1 - k0 - k1 * r2 - k2 * r2**2), y * (1 - k0 - k1 * r2 - k2 * r2**2)
+    if kind == "cahvor":
+        *k, cx, cy = k["coefficients"]
+        u, v = undistorted("radial", {"coefficients": k}, x - cx, y - cy)
+        return u + cx, v + cy
     if kind == "lrolrocnac":
         return x, y / (1 + k["coefficients"][0] * y * y)
     if kind == "kaguyalism":
         r = math.sqrt(x * x + y * y)
         a, b = k["x"], k["y"]
         return (
-            x + k["boresight_x"] + a[0] + a[1] * r + a[2] * r**2 + a[3] * r**3,
-            y + k["boresight_y"] + b[0] + b[1] * r + b[2] * r**2 + b[3] * r**3,
+            x + np.ravel(k["boresight_x"])[0] + a[0] + a[1] * r + a[2] * r**2 + a[3] * r**3,
+            y + np.ravel(k["boresight_y"])[0] + b[0] + b[1] * r + b[2] * r**2 + b[3] * r**3,
         )
     if kind == "themisir":  # ISIS: ThemisIrDistortionMap
         root = math.sqrt((1 + k["p_alpha1"]) ** 2 + 4 * k["p_alpha2"] * y)
@@ -158,6 +162,11 @@ STATE_KINDS = {0: "radial", 4: "lrolrocnac"}
 
 def _state_undistorted(state: dict, x: float, y: float) -> tuple[float, float]:
     k = state["m_opticalDistCoeffs"]
+    if state["m_distortionType"] == 2:
+        kaguya = {"boresight_x": k[0], "x": k[1:5], "boresight_y": k[5], "y": k[6:]}
+        return undistorted("kaguyalism", kaguya, x, y)
+    if state["m_distortionType"] == 5:
+        return undistorted("cahvor", {"coefficients": k}, x, y)
     if state["m_distortionType"] != 1:
         return undistorted(STATE_KINDS[state["m_distortionType"]], {"coefficients": k}, x, y)
     u, v = x, y

@@ -431,7 +431,9 @@ def test_what_a_command_lets_be_opened_ends_with_it(tmp_path, monkeypatch):
     assert met == [True, False] and not current_access().network
 
 
-READING = ("check", "georeference", "layout", "noise", "orient", "recover", "register", "score", "tdi")
+READING = (
+    "check", "export", "georeference", "layout", "noise", "orient", "recover", "register", "score", "tdi",
+)  # fmt: skip
 
 
 @pytest.mark.parametrize("name", READING)

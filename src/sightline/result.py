@@ -14,7 +14,7 @@ import inspect
 import logging
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
@@ -93,6 +93,12 @@ class Kind(Protocol):
 
     def write(self, result: Any, folder: Path, *, overwrite: bool, **options: Any) -> None:
         """Write every file."""
+        ...
+
+    def export(
+        self, result: Any, to: str, folder: Path, *, acquisition: Any, kernels: Any, overwrite: bool
+    ) -> dict[str, Any]:
+        """Write a form of other programs."""
         ...
 
     def report(self, result: Any, path: Path) -> None:
@@ -246,6 +252,45 @@ class Result:
         """
         _kind_of[0](self).write(self, Path(os.fspath(folder)), overwrite=overwrite, **options)
         return Path(folder)
+
+    def export(
+        self,
+        to: str,
+        folder: str | Path,
+        *,
+        acquisition: Any = None,
+        kernels: Sequence[str | Path] = (),
+        overwrite: bool = False,
+    ) -> Path:
+        """Write this result in a form that other programs read.
+
+        Parameters
+        ----------
+        to : str
+            ``"csm"``, ``"isd"``, ``"aem"``, ``"oem"``, ``"rpc"``, ``"quaternions"`` or ``"shifts"``; what
+            each carries is in docs/formats/export.md.
+        folder : str or Path
+            Created, with its parents, where it does not exist.
+        acquisition : path or Acquisition, optional
+            What the result was recovered from; forms that hold a camera need it of an opened result.
+        kernels : sequence of paths
+            SPICE kernels, for the forms that take them.
+        overwrite : bool
+            Allow `folder` to hold something; files of the same names are replaced.
+
+        Returns
+        -------
+        Path
+            `folder`.
+
+        Raises
+        ------
+        InputError
+            The form cannot hold this result, or lacks something; the folder cannot be written.
+        """
+        place, files = Path(os.fspath(folder)), [Path(os.fspath(kernel)) for kernel in kernels]
+        _kind_of[0](self).export(self, to, place, acquisition=acquisition, kernels=files, overwrite=overwrite)
+        return place
 
     def report(self, file: str | Path) -> Path:
         """Write the page of this result, one self-contained HTML file; one of that name is replaced.

@@ -226,6 +226,7 @@ _row(
     "formats.dem.read_dem", "orbit-csv", ["geoid.tif", "dem.tif"],
     lambda folder, read: read(folder / "dem.tif", datum="geoid", geoid=folder / "geoid.tif"),
 )  # fmt: skip
+function("formats.csm_keys.read_keys", "sensor-model", "isd.json", "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL")
 function("formats.isd.read_line_scan_model", "sensor-model", "isd.json")
 function("formats.isd.read_line_scan_model", "sensor-model", "state.json")
 function("formats.isd_frame.read_frame_model", "sensor-model", "frame.json")
@@ -401,6 +402,9 @@ for _name, _seed, _targets, _words, _check in (
     ("layout", "instrument", "*", "layout @instrument.toml --passband 40 150 --out @out", ""),
     ("recover", "level", "*", "recover @acquisition.toml --out @out", "acquisition.toml"),
     ("register", "recovered", "a* result/*", "register @acquisition.toml --motion @result --out @out", ""),
+    ("export", "recovered", "a* result/*",
+     "export @result --to shifts --acquisition @acquisition.toml --out @out", ""),
+    ("export quaternions", "recovered", "result/*", "export @result --to quaternions --out @out", ""),
     ("register frames", "turning-frames", "*", "register @acquisition.toml --motion @result --out @out", ""),
     ("georeference", "flown", "*", "georeference @sequence.toml --out @out", "sequence.toml"),
 ):  # fmt: skip
@@ -427,6 +431,7 @@ for _seed, _words in (
     ("flown", "georeference @sequence.toml --out @out"),
     ("tdi", "tdi @tdi.toml --out @out"),
     ("instrument", "layout @instrument.toml --passband 40 150"),
+    ("recovered", "export @result --to quaternions --out @out"),
     ("recovered", "score @result @truth.csv"),
     ("level", "check @acquisition.toml"),
     ("level", "noise @flat.npy --out @out"),

@@ -397,6 +397,7 @@ def sensor_model(folder: Path) -> None:
     }
     (folder / "isd.json").write_text(json.dumps(isd))
     frame = isd | {"name_model": "USGS_ASTRO_FRAME_SENSOR_MODEL", "detector_line_summing": 1}
+    frame["focal2pixel_samples"] = [0.0, 0.0, -142.857]  # lines along x: samples against y, or it is mirrored
     (folder / "frame.json").write_text(json.dumps(frame))
     state = {
         "m_modelName": isd["name_model"],
@@ -1095,7 +1096,7 @@ def tdi(folder: Path) -> None:
 def recovered(folder: Path) -> None:
     """A strip, what `recover` would leave of it, its truth, and TDI columns by both."""
     from sightline.io.acquisition.load import load_acquisition
-    from sightline.io.formats.tables import MotionTable, write_motion, write_spectrum
+    from sightline.io.formats.tables import MotionTable, write_attitudes, write_motion, write_spectrum
     from sightline.io.results.hidden import write_hidden
     from sightline.io.results.relief import write_relief
     from sightline.motion.strip.relief import RowRelief
@@ -1113,6 +1114,7 @@ def recovered(folder: Path) -> None:
     angles = 1e-6 * np.stack([np.sin(300.0 * t), np.cos(200.0 * t), 3.0 * np.sin(100.0 * t)], axis=1)
     sigma = np.full((LINES, 3), 1e-7)
     write_motion(made / "motion.csv", MotionTable(t, angles, sigma, 10.0 * sigma, np.ones(LINES, dtype=bool)))
+    write_attitudes(made / "attitude.csv", t, Rotation.from_rotvec(angles).as_quat())
     rows = np.stack([np.sin(t), np.cos(t)], axis=1)
     write_relief(made / "relief.csv", RowRelief(0, t, rows, np.ones_like(rows)))
     drift = np.zeros((LINES, 3, 2))

@@ -23,6 +23,7 @@ from sightline.access import shut_network
 from sightline.cli import (
     check,
     demo,
+    export,
     georeference,
     layout,
     noise,
@@ -85,6 +86,7 @@ app.add_typer(simulate.app, name="simulate")
 app.command("recover", epilog=examples("recover"))(recover.recover)
 app.command("layout", epilog=examples("layout"))(layout.layout)
 app.command("register", epilog=examples("register"))(register.register)
+app.command("export", epilog=examples("export"))(export.export)
 app.command("orient", epilog=examples("orient"))(orient.orient)
 app.command("georeference", epilog=examples("georeference"))(georeference.georeference)
 app.command("tdi", epilog=examples("tdi"))(tdi.tdi)

@@ -43,6 +43,10 @@ EXAMPLES = {
     ),
     "score": ("score result strip/truth.csv", "score located flight/poses-truth.csv --json"),
     "register": ("register strip/acquisition.toml --motion result --out registered",),
+    "export": (
+        "export result --to quaternions --out quaternions",
+        "export result --to shifts --acquisition strip.toml --out moved",
+    ),
     "layout": ("layout instrument.toml --passband 40 150 --out layouts",),
     "orient": ("orient pass/stereo.toml --out oriented", "orient pass/stereo.toml --predict --out bound"),
     "georeference": (

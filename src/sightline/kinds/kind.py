@@ -25,7 +25,8 @@ from sightline.access import check_file, read_bytes, read_json
 from sightline.errors import FormatError, InputError, SightlineError, foreign_errors
 from sightline.execution import Progress
 from sightline.inputs import note
-from sightline.io.formats.json_text import plain
+from sightline.io.formats.json_text import json_text, plain
+from sightline.io.results.exports import Exported, write_export
 from sightline.output.folder import output_folder
 from sightline.report.page import Page, Section, Table
 from sightline.result import Made, Result, logger, made
@@ -40,7 +41,7 @@ Tell = Progress
 
 #: Bytes of a file up to which an opened result holds it, and of all its files together.
 HELD, HELD_IN_ALL = 32 << 20, 256 << 20
-SUMMARY, REPORT = "summary.json", "report.html"
+SUMMARY, REPORT, EXPORT = "summary.json", "report.html", "export.json"
 #: Where a result keeps its summary, which may take minutes.
 _KEPT = "_summary"
 #: Rows of a table on a page that has no figures.
@@ -59,6 +60,11 @@ _IN_PYTHON = (
     ("give a folder with --out", "give another folder"),
     ("give a folder on another disk with --out", "give a folder on another disk"),
     (" with --out", ""),
+    ("add --acquisition FILE, the ACQUISITION.toml", "give acquisition=FILE, the ACQUISITION.toml"),
+    ("add --kernel FILE", "give kernels=[FILE, ...]"),
+    ("--kernel is for --to", "`kernels` are for `to`"),
+    ("with --to ", "with `to` "),
+    ("--to ", "`to` "),
     ("by --type", "by `pixels`"),
 )
 
@@ -248,6 +254,42 @@ class ResultKind:
                     object.__setattr__(result, _KEPT, summary)
         except InputError as error:
             raise _in_python(error) from error
+
+    def exported(self, result: Any, acquisition: Any) -> Exported:
+        """What a result gives to other programs; `acquisition` is what it was made of, or None."""
+        raise InputError(
+            f"a {type(result).__name__} is not exported; results of `recover` and `georeference` are"
+            + (
+                ": what `orient` found for other programs is in its own folder"
+                if self.table == "orientation"
+                else ""
+            )
+        )
+
+    def export(
+        self,
+        result: Any,
+        to: str,
+        folder: Path,
+        *,
+        acquisition: Any = None,
+        kernels: Sequence[Path] = (),
+        overwrite: bool = False,
+    ) -> dict[str, Any]:
+        """Write a form of other programs into a folder; its summary."""
+        try:
+            with output_folder(folder, overwrite=overwrite, earlier=earlier) as new:
+                return self.export_into(result, to, new, acquisition, kernels)
+        except InputError as error:
+            raise _in_python(error) from error
+
+    def export_into(
+        self, result: Any, to: str, folder: Path, acquisition: Any, kernels: Sequence[Path]
+    ) -> dict[str, Any]:
+        """Write a form of other programs into a folder that exists, with what it says in ``export.json``."""
+        summary = write_export(to, folder, self.exported(result, acquisition), tuple(kernels))
+        whole_text(folder / EXPORT, json_text(summary))
+        return summary
 
     def report(self, result: Any, path: Path) -> None:
         """Write the page."""

@@ -13,18 +13,30 @@ import numpy as np
 from sightline.access import read_arrays
 from sightline.applications.frame_attitude import FrameAttitude
 from sightline.applications.spin_attitude import SpinAttitude
-from sightline.errors import foreign_errors
+from sightline.errors import FormatError, foreign_errors
+from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.surface import Plane
 from sightline.geometry.trajectory import Motion
 from sightline.io.acquisition.acquired import Acquisition
-from sightline.io.formats.tables import ANGLES, MOTION, MotionTable, read_columns, read_motion
+from sightline.io.acquisition.load import load_acquisition
+from sightline.io.formats.tables import ANGLES, MOTION, MotionTable, read_attitudes, read_columns, read_motion
+from sightline.io.results.exports import Exported
 from sightline.io.results.hidden import read_hidden
-from sightline.io.results.line_of_sight import RESULT_FILES, whole_summary, write_result
+from sightline.io.results.line_of_sight import (
+    AEM_FRAMES,
+    RESULT_FILES,
+    on_another_body,
+    refined_attitude,
+    whole_summary,
+    write_result,
+)
+from sightline.io.results.recovered import read_recovered
 from sightline.io.results.relief import read_relief
-from sightline.kinds.kind import REPORT, Columns, ResultKind, Tell, given, per_axis, warned
+from sightline.kinds.kind import REPORT, Columns, OpenedFolder, ResultKind, Tell, given, per_axis, warned
 from sightline.motion.band import ChipKnowledge, LensKnowledge
 from sightline.motion.estimators.differences import AngleDifferences
 from sightline.motion.results import LineOfSight, NamedMethod, StaticEstimate, TimeCovariance
+from sightline.motion.statics import recovered_cameras
 from sightline.motion.strip.fusion import SensorUse
 from sightline.motion.strip.hyper import KnownContent
 from sightline.motion.strip.withheld import WithheldAxis
@@ -133,6 +145,47 @@ class Recovery(ResultKind):
                 "differences": _differences(folder / "differences.csv", tuple(summary["images"])),
             }
 
+    def exported(self, result: LineOfSight, acquisition: Any) -> Exported:
+        """The refined attitude; with the acquisition, cameras of a strip that carry what was found."""
+        opened = result.origin if isinstance(result.origin, OpenedFolder) else None
+        if isinstance(acquisition, str | Path):
+            acquisition = load_acquisition(acquisition, look=False)
+        if acquisition is None and opened is None:
+            acquisition = acquisition_of(result)
+        sigma = result.sigma
+        if acquisition is None:
+            assert opened is not None
+            path = opened.folder / "attitude.csv"
+            t, quaternions = read_attitudes(path)
+            if len(t) != len(sigma):
+                raise FormatError(
+                    f"{path}: has {len(t)} rows, motion.csv {len(sigma)}; run `sightline recover` again, or "
+                    "give --acquisition FILE"
+                )
+            name, epoch = opened.summary.get("name", ""), opened.summary.get("epoch")
+            return Exported(
+                str(name), t, quaternions, sigma, epoch if isinstance(epoch, str) else None,
+                _message_frame(opened),
+            )  # fmt: skip
+        bands: tuple[PushbroomCamera, ...] = ()
+        if opened is not None:
+            found = read_recovered(opened.folder, acquisition)
+            bands = recovered_cameras(acquisition.bands, found.motion, found.statics)
+        elif acquisition.bands:
+            bands = tuple(one for one in result.cameras if isinstance(one, PushbroomCamera))
+        t, other = result.motion.t, on_another_body(acquisition.surface)
+        return Exported(
+            acquisition.name,
+            t,
+            refined_attitude(result, acquisition),
+            sigma,
+            acquisition.epoch,
+            None if other else AEM_FRAMES[acquisition.world],
+            acquisition.cameras[0].trajectory.at(t).position,
+            acquisition,
+            dict(zip([band.name for band in acquisition.bands], bands, strict=True)),
+        )
+
     def draw(self, result: LineOfSight, axes: Sequence[Any]) -> None:
         """Roll, pitch, yaw in px against time, with 1 sigma."""
         t = result.motion.t
@@ -143,6 +196,14 @@ class Recovery(ResultKind):
             panel.set_ylabel(f"{name} (px{' at the edge' if name == 'yaw' else ''})")
         axes[-1].set_xlabel("t (s)")
         axes[0].legend(loc="upper right")
+
+
+def _message_frame(opened: OpenedFolder) -> str | None:
+    """Name of the world axes in the folder's own attitude message; None where it has none."""
+    if "attitude.aem" not in opened.names:
+        return None
+    rows = (line.partition("=") for line in opened.text("attitude.aem").splitlines())
+    return next((value.strip() for key, _, value in rows if key.strip() == "REF_FRAME_A"), None)
 
 
 def acquisition_of(result: Result) -> Acquisition:

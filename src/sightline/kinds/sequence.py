@@ -17,6 +17,7 @@ from sightline.io.acquisition.schema import WorldSection
 from sightline.io.formats.tables import read_columns
 from sightline.io.results.cube_files import CubeFolder
 from sightline.io.results.cube_summary import cube_summary, earlier_cube, remove_cube, write_cube
+from sightline.io.results.exports import Exported
 from sightline.io.results.line_of_sight import write_json
 from sightline.io.results.poses import POSES, SIGMAS, in_table_axes, read_pose_covariance
 from sightline.io.results.sequence import write_sequence_result
@@ -42,6 +43,8 @@ from sightline.report.sequence_page import sequence_page
 from sightline.result import source_of
 from sightline.version import VERSION
 
+#: m from the origin beyond which positions are Earth-fixed.
+_EARTH_FIXED = 6e6
 _CUBE_FILES = ("bands/*", "cube.tif", "cube.dat", "cube.hdr", "cube.zarr/*")
 
 
@@ -108,6 +111,24 @@ class Poses(ResultKind):
                 poses.covariance,
             )[2]
         return {"covariance": (("frame", "unknown", "unknown_too"), covariance, "m2, m rad, rad2")}
+
+    def exported(self, result: SequencePoses, acquisition: Any) -> Exported:
+        """Poses of all frames that have one, in the axes of ``poses.csv``."""
+        if acquisition is not None:
+            raise InputError("poses of a flight are exported without an acquisition: leave it out")
+        table = self.numbers(result, self.table)
+        place, turn = (
+            np.column_stack([np.asarray(table[key], dtype=np.float64) for key in keys])
+            for keys in (("x", "y", "z"), ("qx", "qy", "qz", "qw"))
+        )
+        known = np.isfinite(place).all(axis=1) & np.isfinite(turn).all(axis=1)
+        summary = self.summary(result)
+        fixed = bool(known.any() and np.linalg.norm(place[known], axis=1).min() > _EARTH_FIXED)
+        sigma = np.column_stack([np.asarray(table[key], dtype=np.float64) for key in SIGMAS[3:]])
+        return Exported(
+            str(summary.get("name", "")), np.asarray(table["t"], dtype=np.float64)[known], turn[known],
+            sigma[known], summary.get("epoch"), "ITRF" if fixed else None, place[known],
+        )  # fmt: skip
 
     def left(self, folder: Path, summary: dict[str, Any]) -> list[str]:
         """The tables, the models, maps that the summary lists."""

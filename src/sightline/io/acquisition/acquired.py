@@ -79,6 +79,8 @@ class Acquisition:
         What of the ground is not given, with what is taken for it.
     sources : tuple of str
         What orbit and attitudes are: axes, time scale, Earth orientation.
+    reference_et : float or None
+        s past J2000 (TDB), the instant t = 0, where a sensor model says it.
     """
 
     path: Path
@@ -103,6 +105,7 @@ class Acquisition:
     doubts: tuple[str, ...] = ()
     assumed: tuple[str, ...] = ()
     sources: tuple[str, ...] = ()
+    reference_et: float | None = None
 
     def __repr__(self) -> str:
         """One line."""
@@ -209,6 +212,8 @@ class InputFolder:
         self.doubts: list[str] = []
         self.attitude_sigmas: list[float] = []
         self.fixed_from_given: Callable[[float], Rotation] | None = None
+        #: s past J2000 (TDB) of t = 0, where a sensor model says it.
+        self.reference_et: float | None = None
         self._keys_of: dict[str, list[str]] = {}
         self._place_of: dict[Path, str] = {}
         if config is not None:

@@ -142,6 +142,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         inputs=tuple(files.used),
         assumed=assumed_ground(config.surface),
         sources=tuple(files.said),
+        reference_et=files.reference_et,
         doubts=(
             *dict.fromkeys(files.doubts),
             *look_doubts(config, cameras, names, surface, files.fixed_from_given),

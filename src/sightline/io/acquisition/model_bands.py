@@ -43,7 +43,7 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
     """
     shared = getattr(config.platform, "model", None)
     bands: list[Band] = []
-    reference: float | None = None
+    reference: tuple[float, float] | None = None
     for index, band in enumerate(config.band):
         where = f"{files.toml}: [[band]] number {index + 1} ({band.name})"
         name = band.model or shared
@@ -51,8 +51,9 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
             raise FormatError(f"{where}: model is missing; give it there or in [platform]")
         _refuse_own_geometry(config, band, where)
         model = read_line_scan_model(files(name), reference)
-        reference = model.reference_et
+        reference = model.reference
         files.doubts += model.doubts
+        files.reference_et = model.reference_et
         image = open_band_image(band, files, look=look)
         if image.shape != model.camera.shape:
             raise FormatError(

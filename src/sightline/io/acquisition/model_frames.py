@@ -22,6 +22,7 @@ def frame_models(config: AcquisitionFile, image: Source, files: InputFolder) -> 
     What the lenses leave open is noted among the doubts of `files`.
     """
     models = [read_frame_model(files(entry.model or "")) for entry in config.frame]
+    files.reference_et = models[0].et
     lens = models[0].detector
     if lens.shape != image.shape:
         raise FormatError(

@@ -55,19 +55,24 @@ class LineScanModel:
     Attributes
     ----------
     camera : PushbroomCamera
-        World axes are body-fixed, t = 0 at `reference_et`.
+        World axes are body-fixed, t = 0 at `reference`.
     radii : (float, float)
         m; equatorial and polar radius of the body.
-    reference_et : float
-        s past J2000 (TDB), the instant t = 0.
+    reference : (float, float)
+        The instant t = 0: s past J2000 (TDB) of the middle of an image, and s from there.
     doubts : tuple of str
         What the file leaves open, and what was done about it.
     """
 
     camera: PushbroomCamera
     radii: tuple[float, float]
-    reference_et: float
+    reference: tuple[float, float]
     doubts: tuple[str, ...] = ()
+
+    @property
+    def reference_et(self) -> float:
+        """s past J2000 (TDB), the instant t = 0; resolved to 6e-8 s."""
+        return sum(self.reference)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,15 +141,15 @@ class _Table:
 
 
 @reads("a line-scan sensor model")
-def read_line_scan_model(path: Path, reference_et: float | None = None) -> LineScanModel:
+def read_line_scan_model(path: Path, reference: tuple[float, float] | None = None) -> LineScanModel:
     """A USGS CSM line-scan ISD or model state.
 
     Parameters
     ----------
     path : Path
         JSON; a model state may be preceded by a line with the model's name, as in the adjusted states of ASP.
-    reference_et : float, optional
-        s past J2000 that become t = 0; the start of the image if not given.
+    reference : (float, float), optional
+        That of another model, whose t = 0 is meant; the first line of the image if not given.
 
     Returns
     -------
@@ -166,7 +171,7 @@ def read_line_scan_model(path: Path, reference_et: float | None = None) -> LineS
     motion, doubts = (_state_motion if data.is_state else _isd_motion)(
         data, timing.centre_et, timing.line_times()
     )
-    return _assemble(motion, plane, timing, reference_et, doubts)
+    return _assemble(motion, plane, timing, reference, doubts)
 
 
 def _isd_timing(data: CsmKeys) -> _Timing:
@@ -381,23 +386,19 @@ def _assemble(
     motion: _Motion,
     plane: FocalPlane,
     timing: _Timing,
-    reference_et: float | None,
+    reference: tuple[float, float] | None,
     doubts: tuple[str, ...],
 ) -> LineScanModel:
     """The camera: body axes chosen, directions turned into camera axes, times counted from the reference."""
     line_times = timing.line_times()
-    reference = timing.centre_et + float(line_times[0]) if reference_et is None else reference_et
-    later = timing.centre_et - reference
+    reference = reference or (timing.centre_et, float(line_times[0]))
+    later = (timing.centre_et - reference[0]) - reference[1]
     nodes = _nodes(motion.nodes, line_times, float(timing.rates[0, 2]), float(timing.rates[-1, 2]))
     position, world_from_sensor = motion.position(nodes), motion.world_from_sensor(nodes)
     sensor_directions = plane.row(timing.samples)
     body_from_sensor = _body_axes(sensor_directions, nodes, position, world_from_sensor)
     directions = (NADIR_MOUNT.inv() * body_from_sensor).apply(sensor_directions)
-    t = line_times + later
-    if reference_et is None:
-        t, nodes = line_times - line_times[0], nodes - line_times[0]
-    else:
-        nodes = nodes + later
+    t, nodes = line_times + later, nodes + later
     steps = np.diff(line_times)
     period = float(steps.mean()) if len(steps) else float(timing.rates[0, 2])
     camera = PushbroomCamera(

@@ -1,0 +1,72 @@
+"""``sightline export``: a result in the forms that other programs read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
+
+#: Forms, as ``io/results/exports.py`` writes them: said in --help, which must not wait for its import.
+FORMS = ("csm", "isd", "aem", "oem", "rpc", "quaternions", "shifts")
+
+
+def export(
+    result: Annotated[
+        Path, typer.Argument(metavar="RESULT", help="Folder that `recover` or `georeference` wrote.")
+    ],
+    to: Annotated[str, typer.Option("--to", metavar="FORM", help=f"One of {', '.join(FORMS)}.")],
+    out: Out,
+    acquisition: Annotated[
+        Path | None,
+        typer.Option(
+            "--acquisition",
+            metavar="FILE",
+            help="ACQUISITION.toml that the result was recovered from; forms that hold a camera need it.",
+        ),
+    ] = None,
+    kernel: Annotated[
+        list[Path] | None,
+        typer.Option("--kernel", metavar="FILE", help="SPICE kernel, for forms of SPICE; may be repeated."),
+    ] = None,
+    overwrite: Overwrite = False,
+    as_json: Json = False,
+    allow_network: AllowNetwork = False,
+) -> None:
+    """Write a result as CSM state, ISD, RPC, attitude or orbit message, quaternions, or shifts of pixels."""
+    from sightline.cli.output import output_folder
+    from sightline.cli.terminal import complain, print_json, progress, say
+    from sightline.errors import InputError, failing_numbers
+    from sightline.kinds.open import kind_of, open_result
+
+    if to not in FORMS:
+        raise InputError(f"--to is {to!r}; allowed are {', '.join(FORMS)}")
+    with (
+        output_folder(out, overwrite=overwrite) as folder,
+        progress() as report,
+        failing_numbers(f"{result}"),
+    ):
+        report("reading the result")
+        opened = open_result(result)
+        report(f"writing {to}")
+        summary = kind_of(opened).export_into(opened, to, folder, acquisition, kernel or ())
+    if as_json:
+        print_json(summary)
+        return
+    for warning in summary["warnings"]:
+        complain("warning", warning)
+    for band in summary.get("bands", ()):
+        say(f"{band['name']:16}  {_how_near(band)}")
+    say(", ".join(str(out / name) for name in summary["files"]))
+
+
+def _how_near(band: dict[str, Any]) -> str:
+    """How far what was written is from the result, in words."""
+    if "lens_px" in band:
+        return f"detector line met to {band['lens_px']:.1e} px"
+    line, column = band["rms_px"]
+    most = max(band["max_px"])
+    what = "moved by" if "file" in band else "left"
+    return f"{what} {line:.4f} px in lines, {column:.4f} px in columns (rms), {most:.3f} px at most"

@@ -1,0 +1,452 @@
+"""A recovered line of sight → files of other programs: ``sightline export`` and ``export`` of a result.
+
+What each form carries and loses is in ``docs/formats/export.md``.
+
+Not here: the forms themselves (``io/formats/``), which result gives what (``kinds/``).
+"""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sightline.applications.export import line_states, motion_shifts, poses_of, states_at, without_motion
+from sightline.errors import GeometryError, InputError
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.earth import WGS84, to_geodetic
+from sightline.geometry.surface import Dem, Ellipsoid, Surface
+from sightline.io.acquisition.acquired import Acquisition
+from sightline.io.formats.ccsds import write_aem, write_oem
+from sightline.io.formats.csm_files import CsmNames, csm_timing, isd_text, nearest_plane, state_text
+from sightline.io.formats.ephemeris_time import earth_from_j2000, et_of_utc
+from sightline.io.formats.images import RasterImage
+from sightline.io.formats.rpc_files import write_rpb, write_rpc_text
+from sightline.io.formats.tables import write_columns
+from sightline.io.names import file_stems
+from sightline.io.results.line_of_sight import on_another_body
+from sightline.products.rpc import Rpc, fit_rpc
+from sightline.version import VERSION
+from sightline.writing import whole_raster, whole_text
+
+Array = NDArray[np.float64]
+
+#: px; what the detector line of CSM may differ by from that of the camera.
+LARGEST_LENS_PX = 0.01
+#: px rms of lines or columns from which an RPC is refused; the same of the camera without its motion, beyond
+#: which the strip is longer than one RPC can hold.
+LARGEST_RPC_PX, LARGEST_STILL_PX = 1.0, 0.1
+#: m; half of the least range of heights that an RPC is fitted over.
+LEAST_HEIGHTS = 500.0
+#: Lines of shifts that are computed at a time.
+_BLOCK = 512
+
+
+@dataclass(frozen=True, eq=False)
+class Exported:
+    """What is exported.
+
+    Attributes
+    ----------
+    name : str
+        Title of the acquisition.
+    t : (N,)
+        s from the epoch.
+    quat_xyzw : (N, 4)
+        world_from_body, scalar last, at these times: refined.
+    sigma : (N, 3) or None
+        rad; of roll, pitch, yaw.
+    epoch : str or None
+        UTC of t = 0.
+    frame : str or None
+        Of the world axes in CCSDS messages; None where they have no name.
+    position : (N, 3) or None
+        m, world axes; None where nothing says it.
+    acquisition : Acquisition or None
+        Needed by all forms that hold a camera.
+    cameras : dict of str to PushbroomCamera
+        By band; with the recovered motion and statics.
+    """
+
+    name: str
+    t: Array
+    quat_xyzw: Array
+    sigma: Array | None
+    epoch: str | None
+    frame: str | None
+    position: Array | None = None
+    acquisition: Acquisition | None = None
+    cameras: Mapping[str, PushbroomCamera] = field(default_factory=dict)
+
+    def needs_cameras(self, to: str) -> Acquisition:
+        """The acquisition, where a form holds cameras of a strip.
+
+        Raises
+        ------
+        InputError
+            None is given, or it is of frames.
+        """
+        if self.acquisition is None:
+            raise InputError(
+                f"--to {to} holds a camera, which the result does not: add --acquisition FILE, the "
+                "ACQUISITION.toml that it was recovered from"
+            )
+        if not self.cameras:
+            raise InputError(
+                f"--to {to} is of strips ([[band]]); of frames only quaternions and aem are exported"
+            )
+        return self.acquisition
+
+    def needs_body(self, to: str) -> tuple[Acquisition, tuple[float, float]]:
+        """The acquisition and the radii of the body, where a form holds axes fixed to one."""
+        acquired = self.needs_cameras(to)
+        if acquired.world != "earth-fixed":
+            raise InputError(
+                f"--to {to} needs axes that are fixed to a body; these are local (level flight over a flat "
+                'Earth): give [platform] kind = "ephemeris" or "camera-model"'
+            )
+        return acquired, radii_of(acquired.surface)
+
+    def needs_et(self, to: str) -> float:
+        """s past J2000 (TDB) of t = 0."""
+        known = None if self.acquisition is None else self.acquisition.reference_et
+        if known is not None:
+            return known
+        if self.epoch is None:
+            raise InputError(
+                f"--to {to} needs the instant of t = 0: add [acquisition] epoch (UTC) to the ACQUISITION.toml"
+            )
+        return et_of_utc(self.epoch)
+
+
+def radii_of(surface: Surface) -> tuple[float, float]:
+    """Equatorial and polar radius (m) of the body that a surface is of."""
+    if isinstance(surface, Ellipsoid):
+        return surface.a, surface.b
+    if isinstance(surface, Dem) and surface.radii is not None:
+        return surface.radii
+    return WGS84
+
+
+def write_export(to: str, folder: Path, exported: Exported, kernels: tuple[Path, ...] = ()) -> dict[str, Any]:
+    """Write one form into a folder.
+
+    Parameters
+    ----------
+    to : str
+        One of EXPORTS.
+    folder : Path
+        Exists.
+    exported : Exported
+    kernels : tuple of Path
+        SPICE kernels, for "ck" and "isis".
+
+    Returns
+    -------
+    dict
+        What was written, and how far it is from the result: the content of ``export.json``.
+
+    Raises
+    ------
+    InputError
+        If the form cannot hold what is exported, or something that it needs is missing.
+    """
+    if to not in EXPORTS:
+        raise InputError(f"`to` is {to!r}; allowed are {', '.join(EXPORTS)}")
+    if kernels and to not in WITH_KERNELS:
+        raise InputError(f"--kernel is for --to {' and '.join(WITH_KERNELS)}; leave it out with --to {to}")
+    begun = time.perf_counter()
+    found = EXPORTS[to](folder, exported, kernels)
+    inputs = {} if exported.acquisition is None else exported.acquisition.input_hashes()
+    files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
+    return {
+        "name": exported.name,
+        "version": VERSION,
+        "to": to,
+        "files": files,
+        **found,
+        "warnings": found.get("warnings", []),
+        "wall_seconds": time.perf_counter() - begun,
+        "inputs": inputs,
+    }
+
+
+def _quaternions(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
+    """``quaternions.csv``: attitude, where it is known place, and sigma, at the times of the motion."""
+    columns: dict[str, Any] = {"t": exported.t}
+    if exported.position is not None:
+        columns |= dict(zip("xyz", exported.position.T, strict=True))
+    columns |= dict(zip(("qx", "qy", "qz", "qw"), exported.quat_xyzw.T, strict=True))
+    if exported.sigma is not None:
+        columns |= dict(zip(("sigma_roll", "sigma_pitch", "sigma_yaw"), exported.sigma.T, strict=True))
+    exact = dict.fromkeys(("x", "y", "z", "qx", "qy", "qz", "qw"), "%.17g")
+    write_columns(folder / "quaternions.csv", columns, exact)
+    return {"rows": len(exported.t), "axes": "world_from_body, scalar last"}
+
+
+def _need_message(exported: Exported, to: str) -> tuple[str, str]:
+    """Epoch and name of the axes of a CCSDS message."""
+    if exported.epoch is None:
+        raise InputError(
+            f"--to {to} gives times in UTC: add [acquisition] epoch (UTC of t = 0) and recover again"
+        )
+    if exported.frame is None:
+        raise InputError(f"--to {to} is written in Earth-fixed or local axes; this result is of another body")
+    return exported.epoch, exported.frame
+
+
+def _aem(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
+    """``attitude.aem``: the refined attitude of the body."""
+    epoch, frame = _need_message(exported, "aem")
+    name = exported.name.upper()
+    write_aem(folder / "attitude.aem", exported.t, exported.quat_xyzw, epoch, object_name=name, frame=frame)
+    return {"rows": len(exported.t), "axes": f"{frame} to SC_BODY_1"}
+
+
+def _oem(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
+    """``orbit.oem``: positions and velocities of the body at the times of the motion."""
+    epoch, frame = _need_message(exported, "oem")
+    if exported.position is None:
+        raise InputError(
+            "--to oem gives positions, which the result does not hold: add --acquisition FILE, the "
+            "ACQUISITION.toml that it was recovered from"
+        )
+    if len(exported.t) < 2:
+        raise InputError("--to oem gives velocities; one position alone has none")
+    velocity = np.gradient(exported.position, exported.t, axis=0)
+    name = exported.name.upper()
+    write_oem(
+        folder / "orbit.oem", exported.t, exported.position, velocity, epoch, object_name=name, frame=frame
+    )
+    return {"rows": len(exported.t), "axes": frame}
+
+
+def _stems(exported: Exported) -> dict[str, str]:
+    """A file name for each band."""
+    return dict(zip(exported.cameras, file_stems(exported.cameras), strict=True))
+
+
+def _csm(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
+    """``BAND.json``: a model state of usgscsm for each band."""
+    acquired, radii = exported.needs_body("csm")
+    et, bands = exported.needs_et("csm"), []
+    for name, stem in _stems(exported).items():
+        camera = exported.cameras[name]
+        plane, residual = _plane(camera, name, "csm")
+        text = state_text(
+            camera,
+            line_states(camera),
+            csm_timing(camera, et),
+            plane,
+            radii,
+            CsmNames(stem, name, exported.name),
+            _under_middle(camera, acquired.surface),
+        )
+        whole_text(folder / f"{stem}.json", text)
+        bands.append({"name": name, "file": f"{stem}.json", "lens_px": residual})
+    return {"bands": bands, "axes": "body-fixed"}
+
+
+def _isd(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
+    """``BAND.json``: an ISD for each band."""
+    acquired, radii = exported.needs_body("isd")
+    et, bands = exported.needs_et("isd"), []
+    for name, stem in _stems(exported).items():
+        camera = exported.cameras[name]
+        plane, residual = _plane(camera, name, "isd")
+        timing = csm_timing(camera, et)
+        states = line_states(camera)
+        # instants past J2000 are resolved to 6e-8 s: poses are those of the instants that the file can hold
+        states = states_at(camera, np.unique((states.t + et) - et))
+        body, words = body_rotation(acquired, states.t, et)
+        names = CsmNames(stem, name, exported.name)
+        whole_text(folder / f"{stem}.json", isd_text(camera, states, timing, plane, radii, names, body))
+        bands.append({"name": name, "file": f"{stem}.json", "lens_px": residual})
+    return {"bands": bands, "axes": words}
+
+
+def body_rotation(acquired: Acquisition, t: Array, et: float) -> tuple[tuple[Array, Rotation], str]:
+    """Instants (s) and body-fixed from J2000 at each, over times `t`, and in words what J2000 is."""
+    ends = np.array([t[0], t[-1]]) if len(t) > 1 else np.array([t[0], t[0] + 1.0])
+    if on_another_body(acquired.surface) or acquired.reference_et is not None:
+        still = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
+        return (ends, still), "J2000 of the file is the body-fixed axes: the body does not turn in it"
+    return (ends, earth_from_j2000(ends + et)), "J2000 to Earth-fixed with UT1 = UTC and without polar motion"
+
+
+def _plane(camera: PushbroomCamera, name: str, to: str) -> tuple[Any, float]:
+    """Focal plane of CSM for a camera, and px by which it differs."""
+    plane, residual = nearest_plane(camera.detector)
+    if not residual <= LARGEST_LENS_PX:
+        raise InputError(
+            f"--to {to}: the detector line of {name!r} is met to {residual:.3g} px only, {LARGEST_LENS_PX:g} "
+            "px are allowed: CSM holds even pixels behind a smooth distortion; CCDs that meet with steps are "
+            "bands of their own"
+        )
+    return plane, residual
+
+
+def _under_middle(camera: PushbroomCamera, surface: Surface) -> tuple[Array, float]:
+    """Ground under the middle of an image (m, world axes), and m that a pixel covers there."""
+    line, column = (camera.lines - 1) / 2.0, (camera.columns - 1) / 2.0
+    ground = camera.locate([[line, column], [line, column + 1.0]], surface)
+    if not np.isfinite(ground).all():
+        position, _ = poses_of(camera, np.array([line]))
+        return np.zeros(3), float(np.linalg.norm(position) * camera.detector.pixel_step)
+    return ground[0], float(np.linalg.norm(ground[1] - ground[0]))
+
+
+def _shifts(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any]:
+    """``BAND_shifts.tif``: px, lines and columns, that the recovered motion moved each pixel by."""
+    acquired, bands = exported.needs_cameras("shifts"), []
+    for name, stem in _stems(exported).items():
+        camera = exported.cameras[name]
+        profile = {
+            "driver": "GTiff", "width": camera.columns, "height": camera.lines, "count": 2,
+            "dtype": "float32", "nodata": float("nan"), "compress": "deflate", "predictor": 3,
+            "bigtiff": "if_safer",
+        }  # fmt: skip
+        largest, squares, count = np.zeros(2), np.zeros(2), 0
+        with _new_raster(folder / f"{stem}_shifts.tif", profile) as raster:
+            for number, words in enumerate(("d_line (px)", "d_column (px)"), 1):
+                raster.set_band_description(number, words)
+            for first in range(0, camera.lines, _BLOCK):
+                last = min(first + _BLOCK, camera.lines)
+                moved = motion_shifts(camera, acquired.surface, np.arange(float(first), last))
+                window = (first, last), (0, camera.columns)
+                raster.write(moved.transpose(2, 0, 1).astype(np.float32), window=window)
+                largest = np.fmax(largest, np.nanmax(np.abs(moved), axis=(0, 1), initial=0.0))
+                squares += np.nansum(moved**2, axis=(0, 1))
+                count += int(np.isfinite(moved[..., 0]).sum())
+        rms = np.sqrt(squares / max(count, 1))
+        bands.append(
+            {"name": name, "file": f"{stem}_shifts.tif", "rms_px": rms.tolist(), "max_px": largest.tolist()}
+        )
+    return {"bands": bands, "axes": "lines, columns of each band: without the motion less with it"}
+
+
+def _rpc(folder: Path, exported: Exported, __: tuple[Path, ...]) -> dict[str, Any]:
+    """``BAND_RPC.TXT``, ``BAND.RPB`` and, of rasters, ``BAND.tif`` with the RPC in its tags."""
+    acquired, radii = exported.needs_body("rpc")
+    bands, images = [], dict(zip(acquired.names, acquired.images, strict=True))
+    for name, stem in _stems(exported).items():
+        camera = exported.cameras[name]
+        heights = _heights(camera, acquired, radii)
+        fitted = _held(camera, name, radii, heights)
+        _, gsd = _under_middle(camera, acquired.surface)
+        write_rpc_text(folder / f"{stem}_RPC.TXT", fitted)
+        rms_m = float(np.hypot(*fitted.rms_px)) * gsd
+        write_rpb(folder / f"{stem}.RPB", fitted, satellite=exported.name, band=name, rms_m=rms_m)
+        image = images[name]
+        files = [f"{stem}_RPC.TXT", f"{stem}.RPB"]
+        if isinstance(image, RasterImage):
+            _tagged(folder / f"{stem}.tif", image, fitted)
+            files.append(f"{stem}.tif")
+        bands.append(
+            {
+                "name": name,
+                "files": files,
+                "rms_px": list(fitted.rms_px),
+                "max_px": list(fitted.max_px),
+                "heights": list(heights),
+            }
+        )
+    return {"bands": bands, "axes": "longitude, latitude (degrees), height above the ellipsoid (m)"}
+
+
+def _heights(
+    camera: PushbroomCamera, acquired: Acquisition, radii: tuple[float, float]
+) -> tuple[float, float]:
+    """Lowest and highest (m) that an RPC is fitted over: those of the ground, and some more."""
+    grid = np.meshgrid(
+        np.linspace(0.0, camera.lines - 1.0, 33), np.linspace(0.0, camera.columns - 1.0, 17), indexing="ij"
+    )
+    ground = camera.locate(np.stack(grid, axis=-1).reshape(-1, 2), acquired.surface)
+    ground = ground[np.isfinite(ground).all(axis=1)]
+    if not len(ground):
+        raise GeometryError("no pixel of the image sees the ground; an RPC has nothing to hold")
+    heights = to_geodetic(ground, radii)[:, 2]
+    more = max(LEAST_HEIGHTS - 0.5 * float(np.ptp(heights)), 3.0 * acquired.height_sigma)
+    return float(heights.min()) - more, float(heights.max()) + more
+
+
+def _held(
+    camera: PushbroomCamera, name: str, radii: tuple[float, float], heights: tuple[float, float]
+) -> Rpc:
+    """The RPC of a camera; refused where it does not hold it."""
+    fitted = fit_rpc(camera, camera.shape, radii, heights)
+    if max(fitted.rms_px) <= LARGEST_STILL_PX:
+        return fitted
+    still = fit_rpc(without_motion(camera), camera.shape, radii, heights)
+    if max(still.rms_px) > LARGEST_STILL_PX:
+        raise InputError(
+            f"--to rpc: the strip of {name!r}, {camera.lines} lines, is longer than one RPC can hold: even "
+            f"without the recovered motion {still.rms_px[0]:.3g} px in lines and {still.rms_px[1]:.3g} px in "
+            f"columns (rms) are left, {LARGEST_STILL_PX:g} px are allowed; cut it into shorter strips, or "
+            "export csm"
+        )
+    if max(fitted.rms_px) > LARGEST_RPC_PX:
+        raise InputError(
+            f"--to rpc: the motion of {name!r} leaves {fitted.rms_px[0]:.3g} px in lines and "
+            f"{fitted.rms_px[1]:.3g} px in columns (rms), which no RPC carries; {LARGEST_RPC_PX:g} px are "
+            "allowed: export csm, or register the bands first"
+        )
+    return fitted
+
+
+def _tagged(path: Path, image: RasterImage, rpc: Rpc) -> None:
+    """The pixels of an image again, as GeoTIFF whose tags hold the RPC."""
+    from rasterio.rpc import RPC
+
+    lines, columns = image.shape
+    profile = {
+        "driver": "GTiff", "width": columns, "height": lines, "count": 1, "dtype": str(image.dtype),
+        "compress": "deflate", "bigtiff": "if_safer",
+    }  # fmt: skip
+    tags = RPC(
+        line_off=rpc.line[0], line_scale=rpc.line[1], samp_off=rpc.column[0], samp_scale=rpc.column[1],
+        lat_off=rpc.latitude[0], lat_scale=rpc.latitude[1], long_off=rpc.longitude[0],
+        long_scale=rpc.longitude[1], height_off=rpc.height[0], height_scale=rpc.height[1],
+        line_num_coeff=rpc.line_numerator.tolist(), line_den_coeff=rpc.line_denominator.tolist(),
+        samp_num_coeff=rpc.column_numerator.tolist(), samp_den_coeff=rpc.column_denominator.tolist(),
+    )  # fmt: skip
+    with _new_raster(path, profile) as raster:
+        raster.rpcs = tags
+        for first in range(0, lines, _BLOCK):
+            last = min(first + _BLOCK, lines)
+            pixels = image.read((first, last), (0, columns)).astype(image.dtype)
+            raster.write(pixels, 1, window=((first, last), (0, columns)))
+
+
+@contextmanager
+def _new_raster(path: Path, profile: Mapping[str, Any]) -> Iterator[Any]:
+    """A raster in the grid of an image, whole or not at all; that it lies nowhere on the Earth is no news."""
+    import rasterio
+    from rasterio.errors import NotGeoreferencedWarning
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        with whole_raster(path) as draft, rasterio.open(draft, "w", **profile) as raster:
+            yield raster
+
+
+#: Writers of each form.
+EXPORTS: dict[str, Callable[[Path, Exported, tuple[Path, ...]], dict[str, Any]]] = {
+    "csm": _csm,
+    "isd": _isd,
+    "aem": _aem,
+    "oem": _oem,
+    "rpc": _rpc,
+    "quaternions": _quaternions,
+    "shifts": _shifts,
+}
+#: Forms that take SPICE kernels.
+WITH_KERNELS: tuple[str, ...] = ("ck", "isis")

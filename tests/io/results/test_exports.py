@@ -1,0 +1,265 @@
+"""Every export read back by a reader that shares no code with its writer."""
+
+from __future__ import annotations
+
+import csv
+import json
+
+import numpy as np
+import pytest
+import rasterio
+from rasterio.transform import RPCTransformer
+from tests import csm_reference as reference
+from tests.io.results.exported import COLUMNS, EPOCH, LINES, moved, orbit_strip
+
+from sightline.errors import InputError
+from sightline.geometry.earth import to_geodetic
+from sightline.io.acquisition.load import load_acquisition
+from sightline.io.results.exports import write_export
+
+
+@pytest.fixture(scope="module")
+def strip(tmp_path_factory):
+    return orbit_strip(tmp_path_factory.mktemp("strip"))
+
+
+def pixels_of(camera, count=120):
+    rng = np.random.default_rng(9)
+    (lines, columns), last = camera.shape, np.array(camera.shape) - 1.0
+    inside = np.column_stack([rng.integers(0, lines, count), rng.integers(0, columns, count)])
+    return np.vstack([[[0, 0]], [last], [[0, last[1]]], [[last[0], 0]], inside]).astype(float)
+
+
+def worst_ray(camera, radius, at) -> float:
+    """px between the rays of a camera and those of a reference."""
+    pixels = pixels_of(camera)
+    rays, worst = camera.rays(pixels), 0.0
+    for n, (line, column) in enumerate(pixels):
+        origin, direction = at(line + 0.5, column + 0.5)
+        pixel = camera.detector.pixel_step * (np.linalg.norm(origin) - radius)
+        worst = max(
+            worst,
+            np.linalg.norm(rays.origins[n] - origin) / pixel,
+            np.linalg.norm(rays.directions[n] - direction) / camera.detector.pixel_step,
+        )
+    return worst
+
+
+@pytest.mark.parametrize("to", ["csm", "isd"])
+def test_a_csm_file_looks_where_the_recovered_camera_does(strip, tmp_path, to):
+    summary = write_export(to, tmp_path, strip)
+    for band in summary["bands"]:
+        held = reference.load(tmp_path / band["file"])
+        ray = reference.state_ray if to == "csm" else reference.isd_ray
+        worst = worst_ray(strip.cameras[band["name"]], 6378137.0, lambda l, s: ray(held, l, s))  # noqa: B023, E741
+        print(f"{to} {band['name']}: {worst:.1e} px")
+        assert worst < 1e-3
+        assert band["lens_px"] < 1e-4
+
+
+def test_a_state_begins_with_the_name_of_its_model_and_holds_a_quaternion_per_line(strip, tmp_path):
+    write_export("csm", tmp_path, strip)
+    name, _, text = (tmp_path / "PAN.json").read_text().partition("\n")
+    state = json.loads(text)
+    assert name == state["m_modelName"] == "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL"
+    # four lines more at either end, so that its polynomials of eight nodes lie about every line
+    assert state["m_numQuaternions"] == 4 * (LINES + 8) == len(state["m_quaternions"])
+    assert state["m_dtQuat"] == pytest.approx(1e-4, rel=1e-9)
+    # 2026-03-04 05:06:07.25 UTC is 826,000,000 s and something past J2000: TT - UTC is 69.184 s
+    since = np.datetime64("2026-03-04T05:06:07.250") - np.datetime64("2000-01-01T12:00:00")
+    et = since / np.timedelta64(1, "s") + 69.184
+    assert state["m_centerEphemerisTime"] - (LINES - 1) / 2 * 1e-4 == pytest.approx(et, abs=2e-3)
+
+
+@pytest.mark.parametrize(
+    "name", ["ctx_isd.json", "lrolroc_isd.json", "kaguyatc_isis_isd.json", "kaguyami_isis_isd.json"]
+)
+def test_models_of_other_bodies_go_out_as_they_came_in(real_data, tmp_path, name):
+    """Detector lines with radial and other distortions, moved by what was found."""
+    isd = reference.load(real_data("linescan_isds") / name)
+    for band in ("PAN", "XS"):
+        rng = np.random.default_rng(1)
+        np.save(tmp_path / f"{band}.npy", rng.random((isd["image_lines"], isd["image_samples"]), np.float32))
+    path = real_data("linescan_isds") / name
+    (tmp_path / "acquisition.toml").write_text(
+        f"[platform]\nkind = 'camera-model'\nmodel = '{path}'\n[[band]]\nname = 'PAN'\nimage = 'PAN.npy'\n"
+        "[[band]]\nname = 'XS'\nimage = 'XS.npy'\nlook_ahead = 1e-3\n"
+    )
+    strip = moved(load_acquisition(tmp_path / "acquisition.toml"), 1e-6)
+    (tmp_path / "out").mkdir()
+    for to, ray in (("csm", reference.state_ray), ("isd", reference.isd_ray)):
+        for band in write_export(to, tmp_path / "out", strip)["bands"]:
+            held = reference.load(tmp_path / "out" / band["file"])
+            camera = strip.cameras[band["name"]]
+            worst = worst_ray(camera, 1e3 * isd["radii"]["semimajor"], lambda l, s: ray(held, l, s))  # noqa: B023, E741
+            print(f"{to} {name} {band['name']}: {worst:.1e} px, lens {band['lens_px']:.1e} px")
+            assert worst < max(1e-3, 1.01 * band["lens_px"])
+            assert held.get("m_centerEphemerisTime", isd["center_ephemeris_time"]) == pytest.approx(
+                isd["center_ephemeris_time"], abs=1e-5
+            )
+
+
+@pytest.fixture(scope="module")
+def calm(tmp_path_factory):
+    """The same strip with a third of the motion: what an RPC may leave."""
+    return orbit_strip(tmp_path_factory.mktemp("calm"), amplitude=6e-7)
+
+
+def test_an_rpc_is_what_gdal_makes_of_it(calm, tmp_path):
+    strip = calm
+    summary = write_export("rpc", tmp_path, strip)
+    for band in summary["bands"]:
+        camera = strip.cameras[band["name"]]
+        pixels = pixels_of(camera)
+        told = np.array(band["max_px"])
+        with rasterio.open(tmp_path / f"{band['name']}.tif") as tagged:
+            assert (tagged.read(1) == strip.acquisition.images[0].read((0, LINES), (0, COLUMNS))).all() or (
+                band["name"] == "XS"
+            )
+            models = [tagged.rpcs, rpc_of_text(tmp_path / f"{band['name']}_RPC.TXT")]
+        models.append(rpc_of_rpb(tmp_path / f"{band['name']}.RPB"))
+        for model in models:
+            with RPCTransformer(model) as transformer:
+                for height in (-300.0, 120.0, 500.0):
+                    surface = strip.acquisition.surface.raised(height - 120.0)
+                    lon, lat, h = to_geodetic(camera.locate(pixels, surface)).T
+                    rows, cols = transformer.rowcol(np.degrees(lon), np.degrees(lat), zs=h, op=lambda x: x)
+                    apart = np.abs(np.column_stack([rows, cols]) - 0.5 - pixels).max(axis=0)
+                    # pixels between those of the check may lie a little further off its curve
+                    assert (apart < 1.05 * told + 1e-3).all(), (apart, told)
+
+
+def rpc_of_text(path):
+    """A reader of ``_RPC.TXT`` of our own: keyword: value unit."""
+    items = dict(line.split(": ", 1) for line in path.read_text().splitlines())
+    lists = {
+        key: [float(items[f"{key}_{k}"]) for k in range(1, 21)]
+        for key in ("LINE_NUM_COEFF", "LINE_DEN_COEFF", "SAMP_NUM_COEFF", "SAMP_DEN_COEFF")
+    }
+    numbers = {
+        key: float(value.split()[0]) for key, value in items.items() if key.endswith(("_OFF", "_SCALE"))
+    }
+    return rasterio.rpc.RPC(**{key.lower(): value for key, value in (numbers | lists).items()})
+
+
+def rpc_of_rpb(path):
+    """The same of an RPB."""
+    text = path.read_text()
+    names = {"line": "line", "samp": "samp", "lat": "lat", "long": "long", "height": "height"}
+    found = {}
+    for name, key in names.items():
+        for word, end in (("Offset", "off"), ("Scale", "scale")):
+            found[f"{key}_{end}"] = float(text.split(f"{name}{word} = ")[1].split(";")[0])
+    for name in ("lineNum", "lineDen", "sampNum", "sampDen"):
+        inside = text.split(f"{name}Coef = (")[1].split(")")[0]
+        found[f"{name[:4]}_{name[4:].lower()}_coeff"] = [float(cell) for cell in inside.split(",")]
+    return rasterio.rpc.RPC(**found)
+
+
+def test_gdal_finds_an_rpc_beside_the_image(calm, tmp_path):
+    """``_RPC.TXT`` and ``.RPB`` each alone, beside an image without tags."""
+    write_export("rpc", tmp_path, calm)
+    with rasterio.open(tmp_path / "PAN.tif") as tagged:
+        whole = tagged.rpcs.to_dict()
+        profile = tagged.profile
+    for name in ("PAN_RPC.TXT", "PAN.RPB"):
+        place = tmp_path / name.replace(".", "_")
+        place.mkdir()
+        with rasterio.open(place / "PAN.tif", "w", **profile):
+            pass
+        (place / name).write_text((tmp_path / name).read_text())
+        with rasterio.open(place / "PAN.tif") as found:
+            for key, value in found.rpcs.to_dict().items():
+                if not key.startswith("err"):
+                    np.testing.assert_allclose(value, whole[key], rtol=1e-9, atol=1e-10)
+
+
+def test_motion_that_no_rpc_carries_is_told_and_refused(tmp_path):
+    with pytest.raises(
+        InputError, match=r"the motion of 'PAN' leaves .* which no RPC carries; 1 px are allowed"
+    ):
+        write_export("rpc", tmp_path, orbit_strip(tmp_path, amplitude=6e-6))
+
+
+def test_shifts_are_what_the_motion_moved_each_pixel_by(strip, tmp_path):
+    summary = write_export("shifts", tmp_path, strip)
+    for band in summary["bands"]:
+        camera = strip.cameras[band["name"]]
+        with rasterio.open(tmp_path / band["file"]) as raster:
+            found = raster.read()
+        assert found.shape == (2, LINES, COLUMNS)
+        pixels = pixels_of(camera)[4:]
+        pixels = pixels[(pixels[:, 0] > 20) & (pixels[:, 0] < LINES - 20)]
+        # by hand: pitch moves a pixel along the lines, roll along the columns, a pixel an ifov; columns
+        # increase to the left of flight, where positive roll looks
+        t = camera.times(pixels[:, 0])
+        roll, pitch, yaw = camera.trajectory.motion.at(t).T
+        line, column = pixels.T.astype(int)
+        side = (pixels[:, 1] - (COLUMNS - 1) / 2.0) * 1e-6
+        ahead = 1e-4 if band["name"] == "PAN" else 0.0
+        # a line advances by less than a pixel is high: in lines an angle counts that much more
+        still = strip.acquisition.cameras[0]
+        place = still.locate([[700.0, 200.0], [701.0, 200.0], [700.0, 201.0]], strip.acquisition.surface)
+        high = np.linalg.norm(place[2] - place[0]) / np.linalg.norm(place[1] - place[0])
+        # what is left, of a round Earth and looks of 1e-4, is of the order of 1e-3 of these
+        np.testing.assert_allclose(found[0, line, column], high * (pitch - yaw * side) / 1e-6, atol=0.02)
+        np.testing.assert_allclose(found[1, line, column], (roll + yaw * ahead) / 1e-6, atol=0.02)
+
+
+def test_quaternions_and_places_are_written_in_full(strip, tmp_path):
+    write_export("quaternions", tmp_path, strip)
+    with (tmp_path / "quaternions.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert len(rows) == len(strip.t)
+    found = np.array([[float(row[key]) for key in ("qx", "qy", "qz", "qw")] for row in rows])
+    np.testing.assert_array_equal(found, strip.quat_xyzw)
+    np.testing.assert_array_equal([float(row["x"]) for row in rows], strip.position[:, 0])
+    assert {"sigma_roll", "sigma_pitch", "sigma_yaw"} <= set(rows[0])
+
+
+def test_an_attitude_message_is_read_by_another_package(strip, tmp_path):
+    models = pytest.importorskip("ccsds_ndm.models.ndmxml2")
+    io = pytest.importorskip("ccsds_ndm.ndm_io")
+    assert models
+    write_export("aem", tmp_path, strip)
+    message = io.NdmIo().from_path(tmp_path / "attitude.aem")
+    segment = message.body.segment[0]
+    states = segment.data.attitude_state
+    assert segment.metadata.start_time.startswith(EPOCH[:10])
+    found = [
+        [float(getattr(one.quaternion_state.quaternion, key)) for key in ("q1", "q2", "q3", "qc")]
+        for one in states
+    ]
+    np.testing.assert_allclose(found, strip.quat_xyzw, atol=1e-15)
+
+
+def test_an_orbit_message_is_read_by_another_package(strip, tmp_path):
+    io = pytest.importorskip("ccsds_ndm.ndm_io")
+    write_export("oem", tmp_path, strip)
+    rows = io.NdmIo().from_path(tmp_path / "orbit.oem").body.segment[0].data.state_vector
+    found = np.array([[float(getattr(row, key).value) for key in ("x", "y", "z")] for row in rows])
+    np.testing.assert_allclose(1e3 * found, strip.position, atol=1e-8)
+    speed = np.array([[float(getattr(row, f"{key}_dot").value) for key in "xyz"] for row in rows])
+    # differences over 0.1 ms of positions known to 1e-9 m
+    np.testing.assert_allclose(1e3 * speed[:-1], np.diff(strip.position, axis=0) / 1e-4, atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("to", "lacking", "said"),
+    [("csm", "acquisition", "holds a camera, which the result does not: add --acquisition FILE"),
+     ("aem", "epoch", r"add \[acquisition\] epoch"),
+     ("csm", "epoch", r"needs the instant of t = 0: add \[acquisition\] epoch"),
+     ("aem", "frame", "is of another body"),
+     ("frames", None, "`to` is 'frames'; allowed are csm, isd, aem, oem, rpc, quaternions, shifts")],
+)  # fmt: skip
+def test_what_is_lacking_is_named(strip, tmp_path, to, lacking, said):
+    from dataclasses import replace
+
+    with pytest.raises(InputError, match=said):
+        write_export(to, tmp_path, strip if lacking is None else replace(strip, **{lacking: None}))
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_kernel_is_refused_where_it_has_no_use(strip, tmp_path):
+    with pytest.raises(InputError, match="--kernel is for --to ck and isis; leave it out with --to csm"):
+        write_export("csm", tmp_path, strip, (tmp_path / "a.tls",))
