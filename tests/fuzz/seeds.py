@@ -290,6 +290,30 @@ radii = [6378137.0, 6356752.3]
     )
 
 
+#: Elements of a low orbit, in both forms.
+TWO_LINES = """1 99999U 26001A   26001.00000000  .00000000  00000-0  10000-4 0  9998
+2 99999  97.5000  10.0000 0010000  90.0000 270.0000 15.00000000    15
+"""
+MEAN_ELEMENTS = """CCSDS_OMM_VERS = 2.0
+CREATION_DATE = 2026-01-01T00:00:00
+ORIGINATOR = TEST
+OBJECT_NAME = EXAMPLE
+OBJECT_ID = 2026-001A
+CENTER_NAME = EARTH
+REF_FRAME = TEME
+TIME_SYSTEM = UTC
+MEAN_ELEMENT_THEORY = SGP4
+EPOCH = 2026-01-01T00:00:00
+MEAN_MOTION = 15.0
+ECCENTRICITY = 0.001
+INCLINATION = 97.5
+RA_OF_ASC_NODE = 10.0
+ARG_OF_PERICENTER = 90.0
+MEAN_ANOMALY = 270.0
+BSTAR = 0.00001
+"""
+
+
 @seed
 def orbit_stars(folder: Path) -> None:
     """The same in axes of the stars, of two rows of an old table: an OEM in gzip and XML, one attitude."""
@@ -342,6 +366,8 @@ def orbit_stars(folder: Path) -> None:
         "2026-01-01T00:00:00</CREATION_DATE><ORIGINATOR>TEST</ORIGINATOR></header>\n<body><segment><metadata>"
         f"{meta}</metadata>\n<data>{states}</data></segment></body></oem>\n"
     )
+    (folder / "orbit.tle").write_text(TWO_LINES)
+    (folder / "elements.omm").write_text(MEAN_ELEMENTS)
     toml = (folder / "acquisition.toml").read_text().replace("attitude.aem", "attitude.apm")
     named = 'earth_orientation = "earth.c04"\n'
     (folder / "acquisition.toml").write_text(toml.replace("attitudes = ", named + "attitudes = ", 1))

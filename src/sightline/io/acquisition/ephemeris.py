@@ -21,7 +21,7 @@ from sightline.geometry.earth import WGS84
 from sightline.io.acquisition.acquired import InputFolder
 from sightline.io.acquisition.schema import AcquisitionFile, EphemerisPlatform, SpinPlatform
 from sightline.io.acquisition.spin import must_cover
-from sightline.io.formats import ccsds, ccsds_attitude, tables
+from sightline.io.formats import ccsds, ccsds_attitude, mean_elements, tables
 from sightline.io.formats.ccsds_message import is_earth
 from sightline.io.formats.earth_orientation import TurningEarth
 
@@ -57,6 +57,8 @@ class GivenOrbit:
         m per axis.
     words : str
         What the file is.
+    doubt : str
+        What it is not good for.
     """
 
     t: Array
@@ -67,6 +69,7 @@ class GivenOrbit:
     useable: Span = (-np.inf, np.inf)
     sigma: float | None = None
     words: str = ""
+    doubt: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +97,13 @@ def earth_of(config: AcquisitionFile, files: InputFolder) -> TurningEarth:
 def read_positions(
     path: Path, epoch: str | None, *, span: Span | None = None, earth: TurningEarth | None = None
 ) -> GivenOrbit:
-    """Positions of a CSV table or a CCSDS OEM."""
-    if ccsds.is_ccsds(path, "OEM"):
+    """Positions of a CSV table, a CCSDS OEM or OMM, or of two-line elements."""
+    kind = ccsds.is_ccsds(path, "OEM", "OMM")
+    if kind is None and mean_elements.is_tle(path):
+        kind = "TLE"
+    if kind in ("TLE", "OMM"):
+        return _propagated(path, kind, ccsds.need_epoch(path, epoch), span or (0.0, 0.0))
+    if kind == "OEM":
         start = ccsds.need_epoch(path, epoch)
         earth = earth or TurningEarth(start)
         orbit = ccsds.read_oem(path, start, span=span, ut1_less_utc=earth.ut1_less_utc)
@@ -105,6 +113,19 @@ def read_positions(
             words + _joined(orbit.segments),
         )  # fmt: skip
     return GivenOrbit(*tables.read_positions(path))
+
+
+def _propagated(path: Path, kind: str, epoch: str, span: Span) -> GivenOrbit:
+    """Positions by mean elements, with their error."""
+    read = mean_elements.read_tle if kind == "TLE" else mean_elements.read_omm
+    orbit = read(path, epoch, span)
+    when = f"{abs(orbit.age):.2g} days {'before' if orbit.age >= 0.0 else 'after'} the images"
+    return GivenOrbit(
+        orbit.t, orbit.position, orbit.velocity, "TEME", "EARTH", sigma=orbit.sigma,
+        words=f"{'a TLE' if kind == 'TLE' else 'an OMM'} of {orbit.name}, of {when}, by SGP4 in axes TEME",
+        doubt=f"{path.name}: mean elements of {when} are good to some {orbit.sigma / 1e3:.2g} km (1 km at "
+        "their epoch, 2 km more with every day, 1 sigma); give an OEM or a table where places matter",
+    )  # fmt: skip
 
 
 def read_attitudes(
@@ -150,12 +171,13 @@ def fixed_orbit(
         fixed = earth.axes(given.axes, given.t)
         velocity = None if given.velocity is None else fixed.velocities(given.position, given.velocity)
         given = replace(given, position=fixed.positions(given.position), velocity=velocity)
+    if given.doubt:
+        files.doubts.append(given.doubt)
     if given.sigma:
         angle = given.sigma / _height(given, span, config.surface.radii)
         files.attitude_sigmas.append(angle)
         files.said.append(
-            f"{path.name}: covariance of {given.sigma:.3g} m per axis, which counts as {angle:.2g} rad of "
-            "attitude"
+            f"{path.name}: known to {given.sigma:.3g} m per axis, which counts as {angle:.2g} rad of attitude"
         )
     return given
 

@@ -158,7 +158,7 @@ class EphemerisPlatform(KnownAttitude):
     """``[platform]`` kind ephemeris: positions and attitudes from tables."""
 
     kind: Literal["ephemeris"]
-    positions: FileName = Field(description="CSV t,x,y,z or CCSDS OEM")
+    positions: FileName = Field(description="CSV t,x,y,z, CCSDS OEM or OMM, or two-line elements (TLE)")
     attitudes: FileName = Field(
         default="along-track",
         description='CSV t,qx,qy,qz,qw (world_from_body), CCSDS AEM, APM, or "along-track" (z down, x ahead)',
