@@ -98,6 +98,11 @@ def test_lines_that_are_spoilt_are_refused(tmp_path, text, words):
         ("0.1859667", "1.1859667", "SGP4 cannot propagate these elements to the images"),
         ("EPHEMERIS_TYPE = 0", "EPHEMERIS_TYPE = 4", "of EPHEMERIS_TYPE 0; give an OEM"),
         ("34.2682", "steep", "an element is no number"),
+        (
+            "2000-06-27T18",
+            "200006-27T18",
+            "elements: EPOCH: '200006-27T18:50:19.733568' is not a UTC instant",
+        ),
     ],
 )
 def test_a_message_that_cannot_be_propagated_is_refused(tmp_path, old, new, words):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from sightline.errors import FormatError, reads
 from sightline.geometry.earth_orientation import orbit_package
 from sightline.io.formats.ccsds_message import is_earth, read_message
-from sightline.io.formats.instants import modified_julian_day
+from sightline.io.formats.instants import modified_julian_day, parse_utc
 from sightline.io.formats.packed import head_lines, read_packed_text
 
 Array = NDArray[np.float64]
@@ -171,6 +171,7 @@ def _satellite(path: Path, values: dict[str, str]) -> Any:
         number = int(float(values.get("NORAD_CAT_ID", "0")))
     except ValueError as error:
         raise FormatError(f"{path}: an element is no number ({error})") from None
+    parse_utc(values["EPOCH"], f"{path}: EPOCH")
     satellite, turn = api.Satrec(), 2.0 * np.pi
     day, second, _ = modified_julian_day(0.0, values["EPOCH"])
     satellite.sgp4init(
