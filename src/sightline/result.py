@@ -267,8 +267,8 @@ class Result:
         Parameters
         ----------
         to : str
-            ``"csm"``, ``"isd"``, ``"aem"``, ``"oem"``, ``"rpc"``, ``"quaternions"`` or ``"shifts"``; what
-            each carries is in docs/formats/export.md.
+            ``"csm"``, ``"isd"``, ``"aem"``, ``"oem"``, ``"rpc"``, ``"quaternions"``, ``"shifts"``,
+            ``"ck"`` or ``"isis"``; what each carries is in docs/formats/export.md.
         folder : str or Path
             Created, with its parents, where it does not exist.
         acquisition : path or Acquisition, optional

@@ -10,7 +10,7 @@ import typer
 from sightline.cli.options import AllowNetwork, Json, Out, Overwrite
 
 #: Forms, as ``io/results/exports.py`` writes them: said in --help, which must not wait for its import.
-FORMS = ("csm", "isd", "aem", "oem", "rpc", "quaternions", "shifts")
+FORMS = ("csm", "isd", "aem", "oem", "rpc", "quaternions", "shifts", "ck", "isis")
 
 
 def export(
@@ -35,7 +35,7 @@ def export(
     as_json: Json = False,
     allow_network: AllowNetwork = False,
 ) -> None:
-    """Write a result as CSM state, ISD, RPC, attitude or orbit message, quaternions, or shifts of pixels."""
+    """Write a result as CSM state, ISD, RPC, CCSDS message, C kernel, quaternions, or shifts of pixels."""
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.errors import InputError, failing_numbers
@@ -64,6 +64,8 @@ def export(
 
 def _how_near(band: dict[str, Any]) -> str:
     """How far what was written is from the result, in words."""
+    if "frame" in band:
+        return f"frame {band['frame']}, {band['id']}"
     if "lens_px" in band:
         return f"detector line met to {band['lens_px']:.1e} px"
     line, column = band["rms_px"]

@@ -12,7 +12,7 @@ from rasterio.transform import RPCTransformer
 from tests import csm_reference as reference
 from tests.io.results.exported import COLUMNS, EPOCH, LINES, moved, orbit_strip
 
-from sightline.errors import InputError
+from sightline.errors import InputError, SightlineError
 from sightline.geometry.earth import to_geodetic
 from sightline.io.acquisition.load import load_acquisition
 from sightline.io.results.exports import write_export
@@ -217,6 +217,108 @@ def test_quaternions_and_places_are_written_in_full(strip, tmp_path):
     assert {"sigma_roll", "sigma_pitch", "sigma_yaw"} <= set(rows[0])
 
 
+KERNELS = ("mroLSK.tls", "mroSCLK.tsc")
+
+
+@pytest.fixture
+def clock(real_data):
+    return tuple(real_data("hirise_jitter_psp008469") / name for name in KERNELS)
+
+
+def worst_of_kernel(spice, band, camera, body, et, axes) -> float:
+    """px between where a frame of a kernel looks and where the camera does, at whole lines."""
+    worst, pixels = 0.0, pixels_of(camera, 60)
+    looks = camera.detector.directions_at(pixels[:, 1])
+    rays = camera.rays(pixels)
+    for n, t in enumerate(camera.times(pixels[:, 0])):
+        ticks = spice.sce2c(-74, et + t)
+        matrix, _, _ = spice.ckgpav(band["id"], ticks, 0.0, axes)[:3]
+        fixed = body(et + t) @ matrix.T @ looks[n]
+        worst = max(worst, np.linalg.norm(fixed - rays.directions[n]) / camera.detector.pixel_step)
+    return worst
+
+
+def test_a_c_kernel_of_another_body_is_read_by_spice(real_data, clock, tmp_path):
+    spice = pytest.importorskip("spiceypy")
+    path = real_data("linescan_isds") / "ctx_isd.json"
+    isd = reference.load(path)
+    for band in ("PAN", "XS"):
+        np.save(tmp_path / f"{band}.npy", np.random.default_rng(1).random((400, 5056), np.float32))
+    (tmp_path / "acquisition.toml").write_text(
+        f"[platform]\nkind = 'camera-model'\nmodel = '{path}'\n[[band]]\nname = 'PAN'\nimage = 'PAN.npy'\n"
+        "[[band]]\nname = 'XS'\nimage = 'XS.npy'\nlook_ahead = 1e-3\n"
+    )
+    strip = moved(load_acquisition(tmp_path / "acquisition.toml"), 1e-6)
+    (tmp_path / "out").mkdir()
+    summary = write_export("ck", tmp_path / "out", strip, clock)
+    # t = 0 is the middle of the first line
+    et = isd["center_ephemeris_time"] + reference.line_time(isd["line_scan_rate"], 0.5)
+    for band in summary["bands"]:
+        loaded = [*map(str, clock), *(str(tmp_path / "out" / name) for name in band["files"])]
+        spice.furnsh(loaded)
+        try:
+            camera = strip.cameras[band["name"]]
+            body = lambda at: reference.slerped(isd["body_rotation"], at)  # noqa: E731
+            worst = worst_of_kernel(spice, band, camera, body, et, "J2000")
+            # the frame kernel gives the same under its name, with the rate of the spacecraft
+            turn = spice.sxform("J2000", band["frame"], et + 0.3)
+            rate = spice.xf2rav(turn)[1]
+        finally:
+            spice.unload(loaded)
+        print(f"ck {band['name']}: {worst:.1e} px")
+        # instants and ticks are resolved to 6e-8 s, motion turns by 1e-4 rad/s: 1e-11 rad of 2e-5
+        assert worst < 1e-3
+        assert np.linalg.norm(rate) == pytest.approx(
+            np.linalg.norm(isd["instrument_pointing"]["angular_velocities"][0]), rel=0.3
+        )
+
+
+def test_a_c_kernel_of_the_earth_is_fixed_to_it(strip, clock, tmp_path):
+    spice = pytest.importorskip("spiceypy")
+    summary = write_export("ck", tmp_path, strip, clock)
+    for band in summary["bands"]:
+        loaded = [*map(str, clock), *(str(tmp_path / name) for name in band["files"])]
+        spice.furnsh(loaded)
+        try:
+            et = spice.str2et(EPOCH.removesuffix("Z"))
+            worst = worst_of_kernel(
+                spice, band, strip.cameras[band["name"]], lambda at: np.eye(3), et, "ITRF93"
+            )
+        finally:
+            spice.unload(loaded)
+        print(f"ck {band['name']}: {worst:.1e} px")
+        assert worst < 1e-3
+
+
+def test_a_c_kernel_needs_the_clock_of_one_spacecraft(strip, clock, tmp_path):
+    pytest.importorskip("spiceypy")
+    for kernels, said in ((), "(none) hold 0"), (clock[:1], "(mroLSK.tls) hold 0"):
+        with pytest.raises(InputError, match="needs the clock of one spacecraft") as caught:
+            write_export("ck", tmp_path, strip, kernels)
+        assert said in str(caught.value)
+    (tmp_path / "a.tls").write_text("no kernel")
+    with pytest.raises(SightlineError, match="cannot be loaded as a SPICE kernel"):
+        write_export("ck", tmp_path, strip, (*clock, tmp_path / "a.tls"))
+
+
+def test_the_jitter_table_is_as_that_of_isis(strip, real_data, tmp_path):
+    write_export("isis", tmp_path, strip)
+    for name, camera in strip.cameras.items():
+        table = np.loadtxt(tmp_path / f"{name}_jitter.txt", comments="#")
+        assert (
+            table.shape[1]
+            == np.loadtxt(real_data("hirise_jitter_psp008469") / "mroJitter.txt", comments="#").shape[1]
+        )
+        t = table[:, 2] - table[0, 2]
+        np.testing.assert_allclose(np.diff(t), 1e-4, atol=3e-7)  # instants are resolved to 1.2e-7 s
+        assert len(table) >= LINES - 8
+        # in the middle of the field roll moves samples, pitch lines, as of the raster of shifts
+        motion = camera.trajectory.motion.at(camera.times(np.arange(100.0, 200.0)))
+        np.testing.assert_allclose(
+            table[100 - LINES + len(table) :, 0][:100][5:95].std(), motion[5:95, 0].std() / 1e-6, rtol=0.1
+        )
+
+
 def test_an_attitude_message_is_read_by_another_package(strip, tmp_path):
     models = pytest.importorskip("ccsds_ndm.models.ndmxml2")
     io = pytest.importorskip("ccsds_ndm.ndm_io")
@@ -250,7 +352,7 @@ def test_an_orbit_message_is_read_by_another_package(strip, tmp_path):
      ("aem", "epoch", r"add \[acquisition\] epoch"),
      ("csm", "epoch", r"needs the instant of t = 0: add \[acquisition\] epoch"),
      ("aem", "frame", "is of another body"),
-     ("frames", None, "`to` is 'frames'; allowed are csm, isd, aem, oem, rpc, quaternions, shifts")],
+     ("frames", None, "`to` is 'frames'; allowed are csm, isd, aem, oem, rpc, quaternions, shifts, ck")],
 )  # fmt: skip
 def test_what_is_lacking_is_named(strip, tmp_path, to, lacking, said):
     from dataclasses import replace

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.access import (
@@ -81,6 +82,8 @@ class Acquisition:
         What orbit and attitudes are: axes, time scale, Earth orientation.
     reference_et : float or None
         s past J2000 (TDB), the instant t = 0, where a sensor model says it.
+    body : ((K,), Rotation) or None
+        Instants (s), and body-fixed from J2000 at each, where a sensor model says it.
     """
 
     path: Path
@@ -106,6 +109,7 @@ class Acquisition:
     assumed: tuple[str, ...] = ()
     sources: tuple[str, ...] = ()
     reference_et: float | None = None
+    body: tuple[NDArray[np.float64], Rotation] | None = None
 
     def __repr__(self) -> str:
         """One line."""
@@ -212,8 +216,9 @@ class InputFolder:
         self.doubts: list[str] = []
         self.attitude_sigmas: list[float] = []
         self.fixed_from_given: Callable[[float], Rotation] | None = None
-        #: s past J2000 (TDB) of t = 0, where a sensor model says it.
+        #: s past J2000 (TDB) of t = 0, and how the body turns, where a sensor model says it.
         self.reference_et: float | None = None
+        self.body: tuple[NDArray[np.float64], Rotation] | None = None
         self._keys_of: dict[str, list[str]] = {}
         self._place_of: dict[Path, str] = {}
         if config is not None:

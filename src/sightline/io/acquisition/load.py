@@ -143,6 +143,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         assumed=assumed_ground(config.surface),
         sources=tuple(files.said),
         reference_et=files.reference_et,
+        body=files.body,
         doubts=(
             *dict.fromkeys(files.doubts),
             *look_doubts(config, cameras, names, surface, files.fixed_from_given),

@@ -53,7 +53,7 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
         model = read_line_scan_model(files(name), reference)
         reference = model.reference
         files.doubts += model.doubts
-        files.reference_et = model.reference_et
+        files.reference_et, files.body = model.reference_et, files.body or model.body
         image = open_band_image(band, files, look=look)
         if image.shape != model.camera.shape:
             raise FormatError(

@@ -62,12 +62,15 @@ class LineScanModel:
         The instant t = 0: s past J2000 (TDB) of the middle of an image, and s from there.
     doubts : tuple of str
         What the file leaves open, and what was done about it.
+    body : ((K,), Rotation) or None
+        Instants (s from t = 0), and body-fixed from J2000 at each: it turns evenly between. None of states.
     """
 
     camera: PushbroomCamera
     radii: tuple[float, float]
     reference: tuple[float, float]
     doubts: tuple[str, ...] = ()
+    body: tuple[Array, Rotation] | None = None
 
     @property
     def reference_et(self) -> float:
@@ -104,6 +107,7 @@ class _Motion:
     nodes: Array
     position: Callable[[Array], Array]
     world_from_sensor: Callable[[Array], Rotation]
+    body: tuple[Array, Rotation] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -303,8 +307,18 @@ def _isd_motion(data: CsmKeys, centre_et: float, line_times: Array) -> tuple[_Mo
         _shared(tables),
         lambda t: body(t).apply(place(t)),
         lambda t: body(t) * pointing(t).inv(),
+        _even(body, body_table, line_times),
     )
     return motion, tuple(f"{data.path.name}: {words}" for words in said if words)
+
+
+def _even(
+    body: Callable[[Array], Rotation], table: _Table | None, line_times: Array
+) -> tuple[Array, Rotation]:
+    """Instants and rotations of the body between which it turns evenly: two or more."""
+    t = line_times[[0, -1]] if table is None or len(table.t) < 2 else table.t
+    t = t if t[-1] > t[0] else np.array([t[0], t[0] + 1.0])
+    return t, body(t)
 
 
 def _state_motion(data: CsmKeys, _: float, line_times: Array) -> tuple[_Motion, tuple[str, ...]]:
@@ -415,7 +429,8 @@ def _assemble(
             f"the radial distortion takes a pixel {over[0]:.3g} mm from the axis across it, to {over[1]:.3g} "
             "mm on its other side, as no lens does: are its coefficients those of another formula?",
         )
-    return LineScanModel(camera, timing.radii, reference, doubts)
+    body = None if motion.body is None else (motion.body[0] + later, motion.body[1])
+    return LineScanModel(camera, timing.radii, reference, doubts, body)
 
 
 def _nodes(given: Array, line_times: Array, before: float, after: float) -> Array:

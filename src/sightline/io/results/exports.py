@@ -26,10 +26,18 @@ from sightline.geometry.earth import WGS84, to_geodetic
 from sightline.geometry.surface import Dem, Ellipsoid, Surface
 from sightline.io.acquisition.acquired import Acquisition
 from sightline.io.formats.ccsds import write_aem, write_oem
-from sightline.io.formats.csm_files import CsmNames, csm_timing, isd_text, nearest_plane, state_text
+from sightline.io.formats.csm_files import (
+    CsmNames,
+    csm_timing,
+    inertial_states,
+    isd_text,
+    nearest_plane,
+    state_text,
+)
 from sightline.io.formats.ephemeris_time import earth_from_j2000, et_of_utc
 from sightline.io.formats.images import RasterImage
 from sightline.io.formats.rpc_files import write_rpb, write_rpc_text
+from sightline.io.formats.spice_files import clock_of, loaded, write_ck, write_jitter_table
 from sightline.io.formats.tables import write_columns
 from sightline.io.names import file_stems
 from sightline.io.results.line_of_sight import on_another_body
@@ -275,11 +283,90 @@ def _isd(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any
 
 def body_rotation(acquired: Acquisition, t: Array, et: float) -> tuple[tuple[Array, Rotation], str]:
     """Instants (s) and body-fixed from J2000 at each, over times `t`, and in words what J2000 is."""
+    if acquired.body is not None:
+        return acquired.body, "J2000, by the rotation of the body of the sensor model"
     ends = np.array([t[0], t[-1]]) if len(t) > 1 else np.array([t[0], t[0] + 1.0])
     if on_another_body(acquired.surface) or acquired.reference_et is not None:
         still = Rotation.from_quat(np.tile([0.0, 0.0, 0.0, 1.0], (2, 1)))
         return (ends, still), "J2000 of the file is the body-fixed axes: the body does not turn in it"
     return (ends, earth_from_j2000(ends + et)), "J2000 to Earth-fixed with UT1 = UTC and without polar motion"
+
+
+def _ck(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[str, Any]:
+    """``BAND.bc`` and ``BAND.tf``: attitude of the camera at every line, and the frame that it is of."""
+    acquired, _ = exported.needs_body("ck")
+    other = on_another_body(acquired.surface)
+    if acquired.body is None and (other or acquired.reference_et is not None):
+        raise InputError(
+            "--to ck gives attitudes in J2000, and nothing says how the body turns; recover with an ISD, "
+            "which does, or export csm"
+        )
+    bands = []
+    with loaded(kernels) as library:
+        clock = clock_of(kernels)
+        et = _et_by(library, exported, "ck")
+        for number, (name, stem) in enumerate(_stems(exported).items()):
+            camera = exported.cameras[name]
+            states = line_states(camera)
+            states = states_at(camera, np.unique((states.t + et) - et))
+            if acquired.body is not None:
+                states = inertial_states(states, acquired.body)
+            frame = f"SIGHTLINE_{_word(stem)}"
+            identity = write_ck(
+                folder / f"{stem}.bc", states.t + et, states.world_from_camera, clock, number=number,
+                name=frame, reference="J2000" if acquired.body is not None else "ITRF93",
+            )  # fmt: skip
+            bands.append(
+                {"name": name, "files": [f"{stem}.bc", f"{stem}.tf"], "frame": frame, "id": identity}
+            )
+    axes = "J2000" if acquired.body is not None else "ITRF93"
+    return {"bands": bands, "axes": f"{axes} to camera: x to samples, y to lines, z to the scene"}
+
+
+def _word(stem: str) -> str:
+    """A band's name as part of that of a frame: capitals, digits and lines, 20 of them."""
+    return "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in stem.upper())[:20]
+
+
+def _et_by(library: Any, exported: Exported, to: str) -> float:
+    """s past J2000 (TDB) of t = 0, by the leap second kernel where there is one."""
+    acquired = exported.acquisition
+    known = acquired is not None and acquired.reference_et is not None
+    if known or exported.epoch is None:
+        return exported.needs_et(to)
+    try:
+        return float(library.str2et(exported.epoch.strip().removesuffix("Z").replace("+00:00", "")))
+    except library.exceptions.SpiceyError:  # no leap second kernel
+        return exported.needs_et(to)
+
+
+def _isis(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[str, Any]:
+    """``BAND_jitter.txt``: sample px, line px and ET of every line: what the motion moved its middle by."""
+    acquired, bands = exported.needs_cameras("isis"), []
+    if kernels:
+        with loaded(kernels) as library:
+            et = _et_by(library, exported, "isis")
+    else:
+        et = exported.needs_et("isis")
+    for name, stem in _stems(exported).items():
+        camera = exported.cameras[name]
+        lines = np.arange(float(camera.lines))
+        column = (camera.columns - 1) // 2
+        moved = motion_shifts(camera, acquired.surface, lines)[:, column]
+        known = np.isfinite(moved).all(axis=1)
+        rms = np.sqrt((moved[known] ** 2).mean(axis=0)) if known.any() else np.zeros(2)
+        words = (
+            f"{name}: pixels that the recovered motion moved column {column} by, at every line",
+            f"rms {rms[1]:.6f} px in samples, {rms[0]:.6f} px in lines",
+            "sample px, line px, ET (s past J2000, TDB)",
+        )
+        times = (et + camera.times(lines))[known]
+        write_jitter_table(folder / f"{stem}_jitter.txt", times, moved[known], words)
+        largest = np.abs(moved[known]).max(axis=0, initial=0.0)
+        bands.append(
+            {"name": name, "file": f"{stem}_jitter.txt", "rms_px": rms.tolist(), "max_px": largest.tolist()}
+        )
+    return {"bands": bands, "axes": "lines, columns of each band: without the motion less with it"}
 
 
 def _plane(camera: PushbroomCamera, name: str, to: str) -> tuple[Any, float]:
@@ -447,6 +534,8 @@ EXPORTS: dict[str, Callable[[Path, Exported, tuple[Path, ...]], dict[str, Any]]]
     "rpc": _rpc,
     "quaternions": _quaternions,
     "shifts": _shifts,
+    "ck": _ck,
+    "isis": _isis,
 }
 #: Forms that take SPICE kernels.
 WITH_KERNELS: tuple[str, ...] = ("ck", "isis")
