@@ -227,3 +227,39 @@ def test_columns_that_cannot_be_counted_are_refused():
     model, choice = field(4, 3, column=np.array([0.0, 1.5, 2.0, 3.0]))
     with pytest.raises(InputError, match="whole numbers"):
         build_table(model, choice, 0.01)
+
+
+STEADY = {
+    "hysteresis": ({"hysteresis": 0.02}, {}),
+    "wells too": ({"hysteresis": 0.02}, {"full_well": 3e4, "snr_min": 30.0}),
+    "step": ({"largest_step": 1}, {}),
+    "both": ({"hysteresis": 0.02, "largest_step": 2}, {}),
+}
+
+
+@pytest.mark.parametrize("name", STEADY)
+def test_a_steady_table_changes_seldom_and_owns_what_that_costs(name):
+    how, options = STEADY[name]
+    model, choice = field(200, **options)
+    free, _ = build_table(model, choice, 0.01)
+    table, certificate = build_table(model, choice, 0.01, **how)
+    bound = 1.0 - 0.99 * (1.0 - how.get("hysteresis", 0.0))
+    assert certificate.holds and certificate.max_loss == pytest.approx(bound)
+    signals = np.geomspace(1.0, 8000.0, 150)
+    loss, feasible, kept, _ = searched(choice, table, np.arange(200), signals)
+    assert kept[feasible].all() and loss[feasible].max() <= 1.02 * bound
+    at = dense_signals(choice.signals, table)
+    loss, feasible, *_ = searched(choice, table, np.arange(200), at)
+    assert loss[feasible].max() == pytest.approx(certificate.loss, abs=1e-9)
+    changes, steps = zip(*(_along_columns(choice, t, signals) for t in (free, table)), strict=True)
+    if "largest_step" in how:
+        assert steps[1] <= how["largest_step"] < steps[0]
+    else:
+        assert changes[1] < 0.7 * changes[0] and len(table.words) < len(free.words)
+
+
+def _along_columns(choice, table, signals):
+    """Changes of words from column to column at all signals, and the largest in steps of the grid."""
+    words = table.lookup(np.repeat(signals[:, None], table.columns, axis=1))
+    row = np.searchsorted(choice.grid.stages, table.unpack(words)[0])
+    return np.count_nonzero(np.diff(words, axis=1)), int(np.abs(np.diff(row, axis=1)).max())

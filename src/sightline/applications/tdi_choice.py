@@ -252,7 +252,10 @@ def choose_tdi(problem: TdiProblem, *, progress: Progress | None = None) -> TdiR
     if problem.hysteresis > 0.0 or problem.largest_step is not None:
         steady = steady_choice(problem.model, choice, problem.hysteresis, largest_step=problem.largest_step)
     tell("building the table")
-    table, certificate = build_table(problem.model, choice, problem.max_loss)
+    table, certificate = build_table(
+        problem.model, choice, problem.max_loss,
+        hysteresis=problem.hysteresis, largest_step=problem.largest_step,
+    )  # fmt: skip
     used = choice if steady is None else steady.choice
     loss = predict_loss(used, problem.model)
     warnings = (
@@ -432,6 +435,6 @@ def _jumps(choice: TdiChoice, *, moved: bool) -> tuple[str, ...]:
         f"stages jump by more than a factor of {LARGE_JUMP} between neighbouring columns in {far.sum():,} "
         f"cells (columns {choice.columns.column[c]:g} and {choice.columns.column[c + 1]:g} at "
         f"{choice.signals[s]:.4g} electrons: {stages[c, s]} and {stages[c + 1, s]}), {why}: MTF and "
-        "SNR jump with them; hysteresis and max_step in [choice] let fewer columns jump in choice.csv"
+        "SNR jump with them; hysteresis and max_step in [choice] let fewer columns jump"
         f"{cure if moved else ''}",
     )

@@ -171,7 +171,7 @@ def steady_choice(
     Optimal: fewest steps too far, then fewest changes, then least total loss (dynamic programming, a
     shortest path). Merits are compared in single precision.
     """
-    step = _checked(hysteresis, largest_step)
+    step = checked_hysteresis(hysteresis, largest_step)
     if along not in DIRECTIONS:
         raise InputError(f"`along` is {along!r}; allowed are {', '.join(DIRECTIONS)}")
     both = factors if factors is not None else merit_factors(model, choice)
@@ -209,8 +209,8 @@ def _factors_along(both: MeritFactors, i: int, axis: int, length: int) -> tuple[
     return *of_column, np.ones_like(both.by_signal[0]), np.zeros_like(both.signal_kept[0])
 
 
-def _checked(hysteresis: float, largest_step: int | None) -> int:
-    """The largest step as the kernels take it."""
+def checked_hysteresis(hysteresis: float, largest_step: int | None) -> int:
+    """The largest step as the kernels take it; InputError for a hysteresis or step that cannot be."""
     if not 0.0 <= hysteresis < 1.0:
         raise InputError(f"`hysteresis` is {hysteresis:g}; a share of the merit from 0 up to 1 is allowed")
     if largest_step is not None and largest_step < 1:
@@ -291,7 +291,7 @@ class LineHold:
     largest_step: int | None = None
 
     def __post_init__(self) -> None:
-        self._step = _checked(self.hysteresis, self.largest_step)
+        self._step = checked_hysteresis(self.hysteresis, self.largest_step)
         self.last: Index = np.full(len(self.choice.columns), -1, dtype=np.intp)
 
     def __call__(self, signals: ArrayLike) -> Index:

@@ -20,12 +20,14 @@ from numpy.typing import NDArray
 
 from sightline.errors import InputError
 from sightline.tdi.choose import CHUNK, TdiChoice
+from sightline.tdi.hysteresis import checked_hysteresis
 from sightline.tdi.merit import (
     ColumnMtf,
     column_factors,
     well_levels,
 )
 from sightline.tdi.setting import STAGE_BITS, Array, Index, TdiDetector
+from sightline.tdi.steady_kernels import fewest_changes
 from sightline.tdi.table import INFEASIBLE as INFEASIBLE_FLAG
 from sightline.tdi.table import TdiTable, check_words_fit
 from sightline.tdi.table_certificate import (
@@ -70,9 +72,18 @@ ROUNDS = 8
 PANEL_BYTES = 96 << 20
 #: Memory for what signals give to kinds of columns, bytes.
 AXES_BYTES = 384 << 20
+#: Where words are kept steady: share that a candidate of little worth counts with, and levels of its loss.
+LEAST_SHARE, LOSS_LEVELS = 1e-6, 1000
 
 
-def build_table(model: ColumnMtf, choice: TdiChoice, max_loss: float = 0.005) -> tuple[TdiTable, Certificate]:
+def build_table(
+    model: ColumnMtf,
+    choice: TdiChoice,
+    max_loss: float = 0.005,
+    *,
+    hysteresis: float = 0.0,
+    largest_step: int | None = None,
+) -> tuple[TdiTable, Certificate]:
     """The smallest table found that loses at most `max_loss` against the best setting everywhere.
 
     Parameters
@@ -82,6 +93,12 @@ def build_table(model: ColumnMtf, choice: TdiChoice, max_loss: float = 0.005) ->
     choice : TdiChoice
     max_loss : float
         Largest relative loss of merit, above 0, below 1.
+    hysteresis : float
+        Share of its merit that a column may lose besides, so that fewer words change from group to group of
+        columns: the bound is then both together, against the free choice.
+    largest_step : int, optional
+        Largest change of the number of stages from group to group, steps of the grid, wherever the bound
+        leaves a way; any by default.
 
     Returns
     -------
@@ -102,9 +119,13 @@ def build_table(model: ColumnMtf, choice: TdiChoice, max_loss: float = 0.005) ->
     """
     if not 0.0 < max_loss < 1.0:
         raise InputError(f"`max_loss` is {max_loss:g}; a share of the merit above 0 and below 1 is allowed")
+    step = checked_hysteresis(hysteresis, largest_step)
+    if hysteresis > 0.0:
+        max_loss = 1.0 - (1.0 - max_loss) * (1.0 - hysteresis)
     check_words_fit(choice.grid)
     _check_axes(choice)
-    builder = _Builder(model, choice, max_loss)
+    steady = step if hysteresis > 0.0 or largest_step is not None else None
+    builder = _Builder(model, choice, max_loss, steady)
     samples = _first_samples(len(choice.columns))
     codes = np.union1d(first_codes(choice, max_loss), well_codes(model, choice, max_loss))
     best: tuple[TdiTable, Certificate] | None = None
@@ -196,6 +217,7 @@ class _Builder:
     model: ColumnMtf
     choice: TdiChoice
     max_loss: float
+    steady: int | None = None
     codes: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
     axes: dict[int, _SignalAxis] = field(default_factory=dict)
     begins: Index = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
@@ -303,7 +325,13 @@ class _Builder:
         return panel
 
     def _groups(self, panel: _Panel, blocks: _Blocks) -> list[_Group]:
-        """Columns of a panel in groups such that the table is smallest, with their cells."""
+        """Columns of a panel in groups such that the table is smallest, with their cells.
+
+        Where steps from group to group are bounded every sample may end a group.
+        """
+        if self.steady is not None and self.steady >= 0:
+            each = [self._shared(panel, blocks, k, k + 1) for k in range(len(blocks.kind))]
+            return self._steady_groups(panel, each, self.steady)
         origin = np.zeros(len(blocks.kind) + 1, dtype=np.intp)
         cheapest_groups(
             blocks.strict, blocks.loose, blocks.kind, panel.ends, MIXED_SPAN, *self._bytes(), origin
@@ -312,42 +340,71 @@ class _Builder:
         while end > 0:
             begins.append((int(origin[end]), end))
             end = int(origin[end])
-        return [self._group(panel, blocks, begin, end) for begin, end in reversed(begins)]
+        shared = [self._shared(panel, blocks, begin, end) for begin, end in reversed(begins)]
+        if self.steady is not None:
+            return self._steady_groups(panel, shared, self.steady)
+        return [
+            _Group(
+                int(panel.columns[one.begin]), one.stretch,
+                self._fairest(panel, one, one.stretch, [one.candidates(a, b) for a, b in one.cells]),
+                one.kind[one.stretch] != FEASIBLE,
+            )
+            for one in shared
+        ]  # fmt: skip
 
-    def _group(self, panel: _Panel, blocks: _Blocks, begin: int, end: int) -> _Group:
+    def _shared(self, panel: _Panel, blocks: _Blocks, begin: int, end: int) -> _Shared:
+        """What the columns of some blocks can share."""
         strict, loose, kind = (v[begin].copy() for v in (blocks.strict, blocks.loose, blocks.kind))
         for k in range(begin + 1, end):
             add_to_group(strict, loose, kind, blocks.strict[k], blocks.loose[k], blocks.kind[k])
         starts = np.empty(len(kind), dtype=np.int64)
         span = MIXED_SPAN if end - begin > 1 else np.inf
         cells = split_signals(strict, loose, kind, panel.ends, span, starts)
-        stretch = starts[:cells].astype(np.intp)
         columns = np.arange(begin, min(end + 1, len(panel.columns)) if _reaches(panel, end) else end)
-        shared = [
-            np.flatnonzero(
-                np.unpackbits(
-                    np.bitwise_and.reduce((loose if kind[a] == MIXED else strict)[a:b], axis=0).view(
-                        np.uint8
-                    ),
-                    bitorder="little",
-                )
-            )
-            for a, b in pairwise(np.append(stretch, len(kind)))
-        ]
-        setting = self._fairest(panel, columns, np.append(stretch, len(kind)), kind[stretch], shared)
-        return _Group(int(panel.columns[begin]), stretch, setting, kind[stretch] != FEASIBLE)
+        settings = np.where((kind == MIXED)[:, None], loose, strict)
+        return _Shared(begin, columns, starts[:cells].astype(np.intp), kind, settings)
 
-    def _fairest(
-        self, panel: _Panel, columns: Index, borders: Index, kind: Small, candidates: list[Index]
-    ) -> Index:
-        """(cells,) setting whose worst share of the best merit in a cell is largest; the first of equals."""
+    def _steady_groups(self, panel: _Panel, shared: list[_Shared], largest_step: int) -> list[_Group]:
+        """Groups whose words change seldom from one to the next, signal by signal; `fewest_changes`."""
+        borders = np.unique(np.concatenate([one.stretch for one in shared]))
+        ends = np.append(borders[1:], len(self.codes))
+        ratios, count = len(self.choice.grid.ratios), len(self.choice.grid)
+        setting = np.empty((len(shared), len(borders)), dtype=np.intp)
+        none, ones = np.zeros((len(shared), count), dtype=np.uint8), np.ones(count, dtype=np.float32)
+        candidates = [[one.candidates(a, b) for a, b in zip(borders, ends, strict=True)] for one in shared]
+        shares = [
+            self._shares(panel, one, borders, some) for one, some in zip(shared, candidates, strict=True)
+        ]
+        far, path = np.empty(len(shared), dtype=bool), np.empty(len(shared), dtype=np.intp)
+        for k in range(len(borders)):
+            worth = np.zeros((len(shared), count), dtype=np.float32)
+            for g in range(len(shared)):
+                worth[g, candidates[g][k]] = np.clip(shares[g][k], LEAST_SHARE, 1.0)
+            fewest_changes(
+                worth, none, ones, none[0], worth.argmax(axis=1), none[:, 0], 1.0 - 0.5 * LEAST_SHARE,
+                ratios, largest_step, LOSS_LEVELS, path, far,
+            )  # fmt: skip
+            setting[:, k] = path
+        groups = [
+            _merged(int(panel.columns[one.begin]), borders, setting[g], one.kind[borders] != FEASIBLE)
+            for g, one in enumerate(shared)
+        ]
+        return [one for g, one in enumerate(groups) if g == 0 or not one.same_words(groups[g - 1])]
+
+    def _shares(self, panel: _Panel, shared: _Shared, borders: Index, candidates: list[Index]) -> list[Array]:
+        """Worst share of the best merit that each candidate has in each cell."""
         shares = [np.full(len(c), np.inf) for c in candidates]
-        for axis, rows in self.by_kind(panel.columns[columns]):
-            for cell, (a, b) in enumerate(pairwise(borders)):
+        for axis, rows in self.by_kind(panel.columns[shared.columns]):
+            for cell, (a, b) in enumerate(pairwise(np.append(borders, len(self.codes)))):
                 worst_shares(
-                    columns[rows], a, b, candidates[cell], kind[cell], panel.level, panel.merit, axis.level,
-                    axis.merit, axis.least_full, panel.best, panel.tiers, shares[cell],
+                    shared.columns[rows], a, b, candidates[cell], shared.kind[a], panel.level, panel.merit,
+                    axis.level, axis.merit, axis.least_full, panel.best, panel.tiers, shares[cell],
                 )  # fmt: skip
+        return shares
+
+    def _fairest(self, panel: _Panel, shared: _Shared, borders: Index, candidates: list[Index]) -> Index:
+        """(cells,) setting whose worst share of the best merit in a cell is largest; the first of equals."""
+        shares = self._shares(panel, shared, borders, candidates)
         return np.array([c[first_largest(s)] for c, s in zip(candidates, shares, strict=True)], dtype=np.intp)
 
     def _table(self, groups: list[_Group]) -> TdiTable:
@@ -375,6 +432,34 @@ class _Builder:
 
 
 @dataclass(frozen=True, eq=False)
+class _Shared:
+    """Settings that columns between samples can share: the first block and rows of the panel that show them,
+    first stretch of each cell, and for every stretch what decides it and the settings as bits."""
+
+    begin: int
+    columns: Index
+    stretch: Index
+    kind: Small
+    settings: Bits
+
+    @property
+    def cells(self) -> Iterator[tuple[int, int]]:
+        """First stretch of each cell, and the one after its last."""
+        return pairwise(np.append(self.stretch, len(self.kind)).tolist())
+
+    def candidates(self, first: int, last: int) -> Index:
+        """Settings that serve all stretches from `first` to before `last`."""
+        bits = np.bitwise_and.reduce(self.settings[first:last], axis=0).view(np.uint8)
+        return np.flatnonzero(np.unpackbits(bits, bitorder="little"))
+
+
+def _merged(first: int, borders: Index, setting: Index, flagged: NDArray[np.bool_]) -> _Group:
+    """A group whose neighbouring cells of one word are one."""
+    new = np.append(True, (np.diff(setting) != 0) | (flagged[1:] != flagged[:-1]))
+    return _Group(first, borders[new], setting[new], flagged[new])
+
+
+@dataclass(frozen=True, eq=False)
 class _Group:
     """Columns that share their cells: its first, and the first stretch, setting and flag of each cell."""
 
@@ -382,6 +467,14 @@ class _Group:
     stretch: Index
     setting: Index
     flagged: NDArray[np.bool_]
+
+    def same_words(self, other: _Group) -> bool:
+        """Whether all signals have the same words in both."""
+        own, others = (
+            (self.stretch, self.setting, self.flagged),
+            (other.stretch, other.setting, other.flagged),
+        )
+        return all(np.array_equal(a, b) for a, b in zip(own, others, strict=True))
 
 
 def _slices(columns: Index) -> list[tuple[int, slice]]:
