@@ -263,3 +263,36 @@ def test_the_package_does_not_load_the_extra():
 
 def test_seconds_of_messages_are_to_the_nanosecond():
     assert utc_text(0.123456789, EPOCH) == "2026-01-01T00:00:00.123456789"
+
+
+@pytest.mark.parametrize(
+    ("keys", "words", "size"),
+    [
+        # 7.5 km/s in 700 km, north, along the track; at the equator the camera moves east with the Earth too,
+        # against the stars by 516 m/s, against the ground by 51 m/s
+        ("aberration", "aberration is applied: 25.1 urad", 700e3 * np.hypot(7500.0, 516.1) / 299792458.0),
+        ("light_time", "light time is applied: 1.55 urad", 700e3 * 465.1 / 299792458.0),
+        ("aberration light_time", "aberration is applied", 700e3 * np.hypot(7500.0, 51.0) / 299792458.0),
+        ("refraction", "refraction is applied: 0 urad", 0.0),
+    ],
+)
+def test_the_apparent_direction_of_light_is_undone_where_that_is_asked_for(folder, keys, words, size):
+    ephemeris(write(folder))
+    without = load_acquisition(folder.write())
+    folder.replace('"a.aem"\n', '"a.aem"\n' + "".join(f"{key} = true\n" for key in keys.split()))
+    acquired = load_acquisition(folder.write())
+    assert any(words in said for said in describe_acquisition(acquired)["understood"])
+    moved = seen(acquired)[2] - seen(without)[2]
+    assert np.linalg.norm(moved) == pytest.approx(size, rel=2e-3, abs=1e-3)
+    if "aberration" in keys:
+        assert moved[2] < 0.0  # light seems to come from further ahead than it does: the ground lies behind
+
+
+def test_apparent_directions_are_of_the_turning_earth(folder):
+    folder.replace('kind = "level-flight"', 'kind = "level-flight"\naberration = true')
+    with pytest.raises(FormatError, match="aberration"):
+        load_acquisition(folder.write())
+    folder.replace("aberration = true\n", "")
+    ephemeris(write(folder), "refraction = true\n").add("[surface]\nradii = [6.37e6, 6.37e6]\n")
+    with pytest.raises(FormatError, match="refraction = true is of the turning Earth below a satellite"):
+        load_acquisition(folder.write())

@@ -20,6 +20,7 @@ from sightline.errors import FormatError
 from sightline.geometry.earth import WGS84, from_geodetic, local_axes, to_geodetic
 from sightline.geometry.trajectory import Trajectory
 from sightline.io.acquisition.acquired import InputFolder, attitude_to_world, world_kind
+from sightline.io.acquisition.apparent import along_straight_lines
 from sightline.io.acquisition.ephemeris import (
     GivenOrbit,
     earth_of,
@@ -101,9 +102,10 @@ def build_trajectory(config: AcquisitionFile, files: InputFolder, span: tuple[fl
             axes = given
             files.fixed_from_given = lambda t: Rotation.from_matrix(earth.axes(axes, np.array([t])).turn[0])
     say_orientation(earth, orbit, given, span, config.surface.radii, files)
-    return Trajectory(
+    trajectory = Trajectory(
         t_position, position, t_attitude, attitude, epoch=config.acquisition.epoch, velocity=velocity
     )
+    return along_straight_lines(config, trajectory, span, files)
 
 
 def _positions(

@@ -170,6 +170,16 @@ class EphemerisPlatform(KnownAttitude):
         default=None, description="Axes of a CSV table of attitudes that is not in those of [world]"
     )
     earth_orientation: FileName | None = Field(default=None, description=EARTH_ORIENTATION)
+    aberration: bool = Field(
+        default=False,
+        description="Whether aberration of light is to be applied: the attitudes do not hold it already",
+    )
+    light_time: bool = Field(
+        default=False, description="Whether the Earth's turn while light is under way is to be applied"
+    )
+    refraction: bool = Field(
+        default=False, description="Whether refraction by the Earth's air is to be applied"
+    )
 
 
 class CameraModelPlatform(KnownAttitude):

@@ -234,6 +234,7 @@ def summarize(result: LineOfSight, acquisition: Acquisition, *, wall_seconds: fl
         "warnings": [*result.warnings, *_unused(acquisition), *_doubts(acquisition)],
         "wall_seconds": wall_seconds,
         "peak_memory_bytes": peak_memory(),
+        "sources": list(acquisition.sources),
         "inputs": acquisition.input_hashes(),
     }
 

@@ -223,6 +223,7 @@ class RecoverySummary(RunSummary):
     sensors: list[Sensor] = _is("What attitude sensors and control points gave")
     hidden_directions: Hidden | None = _is("What the images cannot see; null: all is seen")
     changes: list[Number] = _is("Change of the motion per pass, in its sigmas")
+    sources: list[str] | None = _may("What orbit and attitudes are: axes, time scale, Earth orientation")
     spin: dict[str, Any] | None = _may("Of a spinning camera: rate, axis, strips, departures of exposures")
 
 
