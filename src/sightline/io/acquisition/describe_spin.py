@@ -73,6 +73,7 @@ def _understood(acquisition: Acquisition, interval: float) -> list[str]:
         f"[{', '.join(f'{v:.4g}' for v in spin.axis)}], known to {spin.rate_sigma:.2g} rad/s and "
         f"{spin.axis_sigma:.2g} rad",
     ]
+    lines += acquisition.sources
     detector = frames[0].camera.detector
     lines.append(f"one pixel is {1e6 / detector.focal_length_px:.4g} urad; {detector.shape[1]} columns")
     for strip, name in enumerate(acquisition.chip.names):
