@@ -41,6 +41,18 @@ _VIRTUAL = ("curl", "s3", "gs", "az", "adls", "oss", "swift", "webhdfs")
 #: An address (its two slashes may have become one in a path), and a virtual path of GDAL.
 _ADDRESS = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/+(.+)")
 _VSI = re.compile(r"/vsi([a-z0-9]+?)(?:_streaming)?/.*", re.IGNORECASE)
+#: Archives of GDAL, endings of their files, subdatasets, and the parts of those that are read.
+_ARCHIVES, _PACKS = ("zip", "tar", "gzip"), (".zip", ".kmz", ".tar", ".tgz", ".gz")
+_PACKED = re.compile(r"/vsi(zip|tar|gzip)/(.+)", re.IGNORECASE)
+_SUBDATASET = re.compile(
+    r"(?:(.*?)/)?(NETCDF|GTIFF_DIR|HDF4?5?(?:_SDS|_GR|IMAGE)?|SENTINEL2_\w+|SENTINEL1_\w+|BAG|ZARR|"
+    r"NITF_IM|RADARSAT_2_CALIB|DERIVED_SUBDATASET|DOQ2|GPKG|MBTILES|RASTERLITE2?|PDF|EEDAI):(.+)",
+    re.IGNORECASE,
+)
+_PARTS = {
+    "NETCDF": re.compile(r'"?(?P<file>.+?)"?:(?P<inner>[^":/]+)'),
+    "GTIFF_DIR": re.compile(r"(?P<inner>\d+):(?P<file>.+)"),
+}
 #: What is read for a mistake about the kind of a file, by its mode.
 _KINDS = {
     stat.S_IFDIR: "a folder",
@@ -147,8 +159,73 @@ def remote_name(path: str | os.PathLike[str]) -> str | None:
     )
 
 
+@dataclass(frozen=True)
+class Within:
+    """Pixels inside a file, as GDAL names them.
+
+    Attributes
+    ----------
+    file : Path
+        The archive, netCDF or TIFF.
+    kind : str
+        ``"zip"``, ``"tar"``, ``"gzip"``, ``"NETCDF"``, ``"GTIFF_DIR"``.
+    inner : str
+        The file in an archive, the variable, the number of the directory.
+    """
+
+    file: Path
+    kind: str
+    inner: str
+
+    @property
+    def name(self) -> str:
+        """By which GDAL opens it."""
+        place = os.path.abspath(self.file)
+        if self.kind in _ARCHIVES:
+            return f"/vsi{self.kind}/{place}" + (f"/{self.inner}" if self.inner else "")
+        return (
+            f'NETCDF:"{place}":{self.inner}' if self.kind == "NETCDF" else f"GTIFF_DIR:{self.inner}:{place}"
+        )
+
+
+def within(path: str | os.PathLike[str]) -> Within | None:
+    """What a name stands for that is of pixels inside a file of this machine; None for all other names.
+
+    Raises
+    ------
+    FormatError
+        If it is of a kind whose data may lie in other files that cannot be checked.
+    """
+    text = os.fspath(path)
+    if _exists(Path(text)):
+        return None
+    archive, inside = _PACKED.fullmatch(text), _SUBDATASET.fullmatch(text)
+    if archive is not None:
+        place = Path("/") / archive[2]
+        file = next((one for one in (place, *place.parents) if one.is_file()), None)
+        if file is None:  # the archive is missing: name it, not what is in it
+            file = next((one for one in reversed(place.parents) if one.suffix.lower() in _PACKS), place)
+        inner = place.relative_to(file).as_posix() if place != file else ""
+        return Within(file, archive[1].lower(), inner)
+    if inside is None:
+        return None
+    folder, kind = Path(inside[1] or ""), inside[2].upper()
+    found = _PARTS.get(kind)
+    parts = None if found is None else found.fullmatch(inside[3])
+    if parts is None:
+        raise FormatError(
+            f"{text}: data of {kind} may lie in other files that cannot be checked, or are not named so; "
+            'read are NETCDF:"FILE":VARIABLE of netCDF 3, GTIFF_DIR:NUMBER:FILE, /vsizip/FILE/INNER, /vsitar/ '
+            "and /vsigzip/; make a GeoTIFF of it (gdal_translate)"
+        )
+    return Within(folder / parts["file"], kind, parts["inner"])
+
+
 def located(folder: Path, name: str) -> Path:
     """The path behind a name in a file of `folder`; an address stays as it is."""
+    packed = _PACKED.fullmatch(name)
+    if packed is not None and not _VSI.fullmatch(f"/{packed[2]}"):
+        return Path(f"/vsi{packed[1].lower()}/{os.path.abspath(folder / packed[2])}")
     path = folder / name
     elsewhere = _VSI.fullmatch(name) or _ADDRESS.fullmatch(name)
     return Path(name) if elsewhere and not _exists(path) else path

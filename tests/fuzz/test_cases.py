@@ -182,7 +182,7 @@ CASES: dict[str, tuple[str, Spoil, int, str]] = {
         2,
         r"acquisition\.toml.*none\.csv|none\.csv.*acquisition\.toml",
     ),
-    "an image that is not there": (LEVEL, text(ACQUISITION, '"PAN.tif"', '"none.tif"'), 2, r"none\.tif"),
+    "an image that is not there": (LEVEL, text(ACQUISITION, '"PAN.tif"', '"none.tif"'), 1, r"none\.tif"),
     "an empty .npy": (LEVEL, content("XS.npy", b""), 2, r"XS\.npy"),
     "an .npy of objects": (LEVEL, content("XS.npy", npy(np.zeros((64, 40)))[:40]), 2, r"XS\.npy"),
     "an image that is a list of tiles on a server": (

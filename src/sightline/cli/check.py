@@ -26,8 +26,10 @@ def check(
 
     with failing_numbers(f"{file}"):
         description = describe(file)
+    absent = description.pop("absent", [])
     if as_json:
         print_json(description)
+        _ended(absent)
         return
     for warning in description["warnings"]:
         complain("warning", warning)
@@ -35,6 +37,17 @@ def check(
         say(f"{title}:")
         for line in description[title] or ["nothing"]:
             say(f"  {line}")
+    _ended(absent)
+
+
+def _ended(absent: list[str]) -> None:
+    """Status 1 where images are not there: what is described cannot be run."""
+    from sightline.cli.terminal import complain
+
+    if absent:
+        more = f" (and {len(absent) - 1} more images)" if len(absent) > 1 else ""
+        complain("error", f"{absent[0]}{more}")
+        raise typer.Exit(1)
 
 
 def describe(file: Path) -> dict[str, Any]:
@@ -78,9 +91,11 @@ def describe(file: Path) -> dict[str, Any]:
             problem = load_tdi(file)
             description, cost = describe_tdi(problem), tdi_cost(problem)
         case _:
-            acquired = load_acquisition(file)
+            acquired = load_acquisition(file, describe=True)
             cost = ready_to_recover(acquired)
             description = describe_acquisition(acquired)
+            description["missing"] = [*acquired.absent, *description["missing"]]
+            description["absent"] = list(acquired.absent)
     description["understood"].append(f"the run will take {cost.words}")
     expected = {"seconds": cost.seconds, "bytes": cost.bytes, "of": cost.of}
     room = cost.lacks_room(Path.cwd())

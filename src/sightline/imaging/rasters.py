@@ -9,11 +9,14 @@ Not here: what may be opened at all (``access.py``), pixels in windows (``io/for
 
 from __future__ import annotations
 
+import gzip
 import os
 import re
 import sys
+import tarfile
 import threading
 import warnings
+import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -24,6 +27,7 @@ from xml.etree import ElementTree
 from sightline.access import (
     NETWORK_DRIVERS,
     Access,
+    Within,
     check_file,
     check_inside,
     current_access,
@@ -31,6 +35,7 @@ from sightline.access import (
     read_text,
     refuse_network,
     remote_name,
+    within,
 )
 from sightline.errors import FormatError, SightlineError, foreign_errors
 
@@ -77,6 +82,10 @@ _HFA, _SPILL = b"EHFA", re.compile(rb"[^\0-\x1f\x7f]{1,240}?\.(?:ige|rrd)(?=\0)"
 #: What files begin with that nothing but a driver of `LOCAL_DRIVERS` takes.
 _CLASSIC = (b"CDF\1", b"CDF\2", b"CDF\5")  # of netCDF: such files hold all of their data
 _KNOWN = (*_RASTERS, b"\xff\xd8\xff", b"\x89PNG", b"\0\0\0\x0cjP", b"NITF", *_CLASSIC)
+#: Drivers of files that hold all of their pixels, what these begin with, and bytes that tell it.
+_SELF_CONTAINED = ("GTiff", "JPEG", "PNG", "JP2OpenJPEG", "NITF")
+_WHOLE = (*_RASTERS[:4], b"\xff\xd8\xff", b"\x89PNG", b"\0\0\0\x0cjP", b"NITF")
+_MAGIC = 16
 #: What HDF5 begins with, at the start or after a block of 512 bytes, 1024, 2048 ...
 _HDF5 = b"\x89HDF\r\n\x1a\n"
 
@@ -124,6 +133,9 @@ def open_raster(path: Path, access: Access | None = None) -> Any:
     """
     access = current_access() if access is None else access
     path = Path(path)
+    inside = within(path)
+    if inside is not None:
+        return _opened_within(path, inside, access)
     remote = remote_name(path)
     if remote is not None and not access.network:
         raise refuse_network(path, "is an address")
@@ -146,6 +158,50 @@ def open_raster(path: Path, access: Access | None = None) -> Any:
         dataset.close()
         raise
     return dataset
+
+
+def _opened_within(path: Path, inside: Within, access: Access) -> Any:
+    """Pixels inside a file: of an archive only formats that hold all of theirs, and nothing beside them."""
+    import rasterio
+
+    drivers: Sequence[str] = {"NETCDF": ("netCDF",), "GTIFF_DIR": ("GTiff",)}.get(
+        inside.kind, _SELF_CONTAINED
+    )
+    if drivers is _SELF_CONTAINED:
+        check_file(inside.file, "check the name of the archive", path)
+        if not _head_in(path, inside).startswith(_WHOLE):
+            raise FormatError(
+                f"{path}: of an archive TIFF, JPEG, PNG, JPEG 2000 and NITF are read; unpack it"
+            )
+    else:
+        check_file(inside.file, "check the name", path)
+        kinds = _References(inside.file, access).follow(inside.file)
+        if inside.kind == "NETCDF" and kinds != drivers:
+            raise FormatError(f"{path}: is no netCDF 3; name the raster itself, without NETCDF:")
+    with rasterio.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR"):
+        dataset = _opened(path, inside.name, drivers, access)
+    try:
+        _refuse_complex(path, dataset)
+    except SightlineError:
+        dataset.close()
+        raise
+    return dataset
+
+
+def _head_in(path: Path, inside: Within) -> bytes:
+    """The first bytes of a file in an archive."""
+    with foreign_errors(path, "is not in the archive, or that is damaged", "check both names"):
+        if inside.kind == "zip":
+            with zipfile.ZipFile(inside.file) as archive, archive.open(inside.inner) as stream:
+                return stream.read(_MAGIC)
+        if inside.kind == "gzip":
+            with gzip.open(inside.file) as stream:
+                return stream.read(_MAGIC)
+        with tarfile.open(inside.file) as packed:
+            member = packed.extractfile(inside.inner)
+            if member is None:
+                raise FormatError(f"{path}: is no regular file of the archive; name one")
+            return member.read(_MAGIC)
 
 
 def _refuse_complex(path: Path, dataset: Any) -> None:

@@ -6,6 +6,7 @@ Not here: reading the file (``load.py``).
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -23,6 +24,7 @@ from sightline.access import (
     located,
     refuse_network,
     remote_name,
+    within,
 )
 from sightline.errors import FormatError, SightlineError, foreign_errors
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
@@ -84,6 +86,8 @@ class Acquisition:
         s past J2000 (TDB), the instant t = 0, where a sensor model says it.
     body : ((K,), Rotation) or None
         Instants (s), and body-fixed from J2000 at each, where a sensor model says it.
+    absent : tuple of str
+        Images that are not there, where only the geometry is asked for.
     """
 
     path: Path
@@ -110,6 +114,7 @@ class Acquisition:
     sources: tuple[str, ...] = ()
     reference_et: float | None = None
     body: tuple[NDArray[np.float64], Rotation] | None = None
+    absent: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         """One line."""
@@ -167,9 +172,10 @@ def field_of_view(camera: PushbroomCamera | FrameCamera) -> tuple[float, float]:
 
 def sha256(path: Path) -> str:
     """Hexadecimal SHA-256 of a file, read in pieces; of what is read from servers, that it was."""
-    if remote_name(path) is not None:
+    inside = within(path)
+    if inside is None and remote_name(path) is not None:
         return "read from a server"
-    with path.open("rb") as stream:
+    with (path if inside is None else inside.file).open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
@@ -216,6 +222,9 @@ class InputFolder:
         self.doubts: list[str] = []
         self.attitude_sigmas: list[float] = []
         self.fixed_from_given: Callable[[float], Rotation] | None = None
+        #: Whether images that are not there are described all the same; and those that are not.
+        self.describing = False
+        self.absent: list[str] = []
         #: s past J2000 (TDB) of t = 0, and how the body turns, where a sensor model says it.
         self.reference_et: float | None = None
         self.body: tuple[NDArray[np.float64], Rotation] | None = None
@@ -242,11 +251,32 @@ class InputFolder:
         self._place_of[path] = place
         if path not in self.used:
             self.used.append(path)
-        if remote_name(path) is None:
+        inside = within(path)
+        if inside is not None:
+            check_file(inside.file, advice, place)
+        elif remote_name(path) is None:
             check_file(path, advice, place)
         elif not current_access().network:
             raise refuse_network(place, f"{name} is an address")
         return path
+
+    def lacks_file(self, name: str) -> bool:
+        """Whether a name is of a file of this machine that is not there."""
+        path = self.path(name)
+        inside = within(path)
+        if inside is None and remote_name(path) is not None:
+            return False
+        return not os.path.lexists(path if inside is None else inside.file)
+
+    def lacks(self, name: str, shape: tuple[int, int]) -> bool:
+        """Whether an image that is only to be described, of that shape, is not there; it is noted."""
+        if not self.describing or not self.lacks_file(name):
+            return False
+        path = self.path(name)
+        keys = " and ".join(self._keys_of.get(name, [name])[:_KEYS_NAMED])
+        size = f"{shape[0]} lines x {shape[1]} columns"
+        self.absent.append(f"{keys}: {path}: no such file; its geometry is described as that of {size}")
+        return True
 
     def allowed(self, config: InputFile) -> list[Path]:
         """Folders to which the files that are named may refer."""

@@ -6,6 +6,7 @@ the platform (``platform.py``).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,11 +28,13 @@ from sightline.io.acquisition.schema import (
 from sightline.io.acquisition.spin import pointing_of
 from sightline.io.acquisition.stages import stages_of
 from sightline.io.formats import tables
-from sightline.io.formats.images import Source, check_content, open_image
+from sightline.io.formats.images import MissingImage, Source, check_content, open_image
 from sightline.motion.band import Band
 
 Array = NDArray[np.float64]
 
+#: Lines of a strip that is described without any of its images.
+UNKNOWN_LINES = 1000
 #: Fewest lines of an image in which motion against time means anything.
 FEWEST_LINES = 32
 
@@ -71,7 +74,10 @@ def build_bands(config: AcquisitionFile, files: InputFolder, *, look: bool = Tru
     """
     if not config.band:
         return ()
-    images = [open_band_image(band, files, look=look) for band in config.band]
+    shape = _shape_of_missing(config, files)
+    images = [
+        open_band_image(band, files, look=look, shape=shape(band) if shape else None) for band in config.band
+    ]
     plans = [
         _detector_and_timing(config, band, index, image, files)
         for index, (band, image) in enumerate(zip(config.band, images, strict=True))
@@ -131,8 +137,31 @@ def pieces_of(band: BandSection, image: Source, files: InputFolder) -> tuple[int
     return tuple(pieces)
 
 
-def open_band_image(band: BandSection, files: InputFolder, *, look: bool) -> Source:
-    """The image of a band, opened and looked into."""
+def _shape_of_missing(
+    config: AcquisitionFile, files: InputFolder
+) -> Callable[[BandSection], tuple[int, int] | None] | None:
+    """Lines and columns of images that are not there, where these are only described; None otherwise.
+
+    As many lines as the first that is there has, or `UNKNOWN_LINES`; columns as given, or likewise.
+    """
+    if not files.describing:
+        return None
+    there = next((band for band in config.band if not files.lacks_file(band.image)), None)
+    like = open_image(files(there.image), there.image_band).shape if there is not None else None
+
+    def shape(band: BandSection) -> tuple[int, int] | None:
+        columns = _given(config, band, "columns") or (like and like[1])
+        return None if columns is None else (like[0] if like else UNKNOWN_LINES, int(columns))
+
+    return shape
+
+
+def open_band_image(
+    band: BandSection, files: InputFolder, *, look: bool, shape: tuple[int, int] | None = None
+) -> Source:
+    """The image of a band, opened and looked into; of that `shape` if it is not there and need not be."""
+    if shape is not None and files.lacks(band.image, shape):
+        return MissingImage(files.path(band.image), shape)
     mask = None if band.mask is None else files(band.mask)
     image = open_image(files(band.image), band.image_band, mask)
     if image.shape[0] < FEWEST_LINES:

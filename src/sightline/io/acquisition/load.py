@@ -63,7 +63,7 @@ def read_acquisition(path: Path) -> AcquisitionFile:
     return validate(AcquisitionFile, read_toml(path), path)
 
 
-def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
+def load_acquisition(path: str | Path, *, look: bool = True, describe: bool = False) -> Acquisition:
     """An ACQUISITION.toml as images, cameras, ground and sensors.
 
     Parameters
@@ -72,6 +72,9 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
         The TOML file; the files it names are relative to it.
     look : bool
         Read a few lines of every image to find truncated, constant or saturated ones early.
+    describe : bool
+        Only the geometry is asked for: images that are not there are named in `absent`, and taken to be as
+        large as others, or as the keys say.
 
     Returns
     -------
@@ -89,6 +92,7 @@ def load_acquisition(path: str | Path, *, look: bool = True) -> Acquisition:
     path = Path(path)
     config = read_acquisition(path)
     with input_files(path, config) as files:
+        files.describing = describe
         acquired = _acquisition(path, config, files, look=look)
     for image in (*acquired.bands, *acquired.frames):
         set_source(image, acquired)
@@ -144,6 +148,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         sources=tuple(files.said),
         reference_et=files.reference_et,
         body=files.body,
+        absent=tuple(files.absent),
         doubts=(
             *dict.fromkeys(files.doubts),
             *look_doubts(config, cameras, names, surface, files.fixed_from_given),

@@ -54,7 +54,7 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
         reference = model.reference
         files.doubts += model.doubts
         files.reference_et, files.body = model.reference_et, files.body or model.body
-        image = open_band_image(band, files, look=look)
+        image = open_band_image(band, files, look=look, shape=model.camera.shape)
         if image.shape != model.camera.shape:
             raise FormatError(
                 f"{where}: {image.path.name} has {image.shape[0]} lines x {image.shape[1]} columns, {name} "

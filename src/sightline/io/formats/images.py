@@ -6,6 +6,7 @@ Not here: the ``ImageSource`` protocol (``imaging/source.py``), elevation raster
 from __future__ import annotations
 
 import threading
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -234,8 +235,37 @@ class NpyImage:
         return _with_extra(bad, self._extra_mask, lines, columns)
 
 
-#: What `open_image` gives.
-Source = RasterImage | NpyImage
+@dataclass(frozen=True)
+class MissingImage:
+    """An image that is not there: its geometry is described, its pixels cannot be read.
+
+    Attributes
+    ----------
+    path : Path
+        Where it would lie.
+    shape : (lines, columns)
+        Taken from what else is known.
+    """
+
+    path: Path
+    shape: tuple[int, int]
+
+    @property
+    def dtype(self) -> np.dtype[Any]:
+        """Of pixels as they are read."""
+        return np.dtype(np.float32)
+
+    def read(self, lines: tuple[int, int], columns: tuple[int, int]) -> Image:
+        """FormatError: there is no such file."""
+        raise FormatError(f"{self.path}: no such file; check the name")
+
+    def mask(self, lines: tuple[int, int], columns: tuple[int, int]) -> Mask | None:
+        """None."""
+        return None
+
+
+#: What `open_image` gives, and what stands for it where there is no file.
+Source = RasterImage | NpyImage | MissingImage
 
 
 def _refuse_wide(path: Path, shape: tuple[int, int], bands: int = 1) -> None:
@@ -310,7 +340,7 @@ def _clearest(bad: Mask) -> float:
     return float(squares.mean(axis=(0, 2)).min())
 
 
-def check_content(image: RasterImage | NpyImage, *, may_be_masked: bool = False) -> None:
+def check_content(image: Source, *, may_be_masked: bool = False) -> None:
     """Look into an image (first, middle and last lines) before work starts.
 
     Parameters
