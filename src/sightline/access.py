@@ -215,8 +215,8 @@ def within(path: str | os.PathLike[str]) -> Within | None:
     if parts is None:
         raise FormatError(
             f"{text}: data of {kind} may lie in other files that cannot be checked, or are not named so; "
-            'read are NETCDF:"FILE":VARIABLE of netCDF 3, GTIFF_DIR:NUMBER:FILE, /vsizip/FILE/INNER, /vsitar/ '
-            "and /vsigzip/; make a GeoTIFF of it (gdal_translate)"
+            'read are NETCDF:"FILE":VARIABLE of netCDF 3, GTIFF_DIR:NUMBER:FILE, /vsizip/FILE/INNER, '
+            "/vsitar/ and /vsigzip/; make a GeoTIFF of it (gdal_translate)"
         )
     return Within(folder / parts["file"], kind, parts["inner"])
 

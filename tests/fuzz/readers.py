@@ -232,6 +232,10 @@ _row(
 function("formats.csm_keys.read_keys", "sensor-model", "isd.json", "USGS_ASTRO_LINE_SCANNER_SENSOR_MODEL")
 function("formats.isd.read_line_scan_model", "sensor-model", "isd.json")
 function("formats.isd.read_line_scan_model", "sensor-model", "state.json")
+_row(
+    "formats.spice_files.clock_of", "sensor-model", ["clock.tsc"],
+    lambda folder, read: read([folder / "clock.tsc"]),
+)  # fmt: skip
 function("formats.isd_frame.read_frame_model", "sensor-model", "frame.json")
 function("formats.hirise_edr.is_hirise", "hirise", "raw.IMG")
 function("formats.hirise_edr.read_hirise_edr", "hirise", "raw.IMG")

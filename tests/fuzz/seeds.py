@@ -425,6 +425,7 @@ def sensor_model(folder: Path) -> None:
     frame = isd | {"name_model": "USGS_ASTRO_FRAME_SENSOR_MODEL", "detector_line_summing": 1}
     frame["focal2pixel_samples"] = [0.0, 0.0, -142.857]  # lines along x: samples against y, or it is mirrored
     (folder / "frame.json").write_text(json.dumps(frame))
+    (folder / "clock.tsc").write_text("KPL/SCLK\n\\begindata\nSCLK_DATA_TYPE_74 = ( 1 )\n\\begintext\n")
     state = {
         "m_modelName": isd["name_model"],
         "m_nLines": lines,

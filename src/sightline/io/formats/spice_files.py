@@ -62,7 +62,7 @@ class Clock:
 
 
 @contextmanager
-def loaded(kernels: Sequence[Path]) -> Iterator[Any]:
+def spice_kernels(kernels: Sequence[Path]) -> Iterator[Any]:
     """spiceypy with kernels loaded during the block, beside those that the process has loaded itself."""
     library, held = spice(), []
     for path in kernels:

@@ -37,7 +37,12 @@ from sightline.io.formats.csm_files import (
 from sightline.io.formats.ephemeris_time import earth_from_j2000, et_of_utc
 from sightline.io.formats.images import RasterImage
 from sightline.io.formats.rpc_files import write_rpb, write_rpc_text
-from sightline.io.formats.spice_files import clock_of, loaded, write_ck, write_jitter_table
+from sightline.io.formats.spice_files import (
+    clock_of,
+    spice_kernels,
+    write_ck,
+    write_jitter_table,
+)
 from sightline.io.formats.tables import write_columns
 from sightline.io.names import file_stems
 from sightline.io.results.line_of_sight import on_another_body
@@ -302,7 +307,7 @@ def _ck(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[str
             "which does, or export csm"
         )
     bands = []
-    with loaded(kernels) as library:
+    with spice_kernels(kernels) as library:
         clock = clock_of(kernels)
         et = _et_by(library, exported, "ck")
         for number, (name, stem) in enumerate(_stems(exported).items()):
@@ -344,7 +349,7 @@ def _isis(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[s
     """``BAND_jitter.txt``: sample px, line px and ET of every line: what the motion moved its middle by."""
     acquired, bands = exported.needs_cameras("isis"), []
     if kernels:
-        with loaded(kernels) as library:
+        with spice_kernels(kernels) as library:
             et = _et_by(library, exported, "isis")
     else:
         et = exported.needs_et("isis")
