@@ -193,3 +193,37 @@ def test_a_recipe_is_described_by_what_differs_from_its_case():
         == "a scene for `sightline simulate stereo --scene`: case A_paper_T6_K64, seed 0"
     )
     assert "sigma_px = 0.5" in said["understood"]
+
+
+CHOICE = "column,signal,stages,limit\n" + "".join(
+    f"{k},400,{16 if k < 90 else 32},none\n" for k in range(200)
+)
+
+
+def test_stages_are_taken_from_a_choice(tmp_path, scene):
+    path = tmp_path / "choice.csv"
+    path.write_text(CHOICE)
+    wanted = (16,) * 90 + (32,) * 110
+    given = (f"stages={path}", "columns=200", "time_reference=first-stage")
+    recipe = read_recipe("line-of-sight", None, given)
+    assert recipe.options.column_stages(0).tolist() == list(wanted)
+    text = 'kind = "line-of-sight"\ncolumns = 200\nstages = "choice.csv"\n'
+    assert read_recipe(None, scene(text)).options.stages == wanted
+    again = read_recipe(None, scene(recipe_toml(recipe)))
+    assert again.options == recipe.options
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (CHOICE.replace("\n3,400", "\n3,500"), "has stages for each of several signals"),
+        (CHOICE.replace("\n3,400", "\n300,400"), "its 200 rows are of columns 0 to 300"),
+        (CHOICE.replace("\n3,400,16", "\n3,400,2000"), "stages = 2000 at column 3"),
+        ("column,stages\n0,16\n1,16\n", "is of 2 columns, the strip has 200; set columns = 2, or"),
+    ],
+)
+def test_a_table_of_stages_of_another_strip_is_refused(tmp_path, text, message):
+    (tmp_path / "choice.csv").write_text(text)
+    told = said(f"stages={tmp_path / 'choice.csv'}", "columns=200", kind="line-of-sight")
+    assert message in told
+    assert "no such file" in said("stages=nowhere.csv", kind="line-of-sight")

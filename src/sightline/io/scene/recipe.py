@@ -13,10 +13,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, get_args, get_origin
 
+import numpy as np
 from pydantic import BaseModel
 
 from sightline.errors import FormatError, InputError
+from sightline.io.acquisition.stages import read_stages
 from sightline.io.config import read_toml, validate
+from sightline.io.formats.tables import header_of, read_columns
 from sightline.io.names import toml_string
 from sightline.io.quantities import shown
 from sightline.io.scene.models import FAMILIES, Family, plain_options, scene_model
@@ -97,10 +100,16 @@ def read_recipe(
     case = _case(kind, file, tables, asked.pop("case", None))
     family = next(one for one in FAMILIES if one.kind == kind and case in one.cases)
     model = scene_model(family.name)
+    parsed = _parsed(model, settings)
+    folder, chosen = Path() if file is None else file.parent, None
+    if isinstance(tables.get("stages"), str) and "stages" in model.model_fields:
+        tables["stages"] = chosen = _stages_of(folder / tables["stages"])
+    if _is_file(parsed.get("stages")) and "stages" in model.model_fields:
+        parsed["stages"] = chosen = _stages_of(Path(parsed["stages"][0]))
     given = _checked(model, tables, file) if file else {}
     if given.get("dem_file") and file is not None:
         given["dem_file"] = str(file.parent / given["dem_file"])
-    given |= _checked(model, _parsed(model, settings), Path("--set"))
+    given |= _checked(model, parsed, Path("--set"))
     for name, value in asked.items():
         given |= _flag(model, family, case, given, name, value)
     seed = given.pop("seed", 0)
@@ -111,10 +120,35 @@ def read_recipe(
         options.setdefault("ground_size", _FRAMED_GROUND)
     recipe = SceneRecipe(family, case, seed, options, dict(sorted(written.items())))
     try:
-        _ = recipe.options
+        options_made = recipe.options
+        if chosen is not None and options_made.columns != len(chosen):
+            raise InputError(
+                f"the table of stages is of {len(chosen)} columns, the strip has {options_made.columns}; "
+                f"set columns = {len(chosen)}, or give the table of this strip"
+            )
     except InputError as error:
         raise (FormatError(f"{file}: {error}") if file else error) from None
     return recipe
+
+
+def _is_file(value: Any) -> bool:
+    """Whether `stages` of ``--set`` is one text: the name of a table."""
+    return isinstance(value, list) and len(value) == 1 and isinstance(value[0], str)
+
+
+def _stages_of(path: Path) -> list[int]:
+    """TDI stages of every column: of a table ``column,stages``, or of a ``choice.csv`` of one signal."""
+    signal = None
+    if "signal" in header_of(path):
+        signals = np.asarray(read_columns(path, ("signal",))["signal"], dtype=np.float64)
+        if (signals != signals[0]).any():
+            raise FormatError(
+                f"{path}: has stages for each of several signals; a strip is imaged with those of one: keep "
+                "the rows of one signal"
+            )
+        signal = float(signals[0])
+    count = len(read_columns(path, ("column",))["column"])
+    return [int(stages) for stages in read_stages(path, count, signal)[0]]
 
 
 def _case(kind: str, file: Path | None, tables: Mapping[str, Any], asked: str | None) -> str:
