@@ -296,3 +296,18 @@ def test_apparent_directions_are_of_the_turning_earth(folder):
     ephemeris(write(folder), "refraction = true\n").add("[surface]\nradii = [6.37e6, 6.37e6]\n")
     with pytest.raises(FormatError, match="refraction = true is of the turning Earth below a satellite"):
         load_acquisition(folder.write())
+
+
+def test_rows_beyond_the_useable_time_interpolate_and_do_not_cover(folder):
+    write(folder)
+    text = (folder.path / "a.aem").read_text()
+    span = "USEABLE_START_TIME = {}\nUSEABLE_STOP_TIME = 2026-01-01T00:00:01.9\nSTOP_TIME"
+    # between two rows, 0.25 s apart, of which the first is not useable
+    early = text.replace("STOP_TIME", span.format("2025-12-31T23:59:59.99"), 1)
+    (folder.path / "a.aem").write_text(early)
+    acquisition = load_acquisition(ephemeris(folder).write())
+    assert not acquisition.doubts
+    late = text.replace("STOP_TIME", span.format("2026-01-01T00:00:01.1"), 1)
+    (folder.path / "a.aem").write_text(late)
+    with pytest.raises(SpanError, match=r"the attitudes cover \[1\.250000, 1\.750000\] s"):
+        load_acquisition(folder.write())

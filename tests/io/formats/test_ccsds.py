@@ -257,3 +257,21 @@ def test_an_acquisition_may_name_an_oem_and_an_aem(folder):
     folder.replace('epoch = "2026-01-01T00:00:00Z"\n', "")
     with pytest.raises(FormatError, match=r"orbit\.oem: its times are UTC and \[acquisition\] has no epoch"):
         load_acquisition(folder.write())
+
+
+def test_segments_whose_rows_lie_apart_are_read_as_they_stand(tmp_path):
+    """As in the standard's own example: rows are left out, and none lies within the useable span."""
+    head, _, rest = OEM.partition("META_START")
+    first = rest[: rest.index("META_STOP")]
+    rows = "META_STOP\n2026-01-01T00:00:00.0 7000.0 0 1 0 7 0\n2026-01-01T00:10:00.0 7000.0 1 1 0 7 0\n"
+    early = first.replace("00:00:02", "00:10:00") + "USEABLE_START_TIME = 2026-01-01T00:01:00\n"
+    early += "USEABLE_STOP_TIME = 2026-01-01T00:09:00\n"
+    late = early.replace("T00:", "T01:")
+    text = f"{head}META_START{early}{rows}META_START{late}{rows.replace('T00:', 'T01:')}"
+    orbit = ccsds.read_oem(file(tmp_path, text), EPOCH)
+    np.testing.assert_array_equal(orbit.t, [0.0, 600.0, 3600.0, 4200.0])
+    assert orbit.useable == (60.0, 4140.0) and orbit.segments == 2
+    alone = ccsds.read_oem(file(tmp_path, text), EPOCH, span=(3700.0, 3800.0))
+    assert alone.t.tolist() == [3600.0, 4200.0] and alone.segments == 1
+    with pytest.raises(FormatError, match="between segments 3000 s are without data"):
+        ccsds.read_oem(file(tmp_path, text), EPOCH, span=(500.0, 3700.0))

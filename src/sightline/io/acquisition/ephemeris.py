@@ -156,7 +156,7 @@ def fixed_orbit(
     """Positions of a file that reach over a span (s), Earth-fixed (or fixed to their body) of messages."""
     given = read_positions(path, config.acquisition.epoch, span=span, earth=earth)
     given = _of_table(given, config, "position_axes", path)
-    must_cover(path, "positions", given.t[_within(given.t, given.useable)], span)
+    must_cover(path, "positions", given.t[_rows(given.t, given.useable, span)], span)
     if given.axes is None:
         return given
     if config.world.frame != "earth-fixed":
@@ -191,7 +191,7 @@ def fixed_attitude(
     """
     given = read_attitudes(path, config.acquisition.epoch, span=span, earth=earth)
     given = _of_table(given, config, "attitude_axes", path)
-    kept = _within(given.t, given.useable)
+    kept = _rows(given.t, given.useable, span)
     t, attitude = continued(path, given.t[kept], Rotation.from_quat(given.quat_xyzw[kept]), span, files)
     if given.axes is None:
         return t, attitude, None
@@ -214,10 +214,11 @@ def _of_table(given: _Given, config: AcquisitionFile, key: str, path: Path) -> _
     return replace(given, axes=axes, words=f"a table, axes {axes}")
 
 
-def _within(t: Array, span: Span) -> NDArray[np.bool_]:
-    """Rows of a table within its useable span; all, where fewer than two are."""
-    inside = (t >= span[0]) & (t <= span[1])
-    return inside if inside.sum() > 1 else np.ones(len(t), dtype=np.bool_)
+def _rows(t: Array, useable: Span, span: Span) -> NDArray[np.bool_]:
+    """Rows of a table that serve a span: those beyond what is useable only where it reaches over the span."""
+    inside = (t >= useable[0]) & (t <= useable[1])
+    reaches = useable[0] <= span[0] and span[1] <= useable[1]
+    return np.ones(len(t), dtype=np.bool_) if reaches or inside.sum() < 2 else inside
 
 
 def _check_body(path: Path, axes: str, centre: str, radii: tuple[float, float] | None) -> None:

@@ -402,9 +402,12 @@ def chosen(message: Message, parts: list[Part], span: tuple[float, float] | None
     if len(used) == 1:
         return used[0], 1
     times, values = np.zeros(0), np.zeros((0, used[0].values.shape[1]))
-    for part in used:
-        kept = (part.t >= part.useable[0]) & (part.t <= part.useable[1])
-        kept &= part.t > (times[-1] if len(times) else -np.inf)
+    for number, part in enumerate(used):
+        kept = part.t > (times[-1] if len(times) else -np.inf)
+        if number and part.t[0] <= used[number - 1].t[-1]:
+            kept &= part.t >= part.useable[0]
+        if number + 1 < len(used) and part.t[-1] >= used[number + 1].t[0]:
+            kept &= part.t <= part.useable[1]
         t = part.t[kept]
         if (
             span is not None
@@ -418,8 +421,6 @@ def chosen(message: Message, parts: list[Part], span: tuple[float, float] | None
                 "without gaps"
             )
         times, values = np.concatenate([times, t]), np.concatenate([values, part.values[kept]])
-    if not len(times):
-        raise FormatError(f"{message.path}: no row lies between its USEABLE_START_TIME and USEABLE_STOP_TIME")
     return Part((used[0].useable[0], used[-1].useable[1]), times, values, used[0].axes), len(used)
 
 
