@@ -127,11 +127,14 @@ def test_every_column_is_judged_by_its_own_noise_and_wells(wells):
     assert (alike.setting != choice.setting).mean() > 0.2
 
 
-@pytest.mark.parametrize(("wells", "kinds"), [(False, None), (True, None), (True, 3)])
-def test_the_table_owns_the_noise_of_every_column(wells, kinds):
-    of_column, max_loss = laws(wells, kinds), 0.01
+@pytest.mark.parametrize(
+    ("wells", "kinds", "hysteresis"),
+    [(False, None, 0.0), (True, None, 0.0), (True, 3, 0.0), (True, None, 0.02)],
+)
+def test_the_table_owns_the_noise_of_every_column(wells, kinds, hysteresis):
+    of_column, max_loss = laws(wells, kinds), 1.0 - 0.99 * (1.0 - hysteresis)
     model, choice = problem(of_column)
-    table, certificate = build_table(model, choice, max_loss)
+    table, certificate = build_table(model, choice, 0.01, hysteresis=hysteresis)
     assert certificate.holds
     rng = np.random.default_rng(2)
     signals = np.unique(np.exp(rng.uniform(0.0, np.log(8000.0), 60)))
