@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.estimation.prior import Matern, Spectrum
+from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.search import NoiseModel, Search
 from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations, series_equations
 
@@ -46,6 +46,9 @@ class FittedSpectrum:
         away.
     significance : tuple of float
         Of each tone of `spectrum.tones`: log-likelihood gained by a sinusoid there, when it was found.
+    hidden : tuple of Tone
+        Wide ones, in the unit of the series: what is to be expected where TDI averages motion away. No
+        estimate finds it.
     """
 
     spectrum: Spectrum
@@ -53,6 +56,7 @@ class FittedSpectrum:
     deviance: float
     step: float
     significance: tuple[float, ...] = ()
+    hidden: tuple[Tone, ...] = ()
 
 
 def fit_spectrum(
@@ -70,6 +74,7 @@ def fit_spectrum(
     work: float = WORK,
     possible: Sequence[float] = (),
     corner: float | None = None,
+    detail: float = 0.0,
 ) -> FittedSpectrum:
     """Spectrum and noise scale of a motion by marginal likelihood, tones found blind.
 
@@ -105,6 +110,9 @@ def fit_spectrum(
         Hz; there a tone stands, of the size that one not found has on average.
     corner : float, optional
         Hz; where the broadband part is believed to bend, within a factor of 2.
+    detail : float
+        Mean square of the (angular) frequencies that matches weigh, per unit squared of the series; for
+        what TDI hides.
 
     Raises
     ------
@@ -127,7 +135,15 @@ def fit_spectrum(
     window = min(s.window for s in scaled)
     rates = () if offset_sigma is None else _rates(scaled)
     search = Search(
-        summed(None), offset, fit_noise, grid.step * grid.count, corner, rates, window, _tdi(scaled)
+        summed(None),
+        offset,
+        fit_noise,
+        grid.step * grid.count,
+        corner,
+        rates,
+        window,
+        _tdi(scaled),
+        detail * unit**2,
     )
     guesses = _guesses(inside, grid) + ([] if start is None else [NoiseModel.of(start.scaled(1.0 / unit))])
     model = min(guesses, key=search.deviance)
@@ -148,7 +164,12 @@ def fit_spectrum(
     fitted = model.spectrum.scaled(unit)
     order = np.argsort([tone.frequency for tone in model.tones])
     return FittedSpectrum(
-        fitted, model.noise_scale, search.deviance(model), grid.step, tuple(model.gains[k] for k in order)
+        fitted,
+        model.noise_scale,
+        search.deviance(model),
+        grid.step,
+        tuple(model.gains[k] for k in order),
+        tuple(replace(tone, sigma=tone.sigma * unit) for tone in search.hidden_tones(model)),
     )
 
 

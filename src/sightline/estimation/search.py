@@ -47,8 +47,12 @@ NEAR_RATE = 4.0
 #: over: a quarter of such a tone is left in it.
 SEEN_THROUGH = 0.8
 #: Least share of a tone that TDI leaves where tones are looked for: what images show of the motion is its
-#: mean over the stages but for some thousandths of a pixel, which would pass for a tone many times as large.
+#: mean over the stages but for some thousandths of a pixel, which would pass for a tone many times as large
+#: (see `Search.hidden_tones`).
 LEFT_BY_TDI = 0.15
+#: What TDI may hide is looked at up to this over the shortest time that it averages over, at no more places;
+#: least share that the rows are taken to have of it.
+HIDDEN_TO, MOST_HIDDEN, LEAST_LEFT = 4.0, 600, 5e-3
 #: Least time scale of the broadband part, as a share of that time: quicker jitter is averaged away, and what
 #: the rows hold of it is like the noise of the measurements.
 QUICKEST = 0.3
@@ -127,6 +131,8 @@ class Search:
         s; over which measurements average.
     tdi : sequence of float
         s; over which TDI averages in the images: no tone is looked for where all leave less than LEFT_BY_TDI.
+    detail : float
+        Mean square of the (angular) frequencies that matches weigh, per unit squared of the differences.
     """
 
     def __init__(
@@ -139,8 +145,10 @@ class Search:
         rates: Sequence[float] = (),
         window: float = 0.0,
         tdi: Sequence[float] = (),
+        detail: float = 0.0,
     ) -> None:
         self._tdi = tuple(tdi)
+        self._detail = detail
         self._corner = corner
         self._highest = min(0.3 / equations.grid.step, SEEN_THROUGH / max(window, 1e-12))
         # windows that overlap: rows follow each other faster than what they can show
@@ -294,8 +302,9 @@ class Search:
         Score test. With u = Q m (prior precision times posterior mean) and c = exp(2 pi i f t),
         |c'u|^2 has the expectation c'Fc, F = Q Z N (Z the posterior covariance, N the data's
         information), and their ratio is the log-likelihood that a sinusoid at f would gain. It is
-        computed for all f with F of a stationary problem, then exactly for the highest peaks. What chance
-        gains somewhere says `gain_of_chance`.
+        computed for all f with F of a stationary problem, then exactly for the highest peaks: cosine and
+        sine of a short series, or of one near a blind frequency, are neither equally well seen nor
+        independent. What chance gains somewhere says `gain_of_chance`.
         """
         now = self.posterior(model)
         u = band_times(now.prior_band, now.mean)
@@ -311,8 +320,7 @@ class Search:
         peak[1:-1] = (ratio[1:-1] >= ratio[:-2]) & (ratio[1:-1] > ratio[2:])
         where = np.flatnonzero(peak & usable)
         where = where[np.argsort(-ratio[where])[:CANDIDATES]]
-        power, expected = self._exact_gain(now, u, frequency[where])
-        gain = power / expected
+        gain, power, expected = self._exact_gain(now, u, frequency[where])
         threshold = gain_of_chance(highest * self._length, false_alarm)
         tones = []
         for k in np.argsort(-gain):
@@ -388,18 +396,29 @@ class Search:
         expected = np.maximum(expected, 1e-6 * expected.max())
         return np.asarray(rfftfreq(size, grid.step)), power / expected
 
-    def _exact_gain(self, now: Posterior, u: Array, frequency: Array) -> tuple[Array, Array]:
-        """|c'u|^2 and its expectation at some frequencies."""
+    def _exact_gain(self, now: Posterior, u: Array, frequency: Array) -> tuple[Array, Array, Array]:
+        """Log-likelihood that a sinusoid at some frequencies would gain, |c'u|^2, and its expectation.
+
+        Half the squared cosine and sine of u in units of their covariance F: exponential of mean 1 without
+        a tone.
+        """
         e = now.equations
         phase = 2.0 * math.pi * np.outer(e.grid.step * np.arange(e.grid.count), frequency)
         waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
         data = band_times(e.band, waves) / now.noise_scale
         explained, _ = now.factor.solve(data, e.border.T @ waves / now.noise_scale)
-        expected = np.sum(band_times(now.prior_band, waves) * explained, axis=0)
-        half = len(frequency)
-        power = (u @ waves) ** 2
-        expected = np.maximum(expected, 1e-12 * float(np.max(expected, initial=1.0)))
-        return power[:half] + power[half:], expected[:half] + expected[half:]
+        pulled, half = band_times(now.prior_band, waves), len(frequency)
+        cc, ss = np.sum(pulled * explained, axis=0).reshape(2, half)
+        cs = np.sum(pulled[:, :half] * explained[:, half:], axis=0)
+        least = 1e-12 * float(np.max(cc + ss, initial=1.0))  # a blind frequency tells nothing
+        middle, spread = 0.5 * (cc + ss), np.hypot(0.5 * (cc - ss), cs)
+        large = np.maximum(middle + spread, least)
+        small = np.maximum(middle - spread, 1e-3 * large)  # what rounding leaves of a wave that is not seen
+        turn = 0.5 * np.arctan2(cs, 0.5 * (cc - ss))
+        c, s = (u @ waves).reshape(2, half)
+        along, beside = c * np.cos(turn) + s * np.sin(turn), s * np.cos(turn) - c * np.sin(turn)
+        gain = 0.5 * (along**2 / large + beside**2 / small)
+        return gain, c**2 + s**2, np.maximum(cc + ss, least)
 
     def with_smoothness(self, model: NoiseModel) -> NoiseModel:
         """The model with its broadband part as smooth as the data ask for, from its present order up.
@@ -433,15 +452,89 @@ class Search:
             return model
         now = self.posterior(model)
         u = band_times(now.prior_band, now.mean)
-        power, expected = self._exact_gain(now, u, np.array(new))
+        gains, _, expected = self._exact_gain(now, u, np.array(new))
         threshold = gain_of_chance(self._highest * self._length, false_alarm)
-        for frequency, gained, information in zip(new, power / expected, expected, strict=True):
+        for frequency, gained, information in zip(new, gains, expected, strict=True):
             # a tone of this variance would gain 1 + information variance / 2 on average
             per_variance = 0.5 * float(information)
             largest = min(threshold, per_variance * model.drift.sigma**2)
             variance = mean_variance_unseen(float(gained), largest) / per_variance
             model = model.with_tone(Tone(math.sqrt(variance), frequency, 1.0 / self._length), math.nan)
         return model
+
+    def hidden_tones(self, model: NoiseModel) -> tuple[Tone, ...]:
+        """What the motion is to be expected to hold where TDI averages it away: wide tones, one a stretch.
+
+        Notes
+        -----
+        Modes are as dense in frequency where TDI hides them as where it does not, and their variance falls
+        as f^-3, that of a lightly damped oscillator of a given damping ratio under white noise. Beforehand
+        the variance of one is exponential; what the images show of it, however little, weighs it as in
+        `mean_variance_unseen`: a mode that would stand out is not there, one that shines through is. How
+        little is not known well enough to tell its size: `_shown` of it is as much the work of other modes.
+        """
+        shortest = min(self._tdi, default=0.0)
+        if not shortest > 0.0:  # some image has no stages: it shows all
+            return ()
+        cell = 0.5 / self._length
+        top = HIDDEN_TO / shortest
+        stride = max(math.ceil(top / cell / MOST_HIDDEN), 1)
+        f = np.arange(1.0, top, cell * stride)
+        hidden = left_by_tdi(f, self._tdi) < LEFT_BY_TDI
+        modes = [tone.frequency for tone in model.tones]
+        modes = [
+            m
+            for m, left in zip(modes, left_by_tdi(np.array(modes), self._tdi), strict=True)
+            if left >= LEFT_BY_TDI
+        ]
+        if not hidden.any() or not modes:
+            return ()
+        now = self.posterior(model)
+        sizes = np.array([_variance_at(now, m) for m in modes])
+        strengths = sizes * np.array(modes) ** 3
+        if not strengths.sum() > 0.0:
+            return ()
+        # small ones, some of them no modes, count for little
+        strength = float((strengths**2).sum() / strengths.sum())
+        density = (float(strengths.sum()) / strength + 0.5) / (float((~hidden).sum()) * cell * stride)
+        gain, information = np.zeros(len(f)), np.zeros(len(f))
+        within = hidden & (f < 0.45 / self._equations.grid.step) & ~self._alias(f, modes)
+        u = band_times(now.prior_band, now.mean)
+        for part in np.array_split(np.flatnonzero(within), max(int(within.sum()) // CANDIDATES, 1)):
+            gain[part], _, information[part] = self._exact_gain(now, u, f[part])
+        averaged = np.maximum(left_by_tdi(f, self._tdi), LEAST_LEFT)
+        information *= (self._shown(f, np.array(modes), sizes) / averaged) ** 2
+        expected = _mean_hidden(strength / f**3, density * cell * stride, gain, 0.5 * information)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(int)))
+        out = []
+        for begin, end in edges.reshape(-1, 2):
+            each, places = expected[begin:end], f[begin:end]
+            if each.sum() > 0.0:
+                middle = float(places @ each / each.sum())
+                spread = math.sqrt(float((places - middle) ** 2 @ each / each.sum()))
+                wide = min(max(spread, 1.0 / self._length), 0.1 * middle)
+                out.append(Tone(math.sqrt(float(each.sum())), middle, wide))
+        return tuple(out)
+
+    def _shown(self, f: Array, modes: Array, sizes: Array) -> Array:
+        """Share of a tone at `f` (Hz) that matches show beside modes of a variance of `sizes`.
+
+        Notes
+        -----
+        Blurred detail counts less, so that of the stages those near the mean place count more: of stage s, a
+        share of ``detail / 2`` times the square of how far the modes have it from their mean, on average
+        ``size (1 + c**2 - 2 c cos(w s))`` where c is what the stages leave of a mode, counts less than of
+        the mean stage. (A third of the third moment's slope, which `motion.measure.uneven_blur` takes off.)
+        """
+        shares = []
+        for whole in self._tdi:
+            shown = np.sinc(f * whole)
+            for mode, size in zip(modes, sizes, strict=True):
+                c = float(np.sinc(mode * whole))
+                beside = np.sinc((f + mode) * whole) + np.sinc((f - mode) * whole)
+                shown = shown - 0.5 * self._detail * size * c * (2.0 * c * np.sinc(f * whole) - beside)
+            shares.append(np.abs(shown))
+        return np.asarray(np.max(shares, axis=0))
 
     def without_idle_tones(self, model: NoiseModel) -> NoiseModel:
         """The model less every tone that three parameters do not pay for (Akaike)."""
@@ -503,6 +596,33 @@ def mean_variance_unseen(gain: float, largest: float) -> float:
     variance = largest * amplitude**2
     weight = np.exp(-gain / (1.0 + variance)) / (1.0 + variance)
     return float(variance @ weight / weight.sum())
+
+
+def _mean_hidden(mean: Array, count: float, gain: Array, per_variance: Array) -> Array:
+    """Mean variance at frequencies half the resolution apart, of tones of which `count` lie at each.
+
+    Beforehand the variance of a tone is exponential of a `mean`; its gain is exponential of mean 1 + v times
+    `per_variance`. What one tone shows at its neighbours is not another.
+    """
+    share = (np.arange(200) + 0.5) / 20.0  # of the mean
+    variance = mean[:, None] * share
+    seen = 1.0 + per_variance[:, None] * variance
+    log_weight = gain[:, None] * (1.0 - 1.0 / seen) - np.log(seen) - share
+    weight = count / 20.0 * np.exp(np.minimum(log_weight, 200.0))
+    around = np.convolve(weight.sum(axis=1), np.ones(5), "same")
+    return np.asarray((weight * variance).sum(axis=1) / (1.0 + around))
+
+
+def _variance_at(now: Posterior, frequency: float) -> float:
+    """Variance of the estimated motion at a frequency (Hz)."""
+    grid = now.equations.grid
+    x = np.diff(now.mean, 2)  # less its drift, which leaks
+    phase = 2.0 * math.pi * frequency * grid.step * np.arange(grid.count)
+    window = np.hanning(len(x))
+    waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)[1:-1] * window[:, None]
+    gain = (2.0 * math.sin(math.pi * frequency * grid.step)) ** 2
+    amplitude = 2.0 * (x @ waves) / window.sum() / gain
+    return float(0.5 * (amplitude**2).sum())
 
 
 def _component(model: NoiseModel, parameter: int) -> Matern | Tone:

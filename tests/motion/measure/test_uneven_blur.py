@@ -1,4 +1,4 @@
-"""Lopsided jitter within TDI stages displaces what is matched."""
+"""Jitter within TDI stages displaces what is matched where it is lopsided, or grows from line to line."""
 
 from __future__ import annotations
 
@@ -17,21 +17,25 @@ T = np.arange(-100, 500) * PERIOD
 FLAT = Whitening(np.zeros((7, 7)), np.zeros((7, 7)), coherence=np.full((64, 33), 0.5))
 
 
-def found(roll_px, whitening=FLAT, stages=STAGES, finer=1.0):
-    """Displacement (G, 2) of windows at rising times of a partner that rolls; the hub stands still."""
+def found(roll_px, whitening=FLAT, stages=STAGES, finer=1.0, axis=0):
+    """Displacement (G, 2) of windows at rising times of a partner that rolls; the hub stands still.
+
+    Pitch in place of roll with `axis` 1.
+    """
+    angles = [
+        5e-6 * np.stack([one if k == axis else 0.0 * T for k in range(3)], axis=1)
+        for one in (0.0 * T, roll_px)
+    ]
     flight = Trajectory.level_flight(680e3, 6800.0, T[0], T[-1])
     detector = LineDetector.from_ifov("PAN", 100, 5e-6, PERIOD)
     cameras = [
-        PushbroomCamera(
-            detector, flight.with_motion(Motion(T, 5e-6 * np.stack([roll, 0.0 * T, 0.0 * T], axis=1))),
-            FixedMount(), 0.0, 400, stages=stages,
-        )
-        for roll in (0.0 * T, roll_px)
-    ]  # fmt: skip
+        PushbroomCamera(detector, flight.with_motion(Motion(T, one)), FixedMount(), 0.0, 400, stages=stages)
+        for one in angles
+    ]
     t = PERIOD * np.arange(20.0, 380.0, 7.0)
     pixels = np.stack([t / PERIOD, np.full(len(t), 50.0)], axis=1)
     by = np.zeros((len(t), 2, 3), dtype=np.float32)
-    by[:, 1, 0] = finer / 5e-6
+    by[:, 1 - axis, axis] = finer / 5e-6
     affine = np.tile(finer * np.eye(2), (len(t), 1, 1))
     return t, displacement(cameras, (0, 1), (pixels, pixels), (t, t), (by, by), affine, whitening)
 
@@ -66,3 +70,40 @@ def test_the_same_motion_displaces_as_far_on_the_hub_whatever_the_pixels_of_the_
     like = found(roll)[1]
     assert np.abs(like).max() > 1e-3
     assert_allclose(found(roll, finer=4.0)[1], like, rtol=1e-6, atol=1e-12)
+
+
+def test_a_filter_takes_blur_that_grows_from_line_to_line_for_a_displacement():
+    # lines of random phases, seen stage by stage, filtered, and least squares on them: what is expected of
+    # each line, of a motion less its mean over the stages
+    size, period, lines = 64, PERIOD, np.arange(20, 380, 7)
+    which = np.arange(4, 29, 4)  # as they are sampled
+    frequency = 2.0 * np.pi * which / size
+    power = 1.0 / frequency**2
+    f = np.hypot(np.fft.fftfreq(size)[:, None], np.fft.rfftfreq(size))
+    taps = Whitening.from_response(np.hypot(f, 0.05) * np.exp(-0.5 * (f / 0.35) ** 2)).taps_a
+    response = Whitening(taps, taps).response()[which, 0]
+    coherence = np.zeros((size, 33))
+    weight = power * response**2
+    weight = 0.9 * weight / weight.max()
+    coherence[which, 0] = coherence[-which, 0] = weight / (1.0 + weight)
+    coherence[:, 1:] = 1e-9  # det > 0
+    pitch = 0.4 * np.sin(2.0 * np.pi * 47.0 * T)
+    whitening = Whitening(taps, taps, coherence=coherence)
+    _, shift = found(pitch, whitening, axis=1)
+
+    stage = (np.arange(STAGES) - (STAGES - 1) / 2) * period
+    every = np.arange(lines[0] - 7, lines[-1] + 8)
+    d = np.interp(every[:, None] * period + stage, T, pitch)
+    d -= d.mean(axis=1, keepdims=True)
+    seen = np.exp(-1j * d[:, :, None] * frequency).mean(axis=1)
+    along = taps.astype(float) @ np.where(np.arange(7) == 0, 1.0, 2.0)  # over columns
+    filtered = sum(
+        along[abs(o)] * seen[7 - o : len(seen) - 7 - o] * np.exp(-1j * frequency * o) for o in range(-6, 7)
+    )
+    size = (power * frequency**2 * response**2 * np.abs(seen[7:-7])).sum(axis=1)
+    whole = (power * frequency * response * np.imag(-filtered)).sum(axis=1) / size
+    lopsided = (power * frequency * response**2 * np.imag(-seen[7:-7])).sum(axis=1) / size
+    whole, lopsided = whole[::7], lopsided[::7]
+    assert np.abs(whole - lopsided).max() > 5e-4
+    # the next order of the product of filter and blur is left
+    assert_allclose(shift[:, 0], whole, atol=1e-4)

@@ -1,10 +1,16 @@
 """How far jitter within the stages of TDI displaces a match beyond the mean motion.
 
 A pixel of N stages shows the scene through the mean of N displacements. To first order that is the scene at
-the mean displacement; but where a motion within the stages is lopsided (it lingers on one side) fine detail
-is displaced otherwise than coarse detail, and a match of all detail by thousandths to hundredths of a pixel.
-That is known where the motion is: it is the phase of a mean of phase factors, weighed over the frequencies as
-the match weighs them.
+the mean displacement, but for thousandths to hundredths of a pixel:
+
+- where a motion within the stages is lopsided (it lingers on one side) fine detail is displaced otherwise
+  than coarse detail, and a match of all detail is in between;
+- where the blur changes from line to line, a filter that compares a line with its neighbours takes what one
+  is sharper than the other for a displacement. With W the filter, H the mean of phase factors and a dash the
+  slope over w (rad per line), it shows W H - i W' dH/dline - W'' d2H/dline2 / 2 (the product of two
+  operators to the second order).
+
+Both are known where the motion is, weighed over the frequencies as the match weighs them.
 
 Not here: the mean itself (``geometry/trajectory.py``), matching (``stars.py``).
 """
@@ -13,6 +19,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +28,7 @@ from sightline.compiled import njit
 from sightline.estimation.search import LEFT_BY_TDI
 from sightline.execution import in_threads
 from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.instrument import LineDetector
 from sightline.geometry.trajectory import Motion
 from sightline.matching.whitening import Whitening
 from sightline.motion.measure.predict import MovingCamera
@@ -67,15 +75,15 @@ def displacement(
     out = np.zeros((len(t[0]), 2))
     coherence = None if whitening is None else whitening.coherence
     tdi = [isinstance(c, PushbroomCamera) and c.stages is not None for c in (cameras[k] for k in pair)]
-    if coherence is None or not any(tdi) or cameras[pair[0]].trajectory.motion is None:
+    if whitening is None or coherence is None or not any(tdi) or cameras[pair[0]].trajectory.motion is None:
         return out
-    frequency, weight = _weights(coherence)
+    weights = _weights(coherence, whitening)
     motions = [_known(cameras[image]) for image in pair]
     seen = np.flatnonzero(np.isfinite(t[0]) & np.isfinite(t[1]) & np.isfinite(pixels[1]).all(axis=1))
 
     def values(first: int) -> Array:
         which = seen[first : first + _AT_ONCE]
-        return _of_windows(cameras, pair, pixels, t, by, affine, motions, which, frequency, weight)
+        return _of_windows(cameras, pair, pixels, t, by, affine, motions, which, weights)
 
     begins = range(0, len(seen), _AT_ONCE)
     for first, part in zip(begins, in_threads(values, begins), strict=True):
@@ -103,8 +111,17 @@ def _known(camera: MovingCamera) -> Motion:
     return Motion(t, line + kept[: len(t)])
 
 
-def _weights(coherence: NDArray[np.float64]) -> tuple[Array, Array]:
-    """Frequencies (Q, 2), rad/px, and how much they count for a shift."""
+@dataclass(frozen=True, eq=False)
+class _Weights:
+    """Frequencies (Q, 2), rad/px; how much they count for a shift; W'/W, px, and W''/W, px^2, (2, Q, 2)."""
+
+    frequency: Array
+    weight: Array
+    slopes: Array
+
+
+def _weights(coherence: NDArray[np.float64], whitening: Whitening) -> _Weights:
+    """Of a pair."""
     lines, half = coherence.shape
     along, across = np.fft.fftfreq(lines), np.fft.rfftfreq(2 * (half - 1))
     keep = (np.abs(along) < _HIGHEST)[:, None] & (across < _HIGHEST)[None, :]
@@ -113,7 +130,20 @@ def _weights(coherence: NDArray[np.float64]) -> tuple[Array, Array]:
     y, x = np.broadcast_arrays(along[:, None], across[None, :])
     frequency = 2.0 * math.pi * np.stack([y[keep], x[keep]], axis=1)
     both = np.where(frequency[:, 1] > 0.0, 2.0, 1.0)  # half of the plane stands for the whole
-    return frequency, both * squared / (1.0 - squared)
+    slopes = np.stack([_slopes(whitening, image)[keep] for image in ("a", "b")])
+    return _Weights(frequency, both * squared / (1.0 - squared), slopes)
+
+
+def _slopes(whitening: Whitening, image: str) -> Array:
+    """(64, 33, 2) px, px^2; first and second slope of a filter's response along lines, over it."""
+    response = whitening.response(image)
+    size = len(response)
+    taps = np.fft.ifft(response, axis=0)
+    lag = np.fft.fftfreq(size, 1.0 / size)[:, None]
+    floor = 1e-3 * np.abs(response).max(initial=1e-30)
+    over = np.where(np.abs(response) > floor, response, np.inf)
+    slopes = [np.fft.fft((-1j * lag) ** order * taps, axis=0).real / over for order in (1, 2)]
+    return np.stack(slopes, axis=-1)
 
 
 def _of_windows(
@@ -125,11 +155,12 @@ def _of_windows(
     affine: Array,
     motions: Sequence[Motion],
     which: NDArray[np.intp],
-    frequency: Array,
-    weight: Array,
+    weights: _Weights,
 ) -> Array:
     """The same (N, 2) of some windows."""
     sides = []
+    hub = cameras[pair[0]].detector
+    assert isinstance(hub, LineDetector)
     for side, image in enumerate(pair):
         camera, motion = cameras[image], motions[side]
         assert isinstance(camera, PushbroomCamera)
@@ -139,40 +170,57 @@ def _of_windows(
         late = (
             np.minimum(stage, counts[:, None] - 1) - 0.5 * (counts[:, None] - 1)
         ) * camera.detector.line_period
-        instants = np.clip(t[side][which][:, None] + late, *motion.span)
-        angles = motion.at(instants.ravel()).reshape(*instants.shape, 3)
+        instants = t[side][which][:, None] + late
         # the hub shows what lies the other way
         turn = (-1.0 if side == 0 else 1.0) * np.linalg.solve(
             affine[which], by[side][which].astype(np.float64)
         )
-        moved = np.einsum("nca,nka->nkc", turn, angles)
         used = (stage < counts[:, None])[:, :, None]
-        moved -= (moved * used).sum(axis=1, keepdims=True) / counts[:, None, None]
-        sides.append((np.ascontiguousarray(moved), counts))
-    (hub, hub_counts), (partner, partner_counts) = sides
+        places = []
+        for beside in (0.0, -hub.line_period, hub.line_period):
+            angles = motion.at(np.clip(instants + beside, *motion.span).ravel()).reshape(*instants.shape, 3)
+            moved = np.einsum("nca,nka->nkc", turn, angles)
+            places.append(moved - (moved * used).sum(axis=1, keepdims=True) / counts[:, None, None])
+        at, before, after = places
+        sides.append((np.stack([at, 0.5 * (after - before), after + before - 2.0 * at], axis=2), counts))
     out = np.zeros((len(which), 2))
-    _shifts(hub, hub_counts, partner, partner_counts, frequency, weight, out)
+    _shifts(*sides[0], *sides[1], weights.frequency, weights.weight, weights.slopes, out)
     return out
 
 
 @njit(cache=True, nogil=True)
-def _shifts(hub, hub_counts, partner, partner_counts, frequency, weight, out):  # type: ignore[no-untyped-def]
+def _shown(moved, count, y, x, slopes):  # type: ignore[no-untyped-def]
+    """What a filter shows of a mean of phase factors at a frequency, over the filter: (real, imaginary).
+
+    `moved` (S, 3, 2): place of each stage, its change and that one's change from line to line.
+    """
+    re, im, re_1, im_1, re_2, im_2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for s in range(count):
+        phase = y * moved[s, 0, 0] + x * moved[s, 0, 1]
+        rate = y * moved[s, 1, 0] + x * moved[s, 1, 1]
+        bend = y * moved[s, 2, 0] + x * moved[s, 2, 1]
+        c, d = math.cos(phase), math.sin(phase)
+        re += c
+        im += d
+        re_1 -= rate * d
+        im_1 += rate * c
+        re_2 -= bend * d + rate * rate * c
+        im_2 += bend * c - rate * rate * d
+    shown_re = re - slopes[0] * im_1 - 0.5 * slopes[1] * re_2
+    shown_im = im + slopes[0] * re_1 - 0.5 * slopes[1] * im_2
+    return shown_re / count, shown_im / count
+
+
+@njit(cache=True, nogil=True)
+def _shifts(hub, hub_counts, partner, partner_counts, frequency, weight, slopes, out):  # type: ignore[no-untyped-def]
     """Shift that fits the phases of two means of phase factors best, into `out` (N, 2)."""
     for n in range(len(out)):
         a11, a12, a22, b1, b2 = 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(len(weight)):
             y, x = frequency[k, 0], frequency[k, 1]
-            re_h, im_h, re_p, im_p = 0.0, 0.0, 0.0, 0.0
-            for s in range(hub_counts[n]):
-                phase = y * hub[n, s, 0] + x * hub[n, s, 1]
-                re_h += math.cos(phase)
-                im_h += math.sin(phase)
-            for s in range(partner_counts[n]):
-                phase = y * partner[n, s, 0] + x * partner[n, s, 1]
-                re_p += math.cos(phase)
-                im_p += math.sin(phase)
-            re = (re_p * re_h + im_p * im_h) / (hub_counts[n] * partner_counts[n])
-            im = (im_p * re_h - re_p * im_h) / (hub_counts[n] * partner_counts[n])
+            re_h, im_h = _shown(hub[n], hub_counts[n], y, x, slopes[0, k])
+            re_p, im_p = _shown(partner[n], partner_counts[n], y, x, slopes[1, k])
+            re, im = re_p * re_h + im_p * im_h, im_p * re_h - re_p * im_h
             w = weight[k] * math.sqrt(re * re + im * im)
             a11 += w * y * y
             a12 += w * y * x

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from sightline.errors import EstimationError
 from sightline.estimation.likelihood import WORK, FittedSpectrum, fit_spectrum
 from sightline.estimation.prior import Autoregressive, Matern, Spectrum, Tone
-from sightline.estimation.search import LEFT_BY_TDI, left_by_tdi
 from sightline.estimation.series import DifferenceSeries
 from sightline.estimation.split import SplitPrior, coarse_ratio, split
 from sightline.execution import Step, in_threads, no_step
@@ -47,10 +46,10 @@ SHOWN = 3.0
 ROUGH = 0.5
 #: Where more than this share of a pair's differences crosses a jump, jumps are the motion's nature.
 MOST_ACROSS = 0.5
-#: What TDI may hide is looked at up to this over the shortest time that it averages over, so finely.
-HIDDEN_TO, HIDDEN_STEP = 4.0, 0.02
-#: A tone stands out of rows of windows where its amplitude is so many sigmas of theirs.
-STANDS_OUT = 4.0
+#: Mean square (rad^2/px^2) of the frequencies that a match weighs by how far the motion goes there, for roll,
+#: pitch, yaw of axes that shake alike: 2.9 along the displacement that is looked for, .9 across it (rendered
+#: scenes of SNR 120); along lines yaw adds a third of itself over the field, .6 where it counts for yaw.
+DETAIL = (2.9 + 0.9 * 1.33, 2.9 * 1.33 + 0.9, 2.9 * 1.6 + 0.9)
 #: Fewest rows of windows that tell of a pair's differences.
 FEWEST_ROWS = 8
 
@@ -394,6 +393,7 @@ def fit_prior_model(
             possible=possible,
             max_tones=MOST_TONES if begin is None else 0,
             corner=corner,
+            detail=DETAIL[axis] / float(pixel[axis]) ** 2,
         )
 
     first = in_threads(fitted, range(3), step=lambda done, _: step(done, 6))
@@ -413,64 +413,12 @@ def fit_prior_model(
         one.noise_scale * max(grown, 1.0) if share > OWN else 1.0
         for one, grown, share in zip((roll, pitch, yaw), grown_by, own, strict=True)
     ]
-    model = PriorModel((roll.spectrum, pitch.spectrum, yaw.spectrum), (scales[0], scales[1], scales[2]))
-    model = model.with_turns(length)
-    return replace(model, unseen=_unseen(model.spectra, differences, estimate))
-
-
-def _unseen(
-    spectra: Sequence[Spectrum], differences: Sequence[AngleDifferences], estimate: JointEstimate
-) -> tuple[tuple[Tone, ...], ...]:
-    """Tones of each axis that TDI hides, as strong as is to be expected of those that are seen.
-
-    Notes
-    -----
-    Modes are as dense in frequency where TDI averages them away as below, and their variance falls as f^-4.
-    One that would stand out nevertheless is not there. What is left of the density of variance over each
-    stretch that is hidden is one wide tone.
-    """
-    tdi = sorted({each for d in differences for each in d.tdi})
-    if not tdi or not tdi[0] > 0.0:
-        return ((), (), ())
-    f = np.arange(1.0, HIDDEN_TO / min(tdi), HIDDEN_STEP * 2.0 / max(tdi))
-    if len(f) < 2:  # all that is sought is below 1 Hz
-        return ((), (), ())
-    left = left_by_tdi(f, tdi)
-    hidden = left < LEFT_BY_TDI
-    first = float(f[np.argmax(hidden)])
-    rows = max(len(d) for d in differences)
-    out: list[tuple[Tone, ...]] = []
-    for axis, spectrum in enumerate(spectra):
-        tones = [tone.frequency for tone in spectrum.tones if tone.frequency < first]
-        if not tones:
-            out.append(())
-            continue
-        strength = float(np.mean([_power(estimate, axis, tone) * tone**4 for tone in tones]))
-        density = (len(tones) + 0.5) / first
-        # amplitude of a tone that stands out of the rows of the best pair
-        smallest = STANDS_OUT * _row_sigma(differences, axis) * np.sqrt(2.0 / rows)
-        variance = density * np.minimum(strength / f**4, (smallest / np.maximum(left, 1e-6)) ** 2)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(int)))
-        parts = []
-        for begin, end in edges.reshape(-1, 2):
-            each = variance[begin:end] * (f[1] - f[0])
-            if each.sum() > 0.0 and end - begin > 1:
-                middle = float((f[begin:end] * each).sum() / each.sum())
-                wide = 0.25 * float(f[end - 1] - f[begin])
-                parts.append(Tone(float(np.sqrt(each.sum())), middle, min(wide, 0.1 * middle)))
-        out.append(tuple(parts))
-    return tuple(out)
-
-
-def _power(estimate: JointEstimate, axis: int, frequency: float) -> float:
-    """Variance (rad^2) of the estimated motion at a frequency (Hz)."""
-    phase = 2.0 * np.pi * frequency * (estimate.grid.nodes - estimate.grid.start)
-    x = estimate.nodes[:, axis]
-    x = np.diff(x, 2)  # less its drift, which leaks
-    gain = (2.0 * np.sin(np.pi * frequency * estimate.grid.step)) ** 2
-    waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)[1:-1] * np.hanning(len(x))[:, None]
-    amplitude = 2.0 * (x @ waves) / np.hanning(len(x)).sum() / gain
-    return float(0.5 * (amplitude**2).sum())
+    model = PriorModel(
+        (roll.spectrum, pitch.spectrum, yaw.spectrum),
+        (scales[0], scales[1], scales[2]),
+        (roll.hidden, pitch.hidden, yaw.hidden),
+    )
+    return model.with_turns(length)
 
 
 def _tones_elsewhere(spectra: Sequence[Spectrum], axis: int, apart: float) -> list[float]:

@@ -1,0 +1,113 @@
+"""What rows of differences say of tones: gains of chance, and of what TDI averages away."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.linalg import toeplitz
+
+from sightline.estimation.prior import Matern, Spectrum, Tone
+from sightline.estimation.search import NoiseModel, Search
+from sightline.estimation.series import DifferenceSeries, Grid, series_equations
+
+STEP, COUNT, TDI, SIGMA = 1e-3, 800, 8e-3, 0.02
+SEEN = ((0.30, 47.0), (0.15, 83.0))
+
+
+def search(series: list[DifferenceSeries], spectrum: Spectrum, **more: object) -> tuple[Search, NoiseModel]:
+    """In units of the noise, the spectrum given."""
+    scaled = [
+        DifferenceSeries(s.t, s.lag, s.values / SIGMA, s.variance / SIGMA**2, tdi=s.tdi) for s in series
+    ]
+    known = spectrum.scaled(1.0 / SIGMA)
+    equations = series_equations(scaled, Grid(0.0, STEP, COUNT), spectrum=known)
+    return Search(equations, 1.0, False, STEP * COUNT, **more), NoiseModel.of(known)  # type: ignore[arg-type]
+
+
+def test_the_gain_of_a_sinusoid_in_noise_alone_is_exponential_of_mean_one() -> None:
+    # four differences .15 s apart: near odd multiples of 1 / .3 s cosine and sine are seen unlike each
+    # other, and the mean square of |c'u|^2 over its expectation is up to 3
+    spectrum = Spectrum((Matern(0.05, 1.0, "5/2"), Matern(0.02, 0.01, "3/2")))
+    rng = np.random.default_rng(5)
+    k = np.arange(100, 700, 150)
+    root = np.linalg.cholesky(
+        toeplitz(spectrum.autocovariance(STEP * np.arange(COUNT))) + 1e-12 * np.eye(COUNT)
+    )
+    frequency, gains, ratios = np.array([30.1, 63.5, 123.5]), [], []
+    for _ in range(600):
+        x = root @ rng.normal(size=COUNT)
+        values = x[k + 8] - x[k] + SIGMA * rng.normal(size=len(k))
+        series = DifferenceSeries(k * STEP, np.full(len(k), 8 * STEP), values, np.full(len(k), SIGMA**2))
+        finder, model = search([series], spectrum)
+        now = finder.posterior(model)
+        gain, power, expected = finder._exact_gain(now, _pulled(now), frequency)
+        gains.append(gain)
+        ratios.append(power / expected)
+    mean, square = np.mean(gains, axis=0), np.mean(np.square(gains), axis=0)
+    # of 600 exponentials: mean 1 +- 1 / sqrt(600), mean square 2 +- sqrt(20 / 600); 4 sigma
+    assert np.abs(mean - 1.0).max() < 4.0 / np.sqrt(600)
+    assert np.abs(square - 2.0).max() < 4.0 * np.sqrt(20.0 / 600)
+    assert np.mean(np.square(ratios), axis=0).max() > 2.0 + 4.0 * np.sqrt(20.0 / 600)
+
+
+def _pulled(now):  # type: ignore[no-untyped-def]
+    from sightline.estimation.banded import band_times
+
+    return band_times(now.prior_band, now.mean)
+
+
+def hidden(size: float, seed: int, frequency: float = 121.0) -> tuple[Tone, ...]:
+    """Of rows through TDI of 8 ms, in the unit of the motion; a tone of 121 Hz leaves .033 of itself."""
+    rng = np.random.default_rng(seed)
+    tones = (*SEEN, (size, frequency))
+    phase = rng.uniform(0.0, 2.0 * np.pi, len(tones))
+
+    def averaged(t: np.ndarray) -> np.ndarray:
+        waves = [
+            np.sqrt(2.0) * s * np.sinc(f * TDI) * np.cos(2.0 * np.pi * f * t + p)
+            for (s, f), p in zip(tones, phase, strict=True)
+        ]
+        return np.asarray(sum(waves))
+
+    series = []
+    for lag in (0.0055, 0.0172, 0.0225):
+        t = np.arange(0.01, STEP * COUNT - 0.05, 0.0025)
+        values = averaged(t + lag) - averaged(t) + SIGMA * rng.normal(size=len(t))
+        series.append(
+            DifferenceSeries(t, np.full(len(t), lag), values, np.full(len(t), SIGMA**2), tdi=(TDI, TDI))
+        )
+    known = Spectrum(
+        (Matern(0.1, 1.0, "5/2"), Matern(1e-3, 0.01, "3/2"), *(Tone(s, f, 1.0) for s, f in SEEN))
+    )
+    finder, model = search(series, known, tdi=(TDI,))
+    return tuple(
+        Tone(tone.sigma * SIGMA, tone.frequency, tone.bandwidth) for tone in finder.hidden_tones(model)
+    )
+
+
+@pytest.mark.parametrize("size", [0.05, 0.08, 0.16])
+def test_a_mode_that_shines_through_tdi_is_expected_with_its_size(size: float) -> None:
+    # .033 of .08 among some 300 rows of .02 and three pairs: its amplitude is seen to .2-.3 of itself
+    found = [sum(t.sigma**2 for t in hidden(size, seed) if 107.0 < t.frequency < 143.0) for seed in range(8)]
+    assert np.sqrt(np.mean(found)) == pytest.approx(size, rel=0.35)
+
+
+def test_a_mode_that_would_stand_out_is_not_expected() -> None:
+    # modes of 47 and 83 Hz in 107 Hz make another beyond as likely as not, of .3**2 (47 / 121)**3 = .07**2;
+    # what the rows do not show can only be where they show less than .01 of it
+    found = [sum(t.sigma**2 for t in hidden(0.0, seed) if 107.0 < t.frequency < 143.0) for seed in range(8)]
+    assert 0.002 < np.sqrt(np.mean(found)) < 0.03
+
+
+def test_nothing_is_hidden_where_an_image_has_no_stages() -> None:
+    series = DifferenceSeries(
+        np.arange(0.01, 0.7, 0.0025),
+        np.full(276, 0.0172),
+        np.zeros(276),
+        np.full(276, SIGMA**2),
+        tdi=(TDI, 0.0),
+    )
+    finder, model = search(
+        [series], Spectrum((Matern(0.1, 1.0, "5/2"), Matern(1e-3, 0.01, "3/2"))), tdi=(0.0, TDI)
+    )
+    assert finder.hidden_tones(model) == ()
