@@ -53,6 +53,10 @@ LEFT_BY_TDI = 0.15
 #: What TDI may hide is looked at up to this over the shortest time that it averages over, at no more places;
 #: least share that the rows are taken to have of it.
 HIDDEN_TO, MOST_HIDDEN, LEAST_LEFT = 4.0, 600, 5e-3
+#: Modes of less than this share of the usual strength do not count.
+COUNTS = 0.1
+#: The strongest place there is a mode, of which products are made, at this probability of chance.
+HARDLY_CHANCE = 1e-3
 #: Least time scale of the broadband part, as a share of that time: quicker jitter is averaged away, and what
 #: the rows hold of it is like the noise of the measurements.
 QUICKEST = 0.3
@@ -467,11 +471,14 @@ class Search:
 
         Notes
         -----
-        Modes are as dense in frequency where TDI hides them as where it does not, and their variance falls
-        as f^-3, that of a lightly damped oscillator of a given damping ratio under white noise. Beforehand
-        the variance of one is exponential; what the images show of it, however little, weighs it as in
-        `mean_variance_unseen`: a mode that would stand out is not there, one that shines through is. How
-        little is not known well enough to tell its size: `_shown` of it is as much the work of other modes.
+        Modes are as dense in frequency where TDI hides them as where it does not, up to an end that is not
+        known: n of them up to f tell of a density of ``n^2 / (n + 1) f^n / x^(n + 1)`` beyond (even up to an
+        end whose scale is as unknown). Their variance falls as f^-3, that of a lightly damped oscillator of a
+        given damping ratio under white noise, and that of one is exponential beforehand. What the images show
+        of it, however little, weighs it as in `mean_variance_unseen`: a mode that would stand out is not
+        there, one that shines through is. How little is not known well enough to tell its size: `_shown` of
+        it is as much the work of other modes. Nothing is read at sums and differences of two or three modes,
+        where their own products are.
         """
         shortest = min(self._tdi, default=0.0)
         if not shortest > 0.0:  # some image has no stages: it shows all
@@ -496,7 +503,9 @@ class Search:
             return ()
         # small ones, some of them no modes, count for little
         strength = float((strengths**2).sum() / strengths.sum())
-        density = (float(strengths.sum()) / strength + 0.5) / (float((~hidden).sum()) * cell * stride)
+        count = float(strengths.sum()) / strength
+        last = max(m for m, one in zip(modes, strengths, strict=True) if one > COUNTS * strength)
+        density = count**2 / (count + 1.0) * last**count / np.maximum(f, last) ** (count + 1.0)
         gain, information = np.zeros(len(f)), np.zeros(len(f))
         within = hidden & (f < 0.45 / self._equations.grid.step) & ~self._alias(f, modes)
         u = band_times(now.prior_band, now.mean)
@@ -504,6 +513,9 @@ class Search:
             gain[part], _, information[part] = self._exact_gain(now, u, f[part])
         averaged = np.maximum(left_by_tdi(f, self._tdi), LEAST_LEFT)
         information *= (self._shown(f, np.array(modes), sizes) / averaged) ** 2
+        through = gain > gain_of_chance(top * self._length, HARDLY_CHANCE)
+        mixed = _combined([*modes, *f[through & (gain == gain.max())]], f, 1.0 / self._length)
+        gain[mixed] = information[mixed] = 0.0
         expected = _mean_hidden(strength / f**3, density * cell * stride, gain, 0.5 * information)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(int)))
         out = []
@@ -598,19 +610,33 @@ def mean_variance_unseen(gain: float, largest: float) -> float:
     return float(variance @ weight / weight.sum())
 
 
-def _mean_hidden(mean: Array, count: float, gain: Array, per_variance: Array) -> Array:
+def _combined(modes: Sequence[float], f: Array, apart: float) -> NDArray[np.bool_]:
+    """Whether frequencies are sums or differences of two or three of the `modes`, but no mode."""
+    signed = np.array([*modes, *(-mode for mode in modes)])
+    two = (signed[:, None] + signed).ravel()
+    three = (two[:, None] + signed).ravel()
+    products = np.unique(np.abs(np.concatenate([two, three])))
+    products = products[np.abs(products[:, None] - np.array(modes)).min(axis=1) > 2.0 * apart]
+    if not len(products):
+        return np.zeros(len(f), dtype=bool)
+    return np.asarray(np.abs(f[:, None] - products).min(axis=1) < apart)
+
+
+def _mean_hidden(mean: Array, count: Array, gain: Array, per_variance: Array) -> Array:
     """Mean variance at frequencies half the resolution apart, of tones of which `count` lie at each.
 
-    Beforehand the variance of a tone is exponential of a `mean`; its gain is exponential of mean 1 + v times
-    `per_variance`. What one tone shows at its neighbours is not another.
+    Beforehand the variance of a tone is exponential of a `mean`; a gain is exponential of mean 1 + v times
+    `per_variance`, and its Wiener filter says how much of it is the tone that is there. What one tone shows
+    at its neighbours is not another.
     """
     share = (np.arange(200) + 0.5) / 20.0  # of the mean
     variance = mean[:, None] * share
     seen = 1.0 + per_variance[:, None] * variance
     log_weight = gain[:, None] * (1.0 - 1.0 / seen) - np.log(seen) - share
-    weight = count / 20.0 * np.exp(np.minimum(log_weight, 200.0))
+    weight = count[:, None] / 20.0 * np.exp(np.minimum(log_weight, 200.0))
     around = np.convolve(weight.sum(axis=1), np.ones(5), "same")
-    return np.asarray((weight * variance).sum(axis=1) / (1.0 + around))
+    there = variance / seen * (1.0 + gain[:, None] * (1.0 - 1.0 / seen))
+    return np.asarray((weight * there).sum(axis=1) / (1.0 + around))
 
 
 def _variance_at(now: Posterior, frequency: float) -> float:
