@@ -49,6 +49,8 @@ class FittedSpectrum:
     hidden : tuple of Tone
         Wide ones, in the unit of the series: what is to be expected where TDI averages motion away. No
         estimate finds it.
+    through : tuple of float
+        Hz; a mode there that certainly shines through.
     """
 
     spectrum: Spectrum
@@ -57,6 +59,7 @@ class FittedSpectrum:
     step: float
     significance: tuple[float, ...] = ()
     hidden: tuple[Tone, ...] = ()
+    through: tuple[float, ...] = ()
 
 
 def fit_spectrum(
@@ -75,6 +78,7 @@ def fit_spectrum(
     possible: Sequence[float] = (),
     corner: float | None = None,
     detail: float = 0.0,
+    elsewhere: Sequence[float] = (),
 ) -> FittedSpectrum:
     """Spectrum and noise scale of a motion by marginal likelihood, tones found blind.
 
@@ -113,6 +117,8 @@ def fit_spectrum(
     detail : float
         Mean square of the (angular) frequencies that matches weigh, per unit squared of the series; for
         what TDI hides.
+    elsewhere : sequence of float
+        Hz; modes of other axes that shine through what TDI hides.
 
     Raises
     ------
@@ -161,6 +167,7 @@ def fit_spectrum(
     search.use(summed(model.spectrum))
     model = search.improve(search.without_idle_tones(model), iterations)
     model = search.with_possible_tones(model, [*known_tones, *possible], false_alarm)
+    hidden, through = search.hidden_tones(model, elsewhere)
     fitted = model.spectrum.scaled(unit)
     order = np.argsort([tone.frequency for tone in model.tones])
     return FittedSpectrum(
@@ -169,7 +176,8 @@ def fit_spectrum(
         search.deviance(model),
         grid.step,
         tuple(model.gains[k] for k in order),
-        tuple(replace(tone, sigma=tone.sigma * unit) for tone in search.hidden_tones(model)),
+        tuple(replace(tone, sigma=tone.sigma * unit) for tone in hidden),
+        through,
     )
 
 

@@ -54,7 +54,7 @@ LEFT_BY_TDI = 0.15
 #: least share that the rows are taken to have of it.
 HIDDEN_TO, MOST_HIDDEN, LEAST_LEFT = 4.0, 600, 5e-3
 #: Modes of less than this share of the usual strength do not count.
-COUNTS = 0.1
+COUNTS = 0.2
 #: The strongest place there is a mode, of which products are made, at this probability of chance.
 HARDLY_CHANCE = 1e-3
 #: Least time scale of the broadband part, as a share of that time: quicker jitter is averaged away, and what
@@ -466,8 +466,13 @@ class Search:
             model = model.with_tone(Tone(math.sqrt(variance), frequency, 1.0 / self._length), math.nan)
         return model
 
-    def hidden_tones(self, model: NoiseModel) -> tuple[Tone, ...]:
+    def hidden_tones(
+        self, model: NoiseModel, elsewhere: Sequence[float] = ()
+    ) -> tuple[tuple[Tone, ...], tuple[float, ...]]:
         """What the motion is to be expected to hold where TDI averages it away: wide tones, one a stretch.
+
+        With the frequency (Hz) of a mode that certainly shines through, if any; `elsewhere` are those of
+        other axes, which this one is as likely to have as not.
 
         Notes
         -----
@@ -482,7 +487,7 @@ class Search:
         """
         shortest = min(self._tdi, default=0.0)
         if not shortest > 0.0:  # some image has no stages: it shows all
-            return ()
+            return (), ()
         cell = 0.5 / self._length
         top = HIDDEN_TO / shortest
         stride = max(math.ceil(top / cell / MOST_HIDDEN), 1)
@@ -495,16 +500,17 @@ class Search:
             if left >= LEFT_BY_TDI
         ]
         if not hidden.any() or not modes:
-            return ()
+            return (), ()
         now = self.posterior(model)
         sizes = np.array([_variance_at(now, m) for m in modes])
         strengths = sizes * np.array(modes) ** 3
         if not strengths.sum() > 0.0:
-            return ()
+            return (), ()
         # small ones, some of them no modes, count for little
         strength = float((strengths**2).sum() / strengths.sum())
         count = float(strengths.sum()) / strength
-        last = max(m for m, one in zip(modes, strengths, strict=True) if one > COUNTS * strength)
+        strong = [m for m, one in zip(modes, strengths, strict=True) if one > COUNTS * strength]
+        last = max(strong)
         density = count**2 / (count + 1.0) * last**count / np.maximum(f, last) ** (count + 1.0)
         gain, information = np.zeros(len(f)), np.zeros(len(f))
         within = hidden & (f < 0.45 / self._equations.grid.step) & ~self._alias(f, modes)
@@ -513,10 +519,16 @@ class Search:
             gain[part], _, information[part] = self._exact_gain(now, u, f[part])
         averaged = np.maximum(left_by_tdi(f, self._tdi), LEAST_LEFT)
         information *= (self._shown(f, np.array(modes), sizes) / averaged) ** 2
-        through = gain > gain_of_chance(top * self._length, HARDLY_CHANCE)
-        mixed = _combined([*modes, *f[through & (gain == gain.max())]], f, 1.0 / self._length)
+        mixed = _combined(strong, f, 1.0 / self._length)
+        certain = gain_of_chance(top * self._length, HARDLY_CHANCE)
+        strongest = int(np.argmax(np.where(mixed, 0.0, gain)))
+        through = (float(f[strongest]),) if gain[strongest] > certain and not mixed[strongest] else ()
+        mixed |= _combined([*strong, *through], f, 1.0 / self._length)
         gain[mixed] = information[mixed] = 0.0
-        expected = _mean_hidden(strength / f**3, density * cell * stride, gain, 0.5 * information)
+        number = density * cell * stride
+        for place in elsewhere:
+            number[int(np.argmin(np.abs(f - place)))] = 1.0
+        expected = _mean_hidden(strength / f**3, number, gain, 0.5 * information)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(int)))
         out = []
         for begin, end in edges.reshape(-1, 2):
@@ -526,7 +538,7 @@ class Search:
                 spread = math.sqrt(float((places - middle) ** 2 @ each / each.sum()))
                 wide = min(max(spread, 1.0 / self._length), 0.1 * middle)
                 out.append(Tone(math.sqrt(float(each.sum())), middle, wide))
-        return tuple(out)
+        return tuple(out), through
 
     def _shown(self, f: Array, modes: Array, sizes: Array) -> Array:
         """Share of a tone at `f` (Hz) that matches show beside modes of a variance of `sizes`.
@@ -625,9 +637,9 @@ def _combined(modes: Sequence[float], f: Array, apart: float) -> NDArray[np.bool
 def _mean_hidden(mean: Array, count: Array, gain: Array, per_variance: Array) -> Array:
     """Mean variance at frequencies half the resolution apart, of tones of which `count` lie at each.
 
-    Beforehand the variance of a tone is exponential of a `mean`; a gain is exponential of mean 1 + v times
-    `per_variance`, and its Wiener filter says how much of it is the tone that is there. What one tone shows
-    at its neighbours is not another.
+    Beforehand the variance v of a tone is exponential of a `mean`; a gain is exponential of mean 1 + v times
+    `per_variance`: that of a tone whose phase is drawn, and as wide as what is known of the share that is
+    seen. What one tone shows at its neighbours is not another.
     """
     share = (np.arange(200) + 0.5) / 20.0  # of the mean
     variance = mean[:, None] * share
@@ -635,8 +647,7 @@ def _mean_hidden(mean: Array, count: Array, gain: Array, per_variance: Array) ->
     log_weight = gain[:, None] * (1.0 - 1.0 / seen) - np.log(seen) - share
     weight = count[:, None] / 20.0 * np.exp(np.minimum(log_weight, 200.0))
     around = np.convolve(weight.sum(axis=1), np.ones(5), "same")
-    there = variance / seen * (1.0 + gain[:, None] * (1.0 - 1.0 / seen))
-    return np.asarray((weight * there).sum(axis=1) / (1.0 + around))
+    return np.asarray((weight * variance).sum(axis=1) / (1.0 + around))
 
 
 def _variance_at(now: Posterior, frequency: float) -> float:

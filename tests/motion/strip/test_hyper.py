@@ -263,7 +263,9 @@ class TestPriorModel:
 
         def remember(series, **_):
             given.append(series)
-            return SimpleNamespace(spectrum=Spectrum((Matern(1.0, 1.0, "3/2"),)), noise_scale=1.0, hidden=())
+            return SimpleNamespace(
+                spectrum=Spectrum((Matern(1.0, 1.0, "3/2"),)), noise_scale=1.0, hidden=(), through=()
+            )
 
         monkeypatch.setattr(hyper, "fit_spectrum", remember)
         star = plain_star(250, 8, 1, SIGMA)

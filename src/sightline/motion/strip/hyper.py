@@ -231,17 +231,34 @@ def angle_differences(
     list of AngleDifferences
         One per star and pair.
     """
+    out = _differences(stars, post_px, estimate, relief_sigmas, apart=True)
+    seen = [np.isfinite(d.covariance[:, [0, 1, 2], [0, 1, 2]]).any(axis=0) for d in out]
+    if seen and not np.any(seen, axis=0).all():  # the windows of each stage are too few, or too near together
+        return _differences(stars, post_px, estimate, relief_sigmas, apart=False)
+    return out
+
+
+def _differences(
+    stars: Sequence[Star],
+    post_px: Sequence[Array],
+    estimate: JointEstimate,
+    relief_sigmas: tuple[float, float],
+    *,
+    apart: bool,
+) -> list[AngleDifferences]:
+    """The same of windows that average alike (`apart`), or of all of a row with their mean."""
     out = []
     patch_start = 0
     for star, post in zip(stars, post_px, strict=True):
         rows, _ = star.shape
-        # a difference is of windows that average alike
-        for alike in star.by_stages():
+        for alike in star.by_stages() if apart else [star]:
             for k, image in enumerate(star.images):
                 part = _collapse(alike, post, k, relief_sigmas)
-                good = part.t_hub == part.t_hub
-                if good.sum() < FEWEST_ROWS:
+                good = np.flatnonzero(np.isfinite(part.t_hub))
+                if len(good) < FEWEST_ROWS:
                     continue
+                # of windows whose lines have instants of their own, those present set a row's
+                good = good[np.argsort(part.t_hub[good], kind="stable")]
                 at_hub = _seen(star, estimate, part.t_hub[good], part.tdi_hub)
                 at_partner = _seen(star, estimate, part.t[good], part.tdi)
                 out.append(
@@ -254,7 +271,7 @@ def angle_differences(
                         window=star.duration,
                         stretch=star.stretch,
                         tdi=(part.tdi_hub, part.tdi),
-                        patch=patch_start + np.flatnonzero(good),
+                        patch=patch_start + good,
                     )
                 )
             patch_start += rows
@@ -380,6 +397,7 @@ def fit_prior_model(
         begin: Spectrum | None = None,
         possible: Sequence[float] = (),
         corner: float | None = None,
+        elsewhere: Sequence[float] = (),
     ) -> FittedSpectrum:
         series = [d.of_axis(axis) for d in differences]
         if jumps:
@@ -394,6 +412,7 @@ def fit_prior_model(
             max_tones=MOST_TONES if begin is None else 0,
             corner=corner,
             detail=DETAIL[axis] / float(pixel[axis]) ** 2,
+            elsewhere=elsewhere,
         )
 
     first = in_threads(fitted, range(3), step=lambda done, _: step(done, 6))
@@ -403,9 +422,10 @@ def fit_prior_model(
     corners = _corners_elsewhere(spectra, [_row_sigma(differences, axis) for axis in range(3)])
 
     def shared(axis: int) -> FittedSpectrum:
-        if not missing[axis] and corners[axis] is None:
+        through = () if first[axis].through else [f for one in first for f in one.through]
+        if not missing[axis] and corners[axis] is None and not through:
             return first[axis]
-        return fitted(axis, spectra[axis], missing[axis], corners[axis])
+        return fitted(axis, spectra[axis], missing[axis], corners[axis], through)
 
     roll, pitch, yaw = in_threads(shared, range(3), step=lambda done, _: step(3 + done, 6))
     own = _own_share(differences)
