@@ -1,9 +1,9 @@
 """Real Sentinel-2 bands in sensor geometry: blue, green and red give the motion; B08 is placed by it.
 
 Run: python examples/sentinel2_bands.py [OUT]. The crops have no metadata: height, speed, pixel and lags are
-the handbook's; the staggered detectors of scenes 03 to 07 look in the other order. Without truth, what counts
-is how well bands fit that are laid on one another (along / across px), and B08, of which only offset, turn
-and scale are fitted (px across, means over 44 lines).
+those of `sightline init --preset sentinel-2-msi`; the staggered detectors of scenes 03 to 07 look in the
+other order. Without truth, what counts is how well bands fit that are laid on one another (along / across
+px), and B08, of which only offset, turn and scale are fitted (px across, means over 44 lines).
 """
 
 import math
@@ -16,16 +16,14 @@ import numpy as np
 
 import sightline
 from sightline.applications.registration import fit_every_pair
+from sightline.io.init.bands import acquisition_of_bands
+from sightline.io.init.presets import preset
 from sightline.motion.measure.predict import predict_match
 from sightline.motion.measure.windows import window_grid
 from sightline.motion.statics import recovered_cameras
 
 DATA = Path(os.path.expandvars("$SIGHTLINE_DATA")) / "s2_l1b_bands"
-LAGS = {"B02": 0.0, "B03": 0.527, "B04": 1.005, "B08": 0.264}  # s
-HEAD = '[platform]\nkind = "level-flight"\naltitude = 786e3\nground_speed = 6667.0\n[surface]\nheight = 0.0\n'
-BAND = """[[band]]\nname = "{name}"\nimage = "{image}"\nimage_band = {number}\nfirst_line_time = {time}
-look_ahead = {ahead}\nline_period = 1.5e-3\nifov = 1.2723e-5\ncolumns = 352
-offset_sigma_px = 3.0\nrotation_sigma = 3e-3\n"""
+MSI, NAMES = preset("sentinel-2-msi"), ("B02", "B03", "B04", "B08")
 
 
 def infrared(acquired, motion, statics) -> tuple[float, float]:
@@ -51,12 +49,9 @@ if __name__ == "__main__":
     if not (crops := sorted(DATA.glob("*.tif"))):
         sys.exit(f"no crops in {DATA}; set SIGHTLINE_DATA to the folder of real data")
     for image in crops:
-        toml = HEAD
-        for k, (name, lag) in enumerate(LAGS.items()):
-            time = -lag if image.stem in ("03", "04", "05", "06", "07") else lag
-            ahead = -math.atan(time * 6667.0 / 786e3)
-            toml += BAND.format(name=name, image=image, number=k + 1, time=time, ahead=ahead)
-        (out / f"{image.stem}.toml").write_text(toml)
+        sign = -1 if image.stem in ("03", "04", "05", "06", "07") else 1
+        begun = acquisition_of_bands(MSI, [image], out, NAMES, sign)
+        (out / f"{image.stem}.toml").write_text(begun.text, encoding="utf-8")
         acquired = sightline.load_acquisition(out / f"{image.stem}.toml")
         found = sightline.recover_line_of_sight(acquired.bands[:3], acquired.surface)
         statics = {estimate.name: estimate.value for estimate in found.statics}

@@ -25,6 +25,7 @@ from sightline.cli import (
     demo,
     export,
     georeference,
+    init,
     layout,
     noise,
     orient,
@@ -83,6 +84,7 @@ def options(
 
 app.command("demo", epilog=examples("demo"))(demo.demo)
 app.add_typer(simulate.app, name="simulate")
+app.command("init", epilog=examples("init"))(init.init)
 app.command("recover", epilog=examples("recover"))(recover.recover)
 app.command("layout", epilog=examples("layout"))(layout.layout)
 app.command("register", epilog=examples("register"))(register.register)

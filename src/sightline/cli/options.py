@@ -36,6 +36,10 @@ EXAMPLES = {
     ),
     "simulate stereo": ("simulate stereo --out pass --shots 8 --points 60",),
     "simulate frames": ("simulate frames --out flight --case small",),
+    "init": (
+        "init --template strip --out mine",
+        "init B02.tif B03.tif B04.tif --preset sentinel-2-msi --out scene",
+    ),
     "check": ("check strip/acquisition.toml", "check flight/sequence.toml --json"),
     "recover": (
         "recover strip/acquisition.toml --out result",

@@ -1,0 +1,1 @@
+"""First files of one's own: templates of every TOML file, and acquisitions of bands without metadata."""

@@ -1,0 +1,232 @@
+"""An ACQUISITION.toml for bands without metadata, by what is published of their instrument.
+
+Not here: the published numbers (``presets.py``), keys and allowed values (``io/acquisition/schema.py``).
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from sightline.access import check_file
+from sightline.errors import InputError
+from sightline.io.acquisition.schema import AcquisitionFile
+from sightline.io.config import validate
+from sightline.io.formats.images import RasterImage, open_image
+from sightline.io.init.presets import Preset
+from sightline.io.names import toml_string
+
+#: In the place of a band's name: it is left out.
+_LEFT_OUT = "-"
+
+
+@dataclass(frozen=True)
+class FirstAcquisition:
+    """An acquisition as it begins: its file, and in words what it rests on.
+
+    Attributes
+    ----------
+    text : str
+        ACQUISITION.toml.
+    assumed, unknown : tuple of str
+        What was assumed, each with its source; what could not be known.
+    """
+
+    text: str
+    assumed: tuple[str, ...]
+    unknown: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class _Image:
+    """One band of a file, and which band of the instrument it is."""
+
+    path: Path
+    number: int
+    name: str
+    columns: int
+
+
+def acquisition_of_bands(
+    preset: Preset, images: Sequence[Path], folder: Path, names: Sequence[str] = (), sign: int | None = None
+) -> FirstAcquisition:
+    """The acquisition of bands that come without metadata.
+
+    Parameters
+    ----------
+    preset : Preset
+    images : sequence of Path
+        One file for each band, whose name holds that of the band, or files of several bands with `names`.
+    folder : Path
+        Where the file will lie: paths of the images are relative to it.
+    names : sequence of str, optional
+        Bands of all `images` in their order; ``"-"`` leaves one out.
+    sign : {1, -1}, optional
+        Whether a band is exposed its lag after the first band or before it; None: not known, after it.
+
+    Returns
+    -------
+    FirstAcquisition
+
+    Raises
+    ------
+    InputError
+        If the bands cannot be told, are not of the preset, are fewer than two, or differ in their columns.
+    FormatError
+        If an image cannot be read.
+    """
+    bands = _bands(preset, images, names)
+    assumed, unknown = _assumed(preset, sign), _unknown(sign)
+    head = [
+        "ACQUISITION.toml, by `sightline init`. Assumed:",
+        *(f"- {line}" for line in assumed),
+        "Not known:",
+        *(f"- {line}" for line in unknown),
+    ]
+    parts = ["\n".join(f"# {line}" for line in head), _common(preset, bands[0].columns)]
+    parts += [_band(preset, band, folder, 1 if sign is None else sign) for band in bands]
+    text = (
+        "\n\n".join([*parts, "[surface]\nheight = 0.0                      # m, the mean of the ground"])
+        + "\n"
+    )
+    validate(AcquisitionFile, tomllib.loads(text), folder / "acquisition.toml")
+    return FirstAcquisition(text, assumed, unknown)
+
+
+def _bands(preset: Preset, images: Sequence[Path], names: Sequence[str]) -> list[_Image]:
+    """Every band of the images, checked."""
+    found: list[tuple[Path, int, int]] = []
+    for path in images:
+        check_file(path, "give images of the bands")
+        image = open_image(path)
+        count = image.count if isinstance(image, RasterImage) else 1
+        if count > 1 and not names:
+            raise InputError(
+                f"{path} holds {count} bands; say which they are, in their order: --bands NAME,NAME,...; "
+                f"allowed: {', '.join(preset.lags)}"
+            )
+        found += [(path, number + 1, image.shape[1]) for number in range(count)]
+    if names and len(names) != len(found):
+        raise InputError(
+            f"--bands names {len(names)} bands, the images hold {len(found)}; give one name for each, or one "
+            "scene at a time"
+        )
+    called = [_known(preset, name) for name in names] or [_in_name(preset, path) for path, _, _ in found]
+    bands = [
+        _Image(path, number, name, columns)
+        for (path, number, columns), name in zip(found, called, strict=True)
+        if name != _LEFT_OUT
+    ]
+    _check(bands)
+    return bands
+
+
+def _check(bands: Sequence[_Image]) -> None:
+    """InputError unless these can be the bands of one strip."""
+    if len(bands) < 2:
+        given = bands[0].name if bands else "none"
+        raise InputError(f"too few bands ({given}); motion is seen between two or more: give others too")
+    met: dict[str, _Image] = {}
+    for band in bands:
+        first = met.setdefault(band.name, band)
+        if first is not band:
+            raise InputError(
+                f"{first.path} and {band.path} are both {band.name}; give the bands of one scene at a time"
+            )
+        if band.columns != bands[0].columns:
+            raise InputError(
+                f"{band.path} has {band.columns} columns, {bands[0].path} {bands[0].columns}; bands that "
+                "show the same columns are expected"
+            )
+
+
+def _known(preset: Preset, name: str) -> str:
+    """The preset's own name of a band; a dash stays one."""
+    for known in (*preset.lags, _LEFT_OUT):
+        if name.strip().casefold() == known.casefold():
+            return known
+    raise InputError(
+        f"--bands {name!r} is no band of the preset; allowed: {', '.join(preset.lags)}; {_LEFT_OUT} leaves a "
+        "band out"
+    )
+
+
+def _in_name(preset: Preset, path: Path) -> str:
+    """The band that the name of a file holds as a word of its own."""
+    words = {word.casefold() for word in re.split(r"[^A-Za-z0-9]+", path.stem)}
+    held = [name for name in preset.lags if name.casefold() in words]
+    if len(held) != 1:
+        said = f"names {' and '.join(held)}" if held else "names no band of the preset"
+        raise InputError(
+            f"{path}: the file's name {said}; allowed: {', '.join(preset.lags)}; say which bands the images "
+            "are, in their order: --bands NAME,NAME,..."
+        )
+    return held[0]
+
+
+def _assumed(preset: Preset, sign: int | None) -> tuple[str, ...]:
+    first = next(iter(preset.lags))
+    order = "before" if sign == -1 else "after"
+    given = "" if sign is None else " (--lag-sign)"
+    return (
+        f"{preset.instrument}",
+        *preset.sources,
+        f"each band is exposed its lag {order} {first}{given}, and looks where it then sees the same ground",
+        "line 0 of every image shows the same ground, the columns lie about the middle of the view: bands "
+        f"are placed to {preset.offset_sigma_px:g} px and turned to {preset.rotation_sigma:g} rad (1-sigma)",
+        "straight and level flight over flat ground at height 0",
+    )
+
+
+def _unknown(sign: int | None) -> tuple[str, ...]:
+    lags = (
+        "sign of the lags: staggered detectors look in turn the other way; try --lag-sign - too, the wrong "
+        "sign lays weak bands worse"
+    )
+    return (
+        *([lags] if sign is None else []),
+        "epoch: when t = 0 was; times count from line 0 of the band without a lag",
+        "attitude and orbit: what is recovered is the motion about an even flight, not where the ground lies",
+    )
+
+
+def _common(preset: Preset, columns: int) -> str:
+    """What all bands have alike."""
+    return f"""[platform]
+kind = "level-flight"
+altitude = {preset.altitude!r}               # m
+ground_speed = {preset.ground_speed:.8g}          # m/s
+
+[instrument]
+ifov = {preset.ifov:.8g}             # {preset.pixel:g} m / altitude
+columns = {columns}
+line_period = {preset.line_period!r}              # s"""
+
+
+def _band(preset: Preset, band: _Image, folder: Path, sign: int) -> str:
+    """One band and its image."""
+    lag = sign * preset.lags[band.name]
+    # 0.0 - 0.0 is not -0.0
+    ahead = 0.0 - math.atan(lag * preset.ground_speed / preset.altitude)
+    known = f"lag {lag:g} +- {abs(lag) * preset.lag_sigma:.2g} s" if lag else "lags count from here"
+    return f"""[[band]]
+name = {toml_string(band.name)}
+image = {toml_string(_path(band.path, folder))}
+image_band = {band.number}
+first_line_time = {lag + 0.0!r}           # s; {known}
+look_ahead = {ahead!r} # rad, -atan(lag x speed / altitude)
+offset_sigma_px = {preset.offset_sigma_px!r}
+rotation_sigma = {preset.rotation_sigma!r}"""
+
+
+def _path(image: Path, folder: Path) -> str:
+    """Where an image is as seen from a folder; its whole path where ``..`` may lead elsewhere."""
+    whole, base = Path(os.path.abspath(image)), Path(os.path.abspath(folder))
+    if base.resolve() != base or whole.anchor != base.anchor:  # behind a link, on another drive
+        return whole.as_posix()
+    return Path(os.path.relpath(whole, base)).as_posix()
