@@ -292,3 +292,32 @@ def test_rows_of_one_window_say_nothing_of_yaw_and_pitch():
     for found in angle_differences([star], [star.residual_px], estimate_of(star, still)):
         assert np.isinf(found.covariance[:, [1, 2], [1, 2]]).all()
         assert_allclose(found.covariance[:, 0, 0], (SIGMA * IFOV) ** 2, rtol=0.01)
+
+
+def with_stages(star, of_row):
+    """The star whose hub and partners average over what `of_row` (B,) says, s, window by window of a row."""
+    rows, _ = star.shape
+    each = np.tile(np.asarray(of_row), rows)
+    return replace(star, tdi_hub=each, tdi=np.repeat(each[:, None], len(star.images), axis=1))
+
+
+def test_windows_that_average_unlike_are_apart_where_they_tell_enough_alone():
+    star = with_stages(plain_star(60, 8, 1, SIGMA), [8e-3] * 4 + [16e-3] * 4)
+    found = angle_differences([star], [star.residual_px], estimate_of(star, still))
+    assert [one.tdi for one in found] == [(8e-3, 8e-3), (16e-3, 16e-3)]
+    # one window of each in a row: pitch and yaw are seen by both together, not by either
+    star = with_stages(plain_star(60, 2, 1, SIGMA), [8e-3, 16e-3])
+    (found,) = angle_differences([star], [star.residual_px], estimate_of(star, still))
+    assert np.isfinite(found.covariance).all() and found.tdi == pytest.approx((12e-3, 12e-3))
+
+
+def test_rows_are_in_order_of_time_whichever_windows_of_them_are_there():
+    # the right half of every line looks 30 ms later, longer than from row to row
+    star = plain_star(60, 8, 1, SIGMA)
+    later = np.tile([0.0] * 4 + [0.03] * 4, 60)
+    star = replace(star, t_hub=star.t_hub + later, t=star.t + later[:, None])
+    weight = np.ones(star.weight.shape)
+    weight[8 * 20 : 8 * 20 + 4] = 0.0
+    (found,) = angle_differences([star.with_weight(weight)], [star.residual_px], estimate_of(star, still))
+    assert (np.diff(found.t) >= 0.0).all() and len(found.t) == 60
+    assert (np.diff(found.patch) < 0).any()

@@ -270,7 +270,7 @@ def _differences(
                         images=(star.hub, image),
                         window=star.duration,
                         stretch=star.stretch,
-                        tdi=(part.tdi_hub, part.tdi),
+                        tdi=(round(part.tdi_hub, 12), round(part.tdi, 12)),
                         patch=patch_start + good,
                     )
                 )
