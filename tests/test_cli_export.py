@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -114,3 +115,21 @@ def test_python_writes_what_the_command_writes(recovery, tmp_path):
                     np.testing.assert_allclose(one.read(), two.read(), atol=1e-4)
     with pytest.raises(sightline.InputError, match="give acquisition=FILE"):
         opened.export("csm", tmp_path / "none")
+
+
+def test_files_of_a_result_are_never_replaced(recovery, tmp_path, capsys):
+    copy = tmp_path / "out"
+    shutil.copytree(recovery.folder, copy)
+    before = {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()}
+    assert run([*words(recovery, tmp_path, "quaternions"), "--overwrite"]) == 2
+    assert "holds a result" in capsys.readouterr().err
+    with pytest.raises(sightline.InputError, match="holds a result"):
+        sightline.open_result(copy).export("quaternions", copy, overwrite=True)
+    assert {path: path.read_bytes() for path in copy.rglob("*") if path.is_file()} == before
+
+
+def test_an_earlier_export_goes_whole(recovery, tmp_path):
+    assert run(words(recovery, tmp_path, "shifts", *toml_of(recovery))) == 0
+    (tmp_path / "out" / "mine.txt").write_text("mine")
+    assert run([*words(recovery, tmp_path, "quaternions"), "--overwrite"]) == 0
+    assert names(tmp_path / "out") == ["export.json", "mine.txt", "quaternions.csv"]

@@ -118,4 +118,12 @@ def test_beyond_the_table_the_sigma_is_what_that_really_costs(table):
 
 def test_before_the_table_ut1_is_utc_within_a_second(table):
     assert float(table.ut1_less_tai_at(30000.0)) == -10.0
+    # a table that begins late: leap seconds of the day, not of its first row (34 s in 2010, 37 s since 2017)
+    known = table.mjd > 58818.0
+    cut = EarthOrientation(
+        table.mjd[known], table.pole[known], table.ut1_less_tai[known], table.cip[known],
+        table.sigma_pole[known], table.sigma_ut1[known], "cut",
+    )  # fmt: skip
+    assert float(cut.ut1_less_tai_at(55350.0)) == -34.0
+    assert abs(float(table.ut1_less_tai_at(55350.0)) + 34.0) < 0.9
     assert table.sigma_at(30000.0)[0] == 0.5 and not table.covers(30000.0)

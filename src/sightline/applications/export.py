@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 
 #: Lines beyond the image on either side whose poses are given too, where they are known.
 MARGIN_LINES = 4
+#: States at most, in lines of the image.
+MOST_STATES = 8
 #: Columns at which shifts are computed; those between follow by the local cubic.
 _COLUMNS = 65
 
@@ -73,7 +75,15 @@ def line_states(camera: PushbroomCamera) -> LineStates:
     last = min(camera.lines - 1 + MARGIN_LINES, int(np.floor(high)))
     t = camera.times(np.arange(first, last + 1, dtype=np.float64))
     if camera.line_times is not None and len(t) > 1:
-        t = np.linspace(t[0], t[-1], int(np.ceil((t[-1] - t[0]) / np.diff(t).min())) + 1)
+        steps = np.diff(t)
+        count = (t[-1] - t[0]) / steps.min()
+        if not count <= MOST_STATES * len(t):
+            raise InputError(
+                f"{camera.detector.name}: lines are {steps.min():g} s to {np.median(steps):g} s apart (the "
+                "least, the usual); even states as near as the nearest two would be too many: mend the line "
+                "times"
+            )
+        t = np.linspace(t[0], t[-1], int(np.ceil(count)) + 1)
     return states_at(camera, t)
 
 
@@ -85,7 +95,7 @@ def states_at(camera: PushbroomCamera, t: Array) -> LineStates:
         around = np.arange(-MARGIN_LINES, camera.lines + MARGIN_LINES, dtype=np.float64)
         lines = np.interp(t, camera.times(around), around)
     position, turn = poses_of(camera, np.clip(lines, *camera.known_lines))
-    velocity = np.gradient(position, t, axis=0) if len(t) > 1 else np.zeros_like(position)
+    velocity = rates(position, t)
     return LineStates(np.asarray(t, dtype=np.float64), position, velocity, turn)
 
 
@@ -138,3 +148,12 @@ def motion_shifts(camera: PushbroomCamera, surface: Surface, lines: Array) -> Ar
     coarse = moved.reshape(len(lines), len(columns), 2).transpose(1, 0, 2).reshape(len(columns), -1)
     fine = interpolate(columns, np.ascontiguousarray(coarse), np.arange(float(camera.columns)))
     return fine.reshape(camera.columns, len(lines), 2).transpose(1, 0, 2)
+
+
+def rates(values: Array, t: Array) -> Array:
+    """Change per second of rows (N, C) at `t` (N,): of second order at the ends too; 0 of one row."""
+    if len(t) < 2:
+        return np.zeros_like(values)
+    if len(t) == 2:
+        return np.asarray(np.gradient(values, t, axis=0))
+    return np.asarray(np.gradient(values, t, axis=0, edge_order=2))

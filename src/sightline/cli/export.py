@@ -39,12 +39,13 @@ def export(
     from sightline.cli.output import output_folder
     from sightline.cli.terminal import complain, print_json, progress, say
     from sightline.errors import InputError, failing_numbers
+    from sightline.kinds.kind import earlier_export
     from sightline.kinds.open import kind_of, open_result
 
     if to not in FORMS:
         raise InputError(f"--to is {to!r}; allowed are {', '.join(FORMS)}")
     with (
-        output_folder(out, overwrite=overwrite) as folder,
+        output_folder(out, overwrite=overwrite, earlier=earlier_export) as folder,
         progress() as report,
         failing_numbers(f"{result}"),
     ):

@@ -31,7 +31,7 @@ AXES: dict[str, tuple[str, ...]] = {
     "TEME": ("TEME", "TEMEOFDATE"),
 }
 #: TT less TAI, s; s of a day; Julian date of modified Julian day 0.
-_TT_LESS_TAI, _DAY, _MJD_0 = 32.184, 86400.0, 2400000.5
+_TT_LESS_TAI, _DAY, _MJD_0, _LEAPS_SINCE = 32.184, 86400.0, 2400000.5, 41317.0
 #: s between which precession and nutation are taken as straight: wrong by 1e-12 rad.
 _STEP = 600.0
 #: s before and after an instant between which the axes' turn is taken as even: wrong by 1e-14 of it.
@@ -98,7 +98,13 @@ class EarthOrientation:
         first = max(int(np.searchsorted(self.mjd, self.mjd[-1] - _YEAR)) - 1, 0)
         slope = (self.ut1_less_tai[-1] - self.ut1_less_tai[first]) / (self.mjd[-1] - self.mjd[first])
         after = inside + slope * np.maximum(day - self.mjd[-1], 0.0)
-        return np.where(day < self.mjd[0], np.round(self.ut1_less_tai[0]), after)
+        before = day < self.mjd[0]
+        if not before.any():
+            return np.asarray(after)
+        erfa = orbit_package("erfa", "Earth orientation of a day before its table")
+        # before 1972 UTC is taken for TAI less 10 s, as everywhere
+        utc_less_tai = -erfa.dat(*erfa.jd2cal(_MJD_0, np.maximum(day, _LEAPS_SINCE)))
+        return np.where(before, utc_less_tai, after)
 
     def pole_at(self, mjd: Array) -> tuple[Array, Array]:
         """Polar motion x, y (rad): linear, kept beyond the table."""

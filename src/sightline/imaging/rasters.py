@@ -107,7 +107,11 @@ def raster_environment(access: Access) -> Iterator[None]:
     """What GDAL may do while it opens and reads: no Python of a VRT, no cache of tiles, no server unasked."""
     import rasterio
 
-    options = {"GDAL_VRT_ENABLE_PYTHON": "NO", "GDAL_ENABLE_WMS_CACHE": "NO"}
+    options = {
+        "GDAL_VRT_ENABLE_PYTHON": "NO",
+        "GDAL_ENABLE_WMS_CACHE": "NO",
+        "CPL_VSIL_GZIP_WRITE_PROPERTIES": "NO",  # beside the user's file
+    }
     if access.network:
         options |= {"GDAL_HTTP_CONNECTTIMEOUT": "10", "GDAL_HTTP_TIMEOUT": "60"}
     else:

@@ -151,6 +151,24 @@ def earlier(folder: Path) -> Iterable[str]:
         return []
 
 
+def earlier_export(folder: Path) -> Iterable[str]:
+    """Names of what an earlier export in a folder is made of, by its ``export.json``.
+
+    Raises
+    ------
+    InputError
+        If the folder holds a result: its files would not belong to each other any more.
+    """
+    if next(iter(earlier(folder)), None) is not None:
+        raise InputError(f"{folder}: holds a result, of which files would be replaced; give another folder")
+    try:
+        summary = read_json(folder / EXPORT, "what was exported")
+        names = [EXPORT, *summary["files"]] if {"version", "to"} <= summary.keys() else []
+    except (SightlineError, KeyError, TypeError, ValueError, AttributeError):  # nobody's, or changed since
+        return []
+    return names if all(isinstance(name, str) and Path(name).name == name for name in names) else []
+
+
 class ResultKind:
     """One kind of result; each has a class of its own.
 
@@ -278,7 +296,7 @@ class ResultKind:
     ) -> dict[str, Any]:
         """Write a form of other programs into a folder; its summary."""
         try:
-            with output_folder(folder, overwrite=overwrite, earlier=earlier) as new:
+            with output_folder(folder, overwrite=overwrite, earlier=earlier_export) as new:
                 return self.export_into(result, to, new, acquisition, kernels)
         except InputError as error:
             raise _in_python(error) from error

@@ -82,3 +82,11 @@ def test_days_are_counted_with_their_seconds():
     np.testing.assert_allclose(
         instants.modified_julian_day(-43200.5, "2020-06-01T12:00:00.5Z")[:2], (59001, 0.0)
     )
+
+
+def test_ut1_runs_on_through_a_leap_second():
+    # 2016-12-31T23:59:60 was one: UT1 - UTC jumps, UT1 does not; against UTC that goes on it is -.408 s
+    of = instants.clock("UT1", "2016-12-31T23:59:50Z", lambda t: -0.408)
+    assert of("2017-01-01T00:00:05", "") == pytest.approx(15.408, abs=1e-9)
+    with pytest.raises(FormatError, match="UT1 has no leap seconds"):
+        of("2016-12-31T23:59:60", "")

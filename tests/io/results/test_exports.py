@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,10 +13,12 @@ from rasterio.transform import RPCTransformer
 from tests import csm_reference as reference
 from tests.io.results.exported import COLUMNS, EPOCH, LINES, moved, orbit_strip
 
+from sightline.applications.export import line_states, rates
 from sightline.errors import InputError, SightlineError
 from sightline.geometry.earth import to_geodetic
 from sightline.io.acquisition.load import load_acquisition
-from sightline.io.results.exports import write_export
+from sightline.io.formats.ephemeris_time import earth_from_j2000, et_of_utc
+from sightline.io.results.exports import _words, write_export
 
 
 @pytest.fixture(scope="module")
@@ -365,3 +368,39 @@ def test_what_is_lacking_is_named(strip, tmp_path, to, lacking, said):
 def test_a_kernel_is_refused_where_it_has_no_use(strip, tmp_path):
     with pytest.raises(InputError, match="--kernel is for --to ck and isis; leave it out with --to csm"):
         write_export("csm", tmp_path, strip, (tmp_path / "a.tls",))
+
+
+def test_names_of_frames_are_short_and_no_two_alike():
+    # names of the kernel pool have 32 letters: FRAME_SIGHTLINE_ and 16
+    stems = ["PAN-1", "PAN_1", "panchromatic-left-ccd-1", "panchromatic-left-ccd-2"]
+    found = list(_words({stem: stem for stem in stems}).values())
+    assert found[:2] == ["PAN_1", "PAN_1_1"] and len(set(found)) == 4
+    assert max(map(len, found)) <= 16
+    with pytest.raises(InputError, match="10 bands"):
+        _words({str(k): str(k) for k in range(10)})
+
+
+def test_rates_at_the_ends_are_as_good_as_within():
+    t = np.array([0.0, 0.4, 1.1, 1.5])
+    np.testing.assert_allclose(rates(t[:, None] ** 2, t), 2.0 * t[:, None], atol=1e-12)
+    np.testing.assert_allclose(rates(np.array([[1.0], [3.0]]), np.array([0.0, 0.5])), [[4.0], [4.0]])
+    assert (rates(np.ones((1, 3)), np.zeros(1)) == 0.0).all()
+
+
+def test_line_times_with_one_short_step_are_refused(strip):
+    camera = next(iter(strip.cameras.values()))
+    times = camera.times(np.arange(camera.lines, dtype=float))
+    times[5:] += 1e-6 - (times[5] - times[4])
+    with pytest.raises(InputError, match="mend the line times"):
+        line_states(replace(camera, line_times=times))
+
+
+def test_the_earth_of_an_isd_stands_as_on_its_day():
+    # leap seconds of the day: 34 s in 2010; UT1 = UTC within .9 s turns the Earth by 6.6e-5 rad at most
+    erfa = pytest.importorskip("erfa")
+    utc = erfa.dtf2d("UTC", 2010, 6, 1, 12, 0, 0.0)
+    tt = erfa.taitt(*erfa.utctai(*utc))
+    known = erfa.c2t06a(*tt, *utc, 0.0, 0.0)
+    found = earth_from_j2000(np.array([et_of_utc("2010-06-01T12:00:00Z")])).as_matrix()[0]
+    # TDB taken for TT: 1.7 ms, 1.2e-7 rad
+    np.testing.assert_allclose(found, known, atol=1.3e-7)

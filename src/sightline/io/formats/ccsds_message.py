@@ -161,6 +161,12 @@ def _pair(path: Path, row: Row) -> tuple[str, str]:
     key, equals, value = row[1].partition("=")
     if not equals:
         raise FormatError(f"{path}: line {row[0]}: {row[1][:80]!r} is not KEYWORD = value")
+    unit = _UNIT.search(value.strip())
+    if unit and "rad" in unit.group().lower():
+        raise FormatError(
+            f"{path}: line {row[0]}: {key.strip()} is in {unit.group().strip()}; angles of CCSDS messages "
+            "are in degrees: give it in [deg] or [deg/s]"
+        )
     return key.strip(), _UNIT.sub("", value.strip())
 
 

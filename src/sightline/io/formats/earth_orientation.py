@@ -33,6 +33,8 @@ _C04 = {
 }
 #: Where each number must lie: days of 1846 to 2200, arcseconds, seconds.
 _BOUNDS = {"mjd": (-4400.0, 125_000.0), "x": (-3.0, 3.0), "y": (-3.0, 3.0), "ut1": (-70.0, 70.0)}
+#: Arcseconds; of dX, dY.
+_LARGEST_OFFSET = 0.005
 _MJD_0 = datetime(1858, 11, 17, tzinfo=UTC)
 _WHAT = "a table of Earth orientation (IERS finals2000A or C04)"
 
@@ -123,6 +125,12 @@ def _table(path: Path, columns: dict[str, Array], source: str) -> EarthOrientati
                 f"{high:g}; the "
                 "file is damaged, or another one is meant"
             )
+    # dX and dY of IAU 2000 are within .002"; dPsi of IAU 1980, in the same place, is -.1"
+    if max(np.nanmax(np.abs(columns[name]), initial=0.0) for name in ("dx", "dy")) > _LARGEST_OFFSET:
+        raise FormatError(
+            f"{path}: its offsets of the pole are of the older model IAU 1980 (dPsi, dEps); give "
+            "finals2000A, or C04 of IAU 2000"
+        )
     mjd = columns["mjd"]
     if np.any(np.diff(mjd) <= 0.0):
         raise FormatError(f"{path}: the days do not rise at row {int(np.argmin(np.diff(mjd) > 0.0)) + 2}")

@@ -20,6 +20,8 @@ Array = NDArray[np.float64]
 _TT_TAI = 32.184
 #: Julian date of J2000, and s in a day.
 _J2000, _DAY = 2451545.0, 86400.0
+#: Days past J2000 of 1972-01-01.
+_LEAPS_SINCE = -10227.5
 
 
 def et_of_utc(epoch: str) -> float:
@@ -41,6 +43,9 @@ def earth_from_j2000(et: Array) -> Rotation:
     where positions and attitudes are turned to J2000 and back by the same rotation.
     """
     tt = np.asarray(et, dtype=np.float64) / _DAY
-    day = tt - (_TT_TAI + 37.0) / _DAY
-    matrices = orbit_package("erfa", "an ISD in J2000").c2t06a(_J2000, tt, _J2000, day, 0.0, 0.0)
+    erfa = orbit_package("erfa", "an ISD in J2000")
+    # before 1972 UTC is taken for TAI less 10 s, as everywhere
+    leaps = erfa.dat(*erfa.jd2cal(_J2000, np.maximum(tt, _LEAPS_SINCE)))
+    day = tt - (_TT_TAI + leaps) / _DAY
+    matrices = erfa.c2t06a(_J2000, tt, _J2000, day, 0.0, 0.0)
     return Rotation.from_matrix(np.asarray(matrices))

@@ -153,8 +153,14 @@ def clock(scale: str, epoch: str, ut1_less_utc: Callable[[float], float]) -> Cal
 def _of_ut1(
     text: str, start: tuple[datetime, float], place: str, ut1_less_utc: Callable[[float], float]
 ) -> float:
-    """Seconds from the epoch of an instant of UT1, which is less than a second from UTC."""
-    t = elapsed(text, start, place)
+    """Seconds from the epoch of an instant of UT1.
+
+    `ut1_less_utc` is against UTC that goes on from the epoch without leaps.
+    """
+    whole, fraction = parse_utc(text, place)
+    if fraction >= 1.0:
+        raise FormatError(f"{place}: {text!r}: UT1 has no leap seconds; give it as UT1, or say UTC")
+    t = (whole - start[0]).total_seconds() + (fraction - start[1])
     return t - ut1_less_utc(t - ut1_less_utc(t))
 
 

@@ -6,6 +6,7 @@ Not here: TEME to Earth-fixed axes (``geometry/earth_orientation.py``).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from sightline.errors import FormatError, reads
 from sightline.geometry.earth_orientation import orbit_package
 from sightline.io.formats.ccsds_message import is_earth, read_message
-from sightline.io.formats.instants import modified_julian_day, parse_utc
+from sightline.io.formats.instants import modified_julian_day, parse_utc, tai_offset
 from sightline.io.formats.packed import head_lines, read_packed_text
 
 Array = NDArray[np.float64]
@@ -198,6 +199,10 @@ def _nearest(
     reach = span[1] - span[0] + 2.0 * _MARGIN
     t = np.linspace(span[0] - _MARGIN, span[1] + _MARGIN, int(np.ceil(reach / _STEP)) + 1)
     day, second, _ = modified_julian_day(0.0, epoch)
+    # sgp4 takes the time since the elements for a difference of days of 86400 s
+    start = datetime(1858, 11, 17, tzinfo=UTC)
+    of_elements = start + timedelta(days=satellite.jdsatepoch - _MJD_0 + satellite.jdsatepochF)
+    second += tai_offset(parse_utc(epoch, "epoch")[0]) - tai_offset(of_elements)
     errors, place, speed = satellite.sgp4_array(np.full(len(t), _MJD_0 + day), (second + t) / 86400.0)
     if errors.any() or not np.isfinite(place).all():
         words = orbit_package("sgp4.api", "a TLE").SGP4_ERRORS.get(int(errors.max()), "no finite position")

@@ -19,7 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.applications.export import line_states, motion_shifts, poses_of, states_at, without_motion
+from sightline.applications.export import (
+    line_states,
+    motion_shifts,
+    poses_of,
+    rates,
+    states_at,
+    without_motion,
+)
 from sightline.errors import GeometryError, InputError
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.earth import WGS84, to_geodetic
@@ -61,6 +68,8 @@ LARGEST_RPC_PX, LARGEST_STILL_PX = 1.0, 0.1
 LEAST_HEIGHTS = 500.0
 #: Lines of shifts that are computed at a time.
 _BLOCK = 512
+#: Bands whose frames have numbers of their own beside those of one spacecraft.
+MOST_FRAMES = 9
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,7 +243,7 @@ def _oem(folder: Path, exported: Exported, _: tuple[Path, ...]) -> dict[str, Any
         )
     if len(exported.t) < 2:
         raise InputError("--to oem gives velocities; one position alone has none")
-    velocity = np.gradient(exported.position, exported.t, axis=0)
+    velocity = rates(exported.position, exported.t)
     name = exported.name.upper()
     write_oem(
         folder / "orbit.oem", exported.t, exported.position, velocity, epoch, object_name=name, frame=frame
@@ -307,6 +316,7 @@ def _ck(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[str
             "which does, or export csm"
         )
     bands = []
+    words = _words(_stems(exported))
     with spice_kernels(kernels) as library:
         clock = clock_of(kernels)
         et = _et_by(library, exported, "ck")
@@ -316,7 +326,12 @@ def _ck(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[str
             states = states_at(camera, np.unique((states.t + et) - et))
             if acquired.body is not None:
                 states = inertial_states(states, acquired.body)
-            frame = f"SIGHTLINE_{_word(stem)}"
+            if camera.middles != (0.0, 0.0):
+                raise InputError(
+                    f"{name}: --to ck stamps the attitude of a line with its time, which is that of another "
+                    "stage than the middle one; describe the band with `time_reference` centre"
+                )
+            frame = f"SIGHTLINE_{words[name]}"
             identity = write_ck(
                 folder / f"{stem}.bc", states.t + et, states.world_from_camera, clock, number=number,
                 name=frame, reference="J2000" if acquired.body is not None else "ITRF93",
@@ -328,9 +343,22 @@ def _ck(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[str
     return {"bands": bands, "axes": f"{axes} to camera: x to samples, y to lines, z to the scene"}
 
 
-def _word(stem: str) -> str:
-    """A band's name as part of that of a frame: capitals, digits and lines, 20 of them."""
-    return "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in stem.upper())[:20]
+def _words(stems: Mapping[str, str]) -> dict[str, str]:
+    """Names of bands as part of those of frames: capitals, digits and lines, 16 of them, no two alike.
+
+    A name of the kernel pool has 32 letters, of which six are ``FRAME_`` and ten ``SIGHTLINE_``.
+    """
+    if len(stems) > MOST_FRAMES:
+        raise InputError(
+            f"--to ck: {len(stems)} bands; a spacecraft has numbers for {MOST_FRAMES} frames: export fewer"
+        )
+    words: dict[str, str] = {}
+    for number, (name, stem) in enumerate(stems.items()):
+        word = "".join(letter if letter.isascii() and letter.isalnum() else "_" for letter in stem.upper())[
+            :16
+        ]
+        words[name] = word if word not in words.values() else f"{word[:14]}_{number}"
+    return words
 
 
 def _et_by(library: Any, exported: Exported, to: str) -> float:
