@@ -269,3 +269,18 @@ def test_the_variance_of_single_matches_is_that_within_rows(rows, blocks, start)
 def test_too_few_windows_leave_the_variance_that_the_matcher_claims():
     star = plain_star(30, 3, 1, SIGMA)
     assert plain_variance(star, 3.0 * drawn(star, 0)).tolist() == [1.0, 1.0]
+
+
+def test_pairs_that_are_not_seen_together_still_have_a_covariance():
+    # each row shows two of three partners, whose errors are alike, alike, opposite: no three numbers are so
+    rng = np.random.default_rng(3)
+    star = plain_star(90, 3, 3, SIGMA)
+    alike = rng.normal(size=(270, 2)) * SIGMA
+    post = np.full((270, 3, 2), np.nan)
+    for pair, (one, other, sign) in enumerate([(0, 1, 1.0), (1, 2, 1.0), (0, 2, -1.0)]):
+        rows = (np.arange(270) // 3) % 3 == pair
+        post[rows, one], post[rows, other] = alike[rows], sign * alike[rows]
+    star = replace(star, residual_px=post)
+    correlation = estimate_correlation(star, post)
+    assert np.linalg.eigvalsh(correlation)[0] > 0.0
+    assert np.abs(correlation[0, 2]) > 0.2

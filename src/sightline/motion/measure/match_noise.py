@@ -38,6 +38,8 @@ SOFT, REJECT = 3.0, 5.0
 LEAST_BESIDE, MOST_BESIDE = 6, 4.0
 #: Scaled residuals are cut to this size where covariances are summed.
 CLIP = 6.0
+#: Least eigenvalue of a covariance of pairs, scaled to a diagonal of 1.
+LEAST_SHARE = 0.05
 
 
 def scatter(star: Star, post_px: Array, least: int = MIN_BLOCKS) -> tuple[Array, Array]:
@@ -105,7 +107,8 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     if counted < PLENTY:
         total = (counted * total + START_COUNTS * start) / (counted + START_COUNTS)
         grown = np.sqrt(_error_along(v, covariance))
-        return np.asarray(total * np.outer(grown, grown))
+        # of pairs that are not seen in the same windows: no covariance of anything, it may be
+        return _definite(total * np.outer(grown, grown))
     scale = np.sqrt(np.diag(total))
     for shift in range(1, min(ROW_LAGS, len(v) - 1) + 1):
         step = covariance(shift) * (1.0 - shift / (ROW_LAGS + 1.0))
@@ -115,7 +118,17 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     scale = scale * beside
     # long-run sums may fall below the plain variance by chance or by overlap; never trust more than half
     values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
-    total = (vectors * np.maximum(values, 0.05)) @ vectors.T * np.outer(scale, scale)
+    total = (vectors * np.maximum(values, LEAST_SHARE)) @ vectors.T * np.outer(scale, scale)
+    return np.asarray(0.5 * (total + total.T))
+
+
+def _definite(total: Array) -> Array:
+    """A covariance whose scaled eigenvalues are LEAST_SHARE at least."""
+    scale = np.sqrt(np.diag(total))
+    values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
+    if values[0] >= LEAST_SHARE:
+        return total
+    total = (vectors * np.maximum(values, LEAST_SHARE)) @ vectors.T * np.outer(scale, scale)
     return np.asarray(0.5 * (total + total.T))
 
 
