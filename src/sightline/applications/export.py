@@ -154,6 +154,4 @@ def rates(values: Array, t: Array) -> Array:
     """Change per second of rows (N, C) at `t` (N,): of second order at the ends too; 0 of one row."""
     if len(t) < 2:
         return np.zeros_like(values)
-    if len(t) == 2:
-        return np.asarray(np.gradient(values, t, axis=0))
-    return np.asarray(np.gradient(values, t, axis=0, edge_order=2))
+    return np.asarray(np.gradient(values, t, axis=0, edge_order=2 if len(t) > 2 else 1))

@@ -492,53 +492,40 @@ class Search:
         top = HIDDEN_TO / shortest
         stride = max(math.ceil(top / cell / MOST_HIDDEN), 1)
         f = np.arange(1.0, top, cell * stride)
-        hidden = left_by_tdi(f, self._tdi) < LEFT_BY_TDI
-        modes = [tone.frequency for tone in model.tones]
-        modes = [
-            m
-            for m, left in zip(modes, left_by_tdi(np.array(modes), self._tdi), strict=True)
-            if left >= LEFT_BY_TDI
-        ]
-        if not hidden.any() or not modes:
+        left = left_by_tdi(f, self._tdi)
+        hidden = left < LEFT_BY_TDI
+        modes = np.array([tone.frequency for tone in model.tones])
+        modes = modes[left_by_tdi(modes, self._tdi) >= LEFT_BY_TDI]
+        if not hidden.any() or not len(modes):
             return (), ()
         now = self.posterior(model)
         sizes = np.array([_variance_at(now, m) for m in modes])
-        strengths = sizes * np.array(modes) ** 3
+        strengths = sizes * modes**3
         if not strengths.sum() > 0.0:
             return (), ()
         # small ones, some of them no modes, count for little
         strength = float((strengths**2).sum() / strengths.sum())
         count = float(strengths.sum()) / strength
-        strong = [m for m, one in zip(modes, strengths, strict=True) if one > COUNTS * strength]
-        last = max(strong)
+        strong = modes[strengths > COUNTS * strength]
+        last = float(strong.max())
         density = count**2 / (count + 1.0) * last**count / np.maximum(f, last) ** (count + 1.0)
         gain, information = np.zeros(len(f)), np.zeros(len(f))
-        within = hidden & (f < 0.45 / self._equations.grid.step) & ~self._alias(f, modes)
+        within = hidden & (f < 0.45 / self._equations.grid.step) & ~self._alias(f, modes.tolist())
         u = band_times(now.prior_band, now.mean)
         for part in np.array_split(np.flatnonzero(within), max(int(within.sum()) // CANDIDATES, 1)):
             gain[part], _, information[part] = self._exact_gain(now, u, f[part])
-        averaged = np.maximum(left_by_tdi(f, self._tdi), LEAST_LEFT)
-        information *= (self._shown(f, np.array(modes), sizes) / averaged) ** 2
+        information *= (self._shown(f, modes, sizes) / np.maximum(left, LEAST_LEFT)) ** 2
         mixed = _combined(strong, f, 1.0 / self._length)
         certain = gain_of_chance(top * self._length, HARDLY_CHANCE)
         strongest = int(np.argmax(np.where(mixed, 0.0, gain)))
         through = (float(f[strongest]),) if gain[strongest] > certain and not mixed[strongest] else ()
-        mixed |= _combined([*strong, *through], f, 1.0 / self._length)
+        mixed |= _combined(np.append(strong, through), f, 1.0 / self._length)
         gain[mixed] = information[mixed] = 0.0
         number = density * cell * stride
         for place in elsewhere:
             number[int(np.argmin(np.abs(f - place)))] = 1.0
         expected = _mean_hidden(strength / f**3, number, gain, 0.5 * information)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(int)))
-        out = []
-        for begin, end in edges.reshape(-1, 2):
-            each, places = expected[begin:end], f[begin:end]
-            if each.sum() > 0.0:
-                middle = float(places @ each / each.sum())
-                spread = math.sqrt(float((places - middle) ** 2 @ each / each.sum()))
-                wide = min(max(spread, 1.0 / self._length), 0.1 * middle)
-                out.append(Tone(math.sqrt(float(each.sum())), middle, wide))
-        return tuple(out), through
+        return _wide_tones(f, hidden, expected, 1.0 / self._length), through
 
     def _shown(self, f: Array, modes: Array, sizes: Array) -> Array:
         """Share of a tone at `f` (Hz) that matches show beside modes of a variance of `sizes`.
@@ -622,13 +609,13 @@ def mean_variance_unseen(gain: float, largest: float) -> float:
     return float(variance @ weight / weight.sum())
 
 
-def _combined(modes: Sequence[float], f: Array, apart: float) -> NDArray[np.bool_]:
+def _combined(modes: Array, f: Array, apart: float) -> NDArray[np.bool_]:
     """Whether frequencies are sums or differences of two or three of the `modes`, but no mode."""
-    signed = np.array([*modes, *(-mode for mode in modes)])
+    signed = np.concatenate([modes, -modes])
     two = (signed[:, None] + signed).ravel()
     three = (two[:, None] + signed).ravel()
     products = np.unique(np.abs(np.concatenate([two, three])))
-    products = products[np.abs(products[:, None] - np.array(modes)).min(axis=1) > 2.0 * apart]
+    products = products[np.abs(products[:, None] - modes).min(axis=1) > 2.0 * apart]
     if not len(products):
         return np.zeros(len(f), dtype=bool)
     return np.asarray(np.abs(f[:, None] - products).min(axis=1) < apart)
@@ -648,6 +635,19 @@ def _mean_hidden(mean: Array, count: Array, gain: Array, per_variance: Array) ->
     weight = count[:, None] / 20.0 * np.exp(np.minimum(log_weight, 200.0))
     around = np.convolve(weight.sum(axis=1), np.ones(5), "same")
     return np.asarray((weight * variance).sum(axis=1) / (1.0 + around))
+
+
+def _wide_tones(f: Array, hidden: NDArray[np.bool_], variance: Array, narrow: float) -> tuple[Tone, ...]:
+    """A tone for each stretch of frequencies that is hidden, as wide as its variance, at least `narrow`."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], hidden, [False]]).astype(int)))
+    out = []
+    for begin, end in edges.reshape(-1, 2):
+        each, places = variance[begin:end], f[begin:end]
+        if each.sum() > 0.0:
+            middle = float(places @ each / each.sum())
+            spread = math.sqrt(float((places - middle) ** 2 @ each / each.sum()))
+            out.append(Tone(math.sqrt(float(each.sum())), middle, min(max(spread, narrow), 0.1 * middle)))
+    return tuple(out)
 
 
 def _variance_at(now: Posterior, frequency: float) -> float:

@@ -47,6 +47,15 @@ _UT1_BEFORE, _POLE_BEFORE = 0.5, float(np.radians(0.2 / 3600.0))
 _YEAR = 365.0
 
 
+def tai_less_utc(mjd: ArrayLike, what: str) -> Array:
+    """TAI - UTC (s) on modified Julian days, by pyerfa; before 1972 it is 10 s, as everywhere.
+
+    `what` needs it, for the message where pyerfa is missing.
+    """
+    erfa = orbit_package("erfa", what)
+    return np.asarray(erfa.dat(*erfa.jd2cal(_MJD_0, np.maximum(mjd, _LEAPS_SINCE))))
+
+
 def orbit_package(module: str, why: str) -> Any:
     """A module of the packages of the extra ``orbit``; InputError that names it where it is missing."""
     try:
@@ -101,10 +110,7 @@ class EarthOrientation:
         before = day < self.mjd[0]
         if not before.any():
             return np.asarray(after)
-        erfa = orbit_package("erfa", "Earth orientation of a day before its table")
-        # before 1972 UTC is taken for TAI less 10 s, as everywhere
-        utc_less_tai = -erfa.dat(*erfa.jd2cal(_MJD_0, np.maximum(day, _LEAPS_SINCE)))
-        return np.where(before, utc_less_tai, after)
+        return np.where(before, -tai_less_utc(day, "Earth orientation of a day before its table"), after)
 
     def pole_at(self, mjd: Array) -> tuple[Array, Array]:
         """Polar motion x, y (rad): linear, kept beyond the table."""

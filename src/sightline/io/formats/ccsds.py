@@ -281,9 +281,7 @@ def write_aem(
         f"REF_FRAME_A = {frame}",
         "REF_FRAME_B = SC_BODY_1",
         "ATTITUDE_DIR = A2B",
-        "TIME_SYSTEM = UTC",
-        f"START_TIME = {stamps[0]}",
-        f"STOP_TIME = {stamps[-1]}",
+        *_span(stamps),
         "ATTITUDE_TYPE = QUATERNION",
         "QUATERNION_TYPE = LAST",
         "META_STOP",
@@ -339,9 +337,7 @@ def write_oem(
     header = [
         *_header("OEM", "2.0", originator, object_name, object_id, centre),
         f"REF_FRAME = {frame}",
-        "TIME_SYSTEM = UTC",
-        f"START_TIME = {stamps[0]}",
-        f"STOP_TIME = {stamps[-1]}",
+        *_span(stamps),
         "META_STOP",
         "",
     ]
@@ -365,3 +361,8 @@ def _header(kind: str, version: str, originator: str, name: str, number: str, ce
         f"OBJECT_ID = {number}",
         f"CENTER_NAME = {centre}",
     ]
+
+
+def _span(stamps: list[str]) -> list[str]:
+    """The lines of the metadata that say of which instants a message is."""
+    return ["TIME_SYSTEM = UTC", f"START_TIME = {stamps[0]}", f"STOP_TIME = {stamps[-1]}"]

@@ -11,17 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.geometry.earth_orientation import orbit_package
+from sightline.geometry.earth_orientation import orbit_package, tai_less_utc
 from sightline.io.formats.instants import parse_utc, tai_offset
 
 Array = NDArray[np.float64]
 
 #: TT - TAI, s.
 _TT_TAI = 32.184
-#: Julian date of J2000, and s in a day.
+#: Julian date of J2000, s in a day, and J2000 as modified Julian day.
 _J2000, _DAY = 2451545.0, 86400.0
-#: Days past J2000 of 1972-01-01.
-_LEAPS_SINCE = -10227.5
+_MJD_OF_J2000 = 51544.5
 
 
 def et_of_utc(epoch: str) -> float:
@@ -43,9 +42,7 @@ def earth_from_j2000(et: Array) -> Rotation:
     where positions and attitudes are turned to J2000 and back by the same rotation.
     """
     tt = np.asarray(et, dtype=np.float64) / _DAY
-    erfa = orbit_package("erfa", "an ISD in J2000")
-    # before 1972 UTC is taken for TAI less 10 s, as everywhere
-    leaps = erfa.dat(*erfa.jd2cal(_J2000, np.maximum(tt, _LEAPS_SINCE)))
+    leaps = tai_less_utc(tt + _MJD_OF_J2000, "an ISD in J2000")
     day = tt - (_TT_TAI + leaps) / _DAY
-    matrices = erfa.c2t06a(_J2000, tt, _J2000, day, 0.0, 0.0)
+    matrices = orbit_package("erfa", "an ISD in J2000").c2t06a(_J2000, tt, _J2000, day, 0.0, 0.0)
     return Rotation.from_matrix(np.asarray(matrices))

@@ -107,8 +107,9 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     if counted < PLENTY:
         total = (counted * total + START_COUNTS * start) / (counted + START_COUNTS)
         grown = np.sqrt(_error_along(v, covariance))
+        total = total * np.outer(grown, grown)
         # of pairs that are not seen in the same windows: no covariance of anything, it may be
-        return _definite(total * np.outer(grown, grown))
+        return _definite(total, np.sqrt(np.diag(total)))
     scale = np.sqrt(np.diag(total))
     for shift in range(1, min(ROW_LAGS, len(v) - 1) + 1):
         step = covariance(shift) * (1.0 - shift / (ROW_LAGS + 1.0))
@@ -117,17 +118,12 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     total = total * np.outer(beside, beside)
     scale = scale * beside
     # long-run sums may fall below the plain variance by chance or by overlap; never trust more than half
-    values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
-    total = (vectors * np.maximum(values, LEAST_SHARE)) @ vectors.T * np.outer(scale, scale)
-    return np.asarray(0.5 * (total + total.T))
+    return _definite(total, scale)
 
 
-def _definite(total: Array) -> Array:
-    """A covariance whose scaled eigenvalues are LEAST_SHARE at least."""
-    scale = np.sqrt(np.diag(total))
+def _definite(total: Array, scale: Array) -> Array:
+    """A covariance whose eigenvalues, in units of `scale`, are LEAST_SHARE at least."""
     values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
-    if values[0] >= LEAST_SHARE:
-        return total
     total = (vectors * np.maximum(values, LEAST_SHARE)) @ vectors.T * np.outer(scale, scale)
     return np.asarray(0.5 * (total + total.T))
 

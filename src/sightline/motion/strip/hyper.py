@@ -231,27 +231,29 @@ def angle_differences(
     list of AngleDifferences
         One per star and pair.
     """
-    out = _differences(stars, post_px, estimate, relief_sigmas, apart=True)
+    parts = [star.by_stages() for star in stars]
+    out = _differences(stars, parts, post_px, estimate, relief_sigmas)
+    if all(len(part) <= 1 for part in parts):
+        return out
     seen = [np.isfinite(d.covariance[:, [0, 1, 2], [0, 1, 2]]).any(axis=0) for d in out]
     if seen and not np.any(seen, axis=0).all():  # the windows of each stage are too few, or too near together
-        return _differences(stars, post_px, estimate, relief_sigmas, apart=False)
+        return _differences(stars, [[star] for star in stars], post_px, estimate, relief_sigmas)
     return out
 
 
 def _differences(
     stars: Sequence[Star],
+    parts: Sequence[Sequence[Star]],
     post_px: Sequence[Array],
     estimate: JointEstimate,
     relief_sigmas: tuple[float, float],
-    *,
-    apart: bool,
 ) -> list[AngleDifferences]:
-    """The same of windows that average alike (`apart`), or of all of a row with their mean."""
+    """The same of each of a star's `parts`: windows of a row that average alike, or all of it."""
     out = []
     patch_start = 0
-    for star, post in zip(stars, post_px, strict=True):
+    for star, alikes, post in zip(stars, parts, post_px, strict=True):
         rows, _ = star.shape
-        for alike in star.by_stages() if apart else [star]:
+        for alike in alikes:
             for k, image in enumerate(star.images):
                 part = _collapse(alike, post, k, relief_sigmas)
                 good = np.flatnonzero(np.isfinite(part.t_hub))
