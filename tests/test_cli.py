@@ -365,8 +365,8 @@ def test_a_file_that_ends_too_early_is_no_interruption(monkeypatch, capsys):
     def fails(*_, **__):
         raise EOFError("No data left in file")
 
-    monkeypatch.setattr("sightline.cli.check.kind_of", fails, raising=False)
-    monkeypatch.setattr("sightline.io.config.kind_of", fails)
+    monkeypatch.setattr("sightline.cli.check.schema_of", fails, raising=False)
+    monkeypatch.setattr("sightline.io.config.schema_of", fails)
     assert command.run(["check", "a.toml"]) == 70
     assert "EOFError: No data left in file" in capsys.readouterr().err
 
@@ -425,7 +425,7 @@ def test_what_a_command_lets_be_opened_ends_with_it(tmp_path, monkeypatch):
     from sightline.access import current_access
 
     met = []
-    monkeypatch.setattr("sightline.io.config.kind_of", lambda file: met.append(current_access().network))
+    monkeypatch.setattr("sightline.io.config.schema_of", lambda file: met.append(current_access().network))
     command.run(["check", "a.toml", "--allow-network"])
     command.run(["check", "a.toml"])
     assert met == [True, False] and not current_access().network

@@ -13,7 +13,7 @@ import rasterio
 
 from sightline import load_acquisition
 from sightline.cli.main import run
-from sightline.io.config import SCHEMAS, json_schema, kind_of, validate
+from sightline.io.config import SCHEMAS, json_schema, schema_of, validate
 
 #: Template, its file, kind of the file.
 TEMPLATES = [
@@ -60,7 +60,7 @@ class TestTemplates:
         assert capsys.readouterr().out.splitlines()[-1] == f"next: sightline check '{out / file}'"
         text = (out / file).read_text(encoding="utf-8")
         validate(SCHEMAS[kind], tomllib.loads(text), out / file)
-        assert kind_of(out / file) == kind
+        assert schema_of(out / file) == kind
 
     @pytest.mark.parametrize(("template", "file", "kind"), TEMPLATES)
     def test_a_key_of_a_template_has_words_beside_it_and_one_in_a_comment_is_a_key_too(

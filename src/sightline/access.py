@@ -160,7 +160,7 @@ def remote_name(path: str | os.PathLike[str]) -> str | None:
 
 
 @dataclass(frozen=True)
-class Within:
+class InnerImage:
     """Pixels inside a file, as GDAL names them.
 
     Attributes
@@ -188,7 +188,7 @@ class Within:
         )
 
 
-def within(path: str | os.PathLike[str]) -> Within | None:
+def within(path: str | os.PathLike[str]) -> InnerImage | None:
     """What a name stands for that is of pixels inside a file of this machine; None for all other names.
 
     Raises
@@ -206,7 +206,7 @@ def within(path: str | os.PathLike[str]) -> Within | None:
         if file is None:  # the archive is missing: name it, not what is in it
             file = next((one for one in reversed(place.parents) if one.suffix.lower() in _PACKS), place)
         inner = place.relative_to(file).as_posix() if place != file else ""
-        return Within(file, archive[1].lower(), inner)
+        return InnerImage(file, archive[1].lower(), inner)
     if inside is None:
         return None
     folder, kind = Path(inside[1] or ""), inside[2].upper()
@@ -218,7 +218,7 @@ def within(path: str | os.PathLike[str]) -> Within | None:
             'read are NETCDF:"FILE":VARIABLE of netCDF 3, GTIFF_DIR:NUMBER:FILE, /vsizip/FILE/INNER, '
             "/vsitar/ and /vsigzip/; make a GeoTIFF of it (gdal_translate)"
         )
-    return Within(folder / parts["file"], kind, parts["inner"])
+    return InnerImage(folder / parts["file"], kind, parts["inner"])
 
 
 def located(folder: Path, name: str) -> Path:

@@ -142,13 +142,13 @@ function("formats.tables.read_motion", "recovered", "result/motion.csv")
 function("acquisition.quality.read_match_sigma", "level", "quality.csv", 40)
 function("acquisition.stages.read_stages", "level", "stages.csv", 40)
 function("acquisition.stages.read_tag_stages", "tdi", "tags.bin", (20, 31))
-function("acquisition.ephemeris.read_positions", "orbit-ccsds", "orbit.oem", EPOCH)
-function("acquisition.ephemeris.read_attitudes", "orbit-ccsds", "attitude.aem", EPOCH)
+function("acquisition.ephemeris.read_orbit", "orbit-ccsds", "orbit.oem", EPOCH)
+function("acquisition.ephemeris.read_attitude", "orbit-ccsds", "attitude.aem", EPOCH)
 function("formats.ccsds.read_oem", "orbit-ccsds", "orbit.oem", EPOCH)
 function("formats.ccsds_attitude.read_aem", "orbit-ccsds", "attitude.aem", EPOCH)
 function("formats.ccsds.is_ccsds", "orbit-ccsds", "attitude.aem", "AEM")
 function("formats.ccsds_attitude.read_apm", "orbit-stars", "attitude.apm", EPOCH)
-function("formats.ccsds_message.kind_of", "orbit-stars", "orbit.xml")
+function("formats.ccsds_message.message_kind", "orbit-stars", "orbit.xml")
 function("formats.ccsds_message.read_message", "orbit-stars", "orbit.xml", "OEM")
 function("formats.mean_elements.read_tle", "orbit-stars", "orbit.tle", EPOCH)
 function("formats.mean_elements.is_tle", "orbit-stars", "orbit.tle")
@@ -233,7 +233,7 @@ function("formats.csm_keys.read_keys", "sensor-model", "isd.json", "USGS_ASTRO_L
 function("formats.isd.read_line_scan_model", "sensor-model", "isd.json")
 function("formats.isd.read_line_scan_model", "sensor-model", "state.json")
 _row(
-    "formats.spice_files.clock_of", "sensor-model", ["clock.tsc"],
+    "formats.spice_files.spacecraft_clock", "sensor-model", ["clock.tsc"],
     lambda folder, read: read([folder / "clock.tsc"]),
 )  # fmt: skip
 function("formats.isd_frame.read_frame_model", "sensor-model", "frame.json")
@@ -267,7 +267,7 @@ READERS["TdiTable.read"] = Reader("TdiTable.read", "tdi", ("result/table.bin",),
 # TOML files and what they name ------------------------------------------------------------------------------
 
 function("config.read_toml", "level", "acquisition.toml")
-function("config.kind_of", "flown", "sequence.toml")
+function("config.schema_of", "flown", "sequence.toml")
 function("acquisition.load.read_acquisition", "level", "acquisition.toml")
 function("acquisition.load.load_acquisition", "orbit-csv", "acquisition.toml *", look=False)
 function("layout.load.load_instrument", "instrument", "instrument.toml")

@@ -56,7 +56,7 @@ def describe(file: Path) -> dict[str, Any]:
     from sightline.applications.focal_plane import layout_cost
     from sightline.io.acquisition.describe import describe_acquisition
     from sightline.io.acquisition.load import load_acquisition, ready_to_recover
-    from sightline.io.config import kind_of
+    from sightline.io.config import schema_of
     from sightline.io.layout.load import describe_instrument, load_instrument
     from sightline.io.results.cube_summary import ready_to_georeference
     from sightline.io.scene.cost import scene_cost
@@ -68,7 +68,7 @@ def describe(file: Path) -> dict[str, Any]:
     from sightline.io.stereo.plan import describe_plan, has_plan, read_plan
     from sightline.io.tdi.load import describe_tdi, load_tdi
 
-    match kind_of(file):
+    match schema_of(file):
         case "scene":
             recipe = read_recipe(None, file)
             description, cost = describe_recipe(recipe), scene_cost(recipe)

@@ -27,7 +27,7 @@ from xml.etree import ElementTree
 from sightline.access import (
     NETWORK_DRIVERS,
     Access,
-    Within,
+    InnerImage,
     check_file,
     check_inside,
     current_access,
@@ -164,7 +164,7 @@ def open_raster(path: Path, access: Access | None = None) -> Any:
     return dataset
 
 
-def _opened_within(path: Path, inside: Within, access: Access) -> Any:
+def _opened_within(path: Path, inside: InnerImage, access: Access) -> Any:
     """Pixels inside a file: of an archive only formats that hold all of theirs, and nothing beside them."""
     import rasterio
 
@@ -192,7 +192,7 @@ def _opened_within(path: Path, inside: Within, access: Access) -> Any:
     return dataset
 
 
-def _head_in(path: Path, inside: Within) -> bytes:
+def _head_in(path: Path, inside: InnerImage) -> bytes:
     """The first bytes of a file in an archive."""
     with foreign_errors(path, "is not in the archive, or that is damaged", "check both names"):
         if inside.kind == "zip":

@@ -94,7 +94,7 @@ def json_schema(name: str) -> dict[str, Any]:
     return SCHEMAS[name].model_json_schema()
 
 
-def kind_of(path: Path) -> str:
+def schema_of(path: Path) -> str:
     """Which of `SCHEMAS` a TOML file is meant for: the one that knows most of its keys, else acquisition."""
     shared = _shared(read_toml(path))
     return max(shared, key=lambda name: shared[name])

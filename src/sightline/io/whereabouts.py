@@ -45,7 +45,7 @@ def _rounded(value: float, digits: int) -> str:
     return f"{round(float(value), digits) + 0.0:.12g}"
 
 
-def direction_words(direction: Array, axes: Array) -> str:
+def compass_words(direction: Array, axes: Array) -> str:
     """A direction (3,) of the world in level `axes` (3, 3): ``north-east``, ``up``."""
     east, north, up = axes @ direction
     level = float(np.hypot(east, north))
@@ -60,7 +60,7 @@ def flight_words(positions: Array, radii: tuple[float, float] | None) -> str:
     moved = positions[-1] - positions[0]
     if not np.linalg.norm(moved) > 0.0:
         return f"{said}, stands still"
-    return f"{said}, flies {direction_words(moved, level_axes_at(positions[0], radii))}"
+    return f"{said}, flies {compass_words(moved, level_axes_at(positions[0], radii))}"
 
 
 def span_doubts(positions: Array, t: Array, distance: float) -> tuple[str, ...]:

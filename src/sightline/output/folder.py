@@ -25,7 +25,7 @@ from sightline.errors import InputError, SightlineError
 from sightline.execution import size_words
 from sightline.inputs import Inputs, changed_error, noted
 from sightline.output.lock import LOCK, Lock, take
-from sightline.output.publish import JOURNAL, NEW, OLD, kind_of, publish, roll_back
+from sightline.output.publish import JOURNAL, NEW, OLD, file_kind, publish, roll_back
 from sightline.writing import creation_date, scratch_in
 
 #: In the folder: finished stages of a long run, kept until it has ended well.
@@ -283,7 +283,7 @@ def _foreign(partial: Path) -> str | None:
     if not os.path.lexists(partial):
         return None
     for path, allowed in ((partial, re.compile(STAGES)), (partial / STAGES, _STAGE_FILE)):
-        kind = kind_of(path)
+        kind = file_kind(path)
         if kind == "":
             return None
         if kind != "folder":
@@ -291,8 +291,8 @@ def _foreign(partial: Path) -> str | None:
         for entry in sorted(path.iterdir()):
             if not allowed.fullmatch(entry.name):
                 return f"it holds {entry.relative_to(partial)}, which Sightline did not make"
-            if path != partial and kind_of(entry) != "file":
-                return f"it holds {entry.relative_to(partial)}, a {kind_of(entry)}, not made by Sightline"
+            if path != partial and file_kind(entry) != "file":
+                return f"it holds {entry.relative_to(partial)}, a {file_kind(entry)}, not made by Sightline"
     return None
 
 
@@ -315,7 +315,7 @@ def _remove(staging: Path) -> None:
     """Remove a staging folder, its mark last: what is left of it is known to be ours at any moment."""
     with suppress(OSError):
         for entry in staging.iterdir():
-            if kind_of(entry) == "folder":
+            if file_kind(entry) == "folder":
                 shutil.rmtree(entry, ignore_errors=True)
             elif entry.name != _MARK:
                 entry.unlink()
@@ -327,9 +327,9 @@ def _remove(staging: Path) -> None:
 def _clear_after_killed(folder: Path) -> None:
     """Put back what runs that were killed had begun to replace, and remove what they had made."""
     for staging in sorted(folder.iterdir()):
-        if not _STAGING.fullmatch(staging.name) or kind_of(staging) != "folder":
+        if not _STAGING.fullmatch(staging.name) or file_kind(staging) != "folder":
             continue
-        if kind_of(staging / _MARK) == "file":
+        if file_kind(staging / _MARK) == "file":
             roll_back(folder, staging)
             _remove(staging)
         else:

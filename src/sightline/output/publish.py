@@ -26,7 +26,7 @@ from sightline.writing import whole
 NEW, OLD, JOURNAL = "new", "old", "journal.json"
 
 
-def kind_of(path: Path) -> str:
+def file_kind(path: Path) -> str:
     """ "file", "folder", "link" or "special file"; "" where there is nothing. Links are not followed."""
     try:
         known = os.lstat(path)
@@ -98,7 +98,7 @@ def _planned(folder: Path, new: Path, earlier: Iterable[str], inputs: Inputs) ->
         inside = Path(place).relative_to(new)
         for name in sorted(folders):
             path = inside / name
-            kind = "" if inside in fresh else kind_of(folder / path)
+            kind = "" if inside in fresh else file_kind(folder / path)
             if kind != "folder":
                 fresh.add(path)
                 if kind:
@@ -117,7 +117,7 @@ def _planned(folder: Path, new: Path, earlier: Iterable[str], inputs: Inputs) ->
         name
         for name in set(earlier) - names
         if _Move("gone", name).is_safe()
-        and kind_of(folder / name) == "file"
+        and file_kind(folder / name) == "file"
         and _unlinked(folder, name)
         and os.path.realpath(folder / name) not in read
     )
@@ -132,7 +132,7 @@ def _unlinked(folder: Path, name: str) -> bool:
 
 def _refuse_replacing(final: Path, read: frozenset[str]) -> None:
     """InputError if what has the name of a result was read for it, or is a folder that holds something."""
-    kind = kind_of(final)
+    kind = file_kind(final)
     if kind == "folder" and any(final.iterdir()):
         raise InputError(
             f"{final}: is a folder that holds something, where a file of this name is to be written; move it "
@@ -168,11 +168,11 @@ def _apply(move: _Move, folder: Path, staging: Path) -> None:
 def roll_back(folder: Path, staging: Path) -> None:
     """Undo what a journal says was begun, if there is one."""
     journal = staging / JOURNAL
-    if kind_of(journal) != "file":
+    if file_kind(journal) != "file":
         return
     moves = _read(journal)
     for place in (staging / OLD, staging / NEW):
-        if kind_of(place) != "folder":
+        if file_kind(place) != "folder":
             raise InputError(
                 f"{place}: is no folder, as where a run was killed that was moving files; nothing was moved: "
                 f"look at {staging}, then remove it"

@@ -21,7 +21,7 @@ from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.simulate.option_checks import options_of
 from sightline.simulate.scene import Extent
 from sightline.simulate.sensor import Radiometry
-from sightline.simulate.sequence_filter import FilterLayout, filter_layout, filter_weights, response
+from sightline.simulate.sequence_filter import FilterLayout, detector_response, filter_layout, filter_weights
 from sightline.simulate.sequence_ground import SimulatedGround, draw_ground
 from sightline.simulate.sequence_motion import Flight, draw_flight
 from sightline.simulate.sequence_options import CASE_OPTIONS, SequenceOptions
@@ -127,7 +127,8 @@ class SequenceScenario:
         sees the place would read, without noise.
         """
         brightness = self.filter.at(wavelengths_nm, self.ground.spectra)
-        weights = brightness / (brightness @ self.ground.mean)[:, None] * response(wavelengths_nm)[:, None]
+        sensitivity = detector_response(wavelengths_nm)
+        weights = brightness / (brightness @ self.ground.mean)[:, None] * sensitivity[:, None]
         weights *= self.radiometry.mean_dn
         return self.ground.signal(x, y, np.ascontiguousarray(weights, dtype=np.float32))
 

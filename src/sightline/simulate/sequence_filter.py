@@ -51,7 +51,7 @@ class FilterLayout:
         return spectra.at(through.ravel()).reshape(*through.shape, -1).mean(axis=1)
 
 
-def response(wavelength_nm: Array) -> Array:
+def detector_response(wavelength_nm: Array) -> Array:
     """Relative sensitivity of the detector, 1 at 620 nm: silicon behind a filter; 1 where NaN (all light)."""
     bell = 0.4 + 0.6 * np.exp(-(((np.asarray(wavelength_nm) - 620.0) / 200.0) ** 2))
     return np.where(np.isnan(bell), 1.0, bell)
@@ -86,9 +86,9 @@ def _grouped(values: Array, count: int) -> Array:
 def filter_weights(layout: FilterLayout, spectra: Spectra, mean_share: Array) -> Array32:
     """Weights (channels, a, b, kinds) that turn amounts of each kind of ground into relative signal.
 
-    The mean ground, `mean_share` (kinds,) of each, gives ``response(wavelength)``.
+    The mean ground, `mean_share` (kinds,) of each, gives ``detector_response(wavelength)``.
     """
     flat = layout.wavelength_nm.ravel()
     brightness = layout.at(flat, spectra)
-    weights = brightness / (brightness @ mean_share)[:, None] * response(flat)[:, None]
+    weights = brightness / (brightness @ mean_share)[:, None] * detector_response(flat)[:, None]
     return weights.reshape(*layout.wavelength_nm.shape, -1).astype(np.float32)

@@ -7,7 +7,7 @@ import pytest
 
 from sightline.errors import FormatError
 from sightline.estimation.prior import Matern, Tone
-from sightline.io.config import json_schema, kind_of
+from sightline.io.config import json_schema, schema_of
 from sightline.io.layout.load import describe_instrument, load_instrument
 
 TEXT = """
@@ -153,10 +153,10 @@ def test_the_error_of_a_wrong_file_says_what_is_allowed(load, old, new, message)
 
 def test_the_kind_of_a_file_is_known_from_its_keys(tmp_path, load):
     load()
-    assert kind_of(tmp_path / "instrument.toml") == "instrument"
+    assert schema_of(tmp_path / "instrument.toml") == "instrument"
     for text in ("", "[platform]\nkind = 'x'\n", "colour = 1\n"):
         (tmp_path / "other.toml").write_text(text)
-        assert kind_of(tmp_path / "other.toml") == "acquisition"
+        assert schema_of(tmp_path / "other.toml") == "acquisition"
 
 
 def test_the_schema_describes_every_key():

@@ -16,7 +16,7 @@ from tests.io.sequence_files import NORTH, SHAPE, flight, npy, picture
 
 from sightline.errors import FormatError, GeometryError, SightlineError
 from sightline.geometry.earth import WGS84, from_geodetic, local_axes, to_geodetic
-from sightline.io.config import json_schema, kind_of
+from sightline.io.config import json_schema, schema_of
 from sightline.io.formats.xmp import gimbal_attitude, parse_xmp
 from sightline.io.sequence.describe import describe_sequence
 from sightline.io.sequence.frame_files import opened
@@ -29,7 +29,7 @@ def test_everything_is_understood(tmp_path):
     made = flight()
     made.toml = made.toml.replace("[surface]", "readout_time = 0.02\n[subset]\noverlap = 0.7\n[surface]")
     path = made.write(tmp_path)
-    assert kind_of(path) == "sequence"
+    assert schema_of(path) == "sequence"
     sequence = read_sequence(path)
     problem = sequence.problem
     assert sequence.name == "north" and problem.epoch == "2026-01-01T00:00:00Z"

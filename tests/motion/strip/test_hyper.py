@@ -20,8 +20,8 @@ from sightline.motion.strip.hyper import (
     _own_share,
     _tones_elsewhere,
     angle_differences,
-    averaged,
     fit_prior_model,
+    window_means,
 )
 from sightline.motion.strip.joint import JointEstimate, JointPrior
 from sightline.motion.strip.normal_equations import GroundOrder, TimeGrid, normal_equations
@@ -48,12 +48,12 @@ class TestAveraged:
         grid = TimeGrid(0.0, STEP, 100)
         t = np.array([0.0102, 0.0555])
         # cubics are interpolated exactly
-        assert_allclose(averaged(grid, (grid.nodes**3)[:, None], t, 0.0)[:, 0], t**3, rtol=1e-9)
+        assert_allclose(window_means(grid, (grid.nodes**3)[:, None], t, 0.0)[:, 0], t**3, rtol=1e-9)
 
     def test_a_sine_is_damped_by_the_sinc_of_the_window(self):
         grid, f, d = TimeGrid(0.0, STEP, 400), 30.0, 0.012
         t = np.linspace(0.05, 0.35, 31)
-        got = averaged(grid, np.sin(2 * np.pi * f * grid.nodes)[:, None], t, d)[:, 0]
+        got = window_means(grid, np.sin(2 * np.pi * f * grid.nodes)[:, None], t, d)[:, 0]
         want = np.sinc(f * d) * np.sin(2 * np.pi * f * t)
         # a midpoint rule of p = 14 points or so has (pi f d / p)^2 / 6 of it too much, 0.12 %; cubic
         # interpolation less than (2 pi f step)^4 * 9 / 384 = 0.19^4 * 9 / 384 = 3e-5

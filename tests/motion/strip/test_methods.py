@@ -17,7 +17,7 @@ from sightline.errors import EstimationError, InputError
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.evaluation.score import remove_directions, score_result
 from sightline.io.formats.tables import read_motion
-from sightline.motion.strip.hyper import KnownContent, averaged
+from sightline.motion.strip.hyper import KnownContent, window_means
 from sightline.motion.strip.methods import by_method
 from sightline.motion.strip.normal_equations import TimeGrid
 from sightline.motion.strip.strip import METHODS
@@ -120,7 +120,7 @@ def test_differences_are_those_of_the_truth_but_for_what_is_hidden(recovery, tru
     for pair in recovery.result.differences:
         inside = (pair.t > truth.t[0] + pair.window) & (pair.t + pair.lag < truth.t[-1] - pair.window)
         t, lag = pair.t[inside], pair.lag[inside]
-        true = averaged(grid, nodes, t + lag, pair.window) - averaged(grid, nodes, t, pair.window)
+        true = window_means(grid, nodes, t + lag, pair.window) - window_means(grid, nodes, t, pair.window)
         error = (pair.angles[inside] - true) / pair.sigma()[inside]
         # a drift of each axis is hidden, and what is tied to it: a constant and a drift of the differences
         line = np.stack([np.ones(len(t)), t - t.mean()], axis=1) / pair.sigma()[inside][:, :1]

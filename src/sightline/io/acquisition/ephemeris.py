@@ -94,7 +94,7 @@ def earth_of(config: AcquisitionFile, files: InputFolder) -> TurningEarth:
     return TurningEarth(config.acquisition.epoch, None if named is None else files(named))
 
 
-def read_positions(
+def read_orbit(
     path: Path, epoch: str | None, *, span: Span | None = None, earth: TurningEarth | None = None
 ) -> GivenOrbit:
     """Positions of a CSV table, a CCSDS OEM or OMM, or of two-line elements."""
@@ -128,7 +128,7 @@ def _propagated(path: Path, kind: str, epoch: str, span: Span) -> GivenOrbit:
     )  # fmt: skip
 
 
-def read_attitudes(
+def read_attitude(
     path: Path, epoch: str | None, *, span: Span | None = None, earth: TurningEarth | None = None
 ) -> GivenAttitude:
     """Attitudes of a CSV table, a CCSDS AEM or APM."""
@@ -154,7 +154,7 @@ def fixed_orbit(
     config: AcquisitionFile, path: Path, span: Span, earth: TurningEarth, files: InputFolder
 ) -> GivenOrbit:
     """Positions of a file that reach over a span (s), Earth-fixed (or fixed to their body) of messages."""
-    given = read_positions(path, config.acquisition.epoch, span=span, earth=earth)
+    given = read_orbit(path, config.acquisition.epoch, span=span, earth=earth)
     given = _of_table(given, config, "position_axes", path)
     must_cover(path, "positions", given.t[_rows(given.t, given.useable, span)], span)
     if given.axes is None:
@@ -189,7 +189,7 @@ def fixed_attitude(
 
     Those of a message are Earth-fixed (or fixed to its body); None: axes of ``[world]``.
     """
-    given = read_attitudes(path, config.acquisition.epoch, span=span, earth=earth)
+    given = read_attitude(path, config.acquisition.epoch, span=span, earth=earth)
     given = _of_table(given, config, "attitude_axes", path)
     kept = _rows(given.t, given.useable, span)
     t, attitude = continued(path, given.t[kept], Rotation.from_quat(given.quat_xyzw[kept]), span, files)

@@ -19,7 +19,7 @@ from sightline.geometry.surface import Dem, Ellipsoid, Infinity, Surface
 from sightline.io.acquisition.acquired import Acquisition, world_kind
 from sightline.io.acquisition.ground import base_surface, ground_steps
 from sightline.io.acquisition.schema import AcquisitionFile, EphemerisPlatform
-from sightline.io.whereabouts import direction_words, level_axes_at, place_words
+from sightline.io.whereabouts import compass_words, level_axes_at, place_words
 from sightline.motion.sensors import AttitudeSensor
 
 Array = NDArray[np.float64]
@@ -136,7 +136,7 @@ def look_words(acquisition: Acquisition) -> list[str]:
     (ground,) = camera.locate(middle, base_surface(acquisition.surface))
     said = [
         f"at t = {frame.t:.4g} s: {place_words(frame.place, radii)}, flies "
-        f"{direction_words(frame.axes[0], level_axes_at(frame.place, radii))}; the middle of "
+        f"{compass_words(frame.axes[0], level_axes_at(frame.place, radii))}; the middle of "
         f"{acquisition.names[0]} sees {place_words(ground, radii)}"
     ]
     if not isinstance(camera, PushbroomCamera):

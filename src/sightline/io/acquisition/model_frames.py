@@ -13,10 +13,10 @@ from sightline.geometry.trajectory import Trajectory
 from sightline.io.acquisition.acquired import InputFolder
 from sightline.io.acquisition.schema import AcquisitionFile
 from sightline.io.formats.images import Source
-from sightline.io.formats.isd_frame import LENS_PX, FrameModel, read_frame_model
+from sightline.io.formats.isd_frame import LENS_PX, IsdFrame, read_frame_model
 
 
-def frame_models(config: AcquisitionFile, image: Source, files: InputFolder) -> list[FrameModel]:
+def frame_models(config: AcquisitionFile, image: Source, files: InputFolder) -> list[IsdFrame]:
     """The models of all frames; refused where they are not of one camera, or not of this image.
 
     What the lenses leave open is noted among the doubts of `files`.
@@ -45,7 +45,7 @@ def frame_models(config: AcquisitionFile, image: Source, files: InputFolder) -> 
     return models
 
 
-def modelled_trajectory(models: list[FrameModel]) -> Trajectory:
+def modelled_trajectory(models: list[IsdFrame]) -> Trajectory:
     """Positions and attitudes of all exposures; t = 0 is the first."""
     t = np.array([model.et - models[0].et for model in models])
     attitudes = Rotation.concatenate([model.world_from_body for model in models])

@@ -27,8 +27,8 @@ from sightline.io.formats.ccsds_message import (
     check_keys,
     chosen,
     clock_of,
-    kind_of,
     known_axes,
+    message_kind,
     read_message,
     timed_numbers,
     useable_span,
@@ -96,7 +96,7 @@ def is_ccsds(path: Path, *kinds: str) -> str | None:
 
     A file that is no CCSDS message (a CSV table) gives None.
     """
-    found = kind_of(path)
+    found = message_kind(path)
     if found is not None and found not in kinds:
         raise FormatError(f"{path}: is a CCSDS {found[:20]}; {' or '.join(kinds)} is needed here")
     return found

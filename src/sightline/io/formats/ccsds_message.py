@@ -95,7 +95,7 @@ class Message:
         return f"{self.path}: line {line}" + (" (of the message as KVN)" if self.turned else "")
 
 
-def kind_of(path: Path) -> str | None:
+def message_kind(path: Path) -> str | None:
     """The kind of a CCSDS message ("OEM", "AEM", ...) by how it begins, compressed or not; None for "
     "others."""
     lines = [line.strip() for line in head_lines(path)]

@@ -23,7 +23,7 @@ from sightline.applications.export import LineStates
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.instrument import LineDetector
 from sightline.io.formats.csm_keys import LINE_SCANNER
-from sightline.io.formats.focal_plane import DISTORTIONS, FocalPlane
+from sightline.io.formats.focal_plane import DISTORTIONS, CsmFocalPlane
 from sightline.io.names import json_printable
 
 Array = NDArray[np.float64]
@@ -83,14 +83,14 @@ def csm_timing(camera: PushbroomCamera, et: float) -> CsmTiming:
     return CsmTiming(et + centre, [(float(a), float(b), float(c)) for a, b, c in rows])
 
 
-def nearest_plane(detector: LineDetector) -> tuple[FocalPlane, float]:
+def nearest_plane(detector: LineDetector) -> tuple[CsmFocalPlane, float]:
     """The focal plane of CSM nearest to a detector line, and px by which they differ at most."""
     x, y = detector.tangents.T
     sample = np.arange(detector.columns) + 0.5
     slope, start = np.polyfit(sample, x, 1)
     tilt, level = np.polyfit(x, y, 1)
     focal = PITCH / slope  # slopes are positive: x grows with columns, or the camera would be mirrored
-    even = FocalPlane(
+    even = CsmFocalPlane(
         float(abs(focal)),
         np.array([0.0, -tilt / PITCH, 1.0 / PITCH]),
         np.array([0.0, float(np.sign(focal)) / PITCH, 0.0]),
@@ -105,30 +105,30 @@ def nearest_plane(detector: LineDetector) -> tuple[FocalPlane, float]:
     return min(found, key=lambda pair: pair[1])
 
 
-def _curved(even: FocalPlane, detector: LineDetector) -> Iterator[FocalPlane]:
+def _curved(even: CsmFocalPlane, detector: LineDetector) -> Iterator[CsmFocalPlane]:
     """Focal planes with the distortions that may stand for a line that is not even."""
     yield _cahvor(even, detector)
     yield _transverse(even, detector)
     yield _kaguyalism(even, detector)
 
 
-def _apart(plane: FocalPlane, detector: LineDetector) -> float:
+def _apart(plane: CsmFocalPlane, detector: LineDetector) -> float:
     """px by which a focal plane and a detector differ at most."""
     looks = plane.row(detector.columns)[:, :2] - detector.tangents
     return float(np.hypot(*looks.T).max() / detector.pixel_step)
 
 
-def _changed(even: FocalPlane, **changes: Any) -> FocalPlane:
-    return FocalPlane(**{**vars(even), **changes})
+def _changed(even: CsmFocalPlane, **changes: Any) -> CsmFocalPlane:
+    return CsmFocalPlane(**{**vars(even), **changes})
 
 
-def _cahvor(even: FocalPlane, detector: LineDetector) -> FocalPlane:
+def _cahvor(even: CsmFocalPlane, detector: LineDetector) -> CsmFocalPlane:
     """Radial distortion about a centre of its own: all that shifts and scales of a radial line lead to."""
     wanted = detector.tangents * even.focal_length
     reach = float(np.abs(wanted).max())
     scale = np.array([1.0, 1.0, 1e-3, 1e-3 / reach**2, 1e-3 / reach**4, PITCH, PITCH])
 
-    def plane(values: Array) -> FocalPlane:
+    def plane(values: Array) -> CsmFocalPlane:
         shift = values * scale
         centre = even.centre[0] + shift[0], even.centre[1] + shift[1]
         return _changed(even, centre=centre, distortion="cahvor", coefficients=shift[2:])
@@ -141,7 +141,7 @@ def _cahvor(even: FocalPlane, detector: LineDetector) -> FocalPlane:
     return plane(least_squares(missing, start, xtol=1e-15, ftol=1e-15, gtol=1e-15, x_scale="jac").x)
 
 
-def _kaguyalism(even: FocalPlane, detector: LineDetector) -> FocalPlane:
+def _kaguyalism(even: CsmFocalPlane, detector: LineDetector) -> CsmFocalPlane:
     """Cubics in the distance from a pixel, which may have a corner there; the pixel is searched for."""
     samples: Array = np.arange(detector.columns) + np.float64(0.5)
     side = float(np.sign(even.samples_from_x[1]))
@@ -172,7 +172,7 @@ def _kaguyalism(even: FocalPlane, detector: LineDetector) -> FocalPlane:
     )  # fmt: skip
 
 
-def _transverse(even: FocalPlane, detector: LineDetector) -> FocalPlane:
+def _transverse(even: CsmFocalPlane, detector: LineDetector) -> CsmFocalPlane:
     """Cubics in x that lead from the directions to even detector pixels on a straight line."""
     u, v = (detector.tangents * even.focal_length).T
     samples = np.arange(detector.columns) + 0.5
@@ -199,7 +199,7 @@ def state_text(
     camera: PushbroomCamera,
     states: LineStates,
     timing: CsmTiming,
-    plane: FocalPlane,
+    plane: CsmFocalPlane,
     radii: tuple[float, float],
     names: CsmNames,
     reference: tuple[Array, float],
@@ -212,7 +212,7 @@ def state_text(
     states : LineStates
         Evenly spaced.
     timing : CsmTiming
-    plane : FocalPlane
+    plane : CsmFocalPlane
     radii : (float, float)
         m; of the body, equatorial and polar.
     names : CsmNames
@@ -283,7 +283,7 @@ def isd_text(
     camera: PushbroomCamera,
     states: LineStates,
     timing: CsmTiming,
-    plane: FocalPlane,
+    plane: CsmFocalPlane,
     radii: tuple[float, float],
     names: CsmNames,
     body: tuple[Array, Rotation],

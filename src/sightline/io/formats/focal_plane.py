@@ -159,7 +159,7 @@ _UNREADABLE = {
 
 
 @dataclass(frozen=True, eq=False)
-class FocalPlane:
+class CsmFocalPlane:
     """Where detector pixels lie behind the lens (mm), after CSM.
 
     Attributes
@@ -235,10 +235,10 @@ class FocalPlane:
         return float(np.hypot(x, y)[worst]), float(np.linalg.norm(seen[worst]))
 
 
-def isd_plane(data: CsmKeys) -> FocalPlane:
+def isd_plane(data: CsmKeys) -> CsmFocalPlane:
     """Focal plane of an ISD."""
     name, coefficients = _isd_distortion(data)
-    return FocalPlane(
+    return CsmFocalPlane(
         data.positive("focal_length_model.focal_length"),
         data.array("focal2pixel_lines", 3),
         data.array("focal2pixel_samples", 3),
@@ -276,7 +276,7 @@ def _isd_distortion(data: CsmKeys) -> tuple[str, Array]:
     return name, np.concatenate(parts)
 
 
-def state_plane(data: CsmKeys) -> FocalPlane:
+def state_plane(data: CsmKeys) -> CsmFocalPlane:
     """Focal plane of a model state."""
     number = data.count("m_distortionType", 0, 1000)
     names = {d.number: name for name, d in DISTORTIONS.items() if d.number is not None}
@@ -295,7 +295,7 @@ def state_plane(data: CsmKeys) -> FocalPlane:
     z = data.number("m_zDirection") if data.has("m_zDirection") else 1.0
     if z not in (1.0, -1.0):
         raise data.refused("m_zDirection", f"is {z:g}, neither 1 nor -1")
-    return FocalPlane(
+    return CsmFocalPlane(
         data.positive("m_focalLength"),
         data.array("m_iTransL", 3),
         data.array("m_iTransS", 3),

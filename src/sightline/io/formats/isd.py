@@ -26,7 +26,7 @@ from sightline.geometry.pointing import FixedMount
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.geometry.trajectory import Trajectory
 from sightline.io.formats.csm_keys import LINE_SCANNER, CsmKeys, read_keys
-from sightline.io.formats.focal_plane import FocalPlane, isd_plane, state_plane
+from sightline.io.formats.focal_plane import CsmFocalPlane, isd_plane, state_plane
 
 Array = NDArray[np.float64]
 
@@ -398,7 +398,7 @@ def _evenly(start: float, step: float, count: int) -> Array:
 
 def _assemble(
     motion: _Motion,
-    plane: FocalPlane,
+    plane: CsmFocalPlane,
     timing: _Timing,
     reference: tuple[float, float] | None,
     doubts: tuple[str, ...],

@@ -17,7 +17,7 @@ from sightline.errors import FormatError, InputError, reads
 from sightline.geometry.instrument import AreaDetector
 from sightline.geometry.rotations import NADIR_MOUNT
 from sightline.io.formats.csm_keys import FRAME, read_keys
-from sightline.io.formats.focal_plane import FocalPlane, isd_plane
+from sightline.io.formats.focal_plane import CsmFocalPlane, isd_plane
 from sightline.io.formats.isd import body_fixed, isd_radii
 
 Array = NDArray[np.float64]
@@ -31,7 +31,7 @@ LENS_PX = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class FrameModel:
+class IsdFrame:
     """A frame sensor model in our terms.
 
     Attributes
@@ -59,7 +59,7 @@ class FrameModel:
 
 
 @reads("a frame sensor model")
-def read_frame_model(path: Path) -> FrameModel:
+def read_frame_model(path: Path) -> IsdFrame:
     """A USGS CSM frame ISD, as ALE writes it.
 
     Parameters
@@ -69,7 +69,7 @@ def read_frame_model(path: Path) -> FrameModel:
 
     Returns
     -------
-    FrameModel
+    IsdFrame
 
     Raises
     ------
@@ -84,10 +84,10 @@ def read_frame_model(path: Path) -> FrameModel:
     position, world_from_sensor = body_fixed(data, et)
     detector, camera_from_sensor, lens_px = _detector(isd_plane(data), shape)
     world_from_body = world_from_sensor * camera_from_sensor.inv() * NADIR_MOUNT.inv()
-    return FrameModel(detector, lens_px, position, world_from_body, isd_radii(data), et)
+    return IsdFrame(detector, lens_px, position, world_from_body, isd_radii(data), et)
 
 
-def _detector(plane: FocalPlane, shape: tuple[int, int]) -> tuple[AreaDetector, Rotation, float]:
+def _detector(plane: CsmFocalPlane, shape: tuple[int, int]) -> tuple[AreaDetector, Rotation, float]:
     """The detector nearest to a focal plane, how its axes lie in the sensor's, and px that are left."""
     grid = np.meshgrid(*(np.linspace(0.0, size - 1.0, _GRID) for size in shape), indexing="ij")
     pixels = np.stack(grid, axis=-1).reshape(-1, 2)

@@ -44,7 +44,7 @@ def spice() -> Any:
 
 
 @dataclass(frozen=True)
-class Clock:
+class SpacecraftClock:
     """The clock of a spacecraft, of a kernel.
 
     Attributes
@@ -80,7 +80,7 @@ def spice_kernels(kernels: Sequence[Path]) -> Iterator[Any]:
             library.unload(name)
 
 
-def clock_of(kernels: Sequence[Path]) -> Clock:
+def spacecraft_clock(kernels: Sequence[Path]) -> SpacecraftClock:
     """The one spacecraft clock that the kernels hold."""
     found = set()
     for path in kernels:
@@ -94,14 +94,14 @@ def clock_of(kernels: Sequence[Path]) -> Clock:
             f"--to ck needs the clock of one spacecraft, the kernels given ({names}) hold {len(spacecraft)}: "
             "add --kernel FILE, its SCLK (.tsc), and another of leap seconds (.tls)"
         )
-    return Clock(-min(found))
+    return SpacecraftClock(-min(found))
 
 
 def write_ck(
     path: Path,
     et: Array,
     ref_from_camera: Rotation,
-    clock: Clock,
+    clock: SpacecraftClock,
     *,
     number: int,
     name: str,
@@ -117,7 +117,7 @@ def write_ck(
         s past J2000 (TDB), increasing.
     ref_from_camera : Rotation
         N rotations. Camera axes: x towards increasing samples, y towards increasing lines, z to the scene.
-    clock : Clock
+    clock : SpacecraftClock
     number : int
         0, 1, ... of the camera among those that are written.
     name : str

@@ -45,7 +45,7 @@ from sightline.io.formats.ephemeris_time import earth_from_j2000, et_of_utc
 from sightline.io.formats.images import RasterImage
 from sightline.io.formats.rpc_files import write_rpb, write_rpc_text
 from sightline.io.formats.spice_files import (
-    clock_of,
+    spacecraft_clock,
     spice_kernels,
     write_ck,
     write_jitter_table,
@@ -135,7 +135,7 @@ class Exported:
                 f"--to {to} needs axes that are fixed to a body; these are local (level flight over a flat "
                 'Earth): give [platform] kind = "ephemeris" or "camera-model"'
             )
-        return acquired, radii_of(acquired.surface)
+        return acquired, surface_radii(acquired.surface)
 
     def needs_et(self, to: str) -> float:
         """s past J2000 (TDB) of t = 0."""
@@ -149,7 +149,7 @@ class Exported:
         return et_of_utc(self.epoch)
 
 
-def radii_of(surface: Surface) -> tuple[float, float]:
+def surface_radii(surface: Surface) -> tuple[float, float]:
     """Equatorial and polar radius (m) of the body that a surface is of."""
     if isinstance(surface, Ellipsoid):
         return surface.a, surface.b
@@ -318,7 +318,7 @@ def _ck(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[str
     bands = []
     words = _words(_stems(exported))
     with spice_kernels(kernels) as library:
-        clock = clock_of(kernels)
+        clock = spacecraft_clock(kernels)
         et = _et_by(library, exported, "ck")
         for number, (name, stem) in enumerate(_stems(exported).items()):
             camera = exported.cameras[name]

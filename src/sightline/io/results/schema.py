@@ -31,13 +31,13 @@ def _may(text: str) -> Any:
     return Field(default=None, description=text)
 
 
-class Part(BaseModel):
+class SummaryPart(BaseModel):
     """An object of a summary: no key but those listed."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Axes(Part):
+class Axes(SummaryPart):
     """A number of each axis."""
 
     roll: Number
@@ -45,7 +45,7 @@ class Axes(Part):
     yaw: Number
 
 
-class ResultSummary(Part):
+class ResultSummary(SummaryPart):
     """What every summary says."""
 
     result: str = _is("Class of the result in Python, by which sightline.open_result knows it")
@@ -67,7 +67,7 @@ class RunSummary(ResultSummary):
 # --------------------------------------------------------------------------------------- recover
 
 
-class Tone(Part):
+class FoundTone(SummaryPart):
     """A line in the spectrum of an axis."""
 
     axis: str
@@ -82,15 +82,15 @@ class Tone(Part):
     error_amplitude: Number = _is("rad, likewise")
 
 
-class AxisTones(Part):
+class AxisTones(SummaryPart):
     """Tones of each axis."""
 
-    roll: list[Tone]
-    pitch: list[Tone]
-    yaw: list[Tone]
+    roll: list[FoundTone]
+    pitch: list[FoundTone]
+    yaw: list[FoundTone]
 
 
-class AxisBands(Part):
+class AxisBands(SummaryPart):
     """[low, high] Hz of each axis."""
 
     roll: list[tuple[float, float]]
@@ -98,7 +98,7 @@ class AxisBands(Part):
     yaw: list[tuple[float, float]]
 
 
-class Method(Part):
+class Method(SummaryPart):
     """The estimator."""
 
     name: str
@@ -106,7 +106,7 @@ class Method(Part):
     rms_stated_sigma_px: Axes | None = _may("px, the sigma that it would state by itself")
 
 
-class Matches(Part):
+class MatchCounts(SummaryPart):
     """Windows of all pairs."""
 
     tried: Count
@@ -114,7 +114,7 @@ class Matches(Part):
     rejected: dict[str, Count] = _is("By reason")
 
 
-class ImagePair(Part):
+class ImagePair(SummaryPart):
     """Windows of one pair of images."""
 
     images: tuple[str, str]
@@ -127,7 +127,7 @@ class ImagePair(Part):
     sigma_px: Number = _is("What the error model expects of the latter")
 
 
-class Withheld(Part):
+class Withheld(SummaryPart):
     """One axis of a pair of bands that the estimate did not use, against what it predicts of it."""
 
     pair: tuple[str, str]
@@ -142,7 +142,7 @@ class Withheld(Part):
     asked: bool = _is("Left out on demand; else one that the estimate does without")
 
 
-class Static(Part):
+class Static(SummaryPart):
     """A constant of a band."""
 
     name: str
@@ -152,7 +152,7 @@ class Static(Part):
     prior_sigma: Number = _is("Before the images")
 
 
-class Sensor(Part):
+class UsedSensor(SummaryPart):
     """What an attitude sensor, or control points, gave."""
 
     name: str
@@ -164,7 +164,7 @@ class Sensor(Part):
     constants: dict[str, Pair] = _is("Its own constants: value and sigma")
 
 
-class FoundRelief(Part):
+class FoundRelief(SummaryPart):
     """The ground that was found."""
 
     file: str
@@ -175,7 +175,7 @@ class FoundRelief(Part):
     sigma_slope: Number = _is("m")
 
 
-class Hidden(Part):
+class Hidden(SummaryPart):
     """What the images cannot see."""
 
     table: str
@@ -215,12 +215,12 @@ class RecoverySummary(RunSummary):
     residual_rms_before_px: Number = _is("px, of the same against the nominal cameras")
     residual_sigma_px: Number = _is("px, what the matches' own sigma asks for of the windows kept")
     residual_rms_rejected_px: Number = _is("px, of the windows rejected; null where there are none")
-    matches: Matches = _is("Windows of all pairs")
+    matches: MatchCounts = _is("Windows of all pairs")
     pairs: list[ImagePair] = _is("Windows of each pair")
     withheld: list[Withheld] = _is("Pairs that the estimate did not use, predicted from it; may be empty")
     relief: FoundRelief | None = _is("The ground that was found; null where none was sought")
     statics: list[Static] = _is("Offsets, rotations, scales and shapes of the bands")
-    sensors: list[Sensor] = _is("What attitude sensors and control points gave")
+    sensors: list[UsedSensor] = _is("What attitude sensors and control points gave")
     hidden_directions: Hidden | None = _is("What the images cannot see; null: all is seen")
     changes: list[Number] = _is("Change of the motion per pass, in its sigmas")
     sources: list[str] | None = _may("What orbit and attitudes are: axes, time scale, Earth orientation")
@@ -230,7 +230,7 @@ class RecoverySummary(RunSummary):
 # --------------------------------------------------------------------------------------- register
 
 
-class RegisteredBand(Part):
+class RegisteredBand(SummaryPart):
     """A band on the common grid."""
 
     name: str
@@ -239,7 +239,7 @@ class RegisteredBand(Part):
     placed_by: Literal["matches", "motion"]
 
 
-class Fit(Part):
+class PairMisfit(SummaryPart):
     """How well two bands fit, along and across."""
 
     rms_px: Pair
@@ -249,15 +249,15 @@ class Fit(Part):
     kept: Count
 
 
-class FittedPair(Part):
+class FittedPair(SummaryPart):
     """Two bands before and after."""
 
     images: tuple[str, str]
-    before: Fit
-    after: Fit
+    before: PairMisfit
+    after: PairMisfit
 
 
-class Kernel(Part):
+class Kernel(SummaryPart):
     """How bands were resampled."""
 
     taps: Count
@@ -266,7 +266,7 @@ class Kernel(Part):
     map_tolerance_px: float
 
 
-class OfRecovery(Part):
+class OfRecovery(SummaryPart):
     """The recovery whose motion was used."""
 
     name: str | None
@@ -301,7 +301,7 @@ class MosaicSummary(RunSummary):
 # --------------------------------------------------------------------------------------- layout
 
 
-class CommonLag(Part):
+class CommonLag(SummaryPart):
     """Lags that go blind together."""
 
     frequency: float = _is("Hz")
@@ -310,7 +310,7 @@ class CommonLag(Part):
     mismatch: float = _is("Periods")
 
 
-class RankedLayout(Part):
+class RankedLayout(SummaryPart):
     """One layout."""
 
     name: str
@@ -328,7 +328,7 @@ class RankedLayout(Part):
     common_lags: list[CommonLag]
 
 
-class BySpan(Part):
+class BySpan(SummaryPart):
     """The best worst case of each span."""
 
     span_s: list[float]
@@ -356,7 +356,7 @@ class LayoutSummary(RunSummary):
 # --------------------------------------------------------------------------------------- orient
 
 
-class Angles(Part):
+class Angles(SummaryPart):
     """Angles of a camera about its body axes, with sigmas."""
 
     roll: Number
@@ -367,7 +367,7 @@ class Angles(Part):
     sigma_yaw: Number
 
 
-class Direction(Part):
+class Direction(SummaryPart):
     """A combination of the angles."""
 
     sigma: Number = _may("rad; null: not observable")
@@ -375,14 +375,14 @@ class Direction(Part):
     words: str
 
 
-class Focal(Part):
+class Focal(SummaryPart):
     """A focal length that was refined."""
 
     focal_length_px: float
     sigma_px: Number
 
 
-class StereoMatches(Part):
+class StereoMatches(SummaryPart):
     """Matches of a pass."""
 
     kind: Literal["pairs", "sightings"]
@@ -393,7 +393,7 @@ class StereoMatches(Part):
     rms_px: Number
 
 
-class ChiSquare(Part):
+class ChiSquare(SummaryPart):
     """Whether residuals are as large as the sigmas say."""
 
     per_degree: Number
@@ -401,7 +401,7 @@ class ChiSquare(Part):
     verdict: str
 
 
-class Heights(Part):
+class Heights(SummaryPart):
     """Heights of points before and after, m."""
 
     mean_change: Number
@@ -409,7 +409,7 @@ class Heights(Part):
     median_sigma: Number
 
 
-class Improvement(Part):
+class AngleImprovement(SummaryPart):
     """What would better the angles."""
 
     change: str
@@ -441,11 +441,11 @@ class OrientationSummary(RunSummary):
     heights: Heights = _is("m, how far the points' heights moved")
     iterations: Count | None = _is("Of the estimate")
     solve_seconds: float = _is("s, of the estimate alone")
-    improvements: list[Improvement] | None = _may("What would better the angles, where it was reckoned")
+    improvements: list[AngleImprovement] | None = _may("What would better the angles, where it was reckoned")
     export_notes: list[str] | None = _may("Why an export is missing")
 
 
-class SigmasAgainst(Part):
+class SigmasAgainst(SummaryPart):
     """Bounds against one quantity."""
 
     quantity: str
@@ -473,41 +473,41 @@ class PredictionSummary(RunSummary):
     principal_sigmas: list[Direction] = _is("Independent combinations, the weakest first")
     unobservable: list[Direction] = _is("Directions that are not observable")
     tables: list[SigmasAgainst] = _is("Bounds when one quantity changes")
-    improvements: list[Improvement] = _is("What would better the angles")
+    improvements: list[AngleImprovement] = _is("What would better the angles")
 
 
 # --------------------------------------------------------------------------------------- georeference
 
 
-class NotEstimated(Part):
+class NotEstimated(SummaryPart):
     """A frame whose own image gives no pose."""
 
     frame: str
     reason: str
 
 
-class Subset(Part):
+class ChosenFrames(SummaryPart):
     """Frames of the subset."""
 
     frames: list[str]
     overlap: float
 
 
-class Sigmas(Part):
+class Sigmas(SummaryPart):
     """Of all frames."""
 
     median: Number
     largest: Number
 
 
-class DatumPart(Part):
+class DatumPart(SummaryPart):
     """A constant error of the tables (table less truth)."""
 
     bias: float
     sigma: Number
 
 
-class FoundFocal(Part):
+class FoundFocal(SummaryPart):
     """px; the focal length that was found with the poses."""
 
     focal_length_px: float
@@ -516,7 +516,7 @@ class FoundFocal(Part):
     told_sigma_px: Number = _is("As given; null: not known at all")
 
 
-class Sightings(Part):
+class SightingCounts(SummaryPart):
     """Windows followed from frame to frame."""
 
     tried: Count
@@ -525,7 +525,7 @@ class Sightings(Part):
     rms_px: Number
 
 
-class CubeBand(Part):
+class CubeBand(SummaryPart):
     """Shares of a band's map."""
 
     name: str
@@ -538,7 +538,7 @@ class CubeBand(Part):
     seam_jump: Number
 
 
-class CubePair(Part):
+class CubePair(SummaryPart):
     """How well two bands lie on each other."""
 
     bands: tuple[int, int]
@@ -547,7 +547,7 @@ class CubePair(Part):
     windows: Count
 
 
-class CubeEntry(Part):
+class CubeEntry(SummaryPart):
     """Maps of the bands."""
 
     files: list[str] = _is("Names of the maps")
@@ -574,12 +574,12 @@ class SequenceSummary(RunSummary):
     sources: dict[str, Count] = _is("How many poses are solved, estimated, interpolated")
     not_estimated: list[NotEstimated] = _is("Frames whose own image gives no pose, and why")
     stretches: Count = _is("Of frames that hang together")
-    subset: Subset = _is("Frames of the subset, and what they were to share")
+    subset: ChosenFrames = _is("Frames of the subset, and what they were to share")
     sigmas: dict[str, Sigmas] = _is("m and rad: median and largest of all frames")
     datum: dict[str, DatumPart | None] = _is("m and rad: constant errors of the tables; null: none sought")
     focal_length: FoundFocal | None = _is("Where it was found with the poses")
     bow: list[dict[str, float]] = _is("rad: bends that were left free, by axis")
-    sightings: Sightings = _is("Windows followed from frame to frame")
+    sightings: SightingCounts = _is("Windows followed from frame to frame")
     points: Count = _is("Of the ground")
     method: str = _is("all-frames, or that of the document")
     cube: CubeEntry | None = _may("Maps of the bands; null, or left out, where none were made")
@@ -595,7 +595,7 @@ class CubeResultSummary(ResultSummary, CubeEntry):
 # --------------------------------------------------------------------------------------- tdi, noise
 
 
-class Spread(Part):
+class Spread(SummaryPart):
     """Least, mean and most."""
 
     min: Number
@@ -630,7 +630,7 @@ class TdiSummary(RunSummary):
     signal_image: dict[str, Any] | None = _may("Of --signals")
 
 
-class Figure(Part):
+class NamedFigure(SummaryPart):
     """One figure of a detector's noise."""
 
     name: str
@@ -641,14 +641,14 @@ class Figure(Part):
     how: str
 
 
-class ImageFigures(Part):
+class ImageFigures(SummaryPart):
     """Figures of one image."""
 
     name: str
-    figures: list[Figure]
+    figures: list[NamedFigure]
 
 
-class NoiseTable(Part):
+class NoiseTable(SummaryPart):
     """The [noise] of a TDI.toml."""
 
     gain: Number
@@ -659,7 +659,7 @@ class NoiseTable(Part):
     column_fixed: Number
 
 
-class NoiseColumns(Part):
+class NoiseColumns(SummaryPart):
     """The column pattern."""
 
     count: Count
@@ -667,7 +667,7 @@ class NoiseColumns(Part):
     rms_gain: Number
 
 
-class NoiseExposure(Part):
+class NoiseExposure(SummaryPart):
     """Frames of one exposure."""
 
     name: str = _is("Of the first frame")
@@ -679,7 +679,7 @@ class NoiseExposure(Part):
     used: bool = _is("For the conversion gain")
 
 
-class ColumnsAlike(Part):
+class ColumnsAlike(SummaryPart):
     """Whether columns differ by more than their sigma."""
 
     alike: bool = _is("Not seen to differ, at 3 sigma")
@@ -689,7 +689,7 @@ class ColumnsAlike(Part):
     upper: Number = _is("Its upper limit, 2 sigma")
 
 
-class NoiseTransfer(Part):
+class NoiseTransfer(SummaryPart):
     """Photon transfer of frames of even light."""
 
     exposures: list[NoiseExposure] = _is("By signal")
@@ -706,7 +706,7 @@ class NoiseSummary(RunSummary):
     noise: NoiseTable = _is("The law, as TDI.toml has it")
     signals: list[Number] = _is("Of one line: least and most of the images")
     full_well_sum: Number = _is("Null: not seen")
-    figures: list[Figure] = _is("Of all images together")
+    figures: list[NamedFigure] = _is("Of all images together")
     images: list[ImageFigures] = _is("Of each image")
     columns: NoiseColumns = _is("The column pattern")
     photon_transfer: NoiseTransfer | None = _may("Of frames of even light; else null")
@@ -715,7 +715,7 @@ class NoiseSummary(RunSummary):
 # --------------------------------------------------------------------------------------- score
 
 
-class AxisErrors(Part):
+class AxisErrors(SummaryPart):
     """Errors of one axis."""
 
     unit: str

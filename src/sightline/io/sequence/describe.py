@@ -36,7 +36,7 @@ def describe_sequence(sequence: FrameSequence) -> dict[str, Any]:
     }
 
 
-def steps_of(problem: SequenceProblem) -> tuple[Array, float]:
+def frame_spacing(problem: SequenceProblem) -> tuple[Array, float]:
     """By the rough poses: m from frame to frame, over so many that noise hardly counts; m a frame covers."""
     detector = problem.detector
     distance = np.linalg.norm(seen_ground(problem) - problem.images.position, axis=1)
@@ -48,7 +48,7 @@ def steps_of(problem: SequenceProblem) -> tuple[Array, float]:
 def _understood(sequence: FrameSequence) -> list[str]:
     problem = sequence.problem
     lines, columns = problem.detector.shape
-    steps, length = steps_of(problem)
+    steps, length = frame_spacing(problem)
     said = [
         f"{sequence.name}: {len(problem)} frames of {lines} lines x {columns} columns over "
         f"{np.ptp(problem.t):.6g} s, {int(problem.usable.sum())} of them usable",

@@ -332,19 +332,19 @@ def _seen(star: Star, estimate: JointEstimate, t: Array, tdi: float) -> Array:
 
     Its lines average over `tdi` (s).
     """
-    out = averaged(estimate.grid, estimate.nodes, t, star.duration, tdi)
+    out = window_means(estimate.grid, estimate.nodes, t, star.duration, tdi)
     if star.stretch > 0.0:
         whole = star.duration + star.stretch
-        out[:, PITCH] = averaged(estimate.grid, estimate.nodes, t, whole, tdi)[:, PITCH]
+        out[:, PITCH] = window_means(estimate.grid, estimate.nodes, t, whole, tdi)[:, PITCH]
     return out
 
 
-def averaged(grid: TimeGrid, nodes: Array, t: Array, duration: float, tdi: float = 0.0) -> Array:
+def window_means(grid: TimeGrid, nodes: Array, t: Array, duration: float, tdi: float = 0.0) -> Array:
     """Mean of the node motion over windows of `duration` about `t`, of lines averaged over `tdi`: (N, C)."""
     if tdi > 0.0:
         points = 2 + int(np.ceil(2.0 * tdi / grid.step))
         offsets = tdi * ((np.arange(points) + 0.5) / points - 0.5)
-        return np.asarray(sum(averaged(grid, nodes, t + o, duration) for o in offsets) / points)
+        return np.asarray(sum(window_means(grid, nodes, t + o, duration) for o in offsets) / points)
     if duration <= 0.0:
         return grid.interpolate(nodes, t)
     points = 2 + int(np.ceil(duration / grid.step))
