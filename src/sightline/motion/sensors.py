@@ -60,9 +60,12 @@ class ControlSightings:
         Number of the band or frame.
     pixels : (N, 2)
         (line, column).
+    sigma_px : float
+        1-sigma of each pixel coordinate: by correlation a tenth of a pixel, by hand more.
     """
 
     position: Array
     sigma: Array
     image: NDArray[np.intp]
     pixels: Array
+    sigma_px: float = 0.1

@@ -197,6 +197,9 @@ def test_control_points_come_from_the_file_and_from_a_table(folder):
     np.testing.assert_array_equal(points.position, [[5, 6, 0], [1, 2, 3]])
     np.testing.assert_array_equal(points.image, [0, 1])
     np.testing.assert_array_equal(points.pixels, [[3, 4], [10, 20]])
+    assert points.sigma_px == 0.1
+    folder.replace('name = "strip"', 'name = "strip"\ncontrol_sigma_px = 0.5')
+    assert load_acquisition(folder.write()).control_points.sigma_px == 0.5
 
 
 def test_a_control_point_in_an_unknown_image_is_refused(folder):

@@ -21,7 +21,6 @@ from sightline.geometry.trajectory import Trajectory
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.statics import band_statics
 from sightline.motion.strip.fusion import (
-    POINTED_PX,
     UNFELT,
     attitude_rows,
     control_rows,
@@ -196,7 +195,8 @@ def test_errors_that_are_alike_for_long_average_to_one():
 # ---------------------------------------------------------------------------- control points
 
 
-def test_a_control_point_sees_the_turn_of_the_body():
+@pytest.mark.parametrize("sigma_px", [0.1, 0.5])
+def test_a_control_point_sees_the_turn_of_the_body(sigma_px):
     camera = strip_cameras((0.0,))[0]
     pixels = np.array([[100.0, 20.0], [300.0, 280.0]])
     flat = IFOV * ALTITUDE
@@ -204,16 +204,16 @@ def test_a_control_point_sees_the_turn_of_the_body():
     points = np.stack([-(pixels[:, 1] - 159.5) * flat, pixels[:, 0] * PERIOD * SPEED, np.zeros(2)], axis=1)
     turn = np.array([3.0, -2.0, 40.0]) * IFOV
     seen = pixels + np.einsum("nij,j->ni", moved_by_turn(pixels, 0.0), turn)
-    control = ControlSightings(points, np.full(2, 0.01), np.zeros(2, dtype=np.intp), seen)
+    control = ControlSightings(points, np.full(2, 0.01), np.zeros(2, dtype=np.intp), seen, sigma_px)
     rows = control_rows(control, [camera], [], GRID, np.zeros((GRID.count, 3)), np.zeros(0))
     assert rows is not None
     assert np.allclose(rows.by[:, 1].reshape(2, 2, 3), moved_by_turn(pixels, 0.0), rtol=1e-4, atol=2.0)
     # m per px is 3.4: a centimetre of ground is 0.003 px
-    assert np.allclose(np.linalg.inv(rows.whiten.toarray()), np.eye(4) * POINTED_PX, rtol=1e-3, atol=1e-4)
+    assert np.allclose(np.linalg.inv(rows.whiten.toarray()), np.eye(4) * sigma_px, rtol=1e-3, atol=1e-4)
     found = solve_joint(no_information(GRID, 0), prior_of(), tie([rows], GRID, 3))
-    # two points of four numbers fix three constants to about the pointing: 0.1 px, yaw over 130 px
+    # two points of four numbers fix three constants to about where they were seen, yaw over 130 px
     error = angles_at(found, np.array([0.05, 0.15])) - turn
-    assert (np.abs(error) < 4 * POINTED_PX * IFOV * np.array([1.0, 1.0, 1.0 / (130 * IFOV)])).all()
+    assert (np.abs(error) < 4 * sigma_px * IFOV * np.array([1.0, 1.0, 1.0 / (130 * IFOV)])).all()
 
 
 def test_one_control_point_does_not_tie_yaw():

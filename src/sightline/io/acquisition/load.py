@@ -259,4 +259,7 @@ def read_control(
             f"{files.toml}: a control point names the image {unknown[0]!r}; images are: {', '.join(names)}"
         )
     numbers = np.array([names.index(name) for name in given.image], dtype=np.intp)
-    return ControlSightings(to_world(given.position, config), given.sigma, numbers, given.pixels)
+    return ControlSightings(
+        to_world(given.position, config), given.sigma, numbers, given.pixels,
+        config.acquisition.control_sigma_px,
+    )  # fmt: skip

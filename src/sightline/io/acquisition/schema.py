@@ -46,6 +46,7 @@ from sightline.io.quantities import (
     PixelPlace,
     Pixels,
     PixelSigma,
+    PixelSigmaAbove0,
     PixelTangent,
     Place,
     Radius,
@@ -127,6 +128,9 @@ class HeaderSection(DatedSection):
     )
     control_points: FileName | None = Field(
         default=None, description="CSV file x,y,z,sigma,image,line,column of ground control points"
+    )
+    control_sigma_px: PixelSigmaAbove0 = Field(
+        default=0.1, description="1-sigma of where control points were seen, px"
     )
 
 

@@ -40,9 +40,6 @@ MEMORY = 32
 CUT = 4.0
 #: Readings of one sensor and axis from which its sigma is checked against their scatter.
 ENOUGH = 12
-#: 1-sigma of what is left of a control point's pixel beside its ground position: it was pointed at by hand or
-#: by correlation, px.
-POINTED_PX = 0.1
 #: An axis whose constant is known better than this is tied to the world (rad).
 TIED = 0.1
 #: A slow error is followed at this many readings at most; more are interpolated between.
@@ -467,7 +464,7 @@ def _control_of_image(
     known = np.asarray(np.isfinite(every).all(axis=1))
     by_ground = np.where(known[:, None, None], by_ground, 0.0)
     covariance = points.sigma[chosen, None, None] ** 2 * np.einsum("nij,nkj->nik", by_ground, by_ground)
-    whiten = np.linalg.inv(np.linalg.cholesky(covariance + POINTED_PX**2 * np.eye(2)))
+    whiten = np.linalg.inv(np.linalg.cholesky(covariance + points.sigma_px**2 * np.eye(2)))
     last = grid.start + grid.step * (grid.count - 1)
     good = known & np.isfinite(value).all(axis=1) & (t >= grid.start) & (t <= last)
     return t[good], by[good], by_static[good], value[good], whiten[good]
