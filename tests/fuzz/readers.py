@@ -236,6 +236,18 @@ _row(
     "formats.spice_files.spacecraft_clock", "sensor-model", ["clock.tsc"],
     lambda folder, read: read([folder / "clock.tsc"]),
 )  # fmt: skip
+function("formats.sensor_model.read_sensor_model", "products", "PAN.XML")
+function("formats.products.recognise.read_product", "products", "PAN.XML")
+function("formats.products.tree.read_xml", "products", "PAN.XML", "metadata")
+function("formats.products.worldview.read_worldview", "products", "PAN.XML")
+_row(
+    "formats.products.worldview.read_worldview", "products", ["XS.*"],
+    lambda folder, read: read(folder / "XS.IMD"),
+)  # fmt: skip
+_row(
+    "formats.products.worldview_text.read_text_set", "products", ["XS.*"],
+    lambda folder, read: read(folder / "XS.IMD", "metadata"),
+)  # fmt: skip
 function("formats.isd_frame.read_frame_model", "sensor-model", "frame.json")
 function("formats.hirise_edr.is_hirise", "hirise", "raw.IMG")
 function("formats.hirise_edr.read_hirise_edr", "hirise", "raw.IMG")

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from tests.io.sequence_files import NORTH, Flight, flight, npy
 from tests.io.stereo_files import scene
+from tests.product_files import WorldViewScene
 
 Maker = Callable[[Path], None]
 SEEDS: dict[str, Maker] = {}
@@ -471,6 +472,31 @@ model = "isd.json"
 name = "XS"
 image = "XS.npy"
 model = "state.json"
+"""
+    )
+
+
+@seed
+def products(folder: Path) -> None:
+    """Two scenes of one strip as XML, and one as text."""
+    size = {"rows": LINES, "columns": COLUMNS, "pitch": 0.05, "before": 0.2}
+    WorldViewScene(**size, image="PAN.tif").xml(folder, "PAN.XML")
+    WorldViewScene(**size, origin=(4.4, 8.0), image="XS.npy").text(folder, "XS")
+    bands(folder)
+    (folder / "acquisition.toml").write_text(
+        f"""
+[matching]
+{WINDOWS}
+[platform]
+kind = "camera-model"
+[[band]]
+name = "PAN"
+image = "PAN.tif"
+model = "PAN.XML"
+[[band]]
+name = "XS"
+image = "XS.npy"
+model = "XS.IMD"
 """
     )
 

@@ -26,10 +26,10 @@ def check(
 
     with failing_numbers(f"{file}"):
         description = describe(file)
-    absent = description.pop("absent", [])
+    absent, still = description.pop("absent", []), description.pop("still", "")
     if as_json:
         print_json(description)
-        _ended(absent)
+        _ended(absent, still)
         return
     for warning in description["warnings"]:
         complain("warning", warning)
@@ -37,13 +37,16 @@ def check(
         say(f"{title}:")
         for line in description[title] or ["nothing"]:
             say(f"  {line}")
-    _ended(absent)
+    _ended(absent, still)
 
 
-def _ended(absent: list[str]) -> None:
-    """Status 1 where images are not there: what is described cannot be run."""
+def _ended(absent: list[str], still: str) -> None:
+    """Status 1 where images are not there or hold no motion: what is described cannot be recovered."""
     from sightline.cli.terminal import complain
 
+    if still:
+        complain("error", f"`recover` would refuse it: {still}")
+        raise typer.Exit(1)
     if absent:
         more = f" (and {len(absent) - 1} more images)" if len(absent) > 1 else ""
         complain("error", f"{absent[0]}{more}")
@@ -92,10 +95,14 @@ def describe(file: Path) -> dict[str, Any]:
             description, cost = describe_tdi(problem), tdi_cost(problem)
         case _:
             acquired = load_acquisition(file, describe=True)
-            cost = ready_to_recover(acquired)
+            ready = None if acquired.still else ready_to_recover(acquired)
             description = describe_acquisition(acquired)
             description["missing"] = [*acquired.absent, *description["missing"]]
             description["absent"] = list(acquired.absent)
+            if ready is None:
+                description["missing"].insert(0, f"images that hold motion: {acquired.still}")
+                return {**description, "warnings": [], "still": acquired.still}
+            cost = ready
     description["understood"].append(f"the run will take {cost.words}")
     expected = {"seconds": cost.seconds, "bytes": cost.bytes, "of": cost.of}
     room = cost.lacks_room(Path.cwd())

@@ -33,6 +33,7 @@ from sightline.geometry.spin import Spin
 from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
 from sightline.io.acquisition.schema import AcquisitionFile, InputFile, WorldSection
+from sightline.io.formats.line_scan import OneGrid
 from sightline.motion.band import Band, ChipKnowledge, Frame, LensKnowledge
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.spin.solve import AttitudeSigma
@@ -88,6 +89,8 @@ class Acquisition:
         Instants (s), and body-fixed from J2000 at each, where a sensor model says it.
     absent : tuple of str
         Images that are not there, where only the geometry is asked for.
+    still : str
+        Why its images hold no motion, and what would do; empty where they may.
     """
 
     path: Path
@@ -115,6 +118,7 @@ class Acquisition:
     reference_et: float | None = None
     body: tuple[NDArray[np.float64], Rotation] | None = None
     absent: tuple[str, ...] = ()
+    still: str = ""
 
     def __repr__(self) -> str:
         """One line."""
@@ -225,6 +229,9 @@ class InputFolder:
         #: Whether images that are not there are described all the same; and those that are not.
         self.describing = False
         self.absent: list[str] = []
+        #: Of each band with a sensor model: what its attitudes do not hold, and the grid that it shares.
+        self.bends: list[tuple[str, ...]] = []
+        self.grids: list[OneGrid | None] = []
         #: s past J2000 (TDB) of t = 0, and how the body turns, where a sensor model says it.
         self.reference_et: float | None = None
         self.body: tuple[NDArray[np.float64], Rotation] | None = None

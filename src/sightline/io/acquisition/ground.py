@@ -129,14 +129,14 @@ def body_radii(config: AcquisitionFile, files: InputFolder) -> tuple[float, floa
     if config.surface.radii is not None:
         return config.surface.radii
     if isinstance(config.platform, CameraModelPlatform):
-        from sightline.io.formats.isd import read_line_scan_model
         from sightline.io.formats.isd_frame import read_frame_model
+        from sightline.io.formats.sensor_model import read_sensor_model
 
         if config.frame:
             return read_frame_model(files(config.frame[0].model or "")).radii
         name = config.platform.model or config.band[0].model
         if name is not None:
-            return read_line_scan_model(files(name)).radii
+            return read_sensor_model(files(name)).radii
     return None
 
 

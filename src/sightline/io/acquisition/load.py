@@ -19,10 +19,11 @@ import numpy as np
 from sightline.applications.expected_cost import Cost, frames_cost, spin_cost, strip_cost
 from sightline.applications.line_of_sight import ready_strip
 from sightline.applications.spin_attitude import SpinOptions, seen_again
-from sightline.errors import FormatError, naming
+from sightline.errors import EstimationError, FormatError, naming
 from sightline.estimation.prior import Spectrum, TabulatedPsd
 from sightline.geometry.camera import FrameCamera, PushbroomCamera
 from sightline.io.acquisition.acquired import Acquisition, InputFolder, input_files, world_kind
+from sightline.io.acquisition.apparent import bent_bands
 from sightline.io.acquisition.bands import build_bands
 from sightline.io.acquisition.frames import build_frames, lens_knowledge
 from sightline.io.acquisition.ground import (
@@ -111,6 +112,8 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
     ]
     names = [*(band.name for band in bands), *(frame.name for frame in frames)]
     surface = build_surface(config, files, cameras)
+    bands = bent_bands(config, bands, surface, files)
+    cameras[: len(bands)] = [band.camera for band in bands]
     if isinstance(config.platform, SpinPlatform) and frames:
         # a spinning camera sees the sky for most of its turn, and with it some of its frames
         check_seen(path, surface, cameras)
@@ -149,12 +152,26 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         reference_et=files.reference_et,
         body=files.body,
         absent=tuple(files.absent),
+        still=_still(config, files),
         doubts=(
             *dict.fromkeys(files.doubts),
             *look_doubts(config, cameras, names, surface, files.fixed_from_given),
             *sensor_doubts(sensors, (float(exposed.min()), float(exposed.max()))),
         ),
     )
+
+
+def _still(config: AcquisitionFile, files: InputFolder) -> str:
+    """Why the images of a file cannot hold motion; empty where they may."""
+    if len(config.band) == 1:
+        return (
+            f"1 [[band]] ({config.band[0].name}): motion is seen between two or more bands that show the "
+            "same ground at different times; add a band of the same strip"
+        )
+    grids = [grid for grid in files.grids if grid is not None]
+    if config.frame or len(grids) < len(config.band) or len({grid.of for grid in grids}) > 1:
+        return ""
+    return grids[0].reason
 
 
 def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:
@@ -169,9 +186,11 @@ def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:
     Raises
     ------
     InputError, EstimationError
-        As the recovery itself, with the file named.
+        As the recovery itself, with the file named; where the images hold no motion.
     """
     frames, given = acquired.frames, acquired.matching
+    if acquired.still:
+        raise EstimationError(f"{acquired.path}: {acquired.still}")
     with naming(acquired.path):
         if frames and acquired.spin is not None:
             spun = SpinOptions.from_matching(given)

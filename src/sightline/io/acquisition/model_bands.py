@@ -1,6 +1,7 @@
 """``[[band]]`` of ``[platform] kind = "camera-model"``: cameras from sensor-model files.
 
-Not here: reading the file (``io/formats/isd.py``), bands with a trajectory of their own (``bands.py``).
+Not here: reading the file (``io/formats/sensor_model.py``), what bends light (``apparent.py``), bands with a
+trajectory of their own (``bands.py``).
 """
 
 from __future__ import annotations
@@ -16,7 +17,8 @@ from sightline.io.acquisition.bands import match_sigma_of, open_band_image, piec
 from sightline.io.acquisition.schema import AcquisitionFile, BandSection
 from sightline.io.acquisition.spin import mount_of
 from sightline.io.acquisition.stages import stages_of
-from sightline.io.formats.isd import LineScanModel, read_line_scan_model
+from sightline.io.formats.line_scan import LineScanModel
+from sightline.io.formats.sensor_model import read_sensor_model
 from sightline.motion.band import Band
 
 
@@ -43,16 +45,23 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
     """
     shared = getattr(config.platform, "model", None)
     bands: list[Band] = []
-    reference: tuple[float, float] | None = None
+    first: LineScanModel | None = None
     for index, band in enumerate(config.band):
         where = f"{files.toml}: [[band]] number {index + 1} ({band.name})"
         name = band.model or shared
         if name is None:
             raise FormatError(f"{where}: model is missing; give it there or in [platform]")
         _refuse_own_geometry(config, band, where)
-        model = read_line_scan_model(files(name), reference)
-        reference = model.reference
+        model = read_sensor_model(files(name), None if first is None else first.reference)
+        first = first or model
+        if model.scale != first.scale:
+            raise FormatError(
+                f"{where}: {name} counts time in {model.scale}, that of the first band in {first.scale}; "
+                "give the bands of one strip models of one kind"
+            )
         files.doubts += model.doubts
+        files.bends.append(model.lacks)
+        files.grids.append(model.one_grid)
         files.reference_et, files.body = model.reference_et, files.body or model.body
         image = open_band_image(band, files, look=look, shape=model.camera.shape)
         if image.shape != model.camera.shape:

@@ -192,7 +192,17 @@ class CameraModelPlatform(KnownAttitude):
     kind: Literal["camera-model"]
     model: FileName | None = Field(
         default=None,
-        description="USGS CSM line-scan ISD or model state (JSON); or one `model` per [[band]] or [[frame]]",
+        description="USGS CSM line-scan ISD or model state (JSON), or the metadata of a product (XML, IMD); "
+        "or one `model` per [[band]] or [[frame]]",
+    )
+    aberration: bool | None = Field(
+        default=None, description="As of kind ephemeris; default: what the attitudes of the model need"
+    )
+    light_time: bool | None = Field(
+        default=None, description="As of kind ephemeris; default: what the attitudes of the model need"
+    )
+    refraction: bool | None = Field(
+        default=None, description="As of kind ephemeris; default: what the attitudes of the model need"
     )
 
 
@@ -720,6 +730,11 @@ class AcquisitionFile(InputFile):
                     'model needs [platform] kind = "camera-model"' if "model" in given else "time is missing"
                 )
                 raise ValueError(f'{where}{what}; give time = s from the epoch, a UTC instant, or "exif"')
+        bent = [
+            key for key in ("aberration", "light_time", "refraction") if getattr(self.platform, key, None)
+        ]
+        if modelled and self.frame and bent:
+            raise ValueError(f"[platform] {bent[0]} is of detector lines, but [[frame]] is given; remove it")
         lens = sorted(self.camera.model_fields_set & LENS)
         if modelled and self.frame and lens:
             raise ValueError(f"[camera] {lens[0]} is given, but the model files bring it; remove it")
@@ -765,7 +780,8 @@ class AcquisitionFile(InputFile):
                 "[[frame]]"
             )
         count, table = (len(self.frame), "frame") if self.frame else (len(self.band), "band")
-        if count < 2:
+        # one product may be one band: its geometry is described, `recover` refuses it
+        if count < (1 if table == "band" and isinstance(self.platform, CameraModelPlatform) else 2):
             raise ValueError(
                 f"{count} [[{table}]] given; motion is seen between two or more images of the same ground: "
                 f"add a [[{table}]]"

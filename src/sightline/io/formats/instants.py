@@ -44,7 +44,9 @@ def epoch_words(epoch: str | None) -> str:
     return f"t = 0 at {epoch}" + ("" if zoned else " (assumed: UTC, as it has no Z)")
 
 
-def parse_utc(text: str, place: str) -> tuple[datetime, float]:
+def parse_utc(
+    text: str, place: str, years: tuple[int, int] | None = (FIRST_YEAR, LAST_YEAR)
+) -> tuple[datetime, float]:
     """An instant as whole seconds and the fraction that datetime would cut at a microsecond.
 
     Parameters
@@ -53,6 +55,8 @@ def parse_utc(text: str, place: str) -> tuple[datetime, float]:
         ISO 8601, calendar (2026-01-31T...) or ordinal (2026-031T...), with or without Z.
     place : str
         Named in messages.
+    years : (int, int) or None
+        First and last that are allowed; None: any, as products with invented dates have.
 
     Returns
     -------
@@ -66,10 +70,10 @@ def parse_utc(text: str, place: str) -> tuple[datetime, float]:
         raise FormatError(
             f"{place}: {text[:80]!r} is not a UTC instant; write it like 2026-01-31T12:00:00.123Z"
         )
-    if not FIRST_YEAR <= whole.year <= LAST_YEAR:
+    if years is not None and not years[0] <= whole.year <= years[1]:
         raise FormatError(
-            f"{place}: {text!r} is an instant of the year {whole.year}; images are of {FIRST_YEAR} to "
-            f"{LAST_YEAR}"
+            f"{place}: {text!r} is an instant of the year {whole.year}; images are of {years[0]} to "
+            f"{years[1]}"
         )
     fraction = float(f"0.{found[8] or 0}")
     if found[7] != "60":
@@ -103,9 +107,14 @@ def tai_offset(utc: datetime) -> int:
     return _FIRST_OFFSET + bisect_right(_LEAPS, utc)
 
 
-def elapsed(text: str, start: tuple[datetime, float], place: str) -> float:
+def elapsed(
+    text: str,
+    start: tuple[datetime, float],
+    place: str,
+    years: tuple[int, int] | None = (FIRST_YEAR, LAST_YEAR),
+) -> float:
     """Seconds from `start` (of `parse_utc`) to the instant `text`, both UTC, leap seconds counted."""
-    whole, fraction = parse_utc(text, place)
+    whole, fraction = parse_utc(text, place, years)
     leaps = tai_offset(whole) - tai_offset(start[0])
     return (whole - start[0]).total_seconds() + leaps + (fraction - start[1])
 

@@ -1,0 +1,101 @@
+"""What a product says of itself, whatever its maker calls it.
+
+Not here: reading one (``worldview.py``, ...), which reader a file is for (``recognise.py``).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from sightline.io.formats.line_scan import LineScanModel
+from sightline.products.rpc import Rpc
+
+
+@dataclass(frozen=True)
+class ProductBand:
+    """One band of a product, and where its pixels are.
+
+    Attributes
+    ----------
+    name : str
+    image : str
+        File that the metadata names, without folders; empty where it names none.
+    image_band : int
+        Which band of that file, from 1.
+    """
+
+    name: str
+    image: str
+    image_band: int = 1
+
+
+@dataclass(frozen=True)
+class GroundMark:
+    """A pixel whose place on the ground the product gives: a corner, a vertex.
+
+    Attributes
+    ----------
+    name : str
+    line, column : float
+        px, 0-based; an integer is the centre of a pixel.
+    longitude, latitude : float
+        Degrees.
+    height : float or None
+        m above the ellipsoid; None where the product does not say it.
+    """
+
+    name: str
+    line: float
+    column: float
+    longitude: float
+    latitude: float
+    height: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Product:
+    """A product: the rigorous model of its scene, and what its maker says beside it.
+
+    Attributes
+    ----------
+    path : Path
+        Its metadata, as ``[platform] model`` names it.
+    kind : str
+        Maker and level in words.
+    name : str
+        Title of the acquisition.
+    model : LineScanModel
+        t = 0 at `epoch`.
+    epoch : str
+        UTC of t = 0, ISO 8601.
+    bands : tuple of ProductBand
+    height : float or None
+        m above the ellipsoid: of the ground, as far as the product tells.
+    marks : tuple of GroundMark
+        Corners and vertices.
+    rpc : Rpc or None
+        The maker's own rational polynomials, ground to pixels.
+    attitude_sigma : float or None
+        rad about each axis: error of the attitudes, one for the whole strip.
+    assumed, unknown : tuple of str
+        What was assumed of it; what it does not say.
+    """
+
+    path: Path
+    kind: str
+    name: str
+    model: LineScanModel
+    epoch: str
+    bands: tuple[ProductBand, ...]
+    height: float | None = None
+    marks: tuple[GroundMark, ...] = ()
+    rpc: Rpc | None = None
+    attitude_sigma: float | None = None
+    assumed: tuple[str, ...] = ()
+    unknown: tuple[str, ...] = ()
+
+
+def image_name(given: str) -> str:
+    """The file that metadata name, without the folders of the machine that wrote them (Windows' too)."""
+    return given.strip().replace("\\", "/").rstrip("/").rpartition("/")[2]

@@ -1,0 +1,97 @@
+"""Which product a file is of, by what it holds; the metadata inside a folder.
+
+Not here: the readers (one file for each maker's format).
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+from sightline.access import check_file
+from sightline.errors import FormatError, reads
+from sightline.io.formats.products.product import Product
+
+#: Bytes at the begin of a file by which it is recognised.
+_HEAD = 8192
+#: Kinds of products, and what the begin of their metadata holds.
+_KINDS = (("worldview", rb"<isd[\s>]"), ("worldview", rb"BEGIN_GROUP\s*=\s*IMAGE_1|\bproductLevel\s*="))
+#: What packed folders begin with.
+_PACKED = ((b"PK\x03\x04", "zip"), (b"\x1f\x8b", "gzip"), (b"BZh", "bzip2"), (b"\xfd7zXZ", "xz"))
+#: Where a tar file says that it is one.
+_TAR = (257, b"ustar")
+#: Endings of metadata files that are looked for in a folder.
+_ENDINGS = (".xml", ".imd", ".dim")
+
+
+def product_kind(path: Path) -> str | None:
+    """Name of the reader that a file is for; None where it is no metadata of a product that is read."""
+    with path.open("rb") as stream:
+        head = stream.read(_HEAD)
+    return next((kind for kind, pattern in _KINDS if re.search(pattern, head)), None)
+
+
+@reads("metadata of a product")
+def read_product(path: Path, reference: tuple[float, float] | None = None) -> Product:
+    """A product.
+
+    Parameters
+    ----------
+    path : Path
+        Its metadata, or a folder that holds one.
+    reference : (float, float), optional
+        That of another model, whose t = 0 is meant; the first line of the image if not given.
+
+    Returns
+    -------
+    Product
+
+    Raises
+    ------
+    FormatError
+        Names the file, and the value that is missing or wrong.
+    """
+    path = metadata_of(path)
+    match product_kind(path):
+        case "worldview":
+            from sightline.io.formats.products.worldview import read_worldview
+
+            return read_worldview(path, reference)
+        case _:
+            raise FormatError(f"{path}: is no metadata of a product that is read; {_known()}")
+
+
+def metadata_of(path: Path) -> Path:
+    """The metadata that a product is given by: the file itself, or the one that a folder holds.
+
+    Raises
+    ------
+    FormatError
+        If it is not there, is packed, or a folder holds none or several.
+    """
+    if not path.is_dir():
+        check_file(path, "give the metadata file of a product, or its folder")
+        with path.open("rb") as stream:
+            head = stream.read(_TAR[0] + len(_TAR[1]))
+        packed = next((name for begin, name in _PACKED if head.startswith(begin)), None)
+        if packed is None and head[_TAR[0] :] == _TAR[1]:
+            packed = "tar"
+        if packed is not None:
+            raise FormatError(f"{path}: is packed ({packed}); unpack it, and give the folder that comes out")
+        return path
+    files = [file for file in sorted(path.iterdir()) if file.suffix.lower() in _ENDINGS and file.is_file()]
+    found = [file for file in files if product_kind(file) is not None]
+    # some makers deliver the same metadata twice
+    whole = {file.stem for file in found if file.suffix.lower() == ".xml"}
+    found = [file for file in found if file.suffix.lower() == ".xml" or file.stem not in whole]
+    if len(found) != 1:
+        held = f"it holds {', '.join(file.name for file in found)}" if found else "it holds none"
+        raise FormatError(
+            f"{path}: a folder with the metadata of one product is expected, {held}; name the file itself; "
+            f"{_known()}"
+        )
+    return found[0]
+
+
+def _known() -> str:
+    return "read are WorldView and QuickBird (XML, or IMD with ATT, EPH and GEO)"
