@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 from sightline.access import check_file
-from sightline.errors import FormatError, reads
+from sightline.errors import FormatError, foreign_errors, reads
 from sightline.io.formats.products.product import Product
 
 #: Bytes at the begin of a file by which it is recognised.
@@ -25,9 +25,14 @@ _ENDINGS = (".xml", ".imd", ".dim")
 
 
 def product_kind(path: Path) -> str | None:
-    """Name of the reader that a file is for; None where it is no metadata of a product that is read."""
-    with path.open("rb") as stream:
-        head = stream.read(_HEAD)
+    """Name of the reader that a file is for; None where it is no metadata of a product that is read.
+
+    FormatError where the file cannot be opened.
+    """
+    check_file(path)
+    with foreign_errors(path, "cannot be read as a sensor model", "check its permissions"):
+        with path.open("rb") as stream:
+            head = stream.read(_HEAD)
     return next((kind for kind, pattern in _KINDS if re.search(pattern, head)), None)
 
 
