@@ -162,7 +162,7 @@ class TestPresets:
     ("words", "said"),
     [
         ([], r"--template NAME \(strip, stereo, flight, tdi, layout\), or images with --preset NAME \(sent"),
-        (MSI, "give --template NAME"),
+        (MSI, "--template NAME"),
         (["all.tif"], r"--preset NAME \(sentinel-2-msi\)"),
         (["--template", "spin"], "'spin' is not known; allowed: strip, stereo, flight, tdi, layout"),
         (["--template", "tdi", "all.tif"], "--template takes no images"),

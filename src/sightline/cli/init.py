@@ -1,21 +1,28 @@
-"""``sightline init``: a first TOML file, as a template or for images of a known instrument."""
+"""``sightline init``: a first TOML file: of products, as a template, or for images of a known instrument."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from sightline.cli.options import AllowNetwork, Out, Overwrite
+
+if TYPE_CHECKING:
+    from sightline.io.init.bands import FirstAcquisition
 
 
 def init(
     out: Out,
     images: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[IMAGE]...", help="Images of the bands of one scene, with --preset."),
+        typer.Argument(
+            metavar="[PRODUCT]...",
+            help="Metadata of a product, or its folder; several are bands of one strip. With --preset: "
+            "images of the bands of one scene.",
+        ),
     ] = None,
     template: Annotated[
         str | None,
@@ -50,11 +57,14 @@ def init(
     overwrite: Overwrite = False,
     allow_network: AllowNetwork = False,
 ) -> None:
-    """Write a first TOML file: a template of any kind, or the acquisition of images without metadata."""
+    """Write a first TOML file: the acquisition of a product, of images without metadata, or a template."""
     if template is not None:
         given = {"images": images, "--preset": preset, "--bands": bands, "--lag-sign": lag_sign}
         _alone("--template", given)
         _of_template(template, out, overwrite)
+    elif preset is None and images:
+        _alone("a product (give --preset NAME for bare images)", {"--bands": bands, "--lag-sign": lag_sign})
+        _of_products(images, out, overwrite)
     else:
         _of_images(images or [], preset, bands, lag_sign, out, overwrite)
 
@@ -81,6 +91,38 @@ def _of_template(name: str, out: Path, overwrite: bool) -> None:
     _next("check", out / file)
 
 
+def _of_products(products: list[Path], out: Path, overwrite: bool) -> None:
+    """The acquisition of a product, or of several of one strip."""
+    from sightline.cli.output import output_folder
+    from sightline.io.init.products import acquisition_of_products
+    from sightline.writing import whole_text
+
+    with output_folder(out, overwrite=overwrite) as folder:
+        begun = acquisition_of_products(products, out)
+        whole_text(folder / "acquisition.toml", begun.text)
+    _say(begun, out / "acquisition.toml")
+
+
+def _say(begun: FirstAcquisition, file: Path) -> None:
+    """What a first acquisition rests on, and how to go on."""
+    from sightline.cli.terminal import say
+
+    for title, lines in (
+        ("found", begun.found),
+        ("assumed", begun.assumed),
+        ("not known", begun.unknown),
+        ("before `recover`", begun.lacking),
+    ):
+        if lines:
+            say(f"{title}:")
+        for line in lines:
+            say(f"  {line}")
+    if begun.lacking:
+        _next("check", file)
+    else:
+        _next("recover", file, "--out", "result")
+
+
 def _of_images(
     images: list[Path],
     preset: str | None,
@@ -91,7 +133,6 @@ def _of_images(
 ) -> None:
     """The acquisition of images of a known instrument."""
     from sightline.cli.output import output_folder
-    from sightline.cli.terminal import say
     from sightline.errors import InputError
     from sightline.io.init.bands import acquisition_of_bands
     from sightline.io.init.presets import PRESETS
@@ -101,7 +142,7 @@ def _of_images(
 
     if preset is None or not images:
         raise InputError(
-            f"give --template NAME ({', '.join(TEMPLATES)}), or images with --preset NAME "
+            f"give a product, --template NAME ({', '.join(TEMPLATES)}), or images with --preset NAME "
             f"({', '.join(PRESETS)})"
         )
     if lag_sign not in (None, "+", "-"):
@@ -112,11 +153,7 @@ def _of_images(
     with output_folder(out, overwrite=overwrite) as folder:
         begun = acquisition_of_bands(known, images, out, names, sign)
         whole_text(folder / "acquisition.toml", begun.text)
-    for title, lines in (("assumed", begun.assumed), ("not known", begun.unknown)):
-        say(f"{title}:")
-        for line in lines:
-            say(f"  {line}")
-    _next("recover", out / "acquisition.toml", "--out", "result")
+    _say(begun, out / "acquisition.toml")
 
 
 def _next(command: str, file: Path, *options: str) -> None:

@@ -136,7 +136,7 @@ def bent_bands(
         if keys:
             _refuse_other_worlds(config, keys[0], files)
             camera, height = band.camera, _height_below(band.camera, surface)
-            band = replace(band, camera=_bent(camera, height, keys))
+            band = replace(band, camera=bent_camera(camera, height, keys))
             if index == 0:
                 rays = camera.rays((np.array([camera.shape]) - 1.0) / 2.0)
                 velocity = _velocity(camera.trajectory, rays.t)
@@ -154,8 +154,8 @@ def _height_below(camera: PushbroomCamera, surface: Surface) -> float:
     return float(np.median(heights)) if len(heights) else 0.0
 
 
-def _bent(camera: PushbroomCamera, height: float, keys: Sequence[str]) -> PushbroomCamera:
-    """The camera of a fixed mount, its rays straight."""
+def bent_camera(camera: PushbroomCamera, height: float, keys: Sequence[str]) -> PushbroomCamera:
+    """The camera of a fixed mount, its rays led straight to ground of a height (m above the ellipsoid)."""
     mount = camera.pointing
     assert isinstance(mount, FixedMount)  # models bring one, [camera] may replace it by one
     begin, end = camera.known_lines

@@ -124,7 +124,8 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
             otherwise=lambda camera: otherwise_written(config, camera, surface, files.fixed_from_given),
         )  # fmt: skip
         check_sampling(path, surface, cameras, names)
-        check_overlap(path, surface, cameras, names)
+        if len(cameras) > 1:
+            check_overlap(path, surface, cameras, names)
     sensors = tuple(read_sensor(entry, files) for entry in config.attitude_sensor)
     exposed = np.concatenate([camera.times(np.array([0.0, camera.shape[0] - 1.0])) for camera in cameras])
     return Acquisition(

@@ -1,1 +1,1 @@
-"""First files of one's own: templates of every TOML file, and acquisitions of bands without metadata."""
+"""First files of one's own: templates of every TOML file, acquisitions of products and of bare bands."""

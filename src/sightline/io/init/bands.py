@@ -35,11 +35,17 @@ class FirstAcquisition:
         ACQUISITION.toml.
     assumed, unknown : tuple of str
         What was assumed, each with its source; what could not be known.
+    found : tuple of str
+        What was found of the files, how a product agrees with itself.
+    lacking : tuple of str
+        Why it cannot be recovered as it is; empty where it can.
     """
 
     text: str
     assumed: tuple[str, ...]
     unknown: tuple[str, ...]
+    found: tuple[str, ...] = ()
+    lacking: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -216,7 +222,7 @@ def _band(preset: Preset, band: _Image, folder: Path, sign: int) -> str:
     known = f"lag {lag:g} +- {abs(lag) * preset.lag_sigma:.2g} s" if lag else "lags count from here"
     return f"""[[band]]
 name = {toml_string(band.name)}
-image = {toml_string(_path(band.path, folder))}
+image = {toml_string(path_from(band.path, folder))}
 image_band = {band.number}
 first_line_time = {lag + 0.0!r}           # s; {known}
 look_ahead = {ahead!r} # rad, -atan(lag x speed / altitude)
@@ -224,8 +230,8 @@ offset_sigma_px = {preset.offset_sigma_px!r}
 rotation_sigma = {preset.rotation_sigma!r}"""
 
 
-def _path(image: Path, folder: Path) -> str:
-    """Where an image is as seen from a folder; its whole path where ``..`` may lead elsewhere."""
+def path_from(image: Path, folder: Path) -> str:
+    """Where a file is as seen from a folder; its whole path where ``..`` may lead elsewhere."""
     whole, base = Path(os.path.abspath(image)), Path(os.path.abspath(folder))
     if base.resolve() != base or whole.anchor != base.anchor:  # behind a link, on another drive
         return whole.as_posix()

@@ -16,6 +16,8 @@ from sightline.io.formats.products.product import Product
 _HEAD = 8192
 #: Kinds of products, and what the begin of their metadata holds.
 _KINDS = (("worldview", rb"<isd[\s>]"), ("worldview", rb"BEGIN_GROUP\s*=\s*IMAGE_1|\bproductLevel\s*="))
+#: What is read, in words.
+KNOWN = "read are WorldView and QuickBird, level 1B (XML, or IMD with ATT, EPH and GEO)"
 #: What packed folders begin with.
 _PACKED = ((b"PK\x03\x04", "zip"), (b"\x1f\x8b", "gzip"), (b"BZh", "bzip2"), (b"\xfd7zXZ", "xz"))
 #: Where a tar file says that it is one.
@@ -63,7 +65,7 @@ def read_product(path: Path, reference: tuple[float, float] | None = None) -> Pr
 
             return read_worldview(path, reference)
         case _:
-            raise FormatError(f"{path}: is no metadata of a product that is read; {_known()}")
+            raise FormatError(f"{path}: is no metadata of a product that is read; {KNOWN}")
 
 
 def metadata_of(path: Path) -> Path:
@@ -93,10 +95,6 @@ def metadata_of(path: Path) -> Path:
         held = f"it holds {', '.join(file.name for file in found)}" if found else "it holds none"
         raise FormatError(
             f"{path}: a folder with the metadata of one product is expected, {held}; name the file itself; "
-            f"{_known()}"
+            f"{KNOWN}"
         )
     return found[0]
-
-
-def _known() -> str:
-    return "read are WorldView and QuickBird (XML, or IMD with ATT, EPH and GEO)"

@@ -1,0 +1,206 @@
+"""An ACQUISITION.toml for products: it refers to their own metadata and images, and says what it rests on.
+
+Not here: reading products (``io/formats/products/``), how well they agree with themselves (``agreement.py``).
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Sequence
+from itertools import combinations
+from pathlib import Path
+
+from sightline.errors import InputError
+from sightline.geometry.apparent import APPARENT
+from sightline.io.acquisition.schema import AcquisitionFile
+from sightline.io.config import validate
+from sightline.io.formats.instants import FIRST_YEAR, LAST_YEAR
+from sightline.io.formats.products.product import Product, ProductBand
+from sightline.io.formats.products.recognise import KNOWN, metadata_of, product_kind, read_product
+from sightline.io.init.agreement import agreement
+from sightline.io.init.bands import FirstAcquisition, path_from
+from sightline.io.init.presets import PRESETS
+from sightline.io.names import toml_string
+
+#: Endings of images that are looked for beside metadata that do not name them.
+_IMAGES = (".tif", ".tiff", ".ntf", ".nitf", ".jp2", ".img", ".vrt", ".til")
+#: s between the last line of a product and the first of another from which on they are two strips.
+_APART = 60.0
+#: m; what is not known of the height of the ground where a product says nothing; part of the scale of its
+#: rational polynomials otherwise, which reach over all heights of the scene.
+_HEIGHT_SIGMA, _OF_SCALE = 100.0, 1.0 / 3.0
+
+
+def acquisition_of_products(paths: Sequence[Path], folder: Path) -> FirstAcquisition:
+    """The acquisition of a product, or of several of one strip.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        Metadata of each product, or the folder that holds it.
+    folder : Path
+        Where the file will lie: all paths are relative to it.
+
+    Returns
+    -------
+    FirstAcquisition
+
+    Raises
+    ------
+    FormatError
+        Names the file, and what is missing or wrong.
+    InputError
+        If several products are no bands of one strip.
+    """
+    products: list[Product] = []
+    for path in map(metadata_of, paths):
+        if product_kind(path) is None:
+            raise InputError(
+                f"{path}: is no metadata of a product; {KNOWN}; images without metadata are given with "
+                f"--preset NAME ({', '.join(PRESETS)})"
+            )
+        first = products[0].model.reference if products else None
+        products.append(read_product(path, first))
+    _check(products)
+    images = [[_image(product, band) for band in product.bands] for product in products]
+    missing = [
+        f"{path.name}: no such file beside {product.path.name}; put it there, or correct `image`"
+        for product, found in zip(products, images, strict=True)
+        for path in dict.fromkeys(found)
+        if not path.is_file()
+    ]
+    assumed = tuple(dict.fromkeys(line for product in products for line in product.assumed))
+    unknown = (*dict.fromkeys(line for product in products for line in product.unknown), *_unknown(products))
+    head = [
+        "ACQUISITION.toml, by `sightline init`. Assumed:",
+        *(f"- {line}" for line in assumed),
+        "Not known:",
+        *(f"- {line}" for line in (*unknown, *missing)),
+    ]
+    parts = ["\n".join(f"# {line}" for line in head), _head(products), _platform(products, folder)]
+    for product, found in zip(products, images, strict=True):
+        for band, image in zip(product.bands, found, strict=True):
+            parts.append(_band(product, band, image, folder, shared=len(products) == 1))
+    text = "\n\n".join([*parts, _surface(products)]) + "\n"
+    validate(AcquisitionFile, tomllib.loads(text), folder / "acquisition.toml")
+    found_out = tuple(
+        f"{product.path.name}: {words}" if len(products) > 1 else words
+        for product in products
+        for words in (f"{product.kind}, {_size(product)}", *agreement(product), *product.model.doubts)
+    )
+    still = _still(products)
+    return FirstAcquisition(text, assumed, unknown, found_out, (*missing, *([still] if still else [])))
+
+
+def _size(product: Product) -> str:
+    lines, columns = product.model.camera.shape
+    return f"{lines} lines x {columns} columns, bands {', '.join(band.name for band in product.bands)}"
+
+
+def _still(products: Sequence[Product]) -> str:
+    """Why `recover` would refuse these; empty where it would not."""
+    if sum(len(product.bands) for product in products) == 1:
+        (band,) = products[0].bands
+        return (
+            f"one band ({band.name}): motion is seen between two or more bands of one strip; give the "
+            "product of the other bands too"
+        )
+    grids = [product.model.one_grid for product in products]
+    if None in grids or len({grid.of for grid in grids if grid is not None}) > 1:
+        return ""
+    return next(grid.reason for grid in grids if grid is not None)
+
+
+def _check(products: Sequence[Product]) -> None:
+    """InputError unless these can be bands of one strip."""
+    for a, b in combinations(products, 2):
+        where = f"{a.path} and {b.path}"
+        if a.path.resolve() == b.path.resolve():
+            raise InputError(f"{where} are one product; give it once")
+        ends = [product.model.camera.times([0.0, product.model.camera.lines - 1.0]) for product in (a, b)]
+        gap = max(float(ends[1][0] - ends[0][1]), float(ends[0][0] - ends[1][1]))
+        if gap > _APART:
+            raise InputError(
+                f"{where} were exposed {gap:.0f} s after one another: they are two strips; write an "
+                "acquisition for each (a stereo pair goes to `orient`, [[strip]])"
+            )
+        alike = sorted({band.name for band in a.bands} & {band.name for band in b.bands})
+        if alike:
+            raise InputError(
+                f"{where} both hold the band {alike[0]}: parts of one strip, or two looks; bands of one "
+                "strip that show the same ground are expected: write an acquisition for each"
+            )
+
+
+def _image(product: Product, band: ProductBand) -> Path:
+    """The image of a band beside the metadata; where it is not there, where it should be."""
+    folder, stem = product.path.parent, product.path.stem
+    beside = {file.name.lower(): file for file in sorted(folder.iterdir()) if file.is_file()}
+    if band.image:
+        return beside.get(band.image.lower(), folder / band.image)
+    found = [beside[f"{stem}{ending}".lower()] for ending in _IMAGES if f"{stem}{ending}".lower() in beside]
+    return found[0] if found else folder / f"{stem}.TIF"
+
+
+def _unknown(products: Sequence[Product]) -> tuple[str, ...]:
+    """What no product says."""
+    return (
+        "heights of the ground within the scene: one height, that of the product, with height_sigma; give "
+        "[surface] dem for the real ones",
+        *(
+            f"{product.path.name}: how well its attitudes are known: attitude_sigma is the default"
+            for product in products
+            if product.attitude_sigma is None
+        ),
+    )
+
+
+def _head(products: Sequence[Product]) -> str:
+    first = products[0]
+    lines = ["[acquisition]", f"name = {toml_string(' and '.join(p.name for p in products)[:200])}"]
+    if FIRST_YEAR <= int(first.epoch[:4]) <= LAST_YEAR:
+        lines.append(f"epoch = {toml_string(first.epoch)}   # t = 0: line 0 of {first.bands[0].name}")
+    return "\n".join(lines)
+
+
+def _platform(products: Sequence[Product], folder: Path) -> str:
+    """The model, what is applied to it, and how well its attitudes are known."""
+    lines = ["[platform]", 'kind = "camera-model"']
+    if len(products) == 1:
+        lines.append(f"model = {toml_string(path_from(products[0].path, folder))}")
+    lacks = {product.model.lacks for product in products}
+    if len(lacks) == 1:
+        (held,) = lacks
+        for key in APPARENT:
+            why = "the maker's attitudes do not hold it" if key in held else "the maker's attitudes hold it"
+            lines.append(f"{key} = {'true' if key in held else 'false':5}   # {why}")
+    sigmas = [product.attitude_sigma for product in products if product.attitude_sigma is not None]
+    if len(sigmas) == len(products):
+        lines.append(
+            f"attitude_sigma = {max(sigmas):.3g}   # rad: by the maker, one error for the whole strip"
+        )
+    return "\n".join(lines)
+
+
+def _band(product: Product, band: ProductBand, image: Path, folder: Path, *, shared: bool) -> str:
+    lines = ["[[band]]", f"name = {toml_string(band.name)}"]
+    lines.append(f"image = {toml_string(path_from(image, folder))}")
+    if band.image_band != 1:
+        lines.append(f"image_band = {band.image_band}")
+    if not shared:
+        lines.append(f"model = {toml_string(path_from(product.path, folder))}")
+    return "\n".join(lines)
+
+
+def _surface(products: Sequence[Product]) -> str:
+    heights = [product.height for product in products if product.height is not None]
+    scales = [product.rpc.height[1] * _OF_SCALE for product in products if product.rpc is not None]
+    height = heights[0] if heights else 0.0
+    where = "m above the ellipsoid: by the product" if heights else "m above the ellipsoid: not known"
+    return "\n".join(
+        [
+            "[surface]",
+            f"height = {height:.1f}   # {where}",
+            f"height_sigma = {max(scales, default=_HEIGHT_SIGMA):.0f}   # m: relief that is not known",
+        ]
+    )
