@@ -18,6 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+from tests import maker_files
 from tests.io.sequence_files import NORTH, Flight, flight, npy
 from tests.io.stereo_files import scene
 from tests.product_files import WorldViewScene
@@ -499,6 +500,14 @@ image = "XS.npy"
 model = "XS.IMD"
 """
     )
+
+
+@seed
+def maker_products(folder: Path) -> None:
+    """Scenes as SPOT 6, SPOT 5 and Pleiades describe them."""
+    maker_files.dimap2(folder, rows=40, columns=30)
+    maker_files.dimap1(folder, rows=60, columns=30)
+    maker_files.pleiades(folder, rows=40, columns=30, seconds=1.0)
 
 
 @seed

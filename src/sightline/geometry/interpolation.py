@@ -25,7 +25,7 @@ def unit_weights(x: float) -> tuple[float, float, float, float]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def stencils(nodes: Array, t: Array) -> tuple[np.ndarray, np.ndarray, Array]:
+def stencils(nodes: Array, t: Array, most: int = POINTS) -> tuple[np.ndarray, np.ndarray, Array]:
     """Where each `t` falls among `nodes`: its interval, the first node of its stencil, the weights there.
 
     Parameters
@@ -34,6 +34,8 @@ def stencils(nodes: Array, t: Array) -> tuple[np.ndarray, np.ndarray, Array]:
         Strictly increasing.
     t : (N,)
         Where to interpolate; beyond the ends the end stencil is used.
+    most : int
+        Nodes of a stencil.
 
     Returns
     -------
@@ -41,11 +43,11 @@ def stencils(nodes: Array, t: Array) -> tuple[np.ndarray, np.ndarray, Array]:
         Node at or before t (0 to A - 2; 0 when A = 1).
     first : (N,) int
         First node of the stencil.
-    weights : (N, min(4, A))
+    weights : (N, min(most, A))
         Lagrange weights of the nodes first, first + 1, ...
     """
     count = len(nodes)
-    points = min(POINTS, count)
+    points = min(most, count)
     interval = np.empty(len(t), np.int64)
     first = np.empty(len(t), np.int64)
     weights = np.empty((len(t), points))
@@ -65,9 +67,12 @@ def stencils(nodes: Array, t: Array) -> tuple[np.ndarray, np.ndarray, Array]:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def interpolate(nodes: Array, values: Array, t: Array) -> Array:
-    """Values (A, K) known at `nodes` (A,), at the places `t` (N,): (N, K), by the local cubic."""
-    _, first, weights = stencils(nodes, t)
+def interpolate(nodes: Array, values: Array, t: Array, most: int = POINTS) -> Array:
+    """Values (A, K) known at `nodes` (A,), at the places `t` (N,): (N, K), by the local cubic.
+
+    Other numbers of nodes than four (`most`) are of tables that were made for them.
+    """
+    _, first, weights = stencils(nodes, t, most)
     out = np.zeros((len(t), values.shape[1]))
     for row in range(len(t)):
         for a in range(weights.shape[1]):

@@ -409,9 +409,14 @@ def check_seen(path: Path, surface: Surface, cameras: Sequence[MovingCamera]) ->
 
 
 def check_overlap(
-    path: Path, surface: Surface, cameras: Sequence[MovingCamera], names: Sequence[str]
+    path: Path,
+    surface: Surface,
+    cameras: Sequence[MovingCamera],
+    names: Sequence[str],
+    *,
+    still: bool = False,
 ) -> None:
-    """Refuse images that share no ground with any other, or see it all at the same instant.
+    """Refuse images that share no ground with any other, or see it all at the same instant unless `still`.
 
     Raises
     ------
@@ -443,7 +448,7 @@ def check_overlap(
                     f"which is more than {MOST_LINES_APART:,} of its lines; images of one pass are expected: "
                     "check first_line_time, or the times of the sensor models"
                 )
-    if not moving:
+    if not moving and not still:
         raise GeometryError(
             f"{path}: all images see the same ground at the same time (lag 0), so motion cannot be seen; "
             "check look_ahead and first_line_time"

@@ -111,7 +111,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         *(frame.camera for frame in frames),
     ]
     names = [*(band.name for band in bands), *(frame.name for frame in frames)]
-    surface = build_surface(config, files, cameras)
+    surface, still = build_surface(config, files, cameras), _still(config, files)
     bands = bent_bands(config, bands, surface, files)
     cameras[: len(bands)] = [band.camera for band in bands]
     if isinstance(config.platform, SpinPlatform) and frames:
@@ -125,7 +125,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         )  # fmt: skip
         check_sampling(path, surface, cameras, names)
         if len(cameras) > 1:
-            check_overlap(path, surface, cameras, names)
+            check_overlap(path, surface, cameras, names, still=bool(still))
     sensors = tuple(read_sensor(entry, files) for entry in config.attitude_sensor)
     exposed = np.concatenate([camera.times(np.array([0.0, camera.shape[0] - 1.0])) for camera in cameras])
     return Acquisition(
@@ -153,7 +153,7 @@ def _acquisition(path: Path, config: AcquisitionFile, files: InputFolder, *, loo
         reference_et=files.reference_et,
         body=files.body,
         absent=tuple(files.absent),
-        still=_still(config, files),
+        still=still,
         doubts=(
             *dict.fromkeys(files.doubts),
             *look_doubts(config, cameras, names, surface, files.fixed_from_given),

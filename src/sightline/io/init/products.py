@@ -84,7 +84,9 @@ def acquisition_of_products(paths: Sequence[Path], folder: Path) -> FirstAcquisi
     text = "\n\n".join([*parts, _surface(products)]) + "\n"
     validate(AcquisitionFile, tomllib.loads(text), folder / "acquisition.toml")
     found_out = tuple(
-        f"{product.path.name}: {words}" if len(products) > 1 else words
+        words
+        if len(products) == 1 or words.startswith(product.path.name)
+        else f"{product.path.name}: {words}"
         for product in products
         for words in (f"{product.kind}, {_size(product)}", *agreement(product), *product.model.doubts)
     )

@@ -15,9 +15,18 @@ from sightline.io.formats.products.product import Product
 #: Bytes at the begin of a file by which it is recognised.
 _HEAD = 8192
 #: Kinds of products, and what the begin of their metadata holds.
-_KINDS = (("worldview", rb"<isd[\s>]"), ("worldview", rb"BEGIN_GROUP\s*=\s*IMAGE_1|\bproductLevel\s*="))
+_KINDS = (
+    ("worldview", rb"<isd[\s>]"),
+    ("worldview", rb"BEGIN_GROUP\s*=\s*IMAGE_1|\bproductLevel\s*="),
+    ("pleiades", rb"<PHR_Dimap_Document[\s>]"),
+    ("dimap1", rb"<METADATA_FORMAT\s+version\s*=\s*[\"']1"),
+    ("dimap2", rb"<METADATA_FORMAT\s+version\s*=\s*[\"']2"),
+)
 #: What is read, in words.
-KNOWN = "read are WorldView and QuickBird, level 1B (XML, or IMD with ATT, EPH and GEO)"
+KNOWN = (
+    "read are WorldView and QuickBird, level 1B (XML, or IMD with ATT, EPH and GEO), SPOT 6 (DIMAP 2, level "
+    "SENSOR), SPOT 5 (DIMAP 1, level 1A) and Pleiades (PHRDIMAP)"
+)
 #: What packed folders begin with.
 _PACKED = ((b"PK\x03\x04", "zip"), (b"\x1f\x8b", "gzip"), (b"BZh", "bzip2"), (b"\xfd7zXZ", "xz"))
 #: Where a tar file says that it is one.
@@ -64,6 +73,18 @@ def read_product(path: Path, reference: tuple[float, float] | None = None) -> Pr
             from sightline.io.formats.products.worldview import read_worldview
 
             return read_worldview(path, reference)
+        case "dimap2":
+            from sightline.io.formats.products.dimap2 import read_dimap2
+
+            return read_dimap2(path, reference)
+        case "dimap1":
+            from sightline.io.formats.products.dimap1 import read_dimap1
+
+            return read_dimap1(path, reference)
+        case "pleiades":
+            from sightline.io.formats.products.pleiades import read_pleiades
+
+            return read_pleiades(path, reference)
         case _:
             raise FormatError(f"{path}: is no metadata of a product that is read; {KNOWN}")
 

@@ -1,0 +1,175 @@
+"""Pleiades products of CNES's inventory (PHRDIMAP): the virtual camera of a product.
+
+Line l (from 0) is exposed START + l SENSOR_LINE_PERIOD; each component of the quaternion is a polynomial of
+the time of day; u = R(q) unit(PsiY, -PsiX, 1), Psi polynomials of the column. Velocities are relative to the
+stars, though on Earth-fixed axes. Attitudes hold the aberration of light.
+
+Not here: counters of gyros and quaternions (``pleiades_telemetry.py``), Airbus's own DIMAP 2 of Pleiades.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import timedelta
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sightline.io.formats.instants import parse_utc
+from sightline.io.formats.line_scan import MOST_LINES, MOST_SAMPLES, OneGrid
+from sightline.io.formats.products.makers import (
+    Orbit,
+    epoch_of,
+    labels,
+    line_scan,
+    orbit_of,
+    scaled,
+    some,
+    words,
+)
+from sightline.io.formats.products.product import Product, ProductBand, image_name
+from sightline.io.formats.products.tree import Part, read_xml
+from sightline.products.rpc import TERMS, Rpc
+
+Array = NDArray[np.float64]
+
+WHAT = "PHRDIMAP metadata of a Pleiades product (PHRDIMAP_....XML)"
+_MODEL = "Geometric_Data/Sensor_Model_Characteristics"
+START = f"{_MODEL}/UTC_Sensor_Model_Range/START"
+_POINTS = f"{_MODEL}/Sensor_Ephemeris/Point_List/Point"
+_POLYNOMIALS = f"{_MODEL}/Sensor_Attitudes/Polynomial_Models"
+_VIEW = f"{_MODEL}/Sensor_Viewing_Model"
+_RFM = "Geoposition/Rational_Sensor_Model/Global_RFM"
+_MILLISECONDS = {"ms": 1e-3, "s": 1.0, "us": 1e-6}
+#: Highest degree of a polynomial; of makers' files it is 3.
+_MOST_DEGREE = 20
+_STILL = (
+    "the image is resampled by its maker to one virtual line (Pleiades, level SENSOR), its attitude a "
+    "polynomial: it holds no motion; raw bands in sensor geometry would do (levels L0, L1A): give their "
+    "images to `sightline init` beside this file, which knows their lags"
+)
+
+
+def read_pleiades(path: Path, reference: tuple[float, float] | None = None) -> Product:
+    """A PHRDIMAP product: arguments and errors as of `read_product`."""
+    data = read_xml(path, WHAT)
+    if not data.has(_MODEL):
+        raise data.refused(
+            _MODEL, "is missing: products on a map, and other makers' files, hold no such model"
+        )
+    start = data.text(START)
+    period = float(scaled(data, f"{_MODEL}/SENSOR_LINE_PERIOD", _MILLISECONDS)[0])
+    if period <= 0.0:
+        raise data.refused(f"{_MODEL}/SENSOR_LINE_PERIOD", f"is {period:g} s, not above 0")
+    t = period * np.arange(data.count("Raster_Dimensions/NROWS", 2, MOST_LINES), dtype=np.float64)
+    title = words(data, "Dataset_Identification/DATASET_NAME", path.stem)
+    orbit, attitude = pleiades_orbit(data, start), pleiades_attitude(data, start)
+    model = line_scan(
+        path, start, t, (t[:0], attitude), orbit, _looks(data), reference, one_grid=OneGrid(title, _STILL)
+    )
+    rpc = _rpc(data)
+    return Product(
+        path=path,
+        kind=f"Pleiades {words(data, 'Data_Strip/Data_Strip_Identification/PLATFORM_SERIAL_NUMBER')} "
+        f"(PHRDIMAP, level {words(data, 'Product_Characteristics/PROCESSING_LEVEL', 'SENSOR')})",
+        name=title,
+        model=model,
+        epoch=epoch_of(start, 0.0),
+        bands=_bands(data),
+        height=None if rpc is None else rpc.height[0],
+        rpc=rpc,
+        assumed=(
+            "attitudes lead straight to the ground: neither aberration nor refraction is applied",
+            *((f"the ground lies at {rpc.height[0]:g} m, the middle of the heights of the product's RFM",)
+              if rpc is not None else ()),
+        ),
+        unknown=(
+            "looks of the real detectors: only the product's virtual line is described",
+            "what star trackers measured: the file holds quaternions of the filter alone",
+        ),
+    )  # fmt: skip
+
+
+def pleiades_orbit(data: Part, start: str) -> Orbit:
+    """The ephemeris of the model, in s from an instant; velocities turned to those relative to the Earth."""
+    rows = some(data, _POINTS, 2)
+    place = np.array([scaled(row, "LOCATION_VALUES", {"m": 1.0, "km": 1e3}, 3) for row in rows])
+    speed = np.array([scaled(row, "VELOCITY_VALUES", {"m/s": 1.0, "km/s": 1e3}, 3) for row in rows])
+    return orbit_of(data, _POINTS, labels(rows, "UTC_TIME", start), place, speed, inertial=True)
+
+
+def pleiades_attitude(data: Part, start: str) -> Callable[[Array], Rotation]:
+    """earth_from_body of times in s from an instant, by the polynomials of the model."""
+    whole, fraction = parse_utc(start, f"{data.path}")
+    of_day = (whole - whole.replace(hour=0, minute=0, second=0)) / timedelta(seconds=1) + fraction
+    offset = data.number(f"{_MODEL}/Sensor_Attitudes/OFFSET")
+    scale = data.positive(f"{_MODEL}/Sensor_Attitudes/SCALE")
+    rows = [_polynomial(data, f"{_POLYNOMIALS}/Q{k}") for k in range(4)]
+    length = float(np.linalg.norm([row[0] for row in rows]))
+    if abs(length - 1.0) > 1e-2:
+        raise data.refused(_POLYNOMIALS, f"gives a quaternion of length {length:.6g}, not near 1")
+
+    def at(t: Array) -> Rotation:
+        x = (t + of_day - offset) / scale
+        parts = [np.polynomial.polynomial.polyval(x, row) for row in rows]
+        return Rotation.from_quat(np.stack(parts, axis=1), scalar_first=True)
+
+    return at
+
+
+def _polynomial(data: Part, name: str) -> Array:
+    """Coefficients, the constant first."""
+    return data.numbers(f"{name}/COEFFICIENTS", data.count(f"{name}/DEGREE", 0, _MOST_DEGREE) + 1)
+
+
+def _looks(data: Part) -> Array:
+    """(columns, 3) vectors, sensor axes."""
+    columns = data.count("Raster_Dimensions/NCOLS", 2, MOST_SAMPLES)
+    first = data.count(f"{_VIEW}/Position_In_Retina/FIRST_COL", 1, 1)
+    last = data.count(f"{_VIEW}/Position_In_Retina/LAST_COL", 1, MOST_SAMPLES)
+    if last < columns:
+        raise data.refused(
+            f"{_VIEW}/Position_In_Retina/LAST_COL", f"is {last} of {columns} columns: some have no look"
+        )
+    k = np.arange(columns) + 1.0 - first
+    x, y = (
+        np.polynomial.polynomial.polyval(k, _polynomial(data, f"{_VIEW}/Viewing_Directions/Psi{axis}_Model"))
+        for axis in "XY"
+    )
+    return np.stack([y, -x, np.ones(columns)], axis=1)
+
+
+def _rpc(data: Part) -> Rpc | None:
+    """The maker's RFM, ground to pixels; rows and columns of the file begin at 1."""
+    if not data.has(f"{_RFM}/Inverse_Model"):
+        return None
+
+    def normal(name: str, first: float = 0.0) -> tuple[float, float]:
+        part = data.part(f"{_RFM}/RFM_Validity/{name}")
+        return part.number("B") - first, part.positive("A")
+
+    row, column = (data.numbers(f"{_RFM}/Inverse_Model/F_{name}", 2 * TERMS) for name in ("ROW", "COL"))
+    return Rpc(
+        normal("Row", 1.0),
+        normal("Col", 1.0),
+        normal("Lat"),
+        normal("Lon"),
+        normal("Alt"),
+        row[:TERMS],
+        row[TERMS:],
+        column[:TERMS],
+        column[TERMS:],
+    )
+
+
+def _bands(data: Part) -> tuple[ProductBand, ...]:
+    """Every band, in its order in the file."""
+    found = data.parts("Product_Characteristics/Product_Image_Characteristics/Data_Access/Data_File")
+    given = [
+        words(part, "DATA_FILE_PATH") or part.part("DATA_FILE_PATH").element.get("href", "") for part in found
+    ]
+    names = [part.text("BAND_ID") for part in data.parts("Image_Interpretation/Spectral_Band_Info")] or ["PA"]
+    image = image_name(given[0]) if len(given) == 1 else ""
+    return tuple(ProductBand(name, image, number) for number, name in enumerate(names, 1))
