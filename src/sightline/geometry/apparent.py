@@ -184,7 +184,7 @@ class BentMount(ReadOnlyArrays):
     Notes
     -----
     Aberration and refraction change over the field by less than a pixel, all but linearly: a matrix that is
-    not quite a rotation holds both. Of a turn by 25 urad it lacks less than 1e-9 rad within 2 degrees.
+    not quite a rotation holds both, to some nanoradians within 2 degrees of the middle.
     """
 
     mount: FixedMount

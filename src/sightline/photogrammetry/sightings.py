@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import InputError
+from sightline.geometry.apparent import BentMount
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import Array, ReadOnlyArrays, as_pixels, as_points, as_times, frozen
 from sightline.geometry.instrument import AreaDetector
@@ -354,7 +355,7 @@ def sight_pushbroom(cameras: Sequence[PushbroomCamera], tracks: Tracks) -> Sight
     position, world_from_body, t = np.empty((n, 3)), np.empty((n, 3, 3)), np.empty(len(cameras))
     mounts = []
     for number, camera in enumerate(cameras):
-        if not isinstance(camera.pointing, FixedMount):
+        if not isinstance(camera.pointing, FixedMount | BentMount):
             raise InputError("a constant error is sought for cameras that sit still in their body only")
         mount = camera.pointing.body_from_camera.as_matrix()
         mounts.append(mount)
@@ -364,6 +365,9 @@ def sight_pushbroom(cameras: Sequence[PushbroomCamera], tracks: Tracks) -> Sight
         lever = np.asarray(camera.lever_arm, dtype=np.float64)
         times = camera.times(pixels[:, 0])
         matrices, position[rows] = camera_poses(times, camera.trajectory, camera.pointing, lever)
+        if isinstance(camera.pointing, BentMount):
+            # the nearest rotations: where points are seen from there holds what light does
+            matrices = Rotation.from_matrix(matrices).as_matrix()
         world_from_body[rows] = matrices @ mount.T
         rays = camera.rays(pixels)
         points = rays.origins + ranges[rows, None] * rays.directions

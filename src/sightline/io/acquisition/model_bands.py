@@ -17,7 +17,7 @@ from sightline.io.acquisition.bands import match_sigma_of, open_band_image, piec
 from sightline.io.acquisition.schema import AcquisitionFile, BandSection
 from sightline.io.acquisition.spin import mount_of
 from sightline.io.acquisition.stages import stages_of
-from sightline.io.formats.line_scan import LineScanModel
+from sightline.io.formats.line_scan import LineScanModel, of_size
 from sightline.io.formats.sensor_model import read_sensor_model
 from sightline.motion.band import Band
 
@@ -64,6 +64,8 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
         files.grids.append(model.one_grid)
         files.reference_et, files.body = model.reference_et, files.body or model.body
         image = open_band_image(band, files, look=look, shape=model.camera.shape)
+        if image.shape == model.padded:
+            model = replace(model, camera=of_size(model.camera, image.shape))
         if image.shape != model.camera.shape:
             raise FormatError(
                 f"{where}: {image.path.name} has {image.shape[0]} lines x {image.shape[1]} columns, {name} "

@@ -9,7 +9,7 @@ Not here: reading files (``isd.py``, ``products/``), which reader a file is for 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -219,6 +219,16 @@ def assemble(
         float(t[0]),
         len(t),
         line_times=None if even else t,
+    )
+
+
+def of_size(camera: PushbroomCamera, shape: tuple[int, int]) -> PushbroomCamera:
+    """The same camera for a file of more lines and columns, which follow after those of its image."""
+    lines, columns = shape
+    directions = camera.detector.directions_at(np.arange(float(columns)))
+    times = None if camera.line_times is None else camera.times(np.arange(float(lines)))
+    return replace(
+        camera, detector=replace(camera.detector, directions=directions), lines=lines, line_times=times
     )
 
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError
+from sightline.geometry.apparent import BentMount
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.earth import WGS84
 from sightline.geometry.instrument import AreaDetector
@@ -75,7 +76,7 @@ def _camera_of(strip: StereoStrip, acquisition: Acquisition, path: Path) -> Push
             f"{path}: strip {strip.name}: {acquisition.path} has no band {band!r}; it has: {listed(names)}"
         )
     camera = acquisition.cameras[names.index(band)]
-    if not isinstance(camera, PushbroomCamera) or not isinstance(camera.pointing, FixedMount):
+    if not isinstance(camera, PushbroomCamera) or not isinstance(camera.pointing, FixedMount | BentMount):
         raise FormatError(
             f"{path}: strip {strip.name}: {acquisition.path} has no push-broom camera that sits still in its "
             "body; give frames by cameras = FILE in place of [[strip]]"
@@ -116,7 +117,9 @@ def strip_problem(
         images=images,
         shot_names=np.zeros(1),
         detectors=tuple(_frame_of(name, camera) for name, camera in zip(names, cameras, strict=True)),
-        mounts=tuple(c.pointing.body_from_camera for c in cameras if isinstance(c.pointing, FixedMount)),
+        mounts=tuple(
+            c.pointing.body_from_camera for c in cameras if isinstance(c.pointing, FixedMount | BentMount)
+        ),
         tracks=tracks,
         point_names=points,
         noise=PoseNoise(file.noise.sigma_position, file.noise.sigma_attitude),

@@ -1,0 +1,145 @@
+"""`sightline init PRODUCT`, and what follows from the file that it writes without a key edited by hand."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tomllib
+
+import numpy as np
+import pytest
+import rasterio
+from tests.product_files import WorldViewScene
+
+from sightline.cli.main import run
+from sightline.io.acquisition.load import load_acquisition
+
+
+def noise(path, shape, seed):
+    np.save(path, np.random.default_rng(seed).integers(100, 900, shape).astype(np.uint16))
+
+
+def written(out):
+    return tomllib.loads((out / "acquisition.toml").read_text())
+
+
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
+
+@pytest.fixture
+def strip(tmp_path):
+    """Two products of one strip in folders of their own; the second has two bands, 20 ms after the first."""
+    for name in ("pan", "multi"):
+        (tmp_path / name).mkdir()
+    pan = WorldViewScene(image="D:\\order\\PAN.npy")
+    # the array looks 20 px back: it sees the ground 20 lines later
+    multi = WorldViewScene(origin=(-1.2, 8.0), image="XS.TIF", band="Multi", bands=("B", "R"))
+    pan.xml(tmp_path / "pan", "A_P001.XML")
+    multi.text(tmp_path / "multi", "A_M001")
+    noise(tmp_path / "pan" / "pan.npy", (320, 200), 1)
+    bands = np.random.default_rng(2).integers(100, 900, (2, 320, 200)).astype(np.uint16)
+    path, size = tmp_path / "multi" / "xs.tif", {"count": 2, "height": 320, "width": 200}
+    with rasterio.open(path, "w", driver="GTiff", dtype="uint16", **size) as target:
+        target.write(bands)
+    return tmp_path
+
+
+def test_bands_of_two_products_are_one_acquisition(strip, capsys):
+    out = strip / "acq"
+    assert run(["init", str(strip / "pan"), str(strip / "multi" / "A_M001.IMD"), "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "next: sightline recover" in said and "aberration" in said
+    file = written(out)
+    assert [band["name"] for band in file["band"]] == ["P", "B", "R"]
+    assert [band["model"] for band in file["band"]] == ["../pan/A_P001.XML", *["../multi/A_M001.IMD"] * 2]
+    assert [band["image"] for band in file["band"]] == ["../pan/pan.npy", *["../multi/xs.tif"] * 2]
+    assert file["platform"]["aberration"] and file["platform"]["attitude_sigma"] == 2e-5
+    assert run(["check", str(out / "acquisition.toml")]) == 0
+    said = capsys.readouterr().out
+    # 20 px of 6.7 m at 6.9 km/s
+    assert "aberration is applied: 2" in said and re.search(r"P - B: lag (19|20)\.?\d* ms", said)
+    assert load_acquisition(out / "acquisition.toml").epoch == "2013-05-08T00:03:30.500000000Z"
+
+
+def test_bands_of_one_product_cannot_tell_motion(strip, capsys):
+    out = strip / "acq"
+    assert run(["init", str(strip / "multi"), "--out", str(out)]) == 0
+    assert "all bands of A_M001.IMD have one table of line times" in capsys.readouterr().out
+    toml = str(out / "acquisition.toml")
+    assert run(["check", toml]) == 1
+    shown = capsys.readouterr()
+    assert "understood:" in shown.out and "`recover` would refuse it: all bands of A_M001.IMD" in shown.err
+    assert run(["recover", toml, "--out", str(strip / "result")]) == 1
+    shown = capsys.readouterr()
+    assert "give with it the panchromatic" in shown.err and not (strip / "result").exists()
+
+
+def test_images_that_are_not_there_are_named(strip, capsys):
+    (strip / "pan" / "pan.npy").unlink()
+    out = strip / "acq"
+    assert run(["init", str(strip / "pan"), "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    assert "PAN.npy: no such file beside A_P001.XML" in said and "next: sightline check" in said
+    assert run(["check", str(out / "acquisition.toml")]) == 1
+    assert "320 lines x 200 columns" in capsys.readouterr().out
+
+
+def test_images_of_padded_files_are_taken(tmp_path, capsys):
+    scene = WorldViewScene(
+        rows=1024, columns=1024, image="scene.npy", before=0.5,
+        more={"TIL/TILESIZEY": 1000, "TIL/TILESIZEX": 990},
+    )  # fmt: skip
+    scene.xml(tmp_path)
+    noise(tmp_path / "scene.npy", (1024, 1024), 3)
+    assert run(["init", str(tmp_path), "--out", str(tmp_path / "acq")]) == 0
+    assert "1000 x 990 px, in a file padded to 1024 x 1024 px" in capsys.readouterr().out
+    camera = load_acquisition(tmp_path / "acq" / "acquisition.toml").bands[0].camera
+    assert camera.shape == (1024, 1024)
+    np.testing.assert_allclose(camera.times([1023.0]), [1.023], atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (
+            {"start": "2013-05-08T00:05:30.500000"},
+            "were exposed 120 s after one another: they are two",
+        ),
+        ({"start": "2013-05-08T00:03:31.000000"}, "both hold the band P: parts of one strip, or two looks"),
+    ],
+)
+def test_products_that_are_no_bands_of_one_strip_are_refused(strip, change, said, capsys):
+    (strip / "other").mkdir()
+    WorldViewScene(**change).xml(strip / "other", "B_P001.XML")
+    words = ["init", str(strip / "pan"), str(strip / "other"), "--out", str(strip / "acq")]
+    assert run(words) == 2
+    shown = capsys.readouterr().err
+    assert said in shown and len(shown.splitlines()) == 1 and not (strip / "acq").exists()
+
+
+def test_a_product_is_given_once(strip, capsys):
+    words = ["init", str(strip / "pan"), str(strip / "pan" / "A_P001.XML"), "--out", str(strip / "acq")]
+    assert run(words) == 2
+    assert "are one product; give it once" in capsys.readouterr().err
+
+
+def test_corrections_that_the_model_does_not_need_are_doubted(strip, capsys):
+    out = strip / "acq"
+    assert run(["init", str(strip / "pan"), "--out", str(out)]) == 0
+    toml = out / "acquisition.toml"
+    toml.write_text(toml.read_text().replace("aberration = true", "aberration = false"))
+    assert run(["check", str(toml)]) == 1
+    assert "aberration = false, which its model needs" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["dg_example1.xml", "wv_test1.xml"])
+def test_real_products_are_described_without_a_key_edited(name, real_data, tmp_path, capsys):
+    shutil.copy(real_data("vendor_models") / name, tmp_path)
+    assert run(["init", str(tmp_path / name), "--out", str(tmp_path / "acq")]) == 0
+    said = capsys.readouterr().out
+    assert "model against the maker's RPC: 0." in said
+    # there are no pixels, and one band
+    assert run(["check", str(tmp_path / "acq" / "acquisition.toml")]) == 1
+    shown = capsys.readouterr()
+    assert "aberration is applied: 2" in shown.out and "refraction is applied" in shown.out
+    assert len(shown.err.splitlines()) == 1
