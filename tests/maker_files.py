@@ -330,7 +330,8 @@ def pleiades(
     place, _, stars = orbit(t_orbit)
     of_day = (START - START.replace(hour=0, minute=0, second=0, microsecond=0)).total_seconds()
     x = np.linspace(-1.0, 1.0, 41)
-    t_model = x * 0.05 + rows * period / 2
+    scale = max(0.05, 0.52 * rows * period)
+    t_model = x * scale + rows * period / 2
     q = np.polynomial.polynomial.polyfit(x, quaternion(attitude(t_model)), 3).T
     t_turn = -0.2 + 0.125 * np.arange(int(seconds / 0.125))
 
@@ -357,7 +358,7 @@ def pleiades(
             tag("Polynomial_Models", *(
                 tag(f"Q{k}", tag("DEGREE", 3), tag("COEFFICIENTS", row(c))) for k, c in enumerate(q)
             )),
-            tag("OFFSET", row(of_day + rows * period / 2)), tag("SCALE", 0.05),
+            tag("OFFSET", row(of_day + rows * period / 2)), tag("SCALE", row(scale)),
         ),
         tag("SENSOR_LINE_PERIOD", row(period * 1e3)),
         tag(
@@ -414,7 +415,10 @@ def pleiades(
                     tag("Quaternion", tag("TAI_TIME", tai(t)), tag("Q_VALUES", row(values)))
                     for t, values in zip(t_turn, rounded, strict=True)
                 ))),
-                tag("Raw_Attitudes", *heads),
+                tag("Raw_Attitudes", tag("Quaternion_List", *(
+                    tag("Quaternion", tag("TAI_TIME", tai(t)), tag("Q_VALUES", row(values)))
+                    for t, values in zip(t_turn, quaternion(inertial(t_turn)), strict=True)
+                )), *heads),
             ),
         ),
         tag("Geometric_Data", model),

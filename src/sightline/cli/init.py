@@ -99,6 +99,7 @@ def _of_products(products: list[Path], out: Path, overwrite: bool) -> None:
 
     with output_folder(out, overwrite=overwrite) as folder:
         begun = acquisition_of_products(products, out)
+        begun.write(folder)
         whole_text(folder / "acquisition.toml", begun.text)
     _say(begun, out / "acquisition.toml")
 

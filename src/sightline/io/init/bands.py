@@ -9,7 +9,7 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -39,6 +39,8 @@ class FirstAcquisition:
         What was found of the files, how a product agrees with itself.
     lacking : tuple of str
         Why it cannot be recovered as it is; empty where it can.
+    write : callable
+        Of a folder: writes what the file refers to beside the user's own files.
     """
 
     text: str
@@ -46,6 +48,7 @@ class FirstAcquisition:
     unknown: tuple[str, ...]
     found: tuple[str, ...] = ()
     lacking: tuple[str, ...] = ()
+    write: Callable[[Path], None] = lambda _: None
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import combinations
 from pathlib import Path
 
@@ -20,6 +21,7 @@ from sightline.io.formats.products.recognise import KNOWN, metadata_of, product_
 from sightline.io.init.agreement import agreement
 from sightline.io.init.bands import FirstAcquisition, path_from
 from sightline.io.init.presets import PRESETS
+from sightline.io.init.telemetry import FirstSensors, first_sensors
 from sightline.io.names import toml_string
 
 #: Endings of images that are looked for beside metadata that do not name them.
@@ -69,8 +71,10 @@ def acquisition_of_products(paths: Sequence[Path], folder: Path) -> FirstAcquisi
         for path in dict.fromkeys(found)
         if not path.is_file()
     ]
-    assumed = tuple(dict.fromkeys(line for product in products for line in product.assumed))
-    unknown = (*dict.fromkeys(line for product in products for line in product.unknown), *_unknown(products))
+    sensors = first_sensors(products[0])
+    told: list[Product | FirstSensors] = [*products, *([sensors] if sensors is not None else [])]
+    assumed = tuple(dict.fromkeys(line for one in told for line in one.assumed))
+    unknown = (*dict.fromkeys(line for one in told for line in one.unknown), *_unknown(products))
     head = [
         "ACQUISITION.toml, by `sightline init`. Assumed:",
         *(f"- {line}" for line in assumed),
@@ -81,7 +85,8 @@ def acquisition_of_products(paths: Sequence[Path], folder: Path) -> FirstAcquisi
     for product, found in zip(products, images, strict=True):
         for band, image in zip(product.bands, found, strict=True):
             parts.append(_band(product, band, image, folder, shared=len(products) == 1))
-    text = "\n\n".join([*parts, _surface(products)]) + "\n"
+    parts += [_surface(products), *([sensors.text] if sensors is not None and sensors.text else [])]
+    text = "\n\n".join(parts) + "\n"
     validate(AcquisitionFile, tomllib.loads(text), folder / "acquisition.toml")
     found_out = tuple(
         words
@@ -91,7 +96,9 @@ def acquisition_of_products(paths: Sequence[Path], folder: Path) -> FirstAcquisi
         for words in (f"{product.kind}, {_size(product)}", *agreement(product), *product.model.doubts)
     )
     still = _still(products)
-    return FirstAcquisition(text, assumed, unknown, found_out, (*missing, *([still] if still else [])))
+    lacking = (*missing, *([still] if still else []))
+    begun = FirstAcquisition(text, assumed, unknown, found_out, lacking)
+    return begun if sensors is None else replace(begun, write=sensors.write)
 
 
 def _size(product: Product) -> str:

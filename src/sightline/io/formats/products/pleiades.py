@@ -85,10 +85,7 @@ def read_pleiades(path: Path, reference: tuple[float, float] | None = None) -> P
             *((f"the ground lies at {rpc.height[0]:g} m, the middle of the heights of the product's RFM",)
               if rpc is not None else ()),
         ),
-        unknown=(
-            "looks of the real detectors: only the product's virtual line is described",
-            "what star trackers measured: the file holds quaternions of the filter alone",
-        ),
+        unknown=("looks of the real detectors: only the product's virtual line is described",),
     )  # fmt: skip
 
 
