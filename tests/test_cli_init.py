@@ -163,7 +163,7 @@ class TestPresets:
     [
         ([], r"--template NAME \(strip, stereo, flight, tdi, layout\), or images with --preset NAME \(sent"),
         (MSI, "--template NAME"),
-        (["all.tif"], r"--preset NAME \(sentinel-2-msi\)"),
+        (["all.tif"], r"--preset NAME \(sentinel-2-msi, pleiades\)"),
         (["--template", "spin"], "'spin' is not known; allowed: strip, stereo, flight, tdi, layout"),
         (["--template", "tdi", "all.tif"], "--template takes no images"),
         (["--template", "tdi", *MSI], "--template takes no --preset"),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -33,7 +33,9 @@ def init(
     preset: Annotated[
         str | None,
         typer.Option(
-            "--preset", metavar="NAME", help="Instrument of images without metadata: sentinel-2-msi."
+            "--preset",
+            metavar="NAME",
+            help="Instrument of images without metadata: sentinel-2-msi, pleiades.",
         ),
     ] = None,
     bands: Annotated[
@@ -63,8 +65,8 @@ def init(
         _alone("--template", given)
         _of_template(template, out, overwrite)
     elif preset is None and images:
-        _alone("a product (give --preset NAME for bare images)", {"--bands": bands, "--lag-sign": lag_sign})
-        _of_products(images, out, overwrite)
+        _alone("a product (give --preset NAME for bare images)", {"--lag-sign": lag_sign})
+        _of_products(images, bands.split(",") if bands is not None else (), out, overwrite)
     else:
         _of_images(images or [], preset, bands, lag_sign, out, overwrite)
 
@@ -91,14 +93,14 @@ def _of_template(name: str, out: Path, overwrite: bool) -> None:
     _next("check", out / file)
 
 
-def _of_products(products: list[Path], out: Path, overwrite: bool) -> None:
-    """The acquisition of a product, or of several of one strip."""
+def _of_products(products: list[Path], names: Sequence[str], out: Path, overwrite: bool) -> None:
+    """The acquisition of a product, of several of one strip, or of raw bands beside a product's metadata."""
     from sightline.cli.output import output_folder
     from sightline.io.init.products import acquisition_of_products
     from sightline.writing import whole_text
 
     with output_folder(out, overwrite=overwrite) as folder:
-        begun = acquisition_of_products(products, out)
+        begun = acquisition_of_products(products, out, names)
         begun.write(folder)
         whole_text(folder / "acquisition.toml", begun.text)
     _say(begun, out / "acquisition.toml")

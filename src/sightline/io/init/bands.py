@@ -85,20 +85,20 @@ def acquisition_of_bands(
     Raises
     ------
     InputError
-        If the bands cannot be told, are not of the preset, are fewer than two, or differ in their columns.
+        If the bands cannot be told, are not of the preset, are fewer than two, or show other columns.
     FormatError
         If an image cannot be read.
     """
     bands = _bands(preset, images, names)
-    assumed, unknown = _assumed(preset, sign), _unknown(sign)
+    assumed, unknown = _assumed(preset, sign), _unknown(preset, sign)
     head = [
         "ACQUISITION.toml, by `sightline init`. Assumed:",
         *(f"- {line}" for line in assumed),
         "Not known:",
         *(f"- {line}" for line in unknown),
     ]
-    parts = ["\n".join(f"# {line}" for line in head), _common(preset, bands[0].columns)]
-    parts += [_band(preset, band, folder, 1 if sign is None else sign) for band in bands]
+    parts = ["\n".join(f"# {line}" for line in head), _common(preset, bands[0])]
+    parts += [_band(preset, band, bands[0], folder, 1 if sign is None else sign) for band in bands]
     text = (
         "\n\n".join([*parts, "[surface]\nheight = 0.0                      # m, the mean of the ground"])
         + "\n"
@@ -131,11 +131,11 @@ def _bands(preset: Preset, images: Sequence[Path], names: Sequence[str]) -> list
         for (path, number, columns), name in zip(found, called, strict=True)
         if name != _LEFT_OUT
     ]
-    _check(bands)
+    _check(preset, bands)
     return bands
 
 
-def _check(bands: Sequence[_Image]) -> None:
+def _check(preset: Preset, bands: Sequence[_Image]) -> None:
     """InputError unless these can be the bands of one strip."""
     if len(bands) < 2:
         given = bands[0].name if bands else "none"
@@ -147,10 +147,13 @@ def _check(bands: Sequence[_Image]) -> None:
             raise InputError(
                 f"{first.path} and {band.path} are both {band.name}; give the bands of one scene at a time"
             )
-        if band.columns != bands[0].columns:
+        fine, wide = preset.wide_of(band.name), preset.wide_of(bands[0].name)
+        # as many pixels, less than one wide pixel apart
+        if abs(band.columns * fine - bands[0].columns * wide) >= max(fine, wide):
+            pixels = "" if fine == wide else f" (of {fine:g} and {wide:g} fine pixels each)"
             raise InputError(
-                f"{band.path} has {band.columns} columns, {bands[0].path} {bands[0].columns}; bands that "
-                "show the same columns are expected"
+                f"{band.path} has {band.columns} columns, {bands[0].path} {bands[0].columns}{pixels}; bands "
+                "that show the same columns are expected"
             )
 
 
@@ -182,47 +185,58 @@ def _assumed(preset: Preset, sign: int | None) -> tuple[str, ...]:
     first = next(iter(preset.lags))
     order = "before" if sign == -1 else "after"
     given = "" if sign is None else " (--lag-sign)"
+    flight = "straight and level flight over flat ground at height 0"
     return (
         f"{preset.instrument}",
         *preset.sources,
         f"each band is exposed its lag {order} {first}{given}, and looks where it then sees the same ground",
         "line 0 of every image shows the same ground, the columns lie about the middle of the view: bands "
         f"are placed to {preset.offset_sigma_px:g} px and turned to {preset.rotation_sigma:g} rad (1-sigma)",
-        "straight and level flight over flat ground at height 0",
+        flight if not preset.wide else f"{flight}; bands of wide pixels see as wide a field as the fine ones",
     )
 
 
-def _unknown(sign: int | None) -> tuple[str, ...]:
+def _unknown(preset: Preset, sign: int | None) -> tuple[str, ...]:
     lags = (
         "sign of the lags: staggered detectors look in turn the other way; try --lag-sign - too, the wrong "
         "sign lays weak bands worse"
     )
     return (
-        *([lags] if sign is None else []),
+        *([lags] if sign is None and not preset.signed else []),
         "epoch: when t = 0 was; times count from line 0 of the band without a lag",
         "attitude and orbit: what is recovered is the motion about an even flight, not where the ground lies",
     )
 
 
-def _common(preset: Preset, columns: int) -> str:
-    """What all bands have alike."""
+def _common(preset: Preset, first: _Image) -> str:
+    """What all bands have alike but for those of other pixels."""
+    wide = preset.wide_of(first.name)
     return f"""[platform]
 kind = "level-flight"
 altitude = {preset.altitude!r}               # m
 ground_speed = {preset.ground_speed:.8g}          # m/s
 
 [instrument]
-ifov = {preset.ifov:.8g}             # {preset.pixel:g} m / altitude
-columns = {columns}
-line_period = {preset.line_period!r}              # s"""
+ifov = {preset.ifov * wide:.8g}             # {preset.pixel * wide:g} m / altitude
+columns = {first.columns}
+line_period = {preset.line_period * wide:.10g}              # s"""
 
 
-def _band(preset: Preset, band: _Image, folder: Path, sign: int) -> str:
+def _band(preset: Preset, band: _Image, first: _Image, folder: Path, sign: int) -> str:
     """One band and its image."""
     lag = sign * preset.lags[band.name]
     # 0.0 - 0.0 is not -0.0
     ahead = 0.0 - math.atan(lag * preset.ground_speed / preset.altitude)
     known = f"lag {lag:g} +- {abs(lag) * preset.lag_sigma:.2g} s" if lag else "lags count from here"
+    wide = preset.wide_of(band.name)
+    own = (
+        ""
+        if wide == preset.wide_of(first.name)
+        else f"""
+ifov = {preset.ifov * wide:.8g}             # {preset.pixel * wide:g} m / altitude
+columns = {band.columns}
+line_period = {preset.line_period * wide:.10g}"""
+    )
     return f"""[[band]]
 name = {toml_string(band.name)}
 image = {toml_string(path_from(band.path, folder))}
@@ -230,7 +244,7 @@ image_band = {band.number}
 first_line_time = {lag + 0.0!r}           # s; {known}
 look_ahead = {ahead!r} # rad, -atan(lag x speed / altitude)
 offset_sigma_px = {preset.offset_sigma_px!r}
-rotation_sigma = {preset.rotation_sigma!r}"""
+rotation_sigma = {preset.rotation_sigma!r}{own}"""
 
 
 def path_from(image: Path, folder: Path) -> str:

@@ -19,7 +19,7 @@ from sightline.io.formats.instants import FIRST_YEAR, LAST_YEAR
 from sightline.io.formats.products.product import Product, ProductBand
 from sightline.io.formats.products.recognise import KNOWN, metadata_of, product_kind, read_product
 from sightline.io.init.agreement import agreement
-from sightline.io.init.bands import FirstAcquisition, path_from
+from sightline.io.init.bands import FirstAcquisition, acquisition_of_bands, path_from
 from sightline.io.init.presets import PRESETS
 from sightline.io.init.telemetry import FirstSensors, first_sensors
 from sightline.io.names import toml_string
@@ -33,15 +33,20 @@ _APART = 60.0
 _HEIGHT_SIGMA, _OF_SCALE = 100.0, 1.0 / 3.0
 
 
-def acquisition_of_products(paths: Sequence[Path], folder: Path) -> FirstAcquisition:
+def acquisition_of_products(
+    paths: Sequence[Path], folder: Path, names: Sequence[str] = ()
+) -> FirstAcquisition:
     """The acquisition of a product, or of several of one strip.
 
     Parameters
     ----------
     paths : sequence of Path
-        Metadata of each product, or the folder that holds it.
+        Metadata of each product, or the folder that holds it. Images of raw bands beside the metadata of one
+        product that tells their lags.
     folder : Path
         Where the file will lie: all paths are relative to it.
+    names : sequence of str, optional
+        Bands of images, as of `acquisition_of_bands`.
 
     Returns
     -------
@@ -54,15 +59,21 @@ def acquisition_of_products(paths: Sequence[Path], folder: Path) -> FirstAcquisi
     InputError
         If several products are no bands of one strip.
     """
+    files = [metadata_of(path) for path in paths]
+    bare = [path for path in files if product_kind(path) is None]
+    metadata = [path for path in files if path not in bare]
+    if len(metadata) == 1 and bare:
+        return _of_raw_bands(read_product(metadata[0]), bare, folder, names)
+    if bare:
+        raise InputError(
+            f"{bare[0]}: is no metadata of a product; {KNOWN}; images without metadata are given with "
+            f"--preset NAME ({', '.join(PRESETS)})"
+        )
+    if names:
+        raise InputError("a product takes no --bands without images (give --preset NAME for bare images)")
     products: list[Product] = []
-    for path in map(metadata_of, paths):
-        if product_kind(path) is None:
-            raise InputError(
-                f"{path}: is no metadata of a product; {KNOWN}; images without metadata are given with "
-                f"--preset NAME ({', '.join(PRESETS)})"
-            )
-        first = products[0].model.reference if products else None
-        products.append(read_product(path, first))
+    for path in metadata:
+        products.append(read_product(path, products[0].model.reference if products else None))
     _check(products)
     images = [[_image(product, band) for band in product.bands] for product in products]
     missing = [
@@ -99,6 +110,34 @@ def acquisition_of_products(paths: Sequence[Path], folder: Path) -> FirstAcquisi
     lacking = (*missing, *([still] if still else []))
     begun = FirstAcquisition(text, assumed, unknown, found_out, lacking)
     return begun if sensors is None else replace(begun, write=sensors.write)
+
+
+def _of_raw_bands(
+    product: Product, images: Sequence[Path], folder: Path, names: Sequence[str]
+) -> FirstAcquisition:
+    """Bands in sensor geometry, their lags by the metadata of a product that was made of them."""
+    if product.raw is None:
+        raise InputError(
+            f"{images[0]}: is no metadata of a product, and {product.path.name} ({product.kind}) tells no "
+            "lags of bands in sensor geometry; give the product alone, or the images with --preset NAME "
+            f"({', '.join(PRESETS)})"
+        )
+    known = PRESETS["pleiades"]
+    source = (
+        f"lags and line period: {product.path.name} (Band_TS_List), whole frames that move together by 5 ms "
+        "from product to product: 3 ms (1-sigma)"
+    )
+    preset = replace(
+        known,
+        instrument=f"bands in sensor geometry of {product.kind}",
+        lags={**product.raw.lags},
+        line_period=product.raw.line_period,
+        ground_speed=known.pixel / product.raw.line_period,
+        sources=(source, *known.sources[1:]),
+    )
+    begun = acquisition_of_bands(preset, images, folder, names)
+    looks = f"looks of the real detectors: not in {product.path.name}, which describes its own virtual line"
+    return replace(begun, unknown=(*begun.unknown, looks))
 
 
 def _size(product: Product) -> str:

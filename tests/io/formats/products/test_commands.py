@@ -12,6 +12,8 @@ import rasterio
 import maker_files as maker
 from sightline.cli.main import run as sightline
 
+pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
+
 
 def run(*words):
     """Status, and all that was printed."""

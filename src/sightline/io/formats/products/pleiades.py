@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.io.formats.instants import parse_utc
+from sightline.io.formats.instants import elapsed, parse_utc
 from sightline.io.formats.line_scan import MOST_LINES, MOST_SAMPLES, OneGrid
 from sightline.io.formats.products.makers import (
     Orbit,
@@ -29,7 +29,7 @@ from sightline.io.formats.products.makers import (
     some,
     words,
 )
-from sightline.io.formats.products.product import Product, ProductBand, image_name
+from sightline.io.formats.products.product import Product, ProductBand, RawBands, image_name
 from sightline.io.formats.products.tree import Part, read_xml
 from sightline.products.rpc import TERMS, Rpc
 
@@ -43,6 +43,8 @@ _POLYNOMIALS = f"{_MODEL}/Sensor_Attitudes/Polynomial_Models"
 _VIEW = f"{_MODEL}/Sensor_Viewing_Model"
 _RFM = "Geoposition/Rational_Sensor_Model/Global_RFM"
 _MILLISECONDS = {"ms": 1e-3, "s": 1.0, "us": 1e-6}
+#: The band whose lines count.
+_PANCHROMATIC = "PA"
 #: Highest degree of a polynomial; of makers' files it is 3.
 _MOST_DEGREE = 20
 _STILL = (
@@ -80,6 +82,7 @@ def read_pleiades(path: Path, reference: tuple[float, float] | None = None) -> P
         bands=_bands(data),
         height=None if rpc is None else rpc.height[0],
         rpc=rpc,
+        raw=_raw(data, start),
         assumed=(
             "attitudes lead straight to the ground: neither aberration nor refraction is applied",
             *((f"the ground lies at {rpc.height[0]:g} m, the middle of the heights of the product's RFM",)
@@ -87,6 +90,24 @@ def read_pleiades(path: Path, reference: tuple[float, float] | None = None) -> P
         ),
         unknown=("looks of the real detectors: only the product's virtual line is described",),
     )  # fmt: skip
+
+
+def _raw(data: Part, start: str) -> RawBands | None:
+    """Lags of the bands' first rows after the panchromatic one's."""
+    stamp = "Data_Strip/Sensor_Configuration/Time_Stamp"
+    if not data.has(f"{stamp}/Band_TS_List/Band_TS"):
+        return None
+    zero = parse_utc(start, f"{data.path}")
+    first = {
+        part.text("BAND_ID"): elapsed(
+            part.text("Array_TS_List/Array_TS/ORIGIN_TIME"), zero, f"{part.path}: {part.place}/ORIGIN_TIME"
+        )
+        for part in some(data, f"{stamp}/Band_TS_List/Band_TS", 2)
+    }
+    if _PANCHROMATIC not in first:
+        raise data.refused(f"{stamp}/Band_TS_List", f"holds no {_PANCHROMATIC}")
+    lags = {name: t - first[_PANCHROMATIC] for name, t in sorted(first.items(), key=lambda item: item[1])}
+    return RawBands(lags, float(scaled(data, f"{stamp}/PA_LINE_PERIOD", _MILLISECONDS)[0]))
 
 
 def pleiades_orbit(data: Part, start: str) -> Orbit:

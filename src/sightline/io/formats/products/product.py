@@ -5,6 +5,7 @@ Not here: reading one (``worldview.py``, ...), which reader a file is for (``rec
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -53,6 +54,22 @@ class GroundMark:
     height: float | None = None
 
 
+@dataclass(frozen=True)
+class RawBands:
+    """What metadata tell of bands before they were resampled.
+
+    Attributes
+    ----------
+    lags : mapping
+        Band to the s by which it sees the ground after the first.
+    line_period : float
+        s, of the first.
+    """
+
+    lags: Mapping[str, float]
+    line_period: float
+
+
 @dataclass(frozen=True, eq=False)
 class Product:
     """A product: the rigorous model of its scene, and what its maker says beside it.
@@ -80,6 +97,7 @@ class Product:
         rad about each axis: error of the attitudes, one for the whole strip.
     assumed, unknown : tuple of str
         What was assumed of it; what it does not say.
+    raw : RawBands or None
     """
 
     path: Path
@@ -94,6 +112,7 @@ class Product:
     attitude_sigma: float | None = None
     assumed: tuple[str, ...] = ()
     unknown: tuple[str, ...] = ()
+    raw: RawBands | None = None
 
 
 def image_name(given: str) -> str:
