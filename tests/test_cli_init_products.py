@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
 import tomllib
@@ -72,6 +73,21 @@ def test_bands_of_one_product_cannot_tell_motion(strip, capsys):
     assert run(["recover", toml, "--out", str(strip / "result")]) == 1
     shown = capsys.readouterr()
     assert "give with it the panchromatic" in shown.err and not (strip / "result").exists()
+
+
+def test_bands_of_one_product_are_registered_by_their_cameras(strip, capsys):
+    path = strip / "multi" / "xs.tif"
+    with rasterio.open(path, "r+") as file:
+        file.write(file.read(1), 2)
+    out = strip / "acq"
+    assert run(["init", str(strip / "multi"), "--out", str(out)]) == 0
+    toml = str(out / "acquisition.toml")
+    assert run(["register", toml, "--out", str(strip / "laid"), "--json"]) == 0
+    summary = json.loads((strip / "laid" / "summary.json").read_text())
+    assert [band["placed_by"] for band in summary["bands"]] == ["cameras", "cameras"]
+    assert max(summary["pairs"][0]["after"]["rms_px"]) < 0.02  # the same image twice
+    assert "by their cameras as given" in (strip / "laid" / "report.html").read_text()
+    capsys.readouterr()
 
 
 def test_images_that_are_not_there_are_named(strip, capsys):

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 from tests.product_files import orbit
 
+from sightline.applications.export import poses_of
 from sightline.geometry.apparent import (
     APPARENT,
     LIGHT_SPEED,
     aberration_velocity,
-    bent_mount,
+    bent_camera,
     refraction_angle,
 )
 from sightline.geometry.camera import PushbroomCamera
@@ -158,10 +157,7 @@ def straight_ray(camera: PushbroomCamera, pixel, height: float):
 )
 def test_rays_lead_straight_to_the_ground_over_the_whole_field(half_field, pitched, rolled):
     camera = scanned(half_field, pitched, rolled)
-    mount = bent_mount(
-        camera.pointing, camera.trajectory, (-0.1, 4.1), camera.detector.tangents, 2000.0, APPARENT
-    )
-    bent = replace(camera, pointing=mount)
+    bent = bent_camera(camera, 2000.0, APPARENT)
     pixel = 1.0 / 17_500 * 0.011  # rad; the pixel of a field of 35 000 columns
     pixels = [[line, column] for line in (0.0, 133.3, 399.0) for column in (0.0, 250.0, 500.0, 1000.0)]
     turned = []
@@ -178,10 +174,21 @@ def camera_ground(camera: PushbroomCamera, pixel):
     return camera.locate([pixel], Ellipsoid(height=2000.0))
 
 
+def test_one_pose_a_line_holds_what_light_does():
+    """What other programs are given: a rotation for each line, and one row of directions."""
+    camera = bent_camera(scanned(0.0177, (0.58, 0.56), 0.2), 2000.0, APPARENT)
+    lines = np.array([0.0, 200.0, 399.0])
+    origins, turns = poses_of(camera, lines)
+    for k, line in enumerate(lines):
+        for column in (0.0, 300.0, 1000.0):
+            rays = camera.rays([[line, column]])
+            look = turns[k].apply(camera.detector.directions_at([column])[0])
+            np.testing.assert_allclose(rays.directions[0], look, atol=2e-9)
+            np.testing.assert_allclose(rays.origins[0], origins[k], atol=1e-6)
+
+
 def test_a_bent_mount_undoes_itself():
     camera = scanned(0.011, (0.5, 0.32), 0.2)
-    mount = bent_mount(
-        camera.pointing, camera.trajectory, (-0.1, 4.1), camera.detector.tangents, 0.0, APPARENT
-    )
+    mount = bent_camera(camera, 0.0, APPARENT).pointing
     looks, t = camera.detector.directions[::100], np.linspace(0.0, 4.0, 11)
     np.testing.assert_allclose(mount.to_camera(mount.to_body(looks, t), t), looks, atol=1e-15)

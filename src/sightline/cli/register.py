@@ -24,10 +24,15 @@ class PixelType(StrEnum):
 
 def register(
     acquisition: Annotated[Path, typer.Argument(metavar="ACQUISITION.toml", help="What was acquired.")],
-    motion: Annotated[
-        Path, typer.Option("--motion", metavar="DIR", help="Folder that `recover` wrote for it.")
-    ],
     out: Out,
+    motion: Annotated[
+        Path | None,
+        typer.Option(
+            "--motion",
+            metavar="DIR",
+            help="Folder that `recover` wrote for it; none of bands that hold no motion.",
+        ),
+    ] = None,
     onto: Annotated[
         str | None,
         typer.Option("--onto", metavar="BAND", help="Band whose grid is kept; the first if not given."),
@@ -65,6 +70,8 @@ def register(
     for band in summary["bands"]:
         if band["placed_by"] == "motion":
             say(f"{band['name']:16}  placed by the recovered motion alone, not measured")
+        if band["placed_by"] == "cameras":
+            say(f"{band['name']:16}  placed by its camera as given")
     say(f"{', '.join(summary['files'])}, {out / 'report.html'}")
 
 
@@ -81,7 +88,7 @@ def _apart(before: dict[str, Any], after: dict[str, Any]) -> str:
 def register_into(
     folder: Path,
     acquisition: Path,
-    motion: Path,
+    motion: Path | None,
     report: Progress,
     *,
     onto: str | None = None,
@@ -94,14 +101,16 @@ def register_into(
     from sightline.applications.registration import register_bands
     from sightline.errors import InputError, naming
     from sightline.io.acquisition.load import load_acquisition
-    from sightline.io.results.recovered import read_recovered
+    from sightline.io.results.recovered import as_given, read_recovered
     from sightline.io.results.registered_frames import frames_picture
     from sightline.kinds.registration import Picture, Registered
 
     begin = time.perf_counter()
     report("reading the acquisition and what was recovered of it")
     acquired = load_acquisition(acquisition)
-    if acquired.frames and acquired.spin is not None:
+    if motion is None and (not acquired.still or len(acquired.bands) < 2):
+        raise InputError("Missing option '--motion': give the folder that `recover` wrote for it")
+    if motion is not None and acquired.frames and acquired.spin is not None:
         if onto is not None or pixels is not None or stack:
             raise InputError(
                 "--onto, --type and --stack are for bands of a strip; frames of a spinning camera become one "
@@ -115,7 +124,7 @@ def register_into(
             f"{acquisition}: frames are given; `register` takes the bands of a strip ([[band]]), or frames "
             'of a camera that spins ([platform] kind = "spin")'
         )
-    recovered = read_recovered(motion, acquired)
+    recovered = as_given(acquired) if motion is None else read_recovered(motion, acquired)
     with naming(acquisition):
         registration = register_bands(
             acquired.bands,

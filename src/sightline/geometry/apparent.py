@@ -6,11 +6,13 @@ Not here: whether the attitudes of a product hold them already (``[platform]``, 
 from __future__ import annotations
 
 from collections.abc import Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from sightline.errors import InputError
+from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.checks import Array, ReadOnlyArrays, as_points, as_times, frozen
 from sightline.geometry.earth import EARTH_RATE, local_axes, to_geodetic
 from sightline.geometry.interpolation import interpolate
@@ -221,25 +223,13 @@ class BentMount(ReadOnlyArrays):
         return np.einsum("nij,nj->ni", inverse, as_points(directions, "directions"))
 
 
-def bent_mount(
-    mount: FixedMount,
-    trajectory: Trajectory,
-    span: tuple[float, float],
-    tangents: Array,
-    height: float,
-    keys: Collection[str],
-) -> BentMount:
-    """The mount of a camera whose attitudes do not hold what bends light.
+def bent_camera(camera: PushbroomCamera, height: float, keys: Collection[str]) -> PushbroomCamera:
+    """The camera whose attitudes do not hold what bends light, its rays led straight to the ground.
 
     Parameters
     ----------
-    mount : FixedMount
-    trajectory : Trajectory
-        Earth-fixed axes.
-    span : (float, float)
-        s; first and last time at which the camera is used.
-    tangents : (N, 2)
-        x/z and y/z of where its pixels look.
+    camera : PushbroomCamera
+        With a fixed mount; world axes Earth-fixed.
     height : float
         m above the ellipsoid: of the ground.
     keys : collection of str
@@ -247,8 +237,38 @@ def bent_mount(
 
     Returns
     -------
-    BentMount
+    PushbroomCamera
+        What stretches the field in the middle of the image is in its detector, so that a rotation of each
+        line holds nearly all of the rest.
     """
+    mount = camera.pointing
+    if not isinstance(mount, FixedMount):
+        raise InputError(f"aberration and refraction are of fixed mounts, got {type(mount).__name__}")
+    begin, end = camera.times(np.array(camera.known_lines))
+    low, high = camera.known_span
+    span = max(float(begin), low), min(float(end), high)
+    bent = _bent_mount(mount, camera.trajectory, span, camera.detector.tangents, height, keys)
+    middle = np.linalg.solve(mount.body_from_camera.as_matrix(), bent.matrices[len(bent.t) // 2])
+    _, sizes, axes = np.linalg.svd(middle)
+    stretch = axes.T @ np.diag(sizes) @ axes  # symmetric: what is left of it without its rotation
+    looks = camera.detector.directions @ stretch.T
+    looks /= np.linalg.norm(looks, axis=1, keepdims=True)
+    return replace(
+        camera,
+        detector=replace(camera.detector, directions=looks),
+        pointing=replace(bent, matrices=bent.matrices @ np.linalg.inv(stretch)),
+    )
+
+
+def _bent_mount(
+    mount: FixedMount,
+    trajectory: Trajectory,
+    span: tuple[float, float],
+    tangents: Array,
+    height: float,
+    keys: Collection[str],
+) -> BentMount:
+    """The mount of a camera that is used in a `span` (s) and looks along `tangents` (N, 2)."""
     count = int(np.clip(np.ceil((span[1] - span[0]) / _BEND_STEP) + 1, _FEWEST_BENDS, _MOST_BENDS))
     t = np.linspace(*span, count)
     pose = trajectory.at(t)

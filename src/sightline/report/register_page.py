@@ -22,7 +22,11 @@ from sightline.report.raster import data_png
 
 Array = NDArray[np.float64]
 #: How a band came to its place, in words.
-_PLACED = {"matches": "its own matches", "motion": "the recovered motion alone"}
+_PLACED = {
+    "matches": "its own matches",
+    "motion": "the recovered motion alone",
+    "cameras": "its camera as given",
+}
 #: Places tried for the pictures until one has no gap.
 CROPS_TRIED = 12
 
@@ -83,10 +87,9 @@ def sentences(summary: Mapping[str, Any]) -> list[str]:
     }
     noise = [float(np.hypot(*pair["after"]["noise_px"])) for pair in summary["pairs"]]
     known = np.isfinite(sizes["after"]) & np.isfinite(sizes["before"])
-    out = [
-        f"{len(summary['bands'])} bands were resampled onto {summary['onto']}, each once, with the motion "
-        "and the band offsets that were recovered from them."
-    ]
+    given = all(band["placed_by"] == "cameras" for band in summary["bands"])
+    by = "by their cameras as given" if given else "with the motion and the band offsets that were recovered"
+    out = [f"{len(summary['bands'])} bands were resampled onto {summary['onto']}, each once, {by}."]
     if known.any():
         worst = int(np.nanargmax(np.where(known, sizes["after"], np.nan)))
         label = " and ".join(summary["pairs"][worst]["images"])

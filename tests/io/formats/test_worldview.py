@@ -11,9 +11,8 @@ from scipy.spatial.transform import Rotation
 from tests.product_files import WorldViewScene, orbit
 
 from sightline.errors import FormatError
-from sightline.geometry.apparent import APPARENT
+from sightline.geometry.apparent import APPARENT, bent_camera
 from sightline.geometry.surface import Ellipsoid
-from sightline.io.acquisition.apparent import bent_camera
 from sightline.io.formats.products.recognise import read_product
 from sightline.io.init.agreement import mark_residuals, rpc_residuals
 

@@ -282,7 +282,9 @@ class InputFolder:
         path = self.path(name)
         keys = " and ".join(self._keys_of.get(name, [name])[:_KEYS_NAMED])
         size = f"{shape[0]} lines x {shape[1]} columns"
-        self.absent.append(f"{keys}: {path}: no such file; its geometry is described as that of {size}")
+        said = f"{keys}: {path}: no such file; its geometry is described as that of {size}"
+        if said not in self.absent:
+            self.absent.append(said)
         return True
 
     def allowed(self, config: InputFile) -> list[Path]:

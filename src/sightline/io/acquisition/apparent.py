@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError
-from sightline.geometry.apparent import APPARENT, bent_mount, straight_directions
+from sightline.geometry.apparent import APPARENT, bent_camera, straight_directions
 from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.earth import to_geodetic
-from sightline.geometry.pointing import FixedMount
 from sightline.geometry.surface import Ellipsoid, Surface
 from sightline.geometry.trajectory import Trajectory
 from sightline.io.acquisition.acquired import InputFolder, world_kind
@@ -152,20 +151,6 @@ def _height_below(camera: PushbroomCamera, surface: Surface) -> float:
     points = camera.locate(image_grid(camera), surface)
     heights = to_geodetic(points[np.isfinite(points[:, 0])])[:, 2]
     return float(np.median(heights)) if len(heights) else 0.0
-
-
-def bent_camera(camera: PushbroomCamera, height: float, keys: Sequence[str]) -> PushbroomCamera:
-    """The camera of a fixed mount, its rays led straight to ground of a height (m above the ellipsoid)."""
-    mount = camera.pointing
-    assert isinstance(mount, FixedMount)  # models bring one, [camera] may replace it by one
-    begin, end = camera.known_lines
-    span = camera.times(np.array([begin, end]))
-    low, high = camera.known_span
-    reach = max(float(span[0]), low), min(float(span[1]), high)
-    return replace(
-        camera,
-        pointing=bent_mount(mount, camera.trajectory, reach, camera.detector.tangents, height, keys),
-    )
 
 
 def _velocity(trajectory: Trajectory, t: Array) -> Array:

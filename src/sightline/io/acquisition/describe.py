@@ -39,6 +39,8 @@ _COLUMNS = (0.5, 0.97, 0.03, 0.75, 0.25)
 _NAMED = 4
 # Half a field (px) below which matches to 0.03 px know yaw no better than attitude control does (1 mrad).
 _NARROW_PX = 30.0
+# s; lags below it are the rounding of times.
+_NO_LAG = 1e-9
 # Frames are many: each is described with so many that follow it.
 _FRAMES_APART = 2
 
@@ -81,6 +83,8 @@ def pair_geometry(acquisition: Acquisition, first: int, second: int) -> PairGeom
         return PairGeometry(*names, None, None, 0.0)
     place = both[:1]
     lag = float(b.rays(seen[place]).t[0] - a.rays(pixels[place]).t[0])
+    if abs(lag) < _NO_LAG:
+        lag = 0.0
     raised = b.project(a.locate(pixels[place], acquisition.surface.raised(1.0)))
     parallax = float(np.linalg.norm(raised[0] - seen[place[0]]))
     overlap = shared_ground(a, b, acquisition.surface)

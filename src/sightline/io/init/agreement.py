@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sightline.geometry.apparent import bent_camera
 from sightline.geometry.earth import from_geodetic, local_axes, to_geodetic
 from sightline.geometry.surface import Ellipsoid
-from sightline.io.acquisition.apparent import bent_camera
 from sightline.io.formats.products.product import GroundMark, Product
 
 Array = NDArray[np.float64]
@@ -28,8 +28,8 @@ def agreement(product: Product) -> tuple[str, ...]:
         apart = rpc_residuals(product)
         line, column = np.sqrt((apart**2).mean(axis=0))
         said.append(
-            f"model against the maker's RPC: {np.hypot(line, column):.2f} px rms (lines {line:.2f}, columns "
-            f"{column:.2f})"
+            f"model against the maker's RPC: {np.hypot(line, column):.2g} px rms (lines {line:.2g}, columns "
+            f"{column:.2g})"
         )
     if product.marks:
         off = mark_residuals(product)

@@ -53,6 +53,14 @@ class Recovered:
     relief: RowRelief | None = None
 
 
+def as_given(acquisition: Acquisition) -> Recovered:
+    """No motion and no statics: the cameras of an acquisition as they are, whose bands hold no motion."""
+    spans = np.array([camera.trajectory.span for camera in acquisition.cameras])
+    found = Recovered(Motion.zero(float(spans[:, 0].min()), float(spans[:, 1].max())), {}, {})
+    set_source(found.motion, found)
+    return found
+
+
 def read_recovered(folder: Path, acquisition: Acquisition) -> Recovered:
     """What ``recover`` found of an acquisition.
 

@@ -50,12 +50,13 @@ def summarize_registration(
     """
     names = acquisition.names
     measured = _measured(recovered.summary)
+    still = "cameras" if acquisition.still else "matches"
     bands = [
         {
             "name": name,
             "valid_share": share,
             "type": kind,
-            "placed_by": "matches" if measured is None or name in measured else "motion",
+            "placed_by": still if measured is None else "matches" if name in measured else "motion",
         }
         for name, share, kind in zip(names, written.valid, written.dtypes, strict=True)
     ]

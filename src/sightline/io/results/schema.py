@@ -236,7 +236,7 @@ class RegisteredBand(SummaryPart):
     name: str
     valid_share: Share
     type: str
-    placed_by: Literal["matches", "motion"]
+    placed_by: Literal["matches", "motion", "cameras"]
 
 
 class PairMisfit(SummaryPart):
