@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
 
@@ -20,9 +20,11 @@ from sightline.io.formats.products.product import Product, ProductBand
 from sightline.io.formats.products.recognise import KNOWN, metadata_of, product_kind, read_product
 from sightline.io.init.agreement import agreement
 from sightline.io.init.bands import FirstAcquisition, acquisition_of_bands, path_from
+from sightline.io.init.mosaic import mosaic
 from sightline.io.init.presets import PRESETS
 from sightline.io.init.telemetry import FirstSensors, first_sensors
 from sightline.io.names import toml_string
+from sightline.writing import whole_text
 
 #: Endings of images that are looked for beside metadata that do not name them.
 _IMAGES = (".tif", ".tiff", ".ntf", ".nitf", ".jp2", ".img", ".vrt", ".til")
@@ -75,12 +77,9 @@ def acquisition_of_products(
     for path in metadata:
         products.append(read_product(path, products[0].model.reference if products else None))
     _check(products)
-    images = [[_image(product, band) for band in product.bands] for product in products]
+    images = [[_image(product, band, folder) for band in product.bands] for product in products]
     missing = [
-        f"{path.name}: no such file beside {product.path.name}; put it there, or correct `image`"
-        for product, found in zip(products, images, strict=True)
-        for path in dict.fromkeys(found)
-        if not path.is_file()
+        line for product, found in zip(products, images, strict=True) for line in _missing(product, found)
     ]
     sensors = first_sensors(products[0])
     told: list[Product | FirstSensors] = [*products, *([sensors] if sensors is not None else [])]
@@ -96,6 +95,12 @@ def acquisition_of_products(
     for product, found in zip(products, images, strict=True):
         for band, image in zip(product.bands, found, strict=True):
             parts.append(_band(product, band, image, folder, shared=len(products) == 1))
+    outside = dict.fromkeys(
+        path_from(path.parent, folder) for product in products for path in _tiles(product)
+    )
+    if outside:
+        allowed = ", ".join(map(toml_string, outside))
+        parts.append(f"[files]\nallow = [{allowed}]   # where the VRT beside this file has its pixels")
     parts += [_surface(products), *([sensors.text] if sensors is not None and sensors.text else [])]
     text = "\n\n".join(parts) + "\n"
     validate(AcquisitionFile, tomllib.loads(text), folder / "acquisition.toml")
@@ -108,8 +113,31 @@ def acquisition_of_products(
     )
     still = _still(products)
     lacking = (*missing, *([still] if still else []))
-    begun = FirstAcquisition(text, assumed, unknown, found_out, lacking)
-    return begun if sensors is None else replace(begun, write=sensors.write)
+    return FirstAcquisition(text, assumed, unknown, found_out, lacking, _Beside(products, sensors, folder))
+
+
+@dataclass(frozen=True)
+class _Beside:
+    """What is written beside ACQUISITION.toml, which will lie in `place`."""
+
+    products: Sequence[Product]
+    sensors: FirstSensors | None
+    place: Path
+
+    def __call__(self, folder: Path) -> None:
+        if self.sensors is not None:
+            self.sensors.write(folder)
+        for product in self.products:
+            # without its pixels a VRT is one error; a missing one leaves `check` to describe the geometry
+            if product.pixels is not None and not _missing(product, []):
+                files, shape = _tiles(product), product.model.camera.shape
+                text = mosaic(product.pixels, files, shape, len(product.bands), self.place)
+                whole_text(folder / f"{product.path.stem}.vrt", text)
+
+
+def _tiles(product: Product) -> list[Path]:
+    """The files of an image that is made of several, or of bare numbers; none of others."""
+    return [] if product.pixels is None else [_beside(product, tile.image) for tile in product.pixels.tiles]
 
 
 def _of_raw_bands(
@@ -180,14 +208,38 @@ def _check(products: Sequence[Product]) -> None:
             )
 
 
-def _image(product: Product, band: ProductBand) -> Path:
+def _missing(product: Product, images: Sequence[Path]) -> list[str]:
+    """What is said of files that are not there: of the tiles of an image, or of the `images` of its bands."""
+    tiles = [path for path in _tiles(product) if not path.is_file()]
+    if tiles:
+        more = f" (and {len(tiles) - 1} tiles more)" if len(tiles) > 1 else ""
+        return [
+            f"{tiles[0].name}{more}: no such file beside {product.path.name}; put it there, and run "
+            "`sightline init` again"
+        ]
+    return [
+        f"{path.name}: no such file beside {product.path.name}; put it there, or correct `image`"
+        for path in dict.fromkeys(images)
+        if product.pixels is None and not path.is_file()
+    ]
+
+
+def _image(product: Product, band: ProductBand, folder: Path) -> Path:
     """The image of a band beside the metadata; where it is not there, where it should be."""
-    folder, stem = product.path.parent, product.path.stem
-    beside = {file.name.lower(): file for file in sorted(folder.iterdir()) if file.is_file()}
+    if product.pixels is not None:
+        return folder / f"{product.path.stem}.vrt"
     if band.image:
-        return beside.get(band.image.lower(), folder / band.image)
-    found = [beside[f"{stem}{ending}".lower()] for ending in _IMAGES if f"{stem}{ending}".lower() in beside]
-    return found[0] if found else folder / f"{stem}.TIF"
+        return _beside(product, band.image)
+    stem = product.path.stem
+    found = [_beside(product, f"{stem}{ending}") for ending in _IMAGES]
+    return next((path for path in found if path.is_file()), product.path.parent / f"{stem}.TIF")
+
+
+def _beside(product: Product, name: str) -> Path:
+    """A file beside the metadata, in whatever case its name is written there."""
+    folder = product.path.parent
+    files = {file.name.lower(): file for file in sorted(folder.iterdir()) if file.is_file()}
+    return files.get(name.lower(), folder / name)
 
 
 def _unknown(products: Sequence[Product]) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ import pytest
 import rasterio
 
 import maker_files as maker
+from sightline import load_acquisition
 from sightline.cli.main import run as sightline
 
 pytestmark = pytest.mark.filterwarnings("ignore::rasterio.errors.NotGeoreferencedWarning")
@@ -78,3 +79,61 @@ def test_a_product_in_a_zip_is_refused(tmp_path):
     status, said = run("init", tmp_path / "product.zip", "--out", tmp_path / "acq")
     assert status == 2
     assert "unpack it" in said
+
+
+def tiled(folder):
+    """A product of two tiles, of 32 columns and of the rest; its pixels."""
+    tile = '<Data_File tile_R="1" tile_C="{0}"><DATA_FILE_PATH href="IMG_R1C{0}.TIF"/></Data_File>'
+    size = '<Tile_Set><Regular_Tiling><NTILES_SIZE nrows="64" ncols="32"/></Regular_Tiling></Tile_Set>'
+    changes = [
+        ('<Data_File><DATA_FILE_PATH href="IMG_R1C1.TIF"/></Data_File>', tile.format(1) + tile.format(2)),
+        ("<NBANDS>", f"{size}<NBANDS>"),
+    ]
+    path = maker.dimap2(folder, changes=changes)
+    pixels = np.random.default_rng(5).integers(100, 4000, (4, 60, 50)).astype(np.uint16)
+    for number, part in enumerate((pixels[..., :32], pixels[..., 32:]), 1):
+        size = {"height": 60, "width": part.shape[2], "count": 4}
+        with rasterio.open(
+            folder / f"IMG_R1C{number}.TIF", "w", driver="GTiff", dtype="uint16", **size
+        ) as tile:
+            tile.write(part)
+    return path, pixels
+
+
+def test_tiles_of_an_image_are_laid_side_by_side(tmp_path):
+    path, pixels = tiled(tmp_path)
+    status, said = run("init", path, "--out", tmp_path / "acq")
+    assert status == 0, said
+    with rasterio.open(tmp_path / "acq" / "DIM_SPOT6.vrt") as image:
+        np.testing.assert_array_equal(image.read(), pixels)
+    acquired = load_acquisition(tmp_path / "acq" / "acquisition.toml")
+    np.testing.assert_array_equal(acquired.bands[2].image.read((0, 60), (0, 50)), pixels[2])
+
+
+def test_a_tile_that_is_not_there_is_named_and_check_describes_the_rest(tmp_path):
+    path, _ = tiled(tmp_path)
+    (tmp_path / "IMG_R1C2.TIF").unlink()
+    status, said = run("init", path, "--out", tmp_path / "acq")
+    assert status == 0
+    assert "IMG_R1C2.TIF: no such file beside DIM_SPOT6.XML; put it there, and run `sightline init`" in said
+    status, said = run("check", tmp_path / "acq" / "acquisition.toml")
+    assert status == 1
+    assert "60 lines x 50 columns" in said
+
+
+def test_bare_numbers_of_an_image_are_read(tmp_path):
+    encoding = (
+        "<Raster_Encoding><NBITS>16</NBITS><BYTEORDER>M</BYTEORDER><SKIPBYTES>7</SKIPBYTES></Raster_Encoding>"
+    )
+    changes = [
+        ("<Data_Access>", encoding + "<Data_Access><DATA_FILE_FORMAT>RAW</DATA_FILE_FORMAT>"),
+        ("IMAGERY.TIF", "IMAGERY.BIL"),
+    ]
+    path = maker.dimap1(tmp_path, changes=changes)
+    pixels = np.random.default_rng(6).integers(0, 60000, (80, 60)).astype(">u2")
+    (tmp_path / "imagery.bil").write_bytes(bytes(7) + pixels.tobytes())
+    status, said = run("init", path, "--out", tmp_path / "acq")
+    assert status == 0, said
+    with rasterio.open(tmp_path / "acq" / "METADATA.vrt") as image:
+        np.testing.assert_array_equal(image.read(1), pixels)
+    assert run("check", tmp_path / "acq" / "acquisition.toml")[0] == 1  # one band

@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 from sightline.errors import FormatError
 from sightline.io.formats.line_scan import MOST_LINES, MOST_SAMPLES
 from sightline.io.formats.products.makers import Orbit, epoch_of, labels, line_scan, orbit_of, some, words
-from sightline.io.formats.products.product import GroundMark, Product, ProductBand, image_name
+from sightline.io.formats.products.product import GroundMark, Pixels, Product, ProductBand, Tile, image_name
 from sightline.io.formats.products.tree import Part, read_xml
 
 Array = NDArray[np.float64]
@@ -69,6 +69,7 @@ def read_dimap1(path: Path, reference: tuple[float, float] | None = None) -> Pro
         model=model,
         epoch=epoch_of(start, float(t[0])),
         bands=_bands(data),
+        pixels=_pixels(data),
         height=0.0,
         marks=_marks(data),
         assumed=(
@@ -243,3 +244,23 @@ def _bands(data: Part) -> tuple[ProductBand, ...]:
         names = [f"band {number}" for number in range(1, count + 1)]
     image = image_name(given[0]) if len(given) == 1 else ""
     return tuple(ProductBand(name, image, number) for number, name in enumerate(names, 1))
+
+
+def _pixels(data: Part) -> Pixels | None:
+    """Bare numbers, where the file holds such: lines of all bands in turn."""
+    files = data.parts("Data_Access/Data_File/DATA_FILE_PATH")
+    if words(data, "Data_Access/DATA_FILE_FORMAT") != "RAW" or len(files) != 1:
+        return None
+    lines, columns = (data.count(f"Raster_Dimensions/{key}", 2, MOST_LINES) for key in ("NROWS", "NCOLS"))
+    layout, bits = (
+        words(data, "Raster_Encoding/BANDS_LAYOUT", "BIL"),
+        words(data, "Raster_Encoding/NBITS", "8"),
+    )
+    if layout != "BIL" or bits not in ("8", "16"):
+        raise data.refused("Raster_Encoding", f"is {layout[:20]} of {bits[:20]} bits; BIL of 8 or 16 is read")
+    skipped = (
+        data.count("Raster_Encoding/SKIPBYTES", 0, 1_000_000) if data.has("Raster_Encoding/SKIPBYTES") else 0
+    )
+    tile = Tile(image_name(files[0].element.get("href", "")), 0, 0, lines, columns)
+    big = words(data, "Raster_Encoding/BYTEORDER", "M") == "M"
+    return Pixels((tile,), "Byte" if bits == "8" else "UInt16", skipped, big)

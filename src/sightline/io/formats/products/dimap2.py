@@ -34,7 +34,7 @@ from sightline.io.formats.products.makers import (
     turned_by,
     words,
 )
-from sightline.io.formats.products.product import GroundMark, Product, ProductBand, image_name
+from sightline.io.formats.products.product import GroundMark, Pixels, Product, ProductBand, Tile, image_name
 from sightline.io.formats.products.tree import Part, read_xml
 
 Array = NDArray[np.float64]
@@ -44,6 +44,10 @@ _MODEL = "Geometric_Data/Refined_Model"
 _CALIBRATION = f"{_MODEL}/Geometric_Calibration/Instrument_Calibration"
 _SECONDS = {"microsecond": 1e-6, "us": 1e-6, "millisecond": 1e-3, "ms": 1e-3, "second": 1.0, "s": 1.0}
 _LOOKS = ("XLOS_0", "XLOS_1", "YLOS_0", "YLOS_1")
+_FILES = "Raster_Data/Data_Access/Data_Files/Data_File"
+_TILING = "Raster_Data/Raster_Dimensions/Tile_Set/Regular_Tiling"
+#: What GDAL calls whole numbers without sign by their bits.
+_TYPES = {"8": "Byte", "12": "UInt16", "16": "UInt16"}
 #: Lines by which the stated end of the image may lie beside its last line.
 _END = 0.5
 
@@ -87,6 +91,7 @@ def read_dimap2(path: Path, reference: tuple[float, float] | None = None) -> Pro
         model=model,
         epoch=epoch_of(start, 0.0),
         bands=_bands(data, names),
+        pixels=_pixels(data),
         height=height,
         marks=tuple(replace(mark, height=height) for mark in marks),
         assumed=(
@@ -199,9 +204,41 @@ def _marks(data: Part) -> tuple[GroundMark, ...]:
     )
 
 
+def _given(part: Part) -> str:
+    """The file that a Data_File names."""
+    return image_name(part.part("DATA_FILE_PATH").element.get("href", "") or words(part, "DATA_FILE_PATH"))
+
+
 def _bands(data: Part, names: list[str]) -> tuple[ProductBand, ...]:
-    """Every band, in its order in the file; several tiles make no one file."""
-    files = data.parts("Raster_Data/Data_Access/Data_Files/Data_File/DATA_FILE_PATH")
-    given = [image_name(part.element.get("href", "") or words(part, ".")) for part in files]
-    image = given[0] if len(given) == 1 else ""
+    """Every band, in its order in the file; several tiles are no one file."""
+    files = [_given(part) for part in data.parts(_FILES)]
+    image = files[0] if len(files) == 1 else ""
     return tuple(ProductBand(name, image, number) for number, name in enumerate(names, 1))
+
+
+def _pixels(data: Part) -> Pixels | None:
+    """Tiles side by side, where there are several."""
+    files = data.parts(_FILES)
+    if len(files) < 2:
+        return None
+    step = data.part(f"{_TILING}/NTILES_SIZE").element
+    try:
+        lines, columns = (int(step.get(key, "")) for key in ("nrows", "ncols"))
+        places = [tuple(int(part.element.get(f"tile_{axis}", "")) - 1 for axis in "RC") for part in files]
+    except ValueError:
+        raise data.refused(_TILING, "does not say where the tiles of the image lie") from None
+    whole = [data.count(f"Raster_Data/Raster_Dimensions/N{axis}S", 2, MOST_LINES) for axis in ("ROW", "COL")]
+    if any(words(data, f"{_TILING}/OVERLAP_{axis}", "0") != "0" for axis in ("ROW", "COL")):
+        raise data.refused(_TILING, "has tiles that overlap; tiles side by side are read")
+    tiles = []
+    for part, (row, column) in zip(files, places, strict=True):
+        line, first = row * lines, column * columns
+        if min(lines, columns) < 1 or not (0 <= line < whole[0] and 0 <= first < whole[1]):
+            raise data.refused(_TILING, f"has a tile beyond the image ({_given(part)})")
+        size = min(lines, whole[0] - line), min(columns, whole[1] - first)
+        tiles.append(Tile(_given(part), line, first, *size))
+    key = "Raster_Data/Raster_Encoding/NBITS"
+    bits = words(data, key, "16")
+    if bits not in _TYPES:
+        raise data.refused(key, f"is {bits[:20]}; read are {', '.join(_TYPES)}")
+    return Pixels(tuple(tiles), _TYPES[bits])

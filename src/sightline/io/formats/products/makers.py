@@ -44,7 +44,7 @@ _HEIGHTS = (-500.0, 9000.0)
 def words(part: Part, name: str, default: str = "") -> str:
     """The words at a path; `default` where there are none."""
     found = part.element.find(name)
-    return "" if found is None else (found.text or "").strip() or default
+    return ("" if found is None else (found.text or "").strip()) or default
 
 
 def scaled(part: Part, name: str, units: Mapping[str, float], width: int = 1) -> Array:

@@ -55,6 +55,47 @@ class GroundMark:
 
 
 @dataclass(frozen=True)
+class Tile:
+    """A file of pixels, and which part of the image it holds.
+
+    Attributes
+    ----------
+    image : str
+        File that the metadata name, without folders.
+    line, column, lines, columns : int
+        px; where it begins, from 0, and its size.
+    """
+
+    image: str
+    line: int
+    column: int
+    lines: int
+    columns: int
+
+
+@dataclass(frozen=True)
+class Pixels:
+    """Files of an image that are no raster by themselves: tiles of one, or bare numbers.
+
+    Attributes
+    ----------
+    tiles : tuple of Tile
+    type : str
+        As GDAL calls it.
+    skipped : int or None
+        Bytes before the first number where the one file holds bare numbers, lines of all bands in turn (BIL);
+        None where tiles are rasters.
+    big_endian : bool
+        Order of the bytes of bare numbers.
+    """
+
+    tiles: tuple[Tile, ...]
+    type: str
+    skipped: int | None = None
+    big_endian: bool = False
+
+
+@dataclass(frozen=True)
 class RawBands:
     """What metadata tell of bands before they were resampled.
 
@@ -98,6 +139,8 @@ class Product:
     assumed, unknown : tuple of str
         What was assumed of it; what it does not say.
     raw : RawBands or None
+    pixels : Pixels or None
+        Where the files that the metadata name are no raster by themselves.
     """
 
     path: Path
@@ -113,6 +156,7 @@ class Product:
     assumed: tuple[str, ...] = ()
     unknown: tuple[str, ...] = ()
     raw: RawBands | None = None
+    pixels: Pixels | None = None
 
 
 def image_name(given: str) -> str:
