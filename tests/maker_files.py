@@ -212,8 +212,11 @@ def dimap2(folder: Path, *, rows=60, columns=50, step=4, height=201.5, name="DIM
     return written(folder / name, text, changes)
 
 
-def dimap1(folder: Path, *, rows=80, columns=60, name="METADATA.DIM", changes=()):
-    """A SPOT 5 scene of level 1A whose attitudes begin after the first line and end before the last."""
+def dimap1(folder: Path, *, rows=80, columns=60, name="METADATA.DIM", ahead=(0.0,), changes=()):
+    """A SPOT 5 scene of level 1A; attitudes begin after the first line and end before the last.
+
+    One band for each of `ahead`, rad by which it looks further ahead.
+    """
     period, centre = 7.52e-3, rows / 2
     middle = (centre - 1) * period
 
@@ -278,16 +281,22 @@ def dimap1(folder: Path, *, rows=80, columns=60, name="METADATA.DIM", changes=()
         for t, a in zip(t_turn, angles(t_turn), strict=True)
     ]
     looks = [
-        tag("Look_Angles", tag("DETECTOR_ID", d), tag("PSI_X", row(psi_x(d))), tag("PSI_Y", row(psi_y(d))))
-        for d in range(1, columns + 1)
-    ]
+        tag("Instrument_Look_Angles", tag("BAND_INDEX", band), tag("Look_Angles_List", *(
+            tag(
+                "Look_Angles", tag("DETECTOR_ID", d), tag("PSI_X", row(psi_x(d) + further)),
+                tag("PSI_Y", row(psi_y(d))),
+            )
+            for d in range(1, columns + 1)
+        )))
+        for band, further in enumerate(ahead, 1)
+    ]  # fmt: skip
     text = tag(
         "Dimap_Document",
         tag("Metadata_Id", tag("METADATA_FORMAT", "DIMAP", version="1.1")),
         tag("Dataset_Id", tag("DATASET_NAME", "SEGMENT S5")),
         tag("Geoposition", tag("Geoposition_Points", *ties)),
         tag("Dataset_Sources", tag("Source_Information", tag("Scene_Source", tag("MISSION_INDEX", 5)))),
-        tag("Raster_Dimensions", tag("NCOLS", columns), tag("NROWS", rows), tag("NBANDS", 1)),
+        tag("Raster_Dimensions", tag("NCOLS", columns), tag("NROWS", rows), tag("NBANDS", len(ahead))),
         tag("Data_Access", tag("Data_File", "<DATA_FILE_PATH href='C:\\\\data\\\\IMAGERY.TIF'/>")),
         tag("Data_Processing", tag("PROCESSING_LEVEL", "1A")),
         tag("Image_Interpretation", tag("Spectral_Band_Info", tag("BAND_DESCRIPTION", "PAN"))),
@@ -311,9 +320,7 @@ def dimap1(folder: Path, *, rows=80, columns=60, name="METADATA.DIM", changes=()
                     "Time_Stamp", tag("LINE_PERIOD", row(period)), tag("SCENE_CENTER_TIME", stamp(middle, 9)),
                     tag("SCENE_CENTER_LINE", centre), tag("SCENE_CENTER_COL", columns // 2),
                 ),
-                tag("Instrument_Look_Angles_List", tag(
-                    "Instrument_Look_Angles", tag("BAND_INDEX", 1), tag("Look_Angles_List", *looks)
-                )),
+                tag("Instrument_Look_Angles_List", *looks),
             ),
             tag("Data_Strip_Coordinates", tag("FIRST_PIXEL_RAW", 1)),
         ),

@@ -52,7 +52,7 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
         if name is None:
             raise FormatError(f"{where}: model is missing; give it there or in [platform]")
         _refuse_own_geometry(config, band, where)
-        model = read_sensor_model(files(name), None if first is None else first.reference)
+        model = read_sensor_model(files(name), None if first is None else first.reference, band.image_band)
         first = first or model
         if model.scale != first.scale:
             raise FormatError(

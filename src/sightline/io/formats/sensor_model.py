@@ -12,7 +12,9 @@ from sightline.io.formats.line_scan import LineScanModel
 from sightline.io.formats.products.recognise import product_kind, read_product
 
 
-def read_sensor_model(path: Path, reference: tuple[float, float] | None = None) -> LineScanModel:
+def read_sensor_model(
+    path: Path, reference: tuple[float, float] | None = None, band: int = 1
+) -> LineScanModel:
     """A line-scan sensor model.
 
     Parameters
@@ -21,6 +23,8 @@ def read_sensor_model(path: Path, reference: tuple[float, float] | None = None) 
         USGS CSM ISD or model state (JSON), or metadata of a product (``products/``).
     reference : (float, float), optional
         That of another model, whose t = 0 is meant; the first line of the image if not given.
+    band : int
+        Which band of its image is meant, from 1, where a product gives each its own looks.
 
     Returns
     -------
@@ -33,4 +37,4 @@ def read_sensor_model(path: Path, reference: tuple[float, float] | None = None) 
     """
     if product_kind(path) is None:
         return read_line_scan_model(path, reference)
-    return read_product(path, reference).model
+    return read_product(path, reference, band).model

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import re
 
 import numpy as np
 import pytest
@@ -137,3 +138,19 @@ def test_bare_numbers_of_an_image_are_read(tmp_path):
     with rasterio.open(tmp_path / "acq" / "METADATA.vrt") as image:
         np.testing.assert_array_equal(image.read(1), pixels)
     assert run("check", tmp_path / "acq" / "acquisition.toml")[0] == 1  # one band
+
+
+def test_bands_of_spot_5_with_looks_of_their_own_tell_motion(tmp_path):
+    path = maker.dimap1(tmp_path, rows=400, columns=300, ahead=(0.0, 2e-4))
+    pixels = np.random.default_rng(7).integers(10, 250, (2, 400, 300)).astype(np.uint8)
+    size = {"height": 400, "width": 300, "count": 2}
+    with rasterio.open(tmp_path / "IMAGERY.TIF", "w", driver="GTiff", dtype="uint8", **size) as image:
+        image.write(pixels)
+    status, said = run("init", path, "--out", tmp_path / "acq")
+    assert status == 0, said
+    assert "sightline recover" in said.splitlines()[-1]
+    status, said = run("check", tmp_path / "acq" / "acquisition.toml")
+    assert status == 0, said
+    # .2 mrad from 697 km, over ground that passes by at 6.7 km/s: 21 ms, about three lines
+    lag = float(re.search(r"band 1 - band 2: lag (-?[\d.]+) ms", said)[1])
+    assert abs(lag) == pytest.approx(21.0, abs=1.0)

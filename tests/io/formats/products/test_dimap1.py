@@ -94,3 +94,23 @@ def test_what_is_wrong_is_named(tmp_path, case):
 def test_doris_of_another_pass_is_said(tmp_path):
     product = read_product(maker.dimap1(tmp_path, changes=[("<TAI_TUC>33", "<TAI_TUC>32")]))
     assert any("points of DORIS" in line and "off the ephemeris" in line for line in product.model.doubts)
+
+
+def test_bands_with_looks_of_their_own_have_cameras_of_their_own(tmp_path):
+    path = maker.dimap1(tmp_path, ahead=(0.0, 2e-3, -1e-3))
+    cameras = [read_product(path, None, band).model.camera for band in (1, 2, 3)]
+    ahead = [camera.detector.tangents[:, 1].mean() for camera in cameras]
+    # tangents of .020 and .022 and .019 rad, in the axes that look down the middle of all
+    np.testing.assert_allclose(np.abs(np.diff(ahead)), [2e-3, 3e-3], rtol=2e-3)
+    ground = Ellipsoid(height=0.0)
+    first, later = (camera.locate([[40.0, 30.0]], ground)[0] for camera in cameras[:2])
+    # 692 km above the ellipsoid, and a little more at .1 rad
+    assert np.linalg.norm(first - later) == pytest.approx(2e-3 * 692e3, rel=0.03)
+    assert read_product(path).model.one_grid is None
+    with pytest.raises(FormatError, match="has no table of band 4, but of 1, 2, 3"):
+        read_product(path, None, 4)
+
+
+def test_bands_that_share_looks_and_times_cannot_tell_motion(tmp_path):
+    grid = read_product(maker.dimap1(tmp_path, ahead=(0.0, 0.0))).model.one_grid
+    assert "one table of looks and one time for each line" in grid.reason

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError
-from sightline.io.formats.line_scan import MOST_LINES, MOST_SAMPLES
+from sightline.io.formats.line_scan import MOST_LINES, MOST_SAMPLES, OneGrid
 from sightline.io.formats.products.makers import Orbit, epoch_of, labels, line_scan, orbit_of, some, words
 from sightline.io.formats.products.product import GroundMark, Pixels, Product, ProductBand, Tile, image_name
 from sightline.io.formats.products.tree import Part, read_xml
@@ -31,14 +31,18 @@ _DORIS = "Data_Strip/Ephemeris/Doris_Points/Doris_Point"
 _ANGLES = "Data_Strip/Satellite_Attitudes/Corrected_Attitudes/Corrected_Attitude/Angles"
 #: rad of attitudes and looks at most: more are degrees.
 _MOST_ANGLE = 1.0
+_STILL = (
+    "all bands have one table of looks and one time for each line (DIMAP 1, level 1A), so that they show all "
+    "ground at one time; give with it another product of the same strip, whose bands see it at another time"
+)
 #: m by which DORIS may lie off the ephemeris unsaid; both round to 0.01 m.
 _APART = 5.0
 #: Axes as the file has them (z up) ↔ sensor axes (z to the ground).
 _DOWN = Rotation.from_matrix(np.diag([1.0, -1.0, -1.0]))
 
 
-def read_dimap1(path: Path, reference: tuple[float, float] | None = None) -> Product:
-    """A SPOT 5 product of level 1A: arguments and errors as of `read_product`."""
+def read_dimap1(path: Path, reference: tuple[float, float] | None = None, band: int = 1) -> Product:
+    """A SPOT 5 product of level 1A: arguments and errors as of `read_product`; `band` is a BAND_INDEX."""
     data = read_xml(path, _WHAT)
     _check_kind(data)
     start = data.text(f"{_STAMP}/SCENE_CENTER_TIME")
@@ -47,6 +51,8 @@ def read_dimap1(path: Path, reference: tuple[float, float] | None = None) -> Pro
     t = data.positive(f"{_STAMP}/LINE_PERIOD") * (row - data.number(f"{_STAMP}/SCENE_CENTER_LINE"))
     orbit = _orbit(data, start)
     instants, angles = _corrected(data, start)
+
+    looks, alike = _looks(data, band)
 
     def world_from_sensor(when: Array) -> Rotation:
         return _orbital(orbit, when) * _attitude(_evenly_on(instants, angles, when))
@@ -57,9 +63,10 @@ def read_dimap1(path: Path, reference: tuple[float, float] | None = None) -> Pro
         t,
         (instants, world_from_sensor),
         orbit,
-        _DOWN.apply(_looks(data)),
+        _DOWN.apply(looks),
         reference,
         doubts=(*_doris_doubts(data, start, orbit), *_cut(data)),
+        one_grid=OneGrid(str(path.resolve()), _STILL) if alike else None,
     )
     return Product(
         path=path,
@@ -163,16 +170,18 @@ def _attitude(angles: Array) -> Rotation:
     return Rotation.from_euler("XYZ", np.stack([-pitch, -roll, yaw], axis=1)) * _DOWN
 
 
-def _looks(data: Part) -> Array:
-    """(columns, 3) vectors that all bands share, axes as in the file."""
+def _looks(data: Part, band: int) -> tuple[Array, bool]:
+    """(columns, 3) vectors of a band, axes as in the file; whether all bands of the file share them."""
     columns = data.count("Raster_Dimensions/NCOLS", 2, MOST_SAMPLES)
     first = data.count("Data_Strip/Data_Strip_Coordinates/FIRST_PIXEL_RAW", 1, MOST_SAMPLES)
-    tables = [_look_table(data, part) for part in some(data, _LOOKS, 1)]
-    detectors, angles = tables[0]
-    if any(len(other) != len(angles) or (other != angles).any() for _, other in tables):
+    parts = some(data, _LOOKS, 1)
+    tables = {part.count("BAND_INDEX", 1, 100): _look_table(data, part) for part in parts}
+    # a table of one band is that of all
+    detectors, angles = tables.get(band) or next(iter(tables.values()))
+    if band not in tables and len(tables) > 1:
         raise data.refused(
             _LOOKS,
-            "gives bands looks of their own; take the file of one band: models of several are not read",
+            f"has no table of band {band}, but of {', '.join(map(str, tables))}; is image_band another?",
         )
     wanted = np.arange(columns) + first
     lacking = ~np.isin(wanted, detectors)
@@ -184,7 +193,9 @@ def _looks(data: Part) -> Array:
             "table was cut: fetch the whole file",
         )
     x, y = angles[np.searchsorted(detectors, wanted)].T
-    return np.stack([-np.tan(y), np.tan(x), -np.ones(columns)], axis=1)
+    alike = all(np.array_equal(other, angles) for _, other in tables.values())
+    several = data.count("Raster_Dimensions/NBANDS", 1, 100) > 1
+    return np.stack([-np.tan(y), np.tan(x), -np.ones(columns)], axis=1), alike and several
 
 
 def _look_table(data: Part, part: Part) -> tuple[NDArray[np.intp], Array]:

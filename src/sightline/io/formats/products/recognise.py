@@ -48,7 +48,7 @@ def product_kind(path: Path) -> str | None:
 
 
 @reads("metadata of a product")
-def read_product(path: Path, reference: tuple[float, float] | None = None) -> Product:
+def read_product(path: Path, reference: tuple[float, float] | None = None, band: int = 1) -> Product:
     """A product.
 
     Parameters
@@ -57,6 +57,8 @@ def read_product(path: Path, reference: tuple[float, float] | None = None) -> Pr
         Its metadata, or a folder that holds one.
     reference : (float, float), optional
         That of another model, whose t = 0 is meant; the first line of the image if not given.
+    band : int
+        Which band of its image the model is of, from 1, where each has its own looks.
 
     Returns
     -------
@@ -80,7 +82,7 @@ def read_product(path: Path, reference: tuple[float, float] | None = None) -> Pr
         case "dimap1":
             from sightline.io.formats.products.dimap1 import read_dimap1
 
-            return read_dimap1(path, reference)
+            return read_dimap1(path, reference, band)
         case "pleiades":
             from sightline.io.formats.products.pleiades import read_pleiades
 
