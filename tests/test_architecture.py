@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -29,18 +30,34 @@ def module_name(path: Path) -> str:
 
 
 FILES = {module_name(path): path for path in sorted(SOURCE.rglob("*.py"))}
-TREES = {name: ast.parse(path.read_text(encoding="utf-8")) for name, path in FILES.items()}
 MODULES = sorted(set(FILES) - {"sightline"})
+
+
+@cache
+def tree_of(module: str) -> ast.Module:
+    return ast.parse(FILES[module].read_text(encoding="utf-8"))
+
+
+@cache
+def nodes(module: str) -> tuple[ast.AST, ...]:
+    """The statements and expressions that any rule is about."""
+    kinds = ast.Import | ast.ImportFrom | ast.Assert | ast.If
+    return tuple(node for node in ast.walk(tree_of(module)) if isinstance(node, kinds))
 
 
 def layer(module: str) -> str:
     return module.split(".")[1]
 
 
-def imports(module: str) -> Iterator[tuple[str, str, int]]:
+@cache
+def imports(module: str) -> tuple[tuple[str, str, int], ...]:
     """Every import of our own modules, wherever it stands: (module, name or "", line)."""
+    return tuple(_imports(module))
+
+
+def _imports(module: str) -> Iterator[tuple[str, str, int]]:
     package = module if FILES[module].name == "__init__.py" else module.rpartition(".")[0]
-    for node in ast.walk(TREES[module]):
+    for node in nodes(module):
         if isinstance(node, ast.Import):
             for alias in node.names:
                 if alias.name.split(".")[0] == "sightline":
@@ -72,21 +89,25 @@ def test_every_file_belongs_to_a_layer():
     assert {layer(module) for module in MODULES} <= set(LAYERS)
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_a_module_imports_only_its_own_layer_and_earlier_ones(module):
+def test_a_module_imports_only_its_own_layer_and_earlier_ones():
     late = [
-        f"line {line}: {target}"
+        f"{module}, line {line}: {target}"
+        for module in MODULES
         for target, _, line in imports(module)
         if target != "sightline" and LAYERS.index(layer(target)) > LAYERS.index(layer(module))
     ]
-    assert not late, f"{module} imports a later layer: {late}"
+    assert not late, f"imports of a later layer: {late}"
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_no_module_imports_the_package_root(module):
+def test_no_module_imports_the_package_root():
     # `from sightline import x` counts too, except for a layer that is a module, which is then named in full.
-    lines = [line for target, _, line in imports(module) if target == "sightline"]
-    assert not lines, f"{module} imports the package root on lines {lines}; name the module that defines it"
+    found = [
+        f"{module}, line {line}"
+        for module in MODULES
+        for target, _, line in imports(module)
+        if target == "sightline"
+    ]
+    assert not found, f"imports of the package root: {found}; name the module that defines it"
 
 
 @pytest.mark.parametrize(("who", "banned"), BANS)
@@ -118,14 +139,15 @@ def test_the_imports_have_no_cycle():
         visit(module, ())
 
 
-def names_in_annotations_only(tree: ast.Module) -> set[ast.AST]:
-    """Everything below ``if TYPE_CHECKING:``, which no program runs."""
+def lines_of_annotations_only(module: str) -> set[int]:
+    """All lines below ``if TYPE_CHECKING:``, which no program runs."""
     return {
-        inner
-        for node in ast.walk(tree)
+        inner.lineno
+        for node in nodes(module)
         if isinstance(node, ast.If) and ast.unparse(node.test).endswith("TYPE_CHECKING")
         for branch in node.body
         for inner in ast.walk(branch)
+        if hasattr(inner, "lineno")
     }
 
 
@@ -134,7 +156,7 @@ def test_every_module_is_reached_from_a_command_or_a_public_name():
     root = ast.literal_eval(
         next(
             node.value
-            for node in TREES["sightline"].body
+            for node in tree_of("sightline").body
             if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "_MODULE_OF"
         )
     )
@@ -145,9 +167,7 @@ def test_every_module_is_reached_from_a_command_or_a_public_name():
         if module in reached:
             continue
         reached.add(module)
-        skipped = {
-            node.lineno for node in names_in_annotations_only(TREES[module]) if hasattr(node, "lineno")
-        }
+        skipped = lines_of_annotations_only(module)
         todo += [target for target, _, line in imports(module) if line not in skipped and target in FILES]
     packages = {module for module in MODULES if FILES[module].name == "__init__.py"}
     left = set(MODULES) - reached - packages
@@ -156,23 +176,24 @@ def test_every_module_is_reached_from_a_command_or_a_public_name():
     )
 
 
-@pytest.mark.parametrize("module", sorted(FILES))
-def test_every_public_name_has_a_docstring(module):
-    tree = TREES[module]
-    bare = [name for name, node in public_definitions(tree) if not ast.get_docstring(node)]
-    if not ast.get_docstring(tree):
-        bare.insert(0, "the module")
-    assert not bare, f"{module}: no docstring on {bare}"
+def test_every_public_name_has_a_docstring():
+    bare = [
+        f"{module}.{name}".rstrip(".")
+        for module in sorted(FILES)
+        for name, node in [("", tree_of(module)), *public_definitions(tree_of(module))]
+        if not ast.get_docstring(node)
+    ]
+    assert not bare, f"no docstring on {bare}"
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_no_module_takes_a_private_name_of_another(module):
+def test_no_module_takes_a_private_name_of_another():
     private = [
-        f"line {line}: {name or target}"
+        f"{module}, line {line}: {name or target}"
+        for module in MODULES
         for target, name, line in imports(module)
         if (name or target.rpartition(".")[2]).startswith("_")
     ]
-    assert not private, f"{module} imports private names: {private}; make them public where they live"
+    assert not private, f"imports of private names: {private}; make them public where they live"
 
 
 def narrows_a_type(test: ast.expr) -> bool:
@@ -182,15 +203,15 @@ def narrows_a_type(test: ast.expr) -> bool:
     return isinstance(test, ast.Call) and ast.unparse(test.func) == "isinstance"
 
 
-@pytest.mark.parametrize("module", MODULES)
-def test_assert_never_checks_input(module):
+def test_assert_never_checks_input():
     # An assert disappears under `python -O` and says nothing to the user.
-    lines = [
-        node.lineno
-        for node in ast.walk(TREES[module])
+    found = [
+        f"{module}, line {node.lineno}"
+        for module in MODULES
+        for node in nodes(module)
         if isinstance(node, ast.Assert) and not narrows_a_type(node.test)
     ]
-    assert not lines, f"{module}: assert on lines {lines}; raise one of sightline.errors"
+    assert not found, f"assert in {found}; raise one of sightline.errors"
 
 
 def test_packages_below_the_root_hold_no_code():
@@ -199,7 +220,7 @@ def test_packages_below_the_root_hold_no_code():
         for name, path in FILES.items()
         if path.name == "__init__.py"
         and name != "sightline"
-        and any(not isinstance(node, ast.Expr) for node in TREES[name].body)
+        and any(not isinstance(node, ast.Expr) for node in tree_of(name).body)
     ]
     assert not holding, f"code in __init__.py of {holding}; give it a file with a name"
 
@@ -242,7 +263,7 @@ def test_kernels_are_compiled_and_kept_by_one_module_alone():
         f"{module}, line {node.lineno}"
         for module in MODULES
         if module != "sightline.compiled"
-        for node in ast.walk(TREES[module])
+        for node in nodes(module)
         if (isinstance(node, ast.Import) and any(alias.name.split(".")[0] == "numba" for alias in node.names))
         or (isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "numba")
     ]
