@@ -20,8 +20,10 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import cloudpickle
 import pytest
 
+from shared_setup import made_once
 from sightline.io.results import line_of_sight
 from sightline.io.results.schema import check_summary
 
@@ -94,22 +96,28 @@ def recovery(tmp_path_factory) -> SimpleNamespace:
     """A small rendered strip and what `sightline recover` made of it: folders `scene` and `folder`, the
     `printed` summary, and the objects behind the files (`result`, `acquisition`, `summary`, and `solved`: the
     strip, the last state of its estimate, the result)."""
+    base = made_once(tmp_path_factory, "recovery", _recover)
+    kept = cloudpickle.loads((base / "kept.pkl").read_bytes())
+    return SimpleNamespace(scene=base / "scene", folder=base / "result", **kept)
+
+
+def _recover(base: Path) -> None:
+    """What `recovery` is made of, in a folder of all processes."""
     from sightline.applications import line_of_sight
     from sightline.cli.main import run
     from sightline.kinds import recovery as results
 
-    base = tmp_path_factory.mktemp("recovery")
-    scene, folder, kept = base / "scene", base / "result", SimpleNamespace()
+    scene, folder, kept = base / "scene", base / "result", {}
     written, solve = results.write_result, line_of_sight.joint_line_of_sight
 
     def keep(to, result, acquisition, **options):
-        kept.result, kept.acquisition = result, acquisition
-        kept.summary = written(to, result, acquisition, **options)
-        return kept.summary
+        kept["summary"] = written(to, result, acquisition, **options)
+        kept.update(result=result, acquisition=acquisition)
+        return kept["summary"]
 
     def keep_solved(*given):
-        kept.solved = solve(*given)
-        return kept.solved
+        kept["solved"] = solve(*given)
+        return kept["solved"]
 
     size = ["--lines", "640", "--columns", "320"]
     assert run(["simulate", "line-of-sight", "--seed", "3", *size, "--out", str(scene)]) == 0
@@ -118,7 +126,7 @@ def recovery(tmp_path_factory) -> SimpleNamespace:
         patch.setattr(results, "write_result", keep)
         patch.setattr(line_of_sight, "joint_line_of_sight", keep_solved)
         assert run(["recover", str(scene / "acquisition.toml"), "--out", str(folder), "--json"]) == 0
-    return SimpleNamespace(scene=scene, folder=folder, printed=said.getvalue(), **vars(kept))
+    (base / "kept.pkl").write_bytes(cloudpickle.dumps(kept | {"printed": said.getvalue()}))
 
 
 @pytest.fixture(scope="session")

@@ -33,13 +33,13 @@ def recovered(bands, hybridise):
 
 
 def test_both_ways_give_the_same_motion_within_its_sigma():
-    _, bands = strip(5)
+    _, bands = strip(4, size=(400, 200))
     one, other = (recovered(bands, how) for how in ("global", "iterative"))
     apart = (one.motion.angles - other.motion.angles) / one.scale
     apart = remove_directions(apart, one.hidden / one.scale[:, None])
     sigma = one.sigma / one.scale
     assert (np.sqrt((apart**2).mean(axis=0)) < np.sqrt((sigma**2).mean(axis=0))).all()
-    assert len(other.cameras) == 5 and other.image_names == one.image_names
+    assert len(other.cameras) == 4 and other.image_names == one.image_names
 
 
 def test_groups_that_are_not_matched_with_each_other_are_begun_one_after_the_other():
@@ -61,9 +61,9 @@ def test_two_bands_have_one_pair_and_one_answer():
 def test_a_weak_band_is_placed_by_the_motion_of_the_others():
     """Of a band that correlates by 0.4 single windows are good to 0.12 px along and across; its map, by the
     motion of the others and its offset from all lines, is good to a third of that even on a short strip."""
-    scenario, bands = strip(4, weak=0.4, size=(700, 400))
+    scenario, bands = strip(4, weak=0.4, size=(600, 300))
     result = recovered(bands, "iterative")
-    lines, columns = np.arange(20.0, 600.0, 5.0), np.linspace(5.0, 394.0, 9)
+    lines, columns = np.arange(20.0, 500.0, 5.0), np.linspace(5.0, 294.0, 9)
     points = np.stack(np.meshgrid(lines, columns, indexing="ij"), axis=-1).reshape(-1, 2)
     found = predict_match(result.cameras[0], result.cameras[3], Plane(0.0), points)
     error = found - predict_match(scenario.cameras[0], scenario.cameras[3], Plane(0.0), points)

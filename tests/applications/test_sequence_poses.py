@@ -148,7 +148,7 @@ def test_frames_without_evidence_are_interpolated_and_the_rest_is_delivered():
 
 
 def test_rolling_shutter_is_seen_through():
-    scenario = sequence_case("small", 6, readout_time=0.02)
+    scenario = sequence_case("small", 6, frames=40, readout_time=0.02)
     problem = problem_of(scenario)
     # a frame moves by 3.2 px in 40 ms: lines of one frame are up to 1.6 px off
     wrong = georeference_sequence(replace(problem, readout_time=0.0))

@@ -2,37 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import time
 from pathlib import Path
 
 import pytest
 from tests.fuzz.hunt import Hunter
 from tests.fuzz.seeds import build
 
-#: s for which other processes wait for the seeds.
-MOST_WAITED = 300
+from shared_setup import made_once
 
 
 @pytest.fixture(scope="session")
 def seeds(tmp_path_factory) -> Path:
     """All seeds; made by the first process of a session that needs them."""
-    if "PYTEST_XDIST_WORKER" not in os.environ:
-        root = tmp_path_factory.mktemp("fuzz") / "seeds"
-        build(root)
-        return root
-    root = tmp_path_factory.getbasetemp().parent / "fuzz-seeds"
-    try:
-        root.with_suffix(".taken").mkdir()
-    except FileExistsError:
-        for _ in range(MOST_WAITED * 5):
-            if root.is_dir():
-                return root
-            time.sleep(0.2)
-        pytest.fail("the process that makes the seeds has not made them")
-    build(root.with_suffix(".made"))
-    root.with_suffix(".made").rename(root)
-    return root
+    return made_once(tmp_path_factory, "fuzz-seeds", build)
 
 
 @pytest.fixture(scope="session")
