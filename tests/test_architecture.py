@@ -214,6 +214,16 @@ def test_assert_never_checks_input():
     assert not found, f"assert in {found}; raise one of sightline.errors"
 
 
+def test_no_two_modules_define_a_public_class_of_the_same_name():
+    places: dict[str, list[str]] = {}
+    for module in MODULES:
+        for node in tree_of(module).body:
+            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
+                places.setdefault(node.name, []).append(module)
+    twice = {name: modules for name, modules in places.items() if len(modules) > 1}
+    assert not twice, f"one name, two meanings: {twice}; call each by what it is"
+
+
 def test_packages_below_the_root_hold_no_code():
     holding = [
         name

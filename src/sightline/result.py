@@ -336,9 +336,7 @@ def makes_result(function: Callable[_Given, _Found]) -> Callable[_Given, _Found]
     def called(*args: _Given.args, **kwargs: _Given.kwargs) -> _Found:
         bound = signature.bind(*args, **kwargs)
         # what only concerns how the call went is no part of its result, which can then be pickled
-        given = {
-            key: value for key, value in bound.arguments.items() if key not in ("progress", "stages")
-        }
+        given = {key: value for key, value in bound.arguments.items() if key not in ("progress", "stages")}
         if "progress" in signature.parameters:
             bound.arguments["progress"] = _logged(name, bound.arguments.get("progress"))
         begun = time.perf_counter()

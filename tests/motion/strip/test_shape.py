@@ -18,7 +18,7 @@ from sightline.matching.matches import KEPT
 from sightline.motion.band import Band
 from sightline.motion.measure.stars import StarRecord
 from sightline.motion.statics import recovered_cameras
-from sightline.motion.strip.shape import departures
+from sightline.motion.strip.shape import line_departures
 from sightline.motion.strip.strip import RecoverOptions
 from sightline.simulate.scenarios import line_of_sight_case
 
@@ -41,7 +41,7 @@ def left(seed: int, rows: int = 200, blocks: int = 10) -> np.ndarray:
 
 
 def test_straight_lines_depart_as_often_as_the_chance_says():
-    chances = np.array([departures([record()], [left(seed)])[0, 1].chance for seed in range(150)])
+    chances = np.array([line_departures([record()], [left(seed)])[0, 1].chance for seed in range(150)])
     # of the least of two tests: twice that of one, less their product. 150 strips: sd 0.024, four of them
     assert abs((chances < 0.1).mean() - (1.0 - 0.95**2)) < 0.1
     assert chances.min() > 1e-4 / 150 * 2
@@ -54,7 +54,7 @@ def test_steps_are_found_where_they_are_whatever_rows_do_and_some_windows_say(ba
     share = np.clip((star.star.pixels[:, 1] + 40.0 - 369.5) / 80.0, 0.0, 1.0)
     values[:, 0, 1] += 0.2 * share
     values[np.random.default_rng(2).choice(len(values), bad, replace=False)] += 5.0
-    found = departures([star], [values])[0, 1]
+    found = line_departures([star], [values])[0, 1]
     # 0.036 px rms of 10 columns known to 0.007 px: F of 8 and 42 is about 27; half as much has 1e-8
     assert found.chance < 1e-8
     # the step is known to 0.1 / sqrt(200) / 0.2 of a window
@@ -65,14 +65,14 @@ def test_a_bend_is_told_from_steps():
     star, values = record(), left(3)
     u = star.star.field
     values[:, 0, 0] += 0.1 * (1.5 * u**2 - 0.5) + 0.1 * (2.5 * u**3 - 1.5 * u)
-    found = departures([star], [values])[0, 1]
+    found = line_departures([star], [values])[0, 1]
     assert found.chance < 1e-8 and found.borders == ()
     assert found.size_px > 0.02
 
 
 def test_too_few_windows_say_nothing():
-    assert departures([record(rows=5)], [left(0, rows=5)]) == {}
-    assert departures([record(blocks=2)], [left(0, blocks=2)]) == {}
+    assert line_departures([record(rows=5)], [left(0, rows=5)]) == {}
+    assert line_departures([record(blocks=2)], [left(0, blocks=2)]) == {}
 
 
 def strip(**keys):

@@ -19,9 +19,9 @@ from sightline.errors import FormatError, InputError, printable, reads, shortene
 from sightline.io.formats.ccsds_message import (
     Clock,
     Message,
-    Part,
     Row,
     Segment,
+    TimedRows,
     check_alike,
     check_interpolation,
     check_keys,
@@ -164,7 +164,7 @@ def read_oem(
     )  # fmt: skip
 
 
-def _part(message: Message, segment: Segment, clock: Clock, sigmas: list[tuple[float, float]]) -> Part:
+def _part(message: Message, segment: Segment, clock: Clock, sigmas: list[tuple[float, float]]) -> TimedRows:
     """The table of a segment; sigmas of its covariances (s, m) are appended."""
     meta = segment.meta
     axes = known_axes(message, segment.line, "REF_FRAME", meta["REF_FRAME"])
@@ -178,7 +178,7 @@ def _part(message: Message, segment: Segment, clock: Clock, sigmas: list[tuple[f
     useable = useable_span(message, segment, clock)
     rows, blocks = _split(message, segment)
     sigmas += [_position_sigma(message, block, clock) for block in blocks]
-    return Part(useable, *timed_numbers(message, segment, rows, _COUNTS, clock), axes)
+    return TimedRows(useable, *timed_numbers(message, segment, rows, _COUNTS, clock), axes)
 
 
 def _split(message: Message, segment: Segment) -> tuple[list[Row], list[list[Row]]]:

@@ -17,8 +17,8 @@ from sightline.errors import FormatError, reads
 from sightline.io.formats.ccsds import no_ut1
 from sightline.io.formats.ccsds_message import (
     Message,
-    Part,
     Segment,
+    TimedRows,
     check_alike,
     check_interpolation,
     check_keys,
@@ -142,7 +142,7 @@ def read_aem(
             )
         t, values = timed_numbers(message, segment, rows, (_TYPES[kind],), clock)
         axes, to_body = _ends(message, segment.line, segment.meta, message.version)
-        parts.append(Part(useable, t, _quaternions(message, segment, kind, values, to_body), axes))
+        parts.append(TimedRows(useable, t, _quaternions(message, segment, kind, values, to_body), axes))
     part, count = chosen(message, parts, span)
     return AttitudeEphemeris(
         part.t, check_quaternions(path, part.values), part.axes,

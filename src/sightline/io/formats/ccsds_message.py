@@ -361,7 +361,7 @@ def is_earth(centre: str) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
+class TimedRows:
     """What a segment gives: a table between two times.
 
     Attributes
@@ -381,13 +381,15 @@ class Part:
     axes: str
 
 
-def chosen(message: Message, parts: list[Part], span: tuple[float, float] | None) -> tuple[Part, int]:
+def chosen(
+    message: Message, parts: list[TimedRows], span: tuple[float, float] | None
+) -> tuple[TimedRows, int]:
     """The part that covers a span, or those that do so together, and how many these are.
 
     Parameters
     ----------
     message : Message
-    parts : list of Part
+    parts : list of TimedRows
     span : (first, last) or None
         s; of the images. None: all of them.
     """
@@ -427,7 +429,7 @@ def chosen(message: Message, parts: list[Part], span: tuple[float, float] | None
                 "without gaps"
             )
         times, values = np.concatenate([times, t]), np.concatenate([values, part.values[kept]])
-    return Part((used[0].useable[0], used[-1].useable[1]), times, values, used[0].axes), len(used)
+    return TimedRows((used[0].useable[0], used[-1].useable[1]), times, values, used[0].axes), len(used)
 
 
 def _step(t: Array) -> float:
@@ -435,12 +437,12 @@ def _step(t: Array) -> float:
     return float(np.median(np.diff(t))) if len(t) > 1 else 0.0
 
 
-def _reaches(part: Part, span: tuple[float, float]) -> bool:
+def _reaches(part: TimedRows, span: tuple[float, float]) -> bool:
     """Whether a part alone covers a span."""
     return bool(max(part.t[0], part.useable[0]) <= span[0] and span[1] <= min(part.t[-1], part.useable[1]))
 
 
-def _touched(parts: list[Part], span: tuple[float, float] | None) -> list[Part]:
+def _touched(parts: list[TimedRows], span: tuple[float, float] | None) -> list[TimedRows]:
     """Parts that share a time with a span, all where none does."""
     if span is None:
         return parts

@@ -24,6 +24,7 @@ from sightline.geometry.camera import PushbroomCamera
 from sightline.geometry.instrument import LineDetector
 from sightline.io.formats.csm_keys import LINE_SCANNER
 from sightline.io.formats.focal_plane import DISTORTIONS, CsmFocalPlane
+from sightline.io.formats.line_scan import one_side
 from sightline.io.names import json_printable
 
 Array = NDArray[np.float64]
@@ -378,14 +379,6 @@ def inertial_states(states: LineStates, body: tuple[Array, Rotation]) -> LineSta
     # fixed(t + dt) = fixed(t) exp(rate dt): a point at rest on the body moves by -rate x in J2000
     velocity = there.inv().apply(states.velocity) - np.cross(rates[before], position)
     return LineStates(states.t, position, velocity, there.inv() * states.world_from_camera)
-
-
-def one_side(quaternions: Array) -> Array:
-    """The same rotations, each quaternion (N, 4) on the side of the one before it."""
-    if len(quaternions) < 2:
-        return quaternions
-    turned = (quaternions[1:] * quaternions[:-1]).sum(axis=1) < 0.0
-    return quaternions * np.cumprod(np.concatenate([[1.0], np.where(turned, -1.0, 1.0)]))[:, None]
 
 
 def _json(values: dict[str, Any]) -> str:

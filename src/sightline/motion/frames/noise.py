@@ -101,7 +101,7 @@ def cholesky_factors(covariance_px: Array) -> Array:
     return np.asarray(np.linalg.cholesky(covariance_px), dtype=np.float64)
 
 
-def scaled(values: Array, factors: Array) -> Array:
+def whitened_by(values: Array, factors: Array) -> Array:
     """`values` (G, K, 2, ...) divided by the Cholesky factors (G, K, 2, 2)."""
     first = values[:, :, 0] / _like(factors[:, :, 0, 0], values[:, :, 0])
     second = (values[:, :, 1] - _like(factors[:, :, 1, 0], first) * first) / _like(
@@ -225,8 +225,8 @@ def _spreads(stars: Sequence[Star], clean_px: Sequence[Array], lags: Sequence[in
 def _free_of_height(star: Star, clean_px: Array, relief: bool) -> tuple[list[Array], Array]:
     """Scaled residuals (G, K) free of heights: both axes, or the one across the parallax; its lever, 1/m."""
     factors = cholesky_factors(star.covariance_px)
-    z = scaled(clean_px, factors)
-    along = scaled(np.asarray(star.by_height, dtype=np.float64), factors)
+    z = whitened_by(clean_px, factors)
+    along = whitened_by(np.asarray(star.by_height, dtype=np.float64), factors)
     length = np.hypot(along[..., 0], along[..., 1])
     if not relief:
         return [z[..., 0], z[..., 1]], np.zeros_like(length)

@@ -24,7 +24,7 @@ from sightline.motion.frames.errors import Influence, neighbour_covariance
 from sightline.motion.frames.lens_field import LensField
 from sightline.motion.frames.linear import linearise_frames
 from sightline.motion.frames.matches import FrameStar
-from sightline.motion.frames.noise import FrameNoise, across, cholesky_factors, match_information, scaled
+from sightline.motion.frames.noise import FrameNoise, across, cholesky_factors, match_information, whitened_by
 from sightline.motion.measure.observations import Star
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
 from sightline.motion.statics import apply_statics
@@ -256,7 +256,7 @@ def _levers(star: Star) -> tuple[Array, Array]:
     """Shift (G, K, 2) px per m of height, and per m of drift, of a star's matches."""
     height = np.asarray(star.by_height, dtype=np.float64)
     factors = cholesky_factors(star.covariance_px)
-    return height, np.einsum("gkij,gkj->gki", factors, across(scaled(height, factors)))
+    return height, np.einsum("gkij,gkj->gki", factors, across(whitened_by(height, factors)))
 
 
 def solve_frames(
@@ -343,7 +343,7 @@ def _rows(matched: FrameStar, star: Star, unknowns: FrameUnknowns) -> tuple[Arra
     factors = cholesky_factors(star.covariance_px)
     residual = np.where(star.present[..., None], np.nan_to_num(star.residual_px), 0.0)
     height = np.asarray(star.by_height, dtype=np.float64)
-    return scaled(residual, factors), scaled(design, factors), scaled(height, factors)
+    return whitened_by(residual, factors), whitened_by(design, factors), whitened_by(height, factors)
 
 
 def _reduce(

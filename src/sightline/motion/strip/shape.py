@@ -73,7 +73,7 @@ class Departure:
     profile: Array
 
 
-def departures(
+def line_departures(
     records: Sequence[StarRecord], left: Sequence[Array], height_sigma: float = 0.0
 ) -> dict[tuple[int, int], Departure]:
     """Departures of the pairs (hub, partner) of the largest star, as far as enough is matched to tell.
@@ -287,7 +287,7 @@ def ask_for_shapes(strip: Strip, state: StripState) -> bool:
     measure = measure_of_shapes(strip.bands)
     if any(_without_columns(band) for k, band in enumerate(strip.bands) if k != measure):
         return True
-    found = departures(state.records, state.post_px, state.height_sigma)
+    found = line_departures(state.records, state.post_px, state.height_sigma)
     return any(
         one.chance < CHANCE and one.size_px > TAKEN_PX and strip.bands[image].shape is None
         for (_, image), one in found.items()
@@ -298,7 +298,7 @@ def unknown_shapes(
     strip: Strip, records: Sequence[StarRecord], cameras: Sequence[MovingCamera], height_sigma: float
 ) -> Shapes:
     """Shapes that are not given of the bands, as far as `records` of narrow windows show them."""
-    found = departures(records, [record.star.residual_px for record in records], height_sigma)
+    found = line_departures(records, [record.star.residual_px for record in records], height_sigma)
     out = []
     for (hub, image), one in found.items():
         band = strip.bands[image]
@@ -343,7 +343,7 @@ def shape_warnings(strip: Strip, state: StripState) -> list[str]:
         if _without_columns(band) and image != measure_of_shapes(strip.bands)
     ]
     cameras = strip.cameras(nodes_on(state.estimate, strip.grid), state.estimate.statics)
-    for (hub, image), one in departures(state.records, state.post_px, state.height_sigma).items():
+    for (hub, image), one in line_departures(state.records, state.post_px, state.height_sigma).items():
         if one.chance > CHANCE or one.size_px < LEAST_PX:
             continue
         borders = columns_in(strip, cameras, hub, image, one.borders)
