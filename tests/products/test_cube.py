@@ -15,7 +15,7 @@ from sightline.products.cube_fit import error_map, fit_pairs, pairs_of
 from sightline.products.cube_grid import CubeGrid, MapSystem, map_system
 from sightline.products.cube_kernels import PHASES, fill_bands, place_weights, see_places
 from sightline.products.cube_tally import CubePicture, picture_bands, picture_factor
-from sightline.products.frame_cube import FilledTile, Tile, line_gain
+from sightline.products.frame_cube import FilledTile, MapTile, line_gain
 from sightline.products.ground_model import GroundModel, fit_ground
 from sightline.products.resample import BEFORE, TAPS, product_weights
 
@@ -326,7 +326,7 @@ def test_the_picture_is_the_mean_of_tiles_and_its_window_where_all_its_bands_mee
             values[band, rows, columns.start - first : max(columns.stop, first) - first] = value[band][
                 rows, columns
             ]
-        tile = Tile(0, first, shape[0], last - first)
+        tile = MapTile(0, first, shape[0], last - first)
         picture.add(FilledTile(tile, values, nothing, nothing, nothing), (4, 0, 2))
     # in pixels of the picture: rows 90 to 240, columns 150 to 600 of the map
     assert picture.window() == (slice(30, 80), slice(50, 200))

@@ -90,7 +90,7 @@ class FrameViews(ReadOnlyArrays):
 
 
 @dataclass(frozen=True)
-class Tile:
+class MapTile:
     """Part of a map: first row and column, and how many."""
 
     row: int
@@ -105,7 +105,7 @@ class FilledTile:
 
     Attributes
     ----------
-    tile : Tile
+    tile : MapTile
     values : (B, rows, columns) float32
         NaN where there is none.
     view : (groups, rows, columns) int32
@@ -116,21 +116,21 @@ class FilledTile:
         Seen by lines next to the band's own.
     """
 
-    tile: Tile
+    tile: MapTile
     values: Array32
     view: NDArray[np.int32]
     passed: Flags
     beyond: Flags
 
 
-def tiles_of(grid: CubeGrid, layout: BandLayout) -> list[Tile]:
+def tiles_of(grid: CubeGrid, layout: BandLayout) -> list[MapTile]:
     """Tiles of a map, row by row, of a size that all bands of one fit into `_TILE_MIB`."""
     each = _GROUP_BYTES * layout.groups + _BAND_BYTES * len(layout) + 32
     side = int(np.sqrt(_TILE_MIB * 2**20 / each)) // 64 * 64
     side = int(np.clip(side, *_TILE_SIDES))
     rows, columns = grid.shape
     return [
-        Tile(row, column, min(side, rows - row), min(side, columns - column))
+        MapTile(row, column, min(side, rows - row), min(side, columns - column))
         for row in range(0, rows, side)
         for column in range(0, columns, side)
     ]
@@ -239,7 +239,7 @@ class CubeMaker:
         first = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
         return first, rows.astype(np.int64), np.ascontiguousarray(self.layout.phase[rows])
 
-    def world(self, tile: Tile) -> Array:
+    def world(self, tile: MapTile) -> Array:
         """World points (rows, columns, 3) of the pixels of a tile; NaN where the ground is not known."""
         rows = np.arange(tile.row, tile.row + tile.rows, dtype=np.float64)[:, None]
         columns = np.arange(tile.column, tile.column + tile.columns, dtype=np.float64)[None, :]
@@ -247,7 +247,7 @@ class CubeMaker:
         places = np.concatenate([flat, self.heights(flat[..., 0], flat[..., 1])[..., None]], axis=2)
         return np.ascontiguousarray(self.grid.system.world(places.reshape(-1, 3)).reshape(places.shape))
 
-    def frames_of(self, tile: Tile) -> list[tuple[int, NDArray[np.int64]]]:
+    def frames_of(self, tile: MapTile) -> list[tuple[int, NDArray[np.int64]]]:
         """Frames, in order of time, that may show a tile, each with the part of the tile (4,)."""
         g = self.grid
         west, north = g.west + g.gsd * tile.column, g.north - g.gsd * tile.row
@@ -264,7 +264,7 @@ class CubeMaker:
                 out.append((int(frame), box))
         return out
 
-    def fill(self, tile: Tile) -> FilledTile | None:
+    def fill(self, tile: MapTile) -> FilledTile | None:
         """All bands of a tile; None where no frame shows it."""
         while frames := self.frames_of(tile):
             world = self.world(tile)
@@ -274,7 +274,7 @@ class CubeMaker:
             # a frame turned out unreadable: others take its place
         return None
 
-    def choose(self, tile: Tile, world: Array, frames: list[tuple[int, NDArray[np.int64]]]) -> FilledTile:
+    def choose(self, tile: MapTile, world: Array, frames: list[tuple[int, NDArray[np.int64]]]) -> FilledTile:
         """Which frame shows each place best; no values yet."""
         flat, bands = world.shape[:2], self.layout
         shape = (bands.groups, *flat)
