@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -32,6 +33,19 @@ def run(code: list[str], folder: Path = ROOT, **environment: str) -> str:
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+def command(words: list[str]) -> str:
+    """What a command prints that runs by itself."""
+    return run(["-c", f"import sys; from sightline.cli.main import run; sys.exit(run({words!r}))"])
+
+
+@pytest.fixture(scope="module")
+def flight(tmp_path_factory) -> Path:
+    """The simulated flight of the pages."""
+    folder = tmp_path_factory.mktemp("simulated") / "flight"
+    command(["simulate", "frames", "--case", "small", "--out", str(folder), "--seed", "1"])
+    return folder
 
 
 @pytest.mark.slow
@@ -84,22 +98,20 @@ def test_the_tdi_files_and_python_of_the_pages_run_as_stated(tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("number", "stated_as", "words"),
+    ("number", "stated_as"),
     [
-        (2, "simulate stereo --out pass --seed 1 ", ["stereo", "--out", "pass"]),
-        (
-            3,
-            "simulate frames --case small --out flight --seed 1 ",
-            ["frames", "--case", "small", "--out", "flight"],
-        ),
+        (2, "simulate stereo --out pass --seed 1 "),
+        (3, "simulate frames --case small --out flight --seed 1 "),
     ],
     ids=["stereo", "sequence"],
 )
-def test_the_python_on_what_is_simulated_runs_as_stated(tmp_path, number, stated_as, words):
+def test_the_python_on_what_is_simulated_runs_as_stated(tmp_path, flight, number, stated_as):
     python, text = (re.findall(rf"```{kind}\n(.*?)```", PYTHON, re.DOTALL) for kind in ("python", "text"))
     assert stated_as in STEREO + FLIGHTS
-    words = ["simulate", *words[:-1], str(tmp_path / words[-1]), "--seed", "1"]
-    run(["-c", f"import sys; from sightline.cli.main import run; sys.exit(run({words!r}))"])
+    if number == 2:
+        command(["simulate", "stereo", "--out", str(tmp_path / "pass"), "--seed", "1"])
+    else:
+        shutil.copytree(flight, tmp_path / "flight")
     printed, stated = run(["-c", python[number]], tmp_path), text[number]
     digits = r"[+-]?\d+\.\d+"
     assert re.sub(digits, "#", printed) == re.sub(digits, "#", stated)
@@ -110,15 +122,11 @@ def test_the_python_on_what_is_simulated_runs_as_stated(tmp_path, number, stated
 
 
 @pytest.mark.slow
-def test_the_table_of_the_page_of_flights_is_what_score_prints(tmp_path):
+def test_the_table_of_the_page_of_flights_is_what_score_prints(tmp_path, flight):
     (stated,) = re.findall(r"```console\n(frames .*?)```", FLIGHTS, re.DOTALL)
-    flight, located = str(tmp_path / "flight"), str(tmp_path / "located")
-    for words in (
-        ["simulate", "frames", "--case", "small", "--out", flight, "--seed", "1"],
-        ["georeference", f"{flight}/sequence.toml", "--out", located, "--poses-only"],
-        ["score", located, f"{flight}/poses-truth.csv", "--table"],
-    ):
-        printed = run(["-c", f"import sys; from sightline.cli.main import run; sys.exit(run({words!r}))"])
+    located = str(tmp_path / "located")
+    command(["georeference", str(flight / "sequence.toml"), "--out", located, "--poses-only"])
+    printed = command(["score", located, str(flight / "poses-truth.csv"), "--table"])
     lines = printed.splitlines()
     wanted = [part.splitlines() for part in stated.split("...\n")]
     for part in wanted:
