@@ -10,6 +10,7 @@ import tomllib
 import numpy as np
 import pytest
 import rasterio
+from tests import csm_reference as reference
 from tests.product_files import WorldViewScene
 
 from sightline.cli.main import run
@@ -159,3 +160,24 @@ def test_real_products_are_described_without_a_key_edited(name, real_data, tmp_p
     shown = capsys.readouterr()
     assert "aberration is applied: 2" in shown.out and "refraction is applied" in shown.out
     assert len(shown.err.splitlines()) == 1
+
+
+def test_cameras_of_a_product_are_exported_without_a_result(strip, capsys):
+    """With what light does: rays of the state, evaluated after the documentation of usgscsm."""
+    out = strip / "acq"
+    assert run(["init", str(strip / "pan"), "--out", str(out)]) == 0
+    toml = str(out / "acquisition.toml")
+    camera = load_acquisition(toml).bands[0].camera
+    assert run(["export", toml, "--to", "csm", "--out", str(strip / "csm")]) == 0
+    state = reference.load(strip / "csm" / "P.json")
+    for line, column in ((0.0, 0.0), (150.0, 100.0), (319.0, 199.0)):
+        origin, look = reference.state_ray(state, line + 0.5, column + 0.5)
+        rays = camera.rays([[line, column]])
+        # .001 px of 10 urad
+        np.testing.assert_allclose(look, rays.directions[0], atol=1e-8)
+        np.testing.assert_allclose(origin, rays.origins[0], atol=1e-3)
+    assert run(["export", toml, "--to", "rpc", "--out", str(strip / "rpc")]) == 0
+    assert json.loads((strip / "rpc" / "export.json").read_text())["bands"][0]["rms_px"][0] < 0.01
+    capsys.readouterr()
+    assert run(["export", toml, "--to", "shifts", "--out", str(strip / "none")]) == 2
+    assert "give the folder that `recover` wrote" in capsys.readouterr().err

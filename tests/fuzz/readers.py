@@ -392,7 +392,7 @@ for _place, _targets in (
 for _seed, _toml in (
     ("level", "acquisition"), ("orbit-csv", "acquisition"), ("orbit-ccsds", "acquisition"),
     ("orbit-stars", "acquisition"), ("sensor-model",
-    "acquisition"),
+    "acquisition"), ("products", "acquisition"),
     ("mirror", "acquisition"), ("spin", "acquisition"), ("turning-frames", "acquisition"), ("frames",
     "acquisition"),
     ("photographs", "acquisition"), ("photographs", "sequence"), ("flown", "sequence"), ("flown-lonlat",

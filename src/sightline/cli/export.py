@@ -15,7 +15,12 @@ FORMS = ("csm", "isd", "aem", "oem", "rpc", "quaternions", "shifts", "ck", "isis
 
 def export(
     result: Annotated[
-        Path, typer.Argument(metavar="RESULT", help="Folder that `recover` or `georeference` wrote.")
+        Path,
+        typer.Argument(
+            metavar="RESULT",
+            help="Folder that `recover` or `georeference` wrote; or an ACQUISITION.toml, for its cameras as "
+            "they are given.",
+        ),
     ],
     to: Annotated[str, typer.Option("--to", metavar="FORM", help=f"One of {', '.join(FORMS)}.")],
     out: Out,
@@ -49,10 +54,16 @@ def export(
         progress() as report,
         failing_numbers(f"{result}"),
     ):
-        report("reading the result")
-        opened = open_result(result)
-        report(f"writing {to}")
-        summary = kind_of(opened).export_into(opened, to, folder, acquisition, kernel or ())
+        if result.suffix == ".toml" and not result.is_dir():
+            if acquisition is not None:
+                raise InputError(f"{result} is an acquisition itself; leave --acquisition out")
+            report("reading the acquisition")
+            summary = _of_cameras(result, to, folder, tuple(kernel or ()))
+        else:
+            report("reading the result")
+            opened = open_result(result)
+            report(f"writing {to}")
+            summary = kind_of(opened).export_into(opened, to, folder, acquisition, kernel or ())
     if as_json:
         print_json(summary)
         return
@@ -61,6 +72,26 @@ def export(
     for band in summary.get("bands", ()):
         say(f"{band['name']:16}  {_how_near(band)}")
     say(", ".join(str(out / name) for name in summary["files"]))
+
+
+def _of_cameras(acquisition: Path, to: str, folder: Path, kernels: tuple[Path, ...]) -> dict[str, Any]:
+    """The cameras of an acquisition as they are given; of images only the size is asked for."""
+    from sightline.errors import InputError
+    from sightline.io.acquisition.load import load_acquisition
+    from sightline.io.formats.json_text import json_text
+    from sightline.io.results.exports import OF_MOTION, of_cameras, write_export
+    from sightline.kinds.kind import EXPORT
+    from sightline.writing import whole_text
+
+    if to in OF_MOTION:
+        raise InputError(
+            f"--to {to} holds what a recovered motion did; give the folder that `recover` wrote for "
+            f"{acquisition}"
+        )
+    exported = of_cameras(load_acquisition(acquisition, look=False, describe=True))
+    summary = write_export(to, folder, exported, kernels)
+    whole_text(folder / EXPORT, json_text(summary))
+    return summary
 
 
 def _how_near(band: dict[str, Any]) -> str:

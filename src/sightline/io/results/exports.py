@@ -52,7 +52,7 @@ from sightline.io.formats.spice_files import (
 )
 from sightline.io.formats.tables import write_columns
 from sightline.io.names import file_stems
-from sightline.io.results.line_of_sight import on_another_body
+from sightline.io.results.line_of_sight import AEM_FRAMES, on_another_body
 from sightline.products.rpc import Rpc, fit_rpc
 from sightline.version import VERSION
 from sightline.writing import whole_raster, whole_text
@@ -147,6 +147,35 @@ class Exported:
                 f"--to {to} needs the instant of t = 0: add [acquisition] epoch (UTC) to the ACQUISITION.toml"
             )
         return et_of_utc(self.epoch)
+
+
+def of_cameras(acquisition: Acquisition) -> Exported:
+    """What an acquisition gives without a recovery: its cameras and attitudes as they are given.
+
+    Raises
+    ------
+    InputError
+        If it is of frames.
+    """
+    if not acquisition.bands:
+        raise InputError(
+            f"{acquisition.path}: frames are given; without a result cameras of strips ([[band]]) are "
+            "exported"
+        )
+    camera = acquisition.bands[0].camera
+    t = camera.times(np.arange(float(camera.lines)))
+    pose, other = camera.trajectory.at(t), on_another_body(acquisition.surface)
+    return Exported(
+        acquisition.name,
+        t,
+        pose.world_from_body.as_quat(),
+        None,
+        acquisition.epoch,
+        None if other else AEM_FRAMES[acquisition.world],
+        pose.position,
+        acquisition,
+        {band.name: band.camera for band in acquisition.bands},
+    )
 
 
 def surface_radii(surface: Surface) -> tuple[float, float]:
@@ -572,3 +601,5 @@ EXPORTS: dict[str, Callable[[Path, Exported, tuple[Path, ...]], dict[str, Any]]]
 }
 #: Forms that take SPICE kernels.
 WITH_KERNELS: tuple[str, ...] = ("ck", "isis")
+#: Forms that hold what a recovered motion did, so that there are none without it.
+OF_MOTION: tuple[str, ...] = ("shifts", "isis")

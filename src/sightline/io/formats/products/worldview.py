@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sightline.access import read_bytes
 from sightline.errors import FormatError
 from sightline.geometry.apparent import APPARENT
 from sightline.geometry.earth import WGS84
@@ -34,7 +35,7 @@ from sightline.io.formats.line_scan import (
     shared_instants,
 )
 from sightline.io.formats.products.product import GroundMark, Product, ProductBand, image_name
-from sightline.io.formats.products.tree import Part, read_xml
+from sightline.io.formats.products.tree import LARGEST, Part, read_xml
 from sightline.io.formats.products.worldview_text import read_text_set
 from sightline.products.rpc import TERMS, Rpc
 
@@ -145,8 +146,7 @@ def read_worldview(path: Path, reference: tuple[float, float] | None = None) -> 
 
 
 def _is_xml(path: Path) -> bool:
-    with path.open("rb") as stream:
-        return stream.read(64).lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
+    return read_bytes(path, WHAT, most=LARGEST)[:64].lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
 
 
 def _utc(whole: datetime, reference: tuple[float, float], begin: float) -> str:
