@@ -29,7 +29,7 @@ def check(
     absent, still = description.pop("absent", []), description.pop("still", "")
     if as_json:
         print_json(description)
-        _ended(absent, still)
+        _ended(file, absent, still)
         return
     for warning in description["warnings"]:
         complain("warning", warning)
@@ -37,15 +37,15 @@ def check(
         say(f"{title}:")
         for line in description[title] or ["nothing"]:
             say(f"  {line}")
-    _ended(absent, still)
+    _ended(file, absent, still)
 
 
-def _ended(absent: list[str], still: str) -> None:
+def _ended(file: Path, absent: list[str], still: str) -> None:
     """Status 1 where images are not there or hold no motion: what is described cannot be recovered."""
     from sightline.cli.terminal import complain
 
     if still:
-        complain("error", f"`recover` would refuse it: {still}")
+        complain("error", f"{file}: `recover` would refuse it: {still}")
         raise typer.Exit(1)
     if absent:
         more = f" (and {len(absent) - 1} more images)" if len(absent) > 1 else ""

@@ -46,13 +46,18 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
     shared = getattr(config.platform, "model", None)
     bands: list[Band] = []
     first: LineScanModel | None = None
+    read: dict[tuple[str, int], LineScanModel] = {}
     for index, band in enumerate(config.band):
         where = f"{files.toml}: [[band]] number {index + 1} ({band.name})"
         name = band.model or shared
         if name is None:
             raise FormatError(f"{where}: model is missing; give it there or in [platform]")
         _refuse_own_geometry(config, band, where)
-        model = read_sensor_model(files(name), None if first is None else first.reference, band.image_band)
+        key = name, band.image_band
+        if key not in read:
+            reference = None if first is None else first.reference
+            read[key] = read_sensor_model(files(name), reference, band.image_band)
+        model = read[key]
         first = first or model
         if model.scale != first.scale:
             raise FormatError(
