@@ -89,6 +89,24 @@ def test_gyros_that_cannot_be_used_are_named(tmp_path):
     assert "fewer than two of their readings lie within the image" in sensors.unknown[0]
 
 
+def test_a_damaged_record_leaves_the_product_and_is_named(tmp_path):
+    changes = [("<STATUS>NOMINAL</STATUS></FOG", "<STATUS>LOST</STATUS></FOG")]
+    sensors = first_sensors(read_product(maker.pleiades(tmp_path, rows=20_000, changes=changes)))
+    assert not sensors.tables
+    assert "STATUS is not NOMINAL" in sensors.unknown[0]
+
+
+def test_heads_are_read_where_all_of_them_were(tmp_path):
+    whole = read_pleiades_telemetry(maker.pleiades(tmp_path))
+    text = (tmp_path / "PHRDIMAP_P1.XML").read_text()
+    head = text.index("<FOG2_Auxiliary_Data_List>") + len("<FOG2_Auxiliary_Data_List>")
+    row = text[head : text.index("</FOG_Inertial_Data>", head) + len("</FOG_Inertial_Data>")]
+    (tmp_path / "CUT.XML").write_text(text.replace(row, "", 1))
+    part = read_pleiades_telemetry(tmp_path / "CUT.XML")
+    np.testing.assert_array_equal(part.t, whole.t[1:])
+    np.testing.assert_array_equal(np.diff(part.counts, axis=0), np.diff(whole.counts, axis=0)[1:])
+
+
 def test_others_have_no_sensors(tmp_path):
     assert first_sensors(read_product(maker.dimap2(tmp_path))) is None
     path = maker.pleiades(tmp_path, changes=[("FOG1_Auxiliary_Data_List", "None")])

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import InputError
+from sightline.errors import FormatError, InputError
 from sightline.geometry.earth import EARTH_RATE
 from sightline.io.formats.products.pleiades_telemetry import PleiadesTelemetry, read_pleiades_telemetry
 from sightline.io.formats.products.product import Product
@@ -58,7 +58,12 @@ def first_sensors(product: Product) -> FirstSensors | None:
     Angles of gyros are turned into increments about the body axes of the product's model, less those of its
     reference attitude.
     """
-    read = read_pleiades_telemetry(product.path) if product_kind(product.path) == "pleiades" else None
+    if product_kind(product.path) != "pleiades":
+        return None
+    try:
+        read = read_pleiades_telemetry(product.path)
+    except FormatError as error:
+        return _unused(str(error))
     if read is None:
         return None
     trajectory = product.model.camera.trajectory

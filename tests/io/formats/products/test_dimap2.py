@@ -101,7 +101,7 @@ REFUSED = {
     "a unit that is not known": ([('unit="microsecond"', 'unit="fortnight"')], "is in 'fortnight'; units"),
     "no line period": (
         [('unit="microsecond">916', 'unit="microsecond">-916')],
-        "is -0.000916 s, not above 0",
+        "is -0.000916 s; line scanners take",
     ),
     "velocities of km/s": ([("<VELOCITY_XYZ>", "<VELOCITY_XYZ>1e-9 ")], "holds 4 numbers, not 3"),
     "a bias": ([("<YAW>0.0", "<YAW>0.1")], "YAW is not 0"),
@@ -161,3 +161,9 @@ def test_records_that_end_a_little_early_are_continued_and_that_is_said(tmp_path
     assert any("attitude ends" in line and "continued evenly" in line for line in product.model.doubts)
     with pytest.raises(FormatError, match=r"attitude ends .*; 2 steps are continued"):
         read_product(maker.dimap2(tmp_path, rows=rows + 60))
+
+
+def test_vertices_beyond_the_image_are_not_used(tmp_path):
+    product = read_product(maker.dimap2(tmp_path, changes=[("<ROW>60<", "<ROW>600<")]))
+    assert len(product.marks) == 3
+    assert any("2 places of the file lie" in line for line in product.unknown)

@@ -17,7 +17,17 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError
 from sightline.io.formats.line_scan import MOST_LINES, MOST_SAMPLES, OneGrid
-from sightline.io.formats.products.makers import Orbit, epoch_of, labels, line_scan, orbit_of, some, words
+from sightline.io.formats.products.makers import (
+    Orbit,
+    epoch_of,
+    labels,
+    line_period,
+    line_scan,
+    marks_inside,
+    orbit_of,
+    some,
+    words,
+)
 from sightline.io.formats.products.product import GroundMark, Pixels, Product, ProductBand, Tile, image_name
 from sightline.io.formats.products.tree import Part, read_xml
 
@@ -48,7 +58,9 @@ def read_dimap1(path: Path, reference: tuple[float, float] | None = None, band: 
     start = data.text(f"{_STAMP}/SCENE_CENTER_TIME")
     rows = data.count("Raster_Dimensions/NROWS", 2, MOST_LINES)
     row = np.arange(rows, dtype=np.float64) + 1.0
-    t = data.positive(f"{_STAMP}/LINE_PERIOD") * (row - data.number(f"{_STAMP}/SCENE_CENTER_LINE"))
+    t = line_period(data, f"{_STAMP}/LINE_PERIOD", {"s": 1.0}) * (
+        row - data.number(f"{_STAMP}/SCENE_CENTER_LINE")
+    )
     orbit = _orbit(data, start)
     instants, angles = _corrected(data, start)
 
@@ -68,6 +80,7 @@ def read_dimap1(path: Path, reference: tuple[float, float] | None = None, band: 
         doubts=(*_doris_doubts(data, start, orbit), *_cut(data)),
         one_grid=OneGrid(str(path.resolve()), _STILL) if alike else None,
     )
+    marks, beyond = marks_inside(_marks(data), model.camera.shape)
     return Product(
         path=path,
         kind=f"SPOT {words(data, 'Dataset_Sources/Source_Information/Scene_Source/MISSION_INDEX', '5')} "
@@ -78,11 +91,12 @@ def read_dimap1(path: Path, reference: tuple[float, float] | None = None, band: 
         bands=_bands(data),
         pixels=_pixels(data),
         height=0.0,
-        marks=_marks(data),
+        marks=marks,
         assumed=(
             "the ground lies at 0 m, where the product gives its vertices",
             "attitudes lead straight to the ground: neither aberration nor refraction is applied",
         ),
+        unknown=beyond,
     )
 
 

@@ -25,11 +25,12 @@ from sightline.io.formats.products.makers import (
     Orbit,
     epoch_of,
     labels,
+    line_period,
     line_scan,
+    marks_inside,
     one_height,
     orbit_of,
     rotations,
-    scaled,
     some,
     turned_by,
     words,
@@ -63,9 +64,7 @@ def read_dimap2(path: Path, reference: tuple[float, float] | None = None) -> Pro
     data = read_xml(path, _WHAT)
     _check_kind(data)
     start = data.text(f"{_MODEL}/Time/Time_Range/START")
-    period = float(scaled(data, f"{_MODEL}/Time/Time_Stamp/LINE_PERIOD", _SECONDS)[0])
-    if period <= 0.0:
-        raise data.refused(f"{_MODEL}/Time/Time_Stamp/LINE_PERIOD", f"is {period:g} s, not above 0")
+    period = line_period(data, f"{_MODEL}/Time/Time_Stamp/LINE_PERIOD", _SECONDS)
     rows = data.count("Raster_Data/Raster_Dimensions/NROWS", 2, MOST_LINES)
     t = period * np.arange(rows, dtype=np.float64)
     names, looks = _looks(data)
@@ -82,7 +81,7 @@ def read_dimap2(path: Path, reference: tuple[float, float] | None = None) -> Pro
         doubts=_end(data, start, float(t[-1]), period),
         one_grid=OneGrid(title, _STILL),
     )
-    marks = _marks(data)
+    marks, beyond = marks_inside(_marks(data), model.camera.shape)
     height, left = one_height(model.camera, marks) if len(marks) > 2 else (None, 0.0)
     return Product(
         path=path,
@@ -106,6 +105,7 @@ def read_dimap2(path: Path, reference: tuple[float, float] | None = None) -> Pro
         unknown=(
             "residual parallax: bands are registered over the maker's DEM; what it leaves is not modelled",
             "lags and looks of the real detectors, and the attitude that images see: not in a SENSOR product",
+            *beyond,
         ),
     )
 
@@ -162,7 +162,7 @@ def _looks(data: Part) -> tuple[list[str], Array]:
         bias = f"{_CALIBRATION}/Instrument_Biases/{key}"
         if data.has(bias) and data.number(bias) != 0.0:
             raise data.refused(bias, "is not 0; which way it turns is not known, so that it is not guessed")
-    first = bands[0].count("Swath_Range/FIRST_COL", 1, 1)
+    first = bands[0].count("Swath_Range/FIRST_COL", 1, MOST_SAMPLES)
     last = bands[0].count("Swath_Range/LAST_COL", 1, MOST_SAMPLES)
     if last < columns:
         raise data.refused(

@@ -37,6 +37,8 @@ _AGREE = 10.0
 TURNING = np.array([0.0, 0.0, EARTH_RATE])
 #: From when products count seconds: `LineScanModel.reference`.
 _ZERO = datetime(2000, 1, 1, 12, tzinfo=UTC)
+#: s from line to line that line scanners take.
+_PERIODS = (1e-6, 10.0)
 #: m above the ellipsoid between which the ground of a product is sought.
 _HEIGHTS = (-500.0, 9000.0)
 
@@ -53,6 +55,16 @@ def scaled(part: Part, name: str, units: Mapping[str, float], width: int = 1) ->
     if unit not in units:
         raise part.refused(name, f"is in {unit[:20]!r}; units that are read: {', '.join(units)}")
     return part.numbers(name, width) * units[unit]
+
+
+def line_period(part: Part, name: str, units: Mapping[str, float]) -> float:
+    """s from line to line, at a path."""
+    value = float(scaled(part, name, units)[0])
+    if not _PERIODS[0] <= value <= _PERIODS[1]:
+        raise part.refused(
+            name, f"is {value:g} s; line scanners take {_PERIODS[0]:g} to {_PERIODS[1]:g} s a line"
+        )
+    return value
 
 
 def some(part: Part, name: str, least: int) -> list[Part]:
@@ -223,6 +235,18 @@ def epoch_of(start: str, t: float) -> str:
     whole, fraction = parse_utc(start, "start")
     seconds, nanoseconds = divmod(round((fraction + t) * 1e9), 1_000_000_000)
     return f"{whole + timedelta(seconds=seconds):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
+
+
+def marks_inside(
+    marks: Sequence[GroundMark], shape: tuple[int, int]
+) -> tuple[tuple[GroundMark, ...], tuple[str, ...]]:
+    """Marks of pixels that an image of `shape` has, and what is said of others."""
+    lines, columns = shape
+    held = tuple(mark for mark in marks if 0.0 <= mark.line < lines and 0.0 <= mark.column < columns)
+    beyond = len(marks) - len(held)
+    if not beyond:
+        return held, ()
+    return held, (f"where {beyond} places of the file lie: their rows or columns are not of the image",)
 
 
 def one_height(camera: PushbroomCamera, marks: Sequence[GroundMark]) -> tuple[float, float]:

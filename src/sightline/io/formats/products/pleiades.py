@@ -23,6 +23,7 @@ from sightline.io.formats.products.makers import (
     Orbit,
     epoch_of,
     labels,
+    line_period,
     line_scan,
     orbit_of,
     scaled,
@@ -62,9 +63,7 @@ def read_pleiades(path: Path, reference: tuple[float, float] | None = None) -> P
             _MODEL, "is missing: products on a map, and other makers' files, hold no such model"
         )
     start = data.text(START)
-    period = float(scaled(data, f"{_MODEL}/SENSOR_LINE_PERIOD", _MILLISECONDS)[0])
-    if period <= 0.0:
-        raise data.refused(f"{_MODEL}/SENSOR_LINE_PERIOD", f"is {period:g} s, not above 0")
+    period = line_period(data, f"{_MODEL}/SENSOR_LINE_PERIOD", _MILLISECONDS)
     t = period * np.arange(data.count("Raster_Dimensions/NROWS", 2, MOST_LINES), dtype=np.float64)
     title = words(data, "Dataset_Identification/DATASET_NAME", path.stem)
     orbit, attitude = pleiades_orbit(data, start), pleiades_attitude(data, start)
@@ -145,13 +144,11 @@ def _polynomial(data: Part, name: str) -> Array:
 def _looks(data: Part) -> Array:
     """(columns, 3) vectors, sensor axes."""
     columns = data.count("Raster_Dimensions/NCOLS", 2, MOST_SAMPLES)
-    first = data.count(f"{_VIEW}/Position_In_Retina/FIRST_COL", 1, 1)
-    last = data.count(f"{_VIEW}/Position_In_Retina/LAST_COL", 1, MOST_SAMPLES)
-    if last < columns:
-        raise data.refused(
-            f"{_VIEW}/Position_In_Retina/LAST_COL", f"is {last} of {columns} columns: some have no look"
-        )
-    k = np.arange(columns) + 1.0 - first
+    place = data.part(f"{_VIEW}/Position_In_Retina")
+    first, last = (place.count(f"{end}_COL", 1, MOST_SAMPLES) for end in ("FIRST", "LAST"))
+    if last - first + 1 < columns:
+        raise place.refused("LAST_COL", f"is {last} of {columns} columns from {first} on: some have no look")
+    k = np.arange(columns, dtype=np.float64)
     x, y = (
         np.polynomial.polynomial.polyval(k, _polynomial(data, f"{_VIEW}/Viewing_Directions/Psi{axis}_Model"))
         for axis in "XY"

@@ -9,8 +9,9 @@ Not here: the camera (``pleiades.py``).
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,7 @@ _ATTITUDES = "Data_Strip/Satellite_Attitudes"
 _HEADS = ("FOG1", "FOG2", "FOG3", "FOG4")
 #: Where a counter of 32 bits begins again.
 _WRAP = 2**32
-#: s within which labels are one.
+#: s within which labels are one; they are multiples of 31.25 ms.
 _SAME = 1e-6
 
 
@@ -88,17 +89,18 @@ def read_pleiades_telemetry(
         data, "Accurate_Attitudes/Quaternion_List/Quaternion", "TAI_TIME", start
     )
     at_onboard, onboard = _attitudes(data, "Raw_Attitudes/Quaternion_List/Quaternion", "TAI_TIME", start)
-    if len(at_onboard) != len(t_attitude) or np.abs(at_onboard - t_attitude).max() > _SAME:
-        raise FormatError(f"{path}: attitudes on board and on ground have labels of their own")
+    ground, board = _shared([t_attitude, at_onboard])
+    if len(ground) < 2:
+        raise FormatError(f"{path}: attitudes on board and on ground share {len(ground)} labels")
     t_earth, earth_from_body = _attitudes(
         data, "Corrected_Attitudes/WGS84_Attitudes_List/WGS84_Attitudes", "UTC_TIME", start
     )
     return PleiadesTelemetry(
         t,
         counts,
-        t_attitude - ahead,
-        stars_from_body,
-        onboard,
+        t_attitude[ground] - ahead,
+        stars_from_body[ground],
+        onboard[board],
         t_earth,
         earth_from_body,
         pleiades_attitude(data, start),
@@ -126,9 +128,21 @@ def _gyros(data: Part, start: str, ahead: float, angle: str, clock: str) -> tupl
         counts.append(
             read if clock == "labels" else _at_labels(t, _unwrapped(rows, "FOG_DATE_COUNTER"), read)
         )
-    if any(len(other) != len(times[0]) or np.abs(other - times[0]).max() > _SAME for other in times[1:]):
-        raise FormatError(f"{data.path}: gyros have labels of their own; records at the same labels are read")
-    return times[0], np.column_stack(counts)
+    shared = _shared(times)
+    t = times[0][shared[0]]
+    if len(t) < 4 or np.ptp(np.diff(t)) > 0.1 * float(np.diff(t).min()):
+        raise FormatError(
+            f"{data.path}: gyros share {len(t)} labels, at uneven steps; a record of all heads without holes "
+            "is read"
+        )
+    return t, np.column_stack([read[rows] for read, rows in zip(counts, shared, strict=True)])
+
+
+def _shared(times: Sequence[Array]) -> list[NDArray[np.intp]]:
+    """Rows of each list whose labels (s) all lists hold."""
+    keys = [np.rint(t / _SAME).astype(np.int64) for t in times]
+    common = reduce(np.intersect1d, keys)
+    return [np.searchsorted(key, common) for key in keys]
 
 
 def _unwrapped(rows: list[Part], name: str) -> Array:
