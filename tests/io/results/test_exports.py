@@ -18,6 +18,7 @@ from sightline.errors import InputError, SightlineError
 from sightline.geometry.earth import to_geodetic
 from sightline.io.acquisition.load import load_acquisition
 from sightline.io.formats.ephemeris_time import earth_from_j2000, et_of_utc
+from sightline.io.formats.images import open_image
 from sightline.io.results.exports import _words, write_export
 
 
@@ -130,6 +131,30 @@ def test_an_rpc_is_what_gdal_makes_of_it(calm, tmp_path):
                     apart = np.abs(np.column_stack([rows, cols]) - 0.5 - pixels).max(axis=0)
                     # pixels between those of the check may lie a little further off its curve
                     assert (apart < 1.05 * told + 1e-3).all(), (apart, told)
+
+
+def test_the_image_of_an_rpc_keeps_type_nodata_mask_and_description(calm, tmp_path):
+    """Whole numbers that float32 would round, and pixels that hold nothing."""
+    pixels = np.random.default_rng(3).integers(2**24, 2**31 - 1, (LINES, COLUMNS), np.int32)
+    pixels[:40, :30] = -9
+    bad = np.zeros((LINES, COLUMNS), np.uint8)
+    bad[700:720] = 1
+    profile = {"driver": "GTiff", "width": COLUMNS, "height": LINES, "count": 2, "dtype": "int32"}
+    with rasterio.open(tmp_path / "in.tif", "w", nodata=-9, **profile) as raster:
+        raster.write(pixels, 2)
+        raster.set_band_description(2, "panchromatic")
+    np.save(tmp_path / "bad.npy", bad)
+    image = open_image(tmp_path / "in.tif", 2, tmp_path / "bad.npy")
+    pan, xs = calm.acquisition.bands
+    acquired = replace(calm.acquisition, bands=(replace(pan, image=image), xs))
+    (tmp_path / "out").mkdir()
+    alone = {"PAN": calm.cameras["PAN"]}
+    write_export("rpc", tmp_path / "out", replace(calm, acquisition=acquired, cameras=alone))
+    with rasterio.open(tmp_path / "out" / "PAN.tif") as tagged:
+        assert (tagged.dtypes, tagged.nodata, tagged.descriptions) == (("int32",), -9, ("panchromatic",))
+        assert (tagged.read(1) == pixels).all()
+        assert ((tagged.read_masks(1) == 0) == ((pixels == -9) | (bad == 1))).all()
+    assert sorted(path.suffix for path in (tmp_path / "out").glob("PAN*")) == [".RPB", ".TXT", ".tif"]
 
 
 def rpc_of_text(path):

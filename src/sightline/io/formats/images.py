@@ -49,6 +49,15 @@ class RasterImage:
     mask : RasterImage, NpyImage or None
         Another source of the same shape whose non-zero pixels are not to be used.
 
+    Attributes
+    ----------
+    has_mask : bool
+        Whether something else than `nodata` says which pixels are not to be used.
+    nodata : float or None
+        Value of pixels that hold nothing.
+    description : str or None
+        What the file calls the band.
+
     Notes
     -----
     One dataset handle per thread, because GDAL handles must not be shared; an image that travels to
@@ -75,9 +84,11 @@ class RasterImage:
             raise FormatError(f"{self.path}: pixels are of type {self._type}; real numbers are expected")
         self._shape = (int(dataset.height), int(dataset.width))
         _refuse_wide(self.path, self._shape, len(self._bands))
-        self._all_valid = all(
-            "all_valid" in [flag.name for flag in dataset.mask_flag_enums[k - 1]] for k in self._bands
-        )
+        flags = [{flag.name for flag in dataset.mask_flag_enums[k - 1]} for k in self._bands]
+        self._all_valid = all("all_valid" in one for one in flags)
+        self.has_mask: bool = mask is not None or any("per_dataset" in one for one in flags)
+        self.nodata: float | None = dataset.nodatavals[self._bands[0] - 1]
+        self.description: str | None = dataset.descriptions[self._bands[0] - 1]
         if mask is not None:
             _same_shape(self.path, self._shape, mask)
 
@@ -137,6 +148,13 @@ class RasterImage:
             else:
                 data = self._dataset().read(self._bands, window=window).mean(axis=0, dtype=np.float32)
         return _as_image(data)
+
+    def read_stored(self, lines: tuple[int, int], columns: tuple[int, int]) -> NDArray[Any]:
+        """The same pixels as the file holds them, of type `dtype`; of the first of several bands."""
+        window = self._window(lines, columns)
+        with raster_errors(self.path), raster_environment(self.access):
+            pixels: NDArray[Any] = self._dataset().read(self._bands[0], window=window)
+        return pixels
 
     def mask(self, lines: tuple[int, int], columns: tuple[int, int]) -> Mask | None:
         """True where a pixel is not to be used (no data, NaN, masked); None if all are good."""

@@ -552,13 +552,14 @@ def _held(
 
 
 def _tagged(path: Path, image: RasterImage, rpc: Rpc) -> None:
-    """The pixels of an image again, as GeoTIFF whose tags hold the RPC."""
+    """The pixels of an image as they are stored, with what masks them, as GeoTIFF whose tags hold the RPC."""
+    import rasterio
     from rasterio.rpc import RPC
 
     lines, columns = image.shape
     profile = {
         "driver": "GTiff", "width": columns, "height": lines, "count": 1, "dtype": str(image.dtype),
-        "compress": "deflate", "bigtiff": "if_safer",
+        "nodata": image.nodata, "compress": "deflate", "bigtiff": "if_safer",
     }  # fmt: skip
     tags = RPC(
         line_off=rpc.line[0], line_scale=rpc.line[1], samp_off=rpc.column[0], samp_scale=rpc.column[1],
@@ -567,12 +568,16 @@ def _tagged(path: Path, image: RasterImage, rpc: Rpc) -> None:
         line_num_coeff=rpc.line_numerator.tolist(), line_den_coeff=rpc.line_denominator.tolist(),
         samp_num_coeff=rpc.column_numerator.tolist(), samp_den_coeff=rpc.column_denominator.tolist(),
     )  # fmt: skip
-    with _new_raster(path, profile) as raster:
+    with rasterio.Env(GDAL_TIFF_INTERNAL_MASK=True), _new_raster(path, profile) as raster:
         raster.rpcs = tags
+        raster.set_band_description(1, image.description or "")
         for first in range(0, lines, _BLOCK):
-            last = min(first + _BLOCK, lines)
-            pixels = image.read((first, last), (0, columns)).astype(image.dtype)
-            raster.write(pixels, 1, window=((first, last), (0, columns)))
+            window = (first, min(first + _BLOCK, lines)), (0, columns)
+            raster.write(image.read_stored(*window), 1, window=window)
+            if image.has_mask:
+                bad = image.mask(*window)
+                good = np.ones((window[0][1] - first, columns), bool) if bad is None else ~bad
+                raster.write_mask(good, window=window)
 
 
 @contextmanager
