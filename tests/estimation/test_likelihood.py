@@ -238,6 +238,35 @@ def test_at_the_rate_of_the_rows_offsets_take_the_place_of_a_tone(motion: np.nda
     assert near(1.0) == [80.0]
 
 
+def test_a_motion_that_would_stop_the_scan_does_not_take_the_place_of_tones() -> None:
+    # Lines of 2 ms scan 500 px/s; the motion (px) sets when a partner's line sees the same ground, so that a
+    # rate of -500 px/s explains every difference without any tone.
+    rng, line = np.random.default_rng(8), 2e-3
+    lines = line * np.arange(-20.0, 800.0)
+    tones = ((0.28, 47.0, 0.3), (0.14, 83.0, 1.1), (0.07, 121.0, 2.0))
+
+    def motion(t: np.ndarray) -> np.ndarray:
+        drift = 0.5 * np.sin(2.0 * np.pi * t / 1.4)
+        return drift + sum(a * np.sin(2.0 * np.pi * f * t + phase) for a, f, phase in tones)
+
+    series = []
+    for k, lag in enumerate((4.4e-3, 20.3e-3)):
+        t = np.arange(20, 780, 2) * line
+        seen = t + lag
+        for _ in range(30):
+            seen = t + lag + line * (motion(t) - motion(seen))
+        noise = 0.02 * rng.standard_normal(len(t))
+        values = motion(seen) - motion(t) + noise
+        series.append(DifferenceSeries(t, seen - t, values, np.full(len(t), 4e-4), images=(0, k + 1)))
+    found = fit_spectrum(series, offset_sigma=1.0, motion=(lines, motion(lines)))
+    # a tone that never changes says little of how large such a tone is: a factor of four each way
+    sizes = {round(tone.frequency): tone.sigma for tone in found.spectrum.tones}
+    for amplitude, frequency, _ in tones:
+        assert 0.25 < sizes[round(frequency)] / (amplitude / np.sqrt(2.0)) < 4.0
+    # chi-square of 760 differences is known to 5 %
+    assert found.noise_scale == pytest.approx(1.0, abs=0.2)
+
+
 @pytest.mark.parametrize("chance", [0.3, 0.05, 0.01])
 def test_noise_gains_by_a_sinusoid_as_often_as_is_said(chance):
     rng, n, trials = np.random.default_rng(5), 256, 4000

@@ -19,10 +19,34 @@ from numpy.typing import NDArray
 from sightline.compiled import njit
 from sightline.estimation.banded import BorderedFactor, band_times
 from sightline.estimation.prior import Autoregressive
-from sightline.estimation.series import SeriesEquations
+from sightline.estimation.series import Grid, SeriesEquations
 from sightline.estimation.split import Layout, SplitPrior, gather_band, spread_band
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class EvenRate:
+    """What a posterior knows of the even rate of its motion, which is held at zero.
+
+    Attributes
+    ----------
+    weights : (n,)
+        Of the motion on the grid: its rate by least squares, 1/s.
+    column : (n,), beside : (q,)
+        Covariance of motion and constants with the rate, before it was held.
+    value, variance : float
+        The rate before it was held.
+    prior_variance : float
+        Of the rate under the prior.
+    """
+
+    weights: Array
+    column: Array
+    beside: Array
+    value: float
+    variance: float
+    prior_variance: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +75,8 @@ class Posterior:
         Posterior mean of the images' constants.
     prior_band : (p + 1, N)
         Precision of the prior, all unknowns.
+    even : EvenRate or None
+        Where the even rate of the motion is held at zero.
     """
 
     equations: SeriesEquations
@@ -62,6 +88,7 @@ class Posterior:
     mean: Array
     offsets: Array
     prior_band: Array
+    even: EvenRate | None = None
 
     def covariance_band(self, width: int) -> Array:
         """Lower band of the covariance of the motion on the grid, (width + 1, n)."""
@@ -91,17 +118,43 @@ class Posterior:
         q = len(self.offsets)
         logdet_prior = self.prior.logdet - 2.0 * q * math.log(self.offset_sigma)
         logdet_noise = e.logdet_noise + e.measurements * math.log(self.noise_scale)
-        return self.misfit + self.factor.logdet - logdet_prior + logdet_noise
+        held = 0.0 if self.even is None else math.log(self.even.variance / self.even.prior_variance)
+        return self.misfit + self.factor.logdet - logdet_prior + logdet_noise + held
+
+    @property
+    def score(self) -> Array:
+        """Derivative (n,) of the data's log-likelihood by the motion, at the posterior mean."""
+        out = band_times(self.prior_band, self.mean)
+        if self.even is not None:
+            out += self.even.weights * (self.even.value / self.even.variance)
+        return out
+
+    def seen_of(self, waves: Array) -> Array:
+        """Expected products (k, k) of the score's parts along `waves` (n, k) where the model is right."""
+        e, scale = self.equations, self.noise_scale
+        data = band_times(e.band, waves) / scale
+        explained, _ = self.factor.solve(data, e.border.T @ waves / scale)
+        out = band_times(self.prior_band, waves).T @ explained
+        if self.even is not None:
+            along = waves.T @ (self.even.weights - band_times(self.prior_band, self.even.column))
+            out += np.outer(along, along) / self.even.variance
+        return np.asarray(out)
 
     @cached_property
     def moments(self) -> Moments:
         """Second moments of the motion that the evidence's gradient needs; for a plain prior only."""
-        return _moments(self.mean, self._near_covariance, len(self.prior_band) - 1)
+        weights = None if self.even is None else self.even.weights
+        return _moments(self.mean, self._near_covariance, len(self.prior_band) - 1, weights)
 
     @cached_property
     def _near_covariance(self) -> Array:
         """Covariance of all unknowns as far from the diagonal as the prior's precision reaches."""
-        return self.factor.covariance_band(len(self.prior_band) - 1)
+        out = self.factor.covariance_band(len(self.prior_band) - 1)
+        if self.even is not None:
+            column = self.even.column / math.sqrt(self.even.variance)
+            for d in range(len(out)):
+                out[d, : len(column) - d] -= column[d:] * column[: len(column) - d]
+        return out
 
     @property
     def deviance_by_noise_scale(self) -> float:
@@ -116,7 +169,11 @@ class Posterior:
         prior_trace = 2.0 * float(np.sum(self.prior_band * covariance))
         prior_trace -= float(self.prior_band[0] @ covariance[0])
         unknowns = self.factor.n + len(self.offsets)
-        offset_trace = float(np.trace(self.factor.border_covariance)) / self.offset_sigma**2
+        offset_trace = float(np.trace(self.factor.border_covariance))
+        if self.even is not None:
+            unknowns -= 1
+            offset_trace -= float(self.even.beside @ self.even.beside) / self.even.variance
+        offset_trace /= self.offset_sigma**2
         spread = s * (unknowns - prior_trace - offset_trace)
         return e.measurements - (residual + spread) / s
 
@@ -127,10 +184,12 @@ class Moments:
 
     start : (p, p)        E[x_i x_j] of the first p epochs
     inner : (p + 1, p + 1)  sum over t >= p of E[x_{t-k} x_{t-l}]
+    even : (n,) or None     weights of a rate that is held at zero
     """
 
     start: Array
     inner: Array
+    even: Array | None = None
 
     def expected_deviance(self, prior: Autoregressive) -> float:
         """Expectation of -2 log density of the motion under `prior` (constant dropped).
@@ -143,7 +202,8 @@ class Moments:
         total = float(row @ self.inner @ row) / prior.variance
         if p:
             total += _start_misfit(prior.startup, prior.startup_variances, self.start)
-        return total - prior.logdet
+        held = 0.0 if self.even is None else math.log(prior.variance_of(self.even))
+        return total - prior.logdet - held
 
 
 def posterior(
@@ -153,6 +213,7 @@ def posterior(
     noise_scale: float = 1.0,
     offset_sigma: float = 1.0,
     weights: Array | None = None,
+    even: bool = False,
 ) -> Posterior:
     """Combine data and prior.
 
@@ -168,6 +229,9 @@ def posterior(
         Prior sigma of the constant of each image, where the equations have them.
     weights : array (n,), optional
         Weights of the prior's rows; see `Autoregressive.precision_band`. The deviance leaves them out.
+    even : bool
+        Hold the even rate of the motion (least squares over the grid) at zero: the posterior, and the
+        likelihood of the data, are those of motions without one. For a plain prior only.
     """
     e = equations
     n, q = e.border.shape
@@ -188,12 +252,32 @@ def posterior(
     border[position], rhs[position] = e.border / noise_scale, e.rhs / noise_scale
     factor = BorderedFactor(band, border, e.corner / noise_scale + np.eye(q) / offset_sigma**2)
     mean, offsets = factor.solve(rhs, e.rhs_border / noise_scale)
+    held = None
+    if even and isinstance(prior, Autoregressive):
+        held = _even_rate(e, factor, prior, mean)
+        mean = mean - held.column * (held.value / held.variance)
+        offsets = offsets - held.beside * (held.value / held.variance)
     return Posterior(
-        e, prior, noise_scale, offset_sigma, factor, position, mean[position], offsets, prior_band
+        e, prior, noise_scale, offset_sigma, factor, position, mean[position], offsets, prior_band, held
     )
 
 
-def _moments(mean: Array, covariance: Array, p: int) -> Moments:
+def _even_rate(e: SeriesEquations, factor: BorderedFactor, prior: Autoregressive, mean: Array) -> EvenRate:
+    """What is known of the even rate of a motion of which nothing is held yet."""
+    weights = rate_weights(e.grid)
+    column, beside = factor.solve(weights, np.zeros(e.border.shape[1]))
+    return EvenRate(
+        weights, column, beside, float(weights @ mean), float(weights @ column), prior.variance_of(weights)
+    )
+
+
+def rate_weights(grid: Grid) -> Array:
+    """Weights (count,) of a motion on a grid whose sum is its even rate (1/s), by least squares."""
+    t = grid.nodes - grid.nodes.mean()
+    return np.asarray(t / (t @ t))
+
+
+def _moments(mean: Array, covariance: Array, p: int, even: Array | None) -> Moments:
     """Second moments from posterior mean and band of the covariance."""
     n = len(mean)
     start = np.zeros((p, p))
@@ -207,7 +291,7 @@ def _moments(mean: Array, covariance: Array, p: int) -> Moments:
         later = np.arange(d, p + 1)  # the further look-back of the two
         inner[later, later - d] = running[n - later] - running[p - later]
         inner[later - d, later] = inner[later, later - d]
-    return Moments(start, inner)
+    return Moments(start, inner, even)
 
 
 @njit(cache=True, nogil=True)

@@ -376,6 +376,13 @@ class Autoregressive:
         out[:, n - p :] = ends[:, p + 1 :]
         return out
 
+    def variance_of(self, weights: Array) -> float:
+        """Variance of the sum of `weights` (n,) times the process."""
+        shares = _shares_of_innovations(
+            np.ascontiguousarray(weights, dtype=np.float64), self.startup, self.coefficients
+        )
+        return float(self.variances @ shares**2)
+
     def innovations(self, x: Array) -> Array:
         """Innovations of a motion `x` (n,) in units of their sigma, (n,): white, of unit variance."""
         x = np.asarray(x, dtype=np.float64)
@@ -436,6 +443,21 @@ def autoregressive(
             f"and motion, or raise `nugget` (now {nugget:g})"
         )
     return Autoregressive(n, table[order].copy(), table[:order], variances[:order], float(variances[order]))
+
+
+@njit(cache=True, nogil=True)
+def _shares_of_innovations(weights, startup, coefficients):  # type: ignore[no-untyped-def]
+    """By how much each innovation moves a weighted sum of the process."""
+    n, p = len(weights), len(coefficients)
+    out = weights.copy()
+    for t in range(n - 1, 0, -1):
+        if t >= p:
+            for k in range(p):
+                out[t - 1 - k] += coefficients[k] * out[t]
+        else:
+            for k in range(t):
+                out[t - 1 - k] += startup[t, k] * out[t]
+    return out
 
 
 @njit(cache=True, nogil=True)

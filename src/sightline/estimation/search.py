@@ -15,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError
-from sightline.estimation.banded import band_times
 from sightline.estimation.evidence import Posterior, posterior
 from sightline.estimation.prior import ORDERS, Matern, Spectrum, Tone, autoregressive
 from sightline.estimation.series import SeriesEquations
@@ -137,6 +136,8 @@ class Search:
         s; over which TDI averages in the images: no tone is looked for where all leave less than LEFT_BY_TDI.
     detail : float
         Mean square of the (angular) frequencies that matches weigh, per unit squared of the differences.
+    even : bool
+        Whether the motion has no even rate; see `posterior`.
     """
 
     def __init__(
@@ -150,7 +151,9 @@ class Search:
         window: float = 0.0,
         tdi: Sequence[float] = (),
         detail: float = 0.0,
+        even: bool = False,
     ) -> None:
+        self._even = even
         self._tdi = tuple(tdi)
         self._detail = detail
         self._corner = corner
@@ -176,7 +179,11 @@ class Search:
             model.spectrum.autocovariance(self._lags), self._order, self._equations.grid.count
         )
         return posterior(
-            self._equations, prior, noise_scale=model.noise_scale, offset_sigma=self._offset_sigma
+            self._equations,
+            prior,
+            noise_scale=model.noise_scale,
+            offset_sigma=self._offset_sigma,
+            even=self._even,
         )
 
     def deviance(self, model: NoiseModel) -> float:
@@ -311,7 +318,7 @@ class Search:
         independent. What chance gains somewhere says `gain_of_chance`.
         """
         now = self.posterior(model)
-        u = band_times(now.prior_band, now.mean)
+        u = now.score
         frequency, ratio = self._approximate_gain(now, u)
         lowest, highest = 2.0 / self._length, self._highest
         known = [tone.frequency for tone in model.tones]
@@ -409,11 +416,10 @@ class Search:
         e = now.equations
         phase = 2.0 * math.pi * np.outer(e.grid.step * np.arange(e.grid.count), frequency)
         waves = np.concatenate([np.cos(phase), np.sin(phase)], axis=1)
-        data = band_times(e.band, waves) / now.noise_scale
-        explained, _ = now.factor.solve(data, e.border.T @ waves / now.noise_scale)
-        pulled, half = band_times(now.prior_band, waves), len(frequency)
-        cc, ss = np.sum(pulled * explained, axis=0).reshape(2, half)
-        cs = np.sum(pulled[:, :half] * explained[:, half:], axis=0)
+        half = len(frequency)
+        seen = now.seen_of(waves)
+        cc, ss = np.diag(seen).reshape(2, half)
+        cs = np.diag(seen[:half, half:])
         least = 1e-12 * float(np.max(cc + ss, initial=1.0))  # a blind frequency tells nothing
         middle, spread = 0.5 * (cc + ss), np.hypot(0.5 * (cc - ss), cs)
         large = np.maximum(middle + spread, least)
@@ -455,7 +461,7 @@ class Search:
         if not new:
             return model
         now = self.posterior(model)
-        u = band_times(now.prior_band, now.mean)
+        u = now.score
         gains, _, expected = self._exact_gain(now, u, np.array(new))
         threshold = gain_of_chance(self._highest * self._length, false_alarm)
         for frequency, gained, information in zip(new, gains, expected, strict=True):
@@ -511,7 +517,7 @@ class Search:
         density = count**2 / (count + 1.0) * last**count / np.maximum(f, last) ** (count + 1.0)
         gain, information = np.zeros(len(f)), np.zeros(len(f))
         within = hidden & (f < 0.45 / self._equations.grid.step) & ~self._alias(f, modes.tolist())
-        u = band_times(now.prior_band, now.mean)
+        u = now.score
         for part in np.array_split(np.flatnonzero(within), max(int(within.sum()) // CANDIDATES, 1)):
             gain[part], _, information[part] = self._exact_gain(now, u, f[part])
         information *= (self._shown(f, modes, sizes) / np.maximum(left, LEAST_LEFT)) ** 2

@@ -415,6 +415,7 @@ def fit_prior_model(
             corner=corner,
             detail=DETAIL[axis] / float(pixel[axis]) ** 2,
             elsewhere=elsewhere,
+            motion=(estimate.grid.nodes, estimate.nodes[:, axis]),
         )
 
     first = in_threads(fitted, range(3), step=lambda done, _: step(done, 6))
