@@ -7,7 +7,7 @@ import functools
 import numpy as np
 import pytest
 
-from sightline.estimation.evidence import Posterior, posterior
+from sightline.estimation.evidence import EvenRate, Posterior, posterior
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.series import DifferenceSeries, Grid, image_variances, series_equations
 
@@ -98,39 +98,44 @@ def test_an_independent_part_makes_closing_pairs_count_again() -> None:
     assert series_equations(series, grid).measurements == 3 * len(series[0].t)
 
 
-def test_a_motion_without_an_even_rate_is_conditioned_on_none(dense) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize("seen", [False, True])
+def test_a_known_rate_is_conditioned_on(dense, seen) -> None:  # type: ignore[no-untyped-def]
     series, rows, constants, noise = scene(TREE)
     grid = Grid(0.0, STEP, N)
     equations = series_equations(series, grid, offsets=True)
-    now = posterior(equations, spectrum().autoregressive(STEP, N - 1, N), offset_sigma=0.5, even=True)
+    known = EvenRate(1.5, seen)
+    now = posterior(equations, spectrum().autoregressive(STEP, N - 1, N), offset_sigma=0.5, rate=known)
     t = grid.nodes - grid.nodes.mean()
     rate = t / (t @ t)
     free = dense.covariance(N)
-    held = free - np.outer(free @ rate, free @ rate) / (rate @ free @ rate)
-    y = np.concatenate([s.values for s in series])
+    before = rate @ free @ rate
+    held = free - np.outer(free @ rate, free @ rate) / before
+    shape = free @ rate / before * known.value
+    y = np.concatenate([s.values for s in series]) - rows @ shape
     noise = noise + 0.25 * constants @ constants.T
     exact = dense.solve(held, rows, noise, y)
     # as without: the dense inverse limits the comparison to 1e-7 of motions of size 2
-    np.testing.assert_allclose(now.mean, exact.mean, atol=5e-7)
-    square = exact.covariance[0, 0] + exact.mean[0] ** 2
+    np.testing.assert_allclose(now.mean, exact.mean + shape, atol=5e-7)
+    square = exact.covariance[0, 0] + now.mean[0] ** 2
     np.testing.assert_allclose(now.moments.start[0, 0], square, atol=1e-6)
-    assert now.deviance == pytest.approx(exact.deviance, abs=1e-3)
+    told = known.value**2 / before + np.log(before) if seen else 0.0
+    assert now.deviance == pytest.approx(exact.deviance + told, abs=1e-3)
     whitened = np.linalg.solve(rows @ held @ rows.T + noise, y)
     np.testing.assert_allclose(now.score, rows.T @ whitened, atol=1e-5 * np.abs(now.score).max())
     waves = np.random.default_rng(2).normal(size=(N, 3))
-    seen = rows @ waves
-    expected = seen.T @ np.linalg.solve(rows @ held @ rows.T + noise, seen)
+    along = rows @ waves
+    expected = along.T @ np.linalg.solve(rows @ held @ rows.T + noise, along)
     np.testing.assert_allclose(now.seen_of(waves), expected, rtol=1e-5)
 
 
-@pytest.mark.parametrize("even", [False, True])
-def test_the_gradient_by_moments_is_the_slope_of_the_deviance(even: bool) -> None:
+@pytest.mark.parametrize("rate", [None, EvenRate(1.5), EvenRate(1.5, seen=True)])
+def test_the_gradient_by_moments_is_the_slope_of_the_deviance(rate) -> None:  # type: ignore[no-untyped-def]
     series = scene(TREE)[0]
     equations = series_equations(series, Grid(0.0, STEP, N), offsets=True)
 
     def at(p: np.ndarray) -> Posterior:
         prior = spectrum(*p[:3]).autoregressive(STEP, 40, N)
-        return posterior(equations, prior, noise_scale=p[3], offset_sigma=0.5, even=even)
+        return posterior(equations, prior, noise_scale=p[3], offset_sigma=0.5, rate=rate)
 
     p = np.array([1.0, 0.1, 47.0, 1.1])
     moments = at(p).moments

@@ -25,28 +25,59 @@ from sightline.estimation.split import Layout, SplitPrior, gather_band, spread_b
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class EvenRate:
-    """What a posterior knows of the even rate of its motion, which is held at zero.
+    """The even rate of a motion, by least squares over its grid, known beside the differences.
 
     Attributes
     ----------
+    value : float
+        Unit of the motion per s.
+    seen : bool
+        Whether something saw it, so that it tells of the spectrum as well. Otherwise it is where something
+        hidden was put.
+    """
+
+    value: float
+    seen: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Held:
+    """How a posterior is held at an even rate.
+
+    Attributes
+    ----------
+    rate : EvenRate
     weights : (n,)
-        Of the motion on the grid: its rate by least squares, 1/s.
+        Of the motion on the grid, 1/s.
     column : (n,), beside : (q,)
         Covariance of motion and constants with the rate, before it was held.
-    value, variance : float
-        The rate before it was held.
+    variance : float
+        Of the rate then.
+    pull : float
+        By how much the rate was larger than it is held at, over its variance.
     prior_variance : float
         Of the rate under the prior.
     """
 
+    rate: EvenRate
     weights: Array
     column: Array
     beside: Array
-    value: float
     variance: float
+    pull: float
     prior_variance: float
+
+    @property
+    def deviance(self) -> float:
+        """What holding adds to that of the data, beside the misfit."""
+        return math.log(self.variance) - _told(self.rate, self.prior_variance)
+
+
+def _told(rate: EvenRate, prior_variance: float) -> float:
+    """-2 log density of a rate that is not to tell of the spectrum."""
+    return 0.0 if rate.seen else rate.value**2 / prior_variance + math.log(prior_variance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +106,8 @@ class Posterior:
         Posterior mean of the images' constants.
     prior_band : (p + 1, N)
         Precision of the prior, all unknowns.
-    even : EvenRate or None
-        Where the even rate of the motion is held at zero.
+    held : _Held or None
+        Where the even rate of the motion is known.
     """
 
     equations: SeriesEquations
@@ -88,7 +119,7 @@ class Posterior:
     mean: Array
     offsets: Array
     prior_band: Array
-    even: EvenRate | None = None
+    held: _Held | None = None
 
     def covariance_band(self, width: int) -> Array:
         """Lower band of the covariance of the motion on the grid, (width + 1, n)."""
@@ -109,7 +140,8 @@ class Posterior:
     def misfit(self) -> float:
         """Chi-square of data and prior together after the fit; its expectation is `measurements`."""
         e = self.equations
-        return (e.misfit - float(e.rhs @ self.mean) - float(e.rhs_border @ self.offsets)) / self.noise_scale
+        out = (e.misfit - float(e.rhs @ self.mean) - float(e.rhs_border @ self.offsets)) / self.noise_scale
+        return out if self.held is None else out - self.held.rate.value * self.held.pull
 
     @property
     def deviance(self) -> float:
@@ -118,15 +150,15 @@ class Posterior:
         q = len(self.offsets)
         logdet_prior = self.prior.logdet - 2.0 * q * math.log(self.offset_sigma)
         logdet_noise = e.logdet_noise + e.measurements * math.log(self.noise_scale)
-        held = 0.0 if self.even is None else math.log(self.even.variance / self.even.prior_variance)
+        held = 0.0 if self.held is None else self.held.deviance
         return self.misfit + self.factor.logdet - logdet_prior + logdet_noise + held
 
     @property
     def score(self) -> Array:
         """Derivative (n,) of the data's log-likelihood by the motion, at the posterior mean."""
         out = band_times(self.prior_band, self.mean)
-        if self.even is not None:
-            out += self.even.weights * (self.even.value / self.even.variance)
+        if self.held is not None:
+            out += self.held.weights * self.held.pull
         return out
 
     def seen_of(self, waves: Array) -> Array:
@@ -135,23 +167,22 @@ class Posterior:
         data = band_times(e.band, waves) / scale
         explained, _ = self.factor.solve(data, e.border.T @ waves / scale)
         out = band_times(self.prior_band, waves).T @ explained
-        if self.even is not None:
-            along = waves.T @ (self.even.weights - band_times(self.prior_band, self.even.column))
-            out += np.outer(along, along) / self.even.variance
+        if self.held is not None:
+            along = waves.T @ (self.held.weights - band_times(self.prior_band, self.held.column))
+            out += np.outer(along, along) / self.held.variance
         return np.asarray(out)
 
     @cached_property
     def moments(self) -> Moments:
         """Second moments of the motion that the evidence's gradient needs; for a plain prior only."""
-        weights = None if self.even is None else self.even.weights
-        return _moments(self.mean, self._near_covariance, len(self.prior_band) - 1, weights)
+        return _moments(self.mean, self._near_covariance, len(self.prior_band) - 1, self.held)
 
     @cached_property
     def _near_covariance(self) -> Array:
         """Covariance of all unknowns as far from the diagonal as the prior's precision reaches."""
         out = self.factor.covariance_band(len(self.prior_band) - 1)
-        if self.even is not None:
-            column = self.even.column / math.sqrt(self.even.variance)
+        if self.held is not None:
+            column = self.held.column / math.sqrt(self.held.variance)
             for d in range(len(out)):
                 out[d, : len(column) - d] -= column[d:] * column[: len(column) - d]
         return out
@@ -170,9 +201,9 @@ class Posterior:
         prior_trace -= float(self.prior_band[0] @ covariance[0])
         unknowns = self.factor.n + len(self.offsets)
         offset_trace = float(np.trace(self.factor.border_covariance))
-        if self.even is not None:
+        if self.held is not None:
             unknowns -= 1
-            offset_trace -= float(self.even.beside @ self.even.beside) / self.even.variance
+            offset_trace -= float(self.held.beside @ self.held.beside) / self.held.variance
         offset_trace /= self.offset_sigma**2
         spread = s * (unknowns - prior_trace - offset_trace)
         return e.measurements - (residual + spread) / s
@@ -184,12 +215,12 @@ class Moments:
 
     start : (p, p)        E[x_i x_j] of the first p epochs
     inner : (p + 1, p + 1)  sum over t >= p of E[x_{t-k} x_{t-l}]
-    even : (n,) or None     weights of a rate that is held at zero
+    held : _Held or None    where the even rate is known
     """
 
     start: Array
     inner: Array
-    even: Array | None = None
+    held: _Held | None = None
 
     def expected_deviance(self, prior: Autoregressive) -> float:
         """Expectation of -2 log density of the motion under `prior` (constant dropped).
@@ -202,8 +233,9 @@ class Moments:
         total = float(row @ self.inner @ row) / prior.variance
         if p:
             total += _start_misfit(prior.startup, prior.startup_variances, self.start)
-        held = 0.0 if self.even is None else math.log(prior.variance_of(self.even))
-        return total - prior.logdet - held
+        if self.held is not None and not self.held.rate.seen:
+            total -= _told(self.held.rate, prior.variance_of(self.held.weights))
+        return total - prior.logdet
 
 
 def posterior(
@@ -213,7 +245,7 @@ def posterior(
     noise_scale: float = 1.0,
     offset_sigma: float = 1.0,
     weights: Array | None = None,
-    even: bool = False,
+    rate: EvenRate | None = None,
 ) -> Posterior:
     """Combine data and prior.
 
@@ -229,9 +261,9 @@ def posterior(
         Prior sigma of the constant of each image, where the equations have them.
     weights : array (n,), optional
         Weights of the prior's rows; see `Autoregressive.precision_band`. The deviance leaves them out.
-    even : bool
-        Hold the even rate of the motion (least squares over the grid) at zero: the posterior, and the
-        likelihood of the data, are those of motions without one. For a plain prior only.
+    rate : EvenRate, optional
+        Of the motion: the posterior, and the likelihood of the data, are those of motions that have it. For
+        a plain prior only.
     """
     e = equations
     n, q = e.border.shape
@@ -253,22 +285,24 @@ def posterior(
     factor = BorderedFactor(band, border, e.corner / noise_scale + np.eye(q) / offset_sigma**2)
     mean, offsets = factor.solve(rhs, e.rhs_border / noise_scale)
     held = None
-    if even and isinstance(prior, Autoregressive):
-        held = _even_rate(e, factor, prior, mean)
-        mean = mean - held.column * (held.value / held.variance)
-        offsets = offsets - held.beside * (held.value / held.variance)
+    if rate is not None and isinstance(prior, Autoregressive):
+        held = _held(rate, e, factor, prior, mean)
+        mean = mean - held.column * held.pull
+        offsets = offsets - held.beside * held.pull
     return Posterior(
         e, prior, noise_scale, offset_sigma, factor, position, mean[position], offsets, prior_band, held
     )
 
 
-def _even_rate(e: SeriesEquations, factor: BorderedFactor, prior: Autoregressive, mean: Array) -> EvenRate:
-    """What is known of the even rate of a motion of which nothing is held yet."""
+def _held(
+    rate: EvenRate, e: SeriesEquations, factor: BorderedFactor, prior: Autoregressive, mean: Array
+) -> _Held:
+    """How a posterior of a `mean` is held at a rate."""
     weights = rate_weights(e.grid)
     column, beside = factor.solve(weights, np.zeros(e.border.shape[1]))
-    return EvenRate(
-        weights, column, beside, float(weights @ mean), float(weights @ column), prior.variance_of(weights)
-    )
+    variance = float(weights @ column)
+    pull = (float(weights @ mean) - rate.value) / variance
+    return _Held(rate, weights, column, beside, variance, pull, prior.variance_of(weights))
 
 
 def rate_weights(grid: Grid) -> Array:
@@ -277,7 +311,7 @@ def rate_weights(grid: Grid) -> Array:
     return np.asarray(t / (t @ t))
 
 
-def _moments(mean: Array, covariance: Array, p: int, even: Array | None) -> Moments:
+def _moments(mean: Array, covariance: Array, p: int, held: _Held | None) -> Moments:
     """Second moments from posterior mean and band of the covariance."""
     n = len(mean)
     start = np.zeros((p, p))
@@ -291,7 +325,7 @@ def _moments(mean: Array, covariance: Array, p: int, even: Array | None) -> Mome
         later = np.arange(d, p + 1)  # the further look-back of the two
         inner[later, later - d] = running[n - later] - running[p - later]
         inner[later - d, later] = inner[later, later - d]
-    return Moments(start, inner, even)
+    return Moments(start, inner, held)
 
 
 @njit(cache=True, nogil=True)

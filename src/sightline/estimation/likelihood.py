@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import InputError
-from sightline.estimation.evidence import rate_weights
+from sightline.estimation.evidence import EvenRate, rate_weights
 from sightline.estimation.prior import Matern, Spectrum, Tone
 from sightline.estimation.search import NoiseModel, Search
 from sightline.estimation.series import DifferenceSeries, Grid, SeriesEquations, series_equations
@@ -81,6 +81,7 @@ def fit_spectrum(
     detail: float = 0.0,
     elsewhere: Sequence[float] = (),
     motion: tuple[Array, Array] | None = None,
+    rate_seen: bool = False,
 ) -> FittedSpectrum:
     """Spectrum and noise scale of a motion by marginal likelihood, tones found blind.
 
@@ -126,6 +127,8 @@ def fit_spectrum(
         Needed where lags follow the motion. The ground that a line scans moves by the rate of the scan less
         that of the motion, so that a motion which stops the scan explains every difference: with an even rate
         to choose, the spectrum would be one without tones or jitter.
+    rate_seen : bool
+        Whether that rate was seen, and is not where something hidden was put.
 
     Raises
     ------
@@ -138,9 +141,9 @@ def fit_spectrum(
     unit = math.sqrt(float(np.median(np.concatenate([s.variance[s.used] for s in used]))))
     scaled = [replace(s, values=s.values / unit, variance=s.variance / unit**2) for s in used]
     grid, inside = _fitting_grid(scaled, step, work)
+    rate = None
     if motion is not None:
-        rate = float(rate_weights(grid) @ np.interp(grid.nodes, *motion)) / unit
-        inside = [replace(s, values=s.values - rate * s.lag) for s in inside]
+        rate = EvenRate(float(rate_weights(grid) @ np.interp(grid.nodes, *motion)) / unit, rate_seen)
 
     def summed(spectrum: Spectrum | None) -> SeriesEquations:
         return series_equations(
@@ -160,7 +163,7 @@ def fit_spectrum(
         window,
         _tdi(scaled),
         detail * unit**2,
-        motion is not None,
+        rate,
     )
     guesses = _guesses(inside, grid) + ([] if start is None else [NoiseModel.of(start.scaled(1.0 / unit))])
     model = min(guesses, key=search.deviance)

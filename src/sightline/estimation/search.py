@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.errors import EstimationError, InputError
-from sightline.estimation.evidence import Posterior, posterior
+from sightline.estimation.evidence import EvenRate, Posterior, posterior
 from sightline.estimation.prior import ORDERS, Matern, Spectrum, Tone, autoregressive
 from sightline.estimation.series import SeriesEquations
 
@@ -136,8 +136,8 @@ class Search:
         s; over which TDI averages in the images: no tone is looked for where all leave less than LEFT_BY_TDI.
     detail : float
         Mean square of the (angular) frequencies that matches weigh, per unit squared of the differences.
-    even : bool
-        Whether the motion has no even rate; see `posterior`.
+    rate : EvenRate, optional
+        Of the motion, per s; see `posterior`.
     """
 
     def __init__(
@@ -151,9 +151,9 @@ class Search:
         window: float = 0.0,
         tdi: Sequence[float] = (),
         detail: float = 0.0,
-        even: bool = False,
+        rate: EvenRate | None = None,
     ) -> None:
-        self._even = even
+        self._rate = rate
         self._tdi = tuple(tdi)
         self._detail = detail
         self._corner = corner
@@ -183,7 +183,7 @@ class Search:
             prior,
             noise_scale=model.noise_scale,
             offset_sigma=self._offset_sigma,
-            even=self._even,
+            rate=self._rate,
         )
 
     def deviance(self, model: NoiseModel) -> float:

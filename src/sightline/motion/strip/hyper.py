@@ -394,6 +394,8 @@ def fit_prior_model(
             "[matching] window"
         )
 
+    hidden = estimate.untied_drifts()
+
     def fitted(
         axis: int,
         begin: Spectrum | None = None,
@@ -416,6 +418,7 @@ def fit_prior_model(
             detail=DETAIL[axis] / float(pixel[axis]) ** 2,
             elsewhere=elsewhere,
             motion=(estimate.grid.nodes, estimate.nodes[:, axis]),
+            rate_seen=axis not in hidden,
         )
 
     first = in_threads(fitted, range(3), step=lambda done, _: step(done, 6))

@@ -211,6 +211,11 @@ class JointEstimate:
         left = [_unexplained(seen, k, everything) / _unexplained(seen, k, motions) for k in drifts]
         return tuple(axis for axis in range(3) if left[axis] < HIDDEN)
 
+    def untied_drifts(self) -> tuple[int, ...]:
+        """The hidden drifts that neither sensors nor control points see."""
+        tied = np.zeros(3, dtype=bool) if self.ties is None else self.ties.tied
+        return tuple(axis for axis in self.hidden_drifts() if not tied[axis])
+
     def hidden_directions(self, drifts: Sequence[int] = ()) -> Array:
         """Motions that leave every image as it is, (count, 3, H) rad; of unit size at their own axis.
 
