@@ -109,6 +109,36 @@ def test_tables_may_be_in_other_axes_too(folder):
         load_acquisition(folder.write())
 
 
+def test_axes_of_attitudes_that_no_table_gives_are_refused(folder):
+    ephemeris(write(folder), 'attitude_axes = "GCRF"\n', ("o.oem", "along-track"))
+    words = (
+        'attitude_axes = "GCRF" is of a table of attitudes.* give attitudes = FILE, or remove attitude_axes'
+    )
+    with pytest.raises(FormatError, match=words):
+        load_acquisition(folder.write())
+
+
+def test_an_earth_orientation_that_nothing_needs_is_refused(folder):
+    write(folder)
+    place, _, body = flight(T)
+    tables.write_positions(folder.path / "p.csv", T, place)
+    tables.write_attitudes(folder.path / "q.csv", T, body.as_quat())
+    (folder.path / "finals.txt").write_text("")
+    ephemeris(folder, 'earth_orientation = "finals.txt"\n', ("p.csv", "q.csv"))
+    with pytest.raises(FormatError, match=r"earth_orientation = .*finals\.txt.* give position_axes"):
+        load_acquisition(folder.write())
+
+
+def test_files_of_one_acquisition_are_of_one_body(folder):
+    ephemeris(write(folder))
+    place, speed, body = flight(T)
+    ccsds.write_oem(folder.path / "o.oem", T, place, speed, EPOCH, frame="IAU_MOON", centre="MOON")
+    ccsds.write_aem(folder.path / "a.aem", T, body.as_quat(), EPOCH, frame="IAU_MARS", centre="MARS")
+    folder.add("[surface]\nradii = [6.3e6, 6.3e6]\n")
+    with pytest.raises(FormatError, match=r"o\.oem: .*IAU_MOON.*a\.aem.*IAU_MARS"):
+        load_acquisition(folder.write())
+
+
 def test_an_old_table_of_the_user_is_told_and_widens_the_sigma(folder):
     data = pytest.importorskip("astropy_iers_data")
     write(folder, "GCRF")

@@ -18,11 +18,12 @@ from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError, SpanError
 from sightline.geometry.earth import WGS84
+from sightline.geometry.earth_orientation import AXES
 from sightline.io.acquisition.acquired import InputFolder
 from sightline.io.acquisition.schema import AcquisitionFile, EphemerisPlatform, SpinPlatform
 from sightline.io.acquisition.spin import must_cover
 from sightline.io.formats import ccsds, ccsds_attitude, mean_elements, tables
-from sightline.io.formats.ccsds_message import is_earth
+from sightline.io.formats.ccsds_message import body_of, is_earth
 from sightline.io.formats.earth_orientation import TurningEarth
 
 Array = NDArray[np.float64]
@@ -49,7 +50,7 @@ class GivenOrbit:
     velocity : (N, 3) or None
         m/s.
     axes : str or None
-        Of a message: a key of ``AXES``, or "BODY"; None: those of ``[world]``.
+        Of a message: a key of ``AXES``, or a name of axes fixed to another body; None: those of ``[world]``.
     centre : str
     useable : (first, last)
         s.
@@ -162,12 +163,11 @@ def fixed_orbit(
     if config.world.frame != "earth-fixed":
         raise FormatError(
             f"{path}: a message is in axes of its own, Earth-fixed at the end; [world] frame must be "
-            '"earth-fixed" '
-            "or left out"
+            '"earth-fixed" or left out'
         )
     _check_body(path, given.axes, given.centre, config.surface.radii)
     files.said.append(f"{path.name}: {given.words}")
-    if given.axes not in ("ITRF", "BODY"):
+    if turns(given.axes):
         fixed = earth.axes(given.axes, given.t)
         velocity = None if given.velocity is None else fixed.velocities(given.position, given.velocity)
         given = replace(given, position=fixed.positions(given.position), velocity=velocity)
@@ -183,11 +183,16 @@ def fixed_orbit(
 
 
 def fixed_attitude(
-    config: AcquisitionFile, path: Path, span: Span, earth: TurningEarth, files: InputFolder
+    config: AcquisitionFile,
+    path: Path,
+    span: Span,
+    earth: TurningEarth,
+    files: InputFolder,
+    places: tuple[Path, GivenOrbit],
 ) -> tuple[Array, Rotation, str | None]:
     """Times (N,), attitudes of a file that reach over a span (s), and the axes it was in.
 
-    Those of a message are Earth-fixed (or fixed to its body); None: axes of ``[world]``.
+    Those of a message are Earth-fixed (or fixed to its body: that of `places`); None: axes of ``[world]``.
     """
     given = read_attitude(path, config.acquisition.epoch, span=span, earth=earth)
     given = _of_table(given, config, "attitude_axes", path)
@@ -198,8 +203,9 @@ def fixed_attitude(
     if config.world.frame == "local":
         raise FormatError(f'{path}: a message is in axes of its own; [world] frame = "local" is for tables')
     _check_body(path, given.axes, given.centre, config.surface.radii)
+    _check_one_body((path, given), places)
     files.said.append(f"{path.name}: {given.words}")
-    if given.axes not in ("ITRF", "BODY"):
+    if turns(given.axes):
         attitude = Rotation.from_matrix(earth.axes(given.axes, t).turn) * attitude
     return t, attitude, given.axes
 
@@ -223,23 +229,41 @@ def _rows(t: Array, useable: Span, span: Span) -> NDArray[np.bool_]:
 
 def _check_body(path: Path, axes: str, centre: str, radii: tuple[float, float] | None) -> None:
     """FormatError where axes and body do not go together."""
-    if is_earth(centre) and axes != "BODY":
+    fixed = axes not in AXES
+    if is_earth(centre) and not fixed:
         return
     name = centre.title() or "another body"
-    if axes == "ITRF" or (axes == "BODY" and centre and is_earth(centre)):
+    if axes == "ITRF" or (fixed and centre and is_earth(centre)):
         raise FormatError(
             f"{path}: axes of another body than its CENTER_NAME = {centre}; correct one of both"
         )
-    if axes != "BODY":
+    if not fixed:
         raise FormatError(
             f"{path}: axes {axes} about {name}: how {name} turns is known here of the Earth alone; convert "
-            "to axes "
-            "fixed to it (IAU_MARS for Mars), or make an ISD with its kernels (kind = camera-model)"
+            "to axes fixed to it (IAU_MARS for Mars), or make an ISD with its kernels (kind = camera-model)"
         )
     if radii is None:
         raise FormatError(
             f"{path}: axes fixed to {name}; give its [surface] radii = [equatorial, polar] in m"
         )
+
+
+def _check_one_body(attitudes: tuple[Path, GivenAttitude], places: tuple[Path, GivenOrbit]) -> None:
+    """FormatError where attitudes and positions of messages are in axes of unlike bodies."""
+    said = [(path, given.axes, given.centre) for path, given in (places, attitudes) if given.axes is not None]
+    bodies = [body_of(axes, centre) for _, axes, centre in said]
+    if len(said) < 2 or not all(bodies) or bodies[0] == bodies[1]:
+        return
+    (place, axes, _), (path, other, _) = said
+    raise FormatError(
+        f"{place}: positions are in axes {axes} ({bodies[0].title()}), the attitudes of {path} in axes "
+        f"{other} ({bodies[1].title()}); give both in axes of the body that is imaged"
+    )
+
+
+def turns(axes: str | None) -> bool:
+    """Whether axes turn against those fixed to a body."""
+    return axes in AXES and axes != "ITRF"
 
 
 def _height(given: GivenOrbit, span: Span, radii: tuple[float, float] | None) -> float:
@@ -304,7 +328,7 @@ def say_orientation(
     radii: tuple[float, float] | None, files: InputFolder,
 ) -> None:  # fmt: skip
     """What the Earth's orientation, where axes of the stars needed it, adds to the sigma of the attitude."""
-    turned = [axes not in (None, "ITRF", "BODY") for axes in (orbit.axes if orbit else None, attitude)]
+    turned = [turns(axes) for axes in (orbit.axes if orbit else None, attitude)]
     if not any(turned):
         return
     middle = 0.5 * sum(span)

@@ -27,6 +27,7 @@ from sightline.io.acquisition.ephemeris import (
     fixed_attitude,
     fixed_orbit,
     say_orientation,
+    turns,
 )
 from sightline.io.acquisition.schema import (
     AcquisitionFile,
@@ -95,12 +96,20 @@ def build_trajectory(config: AcquisitionFile, files: InputFolder, span: tuple[fl
             along_track_attitude(t_position, position, world_kind(config), config.surface.radii or WGS84),
         )
     else:
-        t_attitude, attitude, given = fixed_attitude(config, files(platform.attitudes), span, earth, files)
+        places = files(platform.positions), orbit
+        t_attitude, attitude, given = fixed_attitude(
+            config, files(platform.attitudes), span, earth, files, places
+        )
         if given is None:
             attitude = attitude_to_world(attitude, config)
-        elif given not in ("ITRF", "BODY"):
+        elif turns(given):
             axes = given
             files.fixed_from_given = lambda t: Rotation.from_matrix(earth.axes(axes, np.array([t])).turn[0])
+    if platform.earth_orientation is not None and orbit.axes is None and given is None:
+        raise FormatError(
+            f"{files.toml}: [platform] earth_orientation = {platform.earth_orientation} turns axes of the "
+            "stars, and tables are in those of [world]; give position_axes or attitude_axes, or remove it"
+        )
     say_orientation(earth, orbit, given, span, config.surface.radii, files)
     trajectory = Trajectory(
         t_position, position, t_attitude, attitude, epoch=config.acquisition.epoch, velocity=velocity

@@ -185,6 +185,15 @@ class EphemerisPlatform(KnownAttitude):
         default=False, description="Whether refraction by the Earth's air is to be applied"
     )
 
+    @model_validator(mode="after")
+    def _axes_are_of_a_table(self) -> EphemerisPlatform:
+        if self.attitude_axes is not None and self.attitudes == "along-track":
+            raise ValueError(
+                f'attitude_axes = "{self.attitude_axes}" is of a table of attitudes, and attitudes = '
+                '"along-track" takes them from the positions; give attitudes = FILE, or remove attitude_axes'
+            )
+        return self
+
 
 class CameraModelPlatform(KnownAttitude):
     """``[platform]`` kind camera-model: geometry from a sensor-model file."""

@@ -67,7 +67,7 @@ class OrbitEphemeris:
     velocity : (N, 3)
         m/s.
     axes : str
-        A key of ``AXES`` of ``geometry/earth_orientation.py``, or "BODY": turning with another body.
+        A key of ``AXES`` of ``geometry/earth_orientation.py``, or a name of axes fixed to another body.
     centre : str
         The body they are about.
     time_scale : str

@@ -65,7 +65,7 @@ class AttitudeEphemeris:
     quat_xyzw : (N, 4)
         From body axes to `axes`, scalar last.
     axes : str
-        A key of ``AXES`` of ``geometry/earth_orientation.py``, or "BODY": turning with another body.
+        A key of ``AXES`` of ``geometry/earth_orientation.py``, or a name of axes fixed to another body.
     centre : str
         Of the message; empty where it gives none.
     time_scale : str

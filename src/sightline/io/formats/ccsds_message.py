@@ -336,7 +336,7 @@ def timed_numbers(
 
 
 def known_axes(message: Message, line: int, key: str, name: str) -> str:
-    """A key of `AXES`, or "BODY" for axes fixed to another body; FormatError for others, with the nearest."""
+    """A key of `AXES`, or the name of axes fixed to another body; FormatError for others."""
     found = axes_of(name)
     if found is not None:
         return found
@@ -344,15 +344,22 @@ def known_axes(message: Message, line: int, key: str, name: str) -> str:
     if plain in _BODY_FIXED or (
         (plain.startswith("IAU_") or plain.endswith("_FIXED")) and "EARTH" not in plain
     ):
-        return "BODY"
+        return plain
     stem = plain.split("_")[0].split("-")[0]
     known = [other for names in AXES.values() for other in names]
     reason = "; it goes round with the satellite" if stem in _ORBITAL else nearest(plain, known)
     raise FormatError(
         f"{message.at(line)}: {key} = {name[:40]} is not handled{reason}; allowed: {', '.join(AXES)}, or "
-        "IAU_MARS "
-        "(any body) where [surface] has its radii; convert it first"
+        "IAU_MARS (any body) where [surface] has its radii; convert it first"
     )
+
+
+def body_of(axes: str, centre: str) -> str:
+    """The body that axes of `known_axes` are of; "" where neither they nor CENTER_NAME say it."""
+    if axes in AXES:
+        return "EARTH"
+    named = "" if axes in _BODY_FIXED else axes.removeprefix("IAU_").removesuffix("_FIXED")
+    return named or centre.upper().strip()
 
 
 def is_earth(centre: str) -> bool:
