@@ -211,10 +211,60 @@ def test_one_attitude_of_euler_angles(tmp_path, version):
     assert "still in GCRF" in given.words
 
 
+@pytest.mark.parametrize(("version", "frame"), [("1.0", "B"), ("1.0", "A"), ("2.0", "")])
+def test_one_attitude_of_euler_angles_turns_at_their_rates(tmp_path, version, frame):
+    """Rates in a frame are the angular velocity's components there; derivatives are of the angles."""
+    rates = np.array([0.2, -0.1, 0.05])  # deg/s
+    if version == "1.0":
+        words = keywords(
+            EULER_FRAME_A="GCRF", EULER_FRAME_B="SC_BODY_1", EULER_DIR="A2B", EULER_ROT_SEQ="312",
+            RATE_FRAME=f"EULER_FRAME_{frame}",
+            **{f"{axis}_ANGLE": f"{angle} [deg]" for axis, angle in zip("ZXY", ANGLES, strict=True)},
+            **{f"{axis}_RATE": f"{rate} [deg/s]" for axis, rate in zip("XYZ", rates, strict=True)},
+        )  # fmt: skip
+        data = AT + words
+    else:
+        words = keywords(
+            REF_FRAME_A="GCRF", REF_FRAME_B="SC_BODY", EULER_ROT_SEQ="ZXY",
+            **{f"ANGLE_{k}": angle for k, angle in enumerate(ANGLES, 1)},
+            **{f"ANGLE_{k}_DOT": rate for k, rate in enumerate(rates, 1)},
+        )  # fmt: skip
+        data = AT + f"EULER_START\n{words}\nEULER_STOP"
+    given = read_apm(write(tmp_path, apm(data, version)), EPOCH, span=(9.0, 11.0))
+    start, later = (body_from_axes("312", np.array(ANGLES) + t * rates) for t in (0.0, 1e-4))
+    omega = np.radians(rates)
+    if frame == "A":
+        omega = start @ omega
+    if version == "2.0":  # dM/dt = -[omega x] M
+        cross = -(later - start) / 1e-4 @ start.T
+        omega = np.array([cross[2, 1], cross[0, 2], cross[1, 0]])
+    expected = start.T @ Rotation.from_rotvec(omega).as_matrix()
+    # 1e-4 s of turns by 3e-3 rad/s: 1e-9 of the rate
+    np.testing.assert_allclose(Rotation.from_quat(given.quat_xyzw[-1]).as_matrix(), expected, atol=1e-8)
+
+
+def test_metadata_of_one_attitude_need_no_marks(tmp_path):
+    """As in the examples of the standard."""
+    text = apm(AT + keywords(**EARLIER) + "\n" + quaternion_words(Q.as_quat(), DOT), "1.0")
+    path = write(tmp_path, text.replace("META_START\n", "").replace("META_STOP\n", ""))
+    given = read_apm(path, EPOCH)
+    assert (given.centre, given.time_scale) == ("EARTH", "UTC")
+    np.testing.assert_allclose(given.quat_xyzw, [Q.as_quat()], atol=1e-15)
+
+
 @pytest.mark.parametrize(
     ("data", "words"),
     [
-        (AT + "SPIN_ALPHA = 1", "holds neither a quaternion nor Euler angles; of a spin"),
+        (AT + "SPIN_ALPHA = 1", "SPIN_ALPHA tells of a spin, not about which axis of the body"),
+        (
+            AT + keywords(**EARLIER) + "\n" + quaternion_words([0, 0, 0, 1]) + "\nSPIN_ANGLE_VEL = 1 [deg/s]",
+            "SPIN_ANGLE_VEL tells of a spin, not about which axis of the body",
+        ),
+        (AT + keywords(USER_DEFINED_A=1), "holds neither a quaternion nor Euler angles"),
+        (
+            AT + "META_START\nOBJECT_NAME = OTHER\nMETA_STOP\n" + AT,
+            "line 11: a second segment; an APM is of one",
+        ),
         (AT + keywords(**EARLIER) + "\nQ1 = 0\nQ2 = 0\nQC = 1", "Q3 is missing"),
         (keywords(**EARLIER) + "\n" + quaternion_words([0, 0, 0, 1]), "EPOCH stands 0 times"),
         (AT + keywords(**EARLIER) + "\n" + quaternion_words([0, 0, 0, 2]), "quaternion of length"),

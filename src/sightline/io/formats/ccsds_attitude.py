@@ -47,11 +47,15 @@ _NEEDED = (
 )  # fmt: skip
 _KNOWN = (
     "CENTER_NAME", "ATTITUDE_DIR", "USEABLE_START_TIME", "USEABLE_STOP_TIME", "QUATERNION_TYPE",
-    "EULER_ROT_SEQ",
-    "RATE_FRAME", "ANGVEL_FRAME", "INTERPOLATION_METHOD", "INTERPOLATION_DEGREE", "MESSAGE_ID",
+    "EULER_ROT_SEQ", "RATE_FRAME", "ANGVEL_FRAME", "INTERPOLATION_METHOD", "INTERPOLATION_DEGREE",
+    "MESSAGE_ID",
 )  # fmt: skip
 #: An attitude of one instant serves images so many s from it; it is written out in such steps (s).
 _APM_REACH, _APM_STEP = 600.0, 1.0
+#: Metadata of an APM, which need no marks about them.
+_APM_META = ("OBJECT_NAME", "OBJECT_ID", "CENTER_NAME", "TIME_SYSTEM")
+#: Rates of an APM by how their keywords begin, the blocks of version 2 left out, or end.
+_APM_RATES, _DOT = ("ANGVEL_X", "X_RATE", "Y_RATE", "Z_RATE"), "_DOT"
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,8 +141,7 @@ def read_aem(
         if marks != ["DATA_START", "DATA_STOP"]:
             raise FormatError(
                 f"{message.at(segment.line)}: its data are not between one DATA_START and one DATA_STOP; "
-                "the file "
-                "was cut, or is damaged"
+                "the file was cut, or is damaged"
             )
         t, values = timed_numbers(message, segment, rows, (_TYPES[kind],), clock)
         axes, to_body = _ends(message, segment.line, segment.meta, message.version)
@@ -156,14 +159,12 @@ def _type_of(message: Message, segment: Segment) -> str:
     if kind.startswith("SPIN"):
         raise FormatError(
             f"{message.at(segment.line)}: ATTITUDE_TYPE = {kind[:40]} is not handled: it does not say "
-            "which axis of "
-            'the body spins; export quaternions, or use [platform] kind = "spin"'
+            'which axis of the body spins; export quaternions, or use [platform] kind = "spin"'
         )
     if kind not in _TYPES:
         raise FormatError(
             f"{message.at(segment.line)}: ATTITUDE_TYPE = {kind[:40]} is not "
-            f"handled{nearest(kind, list(_TYPES))}; "
-            f"allowed: {', '.join(_TYPES)}"
+            f"handled{nearest(kind, list(_TYPES))}; allowed: {', '.join(_TYPES)}"
         )
     return kind
 
@@ -178,8 +179,7 @@ def _quaternions(message: Message, segment: Segment, kind: str, values: Array, t
         if order not in ("FIRST", "LAST"):
             raise FormatError(
                 f"{message.at(segment.line)}: QUATERNION_TYPE = {order[:20]} is not known; allowed: FIRST, "
-                "LAST "
-                "(where the scalar stands)"
+                "LAST (where the scalar stands)"
             )
         quaternions = values[:, [1, 2, 3, 0] if order == "FIRST" else [0, 1, 2, 3]]
         # the length of each is checked of all together, when rows of segments are joined
@@ -192,8 +192,7 @@ def euler_sequence(message: Message, line: int, given: str | None) -> str:
     if len(name) != 3 or set(name) - set("XYZ") or name[0] == name[1] or name[1] == name[2]:
         raise FormatError(
             f"{message.at(line)}: EULER_ROT_SEQ = {(given or '(nothing)')[:20]} is no sequence of three "
-            "turns; write it "
-            "like 312 or ZXY, no axis twice in a row"
+            "turns; write it like 312 or ZXY, no axis twice in a row"
         )
     return name
 
@@ -205,8 +204,7 @@ def _ends(message: Message, line: int, meta: dict[str, str], version: str) -> tu
     if direction not in ("A2B", "B2A") or (version != "1.0" and direction != "A2B"):
         raise FormatError(
             f"{message.at(line)}: ATTITUDE_DIR = {direction[:20]} is not known in version {version}; "
-            "allowed: "
-            f"{'A2B, B2A' if version == '1.0' else 'A2B alone'}"
+            f"allowed: {'A2B, B2A' if version == '1.0' else 'A2B alone'}"
         )
     if direction == "B2A":
         frames.reverse()
@@ -214,9 +212,8 @@ def _ends(message: Message, line: int, meta: dict[str, str], version: str) -> tu
     if own[0] == own[1]:
         raise FormatError(
             f"{message.at(line)}: attitude from {frames[0][:40] or '(nothing)'} to "
-            f"{frames[1][:40] or '(nothing)'}; "
-            f"one of both must be the body ({', '.join(BODY_FRAMES)}), the other axes of the Earth or the "
-            "stars"
+            f"{frames[1][:40] or '(nothing)'}; one of both must be the body ({', '.join(BODY_FRAMES)}), the other "
+            "axes of the Earth or the stars"
         )
     other = own.index(False)
     # after a message of direction B to A has been turned round, frames are no longer A and B by name
@@ -255,16 +252,15 @@ def read_apm(
         If the message holds no quaternion and no Euler angles, or is of more than 600 s before or after.
     """
     message = read_message(path, "APM")
-    clock = clock_of(message, epoch, ut1_less_utc)
     values = _keywords(message)
+    clock = clock_of(message, epoch, ut1_less_utc)
     t = clock.seconds(_one(message, values, "EPOCH"), f"{path}: EPOCH")
     axes, body, rate = _apm_attitude(message, values)
     first, last = span if span is not None else (t, t)
     if first < t - _APM_REACH or last > t + _APM_REACH:
         raise FormatError(
             f"{path}: is of {t:.3f} s from the epoch, the images of {first:.3f} to {last:.3f} s; one "
-            "attitude is "
-            f"carried over {_APM_REACH:g} s at most; give attitudes over that time (AEM, CSV)"
+            f"attitude is carried over {_APM_REACH:g} s at most; give attitudes over that time (AEM, CSV)"
         )
     times = np.linspace(first, last, int(np.ceil((last - first) / _APM_STEP)) + 1)
     turned = body * Rotation.from_rotvec((times - t)[:, np.newaxis] * rate)
@@ -280,10 +276,19 @@ Keywords = dict[str, list[str]]
 
 
 def _keywords(message: Message) -> Keywords:
-    """The data of an APM: KEYWORD as it is, within blocks of version 2 as BLOCK.KEYWORD; all values of "
-    "each."""
+    """The data of an APM: KEYWORD as it is, within blocks of version 2 as BLOCK.KEYWORD; all values of each.
+
+    Metadata without marks about them are put where they belong.
+    """
+    if len(message.segments) > 1:
+        raise FormatError(
+            f"{message.at(message.segments[1].line)}: a second segment; an APM is of one attitude: give "
+            "attitudes over time (AEM), or the message that is meant alone"
+        )
     values: Keywords = {}
     block = ""
+    meta = message.segments[0].meta
+    marked = bool(meta)
     for line, text in message.segments[0].rows:
         if text.endswith(("_START", "_STOP")):
             block = text.removesuffix("_START") + "." if text.endswith("_START") else ""
@@ -291,6 +296,9 @@ def _keywords(message: Message) -> Keywords:
         key, equals, value = text.partition("=")
         if not equals:
             raise FormatError(f"{message.at(line)}: {text[:80]!r} is not KEYWORD = value")
+        if not marked and key.strip() in _APM_META:
+            meta[key.strip()] = value.strip()
+            continue
         values.setdefault(block + key.strip(), []).append(value.split("[")[0].strip())
     return values
 
@@ -319,17 +327,19 @@ def _floats(message: Message, values: Keywords, keys: list[str]) -> Array:
 
 def _apm_attitude(message: Message, values: Keywords) -> tuple[str, Rotation, Array]:
     """Axes, the rotation from the body to them, and its rate (3,), rad/s about body axes."""
-    later = message.version != "1.0"
-    names = ("QUAT.", "EULER.") if later else ("", "")
+    names = ("QUAT.", "EULER.") if message.version != "1.0" else ("", "")
+    plain = [key.rpartition(".")[2] for key in values]
+    spins = next((key for key in plain if key.startswith("SPIN_")), None)
+    if spins and not any(key in _APM_RATES or key.endswith(_DOT) for key in plain):
+        raise FormatError(
+            f"{message.path}: {spins} tells of a spin, not about which axis of the body; export a quaternion "
+            'with its derivative or ANGVEL, or use [platform] kind = "spin"'
+        )
     if f"{names[0]}QC" in values:
         return _apm_quaternion(message, values, names[0])
     if f"{names[1]}EULER_ROT_SEQ" in values:
         return _apm_angles(message, values, names[1])
-    raise FormatError(
-        f"{message.path}: holds neither a quaternion nor Euler angles; of a spin the axis of the body is "
-        "not told: "
-        "export a quaternion"
-    )
+    raise FormatError(f"{message.path}: holds neither a quaternion nor Euler angles; export a quaternion")
 
 
 def _apm_ends(message: Message, values: Keywords, block: str, stem: str) -> tuple[str, bool]:

@@ -96,8 +96,7 @@ class Message:
 
 
 def message_kind(path: Path) -> str | None:
-    """The kind of a CCSDS message ("OEM", "AEM", ...) by how it begins, compressed or not; None for "
-    "others."""
+    """The kind of a CCSDS message ("OEM", "AEM", ...) by how it begins, packed or not; None for others."""
     lines = [line.strip() for line in head_lines(path)]
     text = next((line for line in lines if line and not line.startswith("COMMENT")), "")
     if text.startswith("CCSDS_"):
@@ -133,7 +132,9 @@ def read_message(path: Path, kind: str) -> Message:
             f"{', '.join(VERSIONS[kind])}"
         )
     message = Message(path, kind, version, {}, [], turned)
-    _fill(message, lines[1:], flat=kind == "OMM")
+    # parameter messages are metadata and data in a row; later ones mark their metadata
+    marked = any(line == "META_START" for _, line in lines)
+    _fill(message, lines[1:], flat=kind == "OMM" or (kind == "APM" and not marked))
     for key in _HEADER[:2]:
         if key not in message.header:
             raise FormatError(f"{path}: {key} is missing; every message begins with it: the header was cut")
@@ -147,8 +148,7 @@ def _from_xml(path: Path, text: str, kind: str) -> str:
     if found is not None:
         raise FormatError(
             f"{path}: holds {found[0]!r}: XML with a document type or entities is not read; write the "
-            "message "
-            "without them"
+            "message without them"
         )
     ndm = orbit_package("ccsds_ndm.ndm_io", "a message in XML")
     forms = orbit_package("ccsds_ndm.mapping", "a message in XML").NDMFileFormats
@@ -227,8 +227,7 @@ def check_alike(message: Message, key: str) -> None:
     if len(given) > 1:
         raise FormatError(
             f"{message.path}: its segments differ in {key}: {' and '.join(sorted(given))[:200]}; give a "
-            "message "
-            "of one"
+            "message of one"
         )
 
 
