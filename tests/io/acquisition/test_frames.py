@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tests.io.conftest import noise, write_tif
 
+from sightline.cli.main import run
 from sightline.errors import FormatError
 from sightline.io.acquisition.load import load_acquisition
 
@@ -146,3 +147,20 @@ def test_photographs_of_the_space_station_load_with_time_and_place_from_exif(rea
 def test_a_photograph_without_exif_time_is_named(frames):
     said = message(frames.replace('time = "2026-01-01T00:00:06.5Z"', 'time = "exif"'))
     assert "f1.tif: has no EXIF time" in said
+
+
+def test_a_frame_that_is_not_there_is_described(frames, capsys):
+    """Its size is that of the others, or of ``[camera] shape``; `recover` refuses it."""
+    toml = frames.write()
+    (frames.path / "f1.tif").unlink()
+    assert run(["check", str(toml)]) == 1
+    said = capsys.readouterr()
+    assert "[[frame]] 2 image" in said.err and "f1.tif: no such file; its geometry" in said.err
+    assert "150 lines x 201 columns" in said.err and "observable:" in said.out
+    with pytest.raises(FormatError, match=r"f1\.tif: no such file"):
+        load_acquisition(toml)
+    (frames.path / "f0.tif").unlink()
+    assert run(["check", str(toml)]) == 2
+    frames.replace("[camera]\n", "[camera]\nshape = [150, 201]\n")
+    assert run(["check", str(frames.write())]) == 1
+    assert "(and 1 more images)" in capsys.readouterr().err

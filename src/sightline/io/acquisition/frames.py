@@ -21,8 +21,9 @@ from sightline.io.acquisition.schema import AcquisitionFile, CameraModelPlatform
 from sightline.io.acquisition.spin import pointing_of
 from sightline.io.acquisition.strips import cut_into_strips
 from sightline.io.formats.exif import read_exif
-from sightline.io.formats.images import Source, check_content, open_image
+from sightline.io.formats.images import MissingImage, Source, check_content, open_image
 from sightline.io.formats.instants import seconds_from_epoch
+from sightline.io.formats.isd_frame import read_frame_model
 from sightline.motion.band import Frame, LensKnowledge
 
 #: Start value of an unknown focal length and its sigma, in larger sides of the frame (1.0: 53 degrees).
@@ -52,7 +53,8 @@ def build_frames(config: AcquisitionFile, files: InputFolder, *, look: bool = Tr
     if not config.frame:
         return ()
     spins = isinstance(config.platform, SpinPlatform)
-    images = [_open_frame_image(entry, files, look=look, sky=spins) for entry in config.frame]
+    shape = _shape_of_missing(config, files)
+    images = [_open_frame_image(entry, files, shape, look=look, sky=spins) for entry in config.frame]
     if isinstance(config.platform, CameraModelPlatform):
         models = frame_models(config, images[0], files)
         detector, times = models[0].detector, [model.et - models[0].et for model in models]
@@ -81,8 +83,26 @@ def build_frames(config: AcquisitionFile, files: InputFolder, *, look: bool = Tr
     return cut_into_strips(config, frames, files) if config.camera.strip else frames
 
 
-def _open_frame_image(entry: FrameSection, files: InputFolder, *, look: bool, sky: bool) -> Source:
-    """The image of a frame, opened and looked into; it may be masked as a whole where it may show the sky."""
+def _shape_of_missing(config: AcquisitionFile, files: InputFolder) -> tuple[int, int] | None:
+    """Lines and columns of images that are not there, where these are only described and anything says it."""
+    if not files.describing or config.camera.shape is not None:
+        return config.camera.shape
+    there = next((entry for entry in config.frame if not files.lacks_file(entry.image)), None)
+    if there is not None:
+        return open_image(files(there.image), there.image_band).shape
+    model = config.frame[0].model
+    return None if model is None else read_frame_model(files(model)).detector.shape
+
+
+def _open_frame_image(
+    entry: FrameSection, files: InputFolder, shape: tuple[int, int] | None, *, look: bool, sky: bool
+) -> Source:
+    """The image of a frame, opened and looked into; it may be masked as a whole where it may show the sky.
+
+    Of that `shape` if it is not there and need not be.
+    """
+    if shape is not None and files.lacks(entry.image, shape):
+        return MissingImage(files.path(entry.image), shape)
     mask = None if entry.mask is None else files(entry.mask)
     image = open_image(files(entry.image), entry.image_band, mask)
     if look:
@@ -98,17 +118,15 @@ def _check_frames(
         if image.shape != images[0].shape:
             raise FormatError(
                 f"{image.path}: {image.shape[0]} lines x {image.shape[1]} columns; {config.frame[0].image} "
-                f"has "
-                f"{images[0].shape[0]} x {images[0].shape[1]}; frames of one camera have one shape"
+                f"has {images[0].shape[0]} x {images[0].shape[1]}; frames of one camera have one shape"
             )
     for k in range(1, len(times)):
         if times[k] <= times[k - 1]:
             word = "the same time as" if times[k] == times[k - 1] else "a time before"
             raise FormatError(
                 f"{files.toml}: [[frame]] number {k + 1} ({config.frame[k].image}) has {word} the one "
-                f"before it "
-                f"({times[k]:.6g} s, {times[k - 1]:.6g} s); times must increase; sort the frames or "
-                f"correct the time"
+                f"before it ({times[k]:.6g} s, {times[k - 1]:.6g} s); times must increase; sort the frames "
+                "or correct the time"
             )
 
 
@@ -119,8 +137,7 @@ def area_detector(config: AcquisitionFile, image: Source, files: InputFolder) ->
     if shape != image.shape:
         raise FormatError(
             f"{files.toml}: [camera] shape = {list(shape)}, {image.path.name} has {list(image.shape)} "
-            f"(lines, columns); "
-            "they must agree; are lines and columns swapped?"
+            "(lines, columns); they must agree; are lines and columns swapped?"
         )
     focal = camera.focal_length_px
     if focal is None:
@@ -162,16 +179,14 @@ def frame_time(entry: FrameSection, epoch: str | None, files: InputFolder) -> fl
     assert entry.time is not None  # the schema asks for it
     if not isinstance(entry.time, str):
         return float(entry.time)
-    path = files(entry.image)
     if epoch is None:
         raise FormatError(
             f"{files.toml}: time = {entry.time!r} of {entry.image} is an instant and [acquisition] has no "
-            f"epoch; "
-            'add epoch = "..." (UTC of t = 0)'
+            'epoch; add epoch = "..." (UTC of t = 0)'
         )
     text = entry.time
     if text == "exif":
-        text = read_exif(path).time
+        text = read_exif(files(entry.image)).time
     return seconds_from_epoch(text, epoch, f"{files.toml}: time of {entry.image}")
 
 

@@ -212,8 +212,8 @@ def _ends(message: Message, line: int, meta: dict[str, str], version: str) -> tu
     if own[0] == own[1]:
         raise FormatError(
             f"{message.at(line)}: attitude from {frames[0][:40] or '(nothing)'} to "
-            f"{frames[1][:40] or '(nothing)'}; one of both must be the body ({', '.join(BODY_FRAMES)}), the other "
-            "axes of the Earth or the stars"
+            f"{frames[1][:40] or '(nothing)'}; one of both must be the body ({', '.join(BODY_FRAMES)}), "
+            "the other axes of the Earth or the stars"
         )
     other = own.index(False)
     # after a message of direction B to A has been turned round, frames are no longer A and B by name
