@@ -151,6 +151,8 @@ function("formats.ccsds_attitude.read_apm", "orbit-stars", "attitude.apm", EPOCH
 function("formats.ccsds_message.message_kind", "orbit-stars", "orbit.xml")
 function("formats.ccsds_message.read_message", "orbit-stars", "orbit.xml", "OEM")
 function("formats.mean_elements.read_tle", "orbit-stars", "orbit.tle", EPOCH)
+function("formats.sbet.read_sbet", "orbit-stars", "sbet.out", EPOCH)
+function("formats.sbet.is_sbet", "orbit-stars", "sbet.out")
 function("formats.mean_elements.is_tle", "orbit-stars", "orbit.tle")
 function("formats.mean_elements.read_omm", "orbit-stars", "elements.omm", EPOCH)
 function("formats.packed.read_packed_text", "orbit-stars", "orbit.oem", "text")

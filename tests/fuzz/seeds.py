@@ -369,6 +369,8 @@ def orbit_stars(folder: Path) -> None:
         f"{meta}</metadata>\n<data>{states}</data></segment></body></oem>\n"
     )
     (folder / "orbit.tle").write_text(TWO_LINES)
+    rows = [(345618.0 + 0.5 * k, 0.8, 0.2 + 1e-6 * k, 3e3, *[0.0] * 13) for k in range(9)]
+    (folder / "sbet.out").write_bytes(np.array(rows, dtype="<f8").tobytes())
     (folder / "elements.omm").write_text(MEAN_ELEMENTS)
     toml = (folder / "acquisition.toml").read_text().replace("attitude.aem", "attitude.apm")
     named = 'earth_orientation = "earth.c04"\n'

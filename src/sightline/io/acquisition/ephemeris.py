@@ -1,7 +1,7 @@
 """Orbits and attitudes of files, in whatever axes → Earth-fixed; attitudes that end early are continued.
 
-Tables (CSV) and CCSDS messages. What was understood, what is doubted and what it adds to the sigma of the
-attitude is kept by the `InputFolder`.
+Tables (CSV), CCSDS messages and SBET. What was understood, what is doubted and what it adds to the sigma of
+the attitude is kept by the `InputFolder`.
 
 Not here: axes of ``[world]`` (``platform.py``), how the Earth is turned (``geometry/earth_orientation.py``).
 """
@@ -22,7 +22,7 @@ from sightline.geometry.earth_orientation import AXES
 from sightline.io.acquisition.acquired import InputFolder
 from sightline.io.acquisition.schema import AcquisitionFile, EphemerisPlatform, SpinPlatform
 from sightline.io.acquisition.spin import must_cover
-from sightline.io.formats import ccsds, ccsds_attitude, mean_elements, tables
+from sightline.io.formats import ccsds, ccsds_attitude, mean_elements, sbet, tables
 from sightline.io.formats.ccsds_message import body_of, is_earth
 from sightline.io.formats.earth_orientation import TurningEarth
 
@@ -98,7 +98,12 @@ def earth_of(config: AcquisitionFile, files: InputFolder) -> TurningEarth:
 def read_orbit(
     path: Path, epoch: str | None, *, span: Span | None = None, earth: TurningEarth | None = None
 ) -> GivenOrbit:
-    """Positions of a CSV table, a CCSDS OEM or OMM, or of two-line elements."""
+    """Positions of a CSV table, a CCSDS OEM or OMM, of two-line elements or of a SBET."""
+    if sbet.is_sbet(path):
+        flown = sbet.read_sbet(path, epoch, span)
+        return GivenOrbit(
+            flown.t, flown.position, axes="ITRF", centre="EARTH", words=flown.words, doubt=flown.doubt
+        )
     kind = ccsds.is_ccsds(path, "OEM", "OMM")
     if kind is None and mean_elements.is_tle(path):
         kind = "TLE"
@@ -132,7 +137,12 @@ def _propagated(path: Path, kind: str, epoch: str, span: Span) -> GivenOrbit:
 def read_attitude(
     path: Path, epoch: str | None, *, span: Span | None = None, earth: TurningEarth | None = None
 ) -> GivenAttitude:
-    """Attitudes of a CSV table, a CCSDS AEM or APM."""
+    """Attitudes of a CSV table, a CCSDS AEM or APM, or of a SBET."""
+    if sbet.is_sbet(path):
+        flown = sbet.read_sbet(path, epoch, span)
+        return GivenAttitude(
+            flown.t, flown.fixed_from_body.as_quat(), "ITRF", "EARTH", words=f"attitudes of {flown.words}"
+        )
     kind = ccsds.is_ccsds(path, "AEM", "APM")
     if kind is None:
         return GivenAttitude(*tables.read_attitudes(path))

@@ -162,10 +162,11 @@ class EphemerisPlatform(KnownAttitude):
     """``[platform]`` kind ephemeris: positions and attitudes from tables."""
 
     kind: Literal["ephemeris"]
-    positions: FileName = Field(description="CSV t,x,y,z, CCSDS OEM or OMM, or two-line elements (TLE)")
+    positions: FileName = Field(description="CSV t,x,y,z, CCSDS OEM or OMM, two-line elements (TLE), or SBET")
     attitudes: FileName = Field(
         default="along-track",
-        description='CSV t,qx,qy,qz,qw (world_from_body), CCSDS AEM, APM, or "along-track" (z down, x ahead)',
+        description="CSV t,qx,qy,qz,qw (world_from_body), CCSDS AEM, APM, SBET, or "
+        '"along-track" (z down, x ahead)',
     )
     position_axes: GivenAxes | None = Field(
         default=None, description="Axes of a CSV table of positions that is not in those of [world]"
