@@ -284,3 +284,28 @@ def test_pairs_that_are_not_seen_together_still_have_a_covariance():
     correlation = estimate_correlation(star, post)
     assert np.linalg.eigvalsh(correlation)[0] > 0.0
     assert np.abs(correlation[0, 2]) > 0.2
+
+
+def test_few_rows_do_not_make_some_pairs_look_better_than_others():
+    # 75 rows of four windows leave 150 squares a component: long sums of them scatter by
+    # sqrt(4/3 * 9 / 150) = 28 %, and the variances of six components, averaged over three pairs, by
+    # 28 / sqrt(3) = 16 % and what is left of the plain ones, sqrt(2 / 150) = 12 %: 20 %
+    found = []
+    for seed in range(20):
+        star = plain_star(75, 4, 3, SIGMA)
+        found.append(np.diag(estimate_correlation(star, drawn(star, 700 + seed))))
+    assert np.std(found) < 0.24
+    # the mean of 40 independent draws of that: 4 sigma
+    assert np.mean(found) == pytest.approx(1.0, abs=4 * 0.2 / np.sqrt(40))
+
+
+def test_pairs_whose_errors_last_are_told_from_those_whose_errors_do_not():
+    # 1,500 rows of ten windows: long sums scatter by sqrt(4/3 * 9 / 12,000) = 3 %
+    star = plain_star(1500, 10, 2, SIGMA)
+    error = drawn(star, 3).reshape(1500, 10, 2, 2)
+    error[1:, :, 1] = (error[1:, :, 1] + error[:-1, :, 1]) / np.sqrt(2.0)
+    size = np.diag(estimate_correlation(star, error.reshape(-1, 2, 2)))
+    assert size[:2] == pytest.approx(1.0, abs=0.15)
+    # a mean of two neighbours: twice the variance in long sums, of which the weights of nine rows see
+    # 1 + 8/9
+    assert size[2:] == pytest.approx(1.0 + 8.0 / 9.0, abs=0.2)

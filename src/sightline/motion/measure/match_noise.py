@@ -110,15 +110,46 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
         total = total * np.outer(grown, grown)
         # of pairs that are not seen in the same windows: no covariance of anything, it may be
         return _definite(total, np.sqrt(np.diag(total)))
-    scale = np.sqrt(np.diag(total))
-    for shift in range(1, min(ROW_LAGS, len(v) - 1) + 1):
+    plain, lags = total, min(ROW_LAGS, len(v) - 1)
+    scale = np.sqrt(np.diag(plain))
+    for shift in range(1, lags + 1):
         step = covariance(shift) * (1.0 - shift / (ROW_LAGS + 1.0))
         total = total + step + step.T
+    total = _steadied(total, plain, np.sqrt(4.0 / 3.0 * (lags + 1.0) / counted))
     beside = np.tile(np.sqrt(_error_beside(v)), pairs)
     total = total * np.outer(beside, beside)
     scale = scale * beside
     # long-run sums may fall below the plain variance by chance or by overlap; never trust more than half
     return _definite(total, scale)
+
+
+def _steadied(long: Array, plain: Array, chance: float) -> Array:
+    """Covariance (2K, 2K) of long means, in place of one of which the sums of few rows are mostly chance.
+
+    Parameters
+    ----------
+    long, plain : (2K, 2K)
+        Of long means as sums of rows have it, and of single rows.
+    chance : float
+        By how much the variances of `long` scatter, as a share.
+
+    Notes
+    -----
+    What errors of a row share with later rows is of the texture, and much alike for all pairs: as far as the
+    pairs differ by no more than chance (James and Stein), they have the mean of all.
+    """
+    ratio = (np.diag(long) / np.diag(plain)).reshape(-1, 2)  # along lines, along columns
+    mean = ratio.mean(axis=0)
+    spread = float(np.mean((ratio / mean - 1.0) ** 2)) * len(ratio) / max(len(ratio) - 1, 1)
+    believed = max(0.0, 1.0 - chance**2 / spread) if spread > 0.0 else 0.0
+    size = np.sqrt(np.maximum(mean + believed * (ratio - mean), LEAST_SHARE).ravel() * np.diag(plain))
+
+    def correlation(c: Array) -> Array:
+        own = np.sqrt(np.maximum(np.diag(c), LEAST_SHARE * np.diag(plain)))
+        return np.asarray(c / np.outer(own, own))
+
+    both = believed * correlation(long) + (1.0 - believed) * correlation(plain)
+    return np.asarray(both * np.outer(size, size))
 
 
 def _definite(total: Array, scale: Array) -> Array:
