@@ -16,6 +16,8 @@ ORBIT_CASES = (
 )  # fmt: skip
 #: Photographs of a matrix instrument in place of a strip.
 FRAMES_CASE = "frames"
+#: What `--acquisition` stands for in a SCENE.toml.
+ACQUISITION_CASE = "acquisition"
 #: Cases of synchronous cameras.
 STEREO_CASES = (
     "A_paper_T6_K64", "B_paper_T7_K64", "C_paper_T8_K64_128s", "D_paper_T6_K128", "E_modern_4k_sep40",
@@ -33,6 +35,7 @@ EXAMPLES = {
     "simulate line-of-sight": (
         "simulate line-of-sight --out strip --lines 2000 --columns 400",
         "simulate line-of-sight --out spin --case spin-leo",
+        "simulate line-of-sight --out tried --acquisition strip/acquisition.toml --lines 800 --columns 300",
     ),
     "simulate stereo": ("simulate stereo --out pass --shots 8 --points 60",),
     "simulate frames": ("simulate frames --out flight --case small",),

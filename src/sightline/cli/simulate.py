@@ -12,6 +12,7 @@ import typer
 from typer.core import TyperCommand
 
 from sightline.cli.options import (
+    ACQUISITION_CASE,
     FRAMES_CASE,
     ORBIT_CASES,
     SEQUENCE_CASES,
@@ -75,7 +76,10 @@ def _keys_of(kind: str) -> dict[str, str]:
 app = typer.Typer(help="Render a scene whose truth is known.", no_args_is_help=True)
 
 #: Said in --help, which must not wait for the import of the cases.
-_LINES, _COLUMNS = "3000; real: 2400; instruments: 1500", "1000; real: 640; instruments: 640"
+_LINES, _COLUMNS = (
+    "3000; real: 2400; instruments, --acquisition: 1500",
+    "1000; real: 640; instruments, --acquisition: 640",
+)
 _CASE_OWN = "the case's"
 
 SceneFlag = Annotated[
@@ -130,6 +134,15 @@ def line_of_sight(
             f"{FRAMES_CASE}. Made of real data, in the folder that SIGHTLINE_DATA names: real, other-family",
         ),
     ] = None,
+    acquisition: Annotated[
+        Path | None,
+        typer.Option(
+            "--acquisition",
+            metavar="ACQUISITION.toml",
+            help="In place of a case: render for the cameras of its bands, a random motion on top. --lines, "
+            "--columns: the first of larger images.",
+        ),
+    ] = None,
     seed: SeedFlag = None,
     lines: Annotated[Count, _size("--lines", "Of every band.", _LINES)] = None,
     columns: Annotated[Count, _size("--columns", "Of every band.", _COLUMNS)] = None,
@@ -141,6 +154,10 @@ def line_of_sight(
 ) -> None:
     """Bands of one pushbroom strip: ACQUISITION.toml for `recover`, and truth.csv for `score`."""
     flags = {"case": case, "seed": seed, "lines": lines, "columns": columns, "frames": frames}
+    if acquisition is not None:
+        if case is not None:
+            raise typer.BadParameter(f"--case {case} and --acquisition are both given; keep one of them")
+        flags |= {"case": ACQUISITION_CASE, "acquisition": str(acquisition)}
     _simulate("line-of-sight", out, scene, settings, flags, overwrite, as_json)
 
 
@@ -203,7 +220,7 @@ def _simulate(
             cost = scene_cost(recipe)
             cost.check()
             announce(cost)
-            names = _MAKERS[recipe.family.name](recipe, folder, report)
+            names = _made(recipe, folder, out, report)
         names.append(write_recipe(folder / SCENE, recipe).name)
     seconds = round(time.perf_counter() - begin, 3)
     if as_json:
@@ -213,6 +230,13 @@ def _simulate(
     command, file = _NEXT[kind]
     say(f"rendered in {seconds:.1f} s: {out / file}")
     say(f"next: sightline {command} {out / file} --out RESULT")
+
+
+def _made(recipe: SceneRecipe, folder: Path, out: Path, report: Progress) -> list[str]:
+    """The scene in `folder`, whose files will lie in `out`; their names."""
+    if recipe.family.name == "acquired":
+        return _acquired(recipe, folder, out, report)
+    return _MAKERS[recipe.family.name](recipe, folder, report)
 
 
 #: What reads the scenes of each kind.
@@ -259,6 +283,16 @@ def _orbit(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:
     refuse_useless_strip(cameras_of, Ellipsoid(*WGS84, 0.0), size, options.pairs)
     step = steps_of(report, "rendering the bands, and the truth")
     return list(write_instrument(instrument_case(case, seed, **recipe.given), folder, step))
+
+
+def _acquired(recipe: SceneRecipe, folder: Path, out: Path, report: Progress) -> list[str]:
+    """A strip of the cameras of an acquisition; the names of its files."""
+    from sightline.io.scene.acquired import acquired_scenario, read_acquired, write_acquired
+
+    file = read_acquired(recipe.options)
+    scenario = acquired_scenario(file, recipe.seed, recipe.options, folder)
+    step = steps_of(report, "rendering the bands, and the truth")
+    return list(write_acquired(scenario, file, folder, out, step))
 
 
 def _photographs(recipe: SceneRecipe, folder: Path, report: Progress) -> list[str]:

@@ -11,6 +11,8 @@ import json
 import re
 import unicodedata
 from collections.abc import Callable, Iterable
+from datetime import date
+from typing import Any
 
 from sightline.errors import STEERING, printable
 
@@ -29,6 +31,17 @@ def toml_string(text: str) -> str:
     """A basic string of TOML that says `text`; halves of characters are written as `printable` does."""
     kept = re.sub("[\ud800-\udfff]", lambda found: printable(found[0]), text)
     return json_printable(json.dumps(kept, ensure_ascii=False))
+
+
+def toml_value(value: Any) -> str:
+    """A value as TOML has it: numbers that read back to the same bits."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return toml_string(value)
+    if isinstance(value, list | tuple):
+        return f"[{', '.join(toml_value(part) for part in value)}]"
+    return value.isoformat() if isinstance(value, date) else repr(value)
 
 
 def file_stem(name: str) -> str:

@@ -1,5 +1,7 @@
 """Images of an ellipsoidal Earth: rays met with the ellipsoid in closed form, light, noise, space beyond.
 
+Another ground may be met in its place: any function of rays.
+
 The ground's brightness is a function of two coordinates of a ground point: its projection on a plane
 square to a line of sight in the middle of the scene. On the side of the Earth that is seen they name every
 place once, and a pixel covers about as much of the plane at the limb as at the nadir.
@@ -9,7 +11,7 @@ Not here: flat worlds (``sensor.py``), the ground's spectrum (``scene.py``).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,20 +58,23 @@ class ViewPlane:
     axes : (2, 3) unit vectors square to the line of sight
     pixel : (float, float)
         m in the plane from one column, one line, to the next, in the middle of the scene.
+    meet : callable
+        Ground points (N, 3) that half-lines from origins (N, 3) along directions (N, 3) see; NaN where none.
     """
 
     origin: Array
     axes: Array
     pixel: tuple[float, float]
+    meet: Callable[[Array, Array], Array] = meet_ellipsoid
 
     @classmethod
-    def of(cls, camera: PushbroomCamera) -> ViewPlane:
+    def of(cls, camera: PushbroomCamera, meet: Callable[[Array, Array], Array] = meet_ellipsoid) -> ViewPlane:
         """The plane square to the middle of an image's lines of sight."""
         middle = np.array([(camera.lines - 1) / 2.0, (camera.columns - 1) / 2.0])
         rays = camera.rays(middle + np.array([[0.0, 0.0], [0.5, 0.0], [-0.5, 0.0], [0.0, 0.5], [0.0, -0.5]]))
-        ground = meet_ellipsoid(rays.origins, rays.directions)
+        ground = meet(rays.origins, rays.directions)
         if not np.isfinite(ground).all():
-            raise GeometryError("the middle of the scene looks past the Earth; reduce the viewing angle")
+            raise GeometryError("the middle of the scene looks past the ground; reduce the viewing angle")
         look = rays.directions[0]
         line, column = (
             step - look * (look @ step) for step in (ground[1] - ground[2], ground[3] - ground[4])
@@ -77,7 +82,7 @@ class ViewPlane:
         ahead = line / np.linalg.norm(line)
         aside = column - ahead * (ahead @ column)
         size = float(np.linalg.norm(aside)), float(np.linalg.norm(line))
-        return cls(ground[0], np.stack([aside / size[0], ahead]), size)
+        return cls(ground[0], np.stack([aside / size[0], ahead]), size, meet)
 
     def coordinates(self, points: Array) -> tuple[Array, Array]:
         """Coordinates x, y (N,) m of ground points (N, 3)."""
@@ -91,7 +96,7 @@ class ViewPlane:
             lines, columns = (np.linspace(0.0, n - 1.0, _GRID) for n in camera.shape)
             pixels = np.stack(np.meshgrid(lines, columns, indexing="ij"), axis=-1).reshape(-1, 2)
             rays = camera.rays(pixels)
-            found.append(np.stack(self.coordinates(meet_ellipsoid(rays.origins, rays.directions))))
+            found.append(np.stack(self.coordinates(self.meet(rays.origins, rays.directions))))
         x, y = np.concatenate(found, axis=1)
         more = margin * self.pixel[0], margin * self.pixel[1]
         low_x, high_x = np.nanmin(x) - more[0], np.nanmax(x) + more[0]
@@ -99,14 +104,33 @@ class ViewPlane:
 
 
 def earth_brightness(
-    camera: PushbroomCamera, scene: Scene, plane: ViewPlane, band: int, lines: tuple[int, int]
+    camera: PushbroomCamera,
+    scene: Scene,
+    plane: ViewPlane,
+    band: int,
+    lines: tuple[int, int],
+    parts: tuple[int, int] = (1, 1),
 ) -> Array32:
-    """Noiseless brightness of lines ``lines[0]`` to ``lines[1] - 1``, in units of the mean ground."""
+    """Noiseless brightness of lines ``lines[0]`` to ``lines[1] - 1``, in units of the mean ground.
+
+    Each is the mean over `parts` points of a pixel along its lines and columns.
+    """
+    down, along = ((np.arange(n) + 0.5) / n - 0.5 for n in parts)
+    total = np.zeros((lines[1] - lines[0], camera.columns), dtype=np.float32)
+    for shift in np.stack(np.meshgrid(down, along, indexing="ij"), axis=-1).reshape(-1, 2):
+        total += _brightness_at(camera, scene, plane, band, lines, shift)
+    return total / np.float32(parts[0] * parts[1])
+
+
+def _brightness_at(
+    camera: PushbroomCamera, scene: Scene, plane: ViewPlane, band: int, lines: tuple[int, int], shift: Array
+) -> Array32:
+    """Brightness of points `shift` (2,) px from the middles of the pixels."""
     pixels = np.stack(
         np.meshgrid(np.arange(*lines), np.arange(camera.columns), indexing="ij"), axis=-1
     ).reshape(-1, 2)
-    rays = camera.rays(pixels.astype(np.float64))
-    x, y = plane.coordinates(meet_ellipsoid(rays.origins, rays.directions))
+    rays = camera.rays(pixels + shift)
+    x, y = plane.coordinates(plane.meet(rays.origins, rays.directions))
     seen = np.isfinite(x)
     light = np.full(len(x), SPACE, dtype=np.float32)
     light[seen] = scene.ground_brightness(band, x[seen], y[seen])
@@ -120,6 +144,7 @@ def earth_chunks(
     band: int,
     radiometry: Radiometry,
     seed: np.random.SeedSequence,
+    parts: tuple[int, int] = (1, 1),
 ) -> Iterator[tuple[int, NDArray[np.uint16]]]:
     """The image of one band as (first line, block of lines), top to bottom; again alike at every call."""
     starts = range(0, camera.lines, CHUNK_LINES)
@@ -127,6 +152,6 @@ def earth_chunks(
     band_mean = radiometry.mean_dn * scene.bands[band].gain
     for first, stream in zip(starts, streams, strict=True):
         last = min(first + CHUNK_LINES, camera.lines)
-        light = earth_brightness(camera, scene, plane, band, (first, last))
+        light = earth_brightness(camera, scene, plane, band, (first, last), parts)
         dn = light * np.float32(radiometry.mean_dn)
         yield first, radiometry.digitise(dn, band_mean, np.random.default_rng(stream))

@@ -229,6 +229,8 @@ class InputFolder:
         #: Whether images that are not there are described all the same; and those that are not.
         self.describing = False
         self.absent: list[str] = []
+        #: Lines and columns that are taken for them, by band, in place of those of others or of models.
+        self.sizes: Mapping[str, tuple[int, int]] = {}
         #: Of each band with a sensor model: what its attitudes do not hold, and the grid that it shares.
         self.bends: list[tuple[str, ...]] = []
         self.grids: list[OneGrid | None] = []

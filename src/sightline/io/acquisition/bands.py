@@ -150,6 +150,8 @@ def _shape_of_missing(
     like = open_image(files(there.image), there.image_band).shape if there is not None else None
 
     def shape(band: BandSection) -> tuple[int, int] | None:
+        if band.name in files.sizes:
+            return files.sizes[band.name]
         columns = _given(config, band, "columns") or (like and like[1])
         return None if columns is None else (like[0] if like else UNKNOWN_LINES, int(columns))
 
@@ -186,6 +188,11 @@ def _detector_and_timing(
 ) -> tuple[LineDetector, _Timing]:
     """Where a band looks and when its lines are exposed; its table agrees with its image."""
     where = f"{files.toml}: [[band]] number {index + 1} ({band.name})"
+    if band.first_pixel is not None:
+        raise FormatError(
+            f"{where}: first_pixel is of a part of a sensor model's image ([platform] kind camera-model); in "
+            "its place give columns, first_line_time and tables of the part"
+        )
     lines, width = image.shape
     columns = _given(config, band, "columns")
     if columns is not None and columns != width:

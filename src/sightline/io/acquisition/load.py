@@ -9,7 +9,7 @@ trajectories and surfaces (``platform.py``, ``ground.py``).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -90,10 +90,32 @@ def load_acquisition(path: str | Path, *, look: bool = True, describe: bool = Fa
     GeometryError
         If the elevation raster does not cover the strip, or an image shares no ground with any other.
     """
-    path = Path(path)
+    return _loaded(Path(path), look=look, sizes={} if describe else None)
+
+
+def acquisition_of_size(path: Path, sizes: Mapping[str, tuple[int, int]]) -> Acquisition:
+    """The geometry of an ACQUISITION.toml whose images are yet to be made, of so many lines and columns.
+
+    Parameters
+    ----------
+    path : Path
+        The TOML file.
+    sizes : mapping
+        Lines and columns of the image of each band, by its name.
+
+    Raises
+    ------
+    FormatError, SpanError, GeometryError
+        As `load_acquisition`.
+    """
+    return _loaded(path, look=False, sizes=sizes)
+
+
+def _loaded(path: Path, *, look: bool, sizes: Mapping[str, tuple[int, int]] | None) -> Acquisition:
+    """The file and what it names; images that are not there described where `sizes` are given."""
     config = read_acquisition(path)
     with input_files(path, config) as files:
-        files.describing = describe
+        files.describing, files.sizes = sizes is not None, sizes or {}
         acquired = _acquisition(path, config, files, look=look)
     for image in (*acquired.bands, *acquired.frames):
         set_source(image, acquired)

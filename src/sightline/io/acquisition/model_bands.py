@@ -17,6 +17,7 @@ from sightline.io.acquisition.bands import match_sigma_of, open_band_image, piec
 from sightline.io.acquisition.schema import AcquisitionFile, BandSection
 from sightline.io.acquisition.spin import mount_of
 from sightline.io.acquisition.stages import stages_of
+from sightline.io.formats.images import Source
 from sightline.io.formats.line_scan import LineScanModel, of_size
 from sightline.io.formats.sensor_model import read_sensor_model
 from sightline.motion.band import Band
@@ -41,7 +42,7 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
     Notes
     -----
     ``look_ahead``, ``offset_px`` and ``rotation`` are applied on top of the model; ``first_line_time``
-    replaces the model's.
+    replaces the model's. An image that is a part of the model's says by ``first_pixel`` where it begins.
     """
     shared = getattr(config.platform, "model", None)
     bands: list[Band] = []
@@ -66,10 +67,16 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
             )
         files.doubts += model.doubts
         files.bends.append(model.lacks)
-        files.grids.append(model.one_grid)
+        # bands that are said to look elsewhere, or at another time, are not those of the maker's one grid
+        own = band.look_ahead != 0.0 or band.first_line_time is not None
+        files.grids.append(None if own else model.one_grid)
         files.reference_et, files.body = model.reference_et, files.body or model.body
-        image = open_band_image(band, files, look=look, shape=model.camera.shape)
-        if image.shape == model.padded:
+        begin = band.first_pixel or (0, 0)
+        rest = (model.camera.shape[0] - begin[0], model.camera.shape[1] - begin[1])
+        image = open_band_image(band, files, look=look, shape=files.sizes.get(band.name, rest))
+        if band.first_pixel is not None:
+            model = replace(model, camera=_part(model.camera, begin, image, f"{where}: {name}"))
+        elif image.shape == model.padded:
             model = replace(model, camera=of_size(model.camera, image.shape))
         if image.shape != model.camera.shape:
             raise FormatError(
@@ -102,6 +109,24 @@ def _refuse_own_geometry(config: AcquisitionFile, band: BandSection, where: str)
     for key in ("ifov", "columns", "line_period", "directions", "line_times"):
         if getattr(band, key, None) is not None or getattr(config.instrument, key, None) is not None:
             raise FormatError(f"{where}: {key} is given, but the model file brings it; remove it")
+
+
+def _part(camera: PushbroomCamera, begin: tuple[int, int], image: Source, where: str) -> PushbroomCamera:
+    """The camera of an image that is a part of its own and begins at a pixel (line, column) of that."""
+    end = begin[0] + image.shape[0], begin[1] + image.shape[1]
+    if end[0] > camera.lines or end[1] > camera.columns:
+        raise FormatError(
+            f"{where} has {camera.lines} lines x {camera.columns} columns; {image.path.name} ("
+            f"{image.shape[0]} x {image.shape[1]}) that begins at first_pixel {list(begin)} ends beyond them"
+        )
+    times = camera.line_times
+    return replace(
+        camera,
+        detector=replace(camera.detector, directions=camera.detector.directions[begin[1] : end[1]]),
+        first_line_time=float(camera.times([float(begin[0])])[0]),
+        lines=image.shape[0],
+        line_times=None if times is None else times[begin[0] : end[0]],
+    )
 
 
 def _placed(model: LineScanModel, band: BandSection, config: AcquisitionFile) -> PushbroomCamera:

@@ -309,6 +309,8 @@ class LineGeometry(SchemaSection):
     )
 
 
+#: Of an image that another was cut from.
+FirstPixel = Annotated[int, Within(0, 10_000_000)]
 #: CCDs of a detector line, and columns at which one begins.
 PieceCount = Annotated[int, Within(2, 1000)]
 PieceColumn = Annotated[int, Within(1, 1_000_000)]
@@ -377,6 +379,11 @@ class BandSection(LineGeometry):
     )
     model: FileName | None = Field(
         default=None, description="Sensor-model file of this band, [platform] kind camera-model"
+    )
+    first_pixel: tuple[FirstPixel, FirstPixel] | None = Field(
+        default=None,
+        description="[line, column] of the model's image at which that of this band begins, where it is a "
+        "part of it, [platform] kind camera-model",
     )
 
     @model_validator(mode="after")

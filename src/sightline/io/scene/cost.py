@@ -6,10 +6,13 @@ Not here: whether what is made could be used (``cli/usable.py``).
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 from sightline.applications.expected_cost import Cost, orientation_cost_of, rendering_cost
+from sightline.io.acquisition.load import read_acquisition
 from sightline.io.scene.recipe import SceneRecipe
+from sightline.simulate.acquired import AcquiredOptions
 from sightline.simulate.frames import FrameCaseOptions
 from sightline.simulate.instruments import InstrumentOptions
 from sightline.simulate.scenarios import ground_cells
@@ -30,6 +33,11 @@ def _strip_cost(options: StripOptions, files: Mapping[str, Any]) -> Cost:
 def _orbit_cost(options: InstrumentOptions, files: Mapping[str, Any]) -> Cost:
     widest = max(options.width(detector) for detector in options.detectors)
     return _bands_cost(options.lines, widest, len(options.detectors), 0.0)
+
+
+def _acquired_cost(options: AcquiredOptions, files: Mapping[str, Any]) -> Cost:
+    bands = len(read_acquisition(Path(options.acquisition)).band) if options.acquisition else 1
+    return _bands_cost(options.lines, options.columns, bands, 0.0)
 
 
 def _bands_cost(lines: int, columns: int, bands: int, ground: float) -> Cost:
@@ -75,6 +83,7 @@ def _flight_cost(options: SequenceOptions, files: Mapping[str, Any]) -> Cost:
 _COSTS: dict[str, Callable[[Any, Mapping[str, Any]], Cost]] = {
     "strip": _strip_cost,
     "orbit": _orbit_cost,
+    "acquired": _acquired_cost,
     "photographs": _photographs_cost,
     "pass": _pass_cost,
     "flight": _flight_cost,

@@ -19,6 +19,7 @@ from pydantic import BaseModel, BeforeValidator, Field, create_model
 from sightline.io.acquisition.schema import MOST_LISTED, SchemaSection
 from sightline.io.quantities import Within, shown
 from sightline.io.scene.schema import SceneFile
+from sightline.simulate.acquired import AcquiredOptions
 from sightline.simulate.frames import FrameCaseOptions
 from sightline.simulate.instruments import INSTRUMENT_OPTIONS, InstrumentOptions
 from sightline.simulate.option_checks import descriptions
@@ -111,6 +112,7 @@ class Family:
 FAMILIES = (
     Family("strip", "line-of-sight", StripOptions, STRIP_OPTIONS, StripWritten),
     Family("orbit", "line-of-sight", InstrumentOptions, INSTRUMENT_OPTIONS, SceneFile),
+    Family("acquired", "line-of-sight", AcquiredOptions, {"acquisition": {}}, SceneFile),
     Family("photographs", "line-of-sight", FrameCaseOptions, {"frames": {}}, PhotographsWritten),
     Family("pass", "stereo", StereoOptions, STEREO_OPTIONS, StereoWritten),
     Family("flight", "frames", SequenceOptions, SEQUENCE_OPTIONS, FlightWritten),

@@ -20,7 +20,7 @@ from sightline.errors import FormatError, InputError
 from sightline.io.acquisition.stages import read_stages
 from sightline.io.config import read_toml, validate
 from sightline.io.formats.tables import header_of, read_columns
-from sightline.io.names import toml_string
+from sightline.io.names import toml_value
 from sightline.io.quantities import shown
 from sightline.io.scene.models import FAMILIES, Family, plain_options, scene_model
 from sightline.io.scene.schema import KINDS, SceneFile
@@ -30,6 +30,8 @@ from sightline.writing import whole_text
 
 #: Name of the file in the folder of a scene.
 SCENE = "scene.toml"
+#: Options that name a file: seen from the folder of the SCENE.toml.
+_NAMED = ("dem_file", "acquisition")
 #: m; side of the ground under rendered frames: those that look obliquely reach far beyond the scene.
 _FRAMED_GROUND = 60e3
 
@@ -107,8 +109,9 @@ def read_recipe(
     if _is_file(parsed.get("stages")) and "stages" in model.model_fields:
         parsed["stages"] = chosen = _stages_of(Path(parsed["stages"][0]))
     given = _checked(model, tables, file) if file else {}
-    if given.get("dem_file") and file is not None:
-        given["dem_file"] = str(file.parent / given["dem_file"])
+    for key in _NAMED:
+        if given.get(key) and file is not None:
+            given[key] = str(file.parent / given[key])
     given |= _checked(model, parsed, Path("--set"))
     for name, value in asked.items():
         given |= _flag(model, family, case, given, name, value)
@@ -265,9 +268,9 @@ def describe_recipe(recipe: SceneRecipe) -> dict[str, Any]:
     kind, given = recipe.family.kind, plain_options(recipe.options)
     changed = {name: given[name] for name in given if name in recipe.given}
     understood = [f"a scene for `sightline simulate {kind} --scene`: case {recipe.case}, seed {recipe.seed}"]
-    understood += [f"{name} = {_toml(value)}" for name, value in changed.items() if name != "detectors"]
+    understood += [f"{name} = {toml_value(value)}" for name, value in changed.items() if name != "detectors"]
     understood += [f"detector {detector['name']}" for detector in changed.get("detectors", ())]
-    understood += [f"{name} = {_toml(value)}" for name, value in recipe.files.items()]
+    understood += [f"{name} = {toml_value(value)}" for name, value in recipe.files.items()]
     return {
         "understood": understood,
         "missing": [],
@@ -285,8 +288,9 @@ def write_recipe(path: Path, recipe: SceneRecipe) -> Path:
 def recipe_toml(recipe: SceneRecipe) -> str:
     """The text of that file."""
     options = plain_options(recipe.options)
-    if options.get("dem_file"):
-        options["dem_file"] = str(Path(options["dem_file"]).resolve())
+    for key in _NAMED:
+        if options.get(key):
+            options[key] = str(Path(options[key]).resolve())
     keys = {"kind": recipe.family.kind, "case": recipe.case, "seed": recipe.seed, **options, **recipe.files}
     detectors = keys.pop("detectors", [])
     return "\n".join([
@@ -301,15 +305,4 @@ def recipe_toml(recipe: SceneRecipe) -> str:
 
 def _lines(table: Mapping[str, Any]) -> Iterator[str]:
     """Keys and values of a table; what is None is left out, as TOML has no such value."""
-    return (f"{key} = {_toml(value)}" for key, value in table.items() if value is not None)
-
-
-def _toml(value: Any) -> str:
-    """A value as TOML has it: numbers that read back to the same bits."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return toml_string(value)
-    if isinstance(value, list | tuple):
-        return f"[{', '.join(_toml(part) for part in value)}]"
-    return repr(value)
+    return (f"{key} = {toml_value(value)}" for key, value in table.items() if value is not None)
