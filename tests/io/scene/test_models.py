@@ -27,7 +27,7 @@ def test_every_number_has_a_range_every_option_a_description_and_no_case_leaves_
     hints, fields = get_type_hints(options), dataclasses.fields(options)
     numbers = {field.name for field in fields if {int, float} & set(parts(hints[field.name]))}
     assert numbers == set(options.RANGES)
-    words = {field.name for field in fields if hints[field.name] is str} - {"dem_file", "name"}
+    words = {field.name for field in fields if hints[field.name] is str} - {"acquisition", "dem_file", "name"}
     assert words == set(options.WORDS)
     said = descriptions(options)
     assert list(said) == [field.name for field in fields] or set(said) == {field.name for field in fields}
