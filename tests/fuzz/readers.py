@@ -12,6 +12,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
+from tests.sentinel2_files import DATASTRIP, GRANULE
+
 EPOCH = "2026-01-01T00:00:00Z"
 
 
@@ -240,6 +242,12 @@ _row(
 )  # fmt: skip
 function("formats.sensor_model.read_sensor_model", "products", "PAN.XML")
 function("formats.products.recognise.read_product", "products", "PAN.XML")
+_row(
+    "formats.products.sentinel2.read_granule_times",
+    "products",
+    [GRANULE, DATASTRIP],
+    lambda folder, read: read(folder / GRANULE, folder / DATASTRIP),
+)
 function("formats.products.tree.read_xml", "products", "PAN.XML", "metadata")
 function("formats.products.worldview.read_worldview", "products", "PAN.XML")
 _row(

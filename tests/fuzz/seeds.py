@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
-from tests import maker_files
+from tests import maker_files, sentinel2_files
 from tests.io.sequence_files import NORTH, Flight, flight, npy
 from tests.io.stereo_files import scene
 from tests.product_files import WorldViewScene
@@ -483,6 +483,7 @@ model = "state.json"
 def products(folder: Path) -> None:
     """Two scenes of one strip as XML, and one as text."""
     size = {"rows": LINES, "columns": COLUMNS, "pitch": 0.05, "before": 0.2}
+    sentinel2_files.write_granule(folder)
     WorldViewScene(**size, image="PAN.tif").xml(folder, "PAN.XML")
     WorldViewScene(**size, origin=(4.4, 8.0), image="XS.npy").text(folder, "XS")
     bands(folder)

@@ -203,7 +203,11 @@ def _unknown(preset: Preset, sign: int | None) -> tuple[str, ...]:
     )
     return (
         *([lags] if sign is None and not preset.signed else []),
-        "epoch: when t = 0 was; times count from line 0 of the band without a lag",
+        *(
+            []
+            if preset.epoch
+            else ["epoch: when t = 0 was; times count from line 0 of the band without a lag"]
+        ),
         "attitude and orbit: what is recovered is the motion about an even flight, not where the ground lies",
     )
 
@@ -211,7 +215,8 @@ def _unknown(preset: Preset, sign: int | None) -> tuple[str, ...]:
 def _common(preset: Preset, first: _Image) -> str:
     """What all bands have alike but for those of other pixels."""
     wide = preset.wide_of(first.name)
-    return f"""[platform]
+    head = f"[acquisition]\nepoch = {toml_string(preset.epoch)}\n\n" if preset.epoch else ""
+    return f"""{head}[platform]
 kind = "level-flight"
 altitude = {preset.altitude!r}               # m
 ground_speed = {preset.ground_speed:.8g}          # m/s
@@ -228,6 +233,8 @@ def _band(preset: Preset, band: _Image, first: _Image, folder: Path, sign: int) 
     # 0.0 - 0.0 is not -0.0
     ahead = 0.0 - math.atan(lag * preset.ground_speed / preset.altitude)
     known = f"lag {lag:g} +- {abs(lag) * preset.lag_sigma:.2g} s" if lag else "lags count from here"
+    if lag and not preset.lag_sigma:
+        known = f"lag {lag:g} s, by the time stamps"
     wide = preset.wide_of(band.name)
     own = (
         ""

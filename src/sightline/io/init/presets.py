@@ -39,6 +39,8 @@ class Preset:
         Bands whose pixels and line periods are so many times `pixel` and `line_period`; 1 of all others.
     signed : bool
         Whether bands are known to see the ground after the first one, and not before it.
+    epoch : str
+        UTC of line 0 of the first band; empty where it is not known.
     """
 
     instrument: str
@@ -53,6 +55,7 @@ class Preset:
     sources: tuple[str, ...]
     wide: Mapping[str, int] = field(default_factory=dict)
     signed: bool = False
+    epoch: str = ""
 
     def wide_of(self, band: str) -> int:
         """How many times as wide as `pixel` those of a band are."""

@@ -18,6 +18,7 @@ from sightline.io.config import validate
 from sightline.io.formats.instants import FIRST_YEAR, LAST_YEAR
 from sightline.io.formats.products.product import Product, ProductBand
 from sightline.io.formats.products.recognise import KNOWN, metadata_of, product_kind, read_product
+from sightline.io.formats.products.sentinel2 import FINE, read_granule_times
 from sightline.io.init.agreement import agreement
 from sightline.io.init.bands import FirstAcquisition, acquisition_of_bands, path_from
 from sightline.io.init.mosaic import mosaic
@@ -62,6 +63,9 @@ def acquisition_of_products(
         If several products are no bands of one strip.
     """
     files = [metadata_of(path) for path in paths]
+    kinds = [product_kind(path) or "" for path in files]
+    if any(kind.startswith("sentinel2") for kind in kinds):
+        return _of_granule(files, kinds, folder, names)
     bare = [path for path in files if product_kind(path) is None]
     metadata = [path for path in files if path not in bare]
     if len(metadata) == 1 and bare:
@@ -166,6 +170,52 @@ def _of_raw_bands(
     begun = acquisition_of_bands(preset, images, folder, names)
     looks = f"looks of the real detectors: not in {product.path.name}, which describes its own virtual line"
     return replace(begun, unknown=(*begun.unknown, looks))
+
+
+def _of_granule(
+    files: Sequence[Path], kinds: Sequence[str], folder: Path, names: Sequence[str]
+) -> FirstAcquisition:
+    """Bands of 10 m of a Sentinel-2 L1B granule: times by its datastrip, look angles by what is published."""
+    granules = [path for path, kind in zip(files, kinds, strict=True) if kind == "sentinel2-granule"]
+    strips = [path for path, kind in zip(files, kinds, strict=True) if kind == "sentinel2-datastrip"]
+    if len(granules) != 1 or len(strips) != 1:
+        raise InputError(
+            f"{files[0]}: {len(granules)} granules and {len(strips)} datastrips of Sentinel-2 L1B are given; "
+            "give the metadata of one granule (MTD_L1B_GR) and of its datastrip (MTD_L1B_DS)"
+        )
+    times = read_granule_times(granules[0], strips[0])
+    images = [path for path in files if path not in (granules[0], strips[0])]
+    for name in FINE if not images else ():
+        found = sorted((granules[0].parent / "IMG_DATA").glob(f"*_{name}.*"))
+        images += [path for path in found if path.suffix.lower() in _IMAGES][:1]
+    if not images:
+        raise InputError(
+            f"{granules[0]}: no images of {', '.join(FINE)} lie in IMG_DATA beside it; put them there, or "
+            "give them too"
+        )
+    known = PRESETS["sentinel-2-msi"]
+    preset = replace(
+        known,
+        instrument=f"Sentinel-2 L1B, detector {times.detector}, bands of 10 m from line {times.position} on",
+        lags=times.lags,
+        lag_sigma=0.0,
+        altitude=times.height,
+        line_period=times.line_period,
+        ground_speed=known.pixel / times.line_period,
+        signed=True,
+        epoch=times.epoch,
+        sources=(
+            f"lags and line period: {strips[0].name} (Time_Stamp); altitude: its Ephemeris",
+            "pixel 10 m: ESA, Sentinel-2 User Handbook, 2015",
+        ),
+    )
+    begun = acquisition_of_bands(preset, images, folder, names)
+    unknown = (
+        *begun.unknown,
+        "where columns look: in calibration files (GIPP) that are no part of the product",
+        "bands of 20 and 60 m: give those of 10 m",
+    )
+    return replace(begun, unknown=unknown)
 
 
 def _size(product: Product) -> str:

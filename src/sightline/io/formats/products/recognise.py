@@ -19,13 +19,16 @@ _KINDS = (
     ("worldview", rb"<isd[\s>]"),
     ("worldview", rb"BEGIN_GROUP\s*=\s*IMAGE_1|\bproductLevel\s*="),
     ("pleiades", rb"<PHR_Dimap_Document[\s>]"),
+    ("sentinel2-granule", rb"<(?:\w+:)?Level-1B_Granule_ID[\s>]"),
+    ("sentinel2-datastrip", rb"<(?:\w+:)?Level-1B_DataStrip_ID[\s>]"),
     ("dimap1", rb"<METADATA_FORMAT\s+version\s*=\s*[\"']1"),
     ("dimap2", rb"<METADATA_FORMAT\s+version\s*=\s*[\"']2"),
 )
 #: What is read, in words.
 KNOWN = (
     "read are WorldView and QuickBird, level 1B (XML, or IMD with ATT, EPH and GEO), SPOT 6 (DIMAP 2, level "
-    "SENSOR), SPOT 5 (DIMAP 1, level 1A) and Pleiades (PHRDIMAP)"
+    "SENSOR), SPOT 5 (DIMAP 1, level 1A), Pleiades (PHRDIMAP) and Sentinel-2 granules with their datastrip "
+    "(L1B)"
 )
 #: What packed folders begin with.
 _PACKED = ((b"PK\x03\x04", "zip"), (b"\x1f\x8b", "gzip"), (b"BZh", "bzip2"), (b"\xfd7zXZ", "xz"))
@@ -87,6 +90,12 @@ def read_product(path: Path, reference: tuple[float, float] | None = None, band:
             from sightline.io.formats.products.pleiades import read_pleiades
 
             return read_pleiades(path, reference)
+        case "sentinel2-granule" | "sentinel2-datastrip":
+            raise FormatError(
+                f"{path}: Sentinel-2 L1B tells when lines were exposed, not where columns look (GIPP files "
+                "that are no part of it): no model can be made; `sightline init GRANULE.xml DATASTRIP.xml` "
+                "takes the metadata of both, with the published look angles"
+            )
         case _:
             raise FormatError(f"{path}: is no metadata of a product that is read; {KNOWN}")
 
