@@ -176,7 +176,7 @@ def test_the_help_of_simulate_states_the_size_of_every_case(name):
 
     usual = getattr(StripOptions(), name)
     other = [f"; {case}: {given[name]}" for case, given in CASE_OPTIONS.items() if name in given]
-    other.append(f"; instruments: {getattr(InstrumentOptions(), name)}")
+    other.append(f"; instruments, --acquisition: {getattr(InstrumentOptions(), name)}")
     assert getattr(simulate, f"_{name.upper()}") == f"{usual}{''.join(other)}"
 
 
