@@ -35,7 +35,7 @@ EXAMPLES = {
     "simulate line-of-sight": (
         "simulate line-of-sight --out strip --lines 2000 --columns 400",
         "simulate line-of-sight --out spin --case spin-leo",
-        "simulate line-of-sight --out tried --acquisition strip/acquisition.toml --lines 800 --columns 300",
+        "simulate line-of-sight --out tried --acquisition strip.toml",
     ),
     "simulate stereo": ("simulate stereo --out pass --shots 8 --points 60",),
     "simulate frames": ("simulate frames --out flight --case small",),
