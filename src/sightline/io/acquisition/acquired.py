@@ -235,6 +235,7 @@ class InputFolder:
         self.bends: list[tuple[str, ...]] = []
         self.grids: list[OneGrid | None] = []
         #: s past J2000 (TDB) of t = 0, and how the body turns, where a sensor model says it.
+        self.radii: tuple[float, float] | None = None
         self.reference_et: float | None = None
         self.body: tuple[NDArray[np.float64], Rotation] | None = None
         self._keys_of: dict[str, list[str]] = {}

@@ -84,8 +84,7 @@ def _middle_of_field(config: AcquisitionFile, trajectory: Trajectory) -> tuple[A
         trajectory, t_attitude=trajectory.t_position[[0, -1]], world_from_body=Rotation.identity(2)
     )
     t = np.clip(trajectory.t_attitude, first, last)
-    before, place, after = (alone.at(t + shift).position for shift in (-_STEP, 0.0, _STEP))
-    return place, (after - before) / (2.0 * _STEP), trajectory.world_from_body.apply(boresight)
+    return alone.at(t).position, _velocity(alone, t), trajectory.world_from_body.apply(boresight)
 
 
 def _words(place: Array, velocity: Array, seen: Array, height: float, keys: Sequence[str]) -> list[str]:

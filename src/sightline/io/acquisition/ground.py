@@ -130,14 +130,10 @@ def body_radii(config: AcquisitionFile, files: InputFolder) -> tuple[float, floa
         return config.surface.radii
     if isinstance(config.platform, CameraModelPlatform):
         from sightline.io.formats.isd_frame import read_frame_model
-        from sightline.io.formats.sensor_model import read_sensor_model
 
         if config.frame:
             return read_frame_model(files(config.frame[0].model or "")).radii
-        name = config.platform.model or config.band[0].model
-        if name is not None:
-            return read_sensor_model(files(name)).radii
-    return None
+    return files.radii
 
 
 def image_grid(camera: MovingCamera) -> Array:

@@ -49,6 +49,7 @@ from sightline.io.acquisition.stages import check_covered
 from sightline.io.acquisition.strips import attitude_sigma, chip_knowledge
 from sightline.io.config import read_toml, validate
 from sightline.io.formats import tables
+from sightline.io.formats.line_scan import shared_grid
 from sightline.matching.select import Selection
 from sightline.motion.frames.passes import FrameOptions
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
@@ -191,10 +192,8 @@ def _still(config: AcquisitionFile, files: InputFolder) -> str:
             f"1 [[band]] ({config.band[0].name}): motion is seen between two or more bands that show the "
             "same ground at different times; add a band of the same strip"
         )
-    grids = [grid for grid in files.grids if grid is not None]
-    if config.frame or len(grids) < len(config.band) or len({grid.of for grid in grids}) > 1:
-        return ""
-    return grids[0].reason
+    grid = None if config.frame else shared_grid(files.grids)
+    return "" if grid is None else grid.reason
 
 
 def ready_to_recover(acquired: Acquisition, method: str = "joint") -> Cost:

@@ -71,6 +71,7 @@ def build_model_bands(config: AcquisitionFile, files: InputFolder, *, look: bool
         own = band.look_ahead != 0.0 or band.first_line_time is not None
         files.grids.append(None if own else model.one_grid)
         files.reference_et, files.body = model.reference_et, files.body or model.body
+        files.radii = files.radii or model.radii
         begin = band.first_pixel or (0, 0)
         rest = (model.camera.shape[0] - begin[0], model.camera.shape[1] - begin[1])
         image = open_band_image(band, files, look=look, shape=files.sizes.get(band.name, rest))

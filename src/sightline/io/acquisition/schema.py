@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
 from sightline.errors import FormatError
+from sightline.geometry.apparent import APPARENT
 from sightline.geometry.camera import MOST_STAGES
 from sightline.io.formats.instants import parse_utc
 from sightline.io.quantities import (
@@ -747,9 +748,7 @@ class AcquisitionFile(InputFile):
                     'model needs [platform] kind = "camera-model"' if "model" in given else "time is missing"
                 )
                 raise ValueError(f'{where}{what}; give time = s from the epoch, a UTC instant, or "exif"')
-        bent = [
-            key for key in ("aberration", "light_time", "refraction") if getattr(self.platform, key, None)
-        ]
+        bent = [key for key in APPARENT if getattr(self.platform, key, None)]
         if modelled and self.frame and bent:
             raise ValueError(f"[platform] {bent[0]} is of detector lines, but [[frame]] is given; remove it")
         lens = sorted(self.camera.model_fields_set & LENS)

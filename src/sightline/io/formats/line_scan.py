@@ -52,6 +52,12 @@ class OneGrid:
     reason: str
 
 
+def shared_grid(grids: Sequence[OneGrid | None]) -> OneGrid | None:
+    """The one grid of all bands; None where some have none, or they have several."""
+    found = [grid for grid in grids if grid is not None]
+    return found[0] if found and len(found) == len(grids) and len({one.of for one in found}) == 1 else None
+
+
 @dataclass(frozen=True, eq=False)
 class LineScanModel:
     """A line-scan sensor model in our terms.

@@ -91,20 +91,23 @@ def acquisition_of_bands(
     """
     bands = _bands(preset, images, names)
     assumed, unknown = _assumed(preset, sign), _unknown(preset, sign)
+    parts = [_common(preset, bands[0])]
+    parts += [_band(preset, band, bands[0], folder, 1 if sign is None else sign) for band in bands]
+    parts.append("[surface]\nheight = 0.0                      # m, the mean of the ground")
+    return FirstAcquisition(first_text(assumed, unknown, parts, folder), assumed, unknown)
+
+
+def first_text(assumed: Sequence[str], unknown: Sequence[str], parts: Sequence[str], folder: Path) -> str:
+    """ACQUISITION.toml of its `parts`, checked, under what it rests on; `folder` is where it will lie."""
     head = [
         "ACQUISITION.toml, by `sightline init`. Assumed:",
         *(f"- {line}" for line in assumed),
         "Not known:",
         *(f"- {line}" for line in unknown),
     ]
-    parts = ["\n".join(f"# {line}" for line in head), _common(preset, bands[0])]
-    parts += [_band(preset, band, bands[0], folder, 1 if sign is None else sign) for band in bands]
-    text = (
-        "\n\n".join([*parts, "[surface]\nheight = 0.0                      # m, the mean of the ground"])
-        + "\n"
-    )
+    text = "\n\n".join(["\n".join(f"# {line}" for line in head), *parts]) + "\n"
     validate(AcquisitionFile, tomllib.loads(text), folder / "acquisition.toml")
-    return FirstAcquisition(text, assumed, unknown)
+    return text
 
 
 def _bands(preset: Preset, images: Sequence[Path], names: Sequence[str]) -> list[_Image]:

@@ -5,7 +5,6 @@ Not here: reading products (``io/formats/products/``), how well they agree with 
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -13,14 +12,13 @@ from pathlib import Path
 
 from sightline.errors import InputError
 from sightline.geometry.apparent import APPARENT
-from sightline.io.acquisition.schema import AcquisitionFile
-from sightline.io.config import validate
 from sightline.io.formats.instants import FIRST_YEAR, LAST_YEAR
+from sightline.io.formats.line_scan import shared_grid
 from sightline.io.formats.products.product import Product, ProductBand
 from sightline.io.formats.products.recognise import KNOWN, metadata_of, product_kind, read_product
 from sightline.io.formats.products.sentinel2 import FINE, read_granule_times
 from sightline.io.init.agreement import agreement
-from sightline.io.init.bands import FirstAcquisition, acquisition_of_bands, path_from
+from sightline.io.init.bands import FirstAcquisition, acquisition_of_bands, first_text, path_from
 from sightline.io.init.mosaic import mosaic
 from sightline.io.init.presets import PRESETS
 from sightline.io.init.telemetry import FirstSensors, first_sensors
@@ -89,13 +87,7 @@ def acquisition_of_products(
     told: list[Product | FirstSensors] = [*products, *([sensors] if sensors is not None else [])]
     assumed = tuple(dict.fromkeys(line for one in told for line in one.assumed))
     unknown = (*dict.fromkeys(line for one in told for line in one.unknown), *_unknown(products))
-    head = [
-        "ACQUISITION.toml, by `sightline init`. Assumed:",
-        *(f"- {line}" for line in assumed),
-        "Not known:",
-        *(f"- {line}" for line in (*unknown, *missing)),
-    ]
-    parts = ["\n".join(f"# {line}" for line in head), _head(products), _platform(products, folder)]
+    parts = [_head(products), _platform(products, folder)]
     for product, found in zip(products, images, strict=True):
         for band, image in zip(product.bands, found, strict=True):
             parts.append(_band(product, band, image, folder, shared=len(products) == 1))
@@ -106,8 +98,7 @@ def acquisition_of_products(
         allowed = ", ".join(map(toml_string, outside))
         parts.append(f"[files]\nallow = [{allowed}]   # where the VRT beside this file has its pixels")
     parts += [_surface(products), *([sensors.text] if sensors is not None and sensors.text else [])]
-    text = "\n\n".join(parts) + "\n"
-    validate(AcquisitionFile, tomllib.loads(text), folder / "acquisition.toml")
+    text = first_text(assumed, (*unknown, *missing), parts, folder)
     found_out = tuple(
         words
         if len(products) == 1 or words.startswith(product.path.name)
@@ -231,10 +222,8 @@ def _still(products: Sequence[Product]) -> str:
             f"one band ({band.name}): motion is seen between two or more bands of one strip; give the "
             "product of the other bands too"
         )
-    grids = [product.model.one_grid for product in products]
-    if None in grids or len({grid.of for grid in grids if grid is not None}) > 1:
-        return ""
-    return next(grid.reason for grid in grids if grid is not None)
+    grid = shared_grid([product.model.one_grid for product in products])
+    return "" if grid is None else grid.reason
 
 
 def _check(products: Sequence[Product]) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from sightline.errors import FormatError, InputError
-from sightline.geometry.earth import EARTH_RATE
+from sightline.io.formats.products.makers import TURNING
 from sightline.io.formats.products.pleiades_telemetry import PleiadesTelemetry, read_pleiades_telemetry
 from sightline.io.formats.products.product import Product
 from sightline.io.formats.products.recognise import product_kind
@@ -24,7 +24,6 @@ from sightline.motion.gyros import GyroFit, GyroNoise, departures, fit_gyros
 Array = NDArray[np.float64]
 
 _GYRO, _ATTITUDES = "gyro.csv", "attitudes.csv"
-_TURNING = np.array([0.0, 0.0, EARTH_RATE])
 
 
 @dataclass(frozen=True)
@@ -77,14 +76,14 @@ def first_sensors(product: Product) -> FirstSensors | None:
     # body axes are chosen for the model: a turn about z from those of the file
     axes = read.modelled(read.t[used][:1]).inv() * trajectory.at(t[used][:1]).world_from_body
     t_known = read.t_earth[held] + later
-    known = Rotation.from_rotvec(np.outer(t_known, _TURNING)) * read.earth_from_body[held] * axes
+    known = Rotation.from_rotvec(np.outer(t_known, TURNING)) * read.earth_from_body[held] * axes
     try:
         fit = fit_gyros(t, read.counts, t_known, known)
     except InputError as error:
         return _unused(str(error))
     noise, drift = fit.noise(t, read.counts), _drift(read)
     turned = fit.body(t, read.counts)[used]
-    angles = departures(t[used], turned, trajectory.at(t[used]).world_from_body, _TURNING)
+    angles = departures(t[used], turned, trajectory.at(t[used]).world_from_body, TURNING)
     sigma = float(noise.sigma.max())
     rows = [t[used][:-1], t[used][1:], *angles.T, np.full(len(angles), sigma)]
     quaternions = read.earth_from_body.as_quat()

@@ -103,19 +103,16 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
         both = np.einsum("rbi,rbj->ij", seen[: len(v) - shift], seen[shift:])
         return np.asarray(np.einsum("rbi,rbj->ij", first, second) / np.maximum(both, 1.0))
 
-    total = covariance(0)
+    total = plain = covariance(0)
     if counted < PLENTY:
         total = (counted * total + START_COUNTS * start) / (counted + START_COUNTS)
-        grown = np.sqrt(_error_along(v, covariance))
+        long, chance = _long_run(plain, covariance, len(v), len(v))
+        grown = np.sqrt(_believed_ratio(long, plain, chance))
         total = total * np.outer(grown, grown)
         # of pairs that are not seen in the same windows: no covariance of anything, it may be
         return _definite(total, np.sqrt(np.diag(total)))
-    plain, lags = total, min(ROW_LAGS, len(v) - 1)
     scale = np.sqrt(np.diag(plain))
-    for shift in range(1, lags + 1):
-        step = covariance(shift) * (1.0 - shift / (ROW_LAGS + 1.0))
-        total = total + step + step.T
-    total = _steadied(total, plain, np.sqrt(4.0 / 3.0 * (lags + 1.0) / counted))
+    total = _steadied(plain, *_long_run(plain, covariance, len(v), counted))
     beside = np.tile(np.sqrt(_error_beside(v)), pairs)
     total = total * np.outer(beside, beside)
     scale = scale * beside
@@ -123,13 +120,35 @@ def estimate_correlation(star: Star, post_px: Array) -> Array:
     return _definite(total, scale)
 
 
-def _steadied(long: Array, plain: Array, chance: float) -> Array:
+def _long_run(
+    plain: Array, covariance: Callable[[int], Array], rows: int, independent: float
+) -> tuple[Array, float]:
+    """Covariance (2K, 2K) of long means of rows by Bartlett's weights, and its scatter by chance as a share.
+
+    Parameters
+    ----------
+    plain : (2K, 2K)
+        Of single rows.
+    covariance : callable
+        Of single rows with what lies so many rows on, (2K, 2K).
+    rows : int
+    independent : float
+        How many values of each component the sums are of.
+    """
+    lags, total = min(ROW_LAGS, rows - 1), plain
+    for shift in range(1, lags + 1):
+        step = covariance(shift) * (1.0 - shift / (ROW_LAGS + 1.0))
+        total = total + step + step.T
+    return total, float(np.sqrt(4.0 / 3.0 * (lags + 1.0) / independent))
+
+
+def _steadied(plain: Array, long: Array, chance: float) -> Array:
     """Covariance (2K, 2K) of long means, in place of one of which the sums of few rows are mostly chance.
 
     Parameters
     ----------
-    long, plain : (2K, 2K)
-        Of long means as sums of rows have it, and of single rows.
+    plain, long : (2K, 2K)
+        Of single rows, and of long means as sums of rows have it.
     chance : float
         By how much the variances of `long` scatter, as a share.
 
@@ -182,24 +201,9 @@ def plain_variance(star: Star, post_px: Array) -> Array:
     return np.where(enough, (squares + given) / np.maximum(counted + given, 1.0), 1.0)
 
 
-def _error_along(v: Array, covariance: Callable[[int], Array]) -> Array:
-    """(2K,) variance of long means over that of independent rows, for few rows.
-
-    Parameters
-    ----------
-    v : (rows, blocks, 2K)
-        Scatter of rows, zero where absent.
-    covariance : callable
-        Of it (2K, 2K) with what lies so many rows on.
-    """
-    plain = np.diag(covariance(0))
-    long = plain.copy()
-    lags = min(ROW_LAGS, len(v) - 1)
-    for shift in range(1, lags + 1):
-        long += 2.0 * (1.0 - shift / (lags + 1.0)) * np.diag(covariance(shift))
-    ratio = long / np.maximum(plain, 1e-30)
-    # of Bartlett's weights: the variance of the sum over that of the rows, as chance scatters it
-    chance = np.sqrt(4.0 / 3.0 * (lags + 1.0) / len(v))
+def _believed_ratio(long: Array, plain: Array, chance: float) -> Array:
+    """(2K,) variance of long means over that of single rows, for few rows: 1 where chance makes as much."""
+    ratio = np.diag(long) / np.maximum(np.diag(plain), 1e-30)
     return np.where(ratio > 1.0 + BEYOND_CHANCE * chance, ratio, 1.0)
 
 

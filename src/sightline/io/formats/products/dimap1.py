@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import FormatError
 from sightline.io.formats.line_scan import MOST_LINES, MOST_SAMPLES, OneGrid
 from sightline.io.formats.products.makers import (
     Orbit,
+    check_level,
     epoch_of,
     labels,
     line_period,
@@ -28,7 +28,15 @@ from sightline.io.formats.products.makers import (
     some,
     words,
 )
-from sightline.io.formats.products.product import GroundMark, Pixels, Product, ProductBand, Tile, image_name
+from sightline.io.formats.products.product import (
+    GroundMark,
+    Pixels,
+    Product,
+    ProductBand,
+    Tile,
+    bands_of,
+    image_name,
+)
 from sightline.io.formats.products.tree import Part, read_xml
 
 Array = NDArray[np.float64]
@@ -102,13 +110,12 @@ def read_dimap1(path: Path, reference: tuple[float, float] | None = None, band: 
 
 def _check_kind(data: Part) -> None:
     """FormatError for products of another level or satellite."""
-    version = data.part("Metadata_Id/METADATA_FORMAT").element.get("version", "")
-    level = words(data, "Data_Processing/PROCESSING_LEVEL", "none")
-    if not version.startswith("1") or level != "1A":
-        raise FormatError(
-            f"{data.path}: is DIMAP {version or 'without version'} of level {level[:20]}; of level 1A the "
-            "line scanner is described: order that one (1B and products on a map are resampled)"
-        )
+    check_level(
+        data,
+        ("Metadata_Id/METADATA_FORMAT", "1"),
+        ("Data_Processing/PROCESSING_LEVEL", "1A"),
+        "1B and products on a map are resampled",
+    )
     if not data.has(_LOOKS):
         raise data.refused(_LOOKS, "is missing: SPOT 1 to 4 describe looks otherwise, which is not read")
 
@@ -267,8 +274,7 @@ def _bands(data: Part) -> tuple[ProductBand, ...]:
     count = data.count("Raster_Dimensions/NBANDS", 1, 100)
     if len(names) != count or len(set(names)) != count or not all(names):
         names = [f"band {number}" for number in range(1, count + 1)]
-    image = image_name(given[0]) if len(given) == 1 else ""
-    return tuple(ProductBand(name, image, number) for number, name in enumerate(names, 1))
+    return bands_of(names, [image_name(file) for file in given])
 
 
 def _pixels(data: Part) -> Pixels | None:

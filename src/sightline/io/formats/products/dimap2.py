@@ -18,11 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sightline.errors import FormatError
 from sightline.io.formats.instants import elapsed, parse_utc
 from sightline.io.formats.line_scan import MOST_LINES, MOST_SAMPLES, OneGrid
 from sightline.io.formats.products.makers import (
     Orbit,
+    check_level,
     epoch_of,
     labels,
     line_period,
@@ -35,7 +35,15 @@ from sightline.io.formats.products.makers import (
     turned_by,
     words,
 )
-from sightline.io.formats.products.product import GroundMark, Pixels, Product, ProductBand, Tile, image_name
+from sightline.io.formats.products.product import (
+    GroundMark,
+    Pixels,
+    Product,
+    ProductBand,
+    Tile,
+    bands_of,
+    image_name,
+)
 from sightline.io.formats.products.tree import Part, read_xml
 
 Array = NDArray[np.float64]
@@ -119,13 +127,12 @@ def _ground(height: float, left: float, count: int) -> str:
 
 def _check_kind(data: Part) -> None:
     """FormatError for products of another level or kind."""
-    version = data.part("Metadata_Identification/METADATA_FORMAT").element.get("version", "")
-    level = words(data, "Processing_Information/Product_Settings/PROCESSING_LEVEL", "none")
-    if not version.startswith("2") or level != "SENSOR":
-        raise FormatError(
-            f"{data.path}: is DIMAP {version or 'without version'} of level {level[:20]}; of level SENSOR "
-            "the line scanner is described: order that one (products on a map hold no times of lines)"
-        )
+    check_level(
+        data,
+        ("Metadata_Identification/METADATA_FORMAT", "2"),
+        ("Processing_Information/Product_Settings/PROCESSING_LEVEL", "SENSOR"),
+        "products on a map hold no times of lines",
+    )
     if not data.has(f"{_MODEL}/Attitudes/Quaternion_List/Quaternion"):
         raise data.refused(
             f"{_MODEL}/Attitudes/Quaternion_List",
@@ -211,9 +218,7 @@ def _given(part: Part) -> str:
 
 def _bands(data: Part, names: list[str]) -> tuple[ProductBand, ...]:
     """Every band, in its order in the file; several tiles are no one file."""
-    files = [_given(part) for part in data.parts(_FILES)]
-    image = files[0] if len(files) == 1 else ""
-    return tuple(ProductBand(name, image, number) for number, name in enumerate(names, 1))
+    return bands_of(names, [_given(part) for part in data.parts(_FILES)])
 
 
 def _pixels(data: Part) -> Pixels | None:

@@ -67,6 +67,17 @@ def line_period(part: Part, name: str, units: Mapping[str, float]) -> float:
     return value
 
 
+def check_level(data: Part, version: tuple[str, str], level: tuple[str, str], others: str) -> None:
+    """FormatError unless a DIMAP is of a version and a level: each a path and what is to stand there."""
+    found = data.part(version[0]).element.get("version", "")
+    held = words(data, level[0], "none")
+    if not found.startswith(version[1]) or held != level[1]:
+        raise FormatError(
+            f"{data.path}: is DIMAP {found or 'without version'} of level {held[:20]}; of level {level[1]} "
+            f"the line scanner is described: order that one ({others})"
+        )
+
+
 def some(part: Part, name: str, least: int) -> list[Part]:
     """All elements at a path, `least` or more."""
     found = part.parts(name)
@@ -156,16 +167,21 @@ def orbit_of(part: Part, name: str, t: Array, position: Array, velocity: Array, 
     return Orbit(t, position, fixed)
 
 
-def turned_by(t: Array, turns: Rotation) -> Callable[[Array], Rotation]:
-    """Attitude at any time by slerp; beyond the ends it turns on as between the last two records."""
-    slerp = Slerp(t, turns)
+def turned_by(
+    t: Array, turns: Rotation, between: Callable[[Array], Rotation] | None = None
+) -> Callable[[Array], Rotation]:
+    """Attitude at any time, `between` records by slerp if not given.
+
+    Beyond the ends it turns on as between the last two records.
+    """
+    between = between or Slerp(t, turns)
     rates = (turns[:-1].inv() * turns[1:])[[0, -1]].as_rotvec() / np.diff(t)[[0, -1], None]
 
     def at(when: Array) -> Rotation:
         inside = np.clip(when, t[0], t[-1])
         beyond = when - inside
         rate = np.where((beyond > 0.0)[:, None], rates[1], rates[0])
-        return slerp(inside) * Rotation.from_rotvec(beyond[:, None] * rate)
+        return between(inside) * Rotation.from_rotvec(beyond[:, None] * rate)
 
     return at
 
@@ -233,7 +249,12 @@ def line_scan(
 def epoch_of(start: str, t: float) -> str:
     """UTC, ISO 8601 with nanoseconds, of `t` s (below a day) after an instant; leap seconds not counted."""
     whole, fraction = parse_utc(start, "start")
-    seconds, nanoseconds = divmod(round((fraction + t) * 1e9), 1_000_000_000)
+    return label(whole, fraction + t)
+
+
+def label(whole: datetime, t: float) -> str:
+    """The same, of `t` s after whole seconds."""
+    seconds, nanoseconds = divmod(round(t * 1e9), 1_000_000_000)
     return f"{whole + timedelta(seconds=seconds):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"
 
 

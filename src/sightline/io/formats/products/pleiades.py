@@ -30,7 +30,7 @@ from sightline.io.formats.products.makers import (
     some,
     words,
 )
-from sightline.io.formats.products.product import Product, ProductBand, RawBands, image_name
+from sightline.io.formats.products.product import Product, ProductBand, RawBands, bands_of, image_name
 from sightline.io.formats.products.tree import Part, read_xml
 from sightline.products.rpc import TERMS, Rpc
 
@@ -186,5 +186,4 @@ def _bands(data: Part) -> tuple[ProductBand, ...]:
         words(part, "DATA_FILE_PATH") or part.part("DATA_FILE_PATH").element.get("href", "") for part in found
     ]
     names = [part.text("BAND_ID") for part in data.parts("Image_Interpretation/Spectral_Band_Info")] or ["PA"]
-    image = image_name(given[0]) if len(given) == 1 else ""
-    return tuple(ProductBand(name, image, number) for number, name in enumerate(names, 1))
+    return bands_of(names, [image_name(file) for file in given])

@@ -5,7 +5,7 @@ Not here: reading one (``worldview.py``, ...), which reader a file is for (``rec
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -29,6 +29,12 @@ class ProductBand:
     name: str
     image: str
     image_band: int = 1
+
+
+def bands_of(names: Sequence[str], files: Sequence[str]) -> tuple[ProductBand, ...]:
+    """Every band, in its order in the one file that there is; of several (tiles) none is named."""
+    image = files[0] if len(files) == 1 else ""
+    return tuple(ProductBand(name, image, number) for number, name in enumerate(names, 1))
 
 
 @dataclass(frozen=True)

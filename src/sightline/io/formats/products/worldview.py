@@ -34,7 +34,8 @@ from sightline.io.formats.line_scan import (
     assemble,
     shared_instants,
 )
-from sightline.io.formats.products.product import GroundMark, Product, ProductBand, image_name
+from sightline.io.formats.products.makers import label, turned_by
+from sightline.io.formats.products.product import GroundMark, Product, ProductBand, bands_of, image_name
 from sightline.io.formats.products.tree import LARGEST, Part, read_xml
 from sightline.io.formats.products.worldview_text import read_text_set
 from sightline.products.rpc import TERMS, Rpc
@@ -131,7 +132,7 @@ def read_worldview(path: Path, reference: tuple[float, float] | None = None) -> 
         kind=f"{image.text('SATID')} level 1B",
         name=path.stem,
         model=model,
-        epoch=_utc(whole, reference, begin),
+        epoch=label(whole, reference[1] + (reference[0] - begin)),
         bands=_bands(root),
         height=rpc.height[0] if heights is None and rpc is not None else heights,
         marks=marks,
@@ -147,14 +148,6 @@ def read_worldview(path: Path, reference: tuple[float, float] | None = None) -> 
 
 def _is_xml(path: Path) -> bool:
     return read_bytes(path, WHAT, most=LARGEST)[:64].lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
-
-
-def _utc(whole: datetime, reference: tuple[float, float], begin: float) -> str:
-    """The instant t = 0 as its label."""
-    from datetime import timedelta
-
-    seconds, nano = divmod(round(1e9 * (reference[1] + (reference[0] - begin))), 1_000_000_000)
-    return f"{whole + timedelta(seconds=seconds):%Y-%m-%dT%H:%M:%S}.{nano:09d}Z"
 
 
 def _sizes(root: Part) -> tuple[tuple[int, int], tuple[int, int]]:
@@ -322,12 +315,8 @@ def _turned(nodes: Array, turns: Rotation, when: Array) -> Rotation:
     """Attitude at times: cubic between records, turning on evenly beyond them."""
     if len(nodes) == 1:
         return turns[np.zeros(len(when), dtype=np.intp)]
-    inside = np.clip(when, nodes[0], nodes[-1])
-    rates = (turns[:-1].inv() * turns[1:])[[0, -1]].as_rotvec() / np.diff(nodes)[[0, -1], None]
-    beyond = when - inside
-    rate = np.where((beyond > 0.0)[:, None], rates[1], rates[0])
-    known = Trajectory(nodes[[0, -1]], np.zeros((2, 3)), nodes, turns).at(inside).world_from_body
-    return known * Rotation.from_rotvec(beyond[:, None] * rate)
+    known = Trajectory(nodes[[0, -1]], np.zeros((2, 3)), nodes, turns)
+    return turned_by(nodes, turns, lambda inside: known.at(inside).world_from_body)(when)
 
 
 def _directions(geo: Part, columns: int) -> tuple[Array, list[str]]:
@@ -392,8 +381,7 @@ def _bands(root: Part) -> tuple[ProductBand, ...]:
     if not names:
         names = [imd.text("BANDID")]
     files = [tile.text("FILENAME") for tile in root.parts("TIL/TILE") if tile.has("FILENAME")]
-    image = image_name(files[0]) if len(files) == 1 else ""
-    return tuple(ProductBand(name, image, number) for number, name in enumerate(names, 1))
+    return bands_of(names, [image_name(file) for file in files])
 
 
 def _marks(root: Part, shape: tuple[int, int]) -> tuple[float | None, tuple[GroundMark, ...]]:
