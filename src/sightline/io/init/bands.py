@@ -94,10 +94,12 @@ def acquisition_of_bands(
     parts = [_common(preset, bands[0])]
     parts += [_band(preset, band, bands[0], folder, 1 if sign is None else sign) for band in bands]
     parts.append("[surface]\nheight = 0.0                      # m, the mean of the ground")
-    return FirstAcquisition(first_text(assumed, unknown, parts, folder), assumed, unknown)
+    return FirstAcquisition(acquisition_text(assumed, unknown, parts, folder), assumed, unknown)
 
 
-def first_text(assumed: Sequence[str], unknown: Sequence[str], parts: Sequence[str], folder: Path) -> str:
+def acquisition_text(
+    assumed: Sequence[str], unknown: Sequence[str], parts: Sequence[str], folder: Path
+) -> str:
     """ACQUISITION.toml of its `parts`, checked, under what it rests on; `folder` is where it will lie."""
     head = [
         "ACQUISITION.toml, by `sightline init`. Assumed:",

@@ -18,7 +18,7 @@ from sightline.io.formats.products.product import Product, ProductBand
 from sightline.io.formats.products.recognise import KNOWN, metadata_of, product_kind, read_product
 from sightline.io.formats.products.sentinel2 import FINE, read_granule_times
 from sightline.io.init.agreement import agreement
-from sightline.io.init.bands import FirstAcquisition, acquisition_of_bands, first_text, path_from
+from sightline.io.init.bands import FirstAcquisition, acquisition_of_bands, acquisition_text, path_from
 from sightline.io.init.mosaic import mosaic
 from sightline.io.init.presets import PRESETS
 from sightline.io.init.telemetry import FirstSensors, first_sensors
@@ -98,7 +98,7 @@ def acquisition_of_products(
         allowed = ", ".join(map(toml_string, outside))
         parts.append(f"[files]\nallow = [{allowed}]   # where the VRT beside this file has its pixels")
     parts += [_surface(products), *([sensors.text] if sensors is not None and sensors.text else [])]
-    text = first_text(assumed, (*unknown, *missing), parts, folder)
+    text = acquisition_text(assumed, (*unknown, *missing), parts, folder)
     found_out = tuple(
         words
         if len(products) == 1 or words.startswith(product.path.name)
