@@ -26,7 +26,7 @@ from sightline.geometry.trajectory import Motion
 from sightline.matching.matches import NOT_CHOSEN, STATUS_NAMES
 from sightline.motion.band import Band
 from sightline.motion.measure.pair_order import best_first, pair_correlations
-from sightline.motion.measure.stars import MatchingPlan, StarRecord, hub_windows, match_star
+from sightline.motion.measure.stars import Filters, MatchingPlan, StarRecord, hub_windows, match_star
 from sightline.motion.results import LineOfSight, StaticEstimate, TimeCovariance, without_common_ground
 from sightline.motion.sensors import AttitudeSensor, ControlSightings
 from sightline.motion.strip.alternatives import alternative
@@ -370,7 +370,7 @@ def _with_floor(record: StarRecord) -> StarRecord:
     star = record.star
     size = float(np.sqrt(np.nanmean(star.residual_px**2))) if star.present.any() else 0.0
     floor = (LINEARISATION_SHARE * size) ** 2 * np.eye(2)
-    return StarRecord(replace(star, covariance_px=star.covariance_px + floor), record.status, record.score)
+    return replace(record, star=replace(star, covariance_px=star.covariance_px + floor))
 
 
 def _compensated_pass(
@@ -386,7 +386,7 @@ def _compensated_pass(
     """Match again with windows moved by the motion found; refit the prior, or take the one given; solve."""
     nodes, statics = nodes_on(state.estimate, strip.grid), state.estimate.statics
     plan = strip.plan(options, options.window, options.step)
-    records = _match(strip, nodes, statics, plan, state.records, step)
+    records = _match(strip, nodes, statics, plan, state.records, step, learned=number > 0)
     _some_left(strip, state, records)
     solved = solve_strip(strip, records, nodes, statics, state.model, height_sigma, before=state)
     _some_left(strip, solved, solved.records)
@@ -444,14 +444,23 @@ def _match(
     plan: MatchingPlan,
     before: Sequence[StarRecord] = (),
     step: Step = no_step,
+    *,
+    learned: bool = False,
 ) -> tuple[StarRecord, ...]:
-    """All stars of one pass, by `step` so many windows of all; `before` are those of the pass before."""
+    """All stars of one pass, by `step` so many windows of all; `before` are those of the pass before.
+
+    `learned`: the filters of pairs are those of the pass before. A pair has one set for all its windows.
+    """
     earlier = {(record.star.hub, record.star.images): record for record in before}
     cameras = strip.cameras(nodes, statics)
     images = [band.image for band in strip.bands]
     hubs = hub_windows(cameras, strip.surface, [i.shape for i in images], strip.order, plan, strip.views)
     windows = [len(grid.centres) * len(partners) for _, partners, grid in hubs]
     out: list[StarRecord] = []
+    filters: Filters = {}
+    for record in before if learned else ():
+        pairs = ((record.star.hub, image) for image in record.star.images)
+        filters.update(zip(pairs, record.filters, strict=True))
     for hub, partners, grid in hubs:
         done, total = sum(windows[: len(out)]), sum(windows)
         star = match_star(
@@ -465,6 +474,7 @@ def _match(
             plan,
             earlier.get((hub, partners)),
             lambda some, _, done=done, total=total: step(done + some, total),  # type: ignore[misc]
+            filters,
         )
         out.append(star)
     return tuple(out)

@@ -222,20 +222,22 @@ class Moments:
     inner: Array
     held: _Held | None = None
 
-    def expected_deviance(self, prior: Autoregressive) -> float:
-        """Expectation of -2 log density of the motion under `prior` (constant dropped).
+    def deviance_slope(self, prior: Autoregressive, autocovariance: Array) -> Array:
+        """Derivative (p + 1,) of the evidence's deviance by the autocovariances that `prior` was made of.
 
-        Its derivative by the prior's parameters, at the prior that gave these moments, is that of
-        the evidence (Fisher's identity).
+        That of the expectation of -2 log density of the motion, at the prior that gave these moments
+        (Fisher's identity).
         """
-        p = prior.order
-        row = np.concatenate([[1.0], -prior.coefficients])
-        total = float(row @ self.inner @ row) / prior.variance
-        if p:
-            total += _start_misfit(prior.startup, prior.startup_variances, self.start)
+        by_rows, by_variances = _slopes(
+            prior.table[:, 1:], prior.all_variances, prior.n, self.start, self.inner
+        )
         if self.held is not None and not self.held.rate.seen:
-            total -= _told(self.held.rate, prior.variance_of(self.held.weights))
-        return total - prior.logdet
+            rate, variance = self.held.rate.value, prior.variance_of(self.held.weights)
+            more = prior.slopes_of_variance(self.held.weights)
+            by_told = rate**2 / variance**2 - 1.0 / variance
+            by_rows += by_told * more[0]
+            by_variances += by_told * more[1]
+        return prior.slope(autocovariance, by_rows, by_variances)
 
 
 def posterior(
@@ -313,30 +315,58 @@ def rate_weights(grid: Grid) -> Array:
 
 def _moments(mean: Array, covariance: Array, p: int, held: _Held | None) -> Moments:
     """Second moments from posterior mean and band of the covariance."""
-    n = len(mean)
-    start = np.zeros((p, p))
-    inner = np.zeros((p + 1, p + 1))
-    for d in range(p + 1):
-        product = covariance[d, : n - d] + mean[d:] * mean[: n - d]
-        if d < p:
-            rows = np.arange(p - d)
-            start[rows + d, rows] = start[rows, rows + d] = product[: p - d]
-        running = np.concatenate([[0.0], np.cumsum(product)])
-        later = np.arange(d, p + 1)  # the further look-back of the two
-        inner[later, later - d] = running[n - later] - running[p - later]
-        inner[later - d, later] = inner[later, later - d]
+    start, inner = _second_moments(mean, covariance, p)
     return Moments(start, inner, held)
 
 
 @njit(cache=True, nogil=True)
-def _start_misfit(startup, variances, moments):  # type: ignore[no-untyped-def]
-    """Expected sum of squared standardised innovations of the first p epochs."""
-    total = 0.0
-    for t in range(len(variances)):
-        square = moments[t, t]
+def _second_moments(mean, covariance, p):  # type: ignore[no-untyped-def]
+    """Those of the first p epochs, and of p + 1 epochs in a row summed over all places."""
+    n = len(mean)
+    start = np.zeros((p, p))
+    inner = np.zeros((p + 1, p + 1))
+    running = np.zeros(n + 1)
+    for d in range(p + 1):
+        for j in range(n - d):
+            product = covariance[d, j] + mean[j + d] * mean[j]
+            running[j + 1] = running[j] + product
+            if j + d < p:
+                start[j + d, j] = start[j, j + d] = product
+        for later in range(d, p + 1):  # the further look-back of the two
+            inner[later, later - d] = running[n - later] - running[p - later]
+            inner[later - d, later] = inner[later, later - d]
+    return start, inner
+
+
+@njit(cache=True, nogil=True)
+def _slopes(coefficients, variances, n, start, inner):  # type: ignore[no-untyped-def]
+    """Derivatives of the expected -2 log density by the table's rows (p + 1, p) and variances (p + 1,).
+
+    A row reads ``x_t - sum(c_k x_{t-1-k})``; `coefficients` are the -c. The last row is that of all epochs
+    from p on.
+    """
+    p = len(variances) - 1
+    by_rows = np.zeros((p + 1, p))
+    by_variances = np.zeros(p + 1)
+    product = np.empty(p + 1)
+    row = np.empty(p + 1)
+    for t in range(p + 1):
+        row[0] = 1.0
         for k in range(t):
-            square -= 2.0 * startup[t, k] * moments[t, t - 1 - k]
-            for h in range(t):
-                square += startup[t, k] * startup[t, h] * moments[t - 1 - k, t - 1 - h]
-        total += square / variances[t]
-    return total
+            row[k + 1] = coefficients[t, k]
+        square = 0.0
+        for k in range(t + 1):
+            total = 0.0
+            if t < p:
+                for h in range(t + 1):
+                    total += start[t - k, t - h] * row[h]
+            else:
+                for h in range(t + 1):
+                    total += inner[k, h] * row[h]
+            product[k] = total
+            square += row[k] * total
+        count = 1.0 if t < p else float(n - p)
+        by_variances[t] = count / variances[t] - square / variances[t] ** 2
+        for k in range(t):
+            by_rows[t, k] = -2.0 * product[k + 1] / variances[t]
+    return by_rows, by_variances

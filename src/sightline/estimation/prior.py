@@ -383,6 +383,32 @@ class Autoregressive:
         )
         return float(self.variances @ shares**2)
 
+    @property
+    def all_variances(self) -> Array:
+        """(order + 1,) of the innovations of the first epochs, and of all after them."""
+        return np.append(self.startup_variances, self.variance)
+
+    def slopes_of_variance(self, weights: Array) -> tuple[Array, Array]:
+        """Derivatives of `variance_of` by the coefficients of every order (p + 1, p), by `all_variances`."""
+        return _slopes_of_variance(
+            np.ascontiguousarray(weights, dtype=np.float64),
+            self.startup,
+            self.coefficients,
+            self.all_variances,
+        )
+
+    def slope(self, autocovariance: Array, by_rows: Array, by_variances: Array) -> Array:
+        """Derivative (p + 1,) by the autocovariances that gave this, of what has the other two derivatives.
+
+        Those by the coefficients of every order (p + 1, p) and by `all_variances`: the recursion of
+        `autoregressive` taken backwards.
+        """
+        r = np.array(autocovariance[: self.order + 1], dtype=np.float64)
+        r[0] *= 1.0 + NUGGET
+        out = _levinson_back(r, -self.table[:, 1:], self.all_variances, by_rows.copy(), by_variances.copy())
+        out[0] *= 1.0 + NUGGET
+        return np.asarray(out)
+
     def innovations(self, x: Array) -> Array:
         """Innovations of a motion `x` (n,) in units of their sigma, (n,): white, of unit variance."""
         x = np.asarray(x, dtype=np.float64)
@@ -479,6 +505,46 @@ def _levinson(r):  # type: ignore[no-untyped-def]
         if not variances[m] > 0.0:
             break
     return table, variances
+
+
+@njit(cache=True, nogil=True)
+def _levinson_back(r, table, variances, by_rows, by_variances):  # type: ignore[no-untyped-def]
+    """Derivative by r of what has these derivatives by the table and the variances of `_levinson`."""
+    p = len(r) - 1
+    out = np.zeros(p + 1)
+    for m in range(p, 0, -1):
+        reflection, before = table[m, m - 1], variances[m - 1]
+        by_reflection = by_rows[m, m - 1] - 2.0 * reflection * before * by_variances[m]
+        by_variances[m - 1] += by_variances[m] * (1.0 - reflection * reflection)
+        for k in range(m - 1):
+            by_rows[m - 1, k] += by_rows[m, k]
+            by_rows[m - 1, m - 2 - k] -= reflection * by_rows[m, k]
+            by_reflection -= by_rows[m, k] * table[m - 1, m - 2 - k]
+        each = by_reflection / before
+        out[m] += each
+        for k in range(m - 1):
+            by_rows[m - 1, k] -= each * r[m - 1 - k]
+            out[m - 1 - k] -= each * table[m - 1, k]
+        by_variances[m - 1] -= each * reflection
+    out[0] += by_variances[0]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _slopes_of_variance(weights, startup, coefficients, variances):  # type: ignore[no-untyped-def]
+    """Derivatives of a weighted sum's variance by the coefficients of all orders, and the variances."""
+    n, p = len(weights), len(coefficients)
+    shares = _shares_of_innovations(weights, startup, coefficients)
+    by_rows, by_variances = np.zeros((p + 1, p)), np.zeros(p + 1)
+    by_shares = np.empty(n)
+    for t in range(n):
+        by_shares[t] = 2.0 * variances[min(t, p)] * shares[t]
+        by_variances[min(t, p)] += shares[t] ** 2
+    for t in range(1, n):
+        for k in range(min(t, p)):
+            by_rows[min(t, p), k] += shares[t] * by_shares[t - 1 - k]
+            by_shares[t] += (coefficients[k] if t >= p else startup[t, k]) * by_shares[t - 1 - k]
+    return by_rows, by_variances
 
 
 @njit(cache=True, nogil=True)

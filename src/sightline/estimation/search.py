@@ -269,21 +269,19 @@ class Search:
     def _value_and_slope(self, model: NoiseModel) -> tuple[float, Array]:
         """Deviance and its derivatives: through the moments of the posterior, at the cost of one."""
         now = self.posterior(model)
-        moments = now.moments
-        total = model.spectrum.autocovariance(self._lags)
         x = self._vector(model)
         slope = np.zeros(len(x))
+        total = model.spectrum.autocovariance(self._lags)
+        by_lag = now.moments.deviance_slope(now.prior, total)  # type: ignore[arg-type]
         step = 1e-3
         for k in range(len(x) - 1):
             sides = []
             for sign in (1.0, -1.0):
                 moved = x.copy()
                 moved[k] += sign * step
-                changed = self._model(moved, model)
-                old, new = _component(model, k), _component(changed, k)
-                r = total + new.autocovariance(self._lags) - old.autocovariance(self._lags)
-                sides.append(moments.expected_deviance(autoregressive(r, self._order, now.prior.n)))
-            slope[k] = (sides[0] - sides[1]) / (2.0 * step)
+                changed = _component(self._model(moved, model), k)
+                sides.append(changed.autocovariance(self._lags))
+            slope[k] = by_lag @ (sides[0] - sides[1])[: len(by_lag)] / (2.0 * step)
         if self._fit_noise:
             slope[-1] = now.deviance_by_noise_scale
         return now.deviance, slope

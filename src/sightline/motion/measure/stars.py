@@ -51,7 +51,7 @@ RELIEF_SPACING, SMOOTH_SPACING = 16, 64
 #: Lines at which the columns are sought where the CCDs of a line meet in steps.
 STEP_LINES = 5
 #: Tiles that teach the whitening of a pair.
-TILES = 400
+TILES = 128
 #: A row that lost more than this share of its windows is tried again: the estimate may have been wrong.
 MOST_WRONG = 0.4
 #: Windows of another image are not found nearer than this to the ends of an image (px): the kernel that lays
@@ -184,6 +184,10 @@ class MatchingPlan:
         return window_grid(shape, self.window, self.step, columns_step=apart * width)
 
 
+#: Whitening by (hub, partner); None where nothing could be learned.
+Filters = dict[tuple[int, int], Whitening | None]
+
+
 @dataclass(frozen=True, eq=False)
 class StarRecord:
     """A star with what the report shows of its matching.
@@ -195,11 +199,14 @@ class StarRecord:
         Why each match was kept or not (``matching.matches.STATUS_NAMES``).
     score : (G, K)
         Normalised correlation, 0 .. 1.
+    filters : tuple of (Whitening or None)
+        Of each pair; empty where they are not kept.
     """
 
     star: Star
     status: NDArray[np.uint8]
     score: Array
+    filters: tuple[Whitening | None, ...] = ()
 
 
 def hub_windows(
@@ -396,10 +403,12 @@ def match_star(
     plan: MatchingPlan,
     before: StarRecord | None = None,
     step: Step = no_step,
+    filters: Filters | None = None,
 ) -> StarRecord:
     """Match one hub's windows in all its partners and write down what they say.
 
-    `step` is called with the number of windows that are done, and of all.
+    `step` is called with the number of windows that are done, and of all. `filters` are those of pairs that
+    were learned before; what is learned here is added.
 
     Windows that `before`, the same star of an earlier pass, found to be wrong are not tried again: clouds
     among them would spoil the whitening and the pooled errors of the good ones.
@@ -439,6 +448,8 @@ def match_star(
             return GRADIENT if plan.similarity == "gradient" else None
         if grid.narrow(images[hub].shape[1]):
             return _narrow_whitening(images[hub], laid[j], grid, plan)
+        if (hub, partners[j]) in known:
+            return known[hub, partners[j]]
         points = _learning(grid.centres[seen[j] & ~wrong[:, j]], images[hub], plan)
         return pair_whitening(images[hub], laid[j], points, plan.tiles)
 
@@ -448,7 +459,10 @@ def match_star(
             cameras, hub, partners[j], surface, grid, seen[j], statics, places, width
         )
 
+    known = {} if filters is None else filters
     whitenings = in_threads(whitening, range(k))
+    if filters is not None and not grid.narrow(images[hub].shape[1]):
+        filters.update(_both_ways(cameras, hub, partners, whitenings))
     values = np.stack(in_threads(sensitivity, range(k)), axis=1)
     # one pair after the other: its blocks are matched on threads, and only so many are held at a time
     for j, partner in enumerate(partners):
@@ -540,7 +554,19 @@ def match_star(
         brightness=_brightness(before, images[hub], hub, grid),
         window=grid.window,
     )
-    return StarRecord(star, status, score)
+    return StarRecord(star, status, score, tuple(whitenings))
+
+
+def _both_ways(
+    cameras: Sequence[MovingCamera], hub: int, partners: Sequence[int], found: Sequence[Whitening | None]
+) -> Filters:
+    """Filters of pairs of a hub by (hub, partner), and with either as hub where their pixels are like."""
+    out: Filters = {}
+    for partner, one in zip(partners, found, strict=True):
+        out[hub, partner] = one
+        if parts_of_pixel(cameras, hub, partner) == (1, 1):
+            out[partner, hub] = None if one is None else one.swapped()
+    return out
 
 
 def _relative(plan: MatchingPlan, pair: tuple[int, int], columns: Array) -> Array:

@@ -186,7 +186,7 @@ def solve_strip(
         estimate, post, without = solution()
     if unknown_relief:
         length = relief_length(stars, without, height_sigma, strip.half_width)
-    kept = tuple(StarRecord(s, r.status, r.score) for s, r in zip(stars, records, strict=True))
+    kept = tuple(replace(r, star=s) for s, r in zip(stars, records, strict=True))
     return StripState(
         estimate,
         prior,
