@@ -22,8 +22,6 @@ _GRID = 64
 _EDGE = 6
 _OVER = 12
 """Pixels that the wider tiles of image b may reach beyond it, where it is reflected."""
-LEAST_TILES = 100
-"""So many are taken of the smallest images, however much they overlap: some are thrown out."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,7 +318,7 @@ def estimate_whitening(
     reach : (int, int)
         Largest error of the prediction, px.
     most_tiles : int
-        At most so many points are used, evenly taken from those given; fewer where the image is small.
+        At most so many points are used, evenly taken from those given.
 
     Returns
     -------
@@ -342,10 +340,7 @@ def estimate_whitening(
     if tile is None:
         tile = (min(16, image_a.shape[0] // 2), min(128, image_a.shape[1] // 2))
     count = len(points_a)
-    # under a taper, tiles that overlap by more than half tell nothing new
-    apart = 2 * image_a.shape[0] * image_a.shape[1] // (tile[0] * tile[1])
-    most = min(most_tiles, max(apart, LEAST_TILES), count)
-    chosen = np.unique(np.linspace(0, max(count - 1, 0), most).astype(int))
+    chosen = np.unique(np.linspace(0, max(count - 1, 0), min(most_tiles, count)).astype(int))
     finite = np.isfinite(points_a[chosen]).all(axis=1) & np.isfinite(predicted_b[chosen]).all(axis=1)
     chosen = chosen[finite]
     linear = np.zeros((len(chosen), 2, 2)) if affine is None else affine[chosen] - np.eye(2)

@@ -111,8 +111,6 @@ class MatchingPlan:
         px; half-range of the integer search; (0, 0) trusts the prediction.
     most_blocks : int
         At most so many windows per row; 0 lays them side by side.
-    tiles : int
-        At most so many tiles of each pair teach its whitening.
     selection : Selection
         Which windows are matched.
     similarity : str
@@ -130,7 +128,6 @@ class MatchingPlan:
     step: int
     search_px: tuple[int, int] = (0, 0)
     most_blocks: int = 0
-    tiles: int = TILES
     selection: Selection = field(default_factory=Selection)
     similarity: str = "whitened"
     weighting: str = "covariance"
@@ -451,7 +448,7 @@ def match_star(
         if (hub, partners[j]) in known:
             return known[hub, partners[j]]
         points = _learning(grid.centres[seen[j] & ~wrong[:, j]], images[hub], plan)
-        return pair_whitening(images[hub], laid[j], points, plan.tiles)
+        return pair_whitening(images[hub], laid[j], points)
 
     def sensitivity(j: int) -> NDArray[np.float32]:
         places, width = predicted[j].b, sizes[j][1]
@@ -711,19 +708,18 @@ def _narrow_whitening(
     tile = (min(TILE_LINES, image.shape[0] // 2), int(last - first) - 2 * TILE_MARGIN)
     lines = plan.grid(image.shape).lines
     points = np.stack([lines, np.full(len(lines), 0.5 * (first + last - 1.0))], axis=1)
-    return pair_whitening(image, laid, points, plan.tiles, tile) if tile[1] >= TILE_LINES else None
+    return pair_whitening(image, laid, points, tile) if tile[1] >= TILE_LINES else None
 
 
 def pair_whitening(
     image: ImageSource,
     laid: ImageSource,
     points: Array,
-    tiles: int = TILES,
     tile: tuple[int, int] | None = None,
 ) -> Whitening | None:
     """Whitening filters of a pair from some of `points` (N, 2); None where too little can be seen there."""
     try:
-        return estimate_whitening(image, laid, points, points, most_tiles=tiles, tile=tile)
+        return estimate_whitening(image, laid, points, points, most_tiles=TILES, tile=tile)
     except EstimationError:
         return None
 

@@ -42,8 +42,6 @@ Array = NDArray[np.float64]
 #: (rms over the columns) by which it departs from a straight line.
 Shapes = tuple[tuple[int, str, tuple[int, ...], float], ...]
 
-#: Tiles per pair that teach the whitening of drafts.
-DRAFT_TILES = 128
 #: Estimators of the motion (S1, claim 6).
 METHODS = ("joint", "inverse", "wiener", "polynomial", "kalman")
 #: How pairs may be brought together.
@@ -157,11 +155,10 @@ class Strip:
     def plan(
         self, options: RecoverOptions, window: tuple[int, int], step: int, search: tuple[int, int] = (0, 0)
     ) -> MatchingPlan:
-        """How a pass matches; drafts of wide strips thin the windows and the tiles of their whitening."""
+        """How a pass matches; drafts of wide strips thin the windows."""
+        plan = MatchingPlan(window, step, search)
         if self.draft:
-            plan = MatchingPlan(window, step, search, options.draft_blocks, DRAFT_TILES)
-        else:
-            plan = MatchingPlan(window, step, search)
+            plan = replace(plan, most_blocks=options.draft_blocks)
         return replace(
             plan,
             selection=options.selection,

@@ -11,7 +11,7 @@ Not here: the estimate (``estimate.py``, ``joint.py``), the words (``report/``).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import islice
 from statistics import NormalDist
 
@@ -21,15 +21,16 @@ from numpy.typing import NDArray
 from sightline.errors import InputError
 from sightline.estimation.robust import robust_sigmas
 from sightline.matching.match_images import match_images
+from sightline.matching.whitening import Whitening
 from sightline.motion.measure.common_view import Views, common_views, usable
 from sightline.motion.measure.match_noise import plain_variance, robust_weights
 from sightline.motion.measure.observations import Star
-from sightline.motion.measure.stars import StarRecord, laid_on, match_star, pair_whitening
+from sightline.motion.measure.stars import StarRecord, laid_on, match_star
 from sightline.motion.measure.windows import WindowGrid, exposure_times, near_instants
 from sightline.motion.strip.estimate import StripState
 from sightline.motion.strip.normal_equations import GroundOrder, modelled, window_rows
 from sightline.motion.strip.relief import hub_delay
-from sightline.motion.strip.strip import DRAFT_TILES, RecoverOptions, Strip
+from sightline.motion.strip.strip import RecoverOptions, Strip
 
 Array = NDArray[np.float64]
 
@@ -242,12 +243,12 @@ def compared(
     variance[seen] = estimate.row_variance(rows, statics).reshape(-1, 2)
     own = star.covariance_px[:, 0][:, [0, 1], [0, 1]] / np.where(seen, star.weight[:, 0], np.nan)[:, None]
     own = own * plain_variance(star, error)
-    shared = _shared(strip, state, star)
+    shared = _shared(strip, state, star, record.filters[0])
     whole = np.maximum(own + (1.0 - 2.0 * shared) * variance, LEAST_LEFT * own)
     return Compared(star, error[:, 0], np.sqrt(whole), np.sqrt(variance))
 
 
-def _shared(strip: Strip, state: StripState, star: Star) -> Array:
+def _shared(strip: Strip, state: StripState, star: Star, whitening: Whitening | None) -> Array:
     """Covariance (G, 2) of each match's error with that of its prediction, in units of the latter's variance.
 
     Notes
@@ -265,11 +266,11 @@ def _shared(strip: Strip, state: StripState, star: Star) -> Array:
         seen = [_exposures(r.star)[image] for r in records if image in (r.star.hub, *r.star.images)]
         if seen:
             apart += near_instants(np.concatenate(seen), t, reach)
-    alike = _alike(strip, state, pair) if together.any() else np.ones(2)
+    alike = _alike(strip, state, pair, whitening) if together.any() else np.ones(2)
     return np.where(together[:, None], alike, 0.25 * apart[:, None])
 
 
-def _alike(strip: Strip, state: StripState, pair: tuple[int, int]) -> Array:
+def _alike(strip: Strip, state: StripState, pair: tuple[int, int], whitening: Whitening | None) -> Array:
     """Share (2,) of the variance of a pair's matches that those of both bands with a third err by too.
 
     The pair is matched on windows of the hub that was found in both, each laid on it, so that three matches
@@ -290,7 +291,6 @@ def _alike(strip: Strip, state: StripState, pair: tuple[int, int]) -> Array:
     images = [band.image for band in strip.bands]
     first, second = (laid_on(images, cameras, strip.surface, used.hub, image) for image in pair)
     points = used.pixels[which]
-    whitening = pair_whitening(first, second, points, DRAFT_TILES)
     found = match_images(first, second, points, points, window=used.window, whitening=whitening)
     if found.kept.sum() < LEAST_WINDOWS:
         return np.ones(2)
@@ -355,7 +355,7 @@ def _matched(
     None where the estimate used the pair itself everywhere.
     """
     hub, partner = pair
-    plan = replace(strip.plan(options, options.window, options.step), tiles=DRAFT_TILES)
+    plan = strip.plan(options, options.window, options.step)
     images = [band.image for band in strip.bands]
     shape = images[hub].shape
     whole = plan.grid(shape, usable(view, shape[1]))
