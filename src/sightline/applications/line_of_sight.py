@@ -386,7 +386,7 @@ def _compensated_pass(
     """Match again with windows moved by the motion found; refit the prior, or take the one given; solve."""
     nodes, statics = nodes_on(state.estimate, strip.grid), state.estimate.statics
     plan = strip.plan(options, options.window, options.step)
-    records = _match(strip, nodes, statics, plan, state.records, step, learned=number > 0)
+    records = _match(strip, nodes, statics, plan, state.records, step, learned=0 < number < options.passes)
     _some_left(strip, state, records)
     solved = solve_strip(strip, records, nodes, statics, state.model, height_sigma, before=state)
     _some_left(strip, solved, solved.records)
