@@ -34,6 +34,7 @@ from sightline.motion.measure.observations import Star, shared_image_correlation
 from sightline.motion.measure.predict import MovingCamera, StaticParameter
 from sightline.motion.measure.sampled_sensitivities import sampled_sensitivities
 from sightline.motion.measure.uneven_blur import displacement
+from sightline.motion.measure.uneven_lines import answers, uneven
 from sightline.motion.measure.windows import (
     Predictions,
     WindowGrid,
@@ -434,6 +435,7 @@ def match_star(
         for partner, one in zip(partners, finer, strict=True)
     ]
     searched = max(plan.search_px) > 0
+    rough = not searched and uneven(cameras[hub], surface)
     finest = None if searched else finest_view(cameras, surface, hub, grid)
     shown = list(images)  # as the finest shows the ground to coarse pixels
     if finest is not None:
@@ -496,6 +498,13 @@ def match_star(
                 for line, column in ((RESPONSE_STEP, 0.0), (0.0, RESPONSE_STEP))
             ]
             turn = turn @ np.linalg.inv(response(matches, moved)[good])
+        elif rough:
+
+            def by(other: Sequence[MovingCamera], j: int = j, partner: int = partner) -> Matches:
+                return matched(laid_on(images, other, surface, hub, partner))
+
+            share = answers(blurred, partner, matches, values[:, j, :, 3:6], predicted[j].affine, by)[good]
+            turn = turn / np.stack([share, np.ones(len(share))], axis=1)[:, :, None]
         shift, uncertain = matches.b[good] - grid.centres[good], matches.covariance_px[good]
         if finest is not None and not finer[j]:
             fold = matched(laid_on(shown, blurred, surface, hub, partner), own=shown[hub])

@@ -39,8 +39,8 @@ DRIFT_SIGMA = (1e-5, 1e-5, 1e-2)
 TIED_SIGMA = 1.0
 
 #: A drift is hidden where free static parameters leave less than this share of what images see of it beside
-#: curves of this degree. Of hidden ones up to 0.01 is left, 0.045 where lags are a few lines: the motion changes
-#: lags by up to a tenth, which a drift would scale it by. Where the images see a drift it is 0.19 to 1.
+#: curves of this degree. Of hidden ones up to 0.01 is left, 0.045 where lags are a few lines: the motion
+#: changes lags by up to a tenth, which a drift would scale it by. Where images see a drift it is 0.19 to 1.
 HIDDEN, DEGREE = 0.09, 3
 
 #: Rows whose variance is found at a time: each takes a vector of all unknowns.

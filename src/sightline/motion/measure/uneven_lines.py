@@ -1,0 +1,92 @@
+"""How matches answer where the lines of an image stand unevenly on the ground.
+
+A platform that pitches to and fro takes lines closer together and farther apart. A turn of the line of sight
+then moves the lines of one window by unlike numbers of lines, and a match finds a mean of these in which
+lines count by their detail, and by what the filter takes from their neighbours: at rates of the scan that
+vary by a quarter, three quarters of what the rate at the middle of the window would ask for. The share is
+measured: a partner is laid on the hub once more, by a camera that was turned a little.
+
+Not here: pixels of unlike size, which answer otherwise too (``aliasing.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sightline.geometry.camera import PushbroomCamera
+from sightline.geometry.surface import Surface
+from sightline.matching.matches import Matches
+from sightline.motion.measure.aliasing import RESPONSE_STEP
+from sightline.motion.measure.predict import MovingCamera, turned
+
+Array = NDArray[np.float64]
+
+#: Relative spread (rms) of the distances of lines from which on answers are measured: their mean departs by
+#: the square of it and more, 0.25 % here and 6 % and more at a quarter.
+UNEVEN = 0.05
+#: An answer farther from that of most windows than this is a false match.
+FARTHEST = 0.5
+#: Angles that may move lines: roll and pitch.
+TURNS = 2
+
+
+def uneven(camera: MovingCamera, surface: Surface) -> bool:
+    """Whether the lines of a camera stand so unevenly on the ground that matches answer by less."""
+    if not isinstance(camera, PushbroomCamera) or camera.trajectory.motion is None or camera.lines < 2:
+        return False
+    middle = np.full(camera.lines, 0.5 * (camera.columns - 1.0))
+    ground = camera.locate(np.stack([np.arange(camera.lines), middle], axis=1), surface)
+    steps = np.diff(ground, axis=0)
+    steps = steps[np.isfinite(steps).all(axis=1)]
+    if not len(steps):
+        return False
+    track = steps.mean(axis=0)
+    along = steps @ track / max(float(track @ track), np.finfo(float).tiny)
+    return bool(along.std() > UNEVEN)
+
+
+def answers(
+    cameras: Sequence[MovingCamera],
+    partner: int,
+    matches: Matches,
+    by_partner: NDArray[np.float32],
+    affine: Array,
+    matched: Callable[[Sequence[MovingCamera]], Matches],
+) -> Array:
+    """Shares (G,) of the motion along lines that matches find, 1 where they find all of it.
+
+    Parameters
+    ----------
+    cameras : sequence of cameras
+        Of all images, with the best motion known.
+    partner : int
+    matches : Matches
+        Of the hub's windows with the partner laid on it by these.
+    by_partner : (G, 2, 3)
+        px/rad; change of the predicted partner with its attitude.
+    affine : (G, 2, 2)
+        px/px; change of the predicted partner with the pixel of the hub.
+    matched : callable
+        The same matches with the partner laid on the hub by other cameras.
+    """
+    out = np.ones(len(affine))
+    good = np.flatnonzero(matches.kept & np.isfinite(by_partner).all(axis=(1, 2)))
+    if not len(good):
+        return out
+    along = by_partner[good, 0, :TURNS].astype(np.float64)
+    axis = int(np.argmax(np.median(np.abs(along), axis=0)))
+    turn = np.zeros(3)
+    turn[axis] = RESPONSE_STEP / float(np.median(np.abs(along[:, axis])))
+    other = list(cameras)
+    other[partner] = turned(cameras[partner], turn)
+    moved = matched(other)
+    found = np.einsum("nij,nj->ni", affine[good], moved.b[good] - matches.b[good])[:, 0]
+    with np.errstate(invalid="ignore"):
+        share = -found / (along[:, axis] * turn[axis])
+        usable = moved.kept[good] & (np.abs(share - np.nanmedian(share)) <= FARTHEST)
+    if usable.any():
+        out[good] = np.where(usable, share, np.median(share[usable]))
+    return out
