@@ -25,8 +25,8 @@ from sightline.motion.measure.predict import MovingCamera, turned
 Array = NDArray[np.float64]
 
 #: Relative spread (rms) of the distances of lines from which on answers are measured: their mean departs by
-#: the square of it and more, 0.25 % here and 6 % and more at a quarter.
-UNEVEN = 0.05
+#: the square of it and more, 1 % here and 16 % at a quarter.
+UNEVEN = 0.1
 #: An answer farther from that of most windows than this is a false match.
 FARTHEST = 0.5
 #: Angles that may move lines: roll and pitch.
