@@ -1,6 +1,6 @@
 """Poses of two real sequences: frames left out and estimated again, beside the solution on all.
 
-Run: python validation/sequence_real.py [iss | brighton]      (SIGHTLINE_DATA: folder of the data sets)
+Run: python validation/sequence_real.py [iss | brighton | lines]   (SIGHTLINE_DATA: folder of the data sets)
 
 A frame is left out in two ways: (a) of the subset, so that its place and angles are not given and no point
 rests on it, but its image is looked at (the dense stage of S4); (b) altogether, so that its pose is
@@ -23,6 +23,7 @@ from pathlib import Path
 import gates
 import numpy as np
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
 from sightline.geometry.checks import Array
@@ -32,6 +33,7 @@ from sightline.photogrammetry.flight.poses import FramePoses, adjust_frames
 from sightline.photogrammetry.flight.problem import SequenceProblem
 from sightline.photogrammetry.flight.solver import SequenceSolver
 from sightline.photogrammetry.flight.start import begun
+from sightline.photogrammetry.flight.table_check import table_fits
 from sightline.photogrammetry.frame_cameras import frame_cameras
 from sightline.photogrammetry.sightings import Images, Tracks, sight_frames
 
@@ -86,12 +88,20 @@ class Solved:
         )  # fmt: skip
 
 
-def solve(name: str, toml: str) -> Solved:
-    """A data set, solved on all its frames."""
+def solve(name: str, toml: str, frames: slice = slice(None)) -> Solved:
+    """A data set, solved on all its frames or on some."""
     with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "sequence.toml"
-        path.write_text(toml.format(folder=DATA / name))
+        path, own = Path(folder) / "sequence.toml", Path(folder) / name
+        own.mkdir()
+        for image in sorted((DATA / name).glob("*.[jJ][pP][gG]"))[frames]:
+            (own / image.name).symlink_to(image)
+        path.write_text(toml.format(folder=own))
         problem = load_sequence(path)
+        return _solved(name, problem)
+
+
+def _solved(name: str, problem: SequenceProblem) -> Solved:
+    """The same of a problem, while its images are there."""
     found = georeference_sequence(problem)
     poses = found.poses
     images = begun(problem, found.followed).images
@@ -215,10 +225,32 @@ def brighton() -> None:
         print(f"    line of {solved.problem.frames[line[0]]}: median {_row(middle)}, scatter {_row(spread)}")
 
 
+def brighton_lines() -> None:
+    """Either line by itself: its length beside GPS, chi-square of the tables, its poses beside both lines."""
+    both = solve("drone_brighton_lines12", BRIGHTON)
+    for number, frames in enumerate((slice(0, 6), slice(6, 12)), start=1):
+        one = solve("drone_brighton_lines12", BRIGHTON, frames)
+        found, gps = (
+            np.linalg.norm(np.diff(x, axis=0), axis=1).sum()
+            for x in (one.found.poses.position, one.problem.images.position)
+        )
+        gates.check(f"Brighton, line {number}: length over GPS", float(found / gps), 0.95, 1.05)
+        for fit in table_fits(replace(one.problem, images=one.images), one.found.poses):
+            most = float(chi2.isf(0.01, fit.numbers))
+            gates.check(f"Brighton, line {number}: chi-square of {fit.name}", fit.chi_squared, 0.0, most)
+        turn = (both.found.poses.world_from_body[frames].inv() * one.found.poses.world_from_body).as_rotvec()
+        moved = one.found.poses.position - both.found.poses.position[frames]
+        # of the line alone: what both lines know beside it makes the difference smaller, not larger
+        sigma = np.sqrt(np.einsum("kii->ki", one.found.poses.covariance))
+        worst = float((np.abs(np.concatenate([moved, turn], axis=1)) / sigma).max())
+        gates.check(f"Brighton, line {number}: beside both lines, sigmas", worst, 0.0, 3.0)
+
+
 def main() -> None:
     """Both sets, or those named."""
-    for name in sys.argv[1:] or ["iss", "brighton"]:
-        {"iss": iss, "brighton": brighton}[name]()
+    parts = {"iss": iss, "brighton": brighton, "lines": brighton_lines}
+    for name in sys.argv[1:] or parts:
+        parts[name]()
 
 
 if __name__ == "__main__":

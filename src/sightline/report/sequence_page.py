@@ -98,6 +98,11 @@ def _tables(
         "tables, angles about body axes.",
         Table(words.BIAS_HEADS, biases, [0, 4]),
     ]
+    tables: list[str | Table] = [
+        "The tables beside the poses found: squares of what lies between them, constant errors taken off, "
+        "over sigmas squared. Poses follow the tables where images tell less: chance stays under this.",
+        Table(words.TABLE_HEADS, words.table_rows(problem, found), [0, 4]),
+    ]
     bow = (
         "A stretch of the flight is a run of frames without a pause. Bow: 1 sigma of the even trend of the "
         "angles' errors from its first frame to its last, rms along it. It bends the ground of a long strip "
@@ -114,7 +119,9 @@ def _tables(
     subset_table = _folding(words.SUBSET_HEADS, subset, [0, 4], "all frames of the subset")
     return [
         Section(
-            "constant-errors", "Constant errors and bow", [*(constant if biases else []), bow, bow_table]
+            "constant-errors",
+            "Constant errors, tables and bow",
+            [*(constant if biases else []), *tables, bow, bow_table],
         ),
         Section("subset", "The subset, and why each frame was taken", [why, subset_table]),
         *([Section("time", "Time per stage", [took, Table(heads, stages, [0, 4])])] if stages else []),

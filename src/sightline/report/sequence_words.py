@@ -9,9 +9,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.photogrammetry.flight.problem import SequenceProblem
+from sightline.photogrammetry.flight.table_check import table_fits
 from sightline.photogrammetry.flight.warnings import BENT_PX, bent_px, focal_verdict
 from sightline.report.sequence_view import PARAMETERS, UNITS, SequenceView
 from sightline.report.stereo_words import several, with_sigma
@@ -34,6 +36,8 @@ BIAS_VERDICTS = (
     (0.5, "hardly observable"),
     (0.0, "observable"),
 )
+#: Of `table_rows`.
+TABLE_HEADS = ["table", "frames", "chi-square", "99 % lie under", "farthest frame"]
 BIAS_HEADS = ["constant error of the tables", "found", "1 sigma", "1 sigma beforehand", "verdict"]
 BOW_HEADS = [
     "stretch", "frames", "length (m)", "duration (s)", "roll (deg)", "pitch (deg)", "yaw (deg)", "verdict",
@@ -134,6 +138,23 @@ def _fit(found: SequencePoses, view: SequenceView) -> str:
             "that, which residuals do not show because the places of the points follow it."
         )
     return text
+
+
+def table_rows(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]:
+    """Per table: name, frames, chi-square, what chance makes of it, the frame that it misses most."""
+    rows = []
+    for fit in table_fits(problem, found.poses):
+        worst = int(np.argmax(fit.square))
+        rows.append(
+            [
+                fit.name,
+                f"{len(fit.rows)}",
+                f"{fit.chi_squared:.3g} of {fit.numbers}",
+                f"{chi2.isf(0.01, fit.numbers):.3g}",
+                f"{problem.frames[int(fit.rows[worst])]}, {fit.square[worst]:.3g} of 3",
+            ]
+        )
+    return rows
 
 
 def bias_table(problem: SequenceProblem, found: SequencePoses) -> list[list[str]]:

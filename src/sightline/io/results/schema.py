@@ -507,6 +507,23 @@ class DatumPart(SummaryPart):
     sigma: Number
 
 
+class FarthestRow(SummaryPart):
+    """The frame whose pose a table misses most."""
+
+    frame: str
+    chi_squared: Number = _is("Of three numbers")
+
+
+class TablePart(SummaryPart):
+    """A table of positions or attitudes beside the poses found."""
+
+    frames: Count = _is("Of which it says something")
+    numbers: Count = _is("Three a frame, three of the constant error")
+    chi_squared: Number = _is("Of all of them, over their sigmas")
+    chi_squared_99: Number = _is("What it exceeds by chance in one of a hundred flights at most")
+    farthest: FarthestRow
+
+
 class FoundFocal(SummaryPart):
     """px; the focal length that was found with the poses."""
 
@@ -577,6 +594,7 @@ class SequenceSummary(RunSummary):
     subset: ChosenFrames = _is("Frames of the subset, and what they were to share")
     sigmas: dict[str, Sigmas] = _is("m and rad: median and largest of all frames")
     datum: dict[str, DatumPart | None] = _is("m and rad: constant errors of the tables; null: none sought")
+    tables: dict[str, TablePart] = _is("positions, attitudes: whether they go with the poses found")
     focal_length: FoundFocal | None = _is("Where it was found with the poses")
     bow: list[dict[str, float]] = _is("rad: bends that were left free, by axis")
     sightings: SightingCounts = _is("Windows followed from frame to frame")

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.stats import chi2
 
 from sightline.applications.sequence_poses import SequencePoses
 from sightline.io.formats.tables import write_columns
@@ -19,12 +20,15 @@ from sightline.io.results.line_of_sight import peak_memory, write_json
 from sightline.io.results.poses import SIGMAS, SOURCES, in_table_axes, pose_axes
 from sightline.io.results.sequence_exports import write_pose_exports, write_sequence_poses
 from sightline.io.sequence.load import FrameSequence
+from sightline.photogrammetry.flight.table_check import table_fits
 from sightline.version import VERSION
 
 Array = NDArray[np.float64]
 
 #: Constant errors of the tables, in the order of `FramePoses.bias`.
 DATUM = ("x", "y", "z", "roll", "pitch", "yaw")
+#: Columns of ``frames_used.csv``, by the table of which they tell.
+CHI_SQUARED = {"positions": "position_chi_squared", "attitudes": "attitude_chi_squared"}
 #: Sightings up to which models for other programs hold points; they are text, some 60 bytes each.
 EXPORTED_SIGHTINGS = 1_000_000
 
@@ -101,10 +105,21 @@ def write_frames_used(path: Path, sequence: FrameSequence, found: SequencePoses)
         "subset": subset,
         "overlap": overlap,
         "parallax": parallax,
+        **_chi_squared(sequence, found),
         "reason": np.array(words, dtype=str),
     }
-    formats = dict.fromkeys(("residual_px", "sharpness", "overlap", "parallax"), "%.6g")
+    formats = dict.fromkeys(
+        ("residual_px", "sharpness", "overlap", "parallax", *CHI_SQUARED.values()), "%.6g"
+    )
     write_columns(path, columns, formats | {"t": "%.17g"})
+
+
+def _chi_squared(sequence: FrameSequence, found: SequencePoses) -> dict[str, Array]:
+    """Per frame how far each table lies from its pose, (M,) each; NaN where the table says nothing."""
+    out = {name: np.full(len(found.source), np.nan) for name in CHI_SQUARED.values()}
+    for fit in table_fits(sequence.problem, found.poses):
+        out[CHI_SQUARED[fit.name]][fit.rows] = fit.square
+    return out
 
 
 def summarize_sequence(
@@ -132,6 +147,7 @@ def summarize_sequence(
             for name, s in zip(SIGMAS, sigma.T, strict=True)
         },
         "datum": _datum(sequence, found),
+        "tables": _tables(sequence, found),
         "focal_length": _focal_length(sequence, found),
         "bow": [dict(zip(DATUM[3:], map(float, bow), strict=True)) for bow in poses.bow],
         "sightings": _sightings(found),
@@ -152,6 +168,24 @@ def _datum(sequence: FrameSequence, found: SequencePoses) -> dict[str, dict[str,
     return {
         name: {"bias": float(b), "sigma": math.sqrt(v)} if v > 0.0 else None
         for name, b, v in zip(DATUM, bias, variance, strict=True)
+    }
+
+
+def _tables(sequence: FrameSequence, found: SequencePoses) -> dict[str, dict[str, Any]]:
+    """Chi-square of what is given of the poses, and the frame that misses it most."""
+    names = sequence.problem.frames
+    return {
+        fit.name: {
+            "frames": len(fit.rows),
+            "numbers": fit.numbers,
+            "chi_squared": fit.chi_squared,
+            "chi_squared_99": float(chi2.isf(0.01, fit.numbers)),
+            "farthest": {
+                "frame": names[int(fit.rows[np.argmax(fit.square)])],
+                "chi_squared": float(fit.square.max()),
+            },
+        }
+        for fit in table_fits(sequence.problem, found.poses)
     }
 
 

@@ -250,6 +250,12 @@ class Fit:
     scale: float
 
 
+def gross_error(sightings: int) -> float:
+    """Chi-square of one of so many sightings from which on it is a gross error."""
+    # two degrees of freedom: exp(-limit / 2) of good ones are larger
+    return float(2.0 * np.log(max(sightings, 1) / FALSE_ALARM))
+
+
 def descend(
     block: BlockSums,
     state: State,
@@ -284,8 +290,7 @@ def descend(
     EstimationError
         If steps do not end.
     """
-    # chi-square with two degrees of freedom: exp(-limit / 2) of good ones are larger
-    limit = 2.0 * np.log(max(int(usable.sum()), 1) / FALSE_ALARM)
+    limit = gross_error(int(usable.sum()))
     now = usable.astype(np.float64) if weight is None else np.array(weight)
     softened, fit = weight is not None, None
     if robust and not softened:

@@ -20,7 +20,15 @@ from sightline.errors import EstimationError, InputError
 from sightline.execution import one_blas_thread
 from sightline.geometry.checks import Array, ReadOnlyArrays, frozen
 from sightline.geometry.instrument import AreaDetector
-from sightline.photogrammetry.block.descent import BlockSums, Fit, State, descend, first_state, seen_twice
+from sightline.photogrammetry.block.descent import (
+    BlockSums,
+    Fit,
+    State,
+    descend,
+    first_state,
+    gross_error,
+    seen_twice,
+)
 from sightline.photogrammetry.block.linked_frames import LinkedFrames
 from sightline.photogrammetry.block.observability import observability
 from sightline.photogrammetry.block.point_priors import PointPriors
@@ -154,6 +162,9 @@ class FramePoses(ReadOnlyArrays):
         errors from its first frame to its last, rms over it.
     focal : FocalStretch or None
         None where the focal length was kept. What is not known of it is in the covariances.
+    cost : float
+        What is minimised: chi-square of sightings that count, of tables and of all else that is known, and
+        for each gross error what it exceeds at least; inf where nobody asked.
     """
 
     position: Array
@@ -169,6 +180,7 @@ class FramePoses(ReadOnlyArrays):
     scale: float
     bow: Array
     focal: FocalStretch | None = None
+    cost: float = np.inf
 
     def detector(self, given: AreaDetector) -> AreaDetector:
         """The camera of the frames with the focal length found, from the one given."""
@@ -400,7 +412,7 @@ def _poses(images: Images, block: BlockSums, fit: Fit, roughness: Array, known: 
     covariance = reduced.departure_covariance(common)[:, order][:, :, order]
     bias, bias_covariance, focal = common_errors(state.common, common, bias_rows(known), known.focal_length)
     used = seen_twice(sightings, block.priors, fit.weight > 0.0)
-    r = block.gradient(state, used.astype(np.float64))[3]
+    *_, r, cost = block.gradient(state, used.astype(np.float64))
     kept = np.bincount(sightings.point, used, minlength=sightings.points) > 0
     return FramePoses(
         frozen(images.position + x[:, 3:6]),
@@ -416,6 +428,7 @@ def _poses(images: Images, block: BlockSums, fit: Fit, roughness: Array, known: 
         fit.scale,
         _bow(images, block, reduced),
         focal,
+        float(cost + gross_error(len(sightings)) * np.count_nonzero(~used)),
     )
 
 

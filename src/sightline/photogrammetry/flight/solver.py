@@ -114,9 +114,12 @@ class SequenceSolver:
         return PartSolution(tracks, sightings, priors, poses)
 
     def approached(self) -> Adjusted:
-        """Few frames far apart solved, in rounds in which sightings count for more and more."""
+        """Few frames far apart solved: from the tables, and in rounds in which sightings count more and more.
+
+        The start that ends in the least cost holds.
+        """
         tracks = tracks_of(self.followed)
-        tracks, poses, words = approached(self.solve, tracks, max(self.problem.detector.shape))
+        tracks, poses, words = self._best_start(tracks)
         for _ in range(0 if words else _NOISE_ROUNDS):
             finer = with_drift(tracks, poses.residual_px[: len(tracks)], ~poses.rejected[: len(tracks)])
             try:
@@ -125,11 +128,34 @@ class SequenceSolver:
                 words = ["the frames' geometry is weak: sightings count as good as their matches say of them"]
         return Adjusted(poses, tracks, tuple(words))
 
-    def solve(self, tracks: Tracks, before: FramePoses | None) -> FramePoses:
-        """Poses of all frames; `before` says where points are, and how frames moved while read out."""
+    def _best_start(self, tracks: Tracks) -> tuple[Tracks, FramePoses, list[str]]:
+        """Of the best start: tracks as they counted, poses, words where they did not count in full."""
+        counted, poses, words = approached(self.anew, tracks, max(self.problem.detector.shape))
+        try:
+            straight = self.solve(tracks, None)
+            alike = straight if not words else self.anew(counted, straight)
+        except EstimationError:
+            return counted, poses, words
+        return (tracks, straight, []) if alike.cost < poses.cost else (counted, poses, words)
+
+    def anew(self, tracks: Tracks, near: FramePoses | None) -> FramePoses:
+        """Poses of all frames from poses `near`, of which nothing else is kept.
+
+        The roughness of the path least of all: where sightings counted for little it was that of the tables.
+        A path that may not bend as it does can be met by sightings if it shrinks, to nothing in the end.
+        """
+        return self.solve(tracks, near, keep=False)
+
+    def solve(self, tracks: Tracks, before: FramePoses | None, *, keep: bool = True) -> FramePoses:
+        """Poses of all frames; `before` says where points are, and how frames moved while read out.
+
+        `keep`: it is a solution of the same sightings, whose roughness and biases hold.
+        """
         p = self.problem
         sightings, priors, points = self.equations(tracks, before)
-        start = p.start if before is None else before
+        start: FramePoses | Images | None = p.start if before is None else before
+        if before is not None and not keep:
+            start = estimated_images(p.images, before)
         return adjust_frames(p.images, sightings, p.known_poses, priors=priors, points=points, start=start)
 
     def equations(

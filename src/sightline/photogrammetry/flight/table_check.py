@@ -8,6 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from sightline.errors import EstimationError
@@ -26,7 +27,7 @@ MOST_APART = 3.0
 #: Frames' worth of ground that a flight passes over at least before its motion says anything.
 _FRAMES_FLOWN = 0.25
 #: Times their sigma by which rows of tables may miss the poses found, rms, before it is worth a word.
-_MISSED = 3.0
+_MISSED = 1.5
 #: Share of good flights in which chance alone goes so far.
 _CHANCE = 1e-4
 #: Sigmas from which on what is given contradicts itself too far for an answer, as of an orientation; and the
@@ -100,6 +101,63 @@ def _spacing(problem: SequenceProblem) -> str:
         f" (by the tables a frame covers {overlap.covered:.3g} m, successive frames are {overlap.step:.3g} m "
         f"apart and share {overlap.usual:.0%})"
     )
+
+
+@dataclass(frozen=True, eq=False)
+class TableFit:
+    """Rows of a table beside the poses found.
+
+    Attributes
+    ----------
+    name : str
+        "positions" or "attitudes".
+    rows : (n,) int
+        Frames of which it says something.
+    error : (n, 3)
+        Table less pose, less the constant error found: m, or rad about body axes.
+    square : (n,)
+        Sum of the three over their sigmas, squared: chi-square of three numbers at most, as the poses follow
+        the table.
+    constant : float
+        The same of the constant error, over its sigma; 0 where none is sought.
+    constants : int
+        Numbers in that, 0 or 3.
+    """
+
+    name: str
+    rows: NDArray[np.intp]
+    error: Array
+    square: Array
+    constant: float
+    constants: int
+
+    @property
+    def chi_squared(self) -> float:
+        """Of all rows and the constant error."""
+        return float(self.square.sum()) + self.constant
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers are in `chi_squared`."""
+        return 3 * len(self.rows) + self.constants
+
+
+def table_fits(problem: SequenceProblem, poses: FramePoses) -> list[TableFit]:
+    """Positions and attitudes that are given, beside the poses found."""
+    known = problem.known
+    moved = problem.images.position - poses.position - poses.bias[:3]
+    turned = (poses.world_from_body.inv() * problem.images.world_from_body).as_rotvec() - poses.bias[3:]
+    out = []
+    for name, error, sigma, bias, loose in (
+        ("positions", moved, known.along_world(), poses.bias[:3], known.position_bias),
+        ("attitudes", turned, known.attitude, poses.bias[3:], known.attitude_bias),
+    ):
+        rows = np.flatnonzero(np.isfinite(sigma).all(axis=1) & np.isfinite(error).all(axis=1))
+        if len(rows):
+            square = ((error[rows] / sigma[rows]) ** 2).sum(axis=1)
+            constant = float((bias / loose) @ (bias / loose)) if loose > 0.0 else 0.0
+            out.append(TableFit(name, rows, error[rows], square, constant, 3 if loose > 0.0 else 0))
+    return out
 
 
 @dataclass(frozen=True)
@@ -257,18 +315,11 @@ def _usual(square: Array) -> float:
 
 def _row_misfits(problem: SequenceProblem, poses: FramePoses) -> list[Misfit]:
     """Rows of the tables that miss the poses found by more than their sigmas allow."""
-    moved = problem.images.position - poses.position - poses.bias[:3]
-    turned = (poses.world_from_body.inv() * problem.images.world_from_body).as_rotvec() - poses.bias[3:]
     out = []
-    for what, error, sigma, unit, factor in (
-        ("positions", moved, problem.known.along_world(), "m", 1.0),
-        ("attitudes", turned, problem.known.attitude, "degrees", float(np.degrees(1.0))),
-    ):
-        given = np.flatnonzero(np.isfinite(sigma).all(axis=1) & np.isfinite(error).all(axis=1))
-        if not len(given):
-            continue
-        square = ((error[given] / sigma[given]) ** 2).sum(axis=1)
-        size = factor * np.linalg.norm(error[given], axis=1)
+    for fit in table_fits(problem, poses):
+        what, given, square = fit.name, fit.rows, fit.square
+        factor, unit = (1.0, "m") if what == "positions" else (float(np.degrees(1.0)), "degrees")
+        size = factor * np.linalg.norm(fit.error, axis=1)
         ratio = float(np.sqrt(_usual(square)))
         if ratio > _MISSED and square.sum() > chi2.isf(_CHANCE, 3 * len(given)):
             out.append(
