@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from sightline.geometry.surface import Plane
 from sightline.motion.measure import stars
 from sightline.motion.measure.predict import turned
 from sightline.motion.measure.stars import MatchingPlan, match_star
-from sightline.motion.measure.uneven_lines import uneven
+from sightline.motion.measure.uneven_lines import answers, uneven
 from sightline.motion.measure.windows import window_grid
 from sightline.simulate.scenarios import line_of_sight_case
 
@@ -59,3 +61,24 @@ def test_a_turn_is_found_almost_in_full(scenario, monkeypatch):
     plain = share_found(scenario)
     assert plain < 0.88
     assert abs(found - 1.0) < 0.4 * (1.0 - plain)
+
+
+def test_false_answers_are_those_of_most_windows():
+    camera = SimpleNamespace(trajectory=SimpleNamespace(motion=None, span=(0.0, 1.0)))
+    camera.with_trajectory = lambda trajectory: camera
+    camera.trajectory.with_motion = lambda motion: camera.trajectory
+    by, affine = np.zeros((6, 2, 3)), np.broadcast_to(np.eye(2), (6, 2, 2))
+    by[:, 0, 1] = 1e5
+    first = SimpleNamespace(kept=np.ones(6, bool), b=np.zeros((6, 2)))
+    found = -0.05 * np.array([0.8, 0.9, 0.7, -0.2, 0.05, 0.8])
+    second = SimpleNamespace(
+        kept=np.arange(6) < 5, b=np.column_stack([np.append(found[:5], np.nan), np.zeros(6)])
+    )
+    got = answers([camera, camera], 1, first, by, affine, lambda other: second)
+    # of the kept ones the median is .7, which the two that are hardly any and the one not kept are given
+    np.testing.assert_allclose(got, [0.8, 0.9, 0.7, 0.7, 0.7, 0.7])
+    nothing = SimpleNamespace(kept=np.zeros(6, bool), b=np.full((6, 2), np.nan))
+    np.testing.assert_array_equal(answers([camera] * 2, 1, first, by, affine, lambda other: nothing), 1.0)
+    np.testing.assert_array_equal(
+        answers([camera] * 2, 1, first, 0.0 * by, affine, lambda other: second), 1.0
+    )

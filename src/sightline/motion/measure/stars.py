@@ -570,7 +570,7 @@ def _both_ways(
     out: Filters = {}
     for partner, one in zip(partners, found, strict=True):
         out[hub, partner] = one
-        if parts_of_pixel(cameras, hub, partner) == (1, 1):
+        if {parts_of_pixel(cameras, *pair) for pair in ((hub, partner), (partner, hub))} == {(1, 1)}:
             out[partner, hub] = None if one is None else one.swapped()
     return out
 

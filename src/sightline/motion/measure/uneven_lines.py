@@ -27,8 +27,9 @@ Array = NDArray[np.float64]
 #: Relative spread (rms) of the distances of lines from which on answers are measured: their mean departs by
 #: the square of it and more, 1 % here and 16 % at a quarter.
 UNEVEN = 0.1
-#: An answer farther from that of most windows than this is a false match.
-FARTHEST = 0.5
+#: An answer farther from that of most windows than this is a false match, and one of less than that a window
+#: whose lines all but stand on one another.
+FARTHEST, LEAST = 0.5, 0.3
 #: Angles that may move lines: roll and pitch.
 TURNS = 2
 
@@ -77,16 +78,22 @@ def answers(
     if not len(good):
         return out
     along = by_partner[good, 0, :TURNS].astype(np.float64)
-    axis = int(np.argmax(np.median(np.abs(along), axis=0)))
+    usual = np.median(np.abs(along), axis=0)
+    axis = int(np.argmax(usual))
+    if not usual[axis] > 0.0:
+        return out
     turn = np.zeros(3)
-    turn[axis] = RESPONSE_STEP / float(np.median(np.abs(along[:, axis])))
+    turn[axis] = RESPONSE_STEP / usual[axis]
     other = list(cameras)
     other[partner] = turned(cameras[partner], turn)
     moved = matched(other)
     found = np.einsum("nij,nj->ni", affine[good], moved.b[good] - matches.b[good])[:, 0]
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", divide="ignore"):
         share = -found / (along[:, axis] * turn[axis])
-        usable = moved.kept[good] & (np.abs(share - np.nanmedian(share)) <= FARTHEST)
-    if usable.any():
-        out[good] = np.where(usable, share, np.median(share[usable]))
+    usable = moved.kept[good] & np.isfinite(share)
+    if not usable.any():
+        return out
+    middle = max(float(np.median(share[usable])), LEAST)
+    usable &= (np.abs(share - middle) <= FARTHEST) & (share >= LEAST)
+    out[good] = np.where(usable, share, middle)
     return out
