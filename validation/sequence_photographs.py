@@ -146,8 +146,8 @@ def main(flights: int) -> None:
             if square > SHOWN or said:
                 print(
                     f"  {words}, {seed}: {frames} photographs, overlap {overlap:.0%}, length "
-                    f"{line.stretch(poses):.3f} of the true one, squared error over covariance / 6 {square:.2f}, "
-                    f"worst {error.max():.1f} sigma, {len(said)} warnings"
+                    f"{line.stretch(poses):.3f} of the true one, squared error over covariance / 6 "
+                    f"{square:.2f}, worst {error.max():.1f} sigma, {len(said)} warnings"
                 )
         gates.check(f"{words}: lines solved, %", 100.0 * len(squares) / flights, 95.0)
         # of six parameters, whose datum is one draw a flight
