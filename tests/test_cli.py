@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from sightline.cli import main as command
-from sightline.cli import terminal
+from sightline.cli import terminal, warm_up
 from sightline.cli.terminal import print_json, progress
 from sightline.errors import (
     EstimationError,
@@ -463,3 +463,23 @@ def test_a_command_takes_from_gdal_and_proj_what_asks_servers():
             [sys.executable, "-c", code, *words], capture_output=True, text=True, env=environment, timeout=120
         )
         assert run.stdout.splitlines()[-1] == said, run.stderr
+
+
+def test_warm_up_leaves_nothing_but_kernels_and_says_what_went_wrong(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(
+        warm_up,
+        "JOBS",
+        ("simulate stereo --shots 4 --points 30 --out pair", "orient pair/stereo.toml --out o"),
+    )
+    assert command.run(["warm-up"]) == 0
+    assert "kept" in capsys.readouterr().out and not list(tmp_path.iterdir())
+    monkeypatch.setattr(warm_up, "JOBS", ("orient nothing.toml --out o",))
+    assert command.run(["warm-up"]) == 1
+    assert "nothing.toml" in capsys.readouterr().err
+
+
+def test_jobs_of_warm_up_are_those_of_every_command_that_computes():
+    assert {job.split()[0] for job in warm_up.JOBS} == {
+        "simulate", "recover", "register", "tdi", "orient", "georeference",
+    }  # fmt: skip

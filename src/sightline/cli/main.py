@@ -36,6 +36,7 @@ from sightline.cli import (
     simulate,
     tdi,
     version,
+    warm_up,
 )
 from sightline.cli.options import examples
 from sightline.cli.terminal import complain, warnings_as_messages
@@ -96,6 +97,7 @@ app.command("noise", epilog=examples("noise"))(noise.noise)
 app.command("score", epilog=examples("score"))(score.score)
 app.command("check", epilog=examples("check"))(check.check)
 app.command("schema", epilog=examples("schema"))(schema.schema)
+app.command("warm-up", epilog=examples("warm-up"))(warm_up.warm_up)
 app.command("version", epilog=examples("version"))(version.version)
 
 

@@ -67,6 +67,7 @@ EXAMPLES = {
     "noise": ("noise raw.tif --dark dark.tif --out noise",),
     "schema": ("schema acquisition",),
     "version": ("version",),
+    "warm-up": ("warm-up",),
 }
 
 
