@@ -100,7 +100,7 @@ def _tables(
     ]
     tables: list[str | Table] = [
         "The tables beside the poses found: squares of what lies between them, constant errors taken off, "
-        "over sigmas squared. Poses follow the tables where images tell less: chance stays under this.",
+        "over sigmas squared. Poses follow the tables where images tell little: of good ones it is less.",
         Table(words.TABLE_HEADS, words.table_rows(problem, found), [0, 4]),
     ]
     bow = (

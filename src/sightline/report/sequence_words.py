@@ -149,9 +149,9 @@ def table_rows(problem: SequenceProblem, found: SequencePoses) -> list[list[str]
             [
                 fit.name,
                 f"{len(fit.rows)}",
-                f"{fit.chi_squared:.3g} of {fit.numbers}",
+                f"{fit.chi_squared:.3g} of {fit.numbers} numbers",
                 f"{chi2.isf(0.01, fit.numbers):.3g}",
-                f"{problem.frames[int(fit.rows[worst])]}, {fit.square[worst]:.3g} of 3",
+                f"{problem.frames[int(fit.rows[worst])]}: {fit.square[worst]:.3g} of 3 numbers",
             ]
         )
     return rows

@@ -35,6 +35,8 @@ from sightline.photogrammetry.sightings import (
 
 #: Rounds in which the noise of the sightings is taken from the residuals of the solution before.
 _NOISE_ROUNDS = 1
+#: Chi-square by which a start must end lower than another to have found a better minimum, not the same.
+_OTHER = 1.0
 #: Rounds in which the path within frames is taken from the solution before.
 _SHUTTER_ROUNDS = 2
 
@@ -133,10 +135,11 @@ class SequenceSolver:
         counted, poses, words = approached(self.anew, tracks, max(self.problem.detector.shape))
         try:
             straight = self.solve(tracks, None)
-            alike = straight if not words else self.anew(counted, straight)
+            alike = self.anew(counted, straight)
         except EstimationError:
             return counted, poses, words
-        return (tracks, straight, []) if alike.cost < poses.cost else (counted, poses, words)
+        better = alike.cost < poses.cost - _OTHER
+        return (tracks, straight, []) if better else (counted, poses, words)
 
     def anew(self, tracks: Tracks, near: FramePoses | None) -> FramePoses:
         """Poses of all frames from poses `near`, of which nothing else is kept.
