@@ -36,7 +36,7 @@ from sightline.geometry.trajectory import Trajectory
 from sightline.imaging.source import ArrayImage
 from sightline.motion.band import Band
 from sightline.motion.results import LineOfSight
-from sightline.motion.strip.joint import remove_directions
+from sightline.motion.strip.joint import less_directions
 from sightline.motion.tones import detect_tones
 
 DATA = Path(os.path.expandvars("$SIGHTLINE_DATA"))
@@ -94,7 +94,7 @@ def recovered(starts: tuple[int, ...], mask: bool, order: tuple[int, ...] = ORDE
 
 def figures(result: LineOfSight) -> tuple[np.ndarray, np.ndarray]:
     """Motion and sigma, (lines, 3) px, hidden directions fitted away: errors, since there was no motion."""
-    angles = remove_directions(result.motion.angles, result.hidden, result.scale)
+    angles = less_directions(result.motion.angles, result.hidden, result.scale)
     return angles / result.scale, result.sigma / result.scale
 
 

@@ -21,7 +21,7 @@ from sightline.geometry.surface import Ellipsoid
 from sightline.imaging.source import ArrayImage
 from sightline.io.acquisition.load import load_acquisition
 from sightline.motion.band import Band
-from sightline.motion.strip.joint import remove_directions
+from sightline.motion.strip.joint import less_directions
 from sightline.motion.strip.strip import RecoverOptions
 from sightline.motion.strip.viewing_axes import in_axes
 from sightline.simulate.instrument_files import write_instrument
@@ -119,7 +119,7 @@ def test_a_body_given_in_other_axes_moves_the_same(tmp_path):
     tilted = solved([in_axes(camera, turn) for camera in scenario.nominal_cameras])
     # body axes of the second are those of the first turned by `turn`
     back = tilted.motion.angles @ turn.as_matrix().T
-    moved = remove_directions(back - along.motion.angles, along.hidden, along.scale)
+    moved = less_directions(back - along.motion.angles, along.hidden, along.scale)
     assert np.sqrt(np.mean((moved / along.sigma) ** 2, axis=0)).max() < 0.35
     assert np.isfinite(tilted.band.band).all() and len(tilted.spectra[1].components) > 2
 

@@ -24,7 +24,7 @@ from sightline.motion.band import Band
 from sightline.motion.measure.predict import predict_match
 from sightline.motion.measure.stars import MatchingPlan, StarRecord, match_star
 from sightline.motion.measure.windows import window_grid
-from sightline.motion.strip.joint import JointPrior, remove_directions, solve_joint
+from sightline.motion.strip.joint import JointPrior, less_directions, solve_joint
 from sightline.motion.strip.normal_equations import GroundOrder, normal_equations
 from sightline.motion.strip.strip import RecoverOptions, prepared
 from sightline.motion.strip.viewing_axes import turned_directions
@@ -274,7 +274,7 @@ class TestWide:
         wide = recover_line_of_sight(bands, surface, options=RecoverOptions(draft_blocks=2))
         plain = recovery.result
         assert wide.records[0].star.shape == plain.records[0].star.shape
-        moved = remove_directions(wide.motion.angles - plain.motion.angles, plain.hidden, plain.scale)
+        moved = less_directions(wide.motion.angles - plain.motion.angles, plain.hidden, plain.scale)
         seen = plain.observed & wide.observed
         share = (moved[seen] ** 2).mean(axis=0) / (plain.sigma[seen] ** 2).mean(axis=0)
         # drafts may stop 0.6 sigma from settled, of which the last pass leaves a quarter; the plain recovery

@@ -43,9 +43,9 @@ from sightline.motion.strip.hyper import KnownContent, PriorModel, fit_prior_mod
 from sightline.motion.strip.joint import (
     angles_at,
     directions_at,
-    interpolation_variance,
+    less_directions,
     nodes_on,
-    remove_directions,
+    variance_between_nodes,
 )
 from sightline.motion.strip.methods import by_method, check_method, strip_differences
 from sightline.motion.strip.relief import RowRelief
@@ -486,7 +486,7 @@ def _change(strip: Strip, old: StripState, new: StripState) -> float:
     hidden = new.estimate.hidden_directions(new.estimate.hidden_drifts())
     directions = directions_at(strip.grid, hidden, t)
     moved = angles_at(new.estimate, t) - angles_at(old.estimate, t)
-    moved = remove_directions(moved, directions, strip.scale)
+    moved = less_directions(moved, directions, strip.scale)
     variance = new.estimate.relative_covariance(t, directions, strip.scale)[:, [0, 1, 2], [0, 1, 2]]
     return float(np.sqrt((moved**2).mean(axis=0) / variance.mean(axis=0)).max())
 
@@ -522,7 +522,7 @@ def _result(strip: Strip, state: StripState, changes: list[float], window: tuple
     covariance = estimate.relative_covariance(t, hidden, strip.scale, turn)
     between = np.zeros((len(t), 3, 3))
     for axis, spectrum in enumerate(state.model.spectra):
-        between[:, axis, axis] = interpolation_variance(spectrum, strip.grid, t)
+        between[:, axis, axis] = variance_between_nodes(spectrum, strip.grid, t)
     unseen = turn @ np.diag(state.model.unseen_variance) @ turn.T
     covariance += turn @ between @ turn.T + unseen
     motion = Motion(t, angles_at(estimate, t) @ turn.T, covariance)

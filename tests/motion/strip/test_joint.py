@@ -18,12 +18,12 @@ from sightline.motion.strip.joint import (
     JointPrior,
     directions_at,
     innovation_weights,
-    interpolation_variance,
+    less_directions,
     longest_gap,
     marginal_covariance,
     nodes_on,
-    remove_directions,
     solve_joint,
+    variance_between_nodes,
 )
 from sightline.motion.strip.normal_equations import (
     GroundOrder,
@@ -243,7 +243,7 @@ def test_a_window_averages_the_motion_over_its_length() -> None:
 def test_fitting_directions_away_leaves_nothing_along_them() -> None:
     rng = np.random.default_rng(0)
     directions = rng.standard_normal((30, 3, 4))
-    left = remove_directions(rng.standard_normal((30, 3)), directions, np.ones(3))
+    left = less_directions(rng.standard_normal((30, 3)), directions, np.ones(3))
     np.testing.assert_allclose(np.einsum("nph,np->h", directions, left), 0.0, atol=1e-12)
 
 
@@ -301,7 +301,7 @@ class TestInterpolationVariance:
             want.append(row @ spectrum.autocovariance(lags.ravel()).reshape(lags.shape) @ row)
         # differences of variances of 2.4: rounding 1e-15 each
         np.testing.assert_allclose(
-            interpolation_variance(spectrum, self.GRID, t), want, rtol=1e-6, atol=1e-12
+            variance_between_nodes(spectrum, self.GRID, t), want, rtol=1e-6, atol=1e-12
         )
         assert max(want) > 1e-3
 
@@ -315,7 +315,7 @@ class TestInterpolationVariance:
                 every = np.concatenate([[instant], self.GRID.nodes])
                 square[n] += (row @ (np.sqrt(2) * sigma * np.cos(2 * np.pi * frequency * every + phase))) ** 2
         spectrum = Spectrum((Tone(sigma, frequency, 0.01),))
-        got = interpolation_variance(spectrum, self.GRID, t)
+        got = variance_between_nodes(spectrum, self.GRID, t)
         # twelve phases average a squared sinusoid exactly; half-way between nodes cubic interpolation misses
         # by 9 / 384 (2 pi f step)^4 = 10 % of the amplitude, 1 % of the variance
         np.testing.assert_allclose(got, square / len(phases), rtol=1e-9)
@@ -324,10 +324,10 @@ class TestInterpolationVariance:
     def test_parts_of_a_spectrum_add_up_and_nodes_have_none(self) -> None:
         parts = (Matern(1.0, 0.02, "3/2"), Tone(0.5, 20.0, 0.1))
         t = np.linspace(0.1, 0.6, 33)
-        whole = interpolation_variance(Spectrum(parts), self.GRID, t)
-        each = [interpolation_variance(Spectrum((part,)), self.GRID, t) for part in parts]
+        whole = variance_between_nodes(Spectrum(parts), self.GRID, t)
+        each = [variance_between_nodes(Spectrum((part,)), self.GRID, t) for part in parts]
         np.testing.assert_allclose(whole, each[0] + each[1], rtol=1e-12)
-        at_nodes = interpolation_variance(Spectrum(parts), self.GRID, self.GRID.nodes)
+        at_nodes = variance_between_nodes(Spectrum(parts), self.GRID, self.GRID.nodes)
         np.testing.assert_allclose(at_nodes, 0.0, atol=1e-12)
 
 

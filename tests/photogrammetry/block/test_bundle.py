@@ -24,7 +24,7 @@ from consistency import assert_consistent
 from sightline.errors import InputError
 from sightline.geometry.surface import Plane
 from sightline.photogrammetry.block.bundle import adjust, bound
-from sightline.photogrammetry.block.descent import turns
+from sightline.photogrammetry.block.descent import rotations_of
 from sightline.photogrammetry.block.point_priors import ControlPoints, HeightPrior, PointPriors
 from sightline.photogrammetry.block.pose_noise import PoseNoise
 from sightline.photogrammetry.block.pose_unknowns import pose_unknowns
@@ -318,7 +318,7 @@ def test_too_few_points_are_refused():
 def test_the_jacobian_of_rotation_vectors_is_their_derivative():
     rng = np.random.default_rng(0)
     angles = rng.standard_normal((5, 3)) * np.array([1.0, 1e-1, 1e-3, 1e-6, 0.0])[:, None]
-    inverse, jacobian = turns(angles)
+    inverse, jacobian = rotations_of(angles)
     step = 1e-6
     for axis in range(3):
         more = (

@@ -177,7 +177,7 @@ def fixed_orbit(
         )
     _check_body(path, given.axes, given.centre, config.surface.radii)
     files.said.append(f"{path.name}: {given.words}")
-    if turns(given.axes):
+    if is_inertial(given.axes):
         fixed = earth.axes(given.axes, given.t)
         velocity = None if given.velocity is None else fixed.velocities(given.position, given.velocity)
         given = replace(given, position=fixed.positions(given.position), velocity=velocity)
@@ -215,7 +215,7 @@ def fixed_attitude(
     _check_body(path, given.axes, given.centre, config.surface.radii)
     _check_one_body((path, given), places)
     files.said.append(f"{path.name}: {given.words}")
-    if turns(given.axes):
+    if is_inertial(given.axes):
         attitude = Rotation.from_matrix(earth.axes(given.axes, t).turn) * attitude
     return t, attitude, given.axes
 
@@ -271,7 +271,7 @@ def _check_one_body(attitudes: tuple[Path, GivenAttitude], places: tuple[Path, G
     )
 
 
-def turns(axes: str | None) -> bool:
+def is_inertial(axes: str | None) -> bool:
     """Whether axes turn against those fixed to a body."""
     return axes in AXES and axes != "ITRF"
 
@@ -338,7 +338,7 @@ def say_orientation(
     radii: tuple[float, float] | None, files: InputFolder,
 ) -> None:  # fmt: skip
     """What the Earth's orientation, where axes of the stars needed it, adds to the sigma of the attitude."""
-    turned = [turns(axes) for axes in (orbit.axes if orbit else None, attitude)]
+    turned = [is_inertial(axes) for axes in (orbit.axes if orbit else None, attitude)]
     if not any(turned):
         return
     middle = 0.5 * sum(span)

@@ -26,8 +26,8 @@ from sightline.io.acquisition.ephemeris import (
     earth_of,
     fixed_attitude,
     fixed_orbit,
+    is_inertial,
     say_orientation,
-    turns,
 )
 from sightline.io.acquisition.schema import (
     AcquisitionFile,
@@ -102,7 +102,7 @@ def build_trajectory(config: AcquisitionFile, files: InputFolder, span: tuple[fl
         )
         if given is None:
             attitude = attitude_to_world(attitude, config)
-        elif turns(given):
+        elif is_inertial(given):
             axes = given
             files.fixed_from_given = lambda t: Rotation.from_matrix(earth.axes(axes, np.array([t])).turn[0])
     if platform.earth_orientation is not None and orbit.axes is None and given is None:

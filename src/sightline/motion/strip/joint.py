@@ -606,7 +606,7 @@ def projected_covariance(
     return np.asarray(left * np.outer(scale, scale))
 
 
-def interpolation_variance(spectrum: Spectrum, grid: TimeGrid, t: Array) -> Array:
+def variance_between_nodes(spectrum: Spectrum, grid: TimeGrid, t: Array) -> Array:
     """Variance (N,) of a motion of known spectrum about its interpolation from the grid's nodes.
 
     What the motion does between nodes is not in the grid's covariance. Broad parts: ``k(0) - 2 w'k + w'Kw``
@@ -636,7 +636,7 @@ def _orthonormal(directions: Array, scale: Array) -> Array:
     return np.asarray(q.reshape(n, 3, -1))
 
 
-def remove_directions(values: Array, directions: Array, scale: Array) -> Array:
+def less_directions(values: Array, directions: Array, scale: Array) -> Array:
     """`values` (N, 3) less their least-squares fit by `directions` (N, 3, H), axes in units of `scale`."""
     q = _orthonormal(directions, scale)
     x = values / scale
@@ -671,9 +671,9 @@ __all__: Sequence[str] = (
     "JointPrior",
     "angles_at",
     "directions_at",
+    "less_directions",
     "longest_gap",
     "marginal_covariance",
     "projected_covariance",
-    "remove_directions",
     "solve_joint",
 )

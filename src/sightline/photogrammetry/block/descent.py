@@ -91,7 +91,7 @@ class BlockSums:
     def _arguments(self, state: State) -> tuple[Any, ...]:
         s = self.sightings
         x = self.unknowns.departures(state.own, state.common)
-        turned, jacobian = turns(x[:, :3])
+        turned, jacobian = rotations_of(x[:, :3])
         of_pose = (self.camera_from_body @ turned)[self.image_of_pose]
         return (
             state.points, s.image, s.point, s.pose, s.tangents, self.scale, self.position,
@@ -133,7 +133,7 @@ class BlockSums:
         return Curvature(rows, weight, s.image, s.point, of_images, of_points, known), r
 
 
-def turns(angles: Array) -> tuple[Array, Array]:
+def rotations_of(angles: Array) -> tuple[Array, Array]:
     """exp(-[w]x) and the right Jacobian of rotation vectors w (M, 3), each (M, 3, 3).
 
     exp([w + dw]x) = exp([w]x) exp([J dw]x), J = I - (1 - cos a)/a^2 [w]x + (a - sin a)/a^3 [w]x^2.

@@ -24,7 +24,6 @@ from sightline.io.formats.products.makers import (
     Orbit,
     check_level,
     epoch_of,
-    labels,
     line_period,
     line_scan,
     marks_inside,
@@ -32,6 +31,7 @@ from sightline.io.formats.products.makers import (
     orbit_of,
     rotations,
     some,
+    times_of,
     turned_by,
     words,
 )
@@ -146,7 +146,7 @@ def _orbit(data: Part, start: str) -> Orbit:
     rows = some(data, name, 2)
     place = np.array([row.numbers("LOCATION_XYZ", 3) for row in rows])
     speed = np.array([row.numbers("VELOCITY_XYZ", 3) for row in rows])
-    return orbit_of(data, name, labels(rows, "TIME", start), place, speed, inertial=False)
+    return orbit_of(data, name, times_of(rows, "TIME", start), place, speed, inertial=False)
 
 
 def _attitudes(data: Part, start: str) -> tuple[Array, Rotation]:
@@ -154,7 +154,7 @@ def _attitudes(data: Part, start: str) -> tuple[Array, Rotation]:
     name = f"{_MODEL}/Attitudes/Quaternion_List/Quaternion"
     rows = some(data, name, 2)
     values = np.array([[row.number(f"Q{k}") for k in range(4)] for row in rows])
-    return labels(rows, "TIME", start), rotations(data, name, values)
+    return times_of(rows, "TIME", start), rotations(data, name, values)
 
 
 def _looks(data: Part) -> tuple[list[str], Array]:

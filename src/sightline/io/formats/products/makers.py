@@ -86,7 +86,7 @@ def some(part: Part, name: str, least: int) -> list[Part]:
     return found
 
 
-def labels(rows: Sequence[Part], name: str, start: str) -> Array:
+def times_of(rows: Sequence[Part], name: str, start: str) -> Array:
     """s (N,) from the instant `start` to that of each row, increasing."""
     zero = parse_utc(start, "start")
     t = np.array([elapsed(row.text(name), zero, f"{row.path}: {row.place}/{name}") for row in rows])
@@ -249,10 +249,10 @@ def line_scan(
 def epoch_of(start: str, t: float) -> str:
     """UTC, ISO 8601 with nanoseconds, of `t` s (below a day) after an instant; leap seconds not counted."""
     whole, fraction = parse_utc(start, "start")
-    return label(whole, fraction + t)
+    return time_label(whole, fraction + t)
 
 
-def label(whole: datetime, t: float) -> str:
+def time_label(whole: datetime, t: float) -> str:
     """The same, of `t` s after whole seconds."""
     seconds, nanoseconds = divmod(round(t * 1e9), 1_000_000_000)
     return f"{whole + timedelta(seconds=seconds):%Y-%m-%dT%H:%M:%S}.{nanoseconds:09d}Z"

@@ -22,12 +22,12 @@ from sightline.io.formats.line_scan import MOST_LINES, MOST_SAMPLES, OneGrid
 from sightline.io.formats.products.makers import (
     Orbit,
     epoch_of,
-    labels,
     line_period,
     line_scan,
     orbit_of,
     scaled,
     some,
+    times_of,
     words,
 )
 from sightline.io.formats.products.product import Product, ProductBand, RawBands, bands_of, image_name
@@ -114,7 +114,7 @@ def pleiades_orbit(data: Part, start: str) -> Orbit:
     rows = some(data, _POINTS, 2)
     place = np.array([scaled(row, "LOCATION_VALUES", {"m": 1.0, "km": 1e3}, 3) for row in rows])
     speed = np.array([scaled(row, "VELOCITY_VALUES", {"m/s": 1.0, "km/s": 1e3}, 3) for row in rows])
-    return orbit_of(data, _POINTS, labels(rows, "UTC_TIME", start), place, speed, inertial=True)
+    return orbit_of(data, _POINTS, times_of(rows, "UTC_TIME", start), place, speed, inertial=True)
 
 
 def pleiades_attitude(data: Part, start: str) -> Callable[[Array], Rotation]:

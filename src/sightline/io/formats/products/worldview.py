@@ -34,7 +34,7 @@ from sightline.io.formats.line_scan import (
     assemble,
     shared_instants,
 )
-from sightline.io.formats.products.makers import label, turned_by
+from sightline.io.formats.products.makers import time_label, turned_by
 from sightline.io.formats.products.product import GroundMark, Product, ProductBand, bands_of, image_name
 from sightline.io.formats.products.tree import LARGEST, Part, read_xml
 from sightline.io.formats.products.worldview_text import read_text_set
@@ -132,7 +132,7 @@ def read_worldview(path: Path, reference: tuple[float, float] | None = None) -> 
         kind=f"{image.text('SATID')} level 1B",
         name=path.stem,
         model=model,
-        epoch=label(whole, reference[1] + (reference[0] - begin)),
+        epoch=time_label(whole, reference[1] + (reference[0] - begin)),
         bands=_bands(root),
         height=rpc.height[0] if heights is None and rpc is not None else heights,
         marks=marks,
