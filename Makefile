@@ -67,7 +67,7 @@ constraints:  ## refresh the pinned versions (needs uv): review the change like 
 	printf 'hatchling\neditables\n' | $(UV) pip compile --universal --generate-hashes --no-header --quiet $(UPGRADE) \
 		--python-version 3.11 pyproject.toml - -o constraints.txt
 	printf 'hatchling\neditables\n' | $(UV) pip compile --universal --generate-hashes --no-header --quiet $(UPGRADE) \
-		--python-version 3.11 --extra dev --extra dask --extra sfm --extra cube --extra plot -c constraints.txt pyproject.toml - -o constraints-dev.txt
+		--python-version 3.11 --extra dev --extra dask --extra sfm --extra cube --extra plot --extra catalog --extra docs -c constraints.txt pyproject.toml - -o constraints-dev.txt
 
 clean:  ## forget the environment and what the tools left
 	rm -rf $(VENV) .pytest_cache .mypy_cache .ruff_cache .hypothesis
