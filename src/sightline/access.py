@@ -49,9 +49,12 @@ _SUBDATASET = re.compile(
     r"NITF_IM|RADARSAT_2_CALIB|DERIVED_SUBDATASET|DOQ2|GPKG|MBTILES|RASTERLITE2?|PDF|EEDAI):(.+)",
     re.IGNORECASE,
 )
+_SENTINEL2 = re.compile(r'"?(?P<file>[^"]+?)"?:(?P<inner>[^":/]+(?::EPSG_\d+)?)')
 _PARTS = {
-    "NETCDF": re.compile(r'"?(?P<file>.+?)"?:(?P<inner>[^":/]+)'),
+    "NETCDF": re.compile(r'"?(?P<file>[^"]+?)"?:/*(?P<inner>[^":]+)'),
+    "HDF5": re.compile(r'"?(?P<file>[^"]+?)"?:/*(?P<inner>[^":/][^":]*)'),
     "GTIFF_DIR": re.compile(r"(?P<inner>\d+):(?P<file>.+)"),
+    **{f"SENTINEL2_{level}": _SENTINEL2 for level in ("L1B", "L1C", "L1C_TILE", "L2A")},
 }
 #: What is read for a mistake about the kind of a file, by its mode.
 _KINDS = {
@@ -166,11 +169,11 @@ class InnerImage:
     Attributes
     ----------
     file : Path
-        The archive, netCDF or TIFF.
+        The archive, HDF5, netCDF or TIFF; metadata of a Sentinel-2 product.
     kind : str
-        ``"zip"``, ``"tar"``, ``"gzip"``, ``"NETCDF"``, ``"GTIFF_DIR"``.
+        ``"zip"``, ``"tar"``, ``"gzip"``, ``"HDF5"``, ``"NETCDF"``, ``"GTIFF_DIR"``, ``"SENTINEL2_L1B"``...
     inner : str
-        The file in an archive, the variable, the number of the directory.
+        The file in an archive, the path of the data, the number of the directory, the resolution.
     """
 
     file: Path
@@ -183,9 +186,13 @@ class InnerImage:
         place = os.path.abspath(self.file)
         if self.kind in _ARCHIVES:
             return f"/vsi{self.kind}/{place}" + (f"/{self.inner}" if self.inner else "")
-        return (
-            f'NETCDF:"{place}":{self.inner}' if self.kind == "NETCDF" else f"GTIFF_DIR:{self.inner}:{place}"
-        )
+        if self.kind == "GTIFF_DIR":
+            return f"GTIFF_DIR:{self.inner}:{place}"
+        if self.kind == "HDF5":
+            return f'HDF5:"{place}"://{self.inner}'
+        if self.kind == "NETCDF":  # a path of groups begins at the root, a variable of the root has none
+            return f'NETCDF:"{place}":{"/" if "/" in self.inner else ""}{self.inner}'
+        return f"{self.kind}:{place}:{self.inner}"
 
 
 def within(path: str | os.PathLike[str]) -> InnerImage | None:
@@ -215,8 +222,9 @@ def within(path: str | os.PathLike[str]) -> InnerImage | None:
     if parts is None:
         raise FormatError(
             f"{text}: data of {kind} may lie in other files that cannot be checked, or are not named so; "
-            'read are NETCDF:"FILE":VARIABLE of netCDF 3, GTIFF_DIR:NUMBER:FILE, /vsizip/FILE/INNER, '
-            "/vsitar/ and /vsigzip/; make a GeoTIFF of it (gdal_translate)"
+            'read are HDF5:"FILE"://PATH, NETCDF:"FILE":VARIABLE, GTIFF_DIR:NUMBER:FILE, '
+            'SENTINEL2_L1B:"FILE":10m, /vsizip/FILE/INNER, /vsitar/ and /vsigzip/; make a GeoTIFF of it '
+            "(gdal_translate)"
         )
     return InnerImage(folder / parts["file"], kind, parts["inner"])
 

@@ -38,13 +38,14 @@ from sightline.access import (
     within,
 )
 from sightline.errors import FormatError, SightlineError, foreign_errors
+from sightline.imaging.hdf5_links import check_hdf5, hdf5_start
 
 #: MiB of decoded raster blocks that GDAL may keep (its own choice, 5 % of the machine, would hold whole
 #: strips); an environment variable GDAL_CACHEMAX that is already set prevails.
 CACHE_MIB = 64
 #: Drivers of GDAL whose files hold their pixels, or have them in files of the same name beside them, or refer
-#: to others by labels that are read here. None of HDF4, HDF5 and what is built on it (netCDF-4, BAG, KEA,
-#: S-100), PCIDSK, PAux, SNODAS and SDTS: they name other files where only their own libraries find them.
+#: to others by labels that are read here. None of HDF4, PCIDSK, PAux, SNODAS and SDTS: they name other files
+#: where only their own libraries find them. HDF5 and netCDF 4 have drivers of their own, once walked through.
 LOCAL_DRIVERS = (
     "GTiff", "COG", "LIBERTIFF", "SNAP_TIFF", "JPEG", "JPEGXL", "PNG", "GIF", "BIGGIF", "BMP", "WEBP",
     "AVIF", "HEIF", "JP2OpenJPEG", "JP2KAK", "JP2ECW", "JP2Lura", "JP2MrSID", "JPEGLS", "ECW", "MrSID",
@@ -86,8 +87,16 @@ _KNOWN = (*_RASTERS, b"\xff\xd8\xff", b"\x89PNG", b"\0\0\0\x0cjP", b"NITF", *_CL
 _SELF_CONTAINED = ("GTiff", "JPEG", "PNG", "JP2OpenJPEG", "NITF")
 _WHOLE = (*_RASTERS[:4], b"\xff\xd8\xff", b"\x89PNG", b"\0\0\0\x0cjP", b"NITF")
 _MAGIC = 16
-#: What HDF5 begins with, at the start or after a block of 512 bytes, 1024, 2048 ...
-_HDF5 = b"\x89HDF\r\n\x1a\n"
+#: Images of a file that a message names at most.
+_NAMED = 6
+#: Drivers of what lies inside a file, by the kind of its name.
+_INSIDE = {
+    "NETCDF": ("netCDF",), "HDF5": ("HDF5Image", "HDF5"), "GTIFF_DIR": ("GTiff",),
+    **{f"SENTINEL2_{level}": ("SENTINEL2",) for level in ("L1B", "L1C", "L1C_TILE", "L2A")},
+}  # fmt: skip
+#: Drivers of HDF5 as a file. GDAL asks that of netCDF first.
+_HDF5 = ("netCDF", "HDF5", "HDF5Image")
+_JPEG2000 = b"\0\0\0\x0cjP"
 
 # Filters of warnings and hooks belong to the process: only one thread at a time may change them.
 _OPENING = threading.Lock()
@@ -100,6 +109,11 @@ def raster_errors(path: Path) -> AbstractContextManager[None]:
         "the pixels cannot be read",
         "the file is truncated, damaged or not a raster; copy or make it again",
     )
+
+
+def _inner_errors(path: Path) -> AbstractContextManager[None]:
+    """The same for pixels inside a file, whose name has two parts."""
+    return foreign_errors(path, "is not in the file, or that is damaged", "check both names")
 
 
 @contextmanager
@@ -157,6 +171,8 @@ def open_raster(path: Path, access: Access | None = None) -> Any:
     dataset = _opened(path, os.path.abspath(path), drivers, access)
     try:
         check.counted(dataset.files)
+        if dataset.count == 0:
+            raise FormatError(f"{path}: holds several images: name one, {_several(dataset)}")
         _refuse_complex(path, dataset)
     except SightlineError:
         dataset.close()
@@ -164,13 +180,17 @@ def open_raster(path: Path, access: Access | None = None) -> Any:
     return dataset
 
 
+def _several(dataset: Any) -> str:
+    """Names of the first images of a file that holds several."""
+    names = [name.replace(os.path.dirname(dataset.name) + "/", "") for name in dataset.subdatasets]
+    return ", ".join(names[:_NAMED]) + (f" ... ({len(names)} in all)" if len(names) > _NAMED else "")
+
+
 def _opened_within(path: Path, inside: InnerImage, access: Access) -> Any:
     """Pixels inside a file: of an archive only formats that hold all of theirs, and nothing beside them."""
     import rasterio
 
-    drivers: Sequence[str] = {"NETCDF": ("netCDF",), "GTIFF_DIR": ("GTiff",)}.get(
-        inside.kind, _SELF_CONTAINED
-    )
+    drivers: Sequence[str] = _INSIDE.get(inside.kind, _SELF_CONTAINED)
     if drivers is _SELF_CONTAINED:
         check_file(inside.file, "check the name of the archive", path)
         if not _head_in(path, inside).startswith(_WHOLE):
@@ -179,13 +199,41 @@ def _opened_within(path: Path, inside: InnerImage, access: Access) -> Any:
             )
     else:
         check_file(inside.file, "check the name", path)
-        kinds = _References(inside.file, access).follow(inside.file)
-        if inside.kind == "NETCDF" and kinds != drivers:
-            raise FormatError(f"{path}: is no netCDF 3; name the raster itself, without NETCDF:")
+        check = _References(inside.file, access)
+        kinds = check.follow(inside.file)
+        if inside.kind == "NETCDF" and "netCDF" not in kinds:
+            raise FormatError(f"{path}: is no netCDF; name the raster itself, without NETCDF:")
+        if inside.kind == "HDF5" and kinds != _HDF5:
+            raise FormatError(f"{path}: is no HDF5; name the raster itself, without HDF5:")
+        if drivers == ("SENTINEL2",):
+            return _checked_product(path, inside, check, access)
     with rasterio.Env(GDAL_DISABLE_READDIR_ON_OPEN="EMPTY_DIR"):
-        dataset = _opened(path, inside.name, drivers, access)
+        dataset = _opened(path, inside.name, drivers, access, inside=True)
     try:
         _refuse_complex(path, dataset)
+    except SightlineError:
+        dataset.close()
+        raise
+    return dataset
+
+
+def _checked_product(path: Path, inside: InnerImage, check: _References, access: Access) -> Any:
+    """Pixels of a Sentinel-2 product: of JPEG 2000 files below its metadata, each looked at beforehand."""
+    seen = 0
+    for folder, _, names in os.walk(inside.file.parent):
+        for name in names:
+            if seen > MOST_FILES:
+                raise FormatError(f"{path}: holds more than {MOST_FILES:,} files; unpack one product alone")
+            seen += 1
+            if name.lower().endswith((".jp2", ".xml")):
+                check.part(Path(folder, name))
+    dataset = _opened(path, inside.name, ("SENTINEL2",), access, inside=True)
+    try:
+        check.counted(dataset.files)
+        for name in dataset.files:
+            check.part(Path(name))
+        if dataset.count == 0:
+            raise FormatError(f"{path}: no image of {inside.inner} lies beside its metadata; unpack it whole")
     except SightlineError:
         dataset.close()
         raise
@@ -238,22 +286,45 @@ def _messages_that_are_no_text() -> Iterator[None]:
         sys.excepthook, sys.unraisablehook = uncaught, ignored
 
 
-def _opened(path: Path, name: str, drivers: Sequence[str], access: Access) -> Any:
+def _refuse_missing(path: Path, drivers: Sequence[str]) -> None:
+    """FormatError where the raster library was built without the one kind of files that this is."""
+    import rasterio
+
+    if len(drivers) > len(_HDF5):
+        return
+    with rasterio.Env() as environment:
+        held = environment.drivers()
+    if not any(driver in held for driver in drivers):
+        raise FormatError(
+            f"{path}: the GDAL of this installation ({rasterio.__gdal_version__}) has no driver "
+            f"{' or '.join(drivers)}; install rasterio with it, or make a GeoTIFF elsewhere (gdal_translate)"
+        )
+
+
+def _opened(path: Path, name: str, drivers: Sequence[str], access: Access, *, inside: bool = False) -> Any:
+    from rasterio import Env
     from rasterio.errors import NotGeoreferencedWarning, RasterioIOError
     from rasterio.io import DatasetReader
 
+    _refuse_missing(path, drivers)
     os.environ.setdefault("GDAL_CACHEMAX", str(CACHE_MIB))
     os.environ.setdefault("CPL_LOG", os.devnull)  # what GDAL warns of goes to stderr else
     with (
         _OPENING,
-        raster_errors(path),
+        _inner_errors(path) if inside else raster_errors(path),
         raster_environment(access),
         warnings.catch_warnings(),
         _messages_that_are_no_text(),
     ):
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         try:
-            return DatasetReader(name, driver=list(drivers), sharing=False)
+            dataset = DatasetReader(name, driver=list(drivers), sharing=False)
+            if dataset.driver == "netCDF" and dataset.transform.is_identity:
+                # GDAL turns upside down what has no coordinates; lines of a strip follow each other in time
+                dataset.close()
+                with Env(GDAL_NETCDF_BOTTOMUP="NO"):
+                    dataset = DatasetReader(name, driver=list(drivers), sharing=False)
+            return dataset
         except RasterioIOError as error:
             if "supported file format" not in str(error):
                 raise
@@ -314,12 +385,9 @@ class _References:
         if marked and _LISTS in text:
             self._names(path, _named_in(path), depth)
             return ("VRT",)
-        if any(head.startswith(_HDF5, at) for at in (0, *(512 << k for k in range(8)))):
-            raise FormatError(
-                f"{self.owner}: {'' if depth == 0 else f'refers to {path}, which '}is HDF5 (as netCDF-4 is), "
-                "whose data may lie in other files that cannot be checked; make a GeoTIFF of it "
-                "(gdal_translate)"
-            )
+        if hdf5_start(path) is not None:
+            check_hdf5(path)
+            return _HDF5
         if marked and asks is not None:
             if not self.access.network:
                 word = (asks[1] or asks[0]).decode("latin-1").strip('"')
@@ -343,6 +411,19 @@ class _References:
         for name in names:
             if not (self.access.network and remote_name(name)) and Path(name).resolve() != own:
                 check_inside(Path(name), self.folders, self.owner)
+
+    def part(self, path: Path) -> None:
+        """FormatError unless a file of a product holds its own pixels, or is metadata without entities."""
+        check_file(path, "unpack the product again")
+        check_inside(path, self.folders, self.owner)
+        with foreign_errors(path, "cannot be read", "unpack the product again"), path.open("rb") as stream:
+            head = stream.read(_MAGIC)
+        if path.suffix.lower() == ".xml":
+            _refuse_entities(path, read_text(path, "metadata", most=LARGEST_LIST))
+        elif not head.startswith(_JPEG2000):
+            raise FormatError(
+                f"{path}: is no JPEG 2000, as images of Sentinel-2 are; unpack the product again"
+            )
 
     def _beside(self, path: Path) -> None:
         """Overviews and masks beside a raster, which GDAL opens with any driver, and notes."""
@@ -399,12 +480,16 @@ def _whole(path: Path) -> bytes:
         return stream.read(LARGEST_LIST)
 
 
+def _refuse_entities(path: Path, content: str) -> None:
+    """FormatError for what means something else to GDAL than to the parser here."""
+    if re.search(r"<!\s*(DOCTYPE|ENTITY)", content, re.IGNORECASE):
+        raise FormatError(f"{path}: declares entities (DOCTYPE); write it without")
+
+
 def _named_in(path: Path, *, label: bool = False, notes: bool = False) -> list[_Name]:
     """Files that a VRT, a PDS4 label or notes (.aux.xml) name."""
     content = read_text(path, "a description of a raster", most=LARGEST_LIST)
-    # entities and declarations mean something else to GDAL than to this parser
-    if re.search(r"<!\s*(DOCTYPE|ENTITY)", content, re.IGNORECASE):
-        raise FormatError(f"{path}: declares entities (DOCTYPE); write it without")
+    _refuse_entities(path, content)
     with foreign_errors(path, "is no XML that can be checked", "make it again"):
         root = ElementTree.fromstring(content)
         within = {child: _plain(element.tag) for element in root.iter() for child in element}
