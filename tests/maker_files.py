@@ -131,14 +131,38 @@ def row(vector):
     return " ".join(f"{value:.17g}" for value in np.atleast_1d(vector))
 
 
-def dimap2(folder: Path, *, rows=60, columns=50, step=4, height=201.5, name="DIM_SPOT6.XML", changes=()):
-    """A SENSOR product at `step` quarters of the pixel of its panchromatic band; its file."""
+def dimap2(
+    folder: Path,
+    *,
+    rows=60,
+    columns=50,
+    step=4,
+    height=201.5,
+    name="DIM_SPOT6.XML",
+    bands=(),
+    changes=(),
+    polynomials=False,
+):
+    """A SENSOR product at `step` quarters of the pixel of its panchromatic band; its file.
+
+    With `polynomials` it is as Pleiades has it: attitudes by polynomials, velocities relative to the stars,
+    the period in ms, one look of the instrument, and vertices that tell their height.
+    """
     period, look = 229e-6 * step, 2.2e-6 * step
     # pixel k of the wide grid has its centre on pixel 4 k + 2 of the fine one
     begin, first = (2 * 229e-6, -0.042 + 2 * 2.2e-6) if step > 1 else (0.0, -0.042)
     t_orbit, t_turn = -0.06 + 0.128 * np.arange(-3, 7), 0.0005 + 0.032 * np.arange(-2, 8)
-    place, speed, _ = orbit(t_orbit)
+    place, speed, stars = orbit(t_orbit)
     q = quaternion(attitude(t_turn))
+    of_day = (START - START.replace(hour=0, minute=0, second=0, microsecond=0)).total_seconds() + 0.1
+    cubics = np.polynomial.polynomial.polyfit((t_turn - 0.1) / 0.3, q, 3)
+    speed = stars if polynomials else speed
+
+    def turned_at(t):
+        if not polynomials:
+            return _slerped(t, t_turn, q)
+        return np.array([_matrix(np.polynomial.polynomial.polyval((at - 0.1) / 0.3, cubics)) for at in t])
+
     points = [
         tag("Point", tag("LOCATION_XYZ", row(p)), tag("VELOCITY_XYZ", row(v)), tag("TIME", stamp(t, 9) + "Z"))
         for t, p, v in zip(t_orbit, place, speed, strict=True)
@@ -156,27 +180,34 @@ def dimap2(folder: Path, *, rows=60, columns=50, step=4, height=201.5, name="DIM
     for number, (line, column) in enumerate(corners):
         t = np.array([begin + line * period])
         x = first + look * column
-        u = np.einsum("nij,j->ni", _slerped(t, t_turn, q), np.array([0.0, -x, 1.0]))
-        lon, lat, _ = geodetic(ground(orbit(t)[0], u, height))[0]
+        above = height + (10.0 * number if polynomials else 0.0)
+        u = np.einsum("nij,j->ni", turned_at(t), np.array([0.0, -x, 1.0]))
+        lon, lat, _ = geodetic(ground(orbit(t)[0], u, above))[0]
         ends.append(
             tag(
                 "Center" if number == 4 else "Vertex",
                 tag("LON", f"{lon:.12f}"), tag("LAT", f"{lat:.12f}"),
+                *([tag("H", row(above))] if polynomials else []),
                 tag("COL", column + 1), tag("ROW", line + 1),
             )
         )  # fmt: skip
-    bands = ("P",) if step == 1 else ("B2", "B1", "B0", "B3")
-    looks = [
+    bands = bands or (("P",) if step == 1 else ("B2", "B1", "B0", "B3"))
+    look_of = (
+        tag("Swath_Range", tag("FIRST_COL", 1), tag("LAST_COL", columns)),
         tag(
-            "Band_Calibration", tag("BAND_ID", band),
-            tag("Swath_Range", tag("FIRST_COL", 1), tag("LAST_COL", columns)),
-            tag(
-                "Polynomial_Look_Angles", tag("XLOS_0", row(first)), tag("XLOS_1", row(look)),
-                tag("YLOS_0", 0.0), tag("YLOS_1", 0),
-            ),
-        )
-        for band in bands
-    ]  # fmt: skip
+            "Polynomial_Look_Angles", tag("XLOS_0", row(first)), tag("XLOS_1", row(look)),
+            tag("YLOS_0", 0.0), *([] if polynomials else [tag("YLOS_1", 0)]),
+        ),
+    )  # fmt: skip
+    looks = [tag("Band_Calibration", tag("BAND_ID", band), *look_of) for band in bands]
+    calibrated = look_of if polynomials else (tag("Band_Calibration_List", *looks),)
+    attitudes = tag("Quaternion_List", *turns)
+    if polynomials:
+        attitudes = tag(
+            "Polynomial_Quaternions", tag("OFFSET", row(of_day)), tag("SCALE", 0.3),
+            *(tag(f"Q{k}", tag("DEGREE", 3), tag("COEFFICIENTS", row(c))) for k, c in enumerate(cubics.T)),
+        )  # fmt: skip
+    lined = (period * 1e3, "ms") if polynomials else (period * 1e6, "microsecond")
     text = tag(
         "Dimap_Document",
         tag(
@@ -199,12 +230,12 @@ def dimap2(folder: Path, *, rows=60, columns=50, step=4, height=201.5, name="DIM
                     "Time_Range", tag("START", stamp(begin) + "Z"),
                     tag("END", stamp(begin + (rows - 1) * period) + "Z"),
                 ),
-                tag("Time_Stamp", tag("LINE_PERIOD", row(period * 1e6), unit="microsecond")),
+                tag("Time_Stamp", tag("LINE_PERIOD", row(lined[0]), unit=lined[1])),
             ),
             tag("Ephemeris", tag("Point_List", *points)),
-            tag("Attitudes", tag("Quaternion_List", *turns)),
+            tag("Attitudes", attitudes),
             tag("Geometric_Calibration", tag(
-                "Instrument_Calibration", tag("Band_Calibration_List", *looks),
+                "Instrument_Calibration", *calibrated,
                 tag("Instrument_Biases", tag("YAW", 0.0), tag("PITCH", 0.0), tag("ROLL", 0.0)),
             )),
         )),

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from tests.product_files import WorldViewScene, orbit
+from tests.product_files import WorldViewScene, attitude, orbit
 
 from sightline.errors import FormatError
 from sightline.geometry.apparent import APPARENT, bent_camera
@@ -318,6 +318,48 @@ def test_inertial_velocities_are_not_used_and_named(tmp_path):
         plain.model.camera.rays(pixels).origins, product.model.camera.rays(pixels).origins
     )
     np.testing.assert_allclose(orbit(0.01)[0], product.model.camera.rays(pixels).origins, atol=1e-4)
+
+
+def test_bands_with_detector_lines_of_their_own_have_cameras_of_their_own(tmp_path):
+    """The second looks 20 px ahead: it is no band of one virtual line, and holds motion against the first."""
+    scene = WorldViewScene(bands=("B", "R"))
+    array = scene.parts()["GEO"]["DETECTOR_MOUNTING"]["BAND_B"]["DETECTOR_ARRAY"]
+    ahead = {"DETECTOR_ARRAY": {**array, "DETORIGINX": array["DETORIGINX"] + 20 * scene.pitch}}
+    path = replace(scene, more={"GEO/DETECTOR_MOUNTING/BAND_R": ahead}).xml(tmp_path)
+    first, second = (read_product(path, band=number).model for number in (1, 2))
+    assert first.one_grid is None and second.one_grid is None
+    origin = np.array(
+        [scene.origin[0] + 20 * scene.pitch, scene.origin[1] - 57 * scene.pitch, scene.distance]
+    )
+    look = attitude(0.1)[0].apply(origin)
+    for model, expected in ((first, scene.ray(100.0, 57.0)[1]), (second, look)):
+        direction = model.camera.rays([[100.0, 57.0]]).directions[0]
+        np.testing.assert_allclose(direction, expected / np.linalg.norm(expected), atol=1e-10)
+    other = replace(scene, more={"GEO/DETECTOR_MOUNTING/BAND_MS2": ahead}).xml(tmp_path, "other.XML")
+    assert read_product(other, band=2).model.one_grid is None
+    unnamed = {"GEO/DETECTOR_MOUNTING": {"BAND_MS1": {"DETECTOR_ARRAY": array}, "BAND_MS2": ahead}}
+    with pytest.raises(
+        FormatError, match=r"2 unlike detector arrays .of MS1, MS2, the image's bands are B, R"
+    ):
+        read_product(replace(scene, more=unnamed).xml(tmp_path, "unnamed.XML"))
+
+
+def test_tiles_of_one_image_are_told(tmp_path):
+    tiles = "".join(
+        f"<TILE><FILENAME>R1C{k + 1}.TIF</FILENAME><ULROWOFFSET>0</ULROWOFFSET><ULCOLOFFSET>{128 * k}"
+        "</ULCOLOFFSET><LRROWOFFSET>319</LRROWOFFSET>"
+        f"<LRCOLOFFSET>{min(128 * k + 127, 199)}</LRCOLOFFSET></TILE>"
+        for k in range(2)
+    )
+    path = WorldViewScene().xml(tmp_path)
+    text = path.read_text().replace('encoding="UTF-8"', 'encoding="UTF-16"')
+    begin, end = text.index("<TIL>"), text.index("</TIL>")
+    path.write_text(f"{text[:begin]}<TIL><NUMTILES>2</NUMTILES>{tiles}{text[end:]}", encoding="utf-16")
+    pixels = read_product(path).pixels
+    assert [(tile.image, tile.column, tile.columns) for tile in pixels.tiles] == [
+        ("R1C1.TIF", 0, 128),
+        ("R1C2.TIF", 128, 72),
+    ]
 
 
 class TestFiles:

@@ -43,14 +43,19 @@ def _sources(
     pixels: Pixels, files: Sequence[Path], shape: tuple[int, int], bands: int, band: int, folder: Path
 ) -> str:
     """A band of tiles side by side."""
+    held = [
+        (tile, file, band - (tile.bands[0] if tile.bands else 0))
+        for tile, file in zip(pixels.tiles, files, strict=True)
+        if tile.bands is None or tile.bands[0] < band <= sum(tile.bands)
+    ]
     inner = "".join(
-        f"    <SimpleSource>{_named(file, folder)}<SourceBand>{band}</SourceBand>"
+        f"    <SimpleSource>{_named(file, folder)}<SourceBand>{number}</SourceBand>"
         f'<SourceProperties RasterXSize="{tile.columns}" RasterYSize="{tile.lines}" '
         f'DataType="{pixels.type}"/>'
         f'<SrcRect xOff="0" yOff="0" xSize="{tile.columns}" ySize="{tile.lines}"/>'
         f'<DstRect xOff="{tile.column}" yOff="{tile.line}" xSize="{tile.columns}" ySize="{tile.lines}"/>'
         "</SimpleSource>\n"
-        for tile, file in zip(pixels.tiles, files, strict=True)
+        for tile, file, number in held
     )
     return f'  <VRTRasterBand dataType="{pixels.type}" band="{band}">\n{inner}  </VRTRasterBand>\n'
 

@@ -16,8 +16,8 @@ from sightline.io.formats.instants import FIRST_YEAR, LAST_YEAR
 from sightline.io.formats.line_scan import shared_grid
 from sightline.io.formats.products.product import Product, ProductBand
 from sightline.io.formats.products.recognise import KNOWN, metadata_of, product_kind, read_product
-from sightline.io.formats.products.sentinel2 import FINE, read_granule_times
-from sightline.io.init.agreement import agreement
+from sightline.io.formats.products.sentinel2 import FINE, datastrip_of, read_granule_times
+from sightline.io.init.agreement import agreement, contradiction
 from sightline.io.init.bands import FirstAcquisition, acquisition_of_bands, acquisition_text, path_from
 from sightline.io.init.mosaic import mosaic
 from sightline.io.init.presets import PRESETS
@@ -79,6 +79,7 @@ def acquisition_of_products(
     for path in metadata:
         products.append(read_product(path, products[0].model.reference if products else None))
     _check(products)
+    against = [words for words in map(contradiction, products) if words]
     images = [[_image(product, band, folder) for band in product.bands] for product in products]
     missing = [
         line for product, found in zip(products, images, strict=True) for line in _missing(product, found)
@@ -107,7 +108,7 @@ def acquisition_of_products(
         for words in (f"{product.kind}, {_size(product)}", *agreement(product), *product.model.doubts)
     )
     still = _still(products)
-    lacking = (*missing, *([still] if still else []))
+    lacking = (*missing, *against, *([still] if still else []))
     return FirstAcquisition(text, assumed, unknown, found_out, lacking, _Beside(products, sensors, folder))
 
 
@@ -169,6 +170,8 @@ def _of_granule(
     """Bands of 10 m of a Sentinel-2 L1B granule: times by its datastrip, look angles by what is published."""
     granules = [path for path, kind in zip(files, kinds, strict=True) if kind == "sentinel2-granule"]
     strips = [path for path, kind in zip(files, kinds, strict=True) if kind == "sentinel2-datastrip"]
+    if len(granules) == 1 and not strips:
+        strips = [path for path in [datastrip_of(granules[0])] if path is not None]
     if len(granules) != 1 or len(strips) != 1:
         raise InputError(
             f"{files[0]}: {len(granules)} granules and {len(strips)} datastrips of Sentinel-2 L1B are given; "

@@ -75,6 +75,18 @@ def test_two_products_of_one_band_are_refused(tmp_path):
     assert not (tmp_path / "acq").exists()
 
 
+def test_a_model_that_its_own_corners_contradict_is_said_and_one_beside_the_earth_refused(tmp_path):
+    far = maker.dimap2(tmp_path, changes=[("<XLOS_0>-0.0", "<XLOS_0>-0.1")])
+    status, said = run("init", far, "--out", tmp_path / "acq")
+    assert status == 0
+    assert re.search(r"its model is .* px \(.* m\) off its own corners: units, a sign", said)
+    turned = maker.dimap2(tmp_path, name="DIM_2.XML", changes=[("<XLOS_0>-0.0", "<XLOS_0>-90.")])
+    status, said = run("init", turned, "--out", tmp_path / "acq2")
+    assert status == 2
+    assert "does not look at the Earth" in said
+    assert not (tmp_path / "acq2").exists()
+
+
 def test_a_product_in_a_zip_is_refused(tmp_path):
     (tmp_path / "product.zip").write_bytes(b"PK\x03\x04" + bytes(200))
     status, said = run("init", tmp_path / "product.zip", "--out", tmp_path / "acq")

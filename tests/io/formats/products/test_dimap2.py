@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 import maker_files as maker
 from sightline.errors import FormatError
 from sightline.geometry.surface import Ellipsoid
+from sightline.io.formats.products.makers import Orbit
 from sightline.io.formats.products.recognise import read_product
 
 SPOT6 = ("spot6_pan_meta.xml", "spot6_multi_meta.xml")
@@ -108,7 +110,7 @@ REFUSED = {
     "fewer looks than columns": ([("<LAST_COL>50", "<LAST_COL>40")], "is 40 of 50 columns"),
     "no attitudes": (
         [("Quaternion_List", "Other_List")],
-        "Quaternion_List is missing: attitudes as polynomials",
+        "Quaternion is there 0 times, 2 or more are needed",
     ),
     "a padded count of rows": ([("<NROWS>60", "<NROWS>2048")], "ends .* before the last line"),
     "an entity": (
@@ -125,6 +127,79 @@ def test_what_is_wrong_is_named(tmp_path, case):
     path = maker.dimap2(tmp_path, changes=changes)
     with pytest.raises(FormatError, match=words):
         read_product(path)
+
+
+def test_attitudes_by_polynomials_as_pleiades_has_them(tmp_path):
+    """Also its velocities (relative to the stars), ms, one look for all bands and vertices with heights."""
+    path = maker.dimap2(tmp_path, polynomials=True)
+    product = read_product(path)
+    marks = product.marks
+    np.testing.assert_allclose([mark.height for mark in marks], 201.5 + 10.0 * np.arange(5))
+    assert product.height == pytest.approx(221.5) and "the mean of the vertices" in product.assumed[0]
+    assert "relative to the stars" in product.assumed[1]
+    for mark in marks:
+        # labels of the start round to a microsecond: 7 mm
+        assert left(replace(product, marks=(mark,)), mark.height).max() < 0.02
+    assert [band.name for band in product.bands] == ["band 1", "band 2", "band 3", "band 4"]
+    late = maker.dimap2(tmp_path, polynomials=True, changes=[("<SCALE>0.3", "<SCALE>0.0003")])
+    with pytest.raises(FormatError, match=r"quaternion of length .* at an end of the image"):
+        read_product(late)
+
+
+def test_positions_some_ms_apart_are_continued_evenly():
+    """Labels rounded to a microsecond, .7 steps of 4 ms before the first row: 8 mm of noise stay that."""
+    t = 0.0028 + np.arange(330) * 4.3625e-3
+    place, speed, _ = maker.orbit(t)
+    early = Orbit(np.round(t, 6), place, speed).positions(np.array([0.0]))
+    assert np.linalg.norm(early - maker.orbit(0.0)[0]) < 0.02
+
+
+def parts(*files, tiles=False):
+    """Files of two parts of an image, as Pleiades Neo has them; each of two tiles if wanted."""
+    one = '<Data_File tile_R="1" tile_C="{0}"><DATA_FILE_PATH href="IMG_{1}_R1C{0}.TIF"/></Data_File>'
+    numbers = (1, 2) if tiles else (1,)
+    joined = "</Data_Files><Data_Files>"
+    listed = ["".join(one.format(number, file) for number in numbers) for file in files]
+    size = '<Tile_Set><Regular_Tiling><NTILES_SIZE nrows="64" ncols="32"/></Regular_Tiling></Tile_Set>'
+    return [
+        ('<Data_File><DATA_FILE_PATH href="IMG_R1C1.TIF"/></Data_File>', joined.join(listed)),
+        ("<NBANDS>", f"{size}<NBANDS>"),
+    ]  # fmt: skip
+
+
+def test_parts_of_an_image_hold_the_bands_that_their_names_spell(tmp_path):
+    bands = ("DB", "B", "G", "R", "RE", "NIR")
+    path = maker.dimap2(tmp_path, bands=bands, changes=parts("RGB", "NED"))
+    found = [(band.name, band.image, band.image_band) for band in read_product(path).bands]
+    assert found == [
+        *((name, "IMG_RGB_R1C1.TIF", k) for k, name in enumerate(("R", "G", "B"), 1)),
+        *((name, "IMG_NED_R1C1.TIF", k) for k, name in enumerate(("NIR", "RE", "DB"), 1)),
+    ]
+    product = read_product(maker.dimap2(tmp_path, bands=bands, changes=parts("RGB", "NED", tiles=True)))
+    assert [band.name for band in product.bands] == ["R", "G", "B", "NIR", "RE", "DB"]
+    assert [tile.bands for tile in product.pixels.tiles] == [(0, 3), (0, 3), (3, 3), (3, 3)]
+    twice = parts("RGB", "NED", tiles=True)
+    twice[0] = (twice[0][0], twice[0][1].replace('tile_C="2"', 'tile_C="1"'))
+    with pytest.raises(FormatError, match="lists 4 tiles, 2 of them unlike"):
+        read_product(maker.dimap2(tmp_path, bands=bands, changes=twice))
+
+
+def test_other_files_of_a_product_lie_in_its_folder(tmp_path):
+    """Its RPC and its lineage, and the folder of its image within that of its volume."""
+    inner = tmp_path / "IMG_SPOT7_MS_001_A"
+    inner.mkdir()
+    maker.dimap2(inner, name="DIM_SPOT7.XML")
+    head = '<Dimap_Document><Metadata_Identification><METADATA_FORMAT version="2.0">DIMAP</METADATA_FORMAT>{}'
+    for place, kind in (
+        (inner / "RPC_SPOT7.XML", "<METADATA_SUBPROFILE>RPC</METADATA_SUBPROFILE>"),
+        (tmp_path / "VOL_SPOT7.XML", "<METADATA_PROFILE>S7_VOLUME</METADATA_PROFILE>"),
+    ):
+        place.write_text(head.format(kind) + "</Metadata_Identification></Dimap_Document>")
+    assert read_product(inner).path.name == read_product(tmp_path).path.name == "DIM_SPOT7.XML"
+    with pytest.raises(FormatError, match="not the one that holds its model: give DIM_"):
+        read_product(inner / "RPC_SPOT7.XML")
+    with pytest.raises(FormatError, match="not the one that holds its model: give DIM_"):
+        read_product(tmp_path / "VOL_SPOT7.XML")
 
 
 def test_a_file_that_was_cut_short_is_no_xml(tmp_path):

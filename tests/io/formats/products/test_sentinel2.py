@@ -56,6 +56,23 @@ def test_a_granule_and_its_datastrip_become_an_acquisition(granule, tmp_path, ca
     assert "B04" in capsys.readouterr().out
 
 
+def test_a_granule_finds_its_datastrip_where_products_have_it(granule, tmp_path, capsys):
+    """GRANULE/.../, DATASTRIP/.../ of unit C, whose detectors are numbered 5 and not 05."""
+    tile = tmp_path / "P.SAFE" / "GRANULE" / "S2C_GR"
+    strip = tmp_path / "P.SAFE" / "DATASTRIP" / "S2C_DS"
+    tile.mkdir(parents=True)
+    strip.mkdir(parents=True)
+    for path, folder in zip(granule, (tile, strip), strict=True):
+        text = path.read_text().replace("S2A_OPER", "S2C_OPER").replace('detectorId="05"', 'detectorId="5"')
+        (folder / path.name.replace("S2A", "S2C")).write_text(text)
+    (tmp_path / "IMG_DATA").rename(tile / "IMG_DATA")
+    assert run(["init", str(tile), "--out", str(tmp_path / "acq")]) == 0
+    toml = tomllib.loads((tmp_path / "acq" / "acquisition.toml").read_text())
+    assert [band["first_line_time"] for band in toml["band"]] == pytest.approx([0, -0.527, -1.005], abs=1e-7)
+    assert run(["init", str(tmp_path / "P.SAFE"), "--out", str(tmp_path / "acq2")]) == 2
+    assert "it holds DATASTRIP/S2C_DS/S2C_" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("texts", "said"),
     [
@@ -78,6 +95,7 @@ def test_what_is_wrong_is_named(texts, said, tmp_path):
 def test_no_model_is_made_and_both_metadata_are_asked_for(granule, tmp_path, capsys):
     with pytest.raises(FormatError, match="not where columns look"):
         read_product(granule[1])
-    for path in granule:
+    (tmp_path / "elsewhere").mkdir()
+    for path in [path.rename(tmp_path / "elsewhere" / f"{path.stem[-6:]}.xml") for path in granule]:
         assert run(["init", str(path), "--out", str(tmp_path / "acq")]) == 2
         assert "give the metadata of one granule" in capsys.readouterr().err

@@ -194,7 +194,8 @@ def _attitude(angles: Array) -> Rotation:
 def _looks(data: Part, band: int) -> tuple[Array, bool]:
     """(columns, 3) vectors of a band, axes as in the file; whether all bands of the file share them."""
     columns = data.count("Raster_Dimensions/NCOLS", 2, MOST_SAMPLES)
-    first = data.count("Data_Strip/Data_Strip_Coordinates/FIRST_PIXEL_RAW", 1, MOST_SAMPLES)
+    place = "Data_Strip/Data_Strip_Coordinates/FIRST_PIXEL_RAW"
+    first = data.count(place, 1, MOST_SAMPLES) if data.has(place) else 1
     parts = some(data, _LOOKS, 1)
     tables = {part.count("BAND_INDEX", 1, 100): _look_table(data, part) for part in parts}
     # a table of one band is that of all
@@ -236,8 +237,9 @@ def _cut(data: Part) -> tuple[str, ...]:
     ties = [
         part.number("TIE_POINT_DATA_X") for part in data.parts("Geoposition/Geoposition_Points/Tie_Point")
     ]
-    places = {"SCENE_CENTER_COL": data.number(f"{_STAMP}/SCENE_CENTER_COL")}
-    places["TIE_POINT_DATA_X"] = max(ties, default=0.0)
+    places = {"TIE_POINT_DATA_X": max(ties, default=0.0)}
+    if data.has(f"{_STAMP}/SCENE_CENTER_COL"):
+        places = {"SCENE_CENTER_COL": data.number(f"{_STAMP}/SCENE_CENTER_COL"), **places}
     beyond = [f"{name} is {value:.0f}" for name, value in places.items() if value > columns]
     if not beyond:
         return ()
@@ -258,7 +260,7 @@ def _marks(data: Part) -> tuple[GroundMark, ...]:
             tie.number("TIE_POINT_DATA_X") - 1.0,
             tie.number("TIE_POINT_CRS_X"),
             tie.number("TIE_POINT_CRS_Y"),
-            tie.number("TIE_POINT_CRS_Z"),
+            tie.number("TIE_POINT_CRS_Z") if tie.has("TIE_POINT_CRS_Z") else 0.0,
         )
         for number, tie in ties
         if tie.number("TIE_POINT_DATA_X") <= columns

@@ -29,16 +29,24 @@ Array = NDArray[np.float64]
 
 #: Nodes of the polynomial through positions; with fewer rows than the second, velocities take part.
 _NODES, _ENOUGH = 8, 6
+#: s between rows from which on all of them are nodes: labels that round to a microsecond move a satellite by
+#: 7 mm, which a polynomial through rows some ms apart makes more of at its ends.
+_APART = 0.1
 #: m/s by which velocities at the ends of a step may differ from its slope: .6 over 30 s, 2.4 over 60 s. The
 #: other kind of velocity (inertial, on Earth-fixed axes) differs by 75 m/s and more below sun-synchronous
 #: orbits.
 _AGREE = 10.0
+#: m from the Earth's centre between which satellites that image it fly.
+_RADII = (6.5e6, 5e7)
 #: rad/s of Earth-fixed axes relative to the stars.
 TURNING = np.array([0.0, 0.0, EARTH_RATE])
 #: From when products count seconds: `LineScanModel.reference`.
 _ZERO = datetime(2000, 1, 1, 12, tzinfo=UTC)
 #: s from line to line that line scanners take.
 _PERIODS = (1e-6, 10.0)
+#: Highest degree of a polynomial (of makers' files it is 3), and how far quaternions by polynomials may be
+#: from unit length.
+_MOST_DEGREE, _UNIT = 20, 1e-2
 #: m above the ellipsoid between which the ground of a product is sought.
 _HEIGHTS = (-500.0, 9000.0)
 
@@ -126,15 +134,26 @@ class Orbit:
     def positions(self, t: Array) -> Array:
         """(M, 3) m at `t` (M,) s, by a polynomial through eight rows; of few, through velocities too."""
         if len(self.t) >= _ENOUGH:
-            return interpolate(self.t, self.position, t, _NODES)
+            rows = self._spread()
+            return interpolate(self.t[rows], self.position[rows], t, _NODES)
         return interpolate_hermite(self.t, self.position, self.velocity, t)
+
+    def _spread(self) -> NDArray[np.intp]:
+        """Rows some way apart, the first and the last among them: eight or more where there are so many."""
+        count = len(self.t)
+        kept = max(_NODES, 1 + int((self.t[-1] - self.t[0]) / _APART))
+        if kept >= count:
+            return np.arange(count)
+        return np.round(np.linspace(0.0, count - 1.0, kept)).astype(np.intp)
 
     def velocities(self, t: Array) -> Array:
         """(M, 3) m/s relative to the Earth at `t` (M,) s."""
         return interpolate(self.t, self.velocity, t, _NODES)
 
 
-def orbit_of(part: Part, name: str, t: Array, position: Array, velocity: Array, *, inertial: bool) -> Orbit:
+def orbit_of(
+    part: Part, name: str, t: Array, position: Array, velocity: Array, *, inertial: bool | None
+) -> Orbit:
     """An orbit as a product writes it, its velocities checked.
 
     Parameters
@@ -145,26 +164,82 @@ def orbit_of(part: Part, name: str, t: Array, position: Array, velocity: Array, 
         s, increasing.
     position, velocity : (N, 3)
         m, m/s, on Earth-fixed axes.
-    inertial : bool
+    inertial : bool or None
         Whether velocities are relative to the stars, though on Earth-fixed axes: the turn of the Earth is
-        then taken off.
+        then taken off. None: whichever agrees with the positions.
 
     Raises
     ------
     FormatError
-        Unless the velocities are the slope of the positions: in other units, or of the other kind.
+        Unless the velocities are the slope of the positions (in other units, or of the other kind), and
+        these those of a satellite.
     """
-    fixed = velocity - np.cross(TURNING, position) if inertial else velocity
+    radius = np.linalg.norm(position, axis=1)
+    if radius.min() < _RADII[0] or radius.max() > _RADII[1]:
+        raise part.refused(
+            name,
+            f"holds a place {radius[np.argmax(np.abs(np.log(radius / _RADII[0])))]:.6g} m from the Earth's "
+            "centre; positions are read in m, Earth-fixed",
+        )
     slope = np.diff(position, axis=0) / np.diff(t)[:, None]
-    worst = float(np.abs(slope - 0.5 * (fixed[:-1] + fixed[1:])).max())
+    kinds = {
+        True: ("inertial velocities on Earth-fixed axes", velocity - np.cross(TURNING, position)),
+        False: ("velocities relative to the Earth", velocity),
+    }
+    if inertial is not None:
+        kinds = {inertial: kinds[inertial]}
+    off = {key: float(np.abs(slope - 0.5 * (v[:-1] + v[1:])).max()) for key, (_, v) in kinds.items()}
+    best = min(off, key=lambda key: off[key])
+    worst, fixed = off[best], kinds[best][1]
     if worst > _AGREE:
-        kind = "inertial velocities on Earth-fixed axes" if inertial else "velocities relative to the Earth"
+        kind = " or ".join(word for word, _ in kinds.values())
         raise part.refused(
             name,
             f"has velocities that differ from the slope of the positions by {worst:.4g} m/s; {kind} in m/s "
             "and positions in m are read",
         )
     return Orbit(t, position, fixed)
+
+
+def polynomial_attitude(
+    part: Part, name: str, polynomials: str, start: str, ends: tuple[float, float]
+) -> Callable[[Array], Rotation]:
+    """world_from_sensor of times in s from an instant, each component of the quaternion a polynomial.
+
+    Parameters
+    ----------
+    part, name : Part, str
+        Where OFFSET (s of the day of `start`) and SCALE (s) stand; components by (t - OFFSET) / SCALE.
+    polynomials : str
+        Where Q0 (the scalar) to Q3 stand.
+    start : str
+        UTC.
+    ends : (float, float)
+        s, within which lines are exposed: there quaternions are to be of unit length.
+    """
+    whole, fraction = parse_utc(start, f"{part.path}")
+    of_day = (whole - whole.replace(hour=0, minute=0, second=0)) / timedelta(seconds=1) + fraction
+    offset, scale = part.number(f"{name}/OFFSET"), part.positive(f"{name}/SCALE")
+    rows = [polynomial(part, f"{polynomials}/Q{k}") for k in range(4)]
+
+    def components(t: Array) -> Array:
+        x = (t + of_day - offset) / scale
+        return np.stack([np.polynomial.polynomial.polyval(x, row) for row in rows], axis=1)
+
+    length = np.linalg.norm(components(np.array(ends)), axis=1)
+    worst = float(length[np.argmax(np.abs(length - 1.0))])
+    if abs(worst - 1.0) > _UNIT:
+        raise part.refused(
+            polynomials,
+            f"gives a quaternion of length {worst:.6g} at an end of the image, not near 1: are OFFSET "
+            f"({offset:g} s of the day) and SCALE ({scale:g} s) those of its lines?",
+        )
+    return lambda t: Rotation.from_quat(components(t), scalar_first=True)
+
+
+def polynomial(part: Part, name: str) -> Array:
+    """Coefficients, the constant first."""
+    return part.numbers(f"{name}/COEFFICIENTS", part.count(f"{name}/DEGREE", 0, _MOST_DEGREE) + 1)
 
 
 def turned_by(

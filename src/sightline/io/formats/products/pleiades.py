@@ -10,7 +10,6 @@ Not here: counters of gyros and quaternions (``pleiades_telemetry.py``), Airbus'
 from __future__ import annotations
 
 from collections.abc import Callable
-from datetime import timedelta
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +24,8 @@ from sightline.io.formats.products.makers import (
     line_period,
     line_scan,
     orbit_of,
+    polynomial,
+    polynomial_attitude,
     scaled,
     some,
     times_of,
@@ -46,8 +47,6 @@ _RFM = "Geoposition/Rational_Sensor_Model/Global_RFM"
 _MILLISECONDS = {"ms": 1e-3, "s": 1.0, "us": 1e-6}
 #: The band whose lines count.
 _PANCHROMATIC = "PA"
-#: Highest degree of a polynomial; of makers' files it is 3.
-_MOST_DEGREE = 20
 _STILL = (
     "the image is resampled by its maker to one virtual line (Pleiades, level SENSOR), its attitude a "
     "polynomial: it holds no motion; raw bands in sensor geometry would do (levels L0, L1A): give their "
@@ -66,7 +65,7 @@ def read_pleiades(path: Path, reference: tuple[float, float] | None = None) -> P
     period = line_period(data, f"{_MODEL}/SENSOR_LINE_PERIOD", _MILLISECONDS)
     t = period * np.arange(data.count("Raster_Dimensions/NROWS", 2, MOST_LINES), dtype=np.float64)
     title = words(data, "Dataset_Identification/DATASET_NAME", path.stem)
-    orbit, attitude = pleiades_orbit(data, start), pleiades_attitude(data, start)
+    orbit, attitude = pleiades_orbit(data, start), pleiades_attitude(data, start, float(t[-1]))
     model = line_scan(
         path, start, t, (t[:0], attitude), orbit, _looks(data), reference, one_grid=OneGrid(title, _STILL)
     )
@@ -117,28 +116,9 @@ def pleiades_orbit(data: Part, start: str) -> Orbit:
     return orbit_of(data, _POINTS, times_of(rows, "UTC_TIME", start), place, speed, inertial=True)
 
 
-def pleiades_attitude(data: Part, start: str) -> Callable[[Array], Rotation]:
-    """earth_from_body of times in s from an instant, by the polynomials of the model."""
-    whole, fraction = parse_utc(start, f"{data.path}")
-    of_day = (whole - whole.replace(hour=0, minute=0, second=0)) / timedelta(seconds=1) + fraction
-    offset = data.number(f"{_MODEL}/Sensor_Attitudes/OFFSET")
-    scale = data.positive(f"{_MODEL}/Sensor_Attitudes/SCALE")
-    rows = [_polynomial(data, f"{_POLYNOMIALS}/Q{k}") for k in range(4)]
-    length = float(np.linalg.norm([row[0] for row in rows]))
-    if abs(length - 1.0) > 1e-2:
-        raise data.refused(_POLYNOMIALS, f"gives a quaternion of length {length:.6g}, not near 1")
-
-    def at(t: Array) -> Rotation:
-        x = (t + of_day - offset) / scale
-        parts = [np.polynomial.polynomial.polyval(x, row) for row in rows]
-        return Rotation.from_quat(np.stack(parts, axis=1), scalar_first=True)
-
-    return at
-
-
-def _polynomial(data: Part, name: str) -> Array:
-    """Coefficients, the constant first."""
-    return data.numbers(f"{name}/COEFFICIENTS", data.count(f"{name}/DEGREE", 0, _MOST_DEGREE) + 1)
+def pleiades_attitude(data: Part, start: str, last: float = 0.0) -> Callable[[Array], Rotation]:
+    """earth_from_body of times in s from an instant, by the polynomials of the model; lines end at `last`."""
+    return polynomial_attitude(data, f"{_MODEL}/Sensor_Attitudes", _POLYNOMIALS, start, (0.0, last))
 
 
 def _looks(data: Part) -> Array:
@@ -150,7 +130,7 @@ def _looks(data: Part) -> Array:
         raise place.refused("LAST_COL", f"is {last} of {columns} columns from {first} on: some have no look")
     k = np.arange(columns, dtype=np.float64)
     x, y = (
-        np.polynomial.polynomial.polyval(k, _polynomial(data, f"{_VIEW}/Viewing_Directions/Psi{axis}_Model"))
+        np.polynomial.polynomial.polyval(k, polynomial(data, f"{_VIEW}/Viewing_Directions/Psi{axis}_Model"))
         for axis in "XY"
     )
     return np.stack([y, -x, np.ones(columns)], axis=1)

@@ -70,6 +70,8 @@ class Tile:
         File that the metadata name, without folders.
     line, column, lines, columns : int
         px; where it begins, from 0, and its size.
+    bands : (int, int) or None
+        Its first band and how many it holds, of those of the image, from 0; None: all of them.
     """
 
     image: str
@@ -77,6 +79,7 @@ class Tile:
     column: int
     lines: int
     columns: int
+    bands: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)

@@ -26,16 +26,22 @@ _KINDS = (
 )
 #: What is read, in words.
 KNOWN = (
-    "read are WorldView and QuickBird, level 1B (XML, or IMD with ATT, EPH and GEO), SPOT 6 (DIMAP 2, level "
-    "SENSOR), SPOT 5 (DIMAP 1, level 1A), Pleiades (PHRDIMAP) and Sentinel-2 granules with their datastrip "
-    "(L1B)"
+    "read are WorldView and QuickBird, level 1B (XML, or IMD with ATT, EPH and GEO), SPOT 6, SPOT 7 and "
+    "Pleiades (DIMAP 2, level SENSOR), SPOT 5 (DIMAP 1, level 1A), Pleiades (PHRDIMAP) and Sentinel-2 "
+    "granules with their datastrip (L1B)"
 )
 #: What packed folders begin with.
 _PACKED = ((b"PK\x03\x04", "zip"), (b"\x1f\x8b", "gzip"), (b"BZh", "bzip2"), (b"\xfd7zXZ", "xz"))
 #: Where a tar file says that it is one.
 _TAR = (257, b"ustar")
-#: Endings of metadata files that are looked for in a folder.
-_ENDINGS = (".xml", ".imd", ".dim")
+#: Endings of metadata files that are looked for in a folder; folders within it that are looked into.
+_ENDINGS, _DEPTH = (".xml", ".imd", ".dim"), 3
+#: Files that a message names at most.
+_NAMED = 10
+#: What other files of a DIMAP 2 product (its RPC, its lineage) hold in the begin, which is none of its model.
+_OTHER_PART = rb"<METADATA_SUBPROFILE>\s*(?!PRODUCT)"
+#: What its volume holds.
+_VOLUME = rb"<DATASET_TYPE>\s*VOLUME|<METADATA_PROFILE>[^<]*VOLUME"
 
 
 def product_kind(path: Path) -> str | None:
@@ -44,10 +50,19 @@ def product_kind(path: Path) -> str | None:
     FormatError where the file cannot be opened.
     """
     check_file(path)
+    head = _head(path)
+    return next((kind for kind, pattern in _KINDS if re.search(pattern, head)), None)
+
+
+def _head(path: Path) -> bytes:
+    """How a file begins."""
     with foreign_errors(path, "cannot be read as a sensor model", "check its permissions"):
         with path.open("rb") as stream:
             head = stream.read(_HEAD)
-    return next((kind for kind, pattern in _KINDS if re.search(pattern, head)), None)
+    for mark, code in ((b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16")):
+        if head.startswith(mark):
+            return head.decode(code, "replace").encode("utf-8")
+    return head
 
 
 @reads("metadata of a product")
@@ -77,7 +92,7 @@ def read_product(path: Path, reference: tuple[float, float] | None = None, band:
         case "worldview":
             from sightline.io.formats.products.worldview import read_worldview
 
-            return read_worldview(path, reference)
+            return read_worldview(path, reference, band)
         case "dimap2":
             from sightline.io.formats.products.dimap2 import read_dimap2
 
@@ -118,15 +133,34 @@ def metadata_of(path: Path) -> Path:
         if packed is not None:
             raise FormatError(f"{path}: is packed ({packed}); unpack it, and give the folder that comes out")
         return path
-    files = [file for file in sorted(path.iterdir()) if file.suffix.lower() in _ENDINGS and file.is_file()]
-    found = [file for file in files if product_kind(file) is not None]
-    # some makers deliver the same metadata twice
-    whole = {file.stem for file in found if file.suffix.lower() == ".xml"}
-    found = [file for file in found if file.suffix.lower() == ".xml" or file.stem not in whole]
+    found = _inside(path, _DEPTH)
     if len(found) != 1:
-        held = f"it holds {', '.join(file.name for file in found)}" if found else "it holds none"
+        names = [file.relative_to(path).as_posix() for file in found]
+        more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+        held = f"it holds {', '.join(names[:_NAMED])}{more}" if found else "it holds none"
         raise FormatError(
             f"{path}: a folder with the metadata of one product is expected, {held}; name the file itself; "
             f"{KNOWN}"
         )
     return found[0]
+
+
+def _inside(folder: Path, depth: int) -> list[Path]:
+    """Metadata of products in a folder; where it holds none, in those within it."""
+    with foreign_errors(folder, "cannot be read", "check its permissions"):
+        entries = sorted(folder.iterdir())
+    files = [file for file in entries if file.suffix.lower() in _ENDINGS and file.is_file()]
+    found = [file for file in files if product_kind(file) is not None and _holds_model(file)]
+    # some makers deliver the same metadata twice
+    whole = {file.stem for file in found if file.suffix.lower() == ".xml"}
+    found = [file for file in found if file.suffix.lower() == ".xml" or file.stem not in whole]
+    if found or not depth:
+        return found
+    inner = [entry for entry in entries if entry.is_dir() and not entry.is_symlink()]
+    return [file for one in inner for file in _inside(one, depth - 1)]
+
+
+def _holds_model(path: Path) -> bool:
+    """Whether it is no other file of a product: its RPC, its lineage, its volume."""
+    head = _head(path)
+    return not (re.search(_OTHER_PART, head) or re.search(_VOLUME, head))

@@ -102,6 +102,25 @@ def read_granule_times(granule: Path, datastrip: Path) -> GranuleTimes:
     return GranuleTimes(detector, position, utc_text(t, day) + "Z", lags, period, _height(strip, t, day))
 
 
+def datastrip_of(granule: Path) -> Path | None:
+    """Metadata of the datastrip where products have it: ``DATASTRIP`` beside ``GRANULE``; else None."""
+    folders = [granule.parent.parent.parent / "DATASTRIP", granule.parent / "DATASTRIP", granule.parent]
+    wanted = _strip_name(_plain(granule, _GRANULE))
+    for folder in folders:
+        if folder.is_dir():
+            found = [path for path in sorted(folder.rglob("*.xml")) if path.stem.startswith(wanted)]
+            if wanted and len(found) == 1:
+                return found[0]
+    return None
+
+
+def _strip_name(tile: Part) -> str:
+    """How the file of a granule's datastrip begins: of ..._MSI_L1B_DS_... it is ..._MTD_L1B_DS_..."""
+    name = words(tile, "General_Info/DATASTRIP_ID")
+    # without the baseline at the end
+    return name.rpartition("_N")[0].replace("_MSI_", "_MTD_")
+
+
 def _plain(path: Path, what: str) -> Part:
     """The root of an XML file, prefixes of its names left out."""
     root = read_xml(path, what)
@@ -112,9 +131,7 @@ def _plain(path: Path, what: str) -> Part:
 
 def _check_strip(tile: Part, datastrip: Path) -> None:
     """FormatError where the granule names another datastrip, by the file's name."""
-    name = words(tile, "General_Info/DATASTRIP_ID")
-    # the strip is ..._MSI_L1B_DS_..., its metadata ..._MTD_L1B_DS_..., without the baseline at the end
-    held = name.rpartition("_N")[0].replace("_MSI_", "_MTD_")
+    name, held = words(tile, "General_Info/DATASTRIP_ID"), _strip_name(tile)
     if held and "_MTD_L1B_DS_" in datastrip.stem and not datastrip.stem.startswith(held):
         raise FormatError(f"{datastrip}: is not the datastrip of {tile.path.name}, which is of {name[:120]}")
 
@@ -122,7 +139,12 @@ def _check_strip(tile: Part, datastrip: Path) -> None:
 def _stamp(strip: Part, band: str, detector: str) -> Part:
     """What dates line 1 of a band."""
     place = f"{_STAMPS}/Band_Time_Stamp[@bandId='{_BANDS.index(band)}']"
-    found = [one for one in strip.part(place).parts("Detector") if one.element.get("detectorId") == detector]
+    # 05 and 5 are one detector
+    found = [
+        one
+        for one in strip.part(place).parts("Detector")
+        if one.element.get("detectorId", "").lstrip("D0") == detector.lstrip("D0")
+    ]
     if len(found) != 1:
         raise strip.refused(place, f"({band}) has {len(found)} Detector {detector[:8]}; one is needed")
     (stamp,) = found

@@ -34,8 +34,16 @@ from sightline.io.formats.line_scan import (
     assemble,
     shared_instants,
 )
-from sightline.io.formats.products.makers import time_label, turned_by
-from sightline.io.formats.products.product import GroundMark, Product, ProductBand, bands_of, image_name
+from sightline.io.formats.products.makers import time_label, turned_by, words
+from sightline.io.formats.products.product import (
+    GroundMark,
+    Pixels,
+    Product,
+    ProductBand,
+    Tile,
+    bands_of,
+    image_name,
+)
 from sightline.io.formats.products.tree import LARGEST, Part, read_xml
 from sightline.io.formats.products.worldview_text import read_text_set
 from sightline.products.rpc import TERMS, Rpc
@@ -74,7 +82,7 @@ class _Records:
     values: Array
 
 
-def read_worldview(path: Path, reference: tuple[float, float] | None = None) -> Product:
+def read_worldview(path: Path, reference: tuple[float, float] | None = None, band: int = 1) -> Product:
     """A WorldView or QuickBird product of level 1B.
 
     Parameters
@@ -83,6 +91,8 @@ def read_worldview(path: Path, reference: tuple[float, float] | None = None) -> 
         XML, or the IMD of a set of text files that lie beside it.
     reference : (float, float), optional
         t = 0 of another model; the first line if not given.
+    band : int
+        Which of its bands the model is of, from 1, where each has a detector line of its own.
 
     Returns
     -------
@@ -113,27 +123,29 @@ def read_worldview(path: Path, reference: tuple[float, float] | None = None) -> 
     begin = (whole - _ORIGIN).total_seconds()
     reference = reference or (begin, fraction + float(line_times[0]))
     later = (begin - reference[0]) + (fraction - reference[1])
-    directions, doubts = _directions(root.part("GEO"), real[1])
+    bands = _bands(root)
+    directions, doubts, alike = _directions(root.part("GEO"), real[1], [one.name for one in bands], band)
     camera = assemble(motion, directions, line_times, even=even, later=later)
     model = LineScanModel(
         camera,
         WGS84,
         reference,
-        tuple(f"{path.name}: {words}" for words in (*said, *jumps, *doubts)),
+        tuple(f"{path.name}: {line}" for line in (*said, *jumps, *doubts)),
         scale="UTC",
         lacks=APPARENT,
-        one_grid=_one_grid(path),
+        one_grid=_one_grid(path) if alike else None,
         padded=told if told != real else None,
     )
     rpc = _rpc(root)
     heights, marks = _marks(root, real)
     return Product(
         path=path,
-        kind=f"{image.text('SATID')} level 1B",
+        kind=f"{words(image, 'SATID', 'satellite without name')}, level 1B",
         name=path.stem,
         model=model,
         epoch=time_label(whole, reference[1] + (reference[0] - begin)),
-        bands=_bands(root),
+        bands=bands,
+        pixels=_pixels(root, real),
         height=rpc.height[0] if heights is None and rpc is not None else heights,
         marks=marks,
         rpc=rpc,
@@ -147,16 +159,18 @@ def read_worldview(path: Path, reference: tuple[float, float] | None = None) -> 
 
 
 def _is_xml(path: Path) -> bool:
-    return read_bytes(path, WHAT, most=LARGEST)[:64].lstrip(b"\xef\xbb\xbf \t\r\n").startswith(b"<")
+    head = read_bytes(path, WHAT, most=LARGEST)[:64]
+    return head.lstrip(b"\xef\xbb\xbf \t\r\n").startswith((b"<", b"\xff\xfe", b"\xfe\xff"))
 
 
 def _sizes(root: Part) -> tuple[tuple[int, int], tuple[int, int]]:
     """Lines and columns that are told, and the real ones: files in blocks may be padded."""
     imd = root.part("IMD")
     told = imd.count("NUMROWS", 2, MOST_LINES), imd.count("NUMCOLUMNS", 2, MOST_SAMPLES)
-    if root.has("TIL/TILESIZEY") and root.part("TIL").count("NUMTILES", 1, 100_000) == 1:
-        til = root.part("TIL")
-        return told, (til.count("TILESIZEY", 2, told[0]), til.count("TILESIZEX", 2, told[1]))
+    if root.has("TIL/TILESIZEY") and len(root.parts("TIL/TILE")) < 2:
+        # tiles may be larger than the one image in them
+        sizes = [root.part("TIL").count(f"TILESIZE{axis}", 2, MOST_LINES) for axis in "YX"]
+        return told, (min(sizes[0], told[0]), min(sizes[1], told[1]))
     lines, columns = told
     if lines % _BLOCK or columns % _BLOCK:
         return told, told
@@ -253,12 +267,12 @@ def _checked(root: Part, positions: _Records, attitudes: _Records, line_times: A
                 f"{positions.name} holds velocities {apart:.3g} m/s off the rates of its places; they are "
                 "not used"
             )
-    direction = root.part("IMD/IMAGE").text("SCANDIRECTION")
+    direction = words(root.part("IMD/IMAGE"), "SCANDIRECTION", "not told")
     if direction.lower() != "forward":
         said.append(
             f"SCANDIRECTION is {direction}: only forward scans are verified against their maker's RPC"
         )
-    return [words for words in said if words]
+    return [line for line in said if line]
 
 
 def _motion(
@@ -319,37 +333,27 @@ def _turned(nodes: Array, turns: Rotation, when: Array) -> Rotation:
     return turned_by(nodes, turns, lambda inside: known.at(inside).world_from_body)(when)
 
 
-def _directions(geo: Part, columns: int) -> tuple[Array, list[str]]:
-    """Where each column looks (columns, 3), camera axes, mm; and what is said of it."""
+def _directions(geo: Part, columns: int, names: list[str], band: int) -> tuple[Array, list[str], bool]:
+    """Where each column looks (columns, 3), mm; what is said of it; whether all bands share it."""
     for name in ("ALIST", "ALISTList/ALIST", "BLIST", "BLISTList/BLIST"):
         for part in geo.parts(f"OPTICAL_DISTORTION/{name}"):
-            words = (part.element.text or "").replace(",", " ").split()
-            if any(float(word) != 0.0 for word in words):
+            if (part.element.text or "").strip() and part.numbers(".").any():
                 raise geo.refused(
                     f"OPTICAL_DISTORTION/{name}",
                     "holds a distortion; how it is applied is not verified on any file: refused",
                 )
     distance = geo.positive("PRINCIPAL_DISTANCE/PD")
-    arrays = [
-        array
-        for band in geo.part("DETECTOR_MOUNTING").element
-        if band.tag.startswith("BAND_")
-        for array in Part(geo.path, f"{geo.place}/DETECTOR_MOUNTING/{band.tag}", band, geo.what).parts(
-            "DETECTOR_ARRAY"
-        )
-    ]
-    if not arrays:
-        raise geo.refused("DETECTOR_MOUNTING", "holds no BAND_... with a DETECTOR_ARRAY")
-    looks = [
-        tuple(array.number(name) for name in ("DETORIGINX", "DETORIGINY", "DETROTANGLE", "DETPITCH"))
-        for array in arrays
-    ]
-    if len(set(looks)) > 1:
+    looks = _arrays(geo)
+    unlike = {array for arrays in looks.values() for array in arrays}
+    if any(len(set(arrays)) > 1 for arrays in looks.values()) or (
+        len(unlike) > 1 and not (set(names) <= set(looks) and 1 <= band <= len(names))
+    ):
         raise geo.refused(
             "DETECTOR_MOUNTING",
-            f"holds {len(set(looks))} unlike detector arrays; products of one virtual detector line are read",
+            f"holds {len(unlike)} unlike detector arrays (of {', '.join(looks)}, the image's bands are "
+            f"{', '.join(names)}); products of one virtual detector line, or of one for each band, are read",
         )
-    x, y, rotation, pitch = looks[0]
+    x, y, rotation, pitch = looks[names[band - 1]][0] if len(unlike) > 1 else next(iter(unlike))
     if not _PIXELS[0] < pitch / distance < _PIXELS[1]:
         raise geo.refused(
             "DETECTOR_MOUNTING",
@@ -357,12 +361,26 @@ def _directions(geo: Part, columns: int) -> tuple[Array, list[str]]:
         )
     angle, k = np.radians(rotation), np.arange(float(columns))
     said = [] if rotation == 0.0 else [f"DETROTANGLE is {rotation:g} degrees: not verified on any file"]
-    return (
-        np.column_stack(
-            [x + k * pitch * np.sin(angle), y - k * pitch * np.cos(angle), np.full(columns, distance)]
-        ),
-        said,
-    )
+    rows = [x + k * pitch * np.sin(angle), y - k * pitch * np.cos(angle), np.full(columns, distance)]
+    return np.column_stack(rows), said, len(unlike) == 1
+
+
+def _arrays(geo: Part) -> dict[str, list[tuple[float, ...]]]:
+    """Origin x, y (mm), rotation (degrees) and pitch (mm) of the detector arrays of each band."""
+    mounting = geo.part("DETECTOR_MOUNTING")
+    found: dict[str, list[tuple[float, ...]]] = {}
+    for element in mounting.element:
+        if element.tag.startswith("BAND_"):
+            part = Part(geo.path, f"{mounting.place}/{element.tag}", element, geo.what)
+            arrays = [
+                tuple(array.number(name) for name in ("DETORIGINX", "DETORIGINY", "DETROTANGLE", "DETPITCH"))
+                for array in part.parts("DETECTOR_ARRAY")
+            ]
+            if arrays:
+                found[element.tag.removeprefix("BAND_")] = arrays
+    if not found:
+        raise geo.refused("DETECTOR_MOUNTING", "holds no BAND_... with a DETECTOR_ARRAY")
+    return found
 
 
 def _one_grid(path: Path) -> OneGrid:
@@ -384,12 +402,31 @@ def _bands(root: Part) -> tuple[ProductBand, ...]:
     return bands_of(names, [image_name(file) for file in files])
 
 
+def _pixels(root: Part, real: tuple[int, int]) -> Pixels | None:
+    """Tiles side by side, where there are several."""
+    parts = [part for part in root.parts("TIL/TILE") if part.has("FILENAME")]
+    if len(parts) < 2:
+        return None
+    tiles = []
+    for part in parts:
+        line, column = (part.count(f"UL{axis}OFFSET", 0, MOST_LINES) for axis in ("ROW", "COL"))
+        last, right = (part.count(f"LR{axis}OFFSET", 0, MOST_LINES) for axis in ("ROW", "COL"))
+        size = min(last + 1, real[0]) - line, min(right + 1, real[1]) - column
+        if min(size) < 1:
+            raise part.refused(
+                "LRROWOFFSET", "ends before the tile begins, or the tile lies beyond the image"
+            )
+        tiles.append(Tile(image_name(part.text("FILENAME")), line, column, *size))
+    bits = words(root.part("IMD"), "BITSPERPIXEL", "16")
+    return Pixels(tuple(tiles), "Byte" if bits == "8" else "UInt16")
+
+
 def _marks(root: Part, shape: tuple[int, int]) -> tuple[float | None, tuple[GroundMark, ...]]:
     """Mean height (m) of the corners where it is given, and the corners."""
     bands = [child.tag for child in root.part("IMD").element if child.tag.startswith("BAND_")]
     places = [*(root.part(f"IMD/{tag}") for tag in bands), *root.parts("TIL/TILE")]
     holder = next((p for p in places if all(p.has(f"{c}LON") for c, _, _ in _CORNERS)), None)
-    if holder is None:
+    if holder is None or (holder not in places[: len(bands)] and len(root.parts("TIL/TILE")) > 1):
         return None, ()
     high = all(holder.has(f"{corner}HAE") for corner, _, _ in _CORNERS)
     marks = tuple(
