@@ -190,7 +190,8 @@ def state_ray(state: dict, line: float, sample: float) -> tuple[np.ndarray, np.n
     )
     x, y = _state_undistorted(state, x, y)
     look = state["m_zDirection"] * np.array([x, y, state["m_zDirection"] * state["m_focalLength"]])
-    qx, qy, qz, qw = even_lagrange(state["m_quaternions"], 4, state["m_t0Quat"], state["m_dtQuat"], t, 8)
-    origin = even_lagrange(state["m_positions"], 3, state["m_t0Ephem"], state["m_dtEphem"], t, 8)
+    order = 4 if state.get("m_platformFlag") == 0 else 8
+    qx, qy, qz, qw = even_lagrange(state["m_quaternions"], 4, state["m_t0Quat"], state["m_dtQuat"], t, order)
+    origin = even_lagrange(state["m_positions"], 3, state["m_t0Ephem"], state["m_dtEphem"], t, order)
     direction = matrix(qw, qx, qy, qz) @ look
     return origin, direction / np.linalg.norm(direction)

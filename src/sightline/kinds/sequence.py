@@ -128,6 +128,7 @@ class Poses(ResultKind):
         return Exported(
             str(summary.get("name", "")), np.asarray(table["t"], dtype=np.float64)[known], turn[known],
             sigma[known], summary.get("epoch"), "ITRF" if fixed else None, place[known],
+            flight=True,
         )  # fmt: skip
 
     def left(self, folder: Path, summary: dict[str, Any]) -> list[str]:

@@ -71,8 +71,10 @@ def test_rays_are_those_of_the_reference_to_a_thousandth_of_a_pixel(isds, name):
     assert worst < 1e-3
 
 
-@pytest.mark.parametrize("order", [1, 5, 9, 401])
-def test_states_are_interpolated_as_the_reference_does(isds, tmp_path, order):
+@pytest.mark.parametrize(
+    ("order", "platform"), [(1, None), (5, None), (9, None), (9, 0), (12, 1), (401, None)]
+)
+def test_states_are_interpolated_as_the_reference_does(isds, tmp_path, order, platform):
     """A state of a few nodes, of more than its polynomial takes, and of one for each line."""
     isd = reference.load(isds / "ctx_isd.json")
     count = max(order, 2)
@@ -102,6 +104,8 @@ def test_states_are_interpolated_as_the_reference_does(isds, tmp_path, order):
         "m_positions": np.ravel(origins).tolist(), "m_quaternions": np.ravel(turns).tolist(),
         "m_t0Ephem": t[0], "m_dtEphem": step, "m_t0Quat": t[0], "m_dtQuat": step,
     }  # fmt: skip
+    if platform is not None:
+        state["m_platformFlag"] = platform
     # an adjusted state of ASP begins with a line of the model's name
     (tmp_path / "run-a.adjusted_state.json").write_text(isd["name_model"] + "\n" + json.dumps(state))
     model = read_line_scan_model(tmp_path / "run-a.adjusted_state.json")

@@ -347,6 +347,36 @@ def test_the_jitter_table_is_as_that_of_isis(strip, real_data, tmp_path):
         )
 
 
+def test_the_jitter_table_corrects_pointing_as_appjit_applies_it(strip, tmp_path):
+    """By ``appjit``'s own steps: [line]_2 [sample]_1 of minus the offsets turns the axes of the instrument.
+
+    Of these x points forward, and samples run against y.
+    """
+    write_export("isis", tmp_path, strip)
+    camera = strip.cameras["PAN"]
+    table = np.loadtxt(tmp_path / "PAN_jitter.txt", comments="#")
+    lines, middle = np.arange(float(LINES)), (camera.columns - 1) // 2
+    still = camera.with_trajectory(camera.trajectory.with_motion(None))
+
+    def looks(one, column):
+        return one.rays(np.column_stack([lines, np.full(LINES, column)])).directions[LINES - len(table) :]
+
+    z, beside = looks(still, middle), looks(still, middle + 1)
+    y = -(beside - z) / np.linalg.norm(beside - z, axis=1, keepdims=True)
+    x = np.cross(y, z)
+    pixel = np.linalg.norm(beside - z, axis=1).mean()
+    about_1, about_2 = -pixel * table[:, 0], -pixel * table[:, 1]
+    # the third row of [b]_2 [a]_1 is where the corrected instrument looks, in the given axes
+    corrected = (
+        np.sin(about_2)[:, None] * x
+        - (np.sin(about_1) * np.cos(about_2))[:, None] * y
+        + (np.cos(about_1) * np.cos(about_2))[:, None] * z
+    )
+    true = looks(camera, middle)
+    before, after = (np.linalg.norm(one - true, axis=1).std() for one in (z, corrected))
+    assert after < 0.1 * before, (after / pixel, before / pixel)
+
+
 def test_an_attitude_message_is_read_by_another_package(strip, tmp_path):
     models = pytest.importorskip("ccsds_ndm.models.ndmxml2")
     io = pytest.importorskip("ccsds_ndm.ndm_io")
@@ -379,7 +409,7 @@ def test_an_orbit_message_is_read_by_another_package(strip, tmp_path):
     [("csm", "acquisition", "holds a camera, which the result does not: add --acquisition FILE"),
      ("aem", "epoch", r"add \[acquisition\] epoch"),
      ("csm", "epoch", r"needs the instant of t = 0: add \[acquisition\] epoch"),
-     ("aem", "frame", "is of another body"),
+     ("aem", "frame", "they are of another body"),
      ("frames", None, "`to` is 'frames'; allowed are csm, isd, aem, oem, rpc, quaternions, shifts, ck")],
 )  # fmt: skip
 def test_what_is_lacking_is_named(strip, tmp_path, to, lacking, said):

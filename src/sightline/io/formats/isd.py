@@ -41,8 +41,9 @@ Array = NDArray[np.float64]
 _AGREE = 0.01
 #: Lists of a model state that hold rows one after the other, and the length of these.
 _FLAT = (("m_positions", 3), ("m_velocities", 3), ("m_quaternions", 4))
-#: Nodes of the polynomial by which a state is interpolated, and those where its table holds few quaternions.
-_LAGRANGE, _FEW, _LAGRANGE_OF_FEW = 8, 6, 4
+#: Nodes of the polynomial by which a state is interpolated: that of a platform of kind 1, of 0, and those where
+#: its table holds few quaternions (``usgscsm`` counts their numbers).
+_LAGRANGE, _LAGRANGE_OF_0, _FEW, _LAGRANGE_OF_FEW = 8, 4, 6, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,12 +283,13 @@ def _state_motion(data: CsmKeys, _: float, line_times: Array) -> tuple[SensorMot
     signed = one_side(quaternions)
     t_position = _evenly(data.number("m_t0Ephem"), data.positive("m_dtEphem"), len(position))
     t_attitude = _evenly(data.number("m_t0Quat"), data.positive("m_dtQuat"), len(quaternions))
-    order = _LAGRANGE_OF_FEW if quaternions.size < _FEW else _LAGRANGE
+    usual = _LAGRANGE_OF_0 if data.has("m_platformFlag") and data.number("m_platformFlag") == 0 else _LAGRANGE
+    order = _LAGRANGE_OF_FEW if quaternions.size < _FEW else usual
     tables = (Instants("m_quaternions", t_attitude), Instants("m_positions", t_position))
     said = [table.check(line_times, data.refused) for table in tables]
     motion = SensorMotion(
         shared_instants(tables),
-        lambda t: lagrange(t_position, position, t, _LAGRANGE),
+        lambda t: lagrange(t_position, position, t, usual),
         lambda t: Rotation.from_quat(lagrange(t_attitude, signed, t, order)),
     )
     return motion, tuple(f"{data.path.name}: {words}" for words in said if words)

@@ -96,6 +96,8 @@ class Exported:
         Needed by all forms that hold a camera.
     cameras : dict of str to PushbroomCamera
         By band; with the recovered motion and statics.
+    flight : bool
+        Whether it is poses of a flight, which have no acquisition.
     """
 
     name: str
@@ -107,6 +109,7 @@ class Exported:
     position: Array | None = None
     acquisition: Acquisition | None = None
     cameras: Mapping[str, PushbroomCamera] = field(default_factory=dict)
+    flight: bool = False
 
     def needs_cameras(self, to: str) -> Acquisition:
         """The acquisition, where a form holds cameras of a strip.
@@ -116,15 +119,18 @@ class Exported:
         InputError
             None is given, or it is of frames.
         """
+        if self.flight:
+            raise InputError(
+                f"--to {to} holds the camera of a strip; poses of a flight give quaternions, and in "
+                "Earth-fixed axes aem and oem; its folder holds models of its camera for other programs"
+            )
         if self.acquisition is None:
             raise InputError(
                 f"--to {to} holds a camera, which the result does not: add --acquisition FILE, the "
                 "ACQUISITION.toml that it was recovered from"
             )
         if not self.cameras:
-            raise InputError(
-                f"--to {to} is of strips ([[band]]); of frames only quaternions and aem are exported"
-            )
+            raise InputError(f"--to {to} is of strips ([[band]]); frames give quaternions, aem and oem")
         return self.acquisition
 
     def needs_body(self, to: str) -> tuple[Acquisition, tuple[float, float]]:
@@ -250,7 +256,11 @@ def _need_message(exported: Exported, to: str) -> tuple[str, str]:
             f"--to {to} gives times in UTC: add [acquisition] epoch (UTC of t = 0) and recover again"
         )
     if exported.frame is None:
-        raise InputError(f"--to {to} is written in Earth-fixed or local axes; this result is of another body")
+        where = "local, or of another body" if exported.flight else "of another body"
+        raise InputError(
+            f"--to {to} names its axes, and those of this result have no name there: they are {where}; "
+            "--to quaternions holds the same without a name"
+        )
     return exported.epoch, exported.frame
 
 
@@ -403,7 +413,11 @@ def _et_by(library: Any, exported: Exported, to: str) -> float:
 
 
 def _isis(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[str, Any]:
-    """``BAND_jitter.txt``: sample px, line px and ET of every line: what the motion moved its middle by."""
+    """``BAND_jitter.txt``: sample px, line px and ET of every line: what the motion moved its middle by.
+
+    As ``appjit`` of ISIS takes them, by its source (``PixelOffset``) and the kernels of HiRISE (samples run
+    against y of the instrument, x points forward): where a pixel lies, less where it would without the motion.
+    """
     acquired, bands = exported.needs_cameras("isis"), []
     if kernels:
         with spice_kernels(kernels) as library:
@@ -414,11 +428,11 @@ def _isis(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[s
         camera = exported.cameras[name]
         lines = np.arange(float(camera.lines))
         column = (camera.columns - 1) // 2
-        moved = motion_shifts(camera, acquired.surface, lines)[:, column]
+        moved = -motion_shifts(camera, acquired.surface, lines)[:, column]
         known = np.isfinite(moved).all(axis=1)
         rms = np.sqrt((moved[known] ** 2).mean(axis=0)) if known.any() else np.zeros(2)
         words = (
-            f"{name}: pixels that the recovered motion moved column {column} by, at every line",
+            f"{name}: where column {column} lies less where it would without the recovered motion",
             f"rms {rms[1]:.6f} px in samples, {rms[0]:.6f} px in lines",
             "sample px, line px, ET (s past J2000, TDB)",
         )
@@ -428,7 +442,7 @@ def _isis(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[s
         bands.append(
             {"name": name, "file": f"{stem}_jitter.txt", "rms_px": rms.tolist(), "max_px": largest.tolist()}
         )
-    return {"bands": bands, "axes": "lines, columns of each band: without the motion less with it"}
+    return {"bands": bands, "axes": "samples, lines of each band: with the motion less without it"}
 
 
 def _plane(camera: PushbroomCamera, name: str, to: str) -> tuple[Any, float]:
