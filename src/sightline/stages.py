@@ -33,8 +33,9 @@ Packed = dict[str, NDArray[Any]]
 
 _KEY = "fingerprint"
 _SECONDS = "cpu-seconds"
-#: Suffixes of names: nothing, the class of a dataclass, the number of items. None is the name of a field.
-_NONE, _CLASS, _COUNT = "none", "class", "#"
+#: Suffixes of names: nothing, the class of a dataclass, the number of items, the size of what is kept in
+#: parts. None is the name of a field.
+_NONE, _CLASS, _COUNT, _SIZE = "none", "class", "#", "size"
 #: Items of tuples that are kept as one array.
 _PLAIN = (str, bool, int, float)
 _SUFFIX = ".stage.npz"
@@ -255,6 +256,10 @@ def _put(out: Packed, name: str, item: Any) -> None:
     elif dataclasses.is_dataclass(item):
         out[f"{name}.{_CLASS}"] = np.array(type(item).__name__)
         out |= {f"{name}.{key}": inner for key, inner in pack(item).items()}
+    elif hasattr(item, "of_parts"):
+        out[f"{name}.{_SIZE}"] = np.array(item.size)
+        # each read when it is written
+        out |= {f"{name}.{k}": _Part(part) for k, part in enumerate(item.parts)}  # type: ignore[misc]
     elif isinstance(item, tuple) and any(all(type(one) is plain for one in item) for plain in _PLAIN):
         out[name] = np.array(item, dtype=None if item else np.str_)
     elif isinstance(item, tuple):
@@ -263,6 +268,16 @@ def _put(out: Packed, name: str, item: Any) -> None:
             _put(out, f"{name}.{number}", one)
     else:
         out[name] = np.asarray(item)
+
+
+class _Part:
+    """An array that is made when it is asked for."""
+
+    def __init__(self, make: Callable[[], NDArray[Any]]) -> None:
+        self._make = make
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> NDArray[Any]:
+        return self._make()
 
 
 def unpack(kind: type[T], packed: Mapping[str, NDArray[Any]], *, writeable: bool = False) -> T:
@@ -293,6 +308,10 @@ def _take(hint: Any, packed: Mapping[str, NDArray[Any]], name: str, *, writeable
         return unpack(which, inner, writeable=writeable)
     if first is Rotation:
         return Rotation.from_quat(packed[name])
+    if hasattr(first, "of_parts"):
+        size = tuple(packed[f"{name}.{_SIZE}"].tolist())
+        count = sum(key.startswith(f"{name}.") for key in packed) - 1
+        return first.of_parts(size, (packed[f"{name}.{k}"] for k in range(count)))
     if first is csr_array:
         data, indices, indptr, shape = (packed[f"{name}.{p}"] for p in ("data", "indices", "indptr", "shape"))
         return csr_array((data, indices, indptr), shape=tuple(shape.tolist()))

@@ -224,12 +224,16 @@ def scratch_in(folder: Path) -> Iterator[None]:
         _scratch.reset(before)
 
 
+def scratch_place() -> Path | None:
+    """Where scratch files go: as `scratch_in` says; None, for the system's own place, where the user says."""
+    chosen = any(os.environ.get(name) for name in _SCRATCH_VARIABLES)
+    return None if chosen else _scratch.get()
+
+
 @contextmanager
 def scratch_folder() -> Iterator[Path]:
     """A folder for scratch files, removed at the end; errors of the system without a file name name it."""
-    chosen = any(os.environ.get(name) for name in _SCRATCH_VARIABLES)
-    place = None if chosen else _scratch.get()
-    with tempfile.TemporaryDirectory(prefix="sightline-", dir=place) as folder:
+    with tempfile.TemporaryDirectory(prefix="sightline-", dir=scratch_place()) as folder:
         try:
             yield Path(folder)
         except OSError as error:

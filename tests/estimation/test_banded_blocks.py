@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from sightline.errors import EstimationError, InputError
-from sightline.estimation.banded import BandedFactor
-from sightline.estimation.banded_blocks import BlockwiseFactor
+from sightline.estimation import banded_blocks
+from sightline.estimation.banded import BandedFactor, BorderedFactor, band_times
+from sightline.estimation.banded_blocks import BlockwiseFactor, StoredBand, StoredFactor
 
 B, N = 5, 47
 
@@ -60,3 +62,73 @@ def test_what_is_not_positive_or_does_not_fit_is_refused(tmp_path):
         factor.eliminate(band[:3], right, N)
     with pytest.raises(EstimationError, match="not positive definite"):
         factor.eliminate(-band, right, N)
+
+
+def stored(band, monkeypatch, *, on_disk: bool):
+    """A band, and its factor, in pieces of 12 columns."""
+    monkeypatch.setattr(banded_blocks, "PIECE_BYTES", 8 * (B + 1) * 12)
+    monkeypatch.setattr(banded_blocks, "HELD_BYTES", 0 if on_disk else 10**9)
+    laid = StoredBand(B, N)
+    # given in overlapping stretches, as sums of windows are
+    for begin in range(0, N, 9):
+        part = np.zeros((B + 1, min(14, N - begin)))
+        part[:, :9] = band[:, begin : begin + 9]
+        laid.add(begin, part)
+    assert len(laid.spans()) == 4
+    return laid, StoredFactor(B, N, laid.columns)
+
+
+@pytest.mark.parametrize("on_disk", [False, True])
+def test_a_stored_band_and_its_factor_are_those_of_the_whole(monkeypatch, on_disk):
+    band, right = system()
+    for d in range(1, B + 1):
+        band[d, N - d :] = 0.0
+    whole = BandedFactor(band)
+    laid, factor = stored(band, monkeypatch, on_disk=on_disk)
+    np.testing.assert_array_equal(laid.whole(), band)
+    np.testing.assert_array_equal(laid.columns(7, 30), band[:, 7:30])
+    np.testing.assert_allclose(laid.times(right), band_times(band, right), rtol=1e-14)
+    np.testing.assert_array_equal(laid.plus(laid).diagonal(), 2.0 * band[0])
+    np.testing.assert_array_equal(StoredBand.of_parts(laid.size, (one() for one in laid.parts)).whole(), band)
+    # conditions near one: rounding only
+    np.testing.assert_allclose(factor.lower, whole.lower, atol=1e-13)
+    np.testing.assert_allclose(factor.logdet, whole.logdet, rtol=1e-14)
+    for rhs in (right, right[:, 0]):
+        np.testing.assert_allclose(factor.solve(rhs), whole.solve(rhs), atol=1e-13)
+    for width in (0, 2, 9):
+        np.testing.assert_allclose(factor.inverse_band(width), whole.inverse_band(width), atol=1e-13)
+
+
+def test_a_band_has_the_same_bits_on_disk_and_in_memory(monkeypatch):
+    band, right = system()
+    factors = [stored(band, monkeypatch, on_disk=on_disk)[1] for on_disk in (False, True)]
+    np.testing.assert_array_equal(*(factor.lower for factor in factors))
+    np.testing.assert_array_equal(*(factor.solve(right) for factor in factors))
+    np.testing.assert_array_equal(*(factor.inverse_band(7) for factor in factors))
+
+
+def test_variances_of_rows_are_those_of_the_inverse(monkeypatch):
+    band, right = system()
+    _, factor = stored(band, monkeypatch, on_disk=True)
+    whole = np.zeros((N, N))
+    for d in range(B + 1):
+        place = np.arange(N - d)
+        whole[place + d, place] = whole[place, place + d] = band[d, : N - d]
+    corner = 20.0 * np.eye(3)
+    rows = np.zeros((4, N))
+    rows[0, 3], rows[1, 8:20:3], rows[2, [20, 34]], rows[3, N - 2 :] = 1.0, 2.0, (1.0, -1.0), 0.5
+    beside = np.arange(12.0).reshape(4, 3)
+    dense = np.linalg.inv(np.block([[whole, right], [right.T, corner]]))
+    both = np.concatenate([rows, beside], axis=1)
+    # entries of a place may come one by one
+    value, place = np.array([0.5, 0.5, *rows[rows != 0.0][1:]]), np.array([3, *np.nonzero(rows)[1]])
+    sparse = csr_array((value, place, [0, 2, 6, 8, 10]), shape=rows.shape)
+    found = BorderedFactor(factor, right, corner).row_variance(sparse, beside)
+    np.testing.assert_allclose(found, np.einsum("ri,ij,rj->r", both, dense, both), rtol=1e-12)
+
+
+def test_a_stored_band_that_is_not_positive_is_refused(monkeypatch):
+    band, _ = system()
+    band[0, 20] = -1.0
+    with pytest.raises(EstimationError, match="not positive definite"):
+        stored(band, monkeypatch, on_disk=False)

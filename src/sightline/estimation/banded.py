@@ -12,7 +12,9 @@ Not here: where the rows come from (``prior.py``, ``series.py``).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
@@ -29,13 +31,21 @@ Array = NDArray[np.float64]
 SWEEP_COLUMNS = 3
 
 
+#: What is said of a matrix that is not positive definite.
+NOT_DEFINITE = (
+    "the normal equations are not positive definite: some unknown is hardly seen, or sigmas are "
+    "looser than can be weighed; give every unknown a prior or a measurement, and smaller sigmas "
+    "of heights, offsets and rotations"
+)
+
+
 @njit(cache=True, nogil=True)
-def _add_band_times(band, x, out):  # type: ignore[no-untyped-def]
-    """Add a symmetric matrix, in lower band storage, times `x` (n, k) to `out`."""
+def add_band_times(band, x, first, out):  # type: ignore[no-untyped-def]
+    """Add a symmetric matrix times `x` (n, k) to `out`: of its lower band, the columns from `first` on."""
     n, columns = x.shape
     for d in range(min(band.shape[0], n)):
-        for i in range(n - d):
-            value = band[d, i]
+        for i in range(first, min(first + band.shape[1], n - d)):
+            value = band[d, i - first]
             if value == 0.0:
                 continue
             for c in range(columns):
@@ -49,31 +59,41 @@ def band_times(band: Array, x: Array) -> Array:
     """Product of a symmetric matrix in lower band storage (b + 1, n) with `x`, (n,) or (n, k)."""
     columns = np.ascontiguousarray(x.reshape(len(x), -1), dtype=np.float64)
     out = np.zeros(columns.shape)
-    _add_band_times(band, columns, out)
+    add_band_times(band, columns, 0, out)
     return out.reshape(x.shape)
 
 
 @njit(cache=True, nogil=True)
-def _sweep(lower, x):  # type: ignore[no-untyped-def]
-    """Solve L L' y = x in place for all columns of `x` (n, k) together; row j of `lower`: column j of L."""
+def sweep_forward(lower, x, first):  # type: ignore[no-untyped-def]
+    """Solve L y = x in place for all columns of `x` (n, k), as far as columns of L from `first` on go.
+
+    Row j of `lower` is column first + j of L.
+    """
     n, columns = x.shape
-    depth = lower.shape[1]
-    for j in range(n):
+    count, depth = lower.shape
+    for j in range(count):
         inverse = 1.0 / lower[j, 0]
         for c in range(columns):
-            x[j, c] *= inverse
-        for d in range(1, min(depth, n - j)):
+            x[first + j, c] *= inverse
+        for d in range(1, min(depth, n - first - j)):
             value = lower[j, d]
             for c in range(columns):
-                x[j + d, c] -= value * x[j, c]
-    for j in range(n - 1, -1, -1):
-        for d in range(1, min(depth, n - j)):
+                x[first + j + d, c] -= value * x[first + j, c]
+
+
+@njit(cache=True, nogil=True)
+def sweep_backward(lower, x, first):  # type: ignore[no-untyped-def]
+    """Solve L' y = x likewise, once all unknowns behind these columns are solved."""
+    n, columns = x.shape
+    count, depth = lower.shape
+    for j in range(count - 1, -1, -1):
+        for d in range(1, min(depth, n - first - j)):
             value = lower[j, d]
             for c in range(columns):
-                x[j, c] -= value * x[j + d, c]
+                x[first + j, c] -= value * x[first + j + d, c]
         inverse = 1.0 / lower[j, 0]
         for c in range(columns):
-            x[j, c] *= inverse
+            x[first + j, c] *= inverse
 
 
 class BandedFactor:
@@ -109,11 +129,7 @@ class BandedFactor:
         try:
             self._lower: Array = cholesky_banded(band, lower=True, check_finite=False)
         except np.linalg.LinAlgError:
-            raise EstimationError(
-                "the normal equations are not positive definite: some unknown is hardly seen, or sigmas are "
-                "looser than can be weighed; give every unknown a prior or a measurement, and smaller sigmas "
-                "of heights, offsets and rotations"
-            ) from None
+            raise EstimationError(NOT_DEFINITE) from None
 
     @property
     def n(self) -> int:
@@ -139,9 +155,15 @@ class BandedFactor:
         """Solution x of M x = rhs; `rhs` is (n,) or (n, k) and x has the same shape."""
         if rhs.ndim == 2 and rhs.shape[1] >= SWEEP_COLUMNS:
             x = np.array(rhs, dtype=np.float64, order="C")
-            _sweep(np.ascontiguousarray(self._lower.T), x)
+            lower = np.ascontiguousarray(self._lower.T)
+            sweep_forward(lower, x, 0)
+            sweep_backward(lower, x, 0)
             return x
         return np.asarray(cho_solve_banded((self._lower, True), rhs, check_finite=False), dtype=np.float64)
+
+    def inverse_pieces(self, width: int) -> Iterator[tuple[int, Array]]:
+        """Pieces of `inverse_band`, the last first: first column, band (width + 1, m)."""
+        yield 0, self.inverse_band(width)
 
     def inverse_band(self, width: int) -> Array:
         """Band of the inverse: ``out[d, j] = inv(M)[j + d, j]``, shape (width + 1, n).
@@ -205,6 +227,22 @@ def inverse_columns(lower: Array, width: int, window: Array) -> tuple[Array, Arr
         result[: copied + 1, start:stop] = _skewed(z, copied + 1)
         window = _shifted(window, z, size)
     return result, window
+
+
+@njit(cache=True, nogil=True)
+def _add_row_variance(starts, places, values, first, band, out):  # type: ignore[no-untyped-def]
+    """Add ``r' Z r`` of sparse rows, places rising: what columns of Z's lower band from `first` on hold."""
+    last = first + band.shape[1]
+    for r in range(len(out)):
+        for k in range(starts[r], starts[r + 1]):
+            column = places[k]
+            if column < first or column >= last:
+                continue
+            total = 0.0
+            for h in range(k, starts[r + 1]):
+                value = values[h] * band[places[h] - column, column - first]
+                total += value if h == k else 2.0 * value
+            out[r] += values[k] * total
 
 
 class BorderedFactor:
@@ -282,6 +320,28 @@ class BorderedFactor:
     def times(self, directions: Array) -> tuple[Array, Array]:
         """Inverse times [directions; 0]: its (n, k) and (q, k) parts; `directions` is (n, k) or (n,)."""
         return self.solve(directions, np.zeros((self.q, *directions.shape[1:])))
+
+    def row_variance(self, rows: Any, beside: Array) -> Array:
+        """``r' inv(M) r`` (R,) of sparse rows r, each within few neighbouring unknowns of the band.
+
+        Parameters
+        ----------
+        rows : (R, n) sparse
+        beside : (R, q)
+            Of the border.
+        """
+        rows = rows.tocsr(copy=True)
+        rows.sum_duplicates()
+        starts, places, values = rows.indptr, rows.indices, rows.data
+        filled = np.flatnonzero(np.diff(starts))
+        low, high = places[starts[filled]].astype(np.int64), places[starts[filled + 1] - 1]
+        out = np.zeros(len(beside))
+        for first, band in self._banded.inverse_pieces(int((high - low).max(initial=0))):
+            _add_row_variance(starts, places, values, first, band, out)
+        left = beside - rows @ self._tied
+        if self.q:
+            out += np.einsum("rq,qr->r", left, self._solve_schur(left.T))
+        return out
 
     @cached_property
     def border_covariance(self) -> Array:

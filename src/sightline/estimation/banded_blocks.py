@@ -1,23 +1,42 @@
-"""A banded system with a border, eliminated a stretch of columns at a time; the factor lies on disk.
+"""Banded systems, eliminated a stretch of columns at a time; what is long lies on disk.
 
-What is solved is the same as `BorderedFactor` solves; memory is that of one stretch, however many there are.
+What is solved is the same as `BandedFactor` and `BorderedFactor` solve; memory is that of one stretch,
+however many there are. `BlockwiseFactor` is given its matrix stretch by stretch, with right-hand sides that
+go along; `StoredFactor` takes the place of a `BandedFactor`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+import tempfile
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
-from scipy.linalg import cholesky_banded, solve_triangular
+from scipy.linalg import cho_solve_banded, cholesky_banded, solve_triangular
 from scipy.linalg.lapack import dtbtrs
 
 from sightline.errors import EstimationError, InputError
-from sightline.estimation.banded import inverse_columns
+from sightline.estimation.banded import (
+    NOT_DEFINITE,
+    SWEEP_COLUMNS,
+    BandedFactor,
+    add_band_times,
+    dense_columns,
+    inverse_columns,
+    sweep_backward,
+    sweep_forward,
+)
+from sightline.writing import naming_file, scratch_place
 
 Array = NDArray[np.float64]
+
+#: Bytes of one piece of columns of a band, and what a band holds in memory at most before it lies on disk.
+PIECE_BYTES, HELD_BYTES = 12_000_000, 16_000_000
 
 
 class BlockwiseFactor:
@@ -69,11 +88,7 @@ class BlockwiseFactor:
         try:
             lower = cholesky_banded(band[:, :count], lower=True, check_finite=False)
         except np.linalg.LinAlgError:
-            raise EstimationError(
-                "the normal equations are not positive definite: some unknown is hardly seen, or sigmas are "
-                "looser than can be weighed; give every unknown a prior or a measurement, and smaller sigmas "
-                "of heights, offsets and rotations"
-            ) from None
+            raise EstimationError(NOT_DEFINITE) from None
         solved = dtbtrs(lower, right[:count], uplo="L")[0]
         self.gram += solved.T @ solved
         bridge = self._bridge(band, lower, count)
@@ -146,3 +161,272 @@ def _columns(dense: Array, depth: int) -> Array:
     """View ``v[d, j] = dense[j + d, j]`` of a Fortran-ordered array."""
     item = dense.itemsize
     return as_strided(dense, (depth, dense.shape[1]), (item, dense.strides[1] + item))
+
+
+def piece_columns(subdiagonals: int) -> int:
+    """Columns of the pieces in which a band of so many subdiagonals is kept: more than it is wide."""
+    return max(PIECE_BYTES // (8 * (subdiagonals + 1)), 2 * (subdiagonals + 1))
+
+
+class _Pieces:
+    """Arrays in memory or, where they are large together, one after the other in a scratch file without name.
+
+    Each has the same shape but the last; `kept` says whether they are held in memory.
+    """
+
+    def __init__(self, total: int) -> None:
+        self._held: dict[int, Array] = {}
+        self._file = None if total <= HELD_BYTES else tempfile.TemporaryFile(dir=scratch_place())
+        self._shapes: dict[int, tuple[int, tuple[int, ...]]] = {}
+        self._end = 0
+
+    def put(self, number: int, piece: Array) -> None:
+        """Keep a piece, in the place of the one before of this number."""
+        if self._file is None:
+            self._held[number] = piece
+            return
+        piece = np.ascontiguousarray(piece)
+        if number not in self._shapes:
+            self._shapes[number] = (self._end, piece.shape)
+            self._end += piece.nbytes
+        left, place = piece.ravel().view(np.uint8).data, self._shapes[number][0]
+        with naming_file(scratch_place() or Path(tempfile.gettempdir())):
+            while left:
+                done = os.pwrite(self._file.fileno(), left, place)
+                left, place = left[done:], place + done
+
+    def get(self, number: int) -> Array | None:
+        """A piece; None where none was put."""
+        if self._file is None:
+            return self._held.get(number)
+        if number not in self._shapes:
+            return None
+        place, shape = self._shapes[number]
+        out = np.empty(shape)
+        left = out.ravel().view(np.uint8).data
+        while left:
+            done = os.preadv(self._file.fileno(), [left], place)
+            left, place = left[done:], place + done
+        return out
+
+
+class StoredBand:
+    """A symmetric matrix in lower band storage, kept in pieces of columns, on disk where it is large.
+
+    Parameters
+    ----------
+    subdiagonals : int
+        Width b of the band below the diagonal.
+    n : int
+        Unknowns. All entries are zero until something is added.
+    """
+
+    def __init__(self, subdiagonals: int, n: int) -> None:
+        self.subdiagonals, self.n = min(subdiagonals, n - 1), n
+        self._columns = piece_columns(self.subdiagonals)
+        self._pieces = _Pieces(8 * (self.subdiagonals + 1) * n)
+
+    @classmethod
+    def of(cls, band: Array) -> StoredBand:
+        """That of an array (b + 1, n)."""
+        out = cls(band.shape[0] - 1, band.shape[1])
+        out.add(0, band[: out.subdiagonals + 1])
+        return out
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Subdiagonals, unknowns: what `StoredBand` is made of."""
+        return self.subdiagonals, self.n
+
+    @property
+    def parts(self) -> list[Callable[[], Array]]:
+        """What gives the columns of each piece; in this order `of_parts` takes them."""
+        return [partial(self.columns, *span) for span in self.spans()]
+
+    @classmethod
+    def of_parts(cls, size: tuple[int, int], parts: Iterable[Array]) -> StoredBand:
+        """The band of these pieces."""
+        out = cls(*size)
+        for (first, _), part in zip(out.spans(), parts, strict=True):
+            out.add(first, part)
+        return out
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """As its pieces, all of them in memory."""
+        return StoredBand.of_parts, (self.size, [part() for part in self.parts])
+
+    def spans(self) -> list[tuple[int, int]]:
+        """First and one past the last column of every piece."""
+        return [(k, min(k + self._columns, self.n)) for k in range(0, self.n, self._columns)]
+
+    def columns(self, first: int, last: int) -> Array:
+        """Columns [first, last) as an array (b + 1, last - first) that may be written to."""
+        out = np.zeros((self.subdiagonals + 1, last - first))
+        for number, (begin, end) in enumerate(self.spans()):
+            low, high = max(begin, first), min(end, last)
+            piece = self._pieces.get(number) if low < high else None
+            if piece is not None:
+                out[:, low - first : high - first] = piece[:, low - begin : high - begin]
+        return out
+
+    def whole(self) -> Array:
+        """All of it, (b + 1, n)."""
+        return self.columns(0, self.n)
+
+    def add(self, first: int, band: Array) -> None:
+        """Add columns (at most b + 1, m) from column `first` on."""
+        last = first + band.shape[1]
+        for number, (begin, end) in enumerate(self.spans()):
+            low, high = max(begin, first), min(end, last)
+            if low >= high:
+                continue
+            piece = self._pieces.get(number)
+            if piece is None:
+                piece = np.zeros((self.subdiagonals + 1, end - begin))
+            piece[: len(band), low - begin : high - begin] += band[:, low - first : high - first]
+            self._pieces.put(number, piece)
+
+    def plus(self, other: StoredBand) -> StoredBand:
+        """The sum of two matrices."""
+        out = StoredBand(max(self.subdiagonals, other.subdiagonals), self.n)
+        for first, last in out.spans():
+            out.add(first, self.columns(first, last))
+            out.add(first, other.columns(first, last))
+        return out
+
+    def diagonal(self) -> Array:
+        """(n,)."""
+        return np.concatenate([self.columns(*span)[0] for span in self.spans()])
+
+    def times(self, x: Array) -> Array:
+        """Product with `x`, (n,) or (n, k)."""
+        columns = np.ascontiguousarray(x.reshape(len(x), -1), dtype=np.float64)
+        out = np.zeros(columns.shape)
+        for first, last in self.spans():
+            add_band_times(self.columns(first, last), columns, first, out)
+        return out.reshape(x.shape)
+
+
+class StoredFactor(BandedFactor):
+    """Cholesky factor of a symmetric positive definite band that is made piece by piece, and kept so.
+
+    Parameters
+    ----------
+    subdiagonals : int
+        Width b of the band.
+    n : int
+    columns : callable
+        ``columns(first, last)`` gives these columns of the matrix, (b + 1, last - first).
+
+    Raises
+    ------
+    EstimationError
+        If the matrix is not positive definite.
+
+    Notes
+    -----
+    A band of one piece is factored as `BandedFactor` does. What a piece leaves to the next is its Schur
+    complement, (b, b).
+    """
+
+    def __init__(self, subdiagonals: int, n: int, columns: Callable[[int, int], Array]) -> None:
+        self._b, self._n = min(subdiagonals, n - 1), n
+        size = piece_columns(self._b)
+        self._spans = [(k, min(k + size, n)) for k in range(0, n, size)]
+        self._pieces = _Pieces(8 * (self._b + 1) * n)
+        self._logdet = 0.0
+        carried = np.zeros((0, 0))
+        for number, (first, last) in enumerate(self._spans):
+            band = columns(first, last)
+            if not np.isfinite(band).all():
+                raise InputError("`band` holds values that are not finite; check the rows that were summed")
+            lower, carried = _eliminated(band, carried, n - last)
+            self._logdet += 2.0 * float(np.sum(np.log(lower[0])))
+            # a column of the factor lies in one piece of memory
+            self._pieces.put(number, np.ascontiguousarray(lower.T))
+
+    def _piece(self, number: int) -> Array:
+        """Columns of the factor as rows (m, b + 1)."""
+        piece = self._pieces.get(number)
+        assert piece is not None
+        return piece
+
+    @property
+    def n(self) -> int:
+        """Number of unknowns."""
+        return self._n
+
+    @property
+    def subdiagonals(self) -> int:
+        """Width b of the band below the diagonal."""
+        return self._b
+
+    @property
+    def lower(self) -> Array:
+        """The factor (b + 1, n) in lower band storage, all of it in memory."""
+        return np.concatenate([self._piece(k).T for k in range(len(self._spans))], axis=1)
+
+    @property
+    def logdet(self) -> float:
+        """Natural logarithm of the determinant of the matrix."""
+        return self._logdet
+
+    def solve(self, rhs: Array) -> Array:
+        """Solution x of M x = rhs; `rhs` is (n,) or (n, k) and x has the same shape."""
+        one = len(self._spans) == 1
+        if one and (rhs.ndim == 1 or rhs.shape[1] < SWEEP_COLUMNS):
+            lower = self._piece(0).T
+            return np.asarray(cho_solve_banded((lower, True), rhs, check_finite=False), dtype=np.float64)
+        x = np.array(rhs.reshape(len(rhs), -1), dtype=np.float64, order="C")
+        for number, (first, _) in enumerate(self._spans):
+            sweep_forward(self._piece(number), x, first)
+        for number, (first, _) in reversed(list(enumerate(self._spans))):
+            sweep_backward(self._piece(number), x, first)
+        return x.reshape(rhs.shape)
+
+    def inverse_pieces(self, width: int) -> Iterator[tuple[int, Array]]:
+        """Pieces of `inverse_band`, the last first: first column, band (width + 1, m)."""
+        keep = max(self._b, min(width, self._n - 1))
+        window = np.zeros((keep, keep))
+        for number, (first, _) in reversed(list(enumerate(self._spans))):
+            band, window = inverse_columns(self._piece(number).T, width, window)
+            yield first, band
+
+    def inverse_band(self, width: int) -> Array:
+        """Band of the inverse: ``out[d, j] = inv(M)[j + d, j]``, shape (width + 1, n)."""
+        if width < 0:
+            raise InputError(f"`width` must be 0 or more, got {width}")
+        out = np.empty((width + 1, self._n))
+        for first, band in self.inverse_pieces(width):
+            out[:, first : first + band.shape[1]] = band
+        for d in range(1, min(width, self._n - 1) + 1):
+            out[d, self._n - d :] = 0.0
+        return out
+
+
+def _eliminated(band: Array, carried: Array, after: int) -> tuple[Array, Array]:
+    """Columns (b + 1, m) of a factor, and what they leave to the `after` unknowns behind them.
+
+    `band` are those of the matrix, `carried` what those before have left to them.
+    """
+    depth, count = band.shape
+    held = min(len(carried), count)
+    for d in range(min(held, depth)):
+        band[d, : held - d] += np.diagonal(carried, -d)[: held - d]
+    try:
+        lower = np.asarray(cholesky_banded(band[:count], lower=True, check_finite=False))
+    except np.linalg.LinAlgError:
+        raise EstimationError(NOT_DEFINITE) from None
+    if after == 0:
+        if count < depth:  # rows beyond the matrix
+            lower = np.concatenate([lower, np.zeros((depth - count, count))])
+        return lower, np.zeros((0, 0))
+    near, reach = min(depth - 1, count), min(depth - 1, after)
+    corner, _ = dense_columns(lower[:, count - near :], depth - 1)
+    _, below = dense_columns(band[:, count - near :], depth - 1)
+    bridge = np.zeros((depth - 1, near))
+    bridge[:reach] = solve_triangular(corner, below[:reach].T, lower=True, check_finite=False).T
+    dense = np.zeros((near + depth, near), order="F")
+    dense[:near], dense[near : near + depth - 1] = corner, bridge
+    lower[:, count - near :] = _columns(dense, depth)
+    return lower, -(bridge[:reach] @ bridge[:reach].T)

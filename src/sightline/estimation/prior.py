@@ -358,23 +358,22 @@ class Autoregressive:
             Of the rows: each multiplies the inverse variance of one innovation. 1 is the plain
             prior, near 0 lets the motion jump at that epoch; adds ``sum(log(weights))`` to `logdet`.
         """
+        return self.precision_columns(0, self.n, weights)
+
+    def precision_columns(self, first: int, last: int, weights: Array | None = None) -> Array:
+        """Columns [first, last) of `precision_band`, (order + 1, last - first)."""
         p, n = self.order, self.n
-        table = self.table
         if weights is not None:
             weights = np.ascontiguousarray(weights, dtype=np.float64)
             if weights.shape != (n,) or not (np.isfinite(weights).all() and (weights > 0.0).all()):
                 raise InputError(f"`weights` must be {n} positive finite numbers, got shape {weights.shape}")
-            return _sum_rows(table, weights / self.variances)
+            return _sum_rows(self.table, weights / self.variances, first, last)
         # Without weights all inner columns are alike: sum a short process and repeat its middle.
         short = min(n, 2 * p + 1)
-        ends = _sum_rows(table, 1.0 / self.variances[:short])
-        if n <= 2 * p + 1:
-            return ends
-        out = np.empty((p + 1, n))
-        out[:, :p] = ends[:, :p]
-        out[:, p : n - p] = ends[:, p : p + 1]
-        out[:, n - p :] = ends[:, p + 1 :]
-        return out
+        ends = _sum_rows(self.table, 1.0 / self.variances[:short], 0, short)
+        column = np.arange(first, last)
+        alike = np.where(column < p, column, np.maximum(column - (n - short), min(p, short - 1)))
+        return np.ascontiguousarray(ends[:, alike])
 
     def variance_of(self, weights: Array) -> float:
         """Variance of the sum of `weights` (n,) times the process."""
@@ -548,16 +547,18 @@ def _slopes_of_variance(weights, startup, coefficients, variances):  # type: ign
 
 
 @njit(cache=True, nogil=True)
-def _sum_rows(table, weights):  # type: ignore[no-untyped-def]
-    """Lower band of the sum over rows t of weight[t] * row row', row t = table[min(t, p)] read backwards."""
+def _sum_rows(table, weights, first, last):  # type: ignore[no-untyped-def]
+    """Lower band of the sum over rows t of weight[t] * row row', row t = table[min(t, p)] read backwards.
+
+    Its columns [first, last).
+    """
     p = table.shape[0] - 1
-    n = len(weights)
-    out = np.zeros((p + 1, n))
-    for t in range(n):
+    out = np.zeros((p + 1, last - first))
+    for t in range(first, min(len(weights), last + p)):
         m = min(t, p)
         row = table[m]
-        for k in range(m + 1):
+        for k in range(max(0, t - last + 1), min(m, t - first) + 1):
             scaled = row[k] * weights[t]
             for lower in range(k + 1):
-                out[k - lower, t - k] += scaled * row[lower]
+                out[k - lower, t - k - first] += scaled * row[lower]
     return out

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -172,6 +173,15 @@ class LaidFactor:
     def times(self, directions: Array) -> tuple[Array, Array]:
         """Inverse times [directions; 0]: its (n, k) and (q, k) parts; `directions` is (n, k) or (n,)."""
         return self.solve(directions, np.zeros((self.q, *directions.shape[1:])))
+
+    def row_variance(self, rows: Any, beside: Array) -> Array:
+        """As `BorderedFactor.row_variance`, of rows of the fine unknowns."""
+        from scipy.sparse import csr_array
+
+        rows = rows.tocsr()
+        shape = (rows.shape[0], self._factor.n)
+        laid = csr_array((rows.data, self._position[rows.indices], rows.indptr), shape=shape)
+        return self._factor.row_variance(laid, beside)
 
     def covariance_band(self, width: int) -> Array:
         """Band of the covariance of the fine unknowns, ``out[d, j]``, shape (width + 1, n)."""

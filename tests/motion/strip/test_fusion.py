@@ -64,11 +64,12 @@ def rows_of(sensor, *, statics=0, unfelt=NOTHING, unseen=0.0, reference=STILL, m
 def dense(ties):
     """The information of ties as one dense matrix of motion and border."""
     e = ties.equations
-    n = e.ab.shape[1]
+    band = e.ab.whole()
+    n = band.shape[1]
     whole = np.zeros((n, n))
-    for d in range(len(e.ab)):
+    for d in range(len(band)):
         k = np.arange(n - d)
-        whole[k + d, k] = whole[k, k + d] = e.ab[d, : n - d]
+        whole[k + d, k] = whole[k, k + d] = band[d, : n - d]
     return np.block([[whole, e.border], [e.border.T, e.corner]])
 
 

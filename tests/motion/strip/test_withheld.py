@@ -121,10 +121,11 @@ def test_rows_read_what_the_estimate_models_and_their_variance_is_that_of_the_de
     # sensitivities are float32
     np.testing.assert_allclose(rows @ nodes.ravel() + statics @ values, expected, atol=1e-5)
     estimate = state.estimate
-    data, band = estimate._data, state.prior.precision(strip.grid, 3)
+    data = estimate._data
+    band = state.prior.precision_columns(0, 3 * strip.grid.count, 3)
     n, q = data.border.shape
     whole = np.zeros((n + q, n + q))
-    for part in (data.ab, band):
+    for part in (data.ab.whole(), band):
         for below, diagonal in enumerate(part):
             place = np.arange(n - below)
             whole[place + below, place] += diagonal[: n - below]

@@ -158,7 +158,7 @@ def solve_strip(
         data = normal_equations(stars, measured, grid, orders=orders, relief=unknown_relief)
         # across a gap longer than its memory an autoregression knows no slope of the drift
         long = longest_gap(data) > ORDER
-        apart = model.apart(grid, len(data.ab) // data.block) if long else None
+        apart = model.apart(grid, (data.ab.subdiagonals + 1) // data.block) if long else None
         ties = tie(rows, grid, data.block) if rows else None
         found = solve_joint(data, replace(prior, apart=apart), ties)
         motion_only = [modelled(s, grid, found.nodes, found.statics) for s in stars]

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 from scipy.sparse import csr_array, diags_array
 
+from sightline.estimation.banded_blocks import StoredBand
 from sightline.estimation.prior import Spectrum, Tone
 from sightline.estimation.robust import robust_sigma
 from sightline.geometry.trajectory import Trajectory
@@ -524,7 +525,7 @@ def tie(rows: Sequence[SensorRows], grid: TimeGrid, block: int) -> Ties:
         rhs_static += beside.T @ value
         chi2 += float(value @ value)
     count = sum(len(r.value) for r in rows)
-    ab = _lower_band(total)
+    ab = StoredBand.of(_lower_band(total))
     equations = NormalEquations(grid, block, ab, border, corner, rhs, rhs_static, chi2, count)
     return Ties(tuple(rows), equations, own, _tied(rows))
 
@@ -532,9 +533,7 @@ def tie(rows: Sequence[SensorRows], grid: TimeGrid, block: int) -> Ties:
 def add_ties(images: NormalEquations, ties: Ties) -> NormalEquations:
     """The information of images and sensors together."""
     more = ties.equations
-    ab = np.zeros((max(len(images.ab), len(more.ab)), images.ab.shape[1]))
-    ab[: len(images.ab)] = images.ab
-    ab[: len(more.ab)] += more.ab
+    ab = images.ab.plus(more.ab)
     border, corner, rhs_static = more.border.copy(), more.corner.copy(), more.rhs_static.copy()
     statics = len(images.rhs_static)
     border[:, :statics] += images.border

@@ -11,7 +11,7 @@ Not here: choosing the prior (``estimation/likelihood.py``).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from typing import Any
 
@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from sightline.estimation.banded import BandedFactor, BorderedFactor, band_times
+from sightline.estimation.banded import BandedFactor, BorderedFactor, add_band_times, band_times
+from sightline.estimation.banded_blocks import StoredFactor
 from sightline.estimation.prior import Autoregressive, Spectrum, Tone
 from sightline.estimation.split import LaidFactor, Layout, SplitPrior, farthest, spread_band
 from sightline.motion.strip.fusion import Ties, add_ties
@@ -43,8 +44,6 @@ TIED_SIGMA = 1.0
 #: changes lags by up to a tenth, which a drift would scale it by. Where images see a drift it is 0.19 to 1.
 HIDDEN, DEGREE = 0.09, 3
 
-#: Rows whose variance is found at a time: each takes a vector of all unknowns.
-ROWS_AT_ONCE = 64
 #: Innovations beyond this many sigmas are taken for jumps.
 JUMP = 4.5
 #: Rows of the autoregression that are not looked at for jumps.
@@ -112,20 +111,21 @@ class JointPrior:
             spread_band(band, place[axis], out)
         return out
 
-    def precision(self, grid: TimeGrid, block: int) -> Array:
-        """Lower band of the prior precision of all unknowns of the grid."""
-        processes = list(self.angles) + (list(self.relief) if self.relief is not None else [])
-        bands = []
-        for axis, process in enumerate(processes):
+    def width(self, block: int) -> int:
+        """Subdiagonals of the prior precision of all unknowns of the grid."""
+        return block * max(process.order for process in (*self.angles, *(self.relief or ())))
+
+    def precision_columns(self, first: int, last: int, block: int) -> Array:
+        """Columns [first, last) of the lower band of that precision, (width + 1, last - first)."""
+        begin, end = first // block, -(-last // block)
+        out = np.zeros((self.width(block) + 1, block * (end - begin)))
+        for axis, process in enumerate((*self.angles, *(self.relief or ()))):
             weights = None
             if self.innovation_weights is not None and axis < 3:
                 weights = self.innovation_weights[:, axis]
-            bands.append(process.precision_band(weights))
-        width = max(len(b) for b in bands)
-        ab = np.zeros(((width - 1) * block + 1, block * grid.count))
-        for axis, band in enumerate(bands):
-            ab[: (len(band) - 1) * block + 1 : block, axis::block] = band
-        return ab
+            band = process.precision_columns(begin, end, weights)
+            out[: (len(band) - 1) * block + 1 : block, axis::block] = band
+        return np.ascontiguousarray(out[:, first - block * begin : last - block * begin])
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +158,10 @@ class JointEstimate:
     own_sigma: Array = field(default_factory=lambda: np.zeros(0))
     ties: Ties | None = None
 
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the factors, which are made when they are asked for."""
+        return {one.name: getattr(self, one.name) for one in fields(self)}
+
     @cached_property
     def _data(self) -> NormalEquations:
         """Information of images and sensors."""
@@ -168,9 +172,17 @@ class JointEstimate:
         """Factor of the band of data + prior, which is the same with and without constants."""
         return _banded_factor(self._data, self._prior)
 
+    @cached_property
+    def _factors(self) -> dict[bool, Factor]:
+        """What `_factor` has made."""
+        return {}
+
     def _factor(self, *, constants: bool) -> Factor:
         """Factor of data + prior, with or without a free constant per axis."""
-        return _factor(self._banded, self._data, self._prior, constants=constants)
+        if constants not in self._factors:
+            made = _factor(self._banded, self._data, self._prior, constants=constants)
+            self._factors[constants] = made
+        return self._factors[constants]
 
     def unknowns(self) -> Array:
         """Node values with relief where there is any, (count, 3 or 5)."""
@@ -297,15 +309,9 @@ class JointEstimate:
             By the static parameters.
         """
         factor = self._factor(constants=self.ties is not None)
-        out = np.empty(len(statics))
-        for begin in range(0, len(statics), ROWS_AT_ONCE):
-            part = slice(begin, begin + ROWS_AT_ONCE)
-            on_grid = rows[part].toarray().T
-            beside = np.zeros((factor.q, on_grid.shape[1]))
-            beside[: statics.shape[1]] = statics[part].T
-            x, y = factor.solve(on_grid, beside)
-            out[part] = np.einsum("nr,nr->r", on_grid, x) + np.einsum("qr,qr->r", beside, y)
-        return np.maximum(out, 0.0)
+        beside = np.zeros((len(statics), factor.q))
+        beside[:, : statics.shape[1]] = statics
+        return np.maximum(factor.row_variance(rows, beside), 0.0)
 
     def hidden_covariance(self, drifts: Sequence[int] = ()) -> Array:
         """Covariance (H, H) rad^2 of how much the motion holds of each hidden direction, constants free.
@@ -426,27 +432,48 @@ def _unmixed(directions: Array, own: Sequence[tuple[int, int]], shapes: Array) -
 class _Banded:
     """Band of data + prior, factored: the same with and without a free constant per axis.
 
-    `place` is where the unknowns of the grid stand; None where there are no others between them.
+    `ones` (size, 3) are these constants, `pulled` the prior's precision times them; `place` is where the
+    unknowns of the grid stand; None where there are no others between them.
     """
 
     factor: BandedFactor
-    prior_band: Array
+    ones: Array
+    pulled: Array
     place: Index | None
 
 
 def _banded_factor(data: NormalEquations, prior: JointPrior) -> _Banded:
     """Factor of the banded part of data + prior."""
-    layout = prior.layout(data.grid.count, data.block)
-    if layout is None:
-        p = prior.precision(data.grid, data.block)
-        ab = np.zeros((max(len(p), len(data.ab)), p.shape[1]))
-        ab[: len(data.ab)] = data.ab
-    else:
+    layout, block = prior.layout(data.grid.count, data.block), data.block
+    if layout is not None:
         p, place = prior.laid_precision(layout), np.ascontiguousarray(layout.fine.ravel())
-        ab = np.zeros((max(len(p), farthest(place, len(data.ab) - 1) + 1), p.shape[1]))
-        spread_band(data.ab, place, ab)
-    ab[: len(p)] += p
-    return _Banded(BandedFactor(ab), p, None if layout is None else place)
+        ab = np.zeros((max(len(p), farthest(place, data.ab.subdiagonals) + 1), p.shape[1]))
+        spread_band(data.ab.whole(), place, ab)
+        ab[: len(p)] += p
+        ones = _constants(p.shape[1], block, place)
+        return _Banded(BandedFactor(ab), ones, band_times(p, ones), place)
+    n, width = data.ab.n, prior.width(block)
+    ones = _constants(n, block, np.arange(n))
+    pulled = np.zeros(ones.shape)
+    depth = min(max(width, data.ab.subdiagonals), n - 1) + 1
+
+    def columns(first: int, last: int) -> Array:
+        p = prior.precision_columns(first, last, block)[:depth]
+        add_band_times(p, ones, first, pulled)
+        out = np.zeros((depth, last - first))
+        out[: data.ab.subdiagonals + 1] = data.ab.columns(first, last)
+        out[: len(p)] += p
+        return out
+
+    return _Banded(StoredFactor(depth - 1, n, columns), ones, pulled, None)
+
+
+def _constants(size: int, block: int, place: Index) -> Array:
+    """(size, 3) a constant of roll, of pitch and of yaw, whose unknowns stand at `place`."""
+    ones = np.zeros((size, 3))
+    for axis in range(3):
+        ones[place[axis::block], axis] = 1.0
+    return ones
 
 
 def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, constants: bool) -> Factor:
@@ -458,14 +485,11 @@ def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, consta
     border, corner = np.zeros((size, statics)), data.corner + precision
     border[place] = data.border
     if constants:
-        ones = np.zeros((size, 3))
-        for axis in range(3):
-            ones[place[axis :: data.block], axis] = 1.0
-        pulled = band_times(banded.prior_band, ones)
-        border = np.concatenate([border, -pulled], axis=1)
+        border = np.concatenate([border, -banded.pulled], axis=1)
         grown = np.zeros((statics + 3, statics + 3))
         grown[:statics, :statics] = corner
-        grown[statics:, statics:] = ones.T @ pulled + np.diag(1.0 / np.square(prior.constant_sigma))
+        held = np.diag(1.0 / np.square(prior.constant_sigma))
+        grown[statics:, statics:] = banded.ones.T @ banded.pulled + held
         corner = grown
     factor = BorderedFactor(banded.factor, border, corner)
     return factor if banded.place is None else LaidFactor(factor, banded.place)
@@ -473,7 +497,7 @@ def _factor(banded: _Banded, data: NormalEquations, prior: JointPrior, *, consta
 
 def longest_gap(data: NormalEquations) -> int:
     """Most nodes in a row, between seen ones, that no measurement of roll, pitch or yaw touches."""
-    seen = np.flatnonzero(data.ab[0].reshape(-1, data.block)[:, :3].any(axis=1))
+    seen = np.flatnonzero(data.ab.diagonal().reshape(-1, data.block)[:, :3].any(axis=1))
     return int(np.diff(seen).max(initial=1)) - 1
 
 

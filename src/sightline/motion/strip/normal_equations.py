@@ -20,17 +20,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sightline.compiled import njit
-from sightline.estimation.banded import band_times
+from sightline.estimation.banded_blocks import StoredBand
 from sightline.estimation.series_kernels import share_of_instant
-from sightline.execution import in_threads
+from sightline.execution import available_processors, in_threads
 from sightline.motion.measure.observations import Star
 
 Array = NDArray[np.float64]
 
 #: Nodes of the local interpolation (cubic Lagrange).
 TAPS = 4
-#: Patches summed by one thread at a time, and how many such sums are held at once.
-PART_PATCHES, AT_ONCE = 16384, 4
+#: Patches, and rows of windows, that are summed by one thread at a time.
+PART_PATCHES, PART_ROWS = 16384, 512
 
 
 @dataclass(frozen=True)
@@ -444,8 +444,8 @@ class NormalEquations:
         Nodes of the unknowns.
     block : int
         Unknowns per node: 3 angles (rad), or 5 with relief (two heights, m).
-    ab : (bandwidth + 1, block * count)
-        Lower band, ``ab[d, j] = M[j + d, j]``; unknown ``block * node + axis``.
+    ab : StoredBand
+        Lower band (bandwidth + 1, block * count); unknown ``block * node + axis``.
     border : (block * count, Q)
     corner : (Q, Q)
     rhs : (block * count,)
@@ -458,7 +458,7 @@ class NormalEquations:
 
     grid: TimeGrid
     block: int
-    ab: Array
+    ab: StoredBand
     border: Array
     corner: Array
     rhs: Array
@@ -468,7 +468,7 @@ class NormalEquations:
 
     def times(self, x: Array) -> tuple[Array, Array]:
         """Information times a grid vector: (block*count, ...) -> same, and the statics' part (Q, ...)."""
-        return band_times(self.ab, x), self.border.T @ x
+        return self.ab.times(x), self.border.T @ x
 
 
 @dataclass(frozen=True)
@@ -570,7 +570,7 @@ def normal_equations(
     n = block * grid.count
     statics = stars[0].by_static.shape[3]
     width = min(bandwidth_of(stars, grid, block, orders, relief), n - 1)
-    ab = np.zeros((width + 1, n))
+    ab = StoredBand(width, n)
     border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
     rhs, rhs_static = np.zeros(n), np.zeros(statics)
     chi2, rows = 0.0, 0
@@ -580,12 +580,13 @@ def normal_equations(
         for part in _parts(star)
     ]
     # some at a time: each holds a band of its own, and the order of the sums is that of the pieces
-    for begin in range(0, len(pieces), AT_ONCE):
-        for first, sums in in_threads(
-            lambda piece: _summed(piece, grid, block, width), pieces[begin : begin + AT_ONCE]
+    at_once = available_processors()
+    for begin in range(0, len(pieces), at_once):
+        for sums in in_threads(
+            lambda piece: _summed(piece, grid, block, width), pieces[begin : begin + at_once]
         ):
-            here = slice(first, first + len(sums.rhs))
-            ab[: len(sums.ab), here] += sums.ab
+            here = slice(sums.first, sums.first + len(sums.rhs))
+            ab.add(sums.first, sums.ab)
             border[here] += sums.border
             rhs[here] += sums.rhs
             corner += sums.corner
@@ -599,9 +600,22 @@ def no_information(grid: TimeGrid, statics: int, block: int = 3) -> NormalEquati
     """Equations of no measurement at all."""
     n = block * grid.count
     border, corner = np.zeros((n, statics)), np.zeros((statics, statics))
-    return NormalEquations(
-        grid, block, np.zeros((1, n)), border, corner, np.zeros(n), np.zeros(statics), 0.0, 0
-    )
+    ab = StoredBand(0, n)
+    return NormalEquations(grid, block, ab, border, corner, np.zeros(n), np.zeros(statics), 0.0, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class _Sums:
+    """What some windows add to the equations, from unknown `first` on."""
+
+    first: int
+    ab: Array
+    border: Array
+    corner: Array
+    rhs: Array
+    rhs_static: Array
+    chi2: float
+    rows: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -620,14 +634,14 @@ def _support(star: Star, grid: TimeGrid) -> int:
 
 
 def _parts(star: Star) -> list[slice]:
-    """Whole rows of windows of a star, some PART_PATCHES patches at a time."""
+    """Whole rows of windows of a star, some at a time."""
     rows, blocks = star.shape
-    size = max(PART_PATCHES // blocks, 1) * blocks
+    size = min(max(PART_PATCHES // blocks, 1), PART_ROWS) * blocks
     return [slice(begin, min(begin + size, rows * blocks)) for begin in range(0, rows * blocks, size)]
 
 
-def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> tuple[int, NormalEquations]:
-    """Sum one piece on the nodes it reaches, with at most `width` subdiagonals; their first unknown first."""
+def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> _Sums:
+    """Sum one piece on the nodes it reaches, with at most `width` subdiagonals."""
     star, part = piece.star, piece.part
     instants = np.concatenate([star.t_hub[part], star.t[part].ravel(), piece.t_ground[part]])
     reach = 0.5 * star.longest + 4 * grid.step
@@ -670,8 +684,7 @@ def _summed(piece: _Piece, grid: TimeGrid, block: int, width: int) -> tuple[int,
         rhs,
         rhs_static,
     )
-    reached = TimeGrid(grid.start + grid.step * low, grid.step, high - low)
-    return block * low, NormalEquations(reached, block, ab, border, corner, rhs, rhs_static, chi2, rows)
+    return _Sums(block * low, ab, border, corner, rhs, rhs_static, chi2, rows)
 
 
 def window_rows(
