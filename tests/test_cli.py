@@ -432,8 +432,8 @@ def test_what_a_command_lets_be_opened_ends_with_it(tmp_path, monkeypatch):
 
 
 READING = (
-    "check", "export", "georeference", "init", "layout", "noise", "orient", "recover", "register", "score",
-    "tdi",
+    "check", "export", "georeference", "init", "layout", "match", "noise", "orient", "recover", "register",
+    "score", "tdi",
 )  # fmt: skip
 
 

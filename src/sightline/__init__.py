@@ -18,6 +18,12 @@ if TYPE_CHECKING:
     from sightline.applications.frame_attitude import FrameAttitude, recover_frame_attitude
     from sightline.applications.frame_cube import CubeSummary, assemble_cube
     from sightline.applications.line_of_sight import recover_line_of_sight
+    from sightline.applications.raster_matches import (
+        BandMatches,
+        RasterMatches,
+        match_bands,
+        match_rasters,
+    )
     from sightline.applications.registration import Registration, register_bands
     from sightline.applications.sequence_poses import SequencePoses, georeference_sequence
     from sightline.applications.spin_attitude import SpinAttitude, SpinOptions, recover_spin_attitude
@@ -41,11 +47,13 @@ if TYPE_CHECKING:
     from sightline.geometry.spin import Spin
     from sightline.geometry.surface import Dem, Ellipsoid, Plane, Surface
     from sightline.geometry.trajectory import Motion, Pose, Trajectory
+    from sightline.imaging.placed import PlacedImage
     from sightline.imaging.source import ArrayImage, ImageSource
     from sightline.imaging.tdi_noise import NoiseLaw
     from sightline.imaging.tdi_transfer import Exposure
     from sightline.io.acquisition.acquired import Acquisition
     from sightline.io.acquisition.load import load_acquisition
+    from sightline.io.formats.images import load_raster
     from sightline.io.formats.junocam import write_junocam_acquisition
     from sightline.io.layout.load import load_instrument
     from sightline.io.results.hidden import remove_hidden
@@ -85,6 +93,7 @@ _MODULE_OF = {
     "AreaDetector": "sightline.geometry.instrument",
     "ArrayImage": "sightline.imaging.source",
     "Band": "sightline.motion.band",
+    "BandMatches": "sightline.applications.raster_matches",
     "Camera": "sightline.geometry.camera",
     "ChipKnowledge": "sightline.motion.band",
     "ChoiceRules": "sightline.tdi.setting",
@@ -116,10 +125,12 @@ _MODULE_OF = {
     "Mosaic": "sightline.products.frame_mosaic",
     "Motion": "sightline.geometry.trajectory",
     "NoiseLaw": "sightline.imaging.tdi_noise",
+    "PlacedImage": "sightline.imaging.placed",
     "Plane": "sightline.geometry.surface",
     "Pointing": "sightline.geometry.pointing",
     "Pose": "sightline.geometry.trajectory",
     "PushbroomCamera": "sightline.geometry.camera",
+    "RasterMatches": "sightline.applications.raster_matches",
     "Rays": "sightline.geometry.camera",
     "RecoverOptions": "sightline.motion.strip.strip",
     "Registration": "sightline.applications.registration",
@@ -159,10 +170,13 @@ _MODULE_OF = {
     "line_of_sight_case": "sightline.simulate.scenarios",
     "load_acquisition": "sightline.io.acquisition.load",
     "load_instrument": "sightline.io.layout.load",
+    "load_raster": "sightline.io.formats.images",
     "load_sequence": "sightline.io.sequence.load",
     "load_stereo": "sightline.io.stereo.load",
     "load_tdi": "sightline.io.tdi.load",
+    "match_bands": "sightline.applications.raster_matches",
     "match_images": "sightline.matching.match_images",
+    "match_rasters": "sightline.applications.raster_matches",
     "open_result": "sightline.kinds.open",
     "orient": "sightline.applications.stereo_orientation",
     "predict_match": "sightline.motion.measure.predict",
@@ -184,6 +198,7 @@ __all__ = [
     "AreaDetector",
     "ArrayImage",
     "Band",
+    "BandMatches",
     "Camera",
     "ChipKnowledge",
     "ChoiceRules",
@@ -215,10 +230,12 @@ __all__ = [
     "Mosaic",
     "Motion",
     "NoiseLaw",
+    "PlacedImage",
     "Plane",
     "Pointing",
     "Pose",
     "PushbroomCamera",
+    "RasterMatches",
     "Rays",
     "RecoverOptions",
     "Registration",
@@ -258,10 +275,13 @@ __all__ = [
     "line_of_sight_case",
     "load_acquisition",
     "load_instrument",
+    "load_raster",
     "load_sequence",
     "load_stereo",
     "load_tdi",
+    "match_bands",
     "match_images",
+    "match_rasters",
     "open_result",
     "orient",
     "predict_match",

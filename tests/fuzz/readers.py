@@ -228,6 +228,10 @@ _row(
     lambda folder, read: read(sorted((folder / "photos").iterdir()), EPOCH, 0.0),
 )  # fmt: skip
 function("formats.xmp.read_xmp", "photographs", "photos/p1.jpg")
+_row(
+    "formats.images.load_raster", "orbit-csv", ["dem.tif"],
+    lambda folder, read: read(folder / "dem.tif").read((0, 1), (0, 1)),
+)  # fmt: skip
 function("formats.dem.read_dem", "orbit-csv", "dem.tif")
 _row(
     "formats.dem.read_dem", "orbit-csv", ["geoid.tif", "dem.tif"],

@@ -38,7 +38,7 @@ from sightline.result import Result, makes_result, one_line
 TIMES = {"wall_seconds", "peak_memory_bytes", "solve_seconds"}
 NAMES = (
     "recover", "register", "layout", "orient", "predict", "tdi", "georeference", "noise", "score", "cube",
-    "picture",
+    "picture", "match", "bands",
 )  # fmt: skip
 #: Of which no command writes a folder of their own.
 WITHOUT_COMMAND = ("score", "cube", "picture")
@@ -154,6 +154,40 @@ def noise_case(recovery, flight, folder) -> Case:
     image = plain_image_noise("raw.npy", sightline.ArrayImage(raw), None, 0.0)
     result = detector_noise([image], stages=1)
     return Case(result, folder / "out", "columns", {"gain": "1", "offset": "DN"}, ("column",))
+
+
+def match_case(recovery, flight, folder) -> Case:
+    _write_bands(folder / "scene.tif")
+    quiet(
+        "match", folder / "scene.tif", folder / "scene.tif", "--band", 1, "--band", 2, "--out", folder / "out"
+    )
+    images = [sightline.load_raster(folder / "scene.tif", band) for band in (1, 2)]
+    units = {"d_line": "px", "sigma_column": "px", "score": "1"}
+    return Case(sightline.match_rasters(*images), folder / "out", "matches", units, ("line", "column"))
+
+
+def bands_case(recovery, flight, folder) -> Case:
+    _write_bands(folder / "scene.tif")
+    quiet("match", folder / "scene.tif", "--bands", "all", "--out", folder / "out")
+    images = [sightline.load_raster(folder / "scene.tif", band) for band in (1, 2, 3)]
+    result = sightline.match_bands(images, ["red", "green", "band 3"], pairs="all")
+    return Case(result, folder / "out", "pairs", {"d_line": "px", "kept": "1"}, ("pair",))
+
+
+def _write_bands(path: Path) -> None:
+    """Three bands of one texture, each moved by a pixel more, with a place on the map."""
+    import rasterio
+
+    texture = np.random.default_rng(4).normal(size=(210, 250))
+    texture = (texture[1:] + texture[:-1])[:, 1:] + (texture[1:] + texture[:-1])[:, :-1]
+    with rasterio.open(
+        path, "w", driver="GTiff", height=200, width=240, count=3, dtype="float32", crs="EPSG:32645",
+        transform=rasterio.Affine(30.0, 0.0, 478000.0, 0.0, -30.0, 3108140.0),
+    ) as target:  # fmt: skip
+        for k, name in enumerate(("red", "green", None)):
+            target.write(texture[k : k + 200, :240].astype(np.float32), k + 1)
+            if name:
+                target.set_band_description(k + 1, name)
 
 
 def score_case(recovery, flight, folder) -> Case:

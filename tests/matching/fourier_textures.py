@@ -33,8 +33,12 @@ def shifted_pair(
     gain: float = 0.8,
     contrast: float = 0.2,
     mtf_at_nyquist: float = 0.15,
+    motion: NDArray[np.float64] | None = None,
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Two noisy images; what lies at p in the first lies at p + shift in the second.
+
+    With `motion` (lines, 2) each line of the second is shifted by so much more: its line i shows at column j
+    what lies at ``(i, j) - shift - motion[i]`` in the first.
 
     With `cross` the second is of another band: an independent layer of the same spectrum (coherence rho^2),
     gamma and gain. SNR = mean / noise in each image; contrast = std / mean of the image.
@@ -51,7 +55,12 @@ def shifted_pair(
     def layer() -> NDArray[np.complex64]:
         return np.asarray(fft.rfft2(rng.standard_normal(fine, dtype=np.float32)) / np.sqrt(f2), np.complex64)
 
-    def image(spectrum: NDArray[np.complex64], power: float, level: float) -> NDArray[np.float64]:
+    def image(
+        spectrum: NDArray[np.complex64],
+        power: float,
+        level: float,
+        moved: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.float64]:
         seen = fft.irfft2(spectrum * blur, s=fine)
         scene = fft.irfft2(spectrum, s=fine) * (contrast / seen.std())
         if power != 1.0:
@@ -59,15 +68,35 @@ def shifted_pair(
             seen = fft.irfft2(fft.rfft2(scene) * blur, s=fine)
         else:
             seen = 1.0 + seen * (contrast / seen.std())
-        sampled = level * seen[::OVER, ::OVER].astype(np.float64)
+        sampled = level * (seen[::OVER, ::OVER] if moved is None else _line_by_line(seen, moved)).astype(
+            float
+        )
         return sampled + rng.standard_normal(sampled.shape) * (sampled.mean() / snr)
 
     a = layer()
     b = (rho * a + np.sqrt(1 - rho**2) * layer()).astype(np.complex64) if cross else a
     ramp = np.exp(-2j * np.pi * (fy * shift[0] + fx * shift[1])).astype(np.complex64)
     first = image(a, 1.0, 1000.0)
-    second = image(b * ramp, gamma if cross else 1.0, 1000.0 * (gain if cross else 1.0))
+    second = image(b * ramp, gamma if cross else 1.0, 1000.0 * (gain if cross else 1.0), motion)
     return first.astype(np.float32), second.astype(np.float32)
+
+
+def _line_by_line(fine: NDArray[np.float32], motion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Lines of an image OVER times finer, each from its own place: a windowed sinc, then Fourier phase."""
+    lines, taps = len(motion), np.arange(-7, 9)
+    wave = -2j * np.pi * np.fft.rfftfreq(fine.shape[1])
+    out = np.empty((lines, fine.shape[1] // OVER))
+    for i, (dy, dx) in enumerate(motion):
+        place = OVER * (i - dy)
+        whole = int(np.floor(place))
+        # what is left at these frequencies, under an eighth of a cycle per fine pixel, is below 1e-5
+        weights = (
+            np.sinc(taps - (place - whole))
+            * np.kaiser(2001, 8.0)[np.rint(1000 + 1000 * (taps - (place - whole)) / 8.5).astype(int)]
+        )
+        row = weights @ fine[(whole + taps) % len(fine)] / weights.sum()
+        out[i] = np.fft.irfft(np.fft.rfft(row) * np.exp(wave * OVER * dx), n=len(row))[::OVER]
+    return out
 
 
 def information_bounds(

@@ -27,6 +27,7 @@ from sightline.cli import (
     georeference,
     init,
     layout,
+    match,
     noise,
     orient,
     recover,
@@ -94,6 +95,7 @@ app.command("orient", epilog=examples("orient"))(orient.orient)
 app.command("georeference", epilog=examples("georeference"))(georeference.georeference)
 app.command("tdi", epilog=examples("tdi"))(tdi.tdi)
 app.command("noise", epilog=examples("noise"))(noise.noise)
+app.command("match", epilog=examples("match"))(match.match)
 app.command("score", epilog=examples("score"))(score.score)
 app.command("check", epilog=examples("check"))(check.check)
 app.command("schema", epilog=examples("schema"))(schema.schema)

@@ -28,8 +28,8 @@ STEREO_CASES = (
 SEQUENCE_CASES = (
     "lvf", "stepwise", "mosaic", "rgb", "pan", "small", "cube-60", "two-lines", "long", "aircraft", "cubesat",
 )  # fmt: skip
-#: What stands at the end of --help of each command: it can be typed as it stands, in this order; `layout` and
-#: `noise` take files of the user's own.
+#: What stands at the end of --help of each command: it can be typed as it stands, in this order; `layout`,
+#: `noise` and `match` take files of the user's own.
 EXAMPLES = {
     "demo": ("demo", "demo --case clouds --seed 2 --out clouds"),
     "simulate line-of-sight": (
@@ -65,6 +65,10 @@ EXAMPLES = {
         "tdi demo/tdi.toml --motion demo/result --out moved",
     ),
     "noise": ("noise raw.tif --dark dark.tif --out noise",),
+    "match": (
+        "match before.tif after.tif --out shifts",
+        "match scene.tif --bands all --out shifts",
+    ),
     "schema": ("schema acquisition",),
     "version": ("version",),
     "warm-up": ("warm-up",),

@@ -66,6 +66,7 @@ _IN_PYTHON = (
     ("with --to ", "with `to` "),
     ("--to ", "`to` "),
     ("by --type", "by `pixels`"),
+    ("(--geometry pixels)", '(geometry="pixels")'),
 )
 
 

@@ -12,6 +12,7 @@ from sightline.errors import FormatError
 from sightline.io.results.hidden import read_summary
 from sightline.kinds.kind import NAMED, SUMMARY, ResultKind
 from sightline.kinds.layouts import Layouts
+from sightline.kinds.matching import BandShifts, Shifts
 from sightline.kinds.noise import Noise
 from sightline.kinds.orientation import Orientation, Prediction
 from sightline.kinds.recovery import Recovery
@@ -24,7 +25,7 @@ from sightline.result import Result
 #: Every kind.
 KINDS: tuple[ResultKind, ...] = (
     Recovery(), Registered(), Picture(), Layouts(), Orientation(), Prediction(), Choice(), Poses(), Cube(),
-    Noise(), Scoring(),
+    Noise(), Shifts(), BandShifts(), Scoring(),
 )  # fmt: skip
 _OF_TYPE: dict[type[Result], ResultKind] = {one: kind for kind in KINDS for one in kind.types}
 _OF_NAME: dict[str, type[Result]] = {one.__name__: one for one in _OF_TYPE}
@@ -42,7 +43,7 @@ def open_result(folder: str | Path) -> Result:
     Parameters
     ----------
     folder : str or Path
-        Of `recover`, `register`, `layout`, `orient`, `tdi`, `georeference` or `noise`.
+        Of `recover`, `register`, `layout`, `orient`, `tdi`, `georeference`, `noise` or `match`.
 
     Returns
     -------

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sightline.access import check_file, current_access
 from sightline.errors import FormatError, InputError, foreign_errors
+from sightline.imaging.placed import PlacedImage
 from sightline.imaging.rasters import open_raster, raster_environment, raster_errors
 from sightline.matching.match_images import MAX_MASKED
 
@@ -118,6 +119,11 @@ class RasterImage:
         """``red.tif: band 1 of 3, uint8``."""
         which = "mean of" if self._band == "luminance" else f"band {self._band} of"
         return f"{self.path.name}: {which} {self.count}, {self._type}"
+
+    @property
+    def band(self) -> int | str:
+        """Number of the band that is read, from 1, or "luminance"."""
+        return self._band
 
     @property
     def bands(self) -> int:
@@ -348,6 +354,43 @@ def open_image(path: Path, band: int | str = 1, mask: Path | None = None) -> Ras
     if Path(path).suffix.lower() == ".npy":
         return NpyImage(Path(path), extra)
     return RasterImage(Path(path), band, extra)
+
+
+def load_raster(
+    path: str | Path, band: int | str = 1, mask: str | Path | None = None
+) -> PlacedImage | RasterImage | NpyImage:
+    """A band of a raster, with its place on the map where the file has one.
+
+    Parameters
+    ----------
+    path : str or Path
+        Any raster that GDAL reads, or a .npy file (lines, columns).
+    band : int or "luminance"
+        Band of a raster, from 1; the mean of all.
+    mask : str or Path, optional
+        Raster or .npy of the same size; non-zero: do not use. Pixels of no data are left out anyway.
+
+    Returns
+    -------
+    ImageSource
+        A `PlacedImage` of a raster with an affine transform; places given by ground control points or RPCs
+        are not used.
+
+    Raises
+    ------
+    FormatError
+        Names the file and what is wrong with it.
+    """
+    image = open_image(Path(path), band, None if mask is None else Path(mask))
+    if isinstance(image, NpyImage):
+        if band not in (1, "luminance"):
+            raise FormatError(f"{path}: a .npy file holds one band; leave the band out")
+        return image
+    with raster_errors(image.path), open_raster(image.path, image.access) as dataset:
+        transform, crs = dataset.transform, dataset.crs
+    if transform.is_identity:
+        return image
+    return PlacedImage(image, tuple(transform)[:6], None if crs is None else str(crs.to_wkt()))
 
 
 def _clearest(bad: Mask) -> float:

@@ -730,6 +730,49 @@ class NoiseSummary(RunSummary):
     photon_transfer: NoiseTransfer | None = _may("Of frames of even light; else null")
 
 
+# --------------------------------------------------------------------------------------- match
+
+
+class ShiftFigures(SummaryPart):
+    """Windows of two images, and their shifts (lines, columns) on the whole."""
+
+    images: tuple[str, str] = _is("Names")
+    geometry: Literal["map", "pixels"] = _is("How the second was laid on the first")
+    window: tuple[Count, Count] = _is("px of the first image; lines and columns")
+    step: tuple[Count, Count] = _is("px from one window to the next")
+    first: tuple[float, float] = _is("px; centre of the first window")
+    grid: tuple[Count, Count] = _is("Rows and columns of windows")
+    reduced: Count = _is("px a side of the first image that were averaged: those of the second are as large")
+    common_px: Pair = _is("px; shift of the whole image, about which windows were sought")
+    common_strength: Number = _is("Sigmas by which it stands out; null: it was not searched")
+    median_px: Pair = _is("px, of the windows kept")
+    mean_px: Pair = _is("px")
+    rms_px: Pair = _is("px")
+    scatter_px: Pair = _is("px; standard deviation of the windows")
+    sigma_px: Pair = _is("px; median sigma of a window")
+    windows: MatchCounts = _is("How many")
+
+
+class RasterMatchSummary(RunSummary, ShiftFigures):
+    """Of ``match``."""
+
+    result: Literal["RasterMatches"] = _is("Class of the result in Python")
+
+
+class BandPair(ShiftFigures):
+    """Two bands of a file."""
+
+    suffix: str = _is("End of the names of their files")
+
+
+class BandMatchSummary(RunSummary):
+    """Of ``match --bands``."""
+
+    result: Literal["BandMatches"] = _is("Class of the result in Python")
+    bands: list[str] = _is("Names")
+    pairs: list[BandPair] = _is("Of the pairs that were matched")
+
+
 # --------------------------------------------------------------------------------------- score
 
 
@@ -763,7 +806,8 @@ class ScoreSummary(ResultSummary):
 #: All of them.
 SUMMARIES: tuple[type[ResultSummary], ...] = (
     RecoverySummary, RegistrationSummary, MosaicSummary, LayoutSummary, OrientationSummary, PredictionSummary,
-    SequenceSummary, CubeResultSummary, TdiSummary, NoiseSummary, ScoreSummary,
+    SequenceSummary, CubeResultSummary, TdiSummary, NoiseSummary, RasterMatchSummary,
+    BandMatchSummary, ScoreSummary,
 )  # fmt: skip
 
 
