@@ -192,7 +192,9 @@ SUMMARIES = {
     "StereoPrediction": ("With `--predict` nothing", "`sightline score DIR orientation-truth.csv`"),
     "SequencePoses": ("## Written by `georeference`", "## Written by `noise`"),
     "CubeSummary": ("Entry `cube` of `summary.json`", "## STEREO.toml"),
-    "DetectorNoise": ("## Written by `noise`", "## Written by `tdi`"),
+    "DetectorNoise": ("## Written by `noise`", "## Written by `match`"),
+    "RasterMatches": ("## Written by `match`", "## Written by `tdi`"),
+    "BandMatches": ("## Written by `match`", "## Written by `tdi`"),
     "TdiResult": ("## Written by `tdi`", "## Tags of TDI lines"),
     "Score": ("## Printed by `score`", "### Of poses"),
 }

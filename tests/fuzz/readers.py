@@ -174,6 +174,13 @@ function("formats.angle_tables.read_angles", "modelled", "ypr.csv")
 function("formats.odm.read_geo", "flown-lonlat", "geo.txt")
 function("formats.odm.read_gcp_list", "flown-lonlat", "gcp_list.txt")
 function("formats.envi.read_envi_wavelengths", "flown", "filter.hdr")
+function(
+    "results.raster_matches.read_matches", "shifts", "matches.csv",
+    {
+        "grid": [6, 1], "first": [4.5, 49.5], "step": [10, 100], "window": [10, 100], "geometry": "pixels",
+        "reduced": 1, "common_px": [0.0, 0.0], "common_strength": None, "images": ["a", "b"],
+    },
+)  # fmt: skip
 function("results.poses.read_pose_table", "georeferenced", "result/poses.csv")
 function("results.poses.read_pose_truth", "georeferenced", "poses-truth.csv")
 function("results.poses.read_pose_covariance", "georeferenced", "result/covariance.npz")
