@@ -416,7 +416,7 @@ def _isis(folder: Path, exported: Exported, kernels: tuple[Path, ...]) -> dict[s
     """``BAND_jitter.txt``: sample px, line px and ET of every line: what the motion moved its middle by.
 
     As ``appjit`` of ISIS takes them, by its source (``PixelOffset``) and the kernels of HiRISE (samples run
-    against y of the instrument, x points forward): where a pixel lies, less where it would without the motion.
+    against y of the instrument, x points forward): where a pixel lies, less where it would without motion.
     """
     acquired, bands = exported.needs_cameras("isis"), []
     if kernels:
