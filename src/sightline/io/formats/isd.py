@@ -41,7 +41,7 @@ Array = NDArray[np.float64]
 _AGREE = 0.01
 #: Lists of a model state that hold rows one after the other, and the length of these.
 _FLAT = (("m_positions", 3), ("m_velocities", 3), ("m_quaternions", 4))
-#: Nodes of the polynomial by which a state is interpolated: of a platform of kind 1, of 0, and where its table
+#: Nodes of the polynomial by which a state is interpolated: of platforms of kind 1, of 0, where its table
 #: holds few quaternions (``usgscsm`` counts their numbers).
 _LAGRANGE, _LAGRANGE_OF_0, _FEW, _LAGRANGE_OF_FEW = 8, 4, 6, 4
 
