@@ -127,3 +127,31 @@ def test_before_the_table_ut1_is_utc_within_a_second(table):
     assert float(cut.ut1_less_tai_at(55350.0)) == -34.0
     assert abs(float(table.ut1_less_tai_at(55350.0)) + 34.0) < 0.9
     assert table.sigma_at(30000.0)[0] == 0.5 and not table.covers(30000.0)
+
+
+@pytest.mark.parametrize("later", [1.0, 4000.0])
+def test_days_after_c04_are_of_finals2000a(later):
+    """Also days that no table reaches: the last row holds, with a sigma that grows."""
+    from sightline.io.formats.earth_orientation import packaged_earth_orientation
+
+    c04 = packaged_earth_orientation(0.0)
+    day = float(c04.mjd[-1]) + later
+    table = packaged_earth_orientation(day)
+    assert table.source.startswith("IERS finals2000A") and table.covers(day) == (later == 1.0)
+    # UT1 of both on the last day of the former, and what is not known of it later: 15 ms after a year or so
+    assert abs(table.ut1_less_tai_at(c04.mjd[-1]) - c04.ut1_less_tai[-1]) < 1e-4
+    assert (table.sigma_at(day)[0] > 0.1) == (later > 1.0)
+
+
+def test_offsets_of_iau_1980_are_refused(tmp_path):
+    """dPsi stands where dX does: some -0.1 arcseconds."""
+    from sightline.errors import FormatError
+    from sightline.io.formats.earth_orientation import read_earth_orientation
+
+    row = (
+        " I  0.076577 0.000030  0.282336 0.000028  I-0.1771554 0.0000055  0.4421 0.0030"
+        "  I  -104.100    0.230    -8.900    0.160"
+    )
+    (tmp_path / "finals.all").write_text("\n".join(f"200101 588{49 + k}.00{row}" for k in range(3)))
+    with pytest.raises(FormatError, match=r"of the older model IAU 1980 \(dPsi, dEps\)"):
+        read_earth_orientation(tmp_path / "finals.all")

@@ -176,6 +176,22 @@ def test_earth_fixed_files_need_no_table_at_any_date(folder, monkeypatch):
         load_acquisition(folder.write())
 
 
+@pytest.mark.parametrize(("short", "taken"), [(0.4e-6, True), (3e-6, False)])
+def test_positions_may_end_with_the_last_line_but_for_rounding(folder, short, taken):
+    ephemeris(write(folder))
+    last = load_acquisition(folder.write()).cameras
+    span = (
+        min(c.first_line_time for c in last),
+        max(float(np.ravel(c.times(np.array([c.lines - 1.0])))[0]) for c in last),
+    )
+    write(folder, t=np.linspace(span[0] + short, span[1] - short, 13))
+    if taken:
+        load_acquisition(folder.write())
+        return
+    with pytest.raises(SpanError, match="the positions cover"):
+        load_acquisition(folder.write())
+
+
 def test_a_file_that_is_no_earth_orientation_is_named(folder):
     write(folder, "GCRF")
     (folder.path / "eop.txt").write_text("t,x,y\n0,1,2\n")

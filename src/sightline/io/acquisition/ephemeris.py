@@ -37,6 +37,10 @@ _END_ROWS = 12
 _FAR = 1.0
 
 
+#: s by which times of a message are rounded at most: 1e-9, and instants of the days of this century in double.
+_ROUNDED = 1e-6
+
+
 @dataclass(frozen=True, eq=False)
 class GivenOrbit:
     """Positions of a file.
@@ -166,7 +170,7 @@ def fixed_orbit(
 ) -> GivenOrbit:
     """Positions of a file that reach over a span (s), Earth-fixed (or fixed to their body) of messages."""
     given = read_orbit(path, config.acquisition.epoch, span=span, earth=earth)
-    given = _of_table(given, config, "position_axes", path)
+    given = _to_the_ends(_of_table(given, config, "position_axes", path), span)
     must_cover(path, "positions", given.t[_rows(given.t, given.useable, span)], span)
     if given.axes is None:
         return given
@@ -205,7 +209,7 @@ def fixed_attitude(
     Those of a message are Earth-fixed (or fixed to its body: that of `places`); None: axes of ``[world]``.
     """
     given = read_attitude(path, config.acquisition.epoch, span=span, earth=earth)
-    given = _of_table(given, config, "attitude_axes", path)
+    given = _to_the_ends(_of_table(given, config, "attitude_axes", path), span)
     kept = _rows(given.t, given.useable, span)
     t, attitude = continued(path, given.t[kept], Rotation.from_quat(given.quat_xyzw[kept]), span, files)
     if given.axes is None:
@@ -218,6 +222,16 @@ def fixed_attitude(
     if is_inertial(given.axes):
         attitude = Rotation.from_matrix(earth.axes(given.axes, t).turn) * attitude
     return t, attitude, given.axes
+
+
+def _to_the_ends(given: _Given, span: Span) -> _Given:
+    """The same where its times end at a span but for what messages round: moved there."""
+    t, (begin, end) = given.t.copy(), given.useable
+    if span[0] < t[0] <= span[0] + _ROUNDED:
+        t[0], begin = span[0], min(begin, span[0])
+    if span[1] - _ROUNDED <= t[-1] < span[1]:
+        t[-1], end = span[1], max(end, span[1])
+    return replace(given, t=t, useable=(begin, end))
 
 
 def _of_table(given: _Given, config: AcquisitionFile, key: str, path: Path) -> _Given:
