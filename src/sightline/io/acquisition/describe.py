@@ -34,7 +34,7 @@ from sightline.motion.observability import (
 # Lines and columns at which a pair is looked for, as parts of the image: the middle first; staggered
 # detectors share their ends only.
 _PLACES = (0.5, 0.3, 0.7, 0.1, 0.9)
-_COLUMNS = (0.5, 0.97, 0.03, 0.75, 0.25)
+_COLUMNS = (0.5, 0.97, 0.03, 0.75, 0.25, 0.992, 0.008)
 # Blind frequencies named per pair; the rest are their multiples.
 _NAMED = 4
 # Half a field (px) below which matches to 0.03 px know yaw no better than attitude control does (1 mrad).

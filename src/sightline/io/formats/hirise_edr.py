@@ -31,6 +31,8 @@ LABEL_BYTES = 65536
 PREFIX, SUFFIX, IDENTITY = 18, 16, 6
 #: A line that arrived begins with this (the first 19 bits of the label's synchronisation pattern).
 SYNCHRONISATION = 0b1111111100000000111
+#: Ticks of the spacecraft's clock in a second.
+TICKS = 65536
 #: Calibration lines that are read with the charge clocked backwards, and rows of the mask (unbinned).
 REVERSE_LINES, MASK_ROWS = 20, 20
 #: Codes that are no value: low saturation, high saturation, gap (as ISIS ``hi2isis`` takes them).
@@ -109,6 +111,74 @@ class HiriseEdr:
         )
 
 
+@dataclass(frozen=True)
+class HiriseSetting:
+    """What a label sets of one channel.
+
+    Attributes
+    ----------
+    observation : str
+    cpmm, channel : int
+        Electronics of its CCD (0 to 13), and which half of it.
+    stages, binning : int
+        As of `HiriseEdr`.
+    scan_period : float
+        s between lines of the CCD, before binning.
+    clock : int
+        Ticks of the spacecraft's clock when line 0 begins, 1/65536 s each.
+    clock_text, start : str
+        The same as the label has it; in UTC, to a ms.
+    """
+
+    observation: str
+    cpmm: int
+    channel: int
+    stages: int
+    binning: int
+    scan_period: float
+    clock: int
+    clock_text: str
+    start: str
+
+
+@reads("a HiRISE EDR")
+def read_hirise_setting(path: Path) -> HiriseSetting:
+    """The label of a HiRISE EDR: which channel it is of, and how that was set.
+
+    Raises
+    ------
+    FormatError
+        If it is not one, or its label lacks what is needed.
+    """
+    check_file(path)
+    with path.open("rb") as stream:
+        label = _Label(path, stream.read(LABEL_BYTES).decode("latin-1"))
+    binning, stages = _counts(label)
+    text = label.text_of("SPACECRAFT_CLOCK_START_COUNT")
+    count = re.fullmatch(r"(?:\d+/)?(\d+)[:.](\d+)", text)
+    if count is None:
+        raise label.refused(f"SPACECRAFT_CLOCK_START_COUNT is {text[:40]!r}; seconds:ticks are read")
+    return HiriseSetting(
+        label.text_of("OBSERVATION_ID"),
+        label.integer("MRO:CPMM_NUMBER"),
+        label.integer("MRO:CHANNEL_NUMBER"),
+        stages,
+        binning,
+        label.number("MRO:SCAN_EXPOSURE_DURATION") * 1e-6,
+        int(count[1]) * TICKS + int(count[2]),
+        text,
+        label.text_of("START_TIME"),
+    )
+
+
+def _counts(label: _Label) -> tuple[int, int]:
+    """Binning and TDI stages."""
+    binning, stages = label.integer("MRO:BINNING"), label.integer("MRO:TDI")
+    if binning < 1 or stages < 1:
+        raise label.refused(f"TDI {stages} and binning {binning} are no counts")
+    return binning, stages
+
+
 def is_hirise(path: Path) -> bool:
     """Whether a regular file begins with a PDS3 label of HiRISE; FormatError for what is no regular file."""
     check_file(path)
@@ -129,9 +199,7 @@ def read_hirise_edr(path: Path) -> HiriseEdr:
     content = read_bytes(path, "a HiRISE EDR", most=LARGE)
     label = _Label(path, content[:LABEL_BYTES].decode("latin-1"))
     table = _code_table(label)
-    binning, stages = label.integer("MRO:BINNING"), label.integer("MRO:TDI")
-    if binning < 1 or stages < 1:
-        raise label.refused(f"TDI {stages} and binning {binning} are no counts")
+    binning, stages = _counts(label)
     period = label.number("MRO:LINE_EXPOSURE_DURATION") * 1e-6
     return HiriseEdr(
         label.text_of("PRODUCT_ID"),

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from sightline.errors import InputError
 from sightline.geometry.apparent import APPARENT
+from sightline.io.formats.hirise_edr import is_hirise
 from sightline.io.formats.instants import FIRST_YEAR, LAST_YEAR
 from sightline.io.formats.line_scan import shared_grid
 from sightline.io.formats.products.product import Product, ProductBand
@@ -19,6 +20,7 @@ from sightline.io.formats.products.recognise import KNOWN, metadata_of, product_
 from sightline.io.formats.products.sentinel2 import FINE, datastrip_of, read_granule_times
 from sightline.io.init.agreement import agreement, contradiction
 from sightline.io.init.bands import FirstAcquisition, acquisition_of_bands, acquisition_text, path_from
+from sightline.io.init.hirise import acquisition_of_edrs
 from sightline.io.init.mosaic import mosaic
 from sightline.io.init.presets import PRESETS
 from sightline.io.init.telemetry import FirstSensors, first_sensors
@@ -60,6 +62,11 @@ def acquisition_of_products(
     InputError
         If several products are no bands of one strip.
     """
+    edrs = _edrs(paths)
+    if edrs:
+        if names:
+            raise InputError("HiRISE EDRs take no --bands: each channel says of which CCD it is")
+        return acquisition_of_edrs(edrs, folder)
     files = [metadata_of(path) for path in paths]
     kinds = [product_kind(path) or "" for path in files]
     if any(kind.startswith("sentinel2") for kind in kinds):
@@ -110,6 +117,20 @@ def acquisition_of_products(
     still = _still(products)
     lacking = (*missing, *against, *([still] if still else []))
     return FirstAcquisition(text, assumed, unknown, found_out, lacking, _Beside(products, sensors, folder))
+
+
+def _edrs(paths: Sequence[Path]) -> list[Path]:
+    """Channels of HiRISE, of folders those that they hold; InputError where there are other files too."""
+    files = [
+        file for path in paths for file in (sorted(path.glob("*.[Ii][Mm][Gg]")) if path.is_dir() else [path])
+    ]
+    found = [file for file in files if is_hirise(file)]
+    if found and len(found) < len(files):
+        other = next(file for file in files if file not in found)
+        raise InputError(
+            f"{other}: is no HiRISE EDR, as {found[0].name} is; give products of one kind at a time"
+        )
+    return found
 
 
 @dataclass(frozen=True)

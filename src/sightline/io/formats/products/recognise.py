@@ -27,8 +27,8 @@ _KINDS = (
 #: What is read, in words.
 KNOWN = (
     "read are WorldView and QuickBird, level 1B (XML, or IMD with ATT, EPH and GEO), SPOT 6, SPOT 7 and "
-    "Pleiades (DIMAP 2, level SENSOR), SPOT 5 (DIMAP 1, level 1A), Pleiades (PHRDIMAP) and Sentinel-2 "
-    "granules with their datastrip (L1B)"
+    "Pleiades (DIMAP 2, level SENSOR), SPOT 5 (DIMAP 1, level 1A), Pleiades (PHRDIMAP), Sentinel-2 "
+    "granules with their datastrip (L1B) and channels of HiRISE (EDR)"
 )
 #: What packed folders begin with.
 _PACKED = ((b"PK\x03\x04", "zip"), (b"\x1f\x8b", "gzip"), (b"BZh", "bzip2"), (b"\xfd7zXZ", "xz"))
