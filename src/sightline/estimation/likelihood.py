@@ -28,6 +28,8 @@ Array = NDArray[np.float64]
 
 #: Work allowed per evaluation, n b^2; about 40 ms. Longer strips are fitted on a coarser grid.
 WORK = 1.0e8
+#: Iterations of a search from each place to start, before tones are looked for.
+FIRST_ITERATIONS = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,8 +94,9 @@ def fit_spectrum(
     step : float, optional
         s; grid step. By default as `default_step`, coarser on long strips (see `WORK`).
     start : Spectrum, optional
-        A further place to start: its first Matern 5/2, its other Matern part and its tones. The search
-        starts there or from the data's size, whichever explains them better.
+        A further place to start: its first Matern 5/2, its other Matern part and its tones. Where it explains
+        the data better than a guess by their size, the search starts there, and, if tones are looked for,
+        from its tones beside the guess's broad parts.
     known_tones : sequence of float
         Hz; tones that are there whether the data show them or not, such as of wheels and coolers. Their
         frequency is taken as it is, size and width are fitted; one that the data do not show is as large as
@@ -165,10 +168,11 @@ def fit_spectrum(
         detail * unit**2,
         rate,
     )
-    guesses = _guesses(inside, grid) + ([] if start is None else [NoiseModel.of(start.scaled(1.0 / unit))])
-    model = min(guesses, key=search.deviance)
-    model = search.with_given_tones(model, known_tones)
-    model = search.improve(model, iterations if max_tones == 0 else 12)
+    given = None if start is None else NoiseModel.of(start.scaled(1.0 / unit))
+    begins = _begins(search, _guesses(inside, grid), given, anew=max_tones > 0)
+    first = FIRST_ITERATIONS if max_tones > 0 else iterations
+    begun = [search.improve(search.with_given_tones(one, known_tones), first) for one in begins]
+    model = min(begun, key=search.deviance)
     for _ in range(max_tones - len(model.tones)):
         found = search.unexplained_tones(model, false_alarm)
         if not found:
@@ -193,6 +197,20 @@ def fit_spectrum(
         tuple(replace(tone, sigma=tone.sigma * unit) for tone in hidden),
         through,
     )
+
+
+def _begins(
+    search: Search, guesses: Sequence[NoiseModel], given: NoiseModel | None, *, anew: bool
+) -> list[NoiseModel]:
+    """Where the search begins: at the best of all; at the given one also `anew`, with guessed broad parts.
+
+    Drift and broadband part can stand for each other, the one rougher than the other: a search that begins
+    where they have changed places does not find back.
+    """
+    guess = min(guesses, key=search.deviance)
+    if given is None or search.deviance(given) >= search.deviance(guess):
+        return [guess]
+    return [given, replace(given, drift=guess.drift, broadband=guess.broadband)] if anew else [given]
 
 
 def default_step(series: Sequence[DifferenceSeries]) -> float:
