@@ -389,7 +389,8 @@ def _shared_columns(ccds: Sequence[_Ccd]) -> dict[str, float]:
         ends = [np.sort(ccd.directions()[[0, -1], 1]) for ccd in (a, b)]
         common = min(end[1] for end in ends) - max(end[0] for end in ends)
         for ccd in (a, b):
-            columns = common / (ccd.step() * _FOCAL * ccd.set.binning)
+            # from centre to centre of the outermost ones
+            columns = 1.0 + common / (ccd.step() * _FOCAL * ccd.set.binning)
             most[ccd.name] = max(most[ccd.name], columns)
     return most
 
