@@ -22,7 +22,7 @@ from sightline.geometry.earth_orientation import AXES
 from sightline.io.acquisition.acquired import InputFolder
 from sightline.io.acquisition.schema import AcquisitionFile, EphemerisPlatform, SpinPlatform
 from sightline.io.acquisition.spin import must_cover
-from sightline.io.formats import ccsds, ccsds_attitude, mean_elements, sbet, tables
+from sightline.io.formats import ccsds, ccsds_attitude, mean_elements, sbet, sentinel1, tables
 from sightline.io.formats.ccsds_message import body_of, is_earth
 from sightline.io.formats.earth_orientation import TurningEarth
 
@@ -87,6 +87,7 @@ class GivenAttitude:
     centre: str = ""
     useable: Span = (-np.inf, np.inf)
     words: str = ""
+    doubt: str = ""
 
 
 _Given = TypeVar("_Given", GivenOrbit, GivenAttitude)
@@ -102,7 +103,10 @@ def earth_of(config: AcquisitionFile, files: InputFolder) -> TurningEarth:
 def read_orbit(
     path: Path, epoch: str | None, *, span: Span | None = None, earth: TurningEarth | None = None
 ) -> GivenOrbit:
-    """Positions of a CSV table, a CCSDS OEM or OMM, of two-line elements or of a SBET."""
+    """Positions of a CSV table, ours or of Sentinel-1, a CCSDS OEM or OMM, two-line elements or a SBET."""
+    if sentinel1.is_sentinel1(path):
+        t, position, velocity = sentinel1.read_sentinel1_orbit(path, ccsds.need_epoch(path, epoch))
+        return GivenOrbit(t, position, velocity, "ITRF", "EARTH", words="an orbit of Sentinel-1, Earth-fixed")
     if sbet.is_sbet(path):
         flown = sbet.read_sbet(path, epoch, span)
         return GivenOrbit(
@@ -141,7 +145,16 @@ def _propagated(path: Path, kind: str, epoch: str, span: Span) -> GivenOrbit:
 def read_attitude(
     path: Path, epoch: str | None, *, span: Span | None = None, earth: TurningEarth | None = None
 ) -> GivenAttitude:
-    """Attitudes of a CSV table, a CCSDS AEM or APM, or of a SBET."""
+    """Attitudes of a CSV table, ours or of Sentinel-1, a CCSDS AEM or APM, or of a SBET."""
+    if sentinel1.is_sentinel1(path):
+        sensed = sentinel1.read_sentinel1_attitude(path, ccsds.need_epoch(path, epoch))
+        apart = float(np.sqrt((sensed.apart**2).mean()))
+        return GivenAttitude(
+            sensed.t, sensed.inertial_from_body.as_quat(), "EME2000", "EARTH",
+            words="attitudes of Sentinel-1 (GM2000), brought to the axes of its rates: x ahead, y right, z as "
+            f"the antenna looks; rates and quaternions agree to {apart:.2g} rad/s (rms)",
+            doubt=f"{path.name}: {sensed.doubt}" if sensed.doubt else "",
+        )  # fmt: skip
     if sbet.is_sbet(path):
         flown = sbet.read_sbet(path, epoch, span)
         return GivenAttitude(
@@ -218,6 +231,8 @@ def fixed_attitude(
         raise FormatError(f'{path}: a message is in axes of its own; [world] frame = "local" is for tables')
     _check_body(path, given.axes, given.centre, config.surface.radii)
     _check_one_body((path, given), places)
+    if given.doubt:
+        files.doubts.append(given.doubt)
     files.said.append(f"{path.name}: {given.words}")
     if is_inertial(given.axes):
         attitude = Rotation.from_matrix(earth.axes(given.axes, t).turn) * attitude
