@@ -39,6 +39,13 @@ from sightline.photogrammetry.flight.reconstruct import (
     reconstruct,
     refined,
 )
+from sightline.photogrammetry.flight.rig_solver import (
+    RigAdjusted,
+    check_rig,
+    first_camera,
+    solve_capture,
+    solve_rig,
+)
 from sightline.photogrammetry.flight.solver import (
     Adjusted,
     SequenceSolver,
@@ -70,7 +77,7 @@ from sightline.stages import Stages
 SOLVED, ESTIMATED, INTERPOLATED = "solved", "estimated", "interpolated"
 #: Stages, in their order: `SequencePoses.seconds`, progress.
 FOLLOWED, CHOSEN, MODELLED = "frames followed", "subset chosen", "subset modelled"
-SOLVED_ALL, COMPARED = "all poses", "stretches compared"
+SOLVED_ALL, COMPARED, RIG = "all poses", "stretches compared", "cameras of the rig"
 #: Called with a stage, how much of it is done, how much it is.
 Progress = Callable[[str, int, int], None]
 #: Share of the machine's memory that a solution of all frames at once may take.
@@ -104,6 +111,8 @@ class SequencePoses(Result):
         Of the subset by photogrammetry, where it was made.
     taken_over : dict of str to float
         How many of the `seconds` are of earlier runs, by stage; without stages that are all of this one.
+    rig : RigAdjusted or None
+        Of several cameras: their offsets, and all sightings; `tracks` has those of the first camera.
     problem : SequenceProblem or None
         As it was solved: frames turned as their images show, attitudes of the subset's model where none are
         given.
@@ -121,6 +130,7 @@ class SequencePoses(Result):
     model: RefinedModel | None = None
     taken_over: dict[str, float] = field(default_factory=dict)
     problem: SequenceProblem | None = None
+    rig: RigAdjusted | None = None
 
 
 def check_flight(
@@ -143,6 +153,10 @@ def check_flight(
         By the tables successive frames show places far from one another.
     """
     usable = int(problem.usable.sum())
+    if problem.rig:
+        check_rig(problem)
+        if len(problem) == 1:
+            return
     if not usable:
         raise InputError("no frame of the sequence can be used; see why each was excluded")
     if usable == 1:
@@ -204,6 +218,9 @@ def georeference_sequence(
     """
     run = _Run(progress or silent, stages or Stages())
     check_flight(problem, plan, photogrammetry=photogrammetry)
+    if problem.rig and len(problem) == 1:
+        run.stages.depend(problem)
+        return _one_capture(problem, run)
     if photogrammetry is None:
         photogrammetry = not np.isfinite(problem.known.attitude).any()
     if photogrammetry:
@@ -231,6 +248,8 @@ def georeference_sequence(
     except DivergedError as error:
         raise EstimationError(unsolved_words(problem)) from error
     problem, poses = screened(problem, tracks, found.poses, _without_control(followed, tracks))
+    rig = _with_rig(problem, followed, poses, tracks, run) if problem.rig else None
+    poses = poses if rig is None else first_camera(rig, len(tracks))
     refuse_contradicted(problem, poses)
     source, reason = _sources(problem, followed, subset, poses)
     words = (
@@ -238,10 +257,50 @@ def georeference_sequence(
         *short_warnings(subset),
         *found.words,
         *part_warnings(problem, tracks, poses),
+        *(() if rig is None else rig.words),
     )
     return SequencePoses(
         poses, source, reason, subset, followed, tracks, followed.linked(), run.seconds, words, model,
-        run.taken_over, problem,
+        run.taken_over, problem, rig,
+    )  # fmt: skip
+
+
+def _with_rig(
+    problem: SequenceProblem, followed: Followed, poses: FramePoses, tracks: Tracks, run: _Run
+) -> RigAdjusted:
+    """All cameras of a rig together, from a solution of the first."""
+
+    def report(done: int, total: int) -> None:
+        run.progress(RIG, done, total)
+
+    found = run.stages.stage(
+        "rig", RigAdjusted, lambda: solve_rig(problem, followed, poses, tracks, report)
+    )
+    run.note(RIG)
+    return found
+
+
+def _one_capture(problem: SequenceProblem, run: _Run) -> SequencePoses:
+    """One capture of a rig: offsets of its cameras; the pose is that of its tables."""
+    run.progress(RIG, 0, 1)
+    rig = run.stages.stage("rig", RigAdjusted, lambda: solve_capture(problem))
+    run.progress(RIG, 1, 1)
+    run.note(RIG)
+    own = rig.tracks[rig.tracks.image == 0]
+    followed = Followed(
+        own.image, own.point, own.pixels, own.sigma_px, np.array([-1]), np.full((1, 4), np.nan),
+        np.array([len(own)]), np.full(1, np.nan), np.full(1, np.nan), ("",),
+    )  # fmt: skip
+    subset = Subset(np.zeros(1, dtype=np.intp), np.full(1, np.nan), np.full(1, np.nan), ("the only capture",))
+    words = (
+        *problem.warnings,
+        "one capture: its pose is that of its tables; found are the offsets of the cameras, whose lever arms and "
+        "angles go together over ground of one height",
+        *rig.words,
+    )
+    return SequencePoses(
+        first_camera(rig, len(own)), (SOLVED,), ("",), subset, followed, own, np.zeros(1, dtype=np.intp),
+        run.seconds, words, None, run.taken_over, problem, rig,
     )  # fmt: skip
 
 

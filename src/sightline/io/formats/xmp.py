@@ -3,7 +3,10 @@
 DJI: angles of the camera in degrees against north, east, down: yaw clockwise from north, then pitch (0 at the
 horizon, -90 straight down), then roll; at 0, 0, 0 the camera looks north, columns to the east, lines down.
 Pix4D's camera tags (MicaSense, and others): focal length in px (or mm), principal point in mm from pixel
-(0, 0)'s corner, distortion k1, k2, k3, p1, p2, central wavelength in nm, number of the camera in its rig.
+(0, 0)'s corner, distortion k1, k2, k3, p1, p2, central wavelength in nm, number of the camera in its rig,
+RigRelatives: degrees about x (columns), y (lines), z (forward) of the camera, in which order it is turned from
+the axes of the rig (reference_from_camera = Rx Ry Rz). DJI's lens: DewarpData "date;fx,fy,cx,cy,k1,k2,p1,p2,k3"
+in px, cx and cy from the middle of the frame.
 
 Not here: time and place (``exif.py``).
 """
@@ -28,6 +31,12 @@ Array = NDArray[np.float64]
 _RDF = "{http://www.w3.org/1999/02/22-rdf-syntax-ns#}"
 _DJI = "{http://www.dji.com/drone-dji/1.0/}"
 _PIX4D = ("{http://pix4d.com/1.0}", "{http://pix4d.com/camera/1.0}", "{http://pix4d.com/camera/1.0/}")
+#: What the images of one capture share.
+_CAPTURES = (
+    "{http://micasense.com/MicaSense/1.0/}CaptureId",
+    _DJI + "CaptureUUID",
+    *(space + "CaptureUUID" for space in _PIX4D),
+)
 _GIMBAL = ("GimbalYawDegree", "GimbalPitchDegree", "GimbalRollDegree")
 #: Columns of the camera to the gimbal's right, lines to its down, the optical axis forward.
 _GIMBAL_FROM_CAMERA = Rotation.from_matrix([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
@@ -53,6 +62,18 @@ class Xmp:
     principal_point_px : (line, column) or None
     distortion : tuple of 5 floats
         k1, k2, p1, p2, k3; empty where there is none.
+    band : str or None
+        Name of the band of one image of a rig.
+    capture : str or None
+        Name that the images of one capture share.
+    rig_relatives_deg : (3,) or None
+        How the camera is turned in its rig.
+    optical_centre_px : (2,) or None
+        (line, column) by which its image lies off that of the rig's reference, as DJI gives it.
+    principal_offset_px : (line, column) or None
+        Of the principal point from the middle of the frame, where that is how it is given.
+    body_deg : (3,) or None
+        Yaw, pitch, roll that a camera of a rig gives for itself.
     """
 
     gimbal_deg: Array | None
@@ -64,6 +85,17 @@ class Xmp:
     focal_length_px: float | None
     principal_point_px: tuple[float, float] | None
     distortion: tuple[float, ...]
+    band: str | None = None
+    capture: str | None = None
+    rig_relatives_deg: Array | None = None
+    optical_centre_px: Array | None = None
+    principal_offset_px: tuple[float, float] | None = None
+    body_deg: Array | None = None
+
+    def rig_from_camera(self) -> Rotation | None:
+        """Axes of the rig from those of the camera by RigRelatives."""
+        angles = self.rig_relatives_deg
+        return None if angles is None else Rotation.from_euler("XYZ", angles, degrees=True)
 
     def north_east_down_from_camera(self) -> Rotation | None:
         """Attitude of the camera by its gimbal."""
@@ -111,6 +143,15 @@ def parse_xmp(packet: str, px_per_mm: float | None = None, place: object = "the 
     gimbal = _all(dji(name) for name in _GIMBAL)
     wavelength, number = _number(rig("CentralWavelength")), _number(rig("RigCameraIndex"))
     lens = _lens(rig("PerspectiveFocalLength"), rig("PerspectiveFocalLengthUnits"), px_per_mm)
+    principal, distortion = (
+        _principal_point(rig("PrincipalPoint"), px_per_mm),
+        _distortion(rig("PerspectiveDistortion")),
+    )
+    offset = None
+    dewarp = _dewarp(values.get(_DJI + "DewarpData"))
+    if dewarp is not None:
+        lens, principal, offset, distortion = dewarp[0], None, dewarp[1], dewarp[2]
+    bands = rig("BandName")
     return Xmp(
         gimbal,
         _first(dji("GpsLongitude"), dji("GpsLongtitude"), dji("Longitude")),
@@ -119,8 +160,14 @@ def parse_xmp(packet: str, px_per_mm: float | None = None, place: object = "the 
         None if number is None else int(number),
         wavelength,
         lens,
-        _principal_point(rig("PrincipalPoint"), px_per_mm),
-        _distortion(rig("PerspectiveDistortion")),
+        principal,
+        distortion,
+        bands.strip() if bands and bands.strip() else None,
+        next((values[name].strip() for name in _CAPTURES if values.get(name, "").strip()), None),
+        _triple(rig("RigRelatives")),
+        _all(dji(name) for name in ("RelativeOpticalCenterY", "RelativeOpticalCenterX")),
+        offset,
+        _all(_number(rig(name)) for name in ("Yaw", "Pitch", "Roll")),
     )
 
 
@@ -174,6 +221,21 @@ def _principal_point(text: str | None, px_per_mm: float | None) -> tuple[float, 
     if px_per_mm is None or len(parts) != 2 or parts[0] is None or parts[1] is None:
         return None
     return parts[1] * px_per_mm - 0.5, parts[0] * px_per_mm - 0.5
+
+
+def _triple(text: str | None) -> Array | None:
+    """Three numbers parted by commas; None where there are no three."""
+    parts = (text or "").split(",")
+    return _all(_number(word) for word in parts) if len(parts) == 3 else None
+
+
+def _dewarp(text: str | None) -> tuple[float, tuple[float, float], tuple[float, ...]] | None:
+    """Focal length, principal point from the middle (line, column), distortion of DJI's "date;fx,fy,..."."""
+    parts = [_number(word) for word in (text or "").rpartition(";")[2].split(",")]
+    values = [value for value in parts if value is not None]
+    if len(values) != 9 or values[0] <= 0.0:
+        return None
+    return values[0], (values[3], values[2]), tuple(values[4:])
 
 
 def _distortion(text: str | None) -> tuple[float, ...]:

@@ -102,7 +102,7 @@ def _of_folder(folder: Path, epoch: str | None) -> FrameList:
     paths = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and not p.name.startswith("."))
     if not paths:
         raise FormatError(f"{folder}: holds no images ({', '.join(SUFFIXES)}); check `frames`")
-    exif, xmp, broken = zip(*(_tags(path) for path in paths), strict=True)
+    exif, xmp, broken = zip(*(read_photograph_tags(path) for path in paths), strict=True)
     known = [k for k, tags in enumerate(exif) if tags is not None]
     if not known:
         said = next((f" ({p.name}: {why})" for p, why in zip(paths, broken, strict=True) if why), "")
@@ -132,7 +132,7 @@ def _of_folder(folder: Path, epoch: str | None) -> FrameList:
     return FrameList(folder, names, t, chosen, start, *tags, tuple(warnings), why)
 
 
-def _tags(path: Path) -> tuple[Exif | None, Xmp | None, str]:
+def read_photograph_tags(path: Path) -> tuple[Exif | None, Xmp | None, str]:
     """EXIF and XMP, None where it has none, and why they cannot be read."""
     try:
         xmp = read_xmp(path)
@@ -148,9 +148,8 @@ def _refuse_rigs(folder: Path, xmp: Sequence[Xmp | None]) -> None:
     if len(cameras) > 1:
         raise FormatError(
             f"{folder}: photographs of {len(cameras)} cameras of a rig (RigCameraIndex "
-            f"{', '.join(map(str, cameras))}); a sequence is of one camera: give a folder, or a table "
-            "of frames, "
-            "for each"
+            f"{', '.join(map(str, cameras))}); a sequence of one [camera] is expected: write a "
+            "[[camera]] for each, or leave [camera] out"
         )
 
 

@@ -34,11 +34,13 @@ from sightline.io.sequence.frames import FrameList, excluded, probe_frames, read
 from sightline.io.sequence.matched_rows import is_local, radii_of
 from sightline.io.sequence.poses import check_places, starting_poses
 from sightline.io.sequence.positions import place_of
+from sightline.io.sequence.rigs import RigImages, read_rig, refuse_asynchronous, rig_camera
 from sightline.io.sequence.schema import LEAST_NM, CubeSection, SequenceCamera, SequenceFile, WavelengthRange
 from sightline.io.whereabouts import level_axes_at, span_doubts
 from sightline.photogrammetry.block.point_priors import ControlPoints
 from sightline.photogrammetry.flight.outlook import unit_doubts
 from sightline.photogrammetry.flight.problem import SequenceProblem, seen_ground
+from sightline.photogrammetry.flight.rig import RigCamera
 from sightline.photogrammetry.sightings import Images
 from sightline.result import set_source
 
@@ -129,21 +131,26 @@ def read_sequence(path: Path) -> FrameSequence:
 
 def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequence:
     """The file with everything that it names."""
-    frames = read_frames(file, files)
-    mount = file.camera.mounting
+    camera, rig = file.first_camera, read_rig(file, files)
+    if rig is not None:
+        refuse_asynchronous(rig)
+        camera = rig.sections[0].as_camera()
+    frames = read_frames(file, files) if rig is None else rig.frames_of(0)
+    mount = camera.mounting
     start = starting_poses(file, files, frames, mount)
     probes = probe_frames(frames)
-    shape = file.camera.shape or shape_of(probes)
+    shape = camera.shape or shape_of(probes)
     if shape is None:
         raise FormatError(f"{frames.path}: no frame can be read: {probes[0].reason}; check the files")
-    channels = len(file.camera.channel_nm or ())
+    channels = len(camera.channel_nm or ())
     reasons = excluded(frames, probes, shape, channels)
-    detector, focal_sigma, lens_words = sequence_detector(file.camera, files, frames, shape)
-    _check_mosaic(file.camera, shape, path)
-    _check_readout(file.camera, frames, path)
+    detector, focal_sigma, lens_words = sequence_detector(camera, files, frames, shape)
+    _check_mosaic(camera, shape, path)
+    _check_readout(camera, frames, path)
     bands = {p.bands for p, reason in zip(probes, reasons, strict=True) if not reason}
     control, tracks = control_of(file, files, frames, shape)
-    check_places(path, start.known, control, file.surface.height_sigma)
+    if rig is None or len(frames.names) > 1:  # of one capture the offsets are sought, no path
+        check_places(path, start.known, control, file.surface.height_sigma)
     images = start.images
     if control is not None and tracks is not None and not np.isfinite(start.known.position).any():
         images = placed_by_control(images, control, tracks, detector, mount)
@@ -158,11 +165,11 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
         known=start.known,
         surface=surface,
         height_sigma=file.surface.height_sigma,
-        readout_time=file.camera.readout_time,
+        readout_time=camera.readout_time,
         overlap=file.subset.overlap,
         excluded=reasons,
-        mosaic_nm=None if file.camera.mosaic_nm is None else read_only(np.array(file.camera.mosaic_nm)),
-        channel_nm=tuple(file.camera.channel_nm or ()),
+        mosaic_nm=None if camera.mosaic_nm is None else read_only(np.array(camera.mosaic_nm)),
+        channel_nm=tuple(camera.channel_nm or ()),
         channels=tuple(
             tuple(FrameFile(p, shape, k) for k in range(1, channels + 1))
             for p in (frames.files if channels else ())
@@ -172,6 +179,7 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
         control_tracks=tracks,
         radii=radii_of(file),
         epoch=frames.epoch,
+        rig=() if rig is None else _rig_cameras(rig, files, detector),
         warnings=(
             *frames.warnings,
             *lens_words,
@@ -183,10 +191,22 @@ def _sequence(path: Path, file: SequenceFile, files: InputFolder) -> FrameSequen
     )
     doubts = (*unit_doubts(problem), *_span_doubts(problem, file))
     problem = replace(problem, warnings=(*problem.warnings, *doubts))
+    images_of = frames.files if rig is None else tuple(p for row in rig.files for p in row if p is not None)
     return FrameSequence(
-        path, file.sequence.name, problem, file.world, file.cube, frames.files, tuple(files.used),
+        path, file.sequence.name, problem, file.world, file.cube, images_of, tuple(files.used),
         (*wide_words(detector), *doubts),
     )  # fmt: skip
+
+
+def _rig_cameras(rig: RigImages, files: InputFolder, first: AreaDetector) -> tuple[RigCamera, ...]:
+    """All cameras of a rig; `first` is the detector of the first, with its name."""
+    out = []
+    for number, section in enumerate(rig.sections):
+        frames, camera = rig.frames_of(number), section.as_camera()
+        shape = camera.shape or shape_of(probe_frames(frames)) or first.shape
+        detector, sigma, _ = sequence_detector(camera, files, frames, shape)
+        out.append(rig_camera(rig, number, detector, sigma))
+    return tuple(out)
 
 
 def _span_doubts(problem: SequenceProblem, file: SequenceFile) -> tuple[str, ...]:
@@ -267,6 +287,8 @@ def sequence_detector(
     principal, distortion = camera.principal_point_px, tuple(camera.distortion)
     if tags is not None and camera.focal_length_px is None:
         principal = principal or tags.principal_point_px
+        if principal is None and tags.principal_offset_px is not None:
+            principal = middle[0] + tags.principal_offset_px[0], middle[1] + tags.principal_offset_px[1]
         distortion = distortion or tags.distortion
     principal = principal or middle
     off = [abs(p - m) > size for p, m, size in zip(principal, middle, shape, strict=True)]

@@ -40,6 +40,7 @@ from sightline.io.quantities import (
     Height,
     LengthSigma,
     LengthSigmaAbove0,
+    Name,
     PixelSigmaAbove0,
     ReadoutForward,
     Title,
@@ -165,6 +166,78 @@ class SequenceCamera(FrameCameraSection):
             raise ValueError("channel_nm is empty; one per band of the image is expected")
 
 
+#: rad, m: 1-sigma of how a camera of a rig is turned, and of where it lies, for which nothing is said.
+RIG_ANGLE_SIGMA, RIG_PLACE_SIGMA = 0.035, 0.05
+_OffsetAngle = Annotated[float, Within(-6.3, 6.3, "rad", "are these degrees?")]
+_OffsetLength = Annotated[float, Within(-1e3, 1e3, "m", "are these mm?")]
+
+
+class RigCameraSection(FrameCameraSection):
+    """One ``[[camera]]`` of several that are exposed together: its lens, and how it sits beside the first."""
+
+    name: Name = Field(description="Of the camera, such as its band")
+    images: FileName | None = Field(
+        default=None,
+        description='Which files of the folder `frames` are its images, such as "IMG_*_1.tif": what the * '
+        "stands for names the capture; default by the tags of the files",
+    )
+    shape: FrameShape | None = Field(
+        default=None, description="(lines, columns) of a frame; default that of most frames"
+    )
+    focal_length_px: FocalLengthPx | None = Field(
+        default=None, description="Focal length / pixel pitch; default what EXIF or XMP of its images say"
+    )
+    wavelength_nm: Annotated[float, Within(1e-3, 1e6, "nm"), AfterValidator(_in_nm)] | None = Field(
+        default=None, description="nm, of its band; default what XMP says"
+    )
+    channel_nm: list[Wavelength] | None = Field(
+        default=None, max_length=MOST_BANDS, description="One per band of its images, of a colour camera"
+    )
+    orientation_offset: tuple[_OffsetAngle, _OffsetAngle, _OffsetAngle] | None = Field(
+        default=None,
+        description="rad; rotation vector (roll, pitch, yaw) about body axes by which it is turned from the "
+        "first camera; default by XMP, else none",
+    )
+    orientation_offset_sigma: AngleSigma | None = Field(
+        default=None, description="rad per axis; 0 = exactly; default 0.0087 by XMP, else 0.035"
+    )
+    position_offset: tuple[_OffsetLength, _OffsetLength, _OffsetLength] = Field(
+        default=(0.0, 0.0, 0.0),
+        description="m; of its lens from that of the first camera along body axes (forward, right, down)",
+    )
+    position_offset_sigma: LengthSigma = Field(default=RIG_PLACE_SIGMA, description="m per axis; 0 = exactly")
+
+    @model_validator(mode="after")
+    def _band_said_once(self) -> RigCameraSection:
+        if self.wavelength_nm is not None and self.channel_nm is not None:
+            raise ValueError("wavelength_nm and channel_nm are both given; keep one of them")
+        return self
+
+    def as_camera(self) -> SequenceCamera:
+        """What it says of the camera alone."""
+        own = {"shape", "focal_length_px", "channel_nm", *FrameCameraSection.model_fields}
+        given = {key: getattr(self, key) for key in own & self.model_fields_set}
+        return SequenceCamera.model_validate(given)
+
+
+def _a_camera(value: object) -> object:
+    if not isinstance(value, dict | list | SequenceCamera):
+        raise ValueError(
+            f"{shown(value)} is not allowed: a table [camera] is, or a [[camera]] for each of a rig"
+        )
+    if isinstance(value, list) and len(value) < 2:
+        raise ValueError("a rig has two [[camera]] or more; of one camera write [camera]")
+    return value
+
+
+_ONE, _RIG = "as-table", "as-list"
+Cameras = Annotated[
+    Annotated[SequenceCamera, Tag(_ONE)]
+    | Annotated[list[RigCameraSection], Field(max_length=MOST_LISTED), Tag(_RIG)],
+    Discriminator(lambda value: _RIG if isinstance(value, list) else _ONE),
+]
+
+
 class SubsetSection(SchemaSection):
     """``[subset]``: frames that photogrammetry is done on."""
 
@@ -235,10 +308,12 @@ class CubeSection(SchemaSection):
 
 
 class SequenceFile(InputFile):
-    """A SEQUENCE.toml: overlapping frames of one camera, and what is known of their poses."""
+    """A SEQUENCE.toml: overlapping frames of a camera or of a rig, and what is known of their poses."""
 
     sequence: SequenceHeader = SequenceHeader()
-    frames: FileName = Field(description="Folder of images (times by EXIF), or CSV frame,t,image")
+    frames: FileName = Field(
+        description="Folder of images (times by EXIF), or CSV frame,t,image; of a rig capture,camera,t,image"
+    )
     positions: FileName | None = Field(
         default=None, description="CSV frame,t,x,y,z,sigma_x,sigma_y,sigma_z, axes of [world]"
     )
@@ -278,7 +353,7 @@ class SequenceFile(InputFile):
     control_sigma_px: PixelSigmaAbove0 = Field(
         default=1.0, description="px, of where control points were seen"
     )
-    camera: SequenceCamera = SequenceCamera()
+    camera: Annotated[Cameras, BeforeValidator(_a_camera)] = SequenceCamera()
     subset: SubsetSection = SubsetSection()
     surface: SurfaceSection = SurfaceSection()
     cube: CubeSection = CubeSection()
@@ -286,6 +361,25 @@ class SequenceFile(InputFile):
     control_point: list[ControlPointSection] = Field(
         default=[], max_length=MOST_LISTED, description="Control points one by one"
     )
+
+    @property
+    def first_camera(self) -> SequenceCamera:
+        """The camera, of a rig the first, whose body is that of the rig."""
+        return self.camera[0].as_camera() if isinstance(self.camera, list) else self.camera
+
+    @model_validator(mode="after")
+    def _cameras_differ(self) -> SequenceFile:
+        if isinstance(self.camera, list):
+            names = [camera.name for camera in self.camera]
+            twice = next((name for name in names if names.count(name) > 1), None)
+            if twice is not None:
+                raise ValueError(f"two [[camera]] are called {twice!r}; give each a name of its own")
+            for key in ("orientation_offset", "position_offset"):
+                if any(getattr(self.camera[0], key) or ()):
+                    raise ValueError(
+                        f"{key} of the first [[camera]] must be zero: offsets are counted from it"
+                    )
+        return self
 
     @model_validator(mode="after")
     def _parts_agree(self) -> SequenceFile:

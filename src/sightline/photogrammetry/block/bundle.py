@@ -281,9 +281,7 @@ def bound(
         places = places[point_of]
     unknowns = pose_unknowns(sightings, noise, drift=drift, focal_sigma=focal_sigma)
     block = BlockSums(sightings, unknowns, priors)
-    state = State(
-        np.zeros(unknowns.globals), np.zeros((unknowns.shots, 6 * unknowns.slots)), places - block.origin
-    )
+    state = State(np.zeros(unknowns.globals), np.zeros((unknowns.shots, unknowns.own)), places - block.origin)
     weight = seen_twice(sightings, priors).astype(np.float64)
     curvature, _ = block.curvature(state, weight)
     reduced = reduce_block(curvature, unknowns)

@@ -181,7 +181,7 @@ def first_state(block: BlockSums, usable: BoolArray, start: Array | None) -> tup
         points = block.priors.start(points, *_rays(s, angles), s.point)
     found = np.isfinite(points).all(axis=1)
     points[np.flatnonzero(~found)] = block.origin
-    own = np.zeros((unknowns.shots, 6 * unknowns.slots))
+    own = np.zeros((unknowns.shots, unknowns.own))
     return State(common, own, points - block.origin), np.asarray(usable & np.take(found, s.point))
 
 

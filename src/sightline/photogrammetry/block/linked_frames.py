@@ -145,8 +145,8 @@ class LinkedFrames:
 
     def __init__(self, curvature: Curvature, unknowns: PoseUnknowns) -> None:
         assert unknowns.last is not None
-        if unknowns.slots != 1:
-            raise InputError(f"shots solved last must be of one image each, got {unknowns.slots} a shot")
+        if unknowns.own != 6:
+            raise InputError(f"shots solved last must move as one body each, got {unknowns.own} unknowns")
         self._unknowns = unknowns
         shared = np.zeros(len(curvature.of_points), dtype=bool)
         shot = unknowns.shot[curvature.image]
@@ -179,7 +179,8 @@ class LinkedFrames:
         u = self._unknowns
         image, point, taken = self._left.taken()
         shot = u.shot[image]
-        by_own, by_global = taken @ u.by_shot[shot], taken @ u.by_global[shot]
+        of_images = u.of_images()
+        by_own, by_global = taken @ of_images[0][image], taken @ of_images[1][image]
         _, of_point = np.unique(point, return_inverse=True)
         together = np.zeros((int(of_point.max(initial=-1)) + 1, 3, u.globals))
         np.add.at(together, of_point, by_global)
@@ -217,10 +218,10 @@ class LinkedFrames:
         found = self._factor.covariance(6)
         for rows, (blocks, follow) in zip([*self._shots, self._links], found, strict=True):
             inner[rows], bridge[rows] = blocks, follow.reshape(len(rows), 6, -1)
-        common = u.by_global - u.by_shot @ bridge
-        whole = u.by_shot @ inner @ np.swapaxes(u.by_shot, 1, 2)
-        whole += common @ covariance @ np.swapaxes(common, 1, 2)
-        return np.asarray(whole[u.shot])
+        by_own, by_global = u.of_images()
+        common = by_global - by_own @ bridge[u.shot]
+        whole = by_own @ inner[u.shot] @ np.swapaxes(by_own, 1, 2)
+        return np.asarray(whole + common @ covariance @ np.swapaxes(common, 1, 2))
 
     def point_covariance(self, covariance: Array) -> None:
         """Not kept in this order: triangulate the points with the poses found."""

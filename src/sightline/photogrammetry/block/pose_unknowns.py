@@ -32,7 +32,7 @@ class PoseUnknowns(ReadOnlyArrays):
     ----------
     shot, slot : (M,) int
         Where each image sits: row of the shots (K of them), place among the images of a shot (n of them).
-    by_shot : (K, n D, 6 n)
+    by_shot : (K, n D, 6 n), or (K, n D, 6) of a rig
         Departure of a shot's images by its own unknowns, which have unit covariance.
     by_global : (K, n D, G)
         Departure by the global unknowns.
@@ -82,7 +82,18 @@ class PoseUnknowns(ReadOnlyArrays):
     @property
     def slots(self) -> int:
         """Most images of one shot."""
-        return self.by_shot.shape[2] // 6
+        return int(self.slot.max()) + 1
+
+    @property
+    def own(self) -> int:
+        """Unknowns of a shot: 6 of each of its images, or 6 in all where the images of a rig move together."""
+        return self.by_shot.shape[2]
+
+    def of_images(self) -> tuple[Array, Array]:
+        """Departure of each image by its shot's own (M, D, own) and by the global unknowns (M, D, G)."""
+        shape = self.shots, self.slots, self.width, -1
+        place = self.shot, self.slot
+        return self.by_shot.reshape(shape)[place], self.by_global.reshape(shape)[place]
 
     @property
     def globals(self) -> int:
@@ -91,7 +102,7 @@ class PoseUnknowns(ReadOnlyArrays):
 
     def prior_block(self, step: int) -> Array:
         """Prior precision between shots (K - step, 6 n, 6 n), or (6 n, 6 n) where it is the same for all."""
-        size = 6 * self.slots
+        size = self.own
         if self.precision is None:
             return np.eye(size) if step == 0 else np.zeros((size, size))
         if step >= self.precision.shape[1]:

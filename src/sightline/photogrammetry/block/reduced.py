@@ -65,7 +65,7 @@ def poses_first(curvature: Curvature, unknowns: PoseUnknowns) -> bool:
     """Whether eliminating shots first is the cheaper order (both costs in multiplications)."""
     if unknowns.precision is not None:
         return False
-    points, own = len(curvature.of_points), 6 * unknowns.slots
+    points, own = len(curvature.of_points), unknowns.own
     span = _span(curvature, unknowns)
     dense = unknowns.shots * own * (3.0 * points) ** 2 + (3.0 * points) ** 3 / 3.0
     lengths = np.bincount(curvature.point, minlength=points).astype(np.float64)
@@ -100,7 +100,7 @@ class PosesFirst:
         shots, points = unknowns.shots, len(curvature.of_points)
         columns = 3 * points + unknowns.globals
         of_shots = _in_shots(curvature.of_images, unknowns)
-        own = np.eye(6 * unknowns.slots) + np.swapaxes(unknowns.by_shot, 1, 2) @ of_shots @ unknowns.by_shot
+        own = np.eye(unknowns.own) + np.swapaxes(unknowns.by_shot, 1, 2) @ of_shots @ unknowns.by_shot
         self._root = np.linalg.cholesky(own)
         inverse = np.linalg.inv(self._root)
         to_white = inverse @ np.swapaxes(unknowns.by_shot, 1, 2)
@@ -229,7 +229,7 @@ class PointsEliminated:
 
     def assembled(self) -> tuple[Array, Array, Array]:
         """Normal equations: band (6 n (1 + reach), 6 n K), lower; border (K, 6 n, G); corner (G, G)."""
-        shots, own = self._unknowns.shots, 6 * self._unknowns.slots
+        shots, own = self._unknowns.shots, self._unknowns.own
         band = np.zeros((own * (self.reach + 1), shots * own))
 
         def place(step: int, there: Index, small: Array) -> None:
@@ -248,7 +248,7 @@ class PointsEliminated:
         """
         unknowns, blocks, span = self._unknowns, self._blocks(), self._span
         width, slots, shots = unknowns.width, unknowns.slots, unknowns.shots
-        border = np.zeros((shots, 6 * slots, unknowns.globals))
+        border = np.zeros((shots, unknowns.own, unknowns.globals))
         corner = np.diag(unknowns.global_information)
         for step in range(self.reach + 1):
             here, there = np.arange(step, shots), np.arange(shots - step)
@@ -342,7 +342,7 @@ class PointsFirst:
     def departure_covariance(self, covariance: Array) -> Array:
         """Covariance (M, D, D) of the departure of each image, `covariance` (G, G) that of the globals."""
         u = self._unknowns
-        own = 6 * u.slots
+        own = u.own
         band = self._factor.inverse_band(own - 1)
         inner = np.zeros((u.shots, own, own))
         at = own * np.arange(u.shots)

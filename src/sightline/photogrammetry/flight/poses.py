@@ -358,7 +358,7 @@ def adjust_frames(
         except EstimationError as error:
             raise (unobservable_focal_length(known.focal_length) if known is not first else error) from None
         first = known
-    return _poses(moved_images(images, moved), block, fit, rough, known)
+    return as_frame_poses(moved_images(images, moved), block, fit, rough, known)[0]
 
 
 def _rounds(frames: int, known: RoughPoses, solved: FramePoses | None) -> int:
@@ -402,19 +402,31 @@ def _count(sightings: Sightings, weight: Array, images: Images) -> Array:
     return np.asarray(np.bincount(sightings.image, weight, minlength=len(images)), dtype=np.float64)
 
 
-def _poses(images: Images, block: BlockSums, fit: Fit, roughness: Array, known: RoughPoses) -> FramePoses:
-    """A solution as poses with covariance."""
+def as_frame_poses(
+    images: Images, block: BlockSums, fit: Fit, roughness: Array, known: RoughPoses
+) -> tuple[FramePoses, Array]:
+    """A solution as poses with covariance, and the covariance of the globals.
+
+    Parameters
+    ----------
+    images : Images
+        M, where the equations are linear about; the block may have more, of further cameras.
+    block : BlockSums
+    fit : Fit
+    roughness : (6,)
+    known : RoughPoses
+    """
     unknowns, sightings, state, reduced = block.unknowns, block.sightings, fit.state, fit.equations.reduced
     assert isinstance(reduced, PointsFirst | LinkedFrames)  # frames are tied to their neighbours
-    common = fit.equations.known.covariance()
-    x = unknowns.departures(state.own, state.common)
+    count, common = len(images), fit.equations.known.covariance()
+    x = unknowns.departures(state.own, state.common)[:count]
     order = [3, 4, 5, 0, 1, 2]
-    covariance = reduced.departure_covariance(common)[:, order][:, :, order]
+    covariance = reduced.departure_covariance(common)[:count][:, order][:, :, order]
     bias, bias_covariance, focal = common_errors(state.common, common, bias_rows(known), known.focal_length)
     used = seen_twice(sightings, block.priors, fit.weight > 0.0)
     *_, r, cost = block.gradient(state, used.astype(np.float64))
     kept = np.bincount(sightings.point, used, minlength=sightings.points) > 0
-    return FramePoses(
+    poses = FramePoses(
         frozen(images.position + x[:, 3:6]),
         images.world_from_body * Rotation.from_rotvec(x[:, :3]),
         frozen(covariance),
@@ -423,13 +435,14 @@ def _poses(images: Images, block: BlockSums, fit: Fit, roughness: Array, known: 
         frozen(np.where(kept[:, None], state.points + block.origin, np.nan)),
         frozen(r * sightings.sigma_px[:, None]),
         ~used,
-        np.bincount(sightings.image, used, minlength=len(images)).astype(np.intp),
+        np.bincount(sightings.image % count, used, minlength=count).astype(np.intp),
         frozen(roughness),
         fit.scale,
         _bow(images, block, reduced),
         focal,
         float(cost + gross_error(len(sightings)) * np.count_nonzero(~used)),
     )
+    return poses, common
 
 
 def _bow(images: Images, block: BlockSums, reduced: PointsFirst | LinkedFrames) -> Array:
@@ -439,8 +452,10 @@ def _bow(images: Images, block: BlockSums, reduced: PointsFirst | LinkedFrames) 
     forms = np.moveaxis(trend_forms(images.t, block.unknowns.width), 2, 0)
     out = np.zeros(len(forms))
     for number, form in enumerate(forms):
-        own, common = gather(block.unknowns, np.ascontiguousarray(form))
+        whole = np.zeros((len(block.unknowns.shot), form.shape[1]))
+        whole[: len(form)] = form
+        own, common = gather(block.unknowns, whole)
         step = known.solve(reduced.condense(own, nothing, common))
-        taken = block.unknowns.departures(reduced.solve(own, nothing, common, step)[0], step)
+        taken = block.unknowns.departures(reduced.solve(own, nothing, common, step)[0], step)[: len(form)]
         out[number] = np.sqrt((form * taken).sum())
     return frozen(out.reshape(-1, 3))

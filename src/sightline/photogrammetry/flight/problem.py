@@ -18,6 +18,7 @@ from sightline.geometry.surface import Surface
 from sightline.imaging.source import ImageSource
 from sightline.photogrammetry.block.point_priors import ControlPoints
 from sightline.photogrammetry.flight.poses import RoughPoses
+from sightline.photogrammetry.flight.rig import RigCamera
 from sightline.photogrammetry.sightings import Images, Tracks
 from sightline.result import one_line
 
@@ -71,6 +72,9 @@ class SequenceProblem(ReadOnlyArrays):
         UTC, ISO 8601: the instant t = 0.
     start : Images or None
         Poses nearer to the truth than `images`, of a model: where the adjustment starts; else from `images`.
+    rig : tuple of RigCamera
+        All cameras of a rig, whose first is the camera above: a frame is a capture then; empty where there is
+        one camera.
     warnings : tuple of str
         What was noticed while reading.
     """
@@ -96,6 +100,7 @@ class SequenceProblem(ReadOnlyArrays):
     radii: tuple[float, float] | None = None
     epoch: str | None = None
     start: Images | None = None
+    rig: tuple[RigCamera, ...] = ()
     warnings: tuple[str, ...] = field(default=())
 
     def __post_init__(self) -> None:
@@ -112,6 +117,8 @@ class SequenceProblem(ReadOnlyArrays):
             raise InputError(
                 f"frames, t, sources, images, known and excluded need as many entries each, got {sizes}"
             )
+        if any(len(camera.sources) != sizes[0] for camera in self.rig):
+            raise InputError(f"each camera of `rig` needs {sizes[0]} sources, one for each frame")
 
     def __repr__(self) -> str:
         """One line."""

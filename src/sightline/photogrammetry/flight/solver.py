@@ -69,7 +69,7 @@ class SequenceSolver:
             return tracks
         return appended(tracks, own)
 
-    def _priors(self, tracks: Tracks) -> PointPriors | None:
+    def priors(self, tracks: Tracks) -> PointPriors | None:
         """What is known of the points: a surface, points of control."""
         p = self.problem
         heights, control = self.heights(tracks), None
@@ -167,7 +167,7 @@ class SequenceSolver:
         """Sightings, what is known of points, and where they are (n, 3) m."""
         p = self.problem
         detector = p.detector if before is None else before.detector(p.detector)
-        priors = self._priors(tracks)
+        priors = self.priors(tracks)
         tracks = self.with_control(tracks)
         shutter = p.readout_time != 0.0
         if shutter and before is None:

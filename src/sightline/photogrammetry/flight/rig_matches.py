@@ -1,0 +1,319 @@
+"""Points of a flight found in the other cameras of its rig.
+
+Windows that were followed in the first camera are looked for in the images of the others, of the same capture
+and of those after it: each is compared with its hub, so that every sighting errs by its own image alone. How
+each camera is turned is found first, from a few captures, by cameras whose bands look alike.
+
+Not here: following (``matching/follow.py``), the adjustment (``rig_poses.py``).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sightline.errors import EstimationError
+from sightline.geometry.camera import FrameCamera
+from sightline.geometry.checks import Array
+from sightline.geometry.surface import Surface
+from sightline.imaging.source import ImageSource
+from sightline.matching.follow import Followed
+from sightline.matching.match_images import match_images
+from sightline.matching.whitening import estimate_whitening, gradient_filter
+from sightline.photogrammetry.flight.rig import RigCamera, RigOffsets, rig_images
+from sightline.photogrammetry.frame_cameras import frame_cameras
+from sightline.photogrammetry.match_frames import TrackPlan, hub_share, match_frames
+from sightline.photogrammetry.sightings import Images, Tracks, joined
+
+#: Captures that tell how a camera is turned; windows in each.
+_TRIED, _COARSE_POINTS = 4, 200
+#: Pairs of one camera that must agree with one turn of it, and the share of those found; px within which.
+_LEAST, _AGREEMENT, _AGREE_PX = 12, 0.5, 2.0
+#: Captures from that of its hub on in which a window is sought; windows that are worth the look.
+_SPAN, _LEAST_WINDOWS = 3, 10
+#: px: window, search beyond what is predicted, tiles that filters are estimated from.
+_WINDOW, _SEARCH, _TILE = 21, 3, (32, 32)
+#: px; search where the first camera has no image, whose pose lies between its neighbours' then.
+_LOST_SEARCH = 16
+#: Lowest correlation.
+_MIN_SCORE = 0.3
+#: px; what lenses, other wavelengths and another view move a window by.
+_FLOOR_PX = 0.03
+
+Report = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far ground and cameras may be from where they are thought.
+
+    Attributes
+    ----------
+    height_range : float
+        m; the ground lies within this of the surface.
+    """
+
+    height_range: float
+
+
+def rig_cameras(
+    images: Images, cameras: Sequence[RigCamera], offsets: RigOffsets, capture: int
+) -> list[FrameCamera]:
+    """The cameras of one capture."""
+    row = images[np.array([capture])]
+    own = rig_images(row, offsets.orientation, offsets.position)
+    detectors = [offsets.detector(c, camera.detector) for c, camera in enumerate(cameras)]
+    own = replace(own, shot=np.zeros(len(cameras), dtype=np.intp))
+    return list(frame_cameras(own, detectors, [camera.mount for camera in cameras]))
+
+
+def begin_offsets(
+    images: Images,
+    cameras: Sequence[RigCamera],
+    offsets: RigOffsets,
+    surface: Surface,
+    reach: Reach,
+    report: Report | None = None,
+) -> tuple[RigOffsets, dict[str, str]]:
+    """How each camera is turned, to a pixel; and why that could not be found, by name.
+
+    Parameters
+    ----------
+    images : Images
+        Poses of the captures, found.
+    cameras : sequence of RigCamera
+    offsets : RigOffsets
+        As they are given.
+    surface : Surface
+    reach : Reach
+    report : callable, optional
+        Called with the number of cameras done and of all.
+    """
+    placed, failed = [0], {}
+    order = sorted(range(1, len(cameras)), key=lambda c: _unlike(cameras[0], cameras[c]))
+    waiting, tried = list(order), 0
+    while waiting and tried < len(waiting):
+        c = waiting.pop(0)
+        said = ""
+        for partner in sorted(placed, key=lambda p: _unlike(cameras[p], cameras[c])):
+            turn, words = _turn_of(images, cameras, offsets, partner, c, surface, reach)
+            if turn is not None:
+                orientation = Rotation.concatenate([
+                    turn if k == c else offsets.orientation[k] for k in range(len(cameras))
+                ])  # fmt: skip
+                offsets = replace(offsets, orientation=orientation)
+                placed.append(c)
+                failed.pop(cameras[c].name, None)
+                tried = -1
+                break
+            said = words
+        else:
+            failed[cameras[c].name] = said
+            waiting.append(c)
+        tried += 1
+        if report is not None:
+            report(len(placed), len(cameras))
+    return offsets, failed
+
+
+def _unlike(one: RigCamera, other: RigCamera) -> float:
+    """nm between two bands; 0 where one sees all light."""
+    apart = abs(one.wavelength_nm - other.wavelength_nm)
+    return apart if np.isfinite(apart) else 0.0
+
+
+def _turn_of(
+    images: Images,
+    cameras: Sequence[RigCamera],
+    offsets: RigOffsets,
+    partner: int,
+    camera: int,
+    surface: Surface,
+    reach: Reach,
+) -> tuple[Rotation | None, str]:
+    """Orientation of a camera from windows that it shares with one that is placed; or what was found."""
+    both = np.flatnonzero(cameras[partner].usable & cameras[camera].usable)
+    if not len(both):
+        return None, f"no capture has a usable image of it and of {cameras[partner].name}"
+    some = both[np.unique(np.linspace(0, len(both) - 1, _TRIED).round().astype(int))]
+    here, there, weight = [], [], []
+    plan = TrackPlan(
+        points=_COARSE_POINTS, window=_WINDOW, height_range=reach.height_range,
+        pointing_error=max(cameras[camera].orientation_sigma, 1e-3), hubs=(0,), min_score=_MIN_SCORE,
+        least_share=0.1,
+    )  # fmt: skip
+    for k in some:
+        pair = [rig_cameras(images, cameras, offsets, int(k))[c] for c in (partner, camera)]
+        try:
+            found = match_frames([cameras[c].sources[k] for c in (partner, camera)], pair, surface, plan)
+        except EstimationError:
+            continue
+        hub, other = found.image == 0, found.image == 1
+        _, of_hub, of_other = np.intersect1d(found.point[hub], found.point[other], return_indices=True)
+        ground = pair[0].locate(found.pixels[hub][of_hub], surface)
+        predicted = pair[1].project(ground)
+        mount, detector = cameras[camera].mount, pair[1].detector
+        here.append(mount.apply(detector.directions(predicted)))
+        there.append(mount.apply(detector.directions(found.pixels[other][of_other])))
+        weight.append(np.full(len(predicted), detector.focal_length_px))
+    if not here:
+        return None, f"no window of {cameras[partner].name} was found in it"
+    seen, looked = np.concatenate(here), np.concatenate(there)
+    good = np.isfinite(seen).all(axis=1) & np.isfinite(looked).all(axis=1)
+    seen, looked, focal = seen[good], looked[good], np.concatenate(weight)[good]
+    turn, inside = _common_turn(seen, looked, focal)
+    words = (
+        f"{int(inside.sum())} of {len(inside)} windows of {cameras[partner].name} that were found in it go "
+        f"together to {_AGREE_PX:g} px; {_LEAST} and {100 * _AGREEMENT:.0f} % of them are needed"
+    )
+    if inside.sum() < _LEAST or inside.mean() < _AGREEMENT:
+        return None, words
+    return offsets.orientation[camera] * turn, words
+
+
+def _common_turn(predicted: Array, found: Array, focal: Array) -> tuple[Rotation, NDArray[np.bool_]]:
+    """The turn that brings rays found (N, 3) to those predicted, and which of them it serves."""
+    inside = np.ones(len(found), dtype=bool)
+    turn = Rotation.identity()
+    limit = np.inf
+    for _ in range(8):
+        if inside.sum() < 3:
+            break
+        turn = Rotation.align_vectors(predicted[inside], found[inside])[0]
+        miss = np.linalg.norm(turn.apply(found) - predicted, axis=1) * focal
+        limit = max(min(limit / 2.0, 3.0 * float(np.median(miss))), _AGREE_PX)
+        inside = miss < limit
+    return turn, inside
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """A hub and another camera's image, with the map between them over the surface."""
+
+    hub: FrameCamera
+    other: FrameCamera
+    surface: Surface
+
+    def map(self, pixels: Array) -> Array:
+        """Where the other shows pixels (N, 2) of the hub."""
+        return self.other.project(self.hub.locate(pixels, self.surface))
+
+
+def find_in_rig(
+    followed: Followed,
+    images: Images,
+    points: Array,
+    cameras: Sequence[RigCamera],
+    offsets: RigOffsets,
+    surface: Surface,
+    report: Report | None = None,
+) -> Tracks | None:
+    """Followed windows in the other cameras; None if none is found.
+
+    Parameters
+    ----------
+    followed : Followed
+        Of the first camera.
+    images : Images
+        Poses of the captures, found.
+    points : (n, 3)
+        m, of the points found.
+    cameras, offsets
+        With turns to a pixel.
+    surface : Surface
+    report : callable, optional
+        Called with the number of captures done and of all.
+
+    Returns
+    -------
+    Tracks
+        `image` is camera M + capture.
+    """
+    count = len(images)
+    first = np.unique(followed.point, return_index=True)[1]
+    hub_of = np.full(int(followed.point.max()) + 1, -1)
+    hub_of[followed.point[first]] = followed.image[first]
+    found: list[Tracks] = []
+    for hub in range(count):
+        own = first[hub_of[followed.point[first]] == hub]
+        if report is not None:
+            report(hub, count)
+        known = np.isfinite(points[followed.point[own]]).all(axis=1)
+        own = own[known]
+        if len(own) < _LEAST_WINDOWS or not cameras[0].usable[hub]:
+            continue
+        hub_camera = rig_cameras(images, cameras, offsets, hub)[0]
+        for k in range(hub, min(hub + _SPAN, count)):
+            rows, search = own[np.isin(followed.point[own], _seen_about(followed, cameras[0], k))], _SEARCH
+            if not cameras[0].usable[k]:
+                search = _LOST_SEARCH
+            if len(rows) < _LEAST_WINDOWS:
+                break
+            at = rig_cameras(images, cameras, offsets, k)
+            for c in range(1, len(cameras)):
+                if not cameras[c].usable[k]:
+                    continue
+                names = followed.point[rows]
+                track = _found(
+                    cameras[0].sources[hub], cameras[c].sources[k], _View(hub_camera, at[c], surface),
+                    followed.pixels[rows], points[names], names, c * count + k, search,
+                )  # fmt: skip
+                if track is not None:
+                    found.append(track)
+    return joined(found) if found else None
+
+
+def _seen_about(followed: Followed, first: RigCamera, capture: int) -> NDArray[np.intp]:
+    """Points that the first camera shows in a capture; where its image is lost, in those beside it."""
+    if first.usable[capture]:
+        return followed.point[followed.image == capture]
+    return followed.point[np.abs(followed.image - capture) == 1]
+
+
+def _found(
+    hub: ImageSource,
+    source: ImageSource,
+    view: _View,
+    places: Array,
+    points: Array,
+    names: NDArray[np.intp],
+    image: int,
+    search: int,
+) -> Tracks | None:
+    """Windows of a hub in one other image."""
+    predicted = view.other.project(points)
+    shape, half = np.array(view.other.shape), 0.5 * _WINDOW
+    with np.errstate(invalid="ignore"):
+        inside = ((predicted > half) & (predicted < shape - 1.0 - half)).all(axis=1)
+    if inside.sum() < _LEAST_WINDOWS:
+        return None
+    places, predicted, names = places[inside], predicted[inside], names[inside]
+    step = np.diag([2.0, 2.0])
+    affine = np.stack([(view.map(places + s) - view.map(places - s)) / 4.0 for s in step], axis=-1)
+    known = np.isfinite(affine).all(axis=(1, 2))
+    places, predicted, names, affine = places[known], predicted[known], names[known], affine[known]
+    if len(places) < _LEAST_WINDOWS:
+        return None
+    try:
+        whitening = estimate_whitening(
+            hub, source, places, predicted, affine=affine, tile=_TILE, reach=(search, search)
+        )
+    except EstimationError:
+        whitening = gradient_filter()
+    match = match_images(
+        hub, source, places, predicted, window=(_WINDOW, _WINDOW), affine=affine,
+        search_px=(search, search), whitening=whitening, min_score=_MIN_SCORE,
+    )  # fmt: skip
+    kept = np.flatnonzero(match.kept)
+    if not len(kept):
+        return None
+    share = hub_share(whitening)
+    variance = 0.5 * np.trace(match.covariance_px[kept], axis1=1, axis2=2) * (1.0 - share)
+    return Tracks(np.full(len(kept), image), names[kept], match.b[kept], np.sqrt(variance + _FLOOR_PX**2))
+
+
+__all__ = ["Reach", "begin_offsets", "find_in_rig", "rig_cameras"]
